@@ -1,0 +1,60 @@
+"""Image scores against their definitions."""
+
+import numpy as np
+import pytest
+
+from bench.metrics import PooledError, flip, psnr, rectangle, ssim
+
+RNG = np.random.default_rng(7)
+
+
+def noisy(image, sigma, seed=0):
+    return np.clip(image + np.random.default_rng(seed).normal(0, sigma, image.shape), 0, 1)
+
+
+def test_psnr_of_a_constant_error_is_its_decibels():
+    image = np.full((8, 9, 3), 0.5)
+    assert psnr(image, image + 0.1).value == pytest.approx(20.0, abs=1e-9)
+
+
+def test_psnr_over_a_mask_sees_only_the_mask():
+    image, mask = np.zeros((10, 10, 3)), np.zeros((10, 10), bool)
+    other = image.copy()
+    other[:5] = 1.0
+    mask[4:6] = True
+    assert psnr(image, other, mask).value == pytest.approx(-10 * np.log10(0.5))
+
+
+def test_pooled_psnr_is_of_the_mean_error_not_the_mean_of_decibels():
+    image = np.full((4, 4, 3), 0.5)
+    pooled = PooledError()
+    pooled.add(image, image + 0.1)
+    pooled.add(image, image + 0.001)
+    assert pooled.psnr().value == pytest.approx(-10 * np.log10((0.01 + 1e-6) / 2), abs=1e-9)
+
+
+def test_ssim_of_shifted_constants_is_the_closed_form():
+    # no variance, no covariance: only the luminance term (2ab + C1) / (a^2 + b^2 + C1), C1 = 0.01^2
+    a, b = 0.2, 0.6
+    value = ssim(np.full((20, 20, 3), a), np.full((20, 20, 3), b)).value
+    assert value == pytest.approx((2 * a * b + 1e-4) / (a * a + b * b + 1e-4), abs=1e-9)
+
+
+def test_scores_order_images_by_their_noise():
+    image = RNG.random((64, 64, 3))
+    levels = [noisy(image, sigma) for sigma in (0.02, 0.08, 0.25)]
+    assert np.all(np.diff([psnr(image, x).value for x in levels]) < 0)
+    assert np.all(np.diff([ssim(image, x).value for x in levels]) < 0)
+    assert np.all(np.diff([flip(image, x).value for x in levels]) > 0)
+
+
+def test_flip_is_zero_for_equal_images_and_large_for_black_against_white():
+    image = RNG.random((40, 30, 3))
+    assert flip(image, image).value == pytest.approx(0, abs=1e-6)
+    assert flip(np.zeros((40, 30, 3)), np.ones((40, 30, 3))).value > 0.9
+
+
+def test_rectangle_is_the_tight_box_of_a_mask():
+    mask = np.zeros((20, 30), bool)
+    mask[3, 7] = mask[11, 25] = True
+    assert rectangle(mask) == (slice(3, 12), slice(7, 26))
