@@ -129,31 +129,42 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("ni,ni->n", a, b)
 
 
-def closest_points(
-    points: Float[np.ndarray, "n 3"], vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]
-) -> ClosestPoints:
+class TriangleIndex(NamedTuple):
+    """A posed mesh, ready to be asked for closest points many times."""
+
+    corners: Float[np.ndarray, "f 3 3"]
+    centre: Float[np.ndarray, "f 3"]
+    radius: Float[np.ndarray, "f"]  # of the sphere about `centre` that holds the triangle
+    tree: cKDTree  # of all centres
+    classes: list[tuple[Int[np.ndarray, "members"], cKDTree]]  # faces of like radius, and their centres
+
+
+def triangle_index(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> TriangleIndex:
+    """Search structure over the triangles of a mesh; faces are kept in classes of like size, so that one long
+    triangle does not widen the search for all."""
+    check_mesh(vertices, faces, "mesh to measure against")
+    corners = np.asarray(vertices, np.float64)[faces]
+    centre = corners.mean(1)
+    radius = np.sqrt(np.square(corners - centre[:, None]).sum(-1).max(-1))
+    size = np.floor(np.log2(np.maximum(radius, 1e-9)))
+    classes = [(m, cKDTree(centre[m])) for m in (np.flatnonzero(size == level) for level in np.unique(size))]
+    return TriangleIndex(corners, centre, radius, cKDTree(centre), classes)
+
+
+def closest_points(points: Float[np.ndarray, "n 3"], index: TriangleIndex) -> ClosestPoints:
     """Exact distance of each point to a mesh, and the face that has it.
 
     The exact distance to the faces with the nearest centres bounds the answer; then every face whose bounding
-    sphere reaches into that bound is tried. Faces are searched in classes of like size, so one long triangle
-    does not widen the search for all.
+    sphere reaches into that bound is tried.
     """
-    check_mesh(vertices, faces, "mesh to measure against")
     points = np.asarray(points, np.float64)
-    corners = np.asarray(vertices, np.float64)[faces]  # (f, 3, 3)
-    centre = corners.mean(1)
-    radius = np.sqrt(np.square(corners - centre[:, None]).sum(-1).max(-1))
-
-    near = cKDTree(centre).query(points, k=min(4, len(faces)))[1].reshape(len(points), -1)
+    near = index.tree.query(points, k=min(4, len(index.centre)))[1].reshape(len(points), -1)
     best = ClosestPoints(np.full(len(points), np.inf), np.zeros(len(points), np.int64))
     row = np.repeat(np.arange(len(points)), near.shape[1])
-    best = improved(best, points, corners, row, near.ravel())
+    best = improved(best, points, index.corners, row, near.ravel())
 
-    size = np.floor(np.log2(np.maximum(radius, 1e-9)))
-    for level in np.unique(size):
-        members = np.flatnonzero(size == level)
-        reach = best.distance + radius[members].max()
-        tree = cKDTree(centre[members])
+    for members, tree in index.classes:
+        reach = best.distance + index.radius[members].max()
         counts = tree.query_ball_point(points, reach, return_length=True)
         start = 0
         while start < len(points):  # as many points as fit in memory, at least one
@@ -163,10 +174,10 @@ def closest_points(
             row = np.repeat(np.arange(start, stop), counts[start:stop])
             if len(row):
                 face = members[np.concatenate(lists).astype(np.int64)]
-                offset = points[row] - centre[face]
-                bound = best.distance[row] + radius[face]
+                offset = points[row] - index.centre[face]
+                bound = best.distance[row] + index.radius[face]
                 reaches = dot(offset, offset) < bound * bound
-                best = improved(best, points, corners, row[reaches], face[reaches])
+                best = improved(best, points, index.corners, row[reaches], face[reaches])
             start = stop
     return best
 
@@ -211,24 +222,19 @@ def mesh_distance(
     on_truth = sample_surface(*truth, count, seed=seed).on(*truth)
     on_reconstruction = sample_surface(*reconstruction, count, seed=seed + 1).on(*reconstruction)
     return surface_distance(
-        closest_points(on_reconstruction, *truth).distance, closest_points(on_truth, *reconstruction).distance
+        closest_points(on_reconstruction, triangle_index(*truth)).distance,
+        closest_points(on_truth, triangle_index(*reconstruction)).distance,
     )
 
 
 def rigid_alignment(
-    source: Float[np.ndarray, "n 3"],
-    vertices: Float[np.ndarray, "v 3"],
-    faces: Int[np.ndarray, "f 3"],
-    *,
-    rounds: int = 20,
+    source: Float[np.ndarray, "n 3"], target: TriangleIndex, *, rounds: int = 20
 ) -> Float[np.ndarray, "4 4"]:
     """target_from_source by point-to-point ICP (Besl and McKay 1992), rotation and translation, never a mirror."""
-    check_mesh(vertices, faces, "mesh to align to")
-    corners = np.asarray(vertices, np.float64)[faces]
     target_from_source = np.eye(4)
     moved = np.asarray(source, np.float64)
     for _ in range(rounds):
-        a, b, c = corners[closest_points(moved, vertices, faces).face].transpose(1, 0, 2)
+        a, b, c = target.corners[closest_points(moved, target).face].transpose(1, 0, 2)
         nearest = nearest_on_triangles(moved, a, b, c)
         middle, aim = moved.mean(0), nearest.mean(0)
         U, _, Vt = np.linalg.svd((nearest - aim).T @ (moved - middle))

@@ -11,6 +11,7 @@ from bench.geometry import (
     nearest_on_triangles,
     rigid_alignment,
     sample_surface,
+    triangle_index,
 )
 
 
@@ -45,16 +46,12 @@ def test_closest_points_equal_the_search_over_every_face(stretch):
     vertices = rng.normal(size=(60, 3)) * [1, 1, stretch]  # long thin triangles among others
     faces = rng.integers(0, 60, (80, 3))  # some degenerate: an index twice
     points = rng.normal(size=(200, 3)) * 3
-    found = closest_points(points, vertices, faces)
-    every = np.stack(
-        [
-            np.linalg.norm(
-                points - nearest_on_triangles(points, *np.broadcast_to(vertices[f][:, None], (3, 200, 3))),
-                axis=1,
-            )
-            for f in faces
-        ]
+    found = closest_points(points, triangle_index(vertices, faces))
+    corners = np.broadcast_to(vertices[faces].transpose(1, 0, 2)[:, :, None], (3, 80, 200, 3)).reshape(
+        3, -1, 3
     )
+    repeated = np.tile(points, (80, 1))
+    every = np.linalg.norm(repeated - nearest_on_triangles(repeated, *corners), axis=1).reshape(80, 200)
     np.testing.assert_allclose(found.distance, every.min(0), rtol=0, atol=1e-12)
 
 
@@ -89,5 +86,5 @@ def test_alignment_undoes_a_rigid_motion():
     moved_from_truth = trimesh.transformations.rotation_matrix(0.05, [1, 2, 3])
     moved_from_truth[:3, 3] = [0.01, -0.02, 0.015]
     moved = points @ moved_from_truth[:3, :3].T + moved_from_truth[:3, 3]
-    found = rigid_alignment(moved, vertices, faces, rounds=200)
+    found = rigid_alignment(moved, triangle_index(vertices, faces), rounds=200)
     np.testing.assert_allclose(found @ moved_from_truth, np.eye(4), atol=2e-3)

@@ -1,10 +1,10 @@
-"""HARD_CASES, Metrics: identical and constant images, empty masks, tiny images, meshes without faces, mixed units."""
+"""Metrics: identical and constant images, empty masks, tiny images, meshes without faces, mixed units."""
 
 import numpy as np
 import pytest
 import trimesh
 
-from bench.geometry import closest_points, mesh_distance, sample_surface
+from bench.geometry import closest_points, mesh_distance, sample_surface, triangle_index
 from bench.metrics import PooledError, flip, lpips, psnr, rectangle, ssim
 
 IMAGE = np.random.default_rng(0).random((32, 32, 3))
@@ -74,7 +74,7 @@ def test_a_mesh_without_faces_is_refused():
     with pytest.raises(ValueError, match="no faces"):
         mesh_distance((vertices, faces), (vertices, nothing))
     with pytest.raises(ValueError, match="no faces"):
-        closest_points(vertices, vertices, nothing)
+        triangle_index(vertices, nothing)
     with pytest.raises(ValueError, match="has any area"):
         sample_surface(vertices, faces, 10, seed=0, keep=np.zeros(len(faces), bool))
 
@@ -88,7 +88,7 @@ def test_centimetres_against_metres_are_refused(truth, other):
 def test_faces_beyond_the_vertices_and_vertices_that_are_not_finite_are_refused():
     vertices, faces = box()
     with pytest.raises(ValueError, match="faces name vertices"):
-        closest_points(vertices, vertices, faces + 1)
+        triangle_index(vertices, faces + 1)
     broken = vertices.copy()
     broken[2, 1] = np.nan
     with pytest.raises(ValueError, match="not finite"):
@@ -98,5 +98,5 @@ def test_faces_beyond_the_vertices_and_vertices_that_are_not_finite_are_refused(
 def test_a_mesh_of_points_and_needles_still_has_a_distance():
     vertices = np.array([[0.0, 0, 0], [0, 1, 0], [0, 0.5, 0]])
     faces = np.array([[0, 0, 0], [0, 1, 2], [0, 1, 1]])
-    found = closest_points(np.array([[0.3, 0.5, 0.4], [0, 2.0, 0]]), vertices, faces)
+    found = closest_points(np.array([[0.3, 0.5, 0.4], [0, 2.0, 0]]), triangle_index(vertices, faces))
     np.testing.assert_allclose(found.distance, [0.5, 1.0], atol=1e-12)
