@@ -1,0 +1,1 @@
+"""Avatar file to pixels: contexts, shaders, the plan of passes, films and the window. Never imports torch."""

@@ -1,0 +1,42 @@
+"""Uniform blocks: the layout GLSL gives them (std140), as NumPy dtypes that mirror shaders/*.glsl."""
+
+import moderngl
+import numpy as np
+
+STD140 = {  # GLSL type: (numpy format, size, alignment), OpenGL 4.6 section 7.6.2.2
+    "float": ("f4", 4, 4),
+    "vec3": (("f4", (3,)), 12, 16),
+    "vec4": (("f4", (4,)), 16, 16),
+    "mat4": (("f4", (4, 4)), 64, 16),  # stored by columns: assign matrix.T
+    "mat4x3": (("f4", (3, 4)), 48, 16),  # declared row_major: the three rows of [R | t], assign matrix[:3]
+    "vec4[52]": (("f4", (52, 4)), 52 * 16, 16),
+    "mat4x3[52]": (("f4", (52, 3, 4)), 52 * 48, 16),
+}
+
+
+def std140(**fields: str) -> np.dtype:
+    """Structured dtype with the offsets GLSL gives these fields, in order."""
+    offsets, end = [], 0
+    for kind in fields.values():
+        _, size, alignment = STD140[kind]
+        offsets.append(-(-end // alignment) * alignment)
+        end = offsets[-1] + size
+    formats = [STD140[kind][0] for kind in fields.values()]
+    size = -(-end // 16) * 16
+    return np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+FRAME = std140(clip_from_view="mat4", view_amount="float")
+BONES = std140(view_from_canonical="mat4x3[52]")
+TURNS = std140(view_from_canonical_q="vec4[52]")
+BINDING = {"Frame": (FRAME, 0), "Bones": (BONES, 1), "Turns": (TURNS, 2)}
+
+
+def bind_block(program: moderngl.Program, name: str) -> None:
+    """Give a block its binding point; refuse if GLSL and Python disagree on its size."""
+    if name not in program:
+        return  # the compiler removed a block this variant never reads
+    block, (dtype, binding) = program[name], BINDING[name]
+    if block.size != dtype.itemsize:
+        raise RuntimeError(f"uniform block {name}: {block.size} bytes in GLSL, {dtype.itemsize} in blocks.py")
+    block.binding = binding
