@@ -1,0 +1,36 @@
+# Two commands: `make demo` (the whole path on the built-in subject) and `make test`.
+# Where you have an index with CPU-only torch (it saves 4 GB), name it: make demo TORCH_INDEX=https://...
+
+PYTHON ?= $(shell for p in python3.12 python3.11 python3.13 python3; do command -v $$p >/dev/null 2>&1 && \
+	$$p -c 'import sys; sys.exit(not sys.version_info >= (3, 11))' 2>/dev/null && { echo $$p; break; }; done)
+VENV = .venv
+RUN = $(VENV)/bin/python
+TORCH_INDEX ?=
+
+.PHONY: demo test setup system lint clean
+
+demo: setup
+	OMP_WAIT_POLICY=PASSIVE $(RUN) -m bench.demo out/demo
+
+test: setup lint
+	OMP_WAIT_POLICY=PASSIVE $(RUN) -m pytest -q
+
+lint: setup
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/pyright --pythonpath $(RUN)
+
+setup: $(VENV)/ready system
+
+$(VENV)/ready: pyproject.toml
+	@test -n "$(PYTHON)" || { echo "selfscan needs Python 3.11 or newer: apt install python3 python3-venv"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(if $(TORCH_INDEX),$(VENV)/bin/pip install --quiet --index-url $(TORCH_INDEX) torch)
+	$(VENV)/bin/pip install --quiet --progress-bar off -e '.[bake,bench,dev]'
+	touch $@
+
+# EGL and a software rasteriser; OSMesa where the distribution still has it.
+system:
+	@sh .ci/system-packages.sh
+
+clean:
+	rm -rf out

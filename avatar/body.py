@@ -1,0 +1,132 @@
+"""Body models: the built-in free body, and a user's own SMPL+H model file."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from avatar.errors import AssetError
+from avatar.npz import read_npz
+from avatar.skeleton import JOINTS, PARENTS
+from avatar.skinning import SkinWeights, strongest_four
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Body:
+    """A shaped body in pose 0, pelvis joint at the origin, metres."""
+
+    name: str
+    vertices: Float[Array, "vertices 3"]
+    faces: Int[Array, "faces 3"]
+    skin: SkinWeights
+    joints: Float[Array, "52 3"]
+    shape_directions: Float[Array, "vertices 3 shapes"]  # metres per unit of beta
+    joint_directions: Float[Array, "52 3 shapes"]
+    uv: Float[Array, "texcoords 2"] | None  # glTF convention, v down
+    uv_faces: Int[Array, "faces 3"] | None
+    pose_directions: Float[Array, "vertices 3 459"] | None  # against R - I of joints 1-51, row-major
+    licence: str
+    origin: Float[Array, "3"]  # where the file puts the pelvis joint: added to AMASS trans
+
+
+@cache
+def builtin_body(sex: str) -> Body:
+    """The free body that ships with the project; `sex` is "male" or "female". Provenance: THIRD_PARTY.md."""
+    if sex not in ("male", "female"):
+        raise ValueError(f"sex should be 'male' or 'female', is {sex!r}")
+    path = Path(str(files("avatar") / "data" / "body" / f"body_{sex}.npz"))
+    return replace(read_body(path), name=f"builtin:{sex}", licence="CC0-1.0 (MakeHuman base mesh)")
+
+
+def shaped(body: Body, betas: Float[Array, "n"]) -> Body:
+    """The body with its shape changed: vertices and joints move linearly with beta; the pelvis stays at 0.
+
+    Raises:
+        ValueError: more coefficients than the body has directions.
+    """
+    count = len(betas)
+    if count > body.shape_directions.shape[2]:
+        raise ValueError(f"{count} shape coefficients, but {body.name} has {body.shape_directions.shape[2]}")
+    vertices = body.vertices + body.shape_directions[:, :, :count] @ betas
+    joints = body.joints + body.joint_directions[:, :, :count] @ betas
+    return replace(
+        body, vertices=vertices - joints[0], joints=joints - joints[0], origin=body.origin + joints[0]
+    )
+
+
+def read_body(path: Path | str) -> Body:
+    """Read an SMPL+H model (.npz) or a body of ours: v_template, f, weights, J or J_regressor, shapedirs, ...
+
+    SMPL+H itself is licensed and must be obtained by the user (mano.is.tue.mpg.de); the format is read here.
+
+    Raises:
+        AssetError: a field is absent, misshapen or not finite, or the tree is not SMPL+H's. File and field named.
+    """
+    path = Path(path)
+    fields = read_npz(path, "an SMPL+H model")
+    vertices = _field(path, fields, "v_template", (None, 3))
+    count = len(vertices)
+    faces = _field(path, fields, "f", (None, 3)).astype(np.int64)
+    if faces.min() < 0 or faces.max() >= count:
+        raise AssetError(
+            f"{path}: f should index {count} vertices, holds {int(faces.min())}..{int(faces.max())}"
+        )
+    weights = _field(path, fields, "weights", (count, 52))
+    try:
+        skin = strongest_four(weights)
+    except ValueError as error:
+        raise AssetError(f"{path}: weights: {error}") from None
+    shapes = _field(path, fields, "shapedirs", (count, 3, None))
+    tree = _field(path, fields, "kintree_table", (2, 52)).astype(np.int64)
+    if (tree[0, 1:] != PARENTS[1:]).any():
+        joint = int(np.argmax(tree[0, 1:] != PARENTS[1:])) + 1
+        raise AssetError(
+            f"{path}: kintree_table should be SMPL+H's; the parent of {JOINTS[joint]} is {int(tree[0, joint])}, "
+            f"expected {int(PARENTS[joint])}"
+        )
+    regressor = _field(path, fields, "J_regressor", (52, count)) if "J_regressor" in fields else None
+    if "J" in fields:
+        joints = _field(path, fields, "J", (52, 3))
+    elif regressor is not None:
+        joints = regressor @ vertices
+    else:
+        raise AssetError(f"{path}: neither J nor J_regressor; the file has {sorted(fields)}")
+    if "joint_dirs" in fields:
+        joint_directions = _field(path, fields, "joint_dirs", (52, 3, shapes.shape[2]))
+    elif regressor is not None:
+        joint_directions = np.einsum("jv,vcs->jcs", regressor, shapes)
+    else:
+        joint_directions = np.zeros((52, 3, shapes.shape[2]))
+    uv = uv_faces = None
+    if "vt" in fields and "ft" in fields:
+        uv = _field(path, fields, "vt", (None, 2)) * [1, -1] + [0, 1]  # the file's v runs up
+        uv_faces = _field(path, fields, "ft", (len(faces), 3)).astype(np.int64)
+    pose = _field(path, fields, "posedirs", (count, 3, 459)) if "posedirs" in fields else None
+    if pose is not None and not pose.any():
+        pose = None  # a body that has no pose correctives stores zeros to keep the format
+    return Body(path.stem, vertices - joints[0], faces, skin, joints - joints[0], shapes, joint_directions, uv, uv_faces,
+                pose, "the licence of your own model file", joints[0])  # fmt: skip
+
+
+def _field(path: Path, fields: dict[str, Array], name: str, shape: tuple[int | None, ...]) -> Array:
+    if name not in fields:
+        raise AssetError(f"{path}: no {name}; the file has {sorted(fields)}")
+    array = fields[name]
+    if array.dtype.kind not in "fiu":
+        raise AssetError(f"{path}: {name} should be numbers, is {array.dtype}")
+    if array.ndim != len(shape) or any(
+        want is not None and want != have for want, have in zip(shape, array.shape)
+    ):
+        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        raise AssetError(f"{path}: {name} should be {expected}, is {array.shape}")
+    array = array.astype(np.float64) if name != "posedirs" else array  # posedirs are 74 MB as they are
+    if not np.isfinite(array).all():
+        raise AssetError(
+            f"{path}: {name} is not finite, first at {tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])}"
+        )
+    return array

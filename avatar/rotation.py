@@ -1,0 +1,183 @@
+"""Rotations as axis-angle vectors, quaternions (xyzw) and matrices: finite and right for every angle.
+
+All functions work on the last axis (or the last two), any number of leading ones, in float64 inside.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+Array = np.ndarray
+
+
+def matrix_from_axis_angle(axis_angle: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """Rotation matrix of an axis-angle vector (Rodrigues' formula).
+
+        R = I + a K + b K^2    with t = |axis_angle|, a = sin t / t, b = (1 - cos t) / t^2
+
+    Below t = 0.01 the coefficients are Taylor series in t^2; above, b goes through the half angle, because
+    1 - cos t loses half its digits when t is small.
+    """
+    v = np.asarray(axis_angle, np.float64)
+    t2 = np.sum(v * v, -1)
+    near_zero = t2 < 1e-4
+    t = np.sqrt(np.where(near_zero, 1.0, t2))
+    half_sine = np.sin(0.5 * t) / t
+    a = np.where(near_zero, 1 - t2 / 6 + t2 * t2 / 120, np.sin(t) / t)
+    b = np.where(near_zero, 0.5 - t2 / 24 + t2 * t2 / 720, 2 * half_sine * half_sine)
+    K = cross_matrix(v)
+    return np.eye(3) + a[..., None, None] * K + b[..., None, None] * (K @ K)
+
+
+def cross_matrix(v: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """The matrix K with K u = v x u."""
+    x, y, z = np.moveaxis(v, -1, 0)
+    o = np.zeros_like(x)
+    return np.stack([o, -z, y, z, o, -x, -y, x, o], -1).reshape(*v.shape[:-1], 3, 3)
+
+
+def quaternion_from_axis_angle(axis_angle: Float[Array, "*b 3"]) -> Float[Array, "*b 4"]:
+    """Unit quaternion of an axis-angle vector: (v sin(t/2)/t, cos(t/2))."""
+    v = np.asarray(axis_angle, np.float64)
+    t2 = np.sum(v * v, -1)
+    near_zero = t2 < 1e-4
+    t = np.sqrt(np.where(near_zero, 1.0, t2))
+    scale = np.where(near_zero, 0.5 - t2 / 48 + t2 * t2 / 3840, np.sin(0.5 * t) / t)
+    w = np.where(near_zero, 1 - t2 / 8 + t2 * t2 / 384, np.cos(0.5 * t))
+    return np.concatenate([v * scale[..., None], w[..., None]], -1)
+
+
+def axis_angle_from_quaternion(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b 3"]:
+    """Axis-angle vector of a unit quaternion, of length at most pi.
+
+    atan2 of vector and scalar part keeps all digits at 0 and at pi, where arccos of w loses half of them.
+    """
+    q = normalised_quaternion(quaternion)
+    q = np.where(q[..., 3:] < 0, -q, q)
+    s = np.linalg.norm(q[..., :3], axis=-1)
+    near_zero = s < 1e-8
+    angle = 2 * np.arctan2(s, q[..., 3])
+    scale = np.where(near_zero, 2.0, angle / np.where(near_zero, 1.0, s))
+    return q[..., :3] * scale[..., None]
+
+
+def quaternion_from_matrix(matrix: Float[Array, "*b 3 3"]) -> Float[Array, "*b 4"]:
+    """Unit quaternion of a rotation matrix, w >= 0 (Shepperd 1978: divide by the largest component)."""
+    m = np.asarray(matrix, np.float64)
+    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    candidates = np.stack(
+        [
+            np.stack([1 + xx - yy - zz, m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0],
+                      m[..., 2, 1] - m[..., 1, 2]], -1),
+            np.stack([m[..., 1, 0] + m[..., 0, 1], 1 - xx + yy - zz, m[..., 2, 1] + m[..., 1, 2],
+                      m[..., 0, 2] - m[..., 2, 0]], -1),
+            np.stack([m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2], 1 - xx - yy + zz,
+                      m[..., 1, 0] - m[..., 0, 1]], -1),
+            np.stack([m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1],
+                      1 + xx + yy + zz], -1),
+        ],
+        -2,
+    )  # fmt: skip
+    diagonal = np.stack([xx, yy, zz, xx + yy + zz], -1)
+    best = np.argmax(diagonal, -1)
+    q = np.take_along_axis(candidates, best[..., None, None], -2)[..., 0, :]
+    q = normalised_quaternion(q)
+    return np.where(q[..., 3:] < 0, -q, q)
+
+
+def matrix_from_quaternion(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b 3 3"]:
+    """Rotation matrix of a quaternion of any non-zero length."""
+    x, y, z, w = np.moveaxis(normalised_quaternion(quaternion), -1, 0)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w),
+        2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w),
+        2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return np.stack(rows, -1).reshape(*np.shape(quaternion)[:-1], 3, 3)
+
+
+def axis_angle_from_matrix(matrix: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3"]:
+    """Axis-angle vector of a rotation matrix, of length at most pi."""
+    return axis_angle_from_quaternion(quaternion_from_matrix(matrix))
+
+
+def normalised_quaternion(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """Quaternion scaled to length one.
+
+    Raises:
+        ValueError: a quaternion is zero or not finite; it has no direction to keep.
+    """
+    q = np.asarray(quaternion, np.float64)
+    largest = np.max(
+        np.abs(q), -1, keepdims=True
+    )  # scaling first keeps 1e-200 and 1e200 from under- or overflow
+    if not np.all(np.isfinite(largest)) or not np.all(largest > 0):
+        raise ValueError("a quaternion is zero or not finite")
+    q = q / largest
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def quaternion_product(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """The quaternion of rotation a after rotation b: R(a b) = R(a) R(b)."""
+    a, b = np.broadcast_arrays(np.asarray(a, np.float64), np.asarray(b, np.float64))
+    av, aw, bv, bw = a[..., :3], a[..., 3:], b[..., :3], b[..., 3:]
+    vector = aw * bv + bw * av + np.cross(av, bv)
+    scalar = aw * bw - np.sum(av * bv, -1, keepdims=True)
+    return np.concatenate([vector, scalar], -1)
+
+
+def quaternion_inverse(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]:
+    """Inverse of a unit quaternion."""
+    return np.asarray(quaternion, np.float64) * np.array([-1.0, -1, -1, 1])
+
+
+def slerp(
+    a: Float[Array, "*b 4"], b: Float[Array, "*b 4"], t: Float[Array, "*b"] | float
+) -> Float[Array, "*b 4"]:
+    """Constant-speed interpolation from a (t = 0) to b (t = 1) on the shorter arc (Shoemake 1985).
+
+    The angle comes from atan2(|a - b|, |a + b|), exact for nearly equal and nearly opposite rotations alike;
+    below 1e-7 rad the weights become linear. For exactly opposite quaternions b = -a the rotations are equal.
+    """
+    a, b = normalised_quaternion(a), normalised_quaternion(b)
+    b = np.where(np.sum(a * b, -1, keepdims=True) < 0, -b, b)
+    half = np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
+    angle = 2 * half
+    t = np.asarray(t, np.float64)
+    small = angle < 1e-7
+    sine = np.sin(np.where(small, 1.0, angle))
+    wa = np.where(small, 1 - t, np.sin((1 - t) * angle) / sine)
+    wb = np.where(small, t, np.sin(t * angle) / sine)
+    return normalised_quaternion(wa[..., None] * a + wb[..., None] * b)
+
+
+def nearest_axis_angle(
+    axis_angle: Float[Array, "*b 3"], reference: Float[Array, "*b 3"]
+) -> Float[Array, "*b 3"]:
+    """The vector of the same rotation that lies closest to `reference` (v + 2 pi n axis).
+
+    Keeps a sequence continuous where the angle passes pi: near pi the two signs of the axis are almost the
+    same rotation, and a filter or a plot would jump by 2 pi between neighbouring frames.
+    """
+    v, r = np.asarray(axis_angle, np.float64), np.asarray(reference, np.float64)
+    angle = np.linalg.norm(v, axis=-1, keepdims=True)
+    length = np.linalg.norm(r, axis=-1, keepdims=True)
+    reference_axis = r / np.where(length > 0, length, 1.0)
+    axis = np.where(angle > 1e-12, v / np.where(angle > 1e-12, angle, 1.0), reference_axis)
+    turns = np.round((np.sum(r * axis, -1, keepdims=True) - angle) / (2 * np.pi))
+    return v + 2 * np.pi * turns * axis
+
+
+def rotation_between(a: Float[Array, "*b 3"], b: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """The smallest rotation that takes unit vector a to unit vector b.
+
+    Opposite vectors have no smallest rotation: a half turn about some axis orthogonal to a is returned.
+    """
+    a, b = np.broadcast_arrays(np.asarray(a, np.float64), np.asarray(b, np.float64))
+    cross = np.cross(a, b)
+    sine, cosine = np.linalg.norm(cross, axis=-1, keepdims=True), np.sum(a * b, -1, keepdims=True)
+    least = np.eye(3)[np.argmin(np.abs(a), -1)]
+    orthogonal = np.cross(a, least)
+    orthogonal = orthogonal / np.linalg.norm(orthogonal, axis=-1, keepdims=True)
+    usable = sine > 1e-12
+    axis = np.where(usable, cross / np.where(usable, sine, 1.0), orthogonal)
+    return matrix_from_axis_angle(axis * np.arctan2(sine, cosine))

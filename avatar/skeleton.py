@@ -1,0 +1,87 @@
+"""The 52-joint SMPL+H skeleton and its forward kinematics."""
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.rotation import matrix_from_axis_angle
+
+Array = np.ndarray
+
+_BODY = (
+    "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot "
+    "neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist"
+).split()
+_FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # SMPL+H order, not anatomical
+
+JOINTS: tuple[str, ...] = tuple(
+    _BODY + [f"{side}_{finger}{n}" for side in ("left", "right") for finger in _FINGERS for n in (1, 2, 3)]
+)
+LEFT_HAND, RIGHT_HAND = slice(22, 37), slice(37, 52)
+
+
+def _parents() -> np.ndarray:
+    body = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19]
+    hands = []
+    for wrist, first in ((20, 22), (21, 37)):
+        for finger in range(5):
+            hands += [wrist, first + 3 * finger, first + 3 * finger + 1]
+    return np.array(body + hands)
+
+
+PARENTS = _parents()
+
+
+def _big_pose() -> np.ndarray:
+    pose = np.zeros((52, 3))
+    pose[1, 2], pose[2, 2] = np.pi / 6, -np.pi / 6
+    return pose
+
+
+BIG_POSE = _big_pose()  # canonical pose of the fields: both hips opened 30 degrees about z
+BIG_POSE.setflags(write=False)
+PARENTS.setflags(write=False)
+
+
+def joint_transforms(
+    axis_angle: Float[Array, "*b 52 3"],
+    joints: Float[Array, "52 3"],
+    root: Float[Array, "*b 3"] | None = None,
+) -> Float[Array, "*b 52 4 4"]:
+    """Forward kinematics: G_k = world_from_joint of each joint (Loper et al. 2015, Eq. 3-4).
+
+    axis_angle is parent_from_joint, radians; joint frames are parallel to the world in pose 0. `joints` are
+    the rest positions in metres. The pelvis lands on `root` (world, metres), or stays at joints[0].
+    """
+    axis_angle = np.asarray(axis_angle, np.float64)
+    local = np.zeros((*axis_angle.shape[:-1], 4, 4))
+    local[..., :3, :3] = matrix_from_axis_angle(axis_angle)
+    local[..., 1:, :3, 3] = joints[1:] - joints[PARENTS[1:]]
+    local[..., 0, :3, 3] = joints[0] if root is None else root
+    local[..., 3, 3] = 1
+    world = local.copy()
+    for joint in range(1, 52):
+        world[..., joint, :, :] = world[..., PARENTS[joint], :, :] @ local[..., joint, :, :]
+    return world
+
+
+def rigid_inverse(transforms: Float[Array, "*b 4 4"]) -> Float[Array, "*b 4 4"]:
+    """Inverse of rotations with translations: [R^T, -R^T t]."""
+    R, t = transforms[..., :3, :3], transforms[..., :3, 3:]
+    out = np.zeros_like(transforms)
+    out[..., :3, :3] = np.swapaxes(R, -1, -2)
+    out[..., :3, 3:] = -np.swapaxes(R, -1, -2) @ t
+    out[..., 3, 3] = 1
+    return out
+
+
+def skin_transforms(
+    axis_angle: Float[Array, "*b 52 3"],
+    joints: Float[Array, "52 3"],
+    root: Float[Array, "*b 3"] | None = None,
+    rest: Float[Array, "52 3"] = BIG_POSE,
+) -> Float[Array, "*b 52 4 4"]:
+    """B_k = G_k(pose) G_k(rest)^-1: where bone k takes a point that is given in the rest pose.
+
+    `rest` is the pose that the points are stored in: the big pose for canonical points, zeros for pose 0.
+    """
+    return joint_transforms(axis_angle, joints, root) @ rigid_inverse(joint_transforms(rest, joints))

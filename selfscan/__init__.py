@@ -1,0 +1,1 @@
+"""The command line: one program, `selfscan`, whose subcommands live beside the work they start."""

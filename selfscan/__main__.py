@@ -1,0 +1,95 @@
+"""The `selfscan` command: finds the subcommand, imports it only then, and turns bad input into one line."""
+
+import sys
+
+from avatar.errors import AssetError
+
+USAGE = """usage: selfscan COMMAND ...
+
+Turn four phone videos of a person into an avatar to pose, watch and film in real time.
+
+make an avatar
+  synth   SUBJECT OUT          four self-scan videos of a built-in or rigged person, with ground truth
+  train   CAPTURE -o RUN       part fields (signed distance and colour) from a capture
+  bake    RUN -o NAME.glb      one mesh, one atlas, skin weights and a tiny view network in one file
+
+use it
+  render  AVATAR --motion FILE -o OUT    a picture, frames or a film, with or without GPU and display
+  play    AVATAR [--motion FILE]         a window: orbit, pause, step, scrub
+
+judge it
+  eval    RUN_OR_AVATAR CAPTURE          how near to the truth: cm, PSNR, SSIM, FLIP
+  bench   AVATAR -o DIR                  accuracy against time on this machine
+  doctor                                 which OpenGL context works here, and what is missing
+
+`selfscan COMMAND --help` explains a command. Try `selfscan render avatar.glb --motion counting -o film.mp4`.
+"""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one subcommand; the exit code: 0 done, 1 bad input (one line says what), 2 wrong usage."""
+    argv = sys.argv[1:] if argv is None else argv
+    if not argv or argv[0] in ("-h", "--help"):
+        print(USAGE, end="")
+        return 0 if argv else 2
+    name, rest = argv[0], argv[1:]
+    try:
+        return _dispatch(name, rest)
+    except AssetError as error:
+        print(f"selfscan {name}: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        return 1
+    except KeyboardInterrupt:
+        print(f"\nselfscan {name}: stopped", file=sys.stderr)
+        return 130
+
+
+def _dispatch(name: str, rest: list[str]) -> int:
+    try:
+        if name == "synth":
+            from bench.synth.command import main as run
+        elif name == "train":
+            from train.command import main as run
+        elif name == "bake":
+            from bake.command import main as run
+        elif name == "eval":
+            from bench.quality import eval_main as run
+        elif name == "bench":
+            from bench.report import bench_main as run
+        elif name == "render":
+            from player.command import render_main as run
+        elif name == "play":
+            from player.command import play_main as run
+        elif name == "doctor":
+            from player.command import doctor_main as run
+        else:
+            print(f"selfscan: no command {name!r}; `selfscan --help` lists them", file=sys.stderr)
+            return 2
+    except ModuleNotFoundError as error:
+        if error.name and error.name.split(".")[0] in (
+            "avatar",
+            "train",
+            "bake",
+            "player",
+            "bench",
+            "shaders",
+        ):
+            raise
+        raise AssetError(f"needs the package {error.name!r}: pip install {_extra(name)}") from None
+    return run(rest)
+
+
+def _extra(name: str) -> str:
+    extra = {
+        "synth": "bench",
+        "train": "train",
+        "bake": "bake",
+        "eval": "bake,bench",
+        "bench": "bake,bench",
+    }.get(name)
+    return f"'selfscan[{extra}]'" if extra else "selfscan"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

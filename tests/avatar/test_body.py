@@ -1,0 +1,76 @@
+"""Body models: the built-in ones and the SMPL+H file format."""
+
+import numpy as np
+import pytest
+
+from avatar.body import builtin_body, read_body, shaped
+from avatar.errors import AssetError
+from avatar.skeleton import JOINTS, PARENTS
+
+
+@pytest.mark.parametrize("sex", ["male", "female"])
+def test_the_builtin_body_is_a_person_of_plausible_size_in_a_t_pose(sex):
+    body = builtin_body(sex)
+    height = np.ptp(body.vertices[:, 1])
+    assert 1.5 < height < 1.95
+    np.testing.assert_array_equal(body.joints[0], 0)
+    left_arm = body.joints[JOINTS.index("left_wrist")] - body.joints[JOINTS.index("left_shoulder")]
+    assert left_arm[0] > 0.95 * np.linalg.norm(left_arm)  # +x is the subject's left
+    toes = body.joints[JOINTS.index("left_foot")] - body.joints[JOINTS.index("left_ankle")]
+    assert toes[2] > 0.05  # +z is out of the chest
+    np.testing.assert_allclose(body.skin.weights.sum(1), 1, atol=1e-6)
+
+
+def test_fingers_hang_from_their_own_wrist_in_smplh_order():
+    for joint in range(22, 52):
+        side = "left" if joint < 37 else "right"
+        assert JOINTS[joint].startswith(side)
+        assert JOINTS[PARENTS[joint]].startswith(side)
+    assert JOINTS[22:37:3] == ("left_index1", "left_middle1", "left_pinky1", "left_ring1", "left_thumb1")
+
+
+def test_shape_moves_vertices_and_joints_linearly_and_keeps_the_pelvis():
+    body = builtin_body("male")
+    once, twice = shaped(body, np.array([0.5])), shaped(body, np.array([1.0]))
+    np.testing.assert_allclose(
+        twice.vertices - body.vertices, 2 * (once.vertices - body.vertices), atol=1e-12
+    )
+    np.testing.assert_array_equal(twice.joints[0], 0)
+
+
+def write_model(path, **change):
+    body = builtin_body("male")
+    count = 60
+    fields = {
+        "v_template": body.vertices[:count], "f": np.array([[0, 1, 2]], np.uint32), "weights": np.eye(52)[np.arange(count) % 52],
+        "J": body.joints, "shapedirs": np.zeros((count, 3, 16)),
+        "kintree_table": np.stack([np.r_[4294967295, PARENTS[1:]], np.arange(52)]).astype(np.uint32),
+    } | change  # fmt: skip
+    np.savez(path, **{k: v for k, v in fields.items() if v is not None})
+
+
+def test_an_smplh_file_is_read_with_its_unsigned_root_parent(tmp_path):
+    write_model(tmp_path / "m.npz")
+    body = read_body(tmp_path / "m.npz")
+    assert body.vertices.shape == (60, 3) and body.shape_directions.shape == (60, 3, 16)
+
+
+@pytest.mark.parametrize("change, message", [
+    ({"weights": np.zeros((60, 24))}, r"weights should be \(60, 52\), is \(60, 24\)"),
+    ({"v_template": np.full((60, 3), np.nan)}, "v_template is not finite, first at"),
+    ({"f": np.array([[0, 1, 99]])}, "f should index 60 vertices"),
+    ({"J": None}, "neither J nor J_regressor"),
+    ({"kintree_table": np.zeros((2, 52))}, "the parent of right_knee|the parent of left_knee"),
+    ({"shapedirs": None}, "no shapedirs; the file has"),
+])  # fmt: skip
+def test_a_bad_model_is_refused_by_field(tmp_path, change, message):
+    write_model(tmp_path / "m.npz", **change)
+    with pytest.raises(AssetError, match=message):
+        read_body(tmp_path / "m.npz")
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 not a zip", b"hello"])
+def test_a_file_that_is_no_model_is_refused(tmp_path, content):
+    (tmp_path / "m.npz").write_bytes(content)
+    with pytest.raises(AssetError, match="expected an SMPL"):
+        read_body(tmp_path / "m.npz")

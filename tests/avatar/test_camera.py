@@ -1,0 +1,96 @@
+"""Cameras: OpenGL matrices against projection, rays against projection, files."""
+
+import numpy as np
+import pytest
+
+from avatar.camera import (
+    Camera,
+    clip_from_view,
+    look_at,
+    orbit_camera,
+    pixel_rays,
+    project,
+    read_camera,
+    read_cameras,
+    view_from_world,
+    write_camera,
+    write_cameras,
+)
+from avatar.errors import AssetError
+
+
+@pytest.fixture
+def camera():
+    K = np.array([[700.0, 3.0, 250.5], [0, 690, 199], [0, 0, 1]])
+    return Camera(K, look_at((1, 2, 3), (0.1, 0, 0)), (512, 384), np.array([0.1, -0.05, 0.001, -0.002, 0.01]))
+
+
+def test_opengl_matrices_put_a_point_on_the_pixel_of_project(camera):
+    undistorted = Camera(camera.K, camera.camera_from_world, camera.size)
+    points = np.random.default_rng(0).normal(size=(50, 3)) * 0.5
+    pixels, depth = project(undistorted, points)
+    clip = (
+        np.c_[points, np.ones(50)] @ (clip_from_view(undistorted, 0.1, 100.0) @ view_from_world(undistorted)).T
+    )
+    ndc = clip[:, :3] / clip[:, 3:]
+    window = np.stack([(ndc[:, 0] + 1) / 2 * 512, 384 - (ndc[:, 1] + 1) / 2 * 384], 1)
+    np.testing.assert_allclose(window, pixels, atol=1e-9)
+    np.testing.assert_allclose(clip[:, 3], depth, atol=1e-12)
+
+
+def test_rays_run_through_their_pixels_with_distortion(camera):
+    pixels = np.random.default_rng(0).uniform(0, 380, (100, 2))
+    origins, directions = pixel_rays(camera, pixels)
+    again, depth = project(camera, origins + 2.5 * directions)
+    np.testing.assert_allclose(again, pixels, atol=1e-6)
+    assert (depth > 0).all()
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-14)
+
+
+def test_default_rays_are_pixel_centres_row_by_row(camera):
+    small = camera.resized((4, 3))
+    origins, directions = pixel_rays(small)
+    pixels, _ = project(small, origins + directions)
+    np.testing.assert_allclose(pixels[[0, 1, 4]], [[0.5, 0.5], [1.5, 0.5], [0.5, 1.5]], atol=1e-6)
+
+
+def test_orbit_at_azimuth_zero_looks_at_the_chest():
+    camera = orbit_camera((0, 1, 0), 3, 0, 0, (100, 100))
+    np.testing.assert_allclose(camera.eye, [0, 1, 3], atol=1e-12)
+    pixels, _ = project(camera, np.array([[0, 1, 0], [0.1, 1, 0], [0, 1.1, 0]]))
+    np.testing.assert_allclose(pixels[0], [50, 50])
+    assert pixels[1, 0] > 50 and pixels[2, 1] < 50  # the subject's left is the viewer's right; up is up
+
+
+@pytest.mark.parametrize("up", [(0, 1, 0), (0, 5, 0)])
+def test_looking_straight_down_is_a_proper_camera(up):
+    R = look_at((0, 3, 0), (0, 0, 0), up)[:3, :3]
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) > 0
+
+
+def test_files_round_trip(camera, tmp_path):
+    write_camera(tmp_path / "c.json", camera)
+    write_cameras(tmp_path / "c.npz", [camera, camera])
+    for again in (read_camera(tmp_path / "c.json"), read_cameras(tmp_path / "c.npz")[1]):
+        np.testing.assert_array_equal(again.K, camera.K)
+        np.testing.assert_array_equal(again.camera_from_world, camera.camera_from_world)
+        np.testing.assert_array_equal(again.distortion, camera.distortion)
+        assert again.size == camera.size
+
+
+@pytest.mark.parametrize("change, message", [
+    ({"K": [[0, 0, 1], [0, 1, 1], [0, 0, 1]]}, "focal length should be positive"),
+    ({"camera_from_world": np.diag([1.0, 1, -1, 1]).tolist()}, "should hold a rotation"),
+    ({"size": [0, 5]}, "size should be"),
+    ({"K": "x"}, "K should be numbers"),
+    ({"K": [[1, 2], [3]]}, "K should be numbers"),
+])  # fmt: skip
+def test_a_bad_camera_file_is_refused_by_field(camera, tmp_path, change, message):
+    import json
+
+    write_camera(tmp_path / "c.json", camera)
+    content = json.loads((tmp_path / "c.json").read_text()) | change
+    (tmp_path / "c.json").write_text(json.dumps(content))
+    with pytest.raises(AssetError, match=message):
+        read_camera(tmp_path / "c.json")
