@@ -7,13 +7,17 @@ VENV = .venv
 RUN = $(VENV)/bin/python
 TORCH_INDEX ?=
 
-.PHONY: demo test setup system lint clean
+.PHONY: demo test hard-cases setup system lint clean
 
 demo: setup
 	OMP_WAIT_POLICY=PASSIVE $(RUN) -m bench.demo out/demo
 
 test: setup lint
 	OMP_WAIT_POLICY=PASSIVE $(RUN) -m pytest -q
+
+# Runs the hard cases and writes docs/hard-cases.md: case, bound, measured worst error, rasteriser.
+hard-cases: setup
+	$(RUN) -m pytest -q tests/hard_cases --hard-cases-report docs/hard-cases.md
 
 lint: setup
 	$(VENV)/bin/ruff check .

@@ -1,0 +1,113 @@
+"""What all tests share: where the sample data is, and the report of the hard cases."""
+
+import os
+import platform
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def sample_data() -> Path | None:
+    """The folder of sample people and motions: SELFSCAN_DATA, else ../shared/data beside the repository."""
+    for place in (os.environ.get("SELFSCAN_DATA"), ROOT.parent / "shared" / "data"):
+        if place and Path(place).is_dir():
+            return Path(place)
+    return None
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """Folder of the sample data; without it the test is skipped, and fails in continuous integration."""
+    found = sample_data()
+    if found is None:
+        message = "no sample data: set SELFSCAN_DATA to its folder"
+        if os.environ.get("CI") == "true":
+            pytest.fail(message)
+        pytest.skip(message)
+    return found
+
+
+@pytest.fixture
+def within(record_property):
+    """Asserts measured <= bound and puts both into the report of the hard cases.
+
+    `measured` may be an array; its largest absolute value counts, and a NaN never passes.
+    """
+
+    def check(measured, bound: float, unit: str = "") -> None:
+        worst = float(np.max(np.abs(np.asarray(measured, float)), initial=0.0))
+        record_property("within", (worst, float(bound), unit))
+        assert worst <= bound, f"worst error {worst:.3g} {unit} exceeds the bound {bound:.3g} {unit}"
+
+    return check
+
+
+def pytest_addoption(parser):
+    parser.addoption("--hard-cases-report", metavar="FILE", help="write what tests/hard_cases measured to FILE")
+
+
+class HardCases:
+    """Collects outcome and measured errors of every test under tests/hard_cases."""
+
+    def __init__(self, path: Path):
+        self.path, self.rows = path, defaultdict(list)
+
+    def pytest_runtest_logreport(self, report):
+        if "tests/hard_cases" not in report.nodeid or (report.when != "call" and report.outcome == "passed"):
+            return
+        file, _, rest = report.nodeid.partition("::")
+        measured = [value for name, value in report.user_properties if name == "within"]
+        self.rows[(file, rest.split("[")[0])].append((report.outcome, measured))
+
+    def pytest_sessionfinish(self):
+        lines = [
+            "# Hard cases, measured",
+            "",
+            "Written by `make hard-cases`. Each row is one fact; *cases* counts its parametrised values; *worst* is the",
+            "largest error measured against the *bound* that the test asserts. Rows without a number assert an exact",
+            "value, a flag or a refusal that names the file and field.",
+            "",
+            f"{platform.python_implementation()} {platform.python_version()}, NumPy {np.__version__}, {rasteriser()}.",
+        ]
+        files = sorted({file for file, _ in self.rows})
+        for file in files:
+            lines += ["", f"## {Path(file).stem.removeprefix('test_').replace('_', ' ')}", ""]
+            lines += ["| case | cases | outcome | worst | bound |", "|---|---|---|---|---|"]
+            for (owner, name), outcomes in self.rows.items():
+                if owner == file:
+                    lines.append(self.row(name, outcomes))
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.path.write_text("\n".join(lines) + "\n")
+
+    @staticmethod
+    def row(name: str, outcomes: list) -> str:
+        states = [state for state, _ in outcomes]
+        state = next((s for s in ("failed", "skipped") if s in states), "passed")
+        measured = [m for _, values in outcomes for m in values]
+        worst = bound = ""
+        if measured:
+            tightest = max(measured, key=lambda m: m[0] / m[1] if m[1] else m[0])
+            worst, bound = (f"{value:.2g} {tightest[2]}".strip() for value in tightest[:2])
+        return f"| {name.removeprefix('test_').replace('_', ' ')} | {len(outcomes)} | {state} | {worst} | {bound} |"
+
+
+def rasteriser() -> str:
+    from player.context import open_context
+
+    try:
+        context = open_context()
+    except Exception as error:
+        return f"no OpenGL context ({error})"
+    name = f"{context.renderer} ({context.kind})"
+    context.release()
+    return name
+
+
+def pytest_configure(config):
+    path = config.getoption("--hard-cases-report")
+    if path:
+        config.pluginmanager.register(HardCases(Path(path)), "hard-cases")
