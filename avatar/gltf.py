@@ -11,6 +11,7 @@ import base64
 import binascii
 import json
 import reprlib
+import shlex
 import struct
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,15 +36,14 @@ ELEMENT_SHAPES = {
 # Required extensions that change nothing we read, or that are read here. KHR_materials_* is read as its base.
 READ_EXTENSIONS = ("KHR_mesh_quantization", "EXT_texture_webp", "KHR_lights_punctual", "KHR_node_visibility")
 READ_PREFIXES = ("KHR_materials_", "VRM", "SELFSCAN_")
-# Extensions we do not read, and the subcommand of the glTF-Transform command line that removes each.
+# Extensions we do not read, and the glTF-Transform command line that turns each into plain glTF.
 CONVERTERS = {
-    "EXT_meshopt_compression": "copy",
-    "KHR_meshopt_compression": "copy",
-    "KHR_draco_mesh_compression": "copy",
-    "KHR_texture_basisu": "ktxdecompress",
-    "EXT_texture_avif": "png",
-    "KHR_materials_pbrSpecularGlossiness": "metalrough",
-    "EXT_mesh_gpu_instancing": "uninstance",
+    "EXT_meshopt_compression": "copy {} plain.glb",
+    "KHR_meshopt_compression": "copy {} plain.glb",
+    "KHR_draco_mesh_compression": "copy {} plain.glb",
+    "KHR_texture_basisu": "ktxdecompress {} plain.glb",
+    "EXT_texture_avif": 'png {} plain.glb --formats "*"',
+    "KHR_materials_pbrSpecularGlossiness": "metalrough {} plain.glb",
 }
 
 MAX_BYTES = 1 << 30  # a file, and each buffer
@@ -228,8 +228,8 @@ def refusal(path: Path, extension: str) -> str:
     """Why a file with this required extension is not read, and the command that removes it."""
     message = f"{path}: the file requires the extension {extension}, which is not read here"
     if extension in CONVERTERS:
-        command = f"npx @gltf-transform/cli {CONVERTERS[extension]} {path.name} plain.glb"
-        return f"{message}; convert it with: {command}"
+        command = CONVERTERS[extension].format(shlex.quote(str(path)))
+        return f"{message}; convert it with: npx @gltf-transform/cli {command}"
     return f"{message}; export the file without it"
 
 

@@ -171,7 +171,9 @@ def triangles(gltf: Gltf, mesh: int, primitive: int, vertices: int) -> UInt32[np
     if "indices" in part:
         indices = gltf.accessor(part["indices"], field=f"{where}.indices")
         if indices.ndim != 1 or indices.dtype.kind != "u":
-            raise gltf.error(f"{where}.indices", "unsigned whole numbers", (indices.shape, indices.dtype.name))
+            raise gltf.error(
+                f"{where}.indices", "unsigned whole numbers", (indices.shape, indices.dtype.name)
+            )
         if indices.max() >= vertices:
             raise gltf.error(f"{where}.indices", f"below the {vertices} vertices", int(indices.max()))
     else:

@@ -1,0 +1,345 @@
+"""The avatar file: one .glb that any glTF viewer shows, and that ours shows whole.
+
+Plain glTF holds the finest level: a skinned, unlit, textured mesh in the canonical pose on 52 named joints that
+rest in pose 0. The optional extension SELFSCAN_avatar refers to the rest: coarser levels, feature images, the
+view network, the canonical pose and provenance. docs/avatar-format.md is the byte-level description.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.baked_avatar import (
+    NETWORK_ARRAYS,
+    VIEW_MODES,
+    Avatar,
+    Level,
+    ViewNetwork,
+    check_avatar,
+    check_level,
+    check_network,
+)
+from avatar.errors import AssetError
+from avatar.files import whole_file
+from avatar.gltf import Gltf, read_gltf
+from avatar.gltf_scene import (
+    attribute_accessors,
+    base_color_image,
+    node_parents,
+    primitives,
+    read_skin,
+    triangles,
+    world_from_node,
+)
+from avatar.gltf_write import INDICES, VERTICES, GltfBuilder
+from avatar.png import decode_png, encode_png, png_pixels
+from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+
+__all__ = ["Avatar", "Level", "ViewNetwork", "read_avatar", "write_avatar"]
+
+EXTENSION = "SELFSCAN_avatar"
+VERSION = 1
+T = TypeVar("T")
+MAX_LEVELS = 8
+MAX_PIXELS = 1 << 26  # of all images together: 200 MB decoded
+ATTRIBUTES = {  # field of Level: glTF attribute
+    "positions": "POSITION",
+    "normals": "NORMAL",
+    "uv": "TEXCOORD_0",
+    "joints": "JOINTS_0",
+    "weights": "WEIGHTS_0",
+    "view_dir": "_VIEW_DIR",
+    "view_seen": "_VIEW_SEEN",
+}
+
+
+def write_avatar(path: str | Path, avatar: Avatar) -> None:
+    """Write an avatar file, whole or not at all. The same avatar gives the same bytes.
+
+    Joints of weight 0 are written as joint 0, as glTF asks.
+
+    Raises:
+        ValueError: a field of the avatar breaks a promise of `Avatar` or `Level`.
+    """
+    check_avatar(avatar)
+    data = _avatar_bytes(avatar)
+    with whole_file(path) as file:
+        file.write(data)
+
+
+def _avatar_bytes(avatar: Avatar) -> bytes:
+    builder = GltfBuilder()
+    joint_from_mesh = _rigid_inverse(joint_transforms(avatar.canonical_pose, avatar.joint_positions))
+    skin = {
+        "name": "SMPL+H",
+        "joints": list(range(52)),
+        "skeleton": 0,
+        "inverseBindMatrices": builder.add_accessor(joint_from_mesh.astype(np.float32)),
+    }
+    meshes, materials, textures, levels = [], [], [], []
+    for i, level in enumerate(avatar.levels):
+        name = f"{avatar.name} {len(level.faces)}"
+        image = builder.add_image(encode_png(level.base_color), f"{name} base colour")
+        textures.append({"name": name, "sampler": 0, "source": image})
+        materials.append(
+            {
+                "name": name,
+                "pbrMetallicRoughness": {
+                    "baseColorTexture": {"index": i},
+                    "metallicFactor": 0,
+                    "roughnessFactor": 1,
+                },
+                "extensions": {"KHR_materials_unlit": {}},
+            }
+        )
+        primitive = {**_add_surface(builder, level), "material": i}
+        meshes.append({"name": name, "primitives": [primitive]})
+        levels.append({"mesh": i})
+        if level.features is not None:
+            planes = np.concatenate(np.moveaxis(level.features, -1, 0))  # (4 h, w)
+            levels[i]["featureImage"] = builder.add_image(encode_png(planes), f"{name} features")
+
+    nodes: list[dict[str, Any]] = []
+    for joint, name in enumerate(JOINTS):
+        parent = PARENTS[joint]
+        offset = avatar.joint_positions[joint] - (avatar.joint_positions[parent] if parent >= 0 else 0)
+        node: dict[str, Any] = {"name": name, "translation": [float(x) for x in offset]}
+        children = [int(child) for child in np.flatnonzero(joint == PARENTS)]
+        nodes.append(node | ({"children": children} if children else {}))
+    nodes.append({"name": avatar.name, "mesh": 0, "skin": 0})
+
+    extension: dict[str, Any] = {
+        "version": VERSION,
+        "name": avatar.name,
+        "jointPositions": _flat(avatar.joint_positions),
+        "canonicalPose": _flat(avatar.canonical_pose),
+        "levels": levels,
+        "defaultView": avatar.default_view,
+        "amplitude": float(avatar.amplitude),
+        "provenance": avatar.provenance,
+    }
+    if avatar.network is not None:
+        extension["network"] = {name: _flat(getattr(avatar.network, name)) for name in NETWORK_ARRAYS}
+    if avatar.linear is not None:
+        extension["linear"] = _flat(avatar.linear)
+    return builder.to_bytes(
+        {
+            "asset": {"version": "2.0", "generator": "selfscan"},
+            "extensionsUsed": ["KHR_materials_unlit", EXTENSION],
+            "extensions": {EXTENSION: extension},
+            "scene": 0,
+            "scenes": [{"name": avatar.name, "nodes": [0, 52]}],
+            "nodes": nodes,
+            "skins": [skin],
+            "meshes": meshes,
+            "materials": materials,
+            "textures": textures,
+            "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
+        }
+    )
+
+
+def _add_surface(builder: GltfBuilder, level: Level) -> dict[str, Any]:
+    """The attributes and indices of a level's one primitive."""
+    q = level.view_q
+    arrays = {name: getattr(level, field) for field, name in ATTRIBUTES.items()}
+    arrays |= {"_VIEW_Q0": q[:, :3], "_VIEW_Q1": q[:, 3:]}
+    arrays["JOINTS_0"] = np.where(level.weights > 0, level.joints, 0).astype(np.uint8)
+    attributes = {
+        name: builder.add_accessor(
+            values, VERTICES, normalised=name == "WEIGHTS_0", bounds=name == "POSITION"
+        )
+        for name, values in arrays.items()
+    }
+    small = len(level.positions) < 65535  # the largest index of a type is kept for primitive restart
+    indices = level.faces.reshape(-1).astype(np.uint16 if small else np.uint32)
+    return {"attributes": attributes, "indices": builder.add_accessor(indices, INDICES)}
+
+
+def read_avatar(path: str | Path) -> Avatar:
+    """Read an avatar file and check every promise that `Avatar` and `Level` make.
+
+    Raises:
+        AssetError: the file is no avatar, or a field is not as promised.
+    """
+    gltf = read_gltf(path)
+    extension = gltf.extensions(gltf.json, "glTF").get(EXTENSION)
+    where = f"extensions.{EXTENSION}"
+    if not isinstance(extension, dict):
+        raise gltf.error(where, "there: an avatar comes from `selfscan bake`", extension)
+    if extension.get("version") != VERSION:
+        raise gltf.error(f"{where}.version", f"{VERSION}", extension.get("version"))
+    for key, kind in (("name", str), ("defaultView", str), ("provenance", dict)):
+        if not isinstance(extension.get(key), kind):
+            raise gltf.error(f"{where}.{key}", f"a {kind.__name__}", extension.get(key))
+    if extension["defaultView"] not in VIEW_MODES:
+        raise gltf.error(f"{where}.defaultView", "network, linear or off", extension["defaultView"])
+    joints = gltf.numbers(extension, "jointPositions", where, (52, 3))
+    pose = gltf.numbers(extension, "canonicalPose", where, (52, 3))
+    amplitude = extension.get("amplitude")
+    if type(amplitude) not in (int, float):
+        raise gltf.error(f"{where}.amplitude", "a number", amplitude)
+    linear = None
+    if "linear" in extension:
+        linear = gltf.numbers(extension, "linear", where, (4, 3, 3)).astype(np.float32)
+    try:
+        avatar = Avatar(
+            name=extension["name"],
+            joint_positions=joints,
+            canonical_pose=pose,
+            levels=_read_levels(gltf, extension),
+            network=_read_network(gltf, extension),
+            linear=linear,
+            amplitude=float(amplitude),
+            default_view=extension["defaultView"],
+            provenance=extension["provenance"],
+        )
+        check_avatar(avatar)
+    except (ValueError, OverflowError) as error:
+        raise AssetError(f"{gltf.path}: {error}") from None
+    _check_skeleton(gltf, avatar, extension["levels"][0]["mesh"])
+    return avatar
+
+
+def _read_network(gltf: Gltf, extension: dict[str, Any]) -> ViewNetwork | None:
+    network, where = extension.get("network"), f"extensions.{EXTENSION}.network"
+    if network is None:
+        return None
+    if not isinstance(network, dict):
+        raise gltf.error(where, "an object", network)
+    arrays = {
+        name: gltf.numbers(network, name, where, shape).astype(np.float32)
+        for name, (_, shape) in NETWORK_ARRAYS.items()
+    }
+    check_network(arrays, where)
+    return ViewNetwork(**arrays)
+
+
+def _read_levels(gltf: Gltf, extension: dict[str, Any]) -> tuple[Level, ...]:
+    """The levels, each with a mesh and images of its own."""
+    items, where = extension.get("levels"), f"extensions.{EXTENSION}.levels"
+    if not isinstance(items, list) or not 1 <= len(items) <= MAX_LEVELS:
+        raise gltf.error(where, f"a list of 1 to {MAX_LEVELS} levels", items)
+    sources = [_level_source(gltf, item, f"{where}[{i}]") for i, item in enumerate(items)]
+    # The same mesh or image again would multiply what a small file costs to decode.
+    meshes = [source.mesh for source in sources]
+    images = [image for source in sources for image in source[1:] if image is not None]
+    for name, used in (("mesh", meshes), ("image", images)):
+        if len(set(used)) != len(used):
+            raise gltf.error(where, f"with a {name} of their own each", used)
+    pixels = sum(_of_image(gltf, image, png_pixels) for image in images)
+    if pixels > MAX_PIXELS:
+        raise gltf.error("images", f"at most {MAX_PIXELS} pixels together", pixels)
+
+    levels = []
+    for i, (mesh, base_color, feature_image) in enumerate(sources):
+        arrays = _read_surface(gltf, mesh)
+        arrays["base_color"] = _of_image(gltf, base_color, decode_png, "RGB")
+        arrays["features"] = None
+        if feature_image is not None:
+            planes = _of_image(gltf, feature_image, decode_png, "L")
+            if len(planes) % 4:
+                raise gltf.error(f"images[{feature_image}] height", "four planes", len(planes))
+            planes = planes.reshape(4, -1, planes.shape[1])
+            arrays["features"] = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
+        check_level(arrays, f"levels[{i}]")
+        levels.append(Level(**arrays))
+    return tuple(levels)
+
+
+class _Source(NamedTuple):
+    """Where a level lies in the file."""
+
+    mesh: int
+    base_color: int  # image
+    features: int | None  # image
+
+
+def _level_source(gltf: Gltf, item: object, where: str) -> _Source:
+    if not isinstance(item, dict):
+        raise gltf.error(where, "an object", item)
+    mesh = gltf.index("meshes", item.get("mesh"), f"{where}.mesh")
+    parts = primitives(gltf, mesh)
+    if len(parts) != 1:
+        raise gltf.error(f"meshes[{mesh}].primitives", "one", len(parts))
+    material = gltf.index("materials", parts[0].get("material"), f"meshes[{mesh}] material")
+    base_color = base_color_image(gltf, material)
+    if base_color is None:
+        raise gltf.error(f"materials[{material}]", "with a base colour texture", None)
+    features = item.get("featureImage")
+    if features is not None:
+        features = gltf.index("images", features, f"{where}.featureImage")
+    return _Source(mesh, base_color, features)
+
+
+def _of_image(gltf: Gltf, index: int, function: Callable[..., T], *arguments: object) -> T:
+    """Apply a function of PNG bytes to an image; its complaint gains the place."""
+    try:
+        return function(gltf.image(index)[0], *arguments)
+    except ValueError as error:
+        raise AssetError(f"{gltf.path}: images[{index}] {error}") from None
+
+
+def _read_surface(gltf: Gltf, mesh: int) -> dict[str, np.ndarray]:
+    """The arrays of a level that live in its primitive."""
+    accessors, where = attribute_accessors(gltf, mesh), f"meshes[{mesh}].primitives[0]"
+    for name in (*ATTRIBUTES.values(), "_VIEW_Q0", "_VIEW_Q1"):
+        if name not in accessors:
+            raise gltf.error(f"{where}.attributes", f"with {name}", sorted(accessors))
+    if gltf.items("accessors")[accessors["WEIGHTS_0"]].get("normalized") is not True:
+        raise gltf.error(f"{where}.WEIGHTS_0", "normalised bytes", "not normalised")
+    arrays = {field: gltf.accessor(accessors[name]) for field, name in ATTRIBUTES.items()}
+    q0, q1 = gltf.accessor(accessors["_VIEW_Q0"]), gltf.accessor(accessors["_VIEW_Q1"])
+    if q0.shape != q1.shape or q0.ndim != 2:
+        raise gltf.error(f"{where}._VIEW_Q1", f"of the shape of _VIEW_Q0 {q0.shape}", q1.shape)
+    arrays["view_q"] = np.concatenate([q0, q1], axis=1)
+    arrays["faces"] = triangles(gltf, mesh, 0, len(arrays["positions"]))
+    return arrays
+
+
+def _check_skeleton(gltf: Gltf, avatar: Avatar, mesh: int) -> None:
+    """The node tree must say what the extension says: names, order, parents, pose 0, inverse binds."""
+    bearers = [i for i, node in enumerate(gltf.items("nodes")) if node.get("mesh") == mesh and "skin" in node]
+    if len(bearers) != 1:
+        raise gltf.error("nodes", f"one with the finest mesh {mesh} and a skin", bearers)
+    skin = read_skin(gltf, gltf.items("nodes")[bearers[0]]["skin"], field=f"nodes[{bearers[0]}].skin")
+    names = [gltf.items("nodes")[node].get("name") for node in skin.nodes]
+    if names != list(JOINTS):
+        wrong = next((i for i, pair in enumerate(zip(names, JOINTS, strict=False)) if pair[0] != pair[1]), 52)
+        expected = f"the 52 SMPL+H joints in order, here {JOINTS[wrong] if wrong < 52 else 'their end'}"
+        raise gltf.error(f"skin joint {wrong}", expected, names[wrong] if wrong < len(names) else "absent")
+    parents = node_parents(gltf)
+    for joint, node in enumerate(skin.nodes[1:], start=1):
+        if parents[node] != skin.nodes[PARENTS[joint]]:
+            raise gltf.error(f"parent of {JOINTS[joint]}", JOINTS[PARENTS[joint]], f"node {parents[node]}")
+    world = world_from_node(gltf)[list(skin.nodes)]
+    expected = joint_transforms(np.zeros((52, 3)), avatar.joint_positions)
+    _check_close(gltf, "default nodes", world, expected)
+    inverse = _rigid_inverse(joint_transforms(avatar.canonical_pose, avatar.joint_positions))
+    _check_close(gltf, "inverse bind matrices", skin.joint_from_mesh, inverse)
+
+
+def _check_close(gltf: Gltf, field: str, found: np.ndarray, expected: np.ndarray) -> None:
+    """Transforms of the 52 joints agree to 10 micrometres (and as little rotation)."""
+    error = np.abs(found - expected).max(axis=(1, 2))
+    if not error.max() < 1e-5:
+        joint = int(np.argmax(error))
+        raise gltf.error(f"{field} of {JOINTS[joint]}", "as the extension says", f"off by {error[joint]:.2g}")
+
+
+def _rigid_inverse(transforms: Float[np.ndarray, "*b 4 4"]) -> Float[np.ndarray, "*b 4 4"]:
+    """The inverse of rotations with translation; the last row stays exactly 0 0 0 1."""
+    inverse = np.zeros_like(transforms)
+    rotation = np.swapaxes(transforms[..., :3, :3], -1, -2)
+    inverse[..., :3, :3] = rotation
+    inverse[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, transforms[..., :3, 3])
+    inverse[..., 3, 3] = 1
+    return inverse
+
+
+def _flat(values: np.ndarray) -> list[float]:
+    """Numbers for JSON, row by row; JSON keeps every bit of a float64, so of a float32 too."""
+    return [float(value) for value in values.reshape(-1)]

@@ -1,0 +1,174 @@
+"""The baked avatar: what `bake` makes, the avatar file holds, and the player draws.
+
+A surface in levels of detail, each with skin, base colour and the view statistics of Eq. 14, and one tiny view
+network (or a linear map) shared by all. Canonical frame (big pose, pelvis joint at the origin), metres.
+docs/avatar-format.md gives the equations.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8, UInt32
+
+VIEW_MODES = ("network", "linear", "off")
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level of detail."""
+
+    positions: Float32[np.ndarray, "vertices 3"]  # canonical, metres
+    normals: Float32[np.ndarray, "vertices 3"]  # canonical, unit
+    uv: Float32[np.ndarray, "vertices 2"]  # as in glTF: v downwards, (0, 0) the image's top left corner
+    faces: UInt32[np.ndarray, "faces 3"]
+    joints: UInt8[np.ndarray, "vertices 4"]
+    weights: UInt8[np.ndarray, "vertices 4"]  # rows sum to 255
+    view_dir: Float32[
+        np.ndarray, "vertices 3"
+    ]  # global view direction (Eq. 14), canonical, camera to surface, unit
+    view_q: Float32[np.ndarray, "vertices 6"]  # Q as xx, xy, xz, yy, yz, zz; positive semi-definite
+    view_seen: Float32[np.ndarray, " vertices"]  # v in [0, 1], 0 where no camera looked
+    base_color: UInt8[np.ndarray, "height width 3"]  # sRGB
+    features: UInt8[np.ndarray, "feature_height feature_width 4"] | None  # linear, f = value / 255
+
+
+@dataclass(frozen=True)
+class ViewNetwork:
+    """The view network: y = w2 relu(w1 x + b1) + b2 with x = [f (4), t' (3), |t'|]."""
+
+    w1: Float32[np.ndarray, "16 8"]
+    b1: Float32[np.ndarray, "16"]
+    w2: Float32[np.ndarray, "3 16"]
+    b2: Float32[np.ndarray, "3"]
+
+
+@dataclass(frozen=True)
+class Avatar:
+    """A person, ready to be posed and drawn."""
+
+    name: str
+    joint_positions: Float[np.ndarray, "52 3"]  # pose 0, pelvis at the origin, metres
+    canonical_pose: Float[np.ndarray, "52 3"]  # axis-angle, the pose that the levels are stored in
+    levels: tuple[Level, ...]  # finest first
+    network: ViewNetwork | None  # colour = clamp(base + A |t'| y / (1 + |y|))
+    linear: Float32[np.ndarray, "4 3 3"] | None  # colour = clamp(base + (sum_i f_i M_i) t')
+    amplitude: float  # A, the largest change of colour per unit of |t'|
+    default_view: Literal["network", "linear", "off"]
+    provenance: dict[str, Any]  # preset, data, body licence, measured accuracy ...: anything JSON holds
+
+
+LEVEL_ARRAYS = {  # field: dtype and shape, -1 for any size
+    "positions": ("float32", (-1, 3)),
+    "normals": ("float32", (-1, 3)),
+    "uv": ("float32", (-1, 2)),
+    "faces": ("uint32", (-1, 3)),
+    "joints": ("uint8", (-1, 4)),
+    "weights": ("uint8", (-1, 4)),
+    "view_dir": ("float32", (-1, 3)),
+    "view_q": ("float32", (-1, 6)),
+    "view_seen": ("float32", (-1,)),
+    "base_color": ("uint8", (-1, -1, 3)),
+    "features": ("uint8", (-1, -1, 4)),
+}
+NETWORK_ARRAYS = {
+    "w1": ("float32", (16, 8)),
+    "b1": ("float32", (16,)),
+    "w2": ("float32", (3, 16)),
+    "b2": ("float32", (3,)),
+}
+
+
+def check_level(level: Mapping[str, Any], where: str) -> None:
+    """Refuse fields of a level that break a promise of `Level`, with a ValueError that says which."""
+    for name, (dtype, shape) in LEVEL_ARRAYS.items():
+        if name == "features" and level[name] is None:
+            continue
+        _check_array(level[name], f"{where}.{name}", dtype, shape)
+    count = len(level["positions"])
+    for name in ("normals", "uv", "joints", "weights", "view_dir", "view_q", "view_seen"):
+        if len(level[name]) != count:
+            raise ValueError(f"{where}.{name} should have {count} rows, as positions, has {len(level[name])}")
+
+    _check_rows(level["faces"].max(axis=1) < count, f"{where}.faces", f"below {count}", level["faces"])
+    for name in ("normals", "view_dir"):
+        length = np.linalg.norm(level[name].astype(np.float64), axis=1)
+        _check_rows(np.abs(length - 1) < 1e-3, f"{where}.{name}", "of unit length", level[name])
+    joints, weights, seen = level["joints"], level["weights"], level["view_seen"]
+    _check_rows(joints.max(axis=1) < 52, f"{where}.joints", "below 52", joints)
+    _check_rows(weights.sum(axis=1, dtype=int) == 255, f"{where}.weights", "a sum of 255", weights)
+    twice = np.zeros(count, dtype=bool)
+    for a in range(4):
+        for b in range(a):
+            twice |= (joints[:, a] == joints[:, b]) & (weights[:, a] > 0) & (weights[:, b] > 0)
+    _check_rows(~twice, f"{where}.joints", "each joint once among weights above 0", joints)
+    _check_rows((seen >= 0) & (seen <= 1), f"{where}.view_seen", "from 0 to 1", seen)
+    q = level["view_q"].astype(np.float64)
+    eigenvalues = np.linalg.eigvalsh(q[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3))
+    rounding = 1e-5 * np.maximum(np.abs(eigenvalues).max(axis=1), 1)
+    _check_rows(eigenvalues[:, 0] >= -rounding, f"{where}.view_q", "positive semi-definite", level["view_q"])
+
+
+def check_network(network: Mapping[str, Any], where: str = "network") -> None:
+    """Refuse weights of a view network that have another shape or are not finite."""
+    for name, (dtype, shape) in NETWORK_ARRAYS.items():
+        _check_array(network[name], f"{where}.{name}", dtype, shape)
+
+
+def check_avatar(avatar: Avatar) -> None:
+    """Refuse an avatar that breaks a promise of these records, with a ValueError that says which."""
+    for name in ("joint_positions", "canonical_pose"):
+        values = getattr(avatar, name)
+        _check_array(values, name, values.dtype.name, (52, 3))
+        if not np.issubdtype(values.dtype, np.floating):
+            raise ValueError(f"{name} should be floating point, is {values.dtype}")
+    if np.abs(avatar.joint_positions[0]).max() > 1e-6:
+        pelvis = avatar.joint_positions[0].tolist()
+        raise ValueError(f"joint_positions should have the pelvis at the origin, has it at {pelvis}")
+    if np.abs(avatar.canonical_pose[0]).max() > 0:
+        raise ValueError("canonical_pose should not turn the pelvis, does")
+    if not avatar.levels:
+        raise ValueError("levels should be one or more, are none")
+    for i, level in enumerate(avatar.levels):
+        check_level(vars(level), f"levels[{i}]")
+    sizes = [len(level.faces) for level in avatar.levels]
+    if sizes != sorted(sizes, reverse=True):
+        raise ValueError(f"levels should go from finest to coarsest, have {sizes} faces")
+    if avatar.network is not None:
+        check_network(vars(avatar.network))
+    if avatar.linear is not None:
+        _check_array(avatar.linear, "linear", "float32", (4, 3, 3))
+    if not (np.isfinite(avatar.amplitude) and 0 <= avatar.amplitude <= 1):
+        raise ValueError(f"amplitude should be from 0 to 1, is {avatar.amplitude}")
+    if avatar.default_view not in VIEW_MODES:
+        raise ValueError(f"default_view should be one of {VIEW_MODES}, is {avatar.default_view!r}")
+    if avatar.default_view != "off":
+        if getattr(avatar, avatar.default_view) is None:
+            raise ValueError(
+                f"default_view is {avatar.default_view!r}, but the avatar has no {avatar.default_view}"
+            )
+        if avatar.levels[0].features is None:
+            raise ValueError(f"default_view is {avatar.default_view!r}, but levels[0] has no features")
+
+
+def _check_array(values: np.ndarray, where: str, dtype: str, shape: tuple[int, ...]) -> None:
+    expected = f"{dtype} {tuple('any' if n < 0 else n for n in shape)}"
+    if not isinstance(values, np.ndarray):
+        raise ValueError(f"{where} should be an array of {expected}, is {type(values).__name__}")
+    fits = values.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, values.shape, strict=True))
+    if values.dtype.name != dtype or not fits or values.size == 0:
+        raise ValueError(f"{where} should be {expected}, is {values.dtype} {values.shape}")
+    if values.dtype.kind == "f":
+        finite = np.isfinite(values)
+        if not finite.all():
+            first = tuple(int(i) for i in np.argwhere(~finite)[0])
+            raise ValueError(f"{where} should be finite, is {values[first]} at {first}")
+        if np.abs(values).max() > 1e8:
+            raise ValueError(f"{where} should be below 1e8, reaches {np.abs(values).max()}")
+
+
+def _check_rows(right: np.ndarray, where: str, expected: str, values: np.ndarray) -> None:
+    if not right.all():
+        first = int(np.argmin(right))
+        raise ValueError(f"{where} should be {expected}, is {values[first].tolist()} in row {first}")
