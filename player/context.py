@@ -11,7 +11,6 @@ import logging
 from collections.abc import Callable
 from ctypes import POINTER, byref, c_char_p, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass, field
-from typing import Self
 
 import moderngl
 
@@ -76,7 +75,7 @@ class Loader:
     def load_opengl_function(self, name: str) -> int:
         return self.counts.wrap(name, self.driver.address(name))
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Loader":
         return self
 
     def __exit__(self, *_error) -> None:
@@ -143,7 +142,7 @@ class Context:
         self.released = True
         _current = None
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Context":
         self.make_current()
         return self
 
