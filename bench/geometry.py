@@ -3,8 +3,8 @@
     P2S = mean over samples of the reconstruction of the distance to the true surface
     CD  = (P2S + mean over samples of the true surface of the distance to the reconstruction) / 2
 
-Vertices are metres. Samples are drawn once per mesh, uniform by area in its rest shape and seeded, and ride on
-their triangles when the mesh is posed: each piece of skin counts the same in every pose.
+Vertices are metres. Samples are drawn once per mesh, uniform by area in its rest shape and seeded, and ride
+on their triangles when the mesh is posed: each piece of skin counts the same in every pose.
 """
 
 from typing import NamedTuple
@@ -99,7 +99,7 @@ def nearest_on_triangles(
     b: Float[np.ndarray, "n 3"],
     c: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Closest point of triangle abc to each point (Ericson 2005, 5.1.5); degenerate triangles act as segments."""
+    """Closest point of triangle abc to each point (Ericson 2005, 5.1.5); slivers act as segments."""
     ab, ac = b - a, c - a
     d1, d2 = dot(ab, points - a), dot(ac, points - a)
     d3, d4 = dot(ab, points - b), dot(ac, points - b)
@@ -201,7 +201,7 @@ def improved(
 def surface_distance(
     to_truth: Float[np.ndarray, "n"], to_reconstruction: Float[np.ndarray, "m"]
 ) -> SurfaceDistance:
-    """P2S, completeness and Chamfer in centimetres from two sets of distances in metres; None where one is empty."""
+    """Scores in centimetres from distances in metres; None where there are no samples."""
     p2s = CENTIMETRES * float(to_truth.mean()) if len(to_truth) else None
     completeness = CENTIMETRES * float(to_reconstruction.mean()) if len(to_reconstruction) else None
     both = None if p2s is None or completeness is None else 0.5 * (p2s + completeness)
@@ -230,7 +230,7 @@ def mesh_distance(
 def rigid_alignment(
     source: Float[np.ndarray, "n 3"], target: TriangleIndex, *, rounds: int = 20
 ) -> Float[np.ndarray, "4 4"]:
-    """target_from_source by point-to-point ICP (Besl and McKay 1992), rotation and translation, never a mirror."""
+    """target_from_source by point-to-point ICP (Besl and McKay 1992); rigid, never a mirror."""
     target_from_source = np.eye(4)
     moved = np.asarray(source, np.float64)
     for _ in range(rounds):

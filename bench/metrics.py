@@ -79,7 +79,7 @@ def psnr(
 def ssim(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
     """Structural similarity (Wang et al. 2004), 7 x 7 uniform window, data range 1, mean over channels.
 
-    Images narrower than the window are scored with the largest odd window that fits; under 3 px there is none.
+    Smaller images are scored with the largest odd window that fits; under 3 px there is none.
     """
     check_images(truth, image)
     side = min(truth.shape[:2])

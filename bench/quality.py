@@ -1,0 +1,297 @@
+"""Quality of a trained run or a baked avatar against a capture's ground truth (`selfscan eval`).
+
+Pictures as bench/picture_scores.py says; geometry as P2S and Chamfer in centimetres between posed surfaces,
+visible surface only, without alignment. Beside them: the subject's own rig weights in place of ours (what is
+left is learning, the difference is skinning), ICP-aligned as the paper's code does, T-pose, canonical, hair.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from avatar.errors import AssetError
+from avatar.files import whole_file
+from avatar.progress import progress
+from avatar.skeleton import BIG_POSE
+from bench.drawer import Drawer
+from bench.held_out import SETS, HeldOutView, TrueMesh, read_capture_facts, read_held_out, read_true_mesh
+from bench.picture_scores import ImageScores, is_t_pose, score_images
+from bench.posed_geometry import (
+    SAMPLES,
+    Distances,
+    GeometryCase,
+    aligned_total,
+    geometry_case,
+    measure_pose,
+    own_weights_surface,
+)
+from bench.synth.surface import visible_faces
+
+# TotalSelfScan (Dong et al. 2022), tables 1 and 2, SynTotalHuman; its crops are unknown: PSNR is context, no bar
+PAPER = {
+    "head": {
+        "p2s_cm": 0.59,
+        "chamfer_cm": 0.82,
+        "psnr_db": 22.23,
+        "ssim": 0.934,
+        "flip": None,
+        "lpips": 0.084,
+    },
+    "hands": {
+        "p2s_cm": 0.55,
+        "chamfer_cm": 0.52,
+        "psnr_db": 22.49,
+        "ssim": 0.941,
+        "flip": None,
+        "lpips": 0.076,
+    },
+    "total": {
+        "p2s_cm": 1.84,
+        "chamfer_cm": 1.89,
+        "psnr_db": 26.15,
+        "ssim": 0.921,
+        "flip": None,
+        "lpips": 0.114,
+    },
+}
+
+
+def evaluate(path: Path, capture: Path, *, own_weights: bool = True) -> dict[str, Any]:
+    """Every number of `selfscan eval` as one JSON-ready dictionary."""
+    start = time.perf_counter()
+    facts = read_capture_facts(capture)
+    truth = read_true_mesh(capture)
+    held_out = {name: read_held_out(capture, name) for name in SETS}
+    drawer = Drawer(path)
+    try:
+        result = measured(drawer, truth, held_out, own_weights=own_weights)
+    finally:
+        drawer.release()
+    source = {"path": str(path), "kind": "avatar" if drawer.avatar is not None else "run"}
+    source["provenance"] = drawer.avatar.provenance if drawer.avatar is not None else drawer.run.provenance
+    kept = ("subject", "light", "sheen", "pose_noise_deg", "seed", "registration")
+    return {
+        "format": "selfscan-quality",
+        "source": source,
+        "capture": {name: facts[name] for name in kept if name in facts},
+        **result,
+        "paper": PAPER,
+        "seconds": round(time.perf_counter() - start, 1),
+    }
+
+
+def measured(
+    drawer: Drawer, truth: TrueMesh, held_out: dict[str, list[HeldOutView]], *, own_weights: bool
+) -> dict[str, Any]:
+    surface = drawer.surface
+    rest = np.zeros((52, 3)), truth.joints[0]
+    visible = visible_faces(drawer.raster, surface.posed(*rest), surface.faces)
+    case = geometry_case(truth, surface, visible)
+    own = own_weights_surface(truth, surface) if own_weights else None
+
+    out: dict[str, Any] = {}
+    beside: dict[str, Any] = {
+        "t_pose": regions_of(measure_once(case, *rest)),
+        "own_weights": {},
+        "aligned": {},
+    }
+    beside["canonical"] = regions_of(measure_once(case, BIG_POSE, truth.joints[0]))
+    for name, views in held_out.items():
+        images = score_images(views, truth, drawer.draw, f"{name} pictures")
+        distances = {kind: {region: Distances() for region in SAMPLES} for kind in ("ours", "own", "aligned")}
+        poses = {view.pose_index: view for view in views if not is_t_pose(view)}
+        for view in progress(list(poses.values()), f"{name} surfaces"):
+            pose = view.axis_angle, view.root
+            truth_posed, posed = truth.posed(*pose), surface.posed(*pose)
+            measure_pose(case, truth_posed, posed, distances["ours"])
+            if name == "novel_pose":
+                measure_pose(case, truth_posed, aligned_total(case, truth_posed, posed), distances["aligned"])
+                if own is not None:
+                    measure_pose(case, truth_posed, own.posed(*pose), distances["own"])
+        out[name] = regions_of(distances["ours"], {r: s[False] for r, s in images.items()})
+        apart = {r: s[True] for r, s in images.items() if s[True].box.values}
+        if apart:
+            beside.setdefault("t_pose_frames", {})[name] = regions_of({}, apart)
+        if name == "novel_pose":
+            beside["aligned"] = regions_of(distances["aligned"])
+            beside["own_weights"] = regions_of(distances["own"]) if own is not None else {}
+            beside["poses"] = len(poses)
+    out["baked_vs_field"] = baked_vs_field_of(drawer)
+    out["beside"] = beside
+    return out
+
+
+def measure_once(case: GeometryCase, axis_angle: np.ndarray, root: np.ndarray) -> dict[str, Distances]:
+    into = {region: Distances() for region in SAMPLES}
+    measure_pose(case, case.truth.posed(axis_angle, root), case.surface.posed(axis_angle, root), into)
+    return into
+
+
+def regions_of(
+    distances: dict[str, Distances], images: dict[str, ImageScores] | None = None
+) -> dict[str, dict[str, Any]]:
+    """{"head": M, "left_hand": M, "right_hand": M, "hands": M, "total": M}; hands pool left and right."""
+    distances, images = dict(distances), dict(images or {})
+    for table in (distances, images):
+        hands = [table[r] for r in ("left_hand", "right_hand") if r in table]
+        if len(hands) == 2:
+            table["hands"] = hands[0].merged(hands[1])
+    return {
+        region: region_scores(distances.get(region), images.get(region))
+        for region in ("head", "left_hand", "right_hand", "hands", "total")
+    }
+
+
+def region_scores(distances: Distances | None, images: ImageScores | None) -> dict[str, Any]:
+    """M: {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}, null with its reason in "reasons"."""
+    out: dict[str, Any] = {}
+    reasons: dict[str, str] = {}
+    if distances is not None:
+        whole = distances.scores()
+        out |= {"p2s_cm": rounded(whole.p2s), "chamfer_cm": rounded(whole.chamfer)}
+        if whole.p2s is None:
+            reasons["p2s_cm"] = reasons["chamfer_cm"] = "the reconstruction has no surface in this region"
+        for name, hair in (("hair", True), ("without_hair", False)):
+            apart = distances.scores(hair=hair)
+            if distances.to_truth and any(h.any() for h in distances.hair_to_surface):
+                out[name] = {"p2s_cm": rounded(apart.p2s), "chamfer_cm": rounded(apart.chamfer)}
+    if images is not None:
+        for name, score in images.scores().items():
+            out[name] = rounded(score.value)
+            if score.value is None:
+                reasons[name] = score.reason
+    if reasons:
+        out["reasons"] = reasons
+    return out
+
+
+def rounded(value: float | None, digits: int = 4) -> float | None:
+    return None if value is None else round(value, digits)
+
+
+def baked_vs_field_of(drawer: Drawer) -> dict[str, Any]:
+    """What the bake measured against its field, from the avatar's provenance; null for a run."""
+    if drawer.avatar is None:
+        return {"paper_db": None, "network_db": None, "reason": "a run is not baked; evaluate its avatar"}
+    found = find_key(drawer.avatar.provenance, "paper_db")
+    if found is None:
+        return {"paper_db": None, "network_db": None, "reason": "the avatar file does not say"}
+    return {"paper_db": found.get("paper_db"), "network_db": found.get("network_db")}
+
+
+def find_key(tree: Any, key: str) -> dict[str, Any] | None:
+    """The first dictionary, at any depth, that has `key`."""
+    if isinstance(tree, dict):
+        if key in tree:
+            return tree
+        for value in tree.values():
+            found = find_key(value, key)
+            if found is not None:
+                return found
+    return None
+
+
+COLUMNS = (
+    ("P2S cm", "p2s_cm", 2),
+    ("CD cm", "chamfer_cm", 2),
+    ("PSNR dB", "psnr_db", 2),
+    ("mask dB", "psnr_mask_db", 2),
+    ("SSIM", "ssim", 3),
+    ("FLIP", "flip", 3),
+    ("LPIPS", "lpips", 3),
+)
+
+
+def table_rows(result: dict[str, Any]) -> list[list[str]]:
+    """Rows of the printed and the Markdown table: ours and, beside it, the paper's."""
+    rows = []
+    for name in SETS:
+        for region in ("head", "left_hand", "right_hand", "hands", "total"):
+            rows.append(
+                [f"{name.replace('_', ' ')}: {region.replace('_', ' ')}", *cells(result[name][region])]
+            )
+            if name == "novel_pose" and region in PAPER:
+                rows.append([f"  paper: {region}", *cells(PAPER[region])])
+    beside = result["beside"]
+    labels = {
+        "own_weights": "novel pose, own rig weights",
+        "aligned": "novel pose, ICP-aligned",
+        "t_pose": "T-pose",
+        "canonical": "canonical",
+    }
+    for name, label in labels.items():
+        for region in ("head", "hands", "total"):
+            if beside.get(name):
+                rows.append([f"{label}: {region}", *cells(beside[name][region])])
+    for apart in ("without_hair", "hair"):
+        if apart in result["novel_pose"]["head"]:
+            rows.append(
+                [f"novel pose: head {apart.replace('_', ' ')}", *cells(result["novel_pose"]["head"][apart])]
+            )
+    return rows
+
+
+def cells(scores: dict[str, Any]) -> list[str]:
+    out = []
+    for _, key, digits in COLUMNS:
+        value = scores.get(key)
+        infinite = "infinite" in scores.get("reasons", {}).get(key, "")
+        out.append(f"{value:.{digits}f}" if value is not None else ("inf" if infinite else "-"))
+    return out
+
+
+def markdown(result: dict[str, Any]) -> str:
+    """The table as Markdown, with what it was measured on."""
+    facts = ", ".join(f"{k} {v}" for k, v in result["capture"].items() if k != "registration")
+    lines = [f"{result['source']['kind']} `{Path(result['source']['path']).name}`; {facts}", ""]
+    lines += ["| | " + " | ".join(c[0] for c in COLUMNS) + " |", "|-|" + "-|" * len(COLUMNS)]
+    lines += ["| " + " | ".join(row) + " |" for row in table_rows(result)]
+    baked = result["baked_vs_field"]
+    if baked.get("paper_db") is not None:
+        lines += [
+            "",
+            f"Baked against field: paper mode {baked['paper_db']} dB, network {baked['network_db']} dB.",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def print_table(result: dict[str, Any], file: TextIO | None = None) -> None:
+    rows = [["", *(c[0] for c in COLUMNS)], *table_rows(result)]
+    wide = max(len(row[0]) for row in rows)
+    for row in rows:
+        print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]), file=file or sys.stdout)
+
+
+def eval_main(argv: list[str]) -> int:
+    """`selfscan eval RUN_OR_AVATAR CAPTURE [--json FILE]`."""
+    parser = argparse.ArgumentParser(
+        prog="selfscan eval",
+        description="Measure a trained run or a baked avatar against the ground truth of a synthetic capture: "
+        "P2S and Chamfer (cm), PSNR, SSIM, FLIP for head, hands and the whole person, novel poses and views.",
+        epilog="example: selfscan eval out/run out/capture --json quality.json",
+    )
+    parser.add_argument(
+        "subject", metavar="RUN_OR_AVATAR", type=Path, help="run folder, or avatar file (.glb)"
+    )
+    parser.add_argument(
+        "capture", metavar="CAPTURE", type=Path, help="capture folder with truth/ (selfscan synth)"
+    )
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write every number here as well")
+    parser.add_argument("--markdown", metavar="FILE", type=Path, help="write the table here as Markdown")
+    options = parser.parse_args(argv)
+    if not options.subject.exists():
+        raise AssetError(f"{options.subject}: expected a run folder or an avatar file, found nothing")
+    result = evaluate(options.subject, options.capture)
+    print_table(result)
+    if options.json:
+        with whole_file(options.json, "w") as file:
+            json.dump(result, file, indent=1)
+    if options.markdown:
+        with whole_file(options.markdown, "w") as file:
+            file.write(markdown(result))
+    return 0
