@@ -43,10 +43,12 @@ def assembled(
         text = shader_source(file, generated).splitlines()
         if number:
             lines.append(f"#line 1 {number}")
+        branches: list[bool] = []  # of the open #ifs: is this one compiled?
         for at, line in enumerate(text, 1):
+            _follow(line, branches, defines)
             include = INCLUDE.match(line)
             if include:
-                if include[1] not in order:
+                if include[1] not in order and all(branches):
                     expand(include[1], lines)
                 lines.append(f"#line {at + 1} {number}")
             else:
@@ -58,6 +60,20 @@ def assembled(
     lines: list[str] = []
     expand(name, lines)
     return "\n".join(lines) + "\n", order
+
+
+def _follow(line: str, branches: list[bool], defines: Mapping[str, int]) -> None:
+    """Keep track of `#if NAME == 1`, `#else`, `#endif`: an include that is not compiled need not exist."""
+    condition = re.match(r"^\s*#\s*if\s+(\w+)\s*([!=]=)\s*(\d+)\s*$", line)
+    if condition:
+        same = defines.get(condition[1], 0) == int(condition[3])
+        branches.append(same == (condition[2] == "=="))
+    elif re.match(r"^\s*#\s*if", line):
+        raise ShaderError(f"shaders: only `#if NAME == value` and `!=` are understood, not {line.strip()!r}")
+    elif re.match(r"^\s*#\s*else\b", line):
+        branches[-1] = not branches[-1]
+    elif re.match(r"^\s*#\s*endif\b", line):
+        branches.pop()
 
 
 def tested_names(source: str) -> set[str]:

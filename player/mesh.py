@@ -1,0 +1,38 @@
+"""Vertex bytes as the GPU reads them, in an order that keeps neighbours together."""
+
+import numpy as np
+from jaxtyping import Int, UInt32
+
+from avatar.baked_avatar import Level
+
+VERTEX = np.dtype([("position", "f4", 3), ("uv", "f4", 2), ("joints", "u1", 4), ("weights", "u1", 4)])
+VIEW_VERTEX = np.dtype([("mean", "f4", 3), ("q", "f4", 6), ("seen", "f4")])
+
+
+def interleaved(level: Level) -> np.ndarray:
+    """Position, uv and skin of each vertex, 28 bytes; the heaviest bone comes first (shaders/directions.glsl)."""
+    out = np.zeros(len(level.positions), VERTEX)
+    heaviest_first = np.argsort(-level.weights.astype(np.int16), axis=1, kind="stable")
+    out["position"], out["uv"] = level.positions, level.uv
+    out["joints"] = np.take_along_axis(level.joints, heaviest_first, 1)
+    out["weights"] = np.take_along_axis(level.weights, heaviest_first, 1)
+    return out
+
+
+def view_interleaved(level: Level) -> np.ndarray:
+    """Global view direction, cone and confidence of each vertex, 40 bytes."""
+    out = np.zeros(len(level.positions), VIEW_VERTEX)
+    out["mean"], out["q"], out["seen"] = level.view_dir, level.view_q, level.view_seen
+    return out
+
+
+def draw_order(
+    faces: UInt32[np.ndarray, "faces 3"], vertices: int
+) -> tuple[Int[np.ndarray, "vertices"], UInt32[np.ndarray, "faces 3"]]:
+    """Vertices in the order of their first use, and faces renumbered: software shades vertices in runs of faces."""
+    flat = faces.reshape(-1).astype(np.int64)
+    used, first = np.unique(flat, return_index=True)
+    order = used[np.argsort(first)]
+    number = np.zeros(vertices, np.uint32)
+    number[order] = np.arange(len(order), dtype=np.uint32)
+    return order, number[flat].reshape(-1, 3)

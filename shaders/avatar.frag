@@ -1,0 +1,42 @@
+#version 330
+// See avatar.vert. Colours are sRGB as stored and as shown: nothing is converted.
+#if VIEW_STAGE == 2
+#include "frame.glsl"
+#include "directions.glsl"
+#include "view_cone.glsl"
+#if VIEW_MODEL == 1
+#include "view_network.glsl"
+#else
+#include "view_linear.glsl"
+#endif
+
+uniform sampler2D features;
+
+in vec3 direction;
+in vec3 mean;
+in vec3 cone_q0;
+in vec3 cone_q1;
+in float seen;
+#endif
+
+uniform sampler2D base_color;
+
+in vec2 surface_uv;
+
+#if VIEW_STAGE == 1
+in vec3 residual;
+#endif
+
+out vec4 color;
+
+void main() {
+    vec3 base = texture(base_color, surface_uv).rgb;
+#if VIEW_STAGE == 1
+    base = clamp(base + residual, 0.0, 1.0);
+#endif
+#if VIEW_STAGE == 2
+    vec3 tangent = cone_tangent(unit(direction), unit(mean), cone_q0, cone_q1, seen);
+    base = clamp(base + view_residual(texture(features, surface_uv), tangent), 0.0, 1.0);
+#endif
+    color = vec4(base, 1.0);
+}

@@ -1,0 +1,62 @@
+#version 330
+// A posed avatar. VIEW_STAGE: 0 paper mode, 1 view dependence per vertex, 2 per pixel.
+// VIEW_MODEL: 0 linear, 1 network (asked only when VIEW_STAGE is not 0).
+#include "frame.glsl"
+#include "skinning.glsl"
+
+in vec3 position;   // canonical (big pose), metres
+in vec2 uv;         // v down
+in uvec4 joints;    // heaviest first
+in vec4 weights;    // sum to 1
+
+out vec2 surface_uv;
+
+#if VIEW_STAGE != 0
+#include "directions.glsl"
+
+in vec3 view_mean;  // global view direction, unit
+in vec3 view_q0;    // cone: xx xy xz
+in vec3 view_q1;    //       yy yz zz
+in float view_seen; // 0 = never seen
+#endif
+
+#if VIEW_STAGE == 1
+#include "view_cone.glsl"
+#if VIEW_MODEL == 1
+#include "view_network.glsl"
+#else
+#include "view_linear.glsl"
+#endif
+
+uniform sampler2D features;
+
+out vec3 residual;
+#endif
+
+#if VIEW_STAGE == 2
+out vec3 direction;
+out vec3 mean;
+out vec3 cone_q0;
+out vec3 cone_q1;
+out float seen;
+#endif
+
+void main() {
+    vec3 position_view = skinned(position, joints, weights);
+    gl_Position = clip_from_view * vec4(position_view, 1.0);
+    surface_uv = uv;
+#if VIEW_STAGE != 0
+    vec3 direction_canonical = turned_back(blended_turn(joints, weights), unit(position_view));
+#endif
+#if VIEW_STAGE == 1
+    vec3 tangent = cone_tangent(direction_canonical, view_mean, view_q0, view_q1, view_seen);
+    residual = view_residual(textureLod(features, uv, 0.0), tangent);
+#endif
+#if VIEW_STAGE == 2
+    direction = direction_canonical;
+    mean = view_mean;
+    cone_q0 = view_q0;
+    cone_q1 = view_q1;
+    seen = view_seen;
+#endif
+}
