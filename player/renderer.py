@@ -237,7 +237,7 @@ class Renderer:
         self.buffers["frame"].bind_to_uniform_block(0)
         for index, avatar in enumerate(self.avatars):
             tag, level = self._tag(index), self._level(avatar)
-            order, faces = draw_order(level.faces, len(level.positions))
+            order, faces = draw_order(level.positions, level.faces)
             self.buffers[f"{tag} vertices"] = gl.buffer(interleaved(level)[order].tobytes())
             self.buffers[f"{tag} faces"] = gl.buffer(faces.tobytes())
             self.buffers[f"{tag} bones"] = gl.buffer(reserve=BONES.itemsize, dynamic=True)
