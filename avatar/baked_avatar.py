@@ -5,6 +5,7 @@ network (or a linear map) shared by all. Canonical frame (big pose, pelvis joint
 docs/avatar-format.md gives the equations.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -141,6 +142,10 @@ def check_avatar(avatar: Avatar) -> None:
         _check_array(avatar.linear, "linear", "float32", (4, 3, 3))
     if not (np.isfinite(avatar.amplitude) and 0 <= avatar.amplitude <= 1):
         raise ValueError(f"amplitude should be from 0 to 1, is {avatar.amplitude}")
+    try:
+        json.dumps(avatar.provenance, allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ValueError(f"provenance should be what JSON holds: {error}") from None
     if avatar.default_view not in VIEW_MODES:
         raise ValueError(f"default_view should be one of {VIEW_MODES}, is {avatar.default_view!r}")
     if avatar.default_view != "off":

@@ -1,26 +1,23 @@
 """glTF 2.0 files (.glb, .gltf, .vrm): the container, accessors and images.
 
 A file is an untrusted claim: every count, offset, stride and index is checked against the bytes that are
-really there before anything is allocated, so what a file costs in memory is bounded by its size. What the
-accessors mean (nodes, skins, triangles) is `avatar/gltf_scene.py`; writing is `avatar/gltf_write.py`.
+really there before anything is allocated, so what a file costs in memory is bounded by its size. Bytes
+and JSON come from `avatar/gltf_container.py`; what the accessors mean (nodes, skins, triangles) is
+`avatar/gltf_scene.py`; writing is `avatar/gltf_write.py`.
 
 glTF 2.0 specification, sections 3.6 (binary data) and 4 (GLB).
 """
 
-import base64
-import binascii
-import json
 import reprlib
 import shlex
-import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 
 from avatar.errors import AssetError
+from avatar.gltf_container import MAX_BYTES, file_bytes, glb_chunks, parse_json, uri_bytes
 
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 ELEMENT_SHAPES = {
@@ -46,8 +43,6 @@ CONVERTERS = {
     "KHR_materials_pbrSpecularGlossiness": "metalrough {} plain.glb",
 }
 
-MAX_BYTES = 1 << 30  # a file, and each buffer
-MAX_JSON_VALUES = 2_000_000  # a parsed value costs Python some 60-200 bytes
 MAX_EMPTY_BYTES = 1 << 26  # an accessor that no bytes back (all zero, or sparse)
 COLLECTIONS = (
     "accessors",
@@ -212,7 +207,7 @@ class Gltf:
         if "bufferView" in image:
             data = bytes(self.view(image["bufferView"], f"{where}.bufferView"))
         else:
-            data = _uri_bytes(self.path, image.get("uri"), f"{where}.uri")
+            data = uri_bytes(self.path, image.get("uri"), f"{where}.uri")
         if data[:8] == b"\x89PNG\r\n\x1a\n":
             return data, "image/png"
         if data[:3] == b"\xff\xd8\xff":
@@ -226,7 +221,7 @@ class Gltf:
 
 def refusal(path: Path, extension: str) -> str:
     """Why a file with this required extension is not read, and the command that removes it."""
-    message = f"{path}: the file requires the extension {extension}, which is not read here"
+    message = f"{path}: the file requires the extension {extension[:80]!r}, which is not read here"
     if extension in CONVERTERS:
         command = CONVERTERS[extension].format(shlex.quote(str(path)))
         return f"{message}; convert it with: npx @gltf-transform/cli {command}"
@@ -240,73 +235,15 @@ def read_gltf(path: str | Path) -> Gltf:
         AssetError: anything that is not as the file claims, or an extension that is required and not read.
     """
     path = Path(path)
-    data = _file_bytes(path)
+    data = file_bytes(path)
     if data[:4] == b"glTF":
-        text, binary = _glb_chunks(path, data)
+        text, binary = glb_chunks(path, data)
     else:
         text, binary = memoryview(data), None
-    document = _parse_json(path, text)
+    document = parse_json(path, text)
     gltf = Gltf(path, document, ())
     _check_document(gltf)
     return Gltf(path, document, tuple(_read_buffers(gltf, binary)))
-
-
-def _file_bytes(path: Path) -> bytes:
-    """A regular file of bounded size, whole."""
-    try:
-        if not path.is_file():
-            raise AssetError(f"{path}: should be a file, is {'a folder' if path.is_dir() else 'not there'}")
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise AssetError(f"{path}: should be at most {MAX_BYTES} bytes, is {size}")
-        return path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a NUL in a name that a file gave
-        raise AssetError(f"{path}: cannot be read: {error}") from None
-
-
-def _glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:
-    """The JSON chunk and the binary chunk of a GLB."""
-    if len(data) < 20:
-        raise AssetError(f"{path}: GLB should be at least 20 bytes, is {len(data)}: truncated")
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2:
-        raise AssetError(f"{path}: GLB version should be 2, is {version}")
-    if length != len(data):
-        raise AssetError(f"{path}: GLB length should be {length} as its header says, is {len(data)} bytes")
-    chunks, at = [], 12
-    while at < length:
-        if at + 8 > length:
-            raise AssetError(f"{path}: GLB chunk header at byte {at} should be 8 bytes, is {length - at}")
-        size, kind = struct.unpack_from("<II", data, at)
-        if at + 8 + size > length:
-            raise AssetError(
-                f"{path}: GLB chunk at byte {at} should end within {length}, ends at {at + 8 + size}"
-            )
-        chunks.append((kind, memoryview(data)[at + 8 : at + 8 + size]))
-        at += 8 + size
-    if chunks[0][0] != 0x4E4F534A:
-        raise AssetError(f"{path}: first GLB chunk should be JSON (0x4E4F534A), is {chunks[0][0]:#x}")
-    has_binary = len(chunks) > 1 and chunks[1][0] == 0x004E4942
-    return chunks[0][1], chunks[1][1] if has_binary else None
-
-
-def _parse_json(path: Path, text: memoryview) -> dict[str, Any]:
-    raw = bytes(text)
-    if raw.count(b",") + raw.count(b"[") + raw.count(b"{") > MAX_JSON_VALUES:
-        raise AssetError(f"{path}: JSON should hold at most {MAX_JSON_VALUES} values, holds more")
-
-    def refuse(name: str) -> None:
-        raise ValueError(f"{name} is not a JSON number")
-
-    try:
-        document = json.loads(raw.decode("utf-8-sig"), parse_constant=refuse)
-    except RecursionError:
-        raise AssetError(f"{path}: JSON should be nested a few levels deep, is nested thousands") from None
-    except ValueError as error:
-        raise AssetError(f"{path}: should be glTF JSON, is not: {reprlib.repr(str(error))}") from None
-    if not isinstance(document, dict):
-        raise AssetError(f"{path}: should be glTF JSON, is {reprlib.repr(document)}")
-    return document
 
 
 def _check_document(gltf: Gltf) -> None:
@@ -336,7 +273,7 @@ def _read_buffers(gltf: Gltf, binary: memoryview | None) -> list[memoryview]:
         where = f"buffers[{i}]"
         length = gltf.integer(buffer, "byteLength", where, low=1)
         if "uri" in buffer:
-            data = memoryview(_uri_bytes(gltf.path, buffer["uri"], f"{where}.uri"))
+            data = memoryview(uri_bytes(gltf.path, buffer["uri"], f"{where}.uri"))
         elif i == 0 and binary is not None:
             data = binary
         else:
@@ -351,25 +288,3 @@ def _read_buffers(gltf: Gltf, binary: memoryview | None) -> list[memoryview]:
             raise gltf.error("buffers", f"at most {MAX_BYTES} bytes", total)
         buffers.append(data[:length])
     return buffers
-
-
-def _uri_bytes(path: Path, uri: object, field: str) -> bytes:
-    """What a URI holds: a base64 data URI, or a file in the folder of the .gltf and nowhere else."""
-    if not isinstance(uri, str):
-        raise AssetError(f"{path}: {field} should be a text, is {reprlib.repr(uri)}")
-    if uri.startswith("data:"):
-        head, comma, body = uri.partition(",")
-        if not comma or not head.endswith(";base64"):
-            raise AssetError(f"{path}: {field} should be a base64 data URI, is {reprlib.repr(head)}")
-        try:
-            return base64.b64decode(body, validate=True)
-        except (binascii.Error, ValueError) as error:
-            raise AssetError(f"{path}: {field} should be base64, is not: {error}") from None
-    name = unquote(uri)
-    if ":" in name or "\\" in name or "\0" in name:
-        raise AssetError(f"{path}: {field} should be a relative file name, is {reprlib.repr(uri)}")
-    folder = path.parent.resolve()
-    target = (folder / name).resolve()
-    if not target.is_relative_to(folder):
-        raise AssetError(f"{path}: {field} should stay inside the file's folder, is {reprlib.repr(uri)}")
-    return _file_bytes(target)

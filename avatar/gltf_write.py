@@ -69,7 +69,7 @@ class GltfBuilder:
         document = document | {"accessors": self.accessors, "bufferViews": self.views, "images": self.images}
         document["buffers"] = [{"byteLength": len(self.binary)}] if self.binary else []
         document = {key: value for key, value in document.items() if value != []}  # glTF has no empty lists
-        text = json.dumps(document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
+        text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
         chunks = struct.pack("<II", len(text), 0x4E4F534A) + text
         if self.binary:

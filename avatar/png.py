@@ -2,6 +2,7 @@
 
 import io
 import struct
+import zlib
 
 import numpy as np
 from jaxtyping import UInt8
@@ -19,23 +20,48 @@ def encode_png(image: UInt8[np.ndarray, "..."]) -> bytes:
 
 def png_pixels(data: bytes) -> int:
     """Width times height from the header: what decoding would cost, known before it is paid."""
-    if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) < 33 or data[12:16] != b"IHDR":
-        raise ValueError(f"should be a PNG, begins with {data[:16]!r}")
-    width, height = struct.unpack_from(">II", data, 16)
-    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
-        raise ValueError(f"should be 1 to {MAX_SIDE} pixels a side, is {width} x {height}")
+    width, height, *_ = _header(data)
     return width * height
 
 
 def decode_png(data: bytes, mode: str) -> UInt8[np.ndarray, "..."]:
-    """The pixels of an 8-bit PNG of this mode: "L" (grey) or "RGB"."""
+    """The pixels of an 8-bit PNG without interlacing, of this mode: "L" (grey) or "RGB"."""
+    width, height, depth, color, interlace = _header(data)
+    found = {0: "L", 2: "RGB", 3: "palette", 4: "LA", 6: "RGBA"}.get(color, f"colour type {color}")
+    if (found, depth, interlace) != (mode, 8, 0):
+        kind = f"{depth}-bit {found}{' interlaced' if interlace else ''}"
+        raise ValueError(f"should be an 8-bit {mode} PNG, is {kind}")
+    size = (1 + width * len(mode)) * height  # each row begins with its filter
+    if _inflated_size(data, size) != size:  # Pillow would fill what is missing with black
+        raise ValueError(f"should be a whole PNG of {width} x {height} pixels, has other data")
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-            found, pixels = image.mode, np.array(image)
+            return np.array(image)
     except (
         Exception
     ) as error:  # a decoder of hostile bytes raises what its parts raise: OSError, SyntaxError, zlib
         raise ValueError(f"should be a whole PNG: {error}") from None
-    if found != mode or pixels.dtype != np.uint8:
-        raise ValueError(f"should be an 8-bit {mode} PNG, is {found}")
-    return pixels
+
+
+def _header(data: bytes) -> tuple[int, int, int, int, int]:
+    """Width, height, bit depth, colour type and interlacing."""
+    if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) < 33 or data[12:16] != b"IHDR":
+        raise ValueError(f"should be a PNG, begins with {data[:16]!r}")
+    width, height, depth, color, _, _, interlace = struct.unpack_from(">IIBBBBB", data, 16)
+    if not (0 < width <= MAX_SIDE and 0 < height <= MAX_SIDE):
+        raise ValueError(f"should be 1 to {MAX_SIDE} pixels a side, is {width} x {height}")
+    return width, height, depth, color, interlace
+
+
+def _inflated_size(data: bytes, enough: int) -> int:
+    """How many bytes the image data decompresses to, counted no further than one beyond `enough`."""
+    inflate, size, at = zlib.decompressobj(), 0, 8
+    try:
+        while at + 12 <= len(data) and size <= enough and not inflate.eof:
+            length, kind = struct.unpack_from(">I4s", data, at)
+            if kind == b"IDAT":
+                size += len(inflate.decompress(data[at + 8 : at + 8 + length], enough + 1 - size))
+            at += 12 + length
+    except zlib.error as error:
+        raise ValueError(f"should be a whole PNG: {error}") from None
+    return size

@@ -1,0 +1,302 @@
+"""Avatar and glTF files that are cut short, damaged, or lie: one clear refusal, soon and cheaply."""
+
+import json
+import os
+import struct
+import time
+import tracemalloc
+import zlib
+
+import numpy as np
+import pytest
+from tiny_avatar import join_glb, split_glb, tiny_avatar
+
+from avatar.avatar_file import read_avatar, write_avatar
+from avatar.baked_avatar import check_avatar
+from avatar.errors import AssetError
+
+SECONDS, BYTES = 1.0, 64 << 20
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> bytes:
+    path = tmp_path_factory.mktemp("avatar") / "tiny.glb"
+    write_avatar(path, tiny_avatar())
+    return path.read_bytes()
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "hostile.glb"
+
+
+def refused(path, data: bytes, match: str = "", *, memory: bool = True) -> None:
+    """The file is refused with an AssetError of one short line that names it, within the time and memory."""
+    path.write_bytes(data)
+    if memory:  # counting slows the reader five times
+        tracemalloc.start()
+    started = time.perf_counter()
+    with pytest.raises(AssetError, match=match) as error:
+        read_avatar(path)
+    seconds, peak = time.perf_counter() - started, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    message = str(error.value)
+    assert message.startswith(str(path)) and "\n" not in message and len(message) < len(str(path)) + 400
+    assert seconds < SECONDS and peak < BYTES
+
+
+def test_cut_at_every_byte_of_the_headers(path, whole):
+    size = struct.unpack_from("<I", whole, 12)[0]
+    binary_header = range(20 + size - 4, 20 + size + 16)
+    for length in (*range(64), *binary_header):
+        path.write_bytes(whole[:length])
+        with pytest.raises(AssetError, match=str(path)):
+            read_avatar(path)
+
+
+def test_cut_anywhere(path, whole):
+    for length in np.random.default_rng(0).integers(64, len(whole), 200):
+        path.write_bytes(whole[:length])
+        with pytest.raises(AssetError, match="GLB length should be"):
+            read_avatar(path)
+
+
+def test_cut_anywhere_with_lengths_mended(path, whole):
+    """The container is honest about what is left; its buffer is not."""
+    document, binary = split_glb(whole)
+    for length in np.random.default_rng(1).integers(0, len(binary) - 4, 50):
+        path.write_bytes(join_glb(document, binary[:length]))
+        with pytest.raises(AssetError, match=r"buffers\[0\].byteLength should be at most"):
+            read_avatar(path)
+
+
+@pytest.mark.parametrize("region", ["header and JSON", "binary"])
+def test_flipped_bytes_are_refused_or_still_keep_every_promise(path, whole, region):
+    size = struct.unpack_from("<I", whole, 12)[0]
+    low, high = (0, 20 + size) if region == "header and JSON" else (20 + size, len(whole))
+    rng = np.random.default_rng(2)
+    refusals = 0
+    for _ in range(300):
+        data = bytearray(whole)
+        for at in rng.integers(low, high, rng.integers(1, 4)):
+            data[at] ^= rng.integers(1, 256)
+        path.write_bytes(data)
+        started = time.perf_counter()
+        try:
+            check_avatar(read_avatar(path))  # a digit of a number may change: another whole avatar
+        except AssetError:
+            refusals += 1
+        assert time.perf_counter() - started < SECONDS
+    assert refusals > 30
+
+
+def at(document, place: str):
+    """The holder and the key of a dotted place: "accessors.0.count"."""
+    *way, last = (int(key) if key.isdigit() else key for key in place.split("."))
+    for key in way:
+        document = document[key]
+    return document, last
+
+
+OURS = "extensions.SELFSCAN_avatar"
+POSITION, WEIGHTS, INDICES = 1, 5, 10  # accessors of the finest level; 0 holds the inverse bind matrices
+VIEW = 2  # the buffer view of POSITION
+HUGE = [2**31, 2**63, 10**400, -1, 1.5, True, "7", None, [], {}]
+LIES = [
+    *((f"accessors.{POSITION}.count", value, r"accessors\[1\]") for value in [*HUGE, 0, 9, 2**29]),
+    *((f"accessors.{POSITION}.byteOffset", value, r"accessors\[1\]") for value in [*HUGE[:-1], 1, 2**29]),
+    *((f"bufferViews.{VIEW}.byteOffset", value, r"bufferViews\[2\]") for value in HUGE),
+    *((f"bufferViews.{VIEW}.byteLength", value, r"bufferViews\[2\]|accessors\[1\]") for value in [*HUGE, 8]),
+    *((f"bufferViews.{VIEW}.byteStride", value, r"byteStride|accessors\[1\]") for value in [*HUGE, 0, 4, 16]),
+    *((f"bufferViews.{VIEW}.buffer", value, r"bufferViews\[2\].buffer") for value in [*HUGE, 1]),
+    *((f"accessors.{POSITION}.componentType", value, r"accessors\[1\]|positions") for value in [*HUGE, 5124, 5125]),
+    *((f"accessors.{POSITION}.type", value, r"accessors\[1\]|positions") for value in [*HUGE, "VEC4", "VEC2", "MAT4"]),
+    *((f"accessors.{INDICES}.count", value, "indices") for value in [1, 17]),
+    *(("buffers.0.byteLength", value, r"buffers\[0\]") for value in [*HUGE, 0]),
+    *(("buffers.0.uri", value, r"buffers\[0\].uri") for value in ["../../etc/passwd", 3, "data:,", "a\0b"]),
+    *((key, value, key) for key in ("accessors", "nodes", "meshes", "images", "skins") for value in [3, {}, [3]]),
+    ("skins", [], r"nodes\[52\].skin"),
+    ("nodes.10.children", [0], r"nodes\[0\]|cycle"),
+    ("nodes.0.children", [1, 2, 3, 0], "cycle"),
+    ("nodes.4.children", [1], r"nodes\[1\] should be the child of one node"),
+    ("nodes.4.children", [-1], r"nodes\[4\].children"),
+    ("nodes.4.children", 7, r"nodes\[4\].children"),
+    ("nodes.4.translation", [0, 0], r"nodes\[4\].translation should be 3 numbers"),
+    ("nodes.4.translation", [0, 0, 0], "default nodes of left_knee should be as the extension says"),
+    ("nodes.4.rotation", [0, 0, 0, 0], r"nodes\[4\].rotation should be a unit quaternion"),
+    ("nodes.4.scale", [1e29, 1e29, 1e29], "default nodes of left_knee"),
+    ("nodes.4.name", "knee", "skin joint 4 should be .* left_knee, is 'knee'"),
+    ("nodes.52.mesh", 1, "nodes should be one with the finest mesh"),
+    ("skins.0.joints", list(range(51)), "skin joint 52 should be"),
+    ("skins.0.joints", [1, 0, *range(2, 52)], "skin joint 0 should be .* pelvis, is 'left_hip'"),
+    ("skins.0.joints", [0] * 52, r"skins\[0\].joints should be different nodes"),
+    ("skins.0.inverseBindMatrices", POSITION, "inverseBindMatrices should be 4x4"),
+    ("meshes.0.primitives", [], r"meshes\[0\].primitives"),
+    ("meshes.0.primitives.0.mode", 1, "triangles"),
+    ("meshes.0.primitives.0.material", 9, "material"),
+    ("meshes.0.primitives.0.attributes._VIEW_DIR", POSITION, r"levels\[0\].view_dir should be of unit length"),
+    ("meshes.0.primitives.0.attributes._VIEW_SEEN", POSITION, r"levels\[0\].view_seen should be float32"),
+    ("meshes.0.primitives.0.attributes.JOINTS_0", WEIGHTS, r"levels\[0\].joints should be"),
+    ("meshes.0.primitives.0.attributes.WEIGHTS_0", WEIGHTS - 1, "WEIGHTS_0 should be normalised"),
+    ("meshes.0.primitives.0.attributes", {}, "attributes should be an object with POSITION"),
+    ("materials.0.pbrMetallicRoughness", {}, "base colour texture"),
+    ("images.0.bufferView", 0, r"images\[0\] should be a PNG"),
+    ("asset.version", "1.0", "asset.version should be 2.x"),
+    ("extensionsRequired", ["EXT_meshopt_compression"], "npx @gltf-transform/cli copy"),
+    (f"{OURS}.version", 2, "version should be 1, is 2"),
+    (f"{OURS}.canonicalPose", [0.0] * 156, "inverse bind matrices of left_hip should be as the extension says"),
+    (f"{OURS}.canonicalPose", [1e29] * 156, "canonical_pose should be below"),
+    (f"{OURS}.jointPositions", [0.0] * 156, "default nodes of left_foot should be as the extension says"),
+    (f"{OURS}.jointPositions", [0.0] * 155, "jointPositions should be 156 numbers"),
+    (f"{OURS}.network.w1", [0.0] * 127, r"network.w1 should be 128 numbers"),
+    (f"{OURS}.network.w2", [0.0] * 47 + [None], r"network.w2 should be 48 finite numbers"),
+    (f"{OURS}.network.b1", [0.0] * 15 + [1e20], "network.b1 should be below"),
+    (f"{OURS}.network", [], "network should be an object"),
+    (f"{OURS}.linear", [0.0] * 35, "linear should be 36 numbers"),
+    (f"{OURS}.amplitude", 10**400, f"{OURS}|float"),
+    (f"{OURS}.amplitude", True, "amplitude should be a number"),
+    (f"{OURS}.amplitude", 1.01, "amplitude should be from 0 to 1"),
+    (f"{OURS}.defaultView", "neural", "defaultView should be network, linear or off"),
+    (f"{OURS}.defaultView", ["off"], "defaultView should be a str"),
+    (f"{OURS}.levels", [], "levels should be a list"),
+    (f"{OURS}.levels", [{"mesh": 0}] * 8, "levels should be with a mesh of their own each"),
+    (f"{OURS}.levels", [{"mesh": 0, "featureImage": 0}], "levels should be with a image of their own each"),
+    (f"{OURS}.levels", [{"mesh": 0, "featureImage": 2}], r"images\[2\] should be an 8-bit L PNG, is 8-bit RGB"),
+    (f"{OURS}.levels", [{"mesh": 9}], r"levels\[0\].mesh should be an index below 2"),
+    (f"{OURS}.provenance", 5, "provenance should be a dict"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("place, value, match", LIES)
+def test_a_lie_in_the_json_is_named(path, whole, place, value, match):
+    document, binary = split_glb(whole)
+    holder, key = at(document, place)
+    holder[key] = value
+    refused(path, join_glb(document, binary), match, memory=isinstance(value, int) and value >= 2**29)
+
+
+@pytest.mark.parametrize(
+    "place", [f"{OURS}.{key}" for key in ("network.w1", "linear", "levels", "amplitude")]
+)
+def test_every_part_of_the_extension_may_be_absent_only_where_it_is_optional(path, whole, place):
+    document, binary = split_glb(whole)
+    holder, key = at(document, place)
+    del holder[key]
+    if key == "linear":
+        path.write_bytes(join_glb(document, binary))
+        assert read_avatar(path).linear is None
+    else:
+        refused(path, join_glb(document, binary), key)
+
+
+SPOILT = [
+    (POSITION, 20, struct.pack("<f", np.nan), r"accessors\[1\] should be finite, is nan at \(1, 2\)"),
+    (POSITION, 20, struct.pack("<f", -np.inf), r"accessors\[1\] should be finite, is -inf at \(1, 2\)"),
+    (WEIGHTS, 0, b"\0\0\0\xfe", r"levels\[0\].weights should be a sum of 255, is \[0, 0, 0, 254\] in row 0"),
+    (WEIGHTS, 8, b"\xff\xff\xff\xff", r"levels\[0\].weights should be a sum of 255"),
+    (4, 4, b"\0\1\2\x34", r"levels\[0\].joints should be below 52, is \[0, 1, 2, 52\] in row 1"),
+    (6, 0, struct.pack("<3f", 0, 0, 0), r"levels\[0\].view_dir should be of unit length"),
+    (INDICES, 2, b"\xff\xff", r"indices should be below the 8 vertices, is 65535"),
+    (0, 4 * 64, struct.pack("<f", 3), "inverse bind matrices of knee|inverse bind matrices of left_knee"),
+]
+
+
+@pytest.mark.parametrize("accessor, offset, value, match", SPOILT)
+def test_a_spoilt_value_is_named(path, whole, accessor, offset, value, match):
+    document, binary = split_glb(whole)
+    start = document["bufferViews"][document["accessors"][accessor]["bufferView"]]["byteOffset"] + offset
+    binary[start : start + len(value)] = value
+    refused(path, join_glb(document, binary), match, memory=False)
+
+
+def png(width, height, rows: bytes) -> bytes:
+    """A grey PNG that claims a size, whatever its rows hold."""
+    parts = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)), (b"IDAT", zlib.compress(rows))]
+    chunks = [
+        struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+        for kind, body in [*parts, (b"IEND", b"")]
+    ]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
+@pytest.mark.parametrize(
+    "image, match",
+    [
+        (png(30000, 30000, b""), "images should be at most 67108864 pixels together"),
+        (png(2**31, 1, b""), r"images\[1\] should be 1 to 32768 pixels a side"),
+        (png(0, 4, b""), r"images\[1\] should be 1 to 32768 pixels a side"),
+        (png(2, 8, bytes(10**7)), r"images\[1\] should be a whole PNG"),
+        (png(2, 8, b"\0\1\2"), r"images\[1\] should be a whole PNG"),
+        (png(2, 3, b"\0\1\2" * 3), r"images\[1\] height should be four planes, is 3"),
+        (b"\x89PNG\r\n\x1a\n", r"images\[1\] should be a PNG"),
+        (b"\xff\xd8\xff\xe0", r"images\[1\] should be a PNG"),
+        (b"GIF89a" + bytes(40), r"images\[1\] should be a PNG, JPEG or WebP image"),
+    ],
+)
+def test_an_image_that_lies_is_refused_before_it_costs(path, whole, image, match):
+    document, binary = split_glb(whole)
+    view = document["bufferViews"][document["images"][1]["bufferView"]]
+    view["byteOffset"], view["byteLength"] = len(binary), len(image)
+    binary += image + bytes(-len(image) % 4)
+    document["buffers"][0]["byteLength"] = len(binary)
+    refused(path, join_glb(document, binary), match)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "nul",
+        "[" * 100_000,
+        '{"a":' * 100_000,
+        "[" + "0," * 3_000_000 + "0]",
+        '{"asset":NaN}',
+        "9" * 5000,
+    ],
+)
+def test_json_that_is_no_gltf_is_refused(path, text):
+    refused(path, join_glb(text, b"\0\0\0\0"), "JSON|asset.version")
+
+
+@pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999", "-1e999"])
+def test_numbers_beyond_floats_are_refused(path, whole, number):
+    document, binary = split_glb(whole)
+    document["nodes"][3]["translation"][1] = "HERE"
+    text = json.dumps(document).replace('"HERE"', number)
+    refused(path, join_glb(text, binary), r"JSON|nodes\[3\].translation should be 3 finite numbers")
+
+
+def sparse(**changes):
+    part = {"count": 1, "indices": {"bufferView": 0, "componentType": 5125}, "values": {"bufferView": 0}}
+    return {"componentType": 5126, "type": "VEC3", "count": 8, "sparse": part | changes}
+
+
+@pytest.mark.parametrize(
+    "accessor",
+    [
+        {"componentType": 5126, "type": "VEC3", "count": 2**29},
+        sparse(count=2**29),
+        sparse(count=-1),
+        sparse(indices={"bufferView": 0, "componentType": 5126}),
+        sparse(indices={"bufferView": 99, "componentType": 5125}),
+        sparse(values=None),
+        sparse(indices={"bufferView": 0, "byteOffset": 2**40, "componentType": 5121}),
+        {"componentType": 5126, "type": "VEC3", "count": 8, "sparse": []},
+    ],
+)
+def test_accessors_without_bytes_of_their_own_cannot_ask_for_much(path, whole, accessor):
+    document, binary = split_glb(whole)
+    document["accessors"][POSITION] = accessor
+    refused(path, join_glb(document, binary), r"accessors\[1\]")
+
+
+def test_a_folder_a_pipe_and_nothing_are_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for name, match in [
+        ("", "is a folder"),
+        ("pipe", "not there|should be a file"),
+        ("none", "is not there"),
+    ]:
+        with pytest.raises(AssetError, match=match):
+            read_avatar(tmp_path / name)
