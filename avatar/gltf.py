@@ -8,16 +8,16 @@ and JSON come from `avatar/gltf_container.py`; what the accessors mean (nodes, s
 glTF 2.0 specification, sections 3.6 (binary data) and 4 (GLB).
 """
 
-import reprlib
 import shlex
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from avatar.errors import AssetError
-from avatar.gltf_container import MAX_BYTES, file_bytes, glb_chunks, parse_json, uri_bytes
+from avatar.gltf_container import MAX_BYTES, file_bytes, glb_chunks, parse_json, short, uri_bytes
 
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 ELEMENT_SHAPES = {
@@ -31,7 +31,13 @@ ELEMENT_SHAPES = {
 }
 
 # Required extensions that change nothing we read, or that are read here. KHR_materials_* is read as its base.
-READ_EXTENSIONS = ("KHR_mesh_quantization", "EXT_texture_webp", "KHR_lights_punctual", "KHR_node_visibility")
+READ_EXTENSIONS = (
+    "KHR_mesh_quantization",
+    "EXT_texture_webp",
+    "KHR_texture_transform",
+    "KHR_lights_punctual",
+    "KHR_node_visibility",
+)
 READ_PREFIXES = ("KHR_materials_", "VRM", "SELFSCAN_")
 # Extensions we do not read, and the glTF-Transform command line that turns each into plain glTF.
 CONVERTERS = {
@@ -70,7 +76,7 @@ class Gltf:
 
     def error(self, field: str, expected: str, found: object) -> AssetError:
         """The error to raise for a field that is not what it should be."""
-        return AssetError(f"{self.path}: {field} should be {expected}, is {reprlib.repr(found)}")
+        return AssetError(f"{self.path}: {field} should be {expected}, is {short(found)}")
 
     def items(self, collection: str) -> list[dict[str, Any]]:
         """A top-level list of objects (`nodes`, `meshes` ...), empty where the file has none."""
@@ -99,7 +105,7 @@ class Gltf:
     def numbers(self, holder: dict[str, Any], key: str, field: str, shape: tuple[int, ...]) -> np.ndarray:
         """A flat JSON list of finite numbers as a float64 array of `shape`."""
         value = holder.get(key)
-        size = int(np.prod(shape))
+        size = prod(shape)
         if not isinstance(value, list) or len(value) != size:
             raise self.error(f"{field}.{key}", f"{size} numbers", value)
         if not all(type(v) in (int, float) and abs(v) < 1e30 for v in value):
@@ -146,7 +152,7 @@ class Gltf:
         if "bufferView" in accessor:
             values = self._elements(accessor, dtype, shape, count, where).copy()
         else:
-            if count * dtype.itemsize * int(np.prod(shape)) > MAX_EMPTY_BYTES:
+            if count * dtype.itemsize * prod(shape) > MAX_EMPTY_BYTES:
                 raise self.error(f"{where}.count", f"at most {MAX_EMPTY_BYTES} bytes without a buffer", count)
             values = np.zeros((count, *shape), dtype)
         if "sparse" in accessor:
@@ -169,7 +175,7 @@ class Gltf:
         """`count` elements of a buffer view, as a view of its bytes, bounds checked."""
         data = self.view(holder.get("bufferView"), f"{where}.bufferView")
         offset = self.integer(holder, "byteOffset", where, default=0)
-        size = dtype.itemsize * int(np.prod(shape))
+        size = dtype.itemsize * prod(shape)
         stride = size
         view = self.items("bufferViews")[holder["bufferView"]]
         if "byteStride" in view:
@@ -262,8 +268,11 @@ def _check_document(gltf: Gltf) -> None:
             raise AssetError(refusal(gltf.path, name))
     for key in COLLECTIONS:
         items = gltf.json.get(key, [])
-        if not isinstance(items, list) or not all(isinstance(item, dict) for item in items):
+        if not isinstance(items, list):
             raise gltf.error(key, "a list of objects", items)
+        for i, item in enumerate(items):
+            if not isinstance(item, dict):
+                raise gltf.error(f"{key}[{i}]", "an object", item)
 
 
 def _read_buffers(gltf: Gltf, binary: memoryview | None) -> list[memoryview]:

@@ -15,6 +15,12 @@ MAX_BYTES = 1 << 30  # a file, and all buffers together
 MAX_JSON_VALUES = 2_000_000  # a parsed value costs Python some 60-200 bytes
 
 
+def short(value: object) -> str:
+    """What was found, as text for one line of a message."""
+    text = reprlib.repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
 def file_bytes(path: Path) -> bytes:
     """A regular file of bounded size, whole."""
     try:
@@ -68,29 +74,29 @@ def parse_json(path: Path, text: memoryview) -> dict[str, Any]:
     except RecursionError:
         raise AssetError(f"{path}: JSON should be nested a few levels deep, is nested thousands") from None
     except ValueError as error:
-        raise AssetError(f"{path}: should be glTF JSON, is not: {reprlib.repr(str(error))}") from None
+        raise AssetError(f"{path}: should be glTF JSON, is not: {short(str(error))}") from None
     if not isinstance(document, dict):
-        raise AssetError(f"{path}: should be glTF JSON, is {reprlib.repr(document)}")
+        raise AssetError(f"{path}: should be glTF JSON, is {short(document)}")
     return document
 
 
 def uri_bytes(path: Path, uri: object, field: str) -> bytes:
     """What a URI holds: a base64 data URI, or a file in the folder of the .gltf and nowhere else."""
     if not isinstance(uri, str):
-        raise AssetError(f"{path}: {field} should be a text, is {reprlib.repr(uri)}")
+        raise AssetError(f"{path}: {field} should be a text, is {short(uri)}")
     if uri.startswith("data:"):
         head, comma, body = uri.partition(",")
         if not comma or not head.endswith(";base64"):
-            raise AssetError(f"{path}: {field} should be a base64 data URI, is {reprlib.repr(head)}")
+            raise AssetError(f"{path}: {field} should be a base64 data URI, is {short(head)}")
         try:
             return base64.b64decode(body, validate=True)
         except (binascii.Error, ValueError) as error:
             raise AssetError(f"{path}: {field} should be base64, is not: {error}") from None
     name = unquote(uri)
     if ":" in name or "\\" in name or "\0" in name:
-        raise AssetError(f"{path}: {field} should be a relative file name, is {reprlib.repr(uri)}")
+        raise AssetError(f"{path}: {field} should be a relative file name, is {short(uri)}")
     folder = path.parent.resolve()
     target = (folder / name).resolve()
     if not target.is_relative_to(folder):
-        raise AssetError(f"{path}: {field} should stay inside the file's folder, is {reprlib.repr(uri)}")
+        raise AssetError(f"{path}: {field} should stay inside the file's folder, is {short(uri)}")
     return file_bytes(target)

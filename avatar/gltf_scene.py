@@ -154,6 +154,9 @@ def attribute_accessors(gltf: Gltf, mesh: int, primitive: int = 0) -> dict[str, 
     attributes = part.get("attributes")
     if not isinstance(attributes, dict) or "POSITION" not in attributes:
         raise gltf.error(f"{where}.attributes", "an object with POSITION", attributes)
+    for name in attributes:  # they go into messages
+        if not name.isprintable() or len(name) > 64:
+            raise gltf.error(f"{where}.attributes", "printable, short names", name)
     found = {name: gltf.index("accessors", i, f"{where}.{name}") for name, i in attributes.items()}
     # Draco's attributes have no bytes of their own: read as plain glTF they would all be zero.
     draco = "KHR_draco_mesh_compression" in gltf.extensions(part, where)
@@ -199,7 +202,7 @@ def texture_image(gltf: Gltf, texture: object, *, field: str = "texture") -> int
 
 
 def base_color_image(gltf: Gltf, material: int) -> int | None:
-    """The image of a material's base colour, or None where it has a plain colour."""
+    """The image of a material's base colour, laid out by TEXCOORD_0; None where it has a plain colour."""
     where = f"materials[{material}].pbrMetallicRoughness"
     pbr = gltf.item("materials", material, "material").get("pbrMetallicRoughness", {})
     if not isinstance(pbr, dict):
@@ -207,6 +210,17 @@ def base_color_image(gltf: Gltf, material: int) -> int | None:
     texture = pbr.get("baseColorTexture")
     if texture is None:
         return None
+    where = f"{where}.baseColorTexture"
     if not isinstance(texture, dict):
-        raise gltf.error(f"{where}.baseColorTexture", "an object", texture)
-    return texture_image(gltf, texture.get("index"), field=f"{where}.baseColorTexture.index")
+        raise gltf.error(where, "an object", texture)
+    if texture.get("texCoord", 0) != 0:
+        raise gltf.error(f"{where}.texCoord", "0, the only texture coordinates read", texture["texCoord"])
+    transform = gltf.extensions(texture, where).get("KHR_texture_transform", {})
+    if not isinstance(transform, dict) or any(
+        transform.get(key, rest) != rest
+        for key, rest in (("offset", [0, 0]), ("rotation", 0), ("scale", [1, 1]), ("texCoord", 0))
+    ):
+        raise gltf.error(
+            f"{where} KHR_texture_transform", "one that moves nothing: bake it into the UVs", transform
+        )
+    return texture_image(gltf, texture.get("index"), field=f"{where}.index")

@@ -168,7 +168,7 @@ def test_a_file_outside_the_folder_is_never_opened(tmp_path, uri):
         ("KHR_texture_basisu", "npx @gltf-transform/cli ktxdecompress"),
         ("EXT_texture_avif", "npx @gltf-transform/cli png"),
         ("KHR_materials_pbrSpecularGlossiness", "npx @gltf-transform/cli metalrough"),
-        ("KHR_texture_transform", "export the file without it"),
+        ("EXT_mesh_gpu_instancing", "export the file without it"),
     ],
 )
 def test_an_unread_required_extension_is_named_with_its_converter(tmp_path, extension, advice):
@@ -200,3 +200,18 @@ def test_world_transforms_are_products_down_the_tree(tmp_path):
 def test_strips_and_fans_keep_the_winding_of_lists(tmp_path, mode, expected):
     meshes = [{"primitives": [{"attributes": {}, "mode": mode}]}]
     assert triangles(written(tmp_path, {"meshes": meshes}), 0, 0, 6).tolist() == expected
+
+
+@pytest.mark.parametrize(
+    "transform, read", [({"offset": [0, 0], "scale": [1, 1]}, True), ({"scale": [2, 1]}, False)]
+)
+def test_a_texture_transform_is_refused_unless_it_moves_nothing(tmp_path, transform, read):
+    texture = {"index": 0, "extensions": {"KHR_texture_transform": transform}}
+    materials = [{"pbrMetallicRoughness": {"baseColorTexture": texture}}]
+    document = {"materials": materials, "textures": [{"source": 0}], "images": [{"uri": "a.png"}]}
+    gltf = written(tmp_path, document)
+    if read:
+        assert base_color_image(gltf, 0) == 0
+    else:
+        with pytest.raises(AssetError, match="KHR_texture_transform should be one that moves nothing"):
+            base_color_image(gltf, 0)

@@ -1,7 +1,9 @@
 """Avatar and glTF files that are cut short, damaged, or lie: one clear refusal, soon and cheaply."""
 
+import copy
 import json
 import os
+import random
 import struct
 import time
 import tracemalloc
@@ -76,7 +78,7 @@ def test_flipped_bytes_are_refused_or_still_keep_every_promise(path, whole, regi
     low, high = (0, 20 + size) if region == "header and JSON" else (20 + size, len(whole))
     rng = np.random.default_rng(2)
     refusals = 0
-    for _ in range(300):
+    for _ in range(200):
         data = bytearray(whole)
         for at in rng.integers(low, high, rng.integers(1, 4)):
             data[at] ^= rng.integers(1, 256)
@@ -87,7 +89,51 @@ def test_flipped_bytes_are_refused_or_still_keep_every_promise(path, whole, regi
         except AssetError:
             refusals += 1
         assert time.perf_counter() - started < SECONDS
-    assert refusals > 30
+    assert refusals > 20
+
+
+WRONG = [
+    None,
+    True,
+    -1,
+    0,
+    1,
+    52,
+    5126,
+    2**40,
+    10**400,
+    1e29,
+    -0.5,
+    "",
+    "VEC3",
+    "MAT4",
+    [],
+    {},
+    [0],
+    {"a": 1},
+]
+
+
+def places(value) -> list:
+    """Every (holder, key) below a JSON value."""
+    keys = value if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
+    return [found for key in keys for found in [(value, key), *places(value[key])]]
+
+
+def test_json_with_any_value_replaced_is_refused_or_still_keeps_every_promise(path, whole):
+    rng = random.Random(3)
+    refusals = 0
+    for _ in range(150):
+        document, binary = split_glb(whole)
+        holder, key = rng.choice(places(document))
+        other, other_key = rng.choice(places(document))
+        holder[key] = copy.deepcopy(other[other_key] if rng.random() < 0.2 else rng.choice(WRONG))
+        path.write_bytes(join_glb(document, binary))
+        try:
+            check_avatar(read_avatar(path))
+        except AssetError:
+            refusals += 1
+    assert refusals > 75
 
 
 def at(document, place: str):
