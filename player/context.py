@@ -117,9 +117,13 @@ class Context:
 
     def leave_framebuffer(self) -> None:
         """Bind the driver's own framebuffer, so that none of ours is freed while bound."""
+        self.screen().use()
+
+    def screen(self) -> moderngl.Framebuffer:
+        """The driver's own framebuffer: a window's, or nothing to draw on."""
         if self._screen is None:
             self._screen = self.gl.detect_framebuffer(0)
-        self._screen.use()
+        return self._screen
 
     def _claim(self) -> None:
         # EGL and OSMesa of one Mesa share the current-context slot but not the knowledge of it: the one

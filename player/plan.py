@@ -90,15 +90,15 @@ def resolved_view(avatar: Avatar, view: str, software: bool) -> tuple[str, str]:
 
 
 def resolve(
-    avatars: Sequence[Avatar], size: tuple[int, int], view: str, software: bool, level: int = 0
+    avatars: Sequence[Avatar], size: tuple[int, int] | None, view: str, software: bool, level: int = 0
 ) -> Plan:
-    """The plan for drawing `avatars` on `size` pixels. Makes nothing."""
+    """The plan for drawing `avatars` on an image of `size` pixels (None: into a window). Makes nothing."""
     resources: dict[str, Resource] = {}
     variants: list[Variant] = []
     passes: list[Pass] = []
 
-    def need(name: str, kind: str, size: int) -> str:
-        resources[name] = Resource(name, kind, size)
+    def need(name: str, kind: str, count: int) -> str:
+        resources[name] = Resource(name, kind, count)
         return name
 
     def program(stage: int, network: bool, avatar: int | None) -> Variant:
@@ -108,9 +108,11 @@ def resolve(
             variants.append(variant)
         return variant
 
-    need("image", "framebuffer", 0)
-    targets = (need("image color", "renderbuffer", 4 * size[0] * size[1]),
-               need("image depth", "renderbuffer", 4 * size[0] * size[1]))  # fmt: skip
+    targets: tuple[str, ...] = ()
+    if size is not None:
+        need("image", "framebuffer", 0)
+        pixels = 4 * size[0] * size[1]
+        targets = (need("image color", "renderbuffer", pixels), need("image depth", "renderbuffer", pixels))
     frame = need("frame", "buffer", FRAME.itemsize)
     for index, avatar in enumerate(avatars):
         mesh = avatar.levels[min(level, len(avatar.levels) - 1)]

@@ -38,7 +38,7 @@ class Drawn:
 class Renderer:
     """Draws avatars on one size of image. What is asked for is made here, once; drawing makes nothing.
 
-    view is "auto", "off", "vertex", "linear" or "network"; level picks a level of detail (the coarsest if there
+    size None makes no image of its own: only `draw_into` a window works. view is "auto", "off", "vertex", "linear" or "network"; level picks a level of detail (the coarsest if there
     are fewer); background is premultiplied RGBA in [0,1]; view_amount is u_view, 0 for the paper's colours.
 
     Raises:
@@ -49,7 +49,7 @@ class Renderer:
         self,
         context: Context,
         avatars: Sequence[Avatar],
-        size: tuple[int, int],
+        size: tuple[int, int] | None,
         *,
         view: str = "auto",
         level: int = 0,
@@ -61,7 +61,7 @@ class Renderer:
         self.background = tuple(float(channel) for channel in background)
         self.plan: Plan = resolve(self.avatars, size, view, context.software, level)
         limit = context.gl.info["GL_MAX_TEXTURE_SIZE"]
-        largest = max(size[0], size[1], *(max(self._level(a).base_color.shape) for a in self.avatars))
+        largest = max(*(size or (1, 1)), *(max(self._level(a).base_color.shape) for a in self.avatars))
         if largest > limit:
             raise ValueError(f"{largest} pixels across; {context.renderer} holds at most {limit}")
         context.make_current()
@@ -70,14 +70,10 @@ class Renderer:
         self.programs: dict[Variant, moderngl.Program] = {}
         self.arrays: dict[str, moderngl.VertexArray] = {}
         self.posers = [Poser(avatar, self._level(avatar)) for avatar in self.avatars]
-        self.target = self._new_target(size)
+        self.target = self._new_target(size) if size else None
         self._realise()
         self.drawn: list[Drawn] = []
-        self.last: tuple[list[Pose], Camera] | None = None
-
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.target.size
+        self.last: tuple[moderngl.Framebuffer, list[Pose], Camera, bool] | None = None
 
     def draw(self, poses: Sequence[Pose], camera: Camera) -> UInt8[np.ndarray, "height width 4"]:
         """The image, row 0 on top, premultiplied alpha, sRGB. One pose per avatar; the camera is fitted to size.
@@ -85,24 +81,20 @@ class Renderer:
         Raises:
             ValueError: not one pose per avatar, or a pose with a number that is not finite.
         """
+        assert self.target is not None, "made without an image: use draw_into"
         self.context.make_current()
-        self._frame(self.target, poses, camera, flipped=True)
         width, height = self.target.size
+        if camera.size != (width, height):
+            camera = camera.resized((width, height))
+        self._frame(self.target, poses, camera, flipped=True)
         image = np.empty((height, width, 4), np.uint8)
         self.target.read_into(image, components=4)
         return image
 
     def draw_into(self, framebuffer: moderngl.Framebuffer, poses: Sequence[Pose], camera: Camera) -> None:
-        """The same into a window's framebuffer, whose rows count from the bottom."""
+        """The same into a window's framebuffer, of the camera's size, whose rows count from the bottom."""
         self.context.make_current()
         self._frame(framebuffer, poses, camera, flipped=False)
-
-    def resize(self, size: tuple[int, int]) -> None:
-        """Draw on another number of pixels from now on; meshes, textures and programs stay."""
-        self.context.make_current()
-        self.plan = resolve(self.avatars, size, self.view, self.context.software, self.level)
-        old, self.target = self.target, self._new_target(size)
-        self._free_target(old)
 
     def explain(self, repeats: int = 5) -> list[dict[str, object]]:
         """Every pass of the plan: whether it ran in the last frame, why, what it costs in ms (median), its bytes.
@@ -112,14 +104,14 @@ class Renderer:
         """
         if self.last is None:
             raise ValueError("nothing was drawn yet: there is no frame to explain")
-        poses, camera = self.last
+        framebuffer, poses, camera, flipped = self.last
         out = []
         for drawn in list(self.drawn):
             times = []
             for _ in range(repeats if drawn.runs else 0):
                 self.context.gl.finish()
                 start = time.perf_counter()
-                self._frame(self.target, poses, camera, flipped=True, only=drawn.item)
+                self._frame(framebuffer, poses, camera, flipped=flipped, only=drawn.item)
                 self.context.gl.finish()
                 times.append(1e3 * (time.perf_counter() - start))
             out.append(
@@ -131,7 +123,6 @@ class Renderer:
                     "bytes": self.plan.bytes(drawn.item),
                 }
             )
-        self.drawn, self.last = self.drawn, (poses, camera)
         return out
 
     def release(self) -> None:
@@ -142,10 +133,12 @@ class Renderer:
         for thing in things:
             thing.release()
         self.arrays, self.programs, self.buffers, self.textures = {}, {}, {}, {}
-        target = [*self.target.color_attachments, self.target.depth_attachment]
-        self.target.release()
-        for attachment in target:
-            attachment.release()
+        if self.target is not None:
+            attachments = [*self.target.color_attachments, self.target.depth_attachment]
+            self.target.release()  # leaves its attachments alive
+            for attachment in attachments:
+                attachment.release()
+            self.target = None
 
     # -- one frame
 
@@ -160,21 +153,20 @@ class Renderer:
     ) -> None:
         if len(poses) != len(self.avatars):
             raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(poses)}")
-        width, height = framebuffer.size
-        if camera.size != (width, height):
-            camera = camera.resized((width, height))
+        width, height = camera.size
         bones = [poser.posed(*pose, camera) for poser, pose in zip(self.posers, poses, strict=True)]
         reaches = [reach(one, camera) for one in bones]
         planes = clip_planes(np.concatenate([r.depth for r in reaches]) if reaches else np.zeros(0))
 
         gl = self.context.gl
+        framebuffer.viewport = (0, 0, width, height)
         framebuffer.use()
         framebuffer.clear(*self.background)
         gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         if planes is not None:
             self._write_frame(camera, planes, flipped)
         shown = [_can_show(r.box, planes, (width, height)) for r in reaches]
-        tall = [r.box[3] - r.box[1] >= MIN_HEIGHT for r in reaches]
+        tall = [bool(r.box[3] - r.box[1] >= MIN_HEIGHT) for r in reaches]
         posed: set[int] = set()
         drawn = []
         for item in self.plan.passes:
@@ -186,7 +178,7 @@ class Renderer:
                     posed.add(item.avatar)
                 self._bind_textures(item.avatar, item.variant)
                 self.arrays[item.name].render()
-        self.drawn, self.last = drawn, (list(poses), camera)
+        self.drawn, self.last = drawn, (framebuffer, list(poses), camera, flipped)
 
     def _viewed(self, avatar: int, tall: list[bool]) -> bool:
         return f"{self._tag(avatar)} turns" in self.buffers and bool(tall[avatar])
@@ -274,7 +266,10 @@ class Renderer:
 
     def _warm(self, item: Pass) -> None:
         """Draw one triangle with the real state: drivers compile at the first draw, some 90 ms in software."""
-        self.target.use()
+        if self.target is not None:
+            self.target.use()
+        else:
+            self.context.leave_framebuffer()
         self.context.gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         self._write_frame(_ANY_CAMERA, (1.0, 2.0), flipped=True)
         tag = self._tag(item.avatar)
@@ -303,13 +298,6 @@ class Renderer:
         gl = self.context.gl
         return gl.framebuffer([gl.renderbuffer(size, 4)], gl.depth_renderbuffer(size))
 
-    def _free_target(self, target: moderngl.Framebuffer) -> None:
-        self.target.use()
-        attachments = [*target.color_attachments, target.depth_attachment]
-        target.release()  # leaves its attachments alive
-        for attachment in attachments:
-            attachment.release()
-
     def _tag(self, avatar: int) -> str:
         return f"avatar {avatar}" if len(self.avatars) > 1 else "avatar"
 
@@ -322,4 +310,4 @@ _ANY_CAMERA = Camera(np.eye(3), np.eye(4), (1, 1))
 
 def _can_show(box: Float[np.ndarray, "4"], planes: object, size: tuple[int, int]) -> bool:
     left, top, right, bottom = box
-    return planes is not None and right > 0 and bottom > 0 and left < size[0] and top < size[1]
+    return bool(planes is not None and right > 0 and bottom > 0 and left < size[0] and top < size[1])

@@ -1,0 +1,102 @@
+"""Rungs of accuracy against time: the ways one avatar can be drawn, and what each costs on this machine.
+
+Only time and memory are measured here. How exact a rung is stands in the avatar file, where the bake put it, or
+is measured by `selfscan bench`.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from avatar.baked_avatar import Avatar
+from avatar.camera import Camera
+from jaxtyping import Float
+
+from player.context import Context
+from player.plan import VIEWS
+from player.renderer import Pose, Renderer
+
+VIEW_NAMES = {"network": "network per pixel", "linear": "linear", "vertex": "per vertex", "off": "paper mode"}
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One way to draw: view dependence, level of detail (0 the finest), pixels as a share of full resolution."""
+
+    name: str
+    view: str
+    level: int = 0
+    share: float = 1.0
+
+    def size(self, full: tuple[int, int]) -> tuple[int, int]:
+        """Pixels it draws, at least one."""
+        return max(1, round(full[0] * self.share)), max(1, round(full[1] * self.share))
+
+
+class Timing(NamedTuple):
+    ms: Float[np.ndarray, "rounds"]  # one frame each, milliseconds
+    bytes: int  # GL memory of the rung's plan, target included
+
+
+def views_of(avatar: Avatar) -> list[str]:
+    """View modes the file holds, dearest first: network, linear, vertex, off."""
+    has = {"network": avatar.network is not None, "linear": avatar.linear is not None, "off": True}
+    has["vertex"] = has["network"] or has["linear"]
+    return [view for view in reversed(VIEWS) if has[view]]
+
+
+def rungs_of(avatar: Avatar) -> list[Rung]:
+    """View modes on the finest level, paper mode on the coarser ones, and both ends at half resolution."""
+    views = views_of(avatar)
+    rungs = [Rung(rung_name(avatar, view, 0), view) for view in views]
+    rungs += [Rung(rung_name(avatar, "off", level), "off", level) for level in range(1, len(avatar.levels))]
+    for view, level in {(views[0], 0): None, ("off", 0): None, ("off", len(avatar.levels) - 1): None}:
+        rungs.append(Rung(f"{rung_name(avatar, view, level)}, half resolution", view, level, 0.5))
+    return rungs
+
+
+def rung_name(avatar: Avatar, view: str, level: int) -> str:
+    return f"{VIEW_NAMES[view]}, {round(len(avatar.levels[level].faces) / 1000)}k"
+
+
+def time_rungs(
+    context: Context,
+    avatar: Avatar,
+    rungs: Sequence[Rung],
+    frames: Sequence[tuple[Pose, Camera]],
+    full: tuple[int, int],
+    *,
+    rounds: int = 20,
+) -> list[Timing]:
+    """Milliseconds of posing and drawing one frame on every rung, without reading the picture back.
+
+    Rounds alternate: every rung draws one frame, then every rung the next, so that a slow stretch of a shared
+    machine falls on all alike. Each rung draws a frame untimed before each timed one: the caches hold its own
+    meshes and textures, as they would if nothing else were drawn.
+
+    Raises:
+        ValueError: no frames, or no rounds.
+    """
+    if not frames or rounds < 1:
+        raise ValueError(f"{len(frames)} frames and {rounds} rounds give nothing to time")
+    renderers = [
+        Renderer(context, [avatar], rung.size(full), view=rung.view, level=rung.level) for rung in rungs
+    ]
+    try:
+        ms = np.zeros((len(rungs), rounds))
+        for number in range(rounds):
+            pose, camera = frames[number % len(frames)]
+            for row, renderer in enumerate(renderers):
+                for _ in range(2):
+                    context.gl.finish()
+                    start = time.perf_counter()
+                    renderer.draw_into(renderer.target, [pose], camera)
+                    context.gl.finish()
+                    ms[row, number] = 1e3 * (time.perf_counter() - start)
+        sizes = [sum(resource.bytes for resource in r.plan.resources.values()) for r in renderers]
+        return [Timing(row, size) for row, size in zip(ms, sizes, strict=True)]
+    finally:
+        for renderer in renderers:
+            renderer.release()

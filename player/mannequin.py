@@ -1,0 +1,66 @@
+"""The built-in body as an avatar: something to draw where there is no avatar file (checks and tests)."""
+
+import numpy as np
+
+from avatar.baked_avatar import Avatar, Level, ViewNetwork
+from avatar.body import builtin_body
+from avatar.skeleton import BIG_POSE, skin_transforms
+from avatar.skinning import skin_points
+
+
+def mannequin(sex: str = "male", *, texture: int = 512, seed: int = 0) -> Avatar:
+    """The built-in body, painted with a checkered gradient; its view network is random (seeded), its cone 20 degrees."""
+    body = builtin_body(sex)
+    assert body.uv is not None and body.uv_faces is not None
+    rng = np.random.default_rng(seed)
+    corners = np.stack([body.faces.reshape(-1), body.uv_faces.reshape(-1)], 1)
+    split, number = np.unique(corners, axis=0, return_inverse=True)
+    vertex, texcoord = split.T
+    transforms = skin_transforms(BIG_POSE, body.joints, rest=np.zeros((52, 3)))
+    positions = skin_points(body.vertices, body.skin, transforms)
+    normals = _normals(positions, body.faces)[vertex].astype(np.float32)
+    weights = np.floor(body.skin.weights[vertex].astype(np.float64) * 255 + 1e-6).astype(np.int64)
+    weights[:, 0] += 255 - weights.sum(1)  # the heaviest bone takes what rounding left
+    joints = np.where(weights > 0, body.skin.joints[vertex], 0)
+    y, x = np.mgrid[:texture, :texture] / texture
+    checks = (np.floor(24 * x) + np.floor(24 * y)) % 2
+    color = np.stack([70 + 110 * checks, 80 + 100 * x, 100 + 140 * y], -1).astype(np.uint8)
+    cone = np.zeros((len(vertex), 6), np.float32)
+    cone[:, [0, 3, 5]] = 1 / (1.6 * np.sin(np.radians(20.0))) ** 2
+    level = Level(
+        positions=positions[vertex].astype(np.float32),
+        normals=normals,
+        uv=body.uv[texcoord].astype(np.float32),
+        faces=number.reshape(-1, 3).astype(np.uint32),
+        joints=joints.astype(np.uint8),
+        weights=weights.astype(np.uint8),
+        view_dir=-normals,
+        view_q=cone,
+        view_seen=np.ones(len(vertex), np.float32),
+        base_color=color,
+        features=rng.integers(0, 256, (64, 64, 4)).astype(np.uint8),
+    )
+    shapes = {"w1": (16, 8), "b1": (16,), "w2": (3, 16), "b2": (3,)}
+    network = ViewNetwork(**{name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()})
+    linear = (0.2 * rng.normal(size=(4, 3, 3))).astype(np.float32)
+    return Avatar(
+        name=f"mannequin {sex}",
+        joint_positions=body.joints,
+        canonical_pose=np.array(BIG_POSE),
+        levels=(level,),
+        network=network,
+        linear=linear,
+        amplitude=0.6,
+        default_view="network",
+        provenance={"body_licence": body.licence},
+    )
+
+
+def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    corners = vertices[faces]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    out = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(out, faces[:, corner], area)
+    length = np.linalg.norm(out, axis=1, keepdims=True)
+    return np.where(length > 0, out / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
