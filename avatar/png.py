@@ -14,7 +14,7 @@ MAX_SIDE = 1 << 15
 def encode_png(image: UInt8[np.ndarray, "..."]) -> bytes:
     """An (H, W) grey or (H, W, 3) RGB image, losslessly, without a colour profile."""
     out = io.BytesIO()
-    Image.fromarray(image).save(out, format="PNG", compress_level=7)
+    Image.fromarray(image).save(out, format="PNG", compress_level=6)
     return out.getvalue()
 
 
