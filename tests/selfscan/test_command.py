@@ -1,0 +1,121 @@
+"""The command line as a person meets it: bad input is one line and exit code 1, wrong usage 2, never a traceback."""
+
+import json
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from selfscan.__main__ import main
+
+ROOT = Path(__file__).parents[2]
+
+
+def run(capsys, *argv: object) -> tuple[int, str]:
+    """Exit code and what stood on standard error."""
+    try:
+        code = main([str(a) for a in argv])
+    except SystemExit as stop:  # argparse
+        code = int(stop.code or 0)
+    return code, capsys.readouterr().err
+
+
+def refused(capsys, *argv: object, names: tuple[str, ...]) -> None:
+    code, err = run(capsys, *argv)
+    assert code == 1, err
+    lines = [line for line in err.strip().splitlines() if not line.startswith("note:")]
+    assert len(lines) == 1 and "Traceback" not in err, err
+    for name in names:
+        assert name in lines[0], f"{name!r} not in: {lines[0]}"
+
+
+def box_glb(path: Path) -> Path:
+    """A valid glTF of one triangle and no skin: not a humanoid."""
+    points = np.eye(3, dtype="<f4").tobytes()
+    content = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": 36}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 1]}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+    }
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    total = 12 + 8 + len(text) + 8 + len(points)
+    path.write_bytes(
+        struct.pack("<4sII", b"glTF", 2, total)
+        + struct.pack("<I4s", len(text), b"JSON") + text
+        + struct.pack("<I4s", len(points), b"BIN\0") + points
+    )  # fmt: skip
+    return path
+
+
+def test_no_command_prints_usage_and_returns_2(capsys):
+    assert main([]) == 2
+    assert "selfscan COMMAND" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["synth", "train", "bake", "eval", "bench", "render", "play", "doctor"])
+def test_help_teaches_and_an_unknown_option_is_wrong_usage(capsys, name):
+    with pytest.raises(SystemExit) as stop:
+        main([name, "--help"])
+    assert stop.value.code == 0
+    assert len(capsys.readouterr().out) > 200
+    code, err = run(capsys, name, "--no-such-option")
+    assert code == 2 and "Traceback" not in err
+
+
+def test_an_unknown_command_is_wrong_usage(capsys):
+    code, err = run(capsys, "dance")
+    assert code == 2 and "dance" in err
+
+
+def test_absent_files_are_named(capsys, tmp_path):
+    absent = tmp_path / "absent.glb"
+    refused(capsys, "render", absent, "--motion", "counting", "-o", tmp_path / "a.png", names=("absent.glb",))
+    refused(capsys, "synth", absent, tmp_path / "cap", names=("absent.glb",))
+    refused(capsys, "train", tmp_path / "cap", "-o", tmp_path / "run", names=("cap",))
+    refused(capsys, "bake", tmp_path / "run", "-o", tmp_path / "a.glb", names=("run",))
+    refused(capsys, "eval", tmp_path / "run", tmp_path / "cap", names=("run",))
+    refused(capsys, "bench", absent, "-o", tmp_path / "bench", names=("absent.glb",))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_gltf_without_a_humanoid_is_refused(capsys, tmp_path):
+    box = box_glb(tmp_path / "box.glb")
+    refused(capsys, "synth", box, tmp_path / "cap", names=("box.glb",))
+    refused(capsys, "render", box, "--motion", "counting", "-o", tmp_path / "a.png", names=("box.glb",))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["box.glb"]
+
+
+def test_a_file_that_is_no_gltf_is_refused(capsys, tmp_path):
+    (tmp_path / "a.glb").write_bytes(b"hello")
+    (tmp_path / "b.glb").write_bytes(b"")
+    for name in ("a.glb", "b.glb"):
+        refused(capsys, "synth", tmp_path / name, tmp_path / "cap", names=(name,))
+        refused(capsys, "render", tmp_path / name, "--motion", "counting", "-o", tmp_path / "a.png", names=(name,))
+
+
+def test_the_player_side_imports_neither_torch_nor_training():
+    """In a fresh process; `selfscan render` must start in the base install."""
+    code = (
+        "import sys, avatar, avatar.avatar_file, avatar.motion, avatar.body, player, player.renderer, player.command, player.film, selfscan.__main__;"
+        "bad = {'torch', 'train', 'bake', 'bench', 'av', 'scipy', 'skimage', 'trimesh'} & set(sys.modules);"
+        "sys.exit(repr(bad) if bad else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_training_imports_neither_player_nor_bake():
+    code = (
+        "import sys, train.command, train.trainer;"
+        "bad = {'player', 'bake', 'bench', 'moderngl', 'glfw'} & set(sys.modules); sys.exit(repr(bad) if bad else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
