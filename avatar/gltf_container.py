@@ -11,7 +11,7 @@ from urllib.parse import unquote
 
 from avatar.errors import AssetError
 
-MAX_BYTES = 1 << 30  # a file, and all buffers together
+MAX_BYTES = 1 << 28  # a file, and all buffers together; text and base64 are held a few times over
 MAX_JSON_VALUES = 2_000_000  # a parsed value costs Python some 60-200 bytes
 
 
