@@ -11,11 +11,12 @@ USUAL_PELVIS, and the notes say so. Betas are not used without a body: they mean
 Arrays are never unpickled and are read row by row out of the archive, deflated or not.
 """
 
+import tokenize
+import warnings
 import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 from jaxtyping import Float
@@ -24,7 +25,12 @@ from avatar.body import Body, shaped
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.motion import Clip, Motion
-from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, quaternion_product
+from avatar.rotation import (
+    axis_angle_from_quaternion,
+    quaternion_from_axis_angle,
+    quaternion_inverse,
+    quaternion_product,
+)
 from avatar.skeleton import JOINTS
 
 Array = np.ndarray
@@ -50,6 +56,12 @@ ZIP_ERRORS = (
     NotImplementedError,
     ValueError,
 )
+HEADER_ERRORS = (
+    SyntaxError,
+    TypeError,
+    KeyError,
+    tokenize.TokenError,
+)  # what NumPy's header parser lets through
 
 
 class NpyRows:
@@ -57,20 +69,19 @@ class NpyRows:
 
     def __init__(self, path: Path, archive: zipfile.ZipFile, name: str):
         self.path, self.name, self.archive = path, name, archive
-        self.file: IO[bytes] | None = None
+        self.file: zipfile.ZipExtFile | None = None
         self.next_row = 0
         self.whole: Array | None = None
-        with self._refusing():
-            with archive.open(f"{name}.npy") as file:
-                version = np.lib.format.read_magic(file)
-                if version not in ((1, 0), (2, 0)):
-                    raise AssetError(f"{path}: {name} is in .npy format {version}, expected 1.0 or 2.0")
-                one = version == (1, 0)
-                read_header = (
-                    np.lib.format.read_array_header_1_0 if one else np.lib.format.read_array_header_2_0
-                )
+        with self._refusing(), archive.open(f"{name}.npy") as file:
+            version = np.lib.format.read_magic(file)
+            if version not in ((1, 0), (2, 0)):
+                raise AssetError(f"{path}: {name} is in .npy format {version}, expected 1.0 or 2.0")
+            one = version == (1, 0)
+            read_header = np.lib.format.read_array_header_1_0 if one else np.lib.format.read_array_header_2_0
+            with warnings.catch_warnings():  # of headers written by Python 2, which are understood
+                warnings.simplefilter("ignore", UserWarning)
                 self.shape, self.by_columns, self.dtype = read_header(file)
-                self.header = file.tell()
+            self.header = file.tell()
         if self.dtype.kind not in "fiuSU":
             raise AssetError(
                 f"{path}: {name} should hold numbers or text, holds {self.dtype} (pickles are not read)"
@@ -125,12 +136,12 @@ class _Refusing:
         return None
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, ZIP_ERRORS + (SyntaxError, TypeError, KeyError)):
+        if isinstance(error, ZIP_ERRORS + HEADER_ERRORS):
             message = f"{self.path}: {self.name} cannot be read, the file is damaged or cut short: {error}"
             raise AssetError(message) from None
 
 
-def _exactly(file: IO[bytes], size: int) -> bytes:
+def _exactly(file: zipfile.ZipExtFile, size: int) -> bytes:
     parts, left = [], size
     while left:
         part = file.read(min(left, 1 << 20))
@@ -141,7 +152,7 @@ def _exactly(file: IO[bytes], size: int) -> bytes:
     return b"".join(parts)
 
 
-def _skip(file: IO[bytes], size: int) -> None:
+def _skip(file: zipfile.ZipExtFile, size: int) -> None:
     while size:
         part = file.read(min(size, 1 << 20))
         if not part:
@@ -198,7 +209,8 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
     def block(start: int, stop: int) -> tuple[Array, Array]:
         pose = np.zeros((stop - start, 52, 3))
         for part in parts:
-            values = part.rows.rows(start, stop)[:, part.columns].reshape(stop - start, -1, 3)
+            values = part.rows.rows(start, stop)[:, part.columns]
+            values = values.reshape(stop - start, values.shape[1] // 3, 3)
             _check_finite(path, part.rows.name, values, start, part.joints.start)
             pose[:, part.joints] = values
         root = np.zeros((stop - start, 3))
@@ -208,11 +220,16 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
         root = root + pelvis
         if turn:
             root = np.stack([root[:, 0], root[:, 2], -root[:, 1]], -1)
-            q = quaternion_product(Y_FROM_Z, quaternion_from_axis_angle(pose[:, 0]))
-            pose[:, 0] = axis_angle_from_quaternion(q)
+            pose[:, 0] = _turned(pose[:, 0], Y_FROM_Z)
         return pose, root
 
     return Motion(path.name, frames, rate, tuple(notes), block, height)
+
+
+def _turned(axis_angle: Float[Array, "frames 3"], turn: Float[Array, "4"]) -> Float[Array, "frames 3"]:
+    """Each rotation followed by `turn`, a quaternion."""
+    q = quaternion_from_axis_angle(axis_angle)
+    return axis_angle_from_quaternion(quaternion_product(np.broadcast_to(turn, q.shape), q))
 
 
 def _pose_parts(
@@ -366,20 +383,17 @@ def write_amass(
     J0 = np.asarray(pelvis if pelvis is not None else USUAL_PELVIS if up == "z" else np.zeros(3), np.float64)
     pose, root = np.array(clip.axis_angle, np.float64), np.asarray(clip.root, np.float64)
     if up == "z":
-        inverse = Y_FROM_Z * [-1, -1, -1, 1]
-        pose[:, 0] = axis_angle_from_quaternion(
-            quaternion_product(inverse, quaternion_from_axis_angle(pose[:, 0]))
-        )
+        pose[:, 0] = _turned(pose[:, 0], quaternion_inverse(Y_FROM_Z))
         root = np.stack([root[:, 0], -root[:, 2], root[:, 1]], -1)
-    fields = dict(
-        poses=pose.reshape(len(pose), 156).astype(dtype),
-        trans=(root - J0).astype(dtype),
-        betas=np.zeros(16),
-        gender=np.array("neutral"),
-        mocap_framerate=np.array(float(clip.rate)),
-        up_axis=np.array(up),
-        pelvis=J0,
-    )
+    fields = {
+        "poses": pose.reshape(len(pose), 156).astype(dtype),
+        "trans": (root - J0).astype(dtype),
+        "betas": np.zeros(16),
+        "gender": np.array("neutral"),
+        "mocap_framerate": np.array(float(clip.rate)),
+        "up_axis": np.array(up),
+        "pelvis": J0,
+    }
     if clip.pelvis_height is not None:
         fields["pelvis_height"] = np.array(float(clip.pelvis_height))
     with whole_file(path) as file:

@@ -18,7 +18,7 @@ from avatar.rotation import matrix_from_axis_angle
 
 Array = np.ndarray
 
-INDEX_STEP = 256  # a place in the file is remembered every so many frames
+INDEX_STEP = 64  # a place in the file is remembered every so many frames
 MOST_JOINTS = 10_000
 LONGEST_LINE = 1 << 20  # bytes
 
@@ -35,7 +35,7 @@ class Bvh:
     channels: tuple[tuple[str, ...], ...]  # per joint, such as ("Xposition", ..., "Zrotation", ...)
     frames: int
     rate: float  # frames per second
-    places: tuple[tuple[int, int], ...] = field(repr=False)  # byte and line of frames 0, 256, 512, ...
+    places: tuple[tuple[int, int], ...] = field(repr=False)  # byte and line of frames 0, 64, 128, ...
 
     @property
     def width(self) -> int:
@@ -55,7 +55,9 @@ class Bvh:
             while len(rows) < stop - start:
                 text = file.readline(LONGEST_LINE)
                 if not text:
-                    raise AssetError(f"{self.path}: line {line}: the file has become shorter while it was read")
+                    raise AssetError(
+                        f"{self.path}: line {line}: the file has become shorter while it was read"
+                    )
                 row += text.split()
                 if len(row) >= self.width:
                     if skip:
@@ -72,11 +74,15 @@ class Bvh:
         except ValueError as error:
             raise AssetError(f"{self.path}: line {line}: frame {frame}: {error}") from None
         if len(row) != self.width:
-            raise AssetError(f"{self.path}: line {line}: frame {frame} should have {self.width} numbers, has {len(row)}")
+            raise AssetError(
+                f"{self.path}: line {line}: frame {frame} should have {self.width} numbers, has {len(row)}"
+            )
         if not np.isfinite(row).all():
             channel = int(np.argmax(~np.isfinite(row)))
             joint = int(np.searchsorted(np.cumsum([len(c) for c in self.channels]), channel, side="right"))
-            raise AssetError(f"{self.path}: line {line}: frame {frame}, joint {self.names[joint]} is not finite")
+            raise AssetError(
+                f"{self.path}: line {line}: frame {frame}, joint {self.names[joint]} is not finite"
+            )
         return row
 
     def transforms(
@@ -184,11 +190,15 @@ def _hierarchy(reader: _Lines):
         key = words[0].upper()
         if key in ("ROOT", "JOINT"):
             if waiting is not None or (key == "ROOT") != (not names) or (open_joints and open_joints[-1] < 0):
-                raise reader.error(f"{key} {' '.join(words[1:])} cannot stand here; one ROOT, then JOINTs inside braces")
+                raise reader.error(
+                    f"{key} {' '.join(words[1:])} cannot stand here; one ROOT, then JOINTs inside braces"
+                )
             if key == "JOINT" and not open_joints:
                 raise reader.error("JOINT outside of the root's braces")
             if len(words) < 2 or len(names) == MOST_JOINTS:
-                raise reader.error(f"{key} needs a name" if len(words) < 2 else f"more than {MOST_JOINTS} joints")
+                raise reader.error(
+                    f"{key} needs a name" if len(words) < 2 else f"more than {MOST_JOINTS} joints"
+                )
             waiting = len(names)
             names.append(" ".join(words[1:]))
             parents.append(open_joints[-1] if open_joints else -1)
@@ -214,7 +224,9 @@ def _hierarchy(reader: _Lines):
                 raise reader.error(f"CHANNELS promises {' '.join(words[1:2])} names, {len(listed)} follow")
             known = {axis + kind for axis in "XYZ" for kind in ("position", "rotation")}
             if set(listed) - known or len(set(listed)) != len(listed):
-                raise reader.error(f"CHANNELS should be different ones of X/Y/Zposition and X/Y/Zrotation, are {listed}")
+                raise reader.error(
+                    f"CHANNELS should be different ones of X/Y/Zposition and X/Y/Zrotation, are {listed}"
+                )
             channels[open_joints[-1]] = tuple(listed)
         elif key == "}":
             if not open_joints or waiting is not None:
@@ -225,7 +237,9 @@ def _hierarchy(reader: _Lines):
         elif key == "MOTION":
             break
         elif not brace:
-            raise reader.error(f"expected JOINT, End Site, OFFSET, CHANNELS, a brace or MOTION, found {words[0][:30]!r}")
+            raise reader.error(
+                f"expected JOINT, End Site, OFFSET, CHANNELS, a brace or MOTION, found {words[0][:30]!r}"
+            )
         if brace:
             if waiting is None:
                 raise reader.error("a brace opens without a joint")
@@ -253,7 +267,7 @@ def _motion_header(reader: _Lines) -> tuple[int, float]:
 
 
 def _index(reader: _Lines, frames: int, width: int) -> tuple[tuple[int, int], ...]:
-    """Where every 256th frame begins; checks that there are as many numbers as promised."""
+    """Where every 64th frame begins; checks that there are as many numbers as promised."""
     if not width:
         raise reader.error("no joint has channels")
     file, places, found, words = reader.file, [], 0, 0
@@ -273,7 +287,9 @@ def _index(reader: _Lines, frames: int, width: int) -> tuple[tuple[int, int], ..
             if found > frames:
                 raise reader.error(f"more than the {frames} frames that the header promises")
     if found != frames or words:
-        raise reader.error(f"the header promises {frames} frames of {width} numbers, the file ends in frame {found}")
+        raise reader.error(
+            f"the header promises {frames} frames of {width} numbers, the file ends in frame {found}"
+        )
     return tuple(places)
 
 

@@ -20,29 +20,31 @@ from jaxtyping import Float
 from avatar.amass import write_amass
 from avatar.body import builtin_body
 from avatar.motion import Clip
-from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, nearest_axis_angle
+from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND
 
 Array = np.ndarray
 
 RATE = 30.0
 J = {name: index for index, name in enumerate(JOINTS)}
 FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # order of SMPL+H
-JOINT_SHARE = np.array([[1.2, 1.5, 0.9]] * 4 + [[0.55, 0.75, 1.1]])  # radians of the three joints in a full curl
+JOINT_SHARE = np.array(
+    [[1.2, 1.5, 0.9]] * 4 + [[0.55, 0.75, 1.1]]
+)  # radians of the three joints in a full curl
 MIRROR = np.array([1.0, -1, -1])
 
 # An arm: upper arm direction (3), where the forearm goes as the elbow bends (3), elbow, pronation, wrist
 # flexion, wrist deviation towards the thumb (radians)
 ARM_DOWN = np.array([0.20, -0.97, 0.00, -0.25, 0.00, 0.95, 0.32, 0.15, 0.05, 0.00])
-ARM_COUNTING = np.array([0.30, -0.86, 0.36, -0.05, 0.45, 0.90, 2.15, 1.35, -0.10, 0.00])
+ARM_COUNTING = np.array([0.42, -0.80, 0.44, 0.10, 0.50, 0.86, 1.85, 1.30, -0.15, 0.00])
 ARM_WAVING = np.array([0.86, -0.40, 0.22, 0.12, 0.90, 0.40, 1.75, 0.10, -0.10, 0.00])
 # A hand: curl of index, middle, pinky, ring, thumb (0 straight, 1 closed), spread (radians between neighbours)
-HAND_RELAXED = np.array([0.22, 0.28, 0.36, 0.33, 0.15, 0.02])
+HAND_RELAXED = np.array([0.24, 0.29, 0.36, 0.33, 0.18, -0.06])
 HAND_OPEN = np.array([0.02, 0.00, 0.04, 0.02, -0.10, 0.13])
-HAND_FIST = np.array([0.98, 1.0, 1.0, 1.0, 0.95, 0.0])
+HAND_FIST = np.array([1.06, 1.08, 1.06, 1.08, 0.85, -0.10])
 
 
-def smooth(t: Float[Array, "*b"] | float) -> Array:
+def smooth(t: Float[Array, "*b"] | float) -> Float[Array, "*b"] | float:
     """Minimum-jerk ease from 0 to 1 (Flash and Hogan 1985): 10 t^3 - 15 t^4 + 6 t^5."""
     t = np.clip(t, 0, 1)
     return t * t * t * (10 + t * (6 * t - 15))
@@ -85,7 +87,11 @@ def _finger_axes() -> tuple[Array, Array]:
     axes = np.zeros((5, 3, 3))
     for f, finger in enumerate(FINGERS):
         for n in range(3):
-            start, end = (f"left_{finger}{n + 1}", f"left_{finger}{n + 2}") if n < 2 else (f"left_{finger}2", f"left_{finger}3")
+            start, end = (
+                (f"left_{finger}{n + 1}", f"left_{finger}{n + 2}")
+                if n < 2
+                else (f"left_{finger}2", f"left_{finger}3")
+            )
             bone = _unit(joints[J[end]] - joints[J[start]])
             inward = palm
             if finger == "thumb":  # the thumb closes over the palm towards the little finger
@@ -111,7 +117,9 @@ def relaxed_hands() -> Float[Array, "30 3"]:
     return np.concatenate([left, left * MIRROR])
 
 
-def set_arm(pose: Float[Array, "52 3"], side: str, arm: Float[Array, "10"], chest: Float[Array, "3 3"]) -> None:
+def set_arm(
+    pose: Float[Array, "52 3"], side: str, arm: Float[Array, "10"], chest: Float[Array, "3 3"]
+) -> None:
     """Collar, shoulder, elbow and wrist from an arm's description; `chest` is world_from_spine3.
 
     The collar takes a tenth of the raising of the arm above the horizontal T-pose, as shoulders do.
@@ -205,7 +213,7 @@ def counting() -> Clip:
             if n == 4:
                 hand[5] = HAND_OPEN[5]
             elif n:
-                hand[5] = 0.07
+                hand[5] = 0.06
             keys.append((start + n * beat + move, hand.copy()))
         return keyed([*keys, (8.9, hand.copy()), (9.7, HAND_RELAXED)])
 
@@ -247,7 +255,6 @@ def counting() -> Clip:
 def walking() -> Clip:
     """Eight seconds: once round a circle, eight strides, arms swinging, loose fingers; ends where it began."""
     height, ankles = _standing()
-    body = builtin_body("male")
     radius, duration, strides, stance = 1.1, 8.0, 8, 0.62
     stride = duration / strides
     lateral = 0.075
@@ -262,8 +269,8 @@ def walking() -> Clip:
     def turn(y: float) -> Array:
         return matrix_from_axis_angle(np.array([0, y, 0]))
 
-    pitch_at = keyed([(0.0, np.array(-0.30)), (0.12, np.array(0.0)), (0.36, np.array(0.0)), (stance, np.array(0.80)),
-                      (stance + 0.12, np.array(0.65)), (0.93, np.array(-0.30)), (1.0, np.array(-0.30))])  # fmt: skip
+    pitch_at = keyed([(0.0, np.array([-0.30])), (0.12, np.array([0.0])), (0.36, np.array([0.0])), (stance, np.array([0.80])),
+                      (stance + 0.12, np.array([0.65])), (0.93, np.array([-0.30])), (1.0, np.array([-0.30]))])  # fmt: skip
 
     def foot_at(side: str, t: float) -> tuple[Array, Array, float]:
         """Ankle place, foot rotation and toe bend of one foot."""
@@ -280,17 +287,19 @@ def walking() -> Clip:
             pivot = ball if pitch > 0 else heel
             return at + flat @ pivot - foot @ pivot, foot
 
-        pitch = float(pitch_at(part))
+        pitch = float(pitch_at(part)[0])
         if part < stance:
             at, foot = planted(step, pitch)
             return at, foot, max(0.0, pitch) * 0.85
         s = (part - stance) / (1 - stance)
-        a, _ = planted(step, float(pitch_at(stance)))
-        b, _ = planted(step + 1, float(pitch_at(0.0)))
+        a, _ = planted(step, float(pitch_at(stance)[0]))
+        b, _ = planted(step + 1, float(pitch_at(0.0)[0]))
         blend = 0.25 * s + 0.75 * float(smooth(s))  # leaves and lands with the speed of the body, not at rest
         at = a + blend * (b - a) + [0, 0.05 * np.sin(np.pi * s) ** 2, 0]
         (_, h0), (_, h1) = place(0.0), place(stride)
-        heading = place((step + stance / 2 - (0.0 if side == "left" else 0.5)) * stride)[1] + blend * (h1 - h0)
+        heading = place((step + stance / 2 - (0.0 if side == "left" else 0.5)) * stride)[1] + blend * (
+            h1 - h0
+        )
         foot = turn(heading + 0.10 * sign) @ matrix_from_axis_angle(np.array([pitch, 0, 0]))
         return at, foot, max(0.0, pitch) * 0.85 * (1 - float(smooth(4 * s)))
 
@@ -302,10 +311,12 @@ def walking() -> Clip:
         pose = np.zeros((52, 3))
         shift = 0.022 * np.sin(phase - 0.35)  # over the standing foot: the left one in the first half
         root = point + turn(heading) @ np.array([shift, 0, 0])
-        root[1] = height - 0.040 - 0.014 * np.cos(2 * phase - 0.5)
+        root[1] = height - 0.024 - 0.012 * np.cos(2 * phase - 0.5)
         yaw, roll = 0.10 * np.cos(phase), 0.035 * np.sin(phase)
         # the left foot is ahead at phase 0: the pelvis turns its left side forward (about -y)
-        pose[0] = axis_angle_from_matrix(turn(heading - yaw) @ matrix_from_axis_angle(np.array([0.04, 0, roll])))
+        pose[0] = axis_angle_from_matrix(
+            turn(heading - yaw) @ matrix_from_axis_angle(np.array([0.04, 0, roll]))
+        )
         pose[J["spine1"]] = [0.01, 0.6 * yaw, -0.5 * roll]
         pose[J["spine2"]] = [0.01, 0.7 * yaw, -0.5 * roll]
         pose[J["spine3"]] = [0.0, 0.5 * yaw, -0.3 * roll]
@@ -321,16 +332,19 @@ def walking() -> Clip:
             arm[8] = 0.05 - 0.08 * np.sin(phase) * sign
             set_arm(pose, side, arm, chest)
         for k in range(2):  # the fingers close and open in a slow wave, little finger first
-            wave = 0.5 - 0.5 * np.cos(2 * np.pi * (t / 4 + 0.25 * k) - np.array([0.9, 0.6, 0.0, 0.3, 1.0, 0.0]))
+            wave = 0.5 - 0.5 * np.cos(
+                2 * np.pi * (t / 4 + 0.25 * k) - np.array([0.9, 0.6, 0.0, 0.3, 1.0, 0.0])
+            )
             hand = HAND_RELAXED + np.array([0.35, 0.38, 0.40, 0.40, 0.30, 0.0]) * wave
             fingers = hand_pose(hand)
             pose[(LEFT_HAND, RIGHT_HAND)[k]] = fingers * (MIRROR if k else 1)
         for side in ("left", "right"):
             ankle, foot, toes = foot_at(side, t)
             set_leg(pose, side, root, ankle, foot, toes)
+        if poses:  # a full circle: past half a turn the vector grows on instead of changing its sign
+            pose[0] = nearest_axis_angle(pose[0], poses[-1][0])
         poses.append(pose)
         roots.append(root)
-    del body
     return Clip(np.array(poses), np.array(roots), RATE, (), height)
 
 

@@ -23,7 +23,7 @@ class Clip:
 
     axis_angle: Float[Array, "frames 52 3"]  # parent_from_joint; joint 0 is world_from_pelvis
     root: Float[Array, "frames 3"]  # pelvis joint in world
-    rate: float  # frames per second
+    rate: float | int  # frames per second
     notes: tuple[str, ...] = ()  # what the reader assumed, one line each, for printing
     pelvis_height: float | None = None  # rest height of the pelvis above the soles of the body that root fits
 
@@ -37,7 +37,7 @@ class Motion:
 
     name: str
     frames: int
-    rate: float
+    rate: float | int
     notes: tuple[str, ...]
     block: Callable[[int, int], tuple[Array, Array]] = field(repr=False)  # (start, stop) -> axis_angle, root
     pelvis_height: float | None = None
@@ -92,7 +92,7 @@ def builtin_motion(name: str) -> Motion:
     return read_amass(Path(str(files("avatar") / "data" / "motions" / f"{name}.npz")))
 
 
-def resample(clip: Clip, rate: float) -> Clip:
+def resample(clip: Clip, rate: float | int) -> Clip:
     """The clip at another frame rate: joints by slerp on the shorter arc, the root linearly.
 
     First frame stays first; the last new frame is the last that is not after the old last one. At the same
@@ -113,7 +113,7 @@ def resample(clip: Clip, rate: float) -> Clip:
     return replace(clip, axis_angle=joints, root=root, rate=rate)
 
 
-def fitted(clip: Clip, pelvis_height: float) -> Clip:
+def fitted(clip: Clip, pelvis_height: float | int) -> Clip:
     """The clip for a body whose pelvis stands at another height: root scaled by the ratio of the heights.
 
     Unchanged, with a note, where the clip does not know the height of its own body.

@@ -101,14 +101,18 @@ def _joint_map(bvh: Bvh) -> tuple[dict[str, int], dict[str, int], list[str]]:
             for n in (1, 2, 3)
             if f"hand{alias}{n}" in have or f"{alias}{n}" in have
         }
-        if sum(f"{finger}2" in chains for finger in FINGER_NAMES) >= 3:  # else a lump that means "the fingers"
+        if (
+            sum(f"{finger}2" in chains for finger in FINGER_NAMES) >= 3
+        ):  # else a lump that means "the fingers"
             for finger, index in chains.items():
                 turns[f"{side}_{finger}"] = places[f"{side}_{finger}"] = index
     head = next((by_side[""][n] for n in ("head",) if n in by_side[""]), None)
     missing = [k for k in absent if k.split("_")[1] in REQUIRED] + (["head"] if head is None else [])
     if missing:
         names = ", ".join(bvh.names[:12])
-        raise AssetError(f"{bvh.path}: no joint was found for {', '.join(missing)}; the file has {names}, ...")
+        raise AssetError(
+            f"{bvh.path}: no joint was found for {', '.join(missing)}; the file has {names}, ..."
+        )
     turns["head"] = places["head"] = head
     return turns, places, absent
 
@@ -172,7 +176,7 @@ def retarget(bvh: Bvh, body: Body | None = None) -> Motion:
     scale = _scale(bvh, places, rest, ours, notes)
 
     sample = np.unique(np.linspace(0, bvh.frames - 1, min(bvh.frames, SAMPLED_FRAMES)).astype(int))
-    values = np.concatenate([bvh.values(k, k + 1) for k in sample])
+    values = np.concatenate([bvh.values(int(k), int(k) + 1) for k in sample])
     G, at = bvh.transforms(values)
     mid = (at[:, places["left_hip"]] + at[:, places["right_hip"]]) / 2
     W = _world_turn((at[:, turns["head"]] - mid).mean(0), notes)
@@ -186,13 +190,15 @@ def retarget(bvh: Bvh, body: Body | None = None) -> Motion:
         column = [bottom] + [G[:, k] @ root for k in spine]
         for n, name in enumerate(("spine1", "spine2", "spine3"), start=1):
             out[:, J[name]] = _along(column, n / 3)
-        out[:, J["neck"]] = G[:, neck[-1]] @ root if neck else _along([column[-1], G[:, turns["head"]] @ root], 0.5)
+        out[:, J["neck"]] = (
+            G[:, neck[-1]] @ root if neck else _along([column[-1], G[:, turns["head"]] @ root], 0.5)
+        )
         out[:, J["head"]] = G[:, turns["head"]] @ root
         for joint in range(1, 52):
             name = JOINTS[joint]
             if name in turns and name != "head":
                 out[:, joint] = G[:, turns[name]] @ A[name]
-            elif joint >= 13 and name not in ("head",) or name.endswith(("_foot", "_ankle")):
+            elif (joint >= 13 and name != "head") or name.endswith(("_foot", "_ankle")):
                 out[:, joint] = out[:, PARENTS[joint]]
         return W @ out
 
@@ -282,7 +288,11 @@ def _rest_alignment(
                 A[collar] = aligned(root, our_bone(collar, shoulder), theirs)
         A[shoulder] = aligned(root, our_bone(shoulder, elbow), bone(shoulder, elbow))
         turned.append((shoulder, root, A[shoulder]))
-        A[elbow] = aligned(A[shoulder], our_bone(elbow, wrist), bone(elbow, wrist)) if wrist in places else A[shoulder]
+        A[elbow] = (
+            aligned(A[shoulder], our_bone(elbow, wrist), bone(elbow, wrist))
+            if wrist in places
+            else A[shoulder]
+        )
         A[wrist] = A[elbow]
         if f"{side}_index1" in places and f"{side}_pinky1" in places and f"{side}_middle1" in places:
             names = [f"{side}_{n}" for n in ("middle1", "index1", "pinky1")]
@@ -299,7 +309,9 @@ def _rest_alignment(
     for name, a, b in turned[:2]:
         angle = np.degrees(np.linalg.norm(axis_angle_from_matrix(a.T @ b)))
         if angle > 10:
-            notes.append(f"rest pose: {name.split('_')[1]} bones rest {angle:.0f} degrees off our T-pose, aligned")
+            notes.append(
+                f"rest pose: {name.split('_')[1]} bones rest {angle:.0f} degrees off our T-pose, aligned"
+            )
     return A, flat
 
 
@@ -319,7 +331,11 @@ def _heading(ours: Array, theirs: Array) -> Float[Array, "3 3"]:
 
 def _scale(bvh: Bvh, places: dict[str, int], rest: Array, ours: Array, notes: list[str]) -> float:
     def leg(at: Array, index: dict[str, int]) -> float:
-        pairs = [(f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))]
+        pairs = [
+            (f"{s}_{a}", f"{s}_{b}")
+            for s in ("left", "right")
+            for a, b in (("hip", "knee"), ("knee", "ankle"))
+        ]
         return sum(float(np.linalg.norm(at[index[b]] - at[index[a]])) for a, b in pairs) / 2
 
     theirs, mine = leg(rest, places), leg(ours, J)
@@ -334,7 +350,10 @@ def _world_turn(upright: Array, notes: list[str]) -> Float[Array, "3 3"]:
     axis = int(np.argmax(np.abs(upright)))
     sign = "+" if upright[axis] > 0 else "-"
     up = np.eye(3)[axis] * (1 if sign == "+" else -1)
-    notes.append(f"up: {sign}{'xyz'[axis]}, the axis the body mostly stands along" + (", turned to y" if up[1] != 1 else ""))
+    notes.append(
+        f"up: {sign}{'xyz'[axis]}, the axis the body mostly stands along"
+        + (", turned to y" if up[1] != 1 else "")
+    )
     return np.round(rotation_between(up, np.array([0.0, 1, 0])))
 
 
@@ -358,7 +377,9 @@ def _choose_soles(rotations, G: Array, A: dict, flat: dict, ours: Array, notes: 
     if a <= b:
         A.update(with_leg)
     if abs(a - b) > 2:
-        notes.append(f"feet: rolled {'with the leg' if a <= b else 'flat'} at rest (soles tilt {min(a, b):.0f}, else {max(a, b):.0f} degrees)")
+        notes.append(
+            f"feet: rolled {'with the leg' if a <= b else 'flat'} at rest (soles tilt {min(a, b):.0f}, else {max(a, b):.0f} degrees)"
+        )
 
 
 def _ground(body: Body, pose: Array, root: Array) -> float:
@@ -370,7 +391,9 @@ def _ground(body: Body, pose: Array, root: Array) -> float:
         for joint in (f"{side}_ankle", f"{side}_foot"):
             bones = body.skin.joints[low, np.argmax(body.skin.weights[low], -1)]
             mine = low[bones == J[joint]]
-            points += [(J[joint], vertices[k] - body.joints[J[joint]]) for k in mine[:: max(1, len(mine) // 12)]]
+            points += [
+                (J[joint], vertices[k] - body.joints[J[joint]]) for k in mine[:: max(1, len(mine) // 12)]
+            ]
     G = joint_transforms(pose, body.joints, root)
     index = [k for k, _ in points]
     at = np.array([p for _, p in points])

@@ -1,0 +1,181 @@
+"""Pose files that lie, are damaged, or are longer than memory."""
+
+import tracemalloc
+import zipfile
+
+import numpy as np
+import pytest
+
+from avatar.body import builtin_body
+from avatar.errors import AssetError
+from avatar.motion import read_motion
+from avatar.skeleton import JOINTS
+
+TRANS = np.zeros((3, 3))
+
+
+def save(path, **fields):
+    fields = dict({"poses": np.zeros((3, 156)), "trans": TRANS, "mocap_framerate": np.array(30.0)}, **fields)
+    np.savez(path, **{k: v for k, v in fields.items() if v is not None})
+    return path
+
+
+@pytest.mark.parametrize("joint", [0, 20, 51])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_one_bad_number_is_named_by_file_field_frame_and_joint(tmp_path, joint, bad):
+    poses = np.zeros((3, 156))
+    poses[2, 3 * joint + 1] = bad
+    motion = read_motion(save(tmp_path / "walk.npz", poses=poses))
+    motion.read(0, 2)
+    with pytest.raises(
+        AssetError, match=rf"walk\.npz: poses is not finite at frame 2, joint {JOINTS[joint]}"
+    ):
+        motion.read(1, 3)
+
+
+def test_one_bad_root_position_is_named(tmp_path):
+    trans = TRANS.copy()
+    trans[1, 2] = np.nan
+    with pytest.raises(AssetError, match="trans is not finite at frame 1"):
+        read_motion(save(tmp_path / "a.npz", trans=trans)).read()
+
+
+@pytest.mark.parametrize("columns", [63, 69, 75, 78, 87, 153, 155, 3, 0, 1 << 20])
+def test_ambiguous_column_counts_are_refused_with_the_reason(tmp_path, columns):
+    with pytest.raises(
+        AssetError, match=rf"a\.npz: poses should have 156, 165, 66 or 72 columns, has {columns}"
+    ):
+        read_motion(save(tmp_path / "a.npz", poses=np.zeros((3, columns))))
+
+
+@pytest.mark.parametrize("columns", [66, 72, 156, 165])
+def test_understood_column_counts_read_as_52_joints(tmp_path, columns):
+    clip = read_motion(save(tmp_path / "a.npz", poses=np.ones((3, columns)))).read()
+    assert clip.axis_angle.shape == (3, 52, 3)
+    assert (clip.axis_angle[:, 1:22] == 1).all()
+    assert (clip.axis_angle[:, 22:] == (1 if columns > 100 else 0)).all()
+
+
+def test_no_frames_is_refused_and_one_frame_is_a_motion(tmp_path):
+    with pytest.raises(AssetError, match="0 frames"):
+        read_motion(save(tmp_path / "a.npz", poses=np.zeros((0, 156)), trans=np.zeros((0, 3))))
+    motion = read_motion(save(tmp_path / "b.npz", poses=np.zeros((1, 156)), trans=np.zeros((1, 3))))
+    assert motion.frames == 1 and motion.read().root.shape == (1, 3)
+
+
+@pytest.mark.parametrize("rate", [0.0, -30.0, np.nan, np.inf])
+def test_impossible_frame_rates_are_refused(tmp_path, rate):
+    with pytest.raises(AssetError, match="mocap_framerate should be positive"):
+        read_motion(save(tmp_path / "a.npz", mocap_framerate=np.array(rate)))
+
+
+def test_a_shape_file_is_refused(tmp_path):
+    np.savez(tmp_path / "shape.npz", betas=np.zeros(16), gender="male")
+    with pytest.raises(AssetError, match=r"no poses \(a shape file\?\)"):
+        read_motion(tmp_path / "shape.npz")
+
+
+def test_pickled_arrays_are_never_read(tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "executed"), "w"))
+
+    np.savez(tmp_path / "a.npz", poses=np.array([Bomb()], object), trans=TRANS, mocap_framerate=30)
+    (tmp_path / "executed").unlink(missing_ok=True)
+    with pytest.raises(AssetError, match="pickles are not read"):
+        read_motion(tmp_path / "a.npz")
+    assert not (tmp_path / "executed").exists()
+
+
+@pytest.mark.parametrize(
+    "field, value", [("trans", np.zeros((2, 3))), ("trans", np.zeros((3, 2))), ("trans", np.zeros(3))]
+)
+def test_fields_that_disagree_are_named(tmp_path, field, value):
+    with pytest.raises(AssetError, match=f"{field} should be"):
+        read_motion(save(tmp_path / "a.npz", **{field: value}))
+
+
+@pytest.mark.parametrize("deflated", [False, True])
+def test_a_file_cut_anywhere_is_refused(tmp_path, deflated):
+    rng = np.random.default_rng(1)
+    write = np.savez_compressed if deflated else np.savez
+    write(tmp_path / "a.npz", poses=rng.normal(size=(20, 156)), trans=np.zeros((20, 3)), mocap_framerate=30.0)
+    whole = (tmp_path / "a.npz").read_bytes()
+    for cut in [0, 1, 30, 100, 1000, len(whole) // 2, len(whole) - 30, len(whole) - 1]:
+        (tmp_path / "cut.npz").write_bytes(whole[:cut])
+        with pytest.raises(AssetError, match=r"cut\.npz"):
+            read_motion(tmp_path / "cut.npz").read()
+
+
+def test_flipped_bytes_give_an_error_or_finite_frames(tmp_path):
+    rng = np.random.default_rng(2)
+    save(tmp_path / "a.npz", poses=rng.normal(size=(4, 156)), trans=np.zeros((4, 3)))
+    whole = (tmp_path / "a.npz").read_bytes()
+    refused = 0
+    for _ in range(300):
+        damaged = bytearray(whole)
+        for place in rng.integers(0, len(whole), 3):
+            damaged[place] ^= 1 << rng.integers(8)
+        (tmp_path / "b.npz").write_bytes(damaged)
+        try:
+            clip = read_motion(tmp_path / "b.npz").read()
+        except AssetError:
+            refused += 1
+        else:
+            assert np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()
+    assert refused > 250  # the archive's checksums see nearly all of it
+
+
+@pytest.mark.parametrize(
+    "shape", ["(9000000000000, 156)", "(-3, 156)", "(3, 156, 4294967296, 4294967296)", "(3.5, 156)"]
+)
+def test_a_header_that_promises_more_than_there_is_costs_no_memory(tmp_path, shape):
+    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}"
+    header = header.ljust(117) + "\n"
+    member = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(8 * 156 * 3)
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("poses.npy", member)
+    tracemalloc.start()
+    with pytest.raises(AssetError, match=r"a\.npz: poses"):
+        read_motion(tmp_path / "a.npz")
+    assert tracemalloc.get_traced_memory()[1] < 10e6
+    tracemalloc.stop()
+
+
+def test_a_million_frames_are_read_in_constant_memory(tmp_path, within):
+    frames = 1_000_000
+    header = f"{{'descr': '<f2', 'fortran_order': False, 'shape': ({frames}, 156), }}".ljust(117) + "\n"
+    block = np.zeros((1000, 156), "<f2").tobytes()
+    with (
+        zipfile.ZipFile(tmp_path / "long.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open("poses.npy", "w", force_zip64=True) as file,
+    ):
+        file.write(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode())
+        for _ in range(frames // 1000):
+            file.write(block)
+    tracemalloc.start()
+    motion = read_motion(tmp_path / "long.npz")
+    assert motion.frames == frames
+    for start in (0, 400_000, frames - 100):
+        motion.read(start, start + 100)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    within(peak / 2**20, 16, "MiB")
+
+
+def test_a_long_bvh_is_read_in_constant_memory(tmp_path, data, within):
+    text = (data / "bvh" / "pybvh_cmu_12_01_walk.bvh").read_text()
+    head, motion = text.split("Frames: 524")
+    time, frames = motion.split("\n", 2)[1:]
+    with open(tmp_path / "long.bvh", "w") as file:
+        file.write(f"{head}Frames: {524 * 8}\n{time}\n")
+        for _ in range(8):
+            file.write(frames.rstrip("\n") + "\n")
+    builtin_body("male")  # loaded once, whatever the motion
+    tracemalloc.start()
+    motion = read_motion(tmp_path / "long.bvh")
+    a, b = motion.read(24, 34), motion.read(524 * 7 + 24, 524 * 7 + 34)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    np.testing.assert_array_equal(a.axis_angle, b.axis_angle)
+    within(peak / 2**20, 8, "MiB")
