@@ -1,18 +1,18 @@
 """What is evaluated, a run's field or a baked avatar, as a surface to pose and a picture to draw."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from train.run import read_run
+from jaxtyping import Float
 
 from avatar.avatar_file import Avatar, Level, read_avatar
 from avatar.camera import Camera
 from avatar.skinning import SkinWeights
-from bench.field_view import Picture, PosableSurface, draw_surface, paper_colour, run_directions, run_surface
+from bench.field_view import FieldView, Picture, PosableSurface, averaged
 from player.context import open_context
 from player.raster import Rasteriser
 from player.renderer import Renderer
+from train.run import read_run
 
 
 def level_surface(avatar: Avatar, level: Level) -> PosableSurface:
@@ -28,49 +28,40 @@ def level_surface(avatar: Avatar, level: Level) -> PosableSurface:
 
 
 class Drawer:
-    """Draws the field of a run, or a baked avatar, and gives back what it made."""
+    """Draws the field of a run (a folder) or a baked avatar (a file), and gives back what it made."""
 
     def __init__(self, path: Path):
-        self.path = Path(path)
+        self.field: FieldView | None = None
+        self.avatar: Avatar | None = None
+        if Path(path).is_dir():
+            run = read_run(Path(path))
+            self.provenance = run.provenance
+            self.field = FieldView(run)
+            self.surface = self.field.surface
+        else:
+            self.avatar = read_avatar(path)
+            self.provenance = self.avatar.provenance
+            self.surface = level_surface(self.avatar, self.avatar.levels[0])
         self.context = open_context()
         self.raster = Rasteriser(self.context)
-        self.renderers: dict[tuple[tuple[int, int], str], Any] = {}
-        if self.path.is_dir():
-            self.run = read_run(self.path)
-            self.avatar = None
-            self.surface = run_surface(self.run)
-            self.directions = run_directions(self.run)
-            self.colour = paper_colour(self.run)
-        else:
-            self.run = None
-            self.avatar = read_avatar(self.path)
-            self.surface = level_surface(self.avatar, self.avatar.levels[0])
+        self.renderers: dict[tuple[int, int], Renderer] = {}
 
-    def draw(self, axis_angle: np.ndarray, root: np.ndarray, camera: Camera) -> Picture:
-        if self.run is not None:
-            return self.draw_field(self.surface, axis_angle, root, camera)
-        return self.draw_avatar(axis_angle, root, camera)
-
-    def draw_field(
+    def draw(
         self,
-        surface: PosableSurface,
-        axis_angle: np.ndarray,
-        root: np.ndarray,
+        axis_angle: Float[np.ndarray, "52 3"],
+        root: Float[np.ndarray, "3"],
         camera: Camera,
         samples: int = 1,
     ) -> Picture:
-        posed = surface.posed(axis_angle, root)
-        return draw_surface(self.raster, surface, posed, self.directions, self.colour, camera, samples)
-
-    def draw_avatar(
-        self, axis_angle: np.ndarray, root: np.ndarray, camera: Camera, view: str = "auto"
-    ) -> Picture:
-        key = camera.size, view
-        if key not in self.renderers:
-            self.renderers[key] = Renderer(self.context, [self.avatar], camera.size, view=view)
-        pixels = self.renderers[key].draw([(axis_angle, root)], camera)
-        alpha = pixels[..., 3]
-        return Picture((pixels[..., :3] / np.float32(255)).astype(np.float32), alpha > 127)
+        """One picture on black; `samples` squared rays for each pixel, averaged."""
+        if self.field is not None:
+            return self.field.draw(self.raster, axis_angle, root, camera, samples=samples)
+        assert self.avatar is not None
+        size = (samples * camera.size[0], samples * camera.size[1])
+        if size not in self.renderers:
+            self.renderers[size] = Renderer(self.context, [self.avatar], size, view="off")
+        pixels = self.renderers[size].draw([(axis_angle, root)], camera).astype(np.float32) / 255
+        return averaged(pixels[..., :3], pixels[..., 3] > 0.5, samples)
 
     def release(self) -> None:
         for renderer in self.renderers.values():

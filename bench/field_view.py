@@ -1,29 +1,28 @@
-"""Pictures of the trained field in paper mode: its first surface crossing, coloured at the global view direction.
+"""Pictures of the trained field: its first surface crossing under a posed camera.
 
-The posed fine surface is rasterised; each pixel's canonical point is moved onto the field's zero set and asked
-for its colour at the interpolated mean direction d̄ (paper, Eq. 14), so colour depends on the point alone.
+The posed fine surface is rasterised, each pixel's canonical point is moved onto the field's zero set, and asked
+for its colour there: at the global view direction d̄ (the paper, Eq. 14: colour depends on the point alone), or
+at the pixel's own direction pulled into the cone that training saw (d').
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from avatar.camera import Camera, pixel_rays
+from avatar.skeleton import BIG_POSE, skin_transforms
+from avatar.skinning import SkinWeights, blended_rotations, skin_points
+from bake.cone import clamped_tangent, cone_direction, interpolated, view_cone
+from player.raster import Rasteriser
 from train.run import Run
 
-from avatar.camera import Camera
-from avatar.skeleton import BIG_POSE, skin_transforms
-from avatar.skinning import SkinWeights, skin_points
-from bake.cone import view_cone
-from player.raster import Rasteriser
-
-CHUNK = 1 << 17  # field queries at once
+CHUNK = 1 << 16  # field queries at once
 FARTHEST = 0.004  # metres: a pixel is not moved farther than this onto the zero set
-CLOSE = 1e-4  # metres: nearer to the zero set than this is on it
-
-PointColour = Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
+CLOSE = 2e-4  # metres: nearer than this counts as on it
 
 
 @dataclass(frozen=True)
@@ -39,8 +38,12 @@ class PosableSurface:
     def posed(
         self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
     ) -> Float[np.ndarray, "v 3"]:
-        transforms = skin_transforms(axis_angle, self.joints, root, rest=self.canonical_pose)
-        return skin_points(self.vertices, self.skin, transforms)
+        return skin_points(self.vertices, self.skin, self.transforms(axis_angle, root))
+
+    def transforms(
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "52 4 4"]:
+        return skin_transforms(axis_angle, self.joints, root, rest=self.canonical_pose)
 
 
 class Picture(NamedTuple):
@@ -48,77 +51,84 @@ class Picture(NamedTuple):
     mask: Bool[np.ndarray, "h w"]
 
 
-def run_surface(run: Run) -> PosableSurface:
-    """The fine surface of a run, as its own skin weights pose it."""
-    s = run.surface
-    skin = SkinWeights(np.asarray(s.skin_joints, np.int64), np.asarray(s.skin_weights, np.float32))
-    vertices = np.asarray(s.vertices, np.float64)
-    return PosableSurface(
-        vertices, np.asarray(s.faces, np.int64), skin, np.asarray(run.subject.joints), BIG_POSE
-    )
+class FieldView:
+    """A run made ready for drawing: fine surface, its skin, its view cone."""
 
+    def __init__(self, run: Run):
+        s = run.surface
+        self.field = run.field
+        self.surface = PosableSurface(
+            np.asarray(s.vertices, np.float64),
+            np.asarray(s.faces, np.int64),
+            SkinWeights(s.skin.joints.astype(np.int64), s.skin.weights),
+            np.asarray(run.subject.joints, np.float64),
+            BIG_POSE,
+        )
+        statistics = (s.view_count, s.view_mean, s.view_covariance, s.normals)
+        self.cone = view_cone(*(np.asarray(a, np.float64) for a in statistics), self.surface.faces)
 
-def run_directions(run: Run) -> Float[np.ndarray, "v 3"]:
-    """Global view direction of every vertex of the run's surface, unit; unseen ones filled (FRAMES, View statistics)."""
-    s = run.surface
-    return view_cone(
-        np.asarray(s.view_count, np.float64),
-        np.asarray(s.view_mean, np.float64),
-        np.asarray(s.view_covariance, np.float64),
-        np.asarray(s.normals, np.float64),
-        np.asarray(s.faces, np.int64),
-    ).direction
-
-
-def paper_colour(run: Run) -> PointColour:
-    """Colour of canonical points near the surface at given unit directions, from the trained field."""
-    field = run.field
+    def draw(
+        self,
+        raster: Rasteriser,
+        axis_angle: Float[np.ndarray, "52 3"],
+        root: Float[np.ndarray, "3"],
+        camera: Camera,
+        *,
+        samples: int = 1,
+        cone: bool = False,
+        surface: PosableSurface | None = None,
+    ) -> Picture:
+        """One picture on black, `samples` squared rays a pixel. `cone` asks the field at d' instead of at d̄;
+        `surface` is the same mesh with other skin weights."""
+        surface = surface or self.surface
+        fine = camera.resized((samples * camera.size[0], samples * camera.size[1]))
+        posed = surface.posed(axis_angle, root)
+        fragments = raster.draw(posed, surface.faces, fine)
+        hit = fragments.face >= 0
+        corners = surface.faces[fragments.face[hit]]
+        weight = fragments.barycentric[hit].astype(np.float64)
+        points = (weight[:, :, None] * surface.vertices[corners]).sum(1)
+        seen = interpolated(self.cone, corners, weight)
+        direction = seen.direction
+        if cone:
+            rotations = blended_rotations(surface.skin, surface.transforms(axis_angle, root))
+            rays = pixel_rays(fine)[1].reshape(*hit.shape, 3)[hit]
+            strongest = corners[np.arange(len(corners)), weight.argmax(1)]
+            in_canonical = np.einsum("nji,nj->ni", rotations[strongest], rays)
+            direction = cone_direction(clamped_tangent(in_canonical, seen), seen)
+        image = np.zeros((*hit.shape, 3), np.float32)
+        image[hit] = self.colour(points, direction)
+        return averaged(image, hit, samples)
 
     def colour(
-        points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+        self, points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, "n 3"]:
+        """Colour of canonical points near the surface at given unit directions."""
         out = np.empty((len(points), 3), np.float32)
         with torch.no_grad():
             for start in range(0, len(points), CHUNK):
                 x = torch.as_tensor(points[start : start + CHUNK], dtype=torch.float32)
                 d = torch.as_tensor(directions[start : start + CHUNK], dtype=torch.float32)
-                out[start : start + CHUNK] = field.color(on_surface(field, x), d).clamp(0, 1).numpy()
+                out[start : start + CHUNK] = self.field.color(self.on_zero_set(x), d).clamp(0, 1).numpy()
         return out
 
-    return colour
+    def on_zero_set(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Points moved along the gradient onto the zero set: one Newton step, at most FARTHEST."""
+        distance = self.field.distance(points)
+        off = distance.abs() > CLOSE
+        if not bool(off.any()):
+            return points
+        moved = points.clone()
+        step = distance[off].clamp(-FARTHEST, FARTHEST)[:, None] * self.field.normal(points[off])
+        moved[off] = points[off] - step
+        return moved
 
 
-def on_surface(field, points: torch.Tensor) -> torch.Tensor:
-    """Points moved along the gradient onto the zero set, one Newton step, at most FARTHEST."""
-    distance = field.distance(points)
-    off = distance.abs() > CLOSE
-    if not bool(off.any()):
-        return points
-    moved = points.clone()
-    step = distance[off].clamp(-FARTHEST, FARTHEST)[:, None] * field.normal(points[off])
-    moved[off] = points[off] - step
-    return moved
-
-
-def draw_surface(
-    raster: Rasteriser,
-    surface: PosableSurface,
-    posed: Float[np.ndarray, "v 3"],
-    directions: Float[np.ndarray, "v 3"],
-    colour: PointColour,
-    camera: Camera,
-    samples: int = 1,
-) -> Picture:
-    """One picture of a coloured canonical surface in a pose; `samples` squared rays for each pixel, averaged."""
-    width, height = camera.size
-    fragments = raster.draw(posed, surface.faces, camera, (samples * width, samples * height))
-    hit = fragments.face >= 0
-    corners = surface.faces[fragments.face[hit]]
-    barycentric = fragments.barycentric[hit][:, :, None].astype(np.float64)
-    points = (barycentric * surface.vertices[corners]).sum(1)
-    direction = (barycentric * directions[corners]).sum(1)
-    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
-    image = np.zeros((*hit.shape, 3), np.float32)
-    image[hit] = colour(points, direction)
-    image = image.reshape(height, samples, width, samples, 3).mean((1, 3), dtype=np.float32)
-    return Picture(image, hit.reshape(height, samples, width, samples).mean((1, 3)) >= 0.5)
+def averaged(image: Float[np.ndarray, "a b 3"], mask: Bool[np.ndarray, "a b"], samples: int) -> Picture:
+    """Means of samples x samples blocks; a pixel is inside when at least half of it is."""
+    if samples == 1:
+        return Picture(image, mask)
+    height, width = mask.shape[0] // samples, mask.shape[1] // samples
+    blocks = image.reshape(height, samples, width, samples, 3)
+    cover = mask.reshape(height, samples, width, samples).mean((1, 3))
+    return Picture(blocks.mean((1, 3), dtype=np.float32), cover >= 0.5)

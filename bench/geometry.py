@@ -158,19 +158,20 @@ def closest_points(points: Float[np.ndarray, "n 3"], index: TriangleIndex) -> Cl
     sphere reaches into that bound is tried.
     """
     points = np.asarray(points, np.float64)
-    near = index.tree.query(points, k=min(4, len(index.centre)))[1].reshape(len(points), -1)
+    near = index.tree.query(points, k=min(4, len(index.centre)), workers=-1)[1].reshape(len(points), -1)
     best = ClosestPoints(np.full(len(points), np.inf), np.zeros(len(points), np.int64))
     row = np.repeat(np.arange(len(points)), near.shape[1])
     best = improved(best, points, index.corners, row, near.ravel())
 
     for members, tree in index.classes:
         reach = best.distance + index.radius[members].max()
-        counts = tree.query_ball_point(points, reach, return_length=True)
+        counts = tree.query_ball_point(points, reach, return_length=True, workers=-1)
         start = 0
         while start < len(points):  # as many points as fit in memory, at least one
             fits = int(np.searchsorted(np.cumsum(counts[start:]), PAIRS_AT_ONCE, side="right"))
             stop = min(len(points), start + max(1, fits))
-            lists = tree.query_ball_point(points[start:stop], reach[start:stop], return_sorted=False)
+            near = slice(start, stop)
+            lists = tree.query_ball_point(points[near], reach[near], return_sorted=False, workers=-1)
             row = np.repeat(np.arange(start, stop), counts[start:stop])
             if len(row):
                 face = members[np.concatenate(lists).astype(np.int64)]

@@ -7,6 +7,7 @@ dilated by 5 px. Frames in the T-pose are kept apart.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,7 +19,7 @@ from bench import metrics
 from bench.field_view import Picture
 from bench.held_out import PART_ID, HeldOutView, TrueMesh
 
-Draw = Callable[[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"], Camera], Picture]
+Draw = Callable[[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"], Camera, int], Picture]
 
 REGIONS = ("head", "left_hand", "right_hand", "total")
 VIEW_REGION = {"body": "total", "head": "head", "hand_left": "left_hand", "hand_right": "right_hand"}
@@ -28,6 +29,7 @@ REGION_PART = {
     "right_hand": PART_ID["hand_right"],
 }
 BOX_MARGIN = 0.02  # metres round the posed true region
+SAMPLES = 2  # squared rays a pixel of ours; the truth is smoothed as well, by 3 x 3
 DILATION = 5  # pixels of the true part mask
 T_POSE = np.radians(5.0)  # a frame whose joints all turn less is a T-pose frame
 
@@ -97,11 +99,18 @@ def region_pictures(
     return truth * around, image * around, mask
 
 
+class SetScores(NamedTuple):
+    """Scores of one set of pictures by region; T-pose frames apart where that was asked for."""
+
+    scored: dict[str, ImageScores]
+    t_pose: dict[str, ImageScores]
+
+
 def score_images(
-    views: list[HeldOutView], mesh: TrueMesh, draw: Draw, label: str
-) -> dict[str, dict[bool, ImageScores]]:
-    """Scores by region, T-pose frames (True) apart from the others (False)."""
-    scores = {region: {False: ImageScores(), True: ImageScores()} for region in REGIONS}
+    views: list[HeldOutView], mesh: TrueMesh, draw: Draw, label: str, *, t_pose_apart: bool
+) -> SetScores:
+    """Draw and score every picture of a set."""
+    scores = SetScores({region: ImageScores() for region in REGIONS}, {})
     vertices_of = {region: np.flatnonzero(mesh.part == part) for region, part in REGION_PART.items()}
     vertices_of["total"] = np.unique(mesh.faces)
     posed: tuple[int, np.ndarray] = (-1, np.zeros((0, 3)))
@@ -111,9 +120,13 @@ def score_images(
         region = VIEW_REGION[view.view]
         points = posed[1][vertices_of[region]]
         box = box_pixels(view.camera, points.min(0) - BOX_MARGIN, points.max(0) + BOX_MARGIN)
-        image = draw(view.axis_angle, view.root, view.camera).colour
+        image = draw(view.axis_angle, view.root, view.camera, SAMPLES).colour
         truth, image, mask = region_pictures(view, region, view.image(), image)
-        scores[region][is_t_pose(view)].add(truth, image, box, mask)
+        into = scores.scored
+        if t_pose_apart and is_t_pose(view):
+            into = scores.t_pose
+            into.setdefault(region, ImageScores())
+        into[region].add(truth, image, box, mask)
     return scores
 
 

@@ -11,7 +11,7 @@ from bench.field_view import PosableSurface
 from bench.held_out import TrueMesh
 from bench.picture_scores import REGION_PART
 
-SAMPLES = {"total": 8000, "head": 4000, "left_hand": 3000, "right_hand": 3000}
+SAMPLES = {"total": 6000, "head": 3000, "left_hand": 2000, "right_hand": 2000}
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,7 @@ def evaluate(path: Path, capture: Path, *, own_weights: bool = True) -> dict[str
     finally:
         drawer.release()
     source = {"path": str(path), "kind": "avatar" if drawer.avatar is not None else "run"}
-    source["provenance"] = drawer.avatar.provenance if drawer.avatar is not None else drawer.run.provenance
+    source["provenance"] = drawer.provenance
     kept = ("subject", "light", "sheen", "pose_noise_deg", "seed", "registration")
     return {
         "format": "selfscan-quality",
@@ -102,28 +102,37 @@ def measured(
     }
     beside["canonical"] = regions_of(measure_once(case, BIG_POSE, truth.joints[0]))
     for name, views in held_out.items():
-        images = score_images(views, truth, drawer.draw, f"{name} pictures")
+        # novel views are of a standing T-pose by design; among novel poses a T-pose frame would flatter
+        apart = name == "novel_pose"
+        images = score_images(views, truth, drawer.draw, f"{name} pictures", t_pose_apart=apart)
         distances = {kind: {region: Distances() for region in SAMPLES} for kind in ("ours", "own", "aligned")}
-        poses = {view.pose_index: view for view in views if not is_t_pose(view)}
-        for view in progress(list(poses.values()), f"{name} surfaces"):
+        poses = distinct_poses([view for view in views if not (apart and is_t_pose(view))])
+        for view in progress(poses, f"{name} surfaces"):
             pose = view.axis_angle, view.root
             truth_posed, posed = truth.posed(*pose), surface.posed(*pose)
             measure_pose(case, truth_posed, posed, distances["ours"])
-            if name == "novel_pose":
+            if apart:
                 measure_pose(case, truth_posed, aligned_total(case, truth_posed, posed), distances["aligned"])
                 if own is not None:
                     measure_pose(case, truth_posed, own.posed(*pose), distances["own"])
-        out[name] = regions_of(distances["ours"], {r: s[False] for r, s in images.items()})
-        apart = {r: s[True] for r, s in images.items() if s[True].box.values}
+        out[name] = regions_of(distances["ours"], images.scored)
         if apart:
-            beside.setdefault("t_pose_frames", {})[name] = regions_of({}, apart)
-        if name == "novel_pose":
             beside["aligned"] = regions_of(distances["aligned"])
             beside["own_weights"] = regions_of(distances["own"]) if own is not None else {}
             beside["poses"] = len(poses)
+            if images.t_pose:
+                beside["t_pose_frames"] = regions_of({}, images.t_pose)
     out["baked_vs_field"] = baked_vs_field_of(drawer)
     out["beside"] = beside
     return out
+
+
+def distinct_poses(views: list[HeldOutView]) -> list[HeldOutView]:
+    """One view of each pose; turning the whole person is no other pose to a distance between surfaces."""
+    found: dict[bytes, HeldOutView] = {}
+    for view in views:
+        found.setdefault(view.axis_angle[1:].round(9).tobytes(), view)
+    return list(found.values())
 
 
 def measure_once(case: GeometryCase, axis_angle: np.ndarray, root: np.ndarray) -> dict[str, Distances]:

@@ -1,0 +1,109 @@
+"""The evaluation against a case whose answer is known: the subject's own mesh as the avatar."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from scipy.ndimage import distance_transform_cdt
+
+from avatar.camera import Camera, look_at, pinhole, pixel_rays
+from avatar.errors import AssetError
+from bench.held_out import read_held_out, read_true_mesh
+from bench.picture_scores import box_pixels, is_t_pose, region_pictures
+from bench.quality import eval_main, evaluate
+
+KEYS = {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}
+
+
+@pytest.fixture(scope="session")
+def result(oracle):
+    capture, avatar, _ = oracle
+    return evaluate(avatar, capture)
+
+
+@pytest.mark.parametrize("region", ["head", "left_hand", "right_hand", "hands", "total"])
+def test_a_perfect_avatar_has_no_distance_and_near_perfect_pictures(result, region):
+    novel = result["novel_pose"][region]
+    assert novel.keys() >= KEYS
+    # weights are rounded to bytes; a face at the edge of sight may count as seen on one side only
+    assert novel["p2s_cm"] < 0.03 and novel["chamfer_cm"] < 0.03
+    assert novel["psnr_db"] > 30 and novel["ssim"] > 0.95 and novel["flip"] < 0.05
+    assert novel["lpips"] is None and "weights" in novel["reasons"]["lpips"]
+
+
+def test_t_pose_frames_are_apart_from_novel_poses_but_are_the_novel_views(result):
+    assert result["beside"]["poses"] == 1
+    assert result["beside"]["t_pose_frames"]["total"]["psnr_db"] > 30
+    assert result["novel_view"]["total"]["psnr_db"] > 30
+
+
+def test_own_rig_weights_leave_a_perfect_avatar_where_it_is(result):
+    assert result["beside"]["own_weights"]["total"]["chamfer_cm"] < 0.03
+
+
+def test_baked_against_field_is_read_from_the_file(result):
+    assert result["baked_vs_field"] == {"paper_db": 40.0, "network_db": None}
+
+
+def test_the_command_prints_a_table_with_the_papers_row_and_writes_json(
+    oracle, tmp_path, capsys, result, monkeypatch
+):
+    capture, avatar, _ = oracle
+    monkeypatch.setattr("bench.quality.evaluate", lambda *_: result)
+    assert eval_main([str(avatar), str(capture), "--json", str(tmp_path / "q.json")]) == 0
+    printed = capsys.readouterr().out
+    assert "paper: total" in printed and "26.15" in printed
+    assert (
+        json.loads((tmp_path / "q.json").read_text())["novel_pose"]["total"] == result["novel_pose"]["total"]
+    )
+
+
+def test_box_pixels_are_those_of_the_projected_box():
+    camera = Camera(pinhole((64, 48), 0.8), look_at((0.3, 0.2, 3.0), (0, 0, 0)), (64, 48))
+    low, high = np.array([-0.4, -0.3, -0.2]), np.array([0.5, 0.35, 0.25])
+    inside = box_pixels(camera, low, high)
+    origins, directions = pixel_rays(camera)
+    t = np.linspace(1.5, 4.5, 3001)
+    marched = np.zeros(len(origins), bool)
+    for start in range(0, len(origins), 512):
+        points = origins[start : start + 512, None] + t[None, :, None] * directions[start : start + 512, None]
+        marched[start : start + 512] = ((points >= low) & (points <= high)).all(-1).any(-1)
+    differing = inside.ravel() != marched
+    assert differing.sum() <= 3  # rays that graze an edge for less than a marching step
+
+
+def test_a_part_is_compared_within_five_pixels_of_its_true_mask(oracle):
+    capture, _, _ = oracle
+    view = next(v for v in read_held_out(capture, "novel_pose") if v.view == "hand_left")
+    white = np.ones((224, 224, 3), np.float32)
+    truth, image, mask = region_pictures(view, "left_hand", view.image(), white)
+    kept = image[..., 0] > 0
+    assert mask.any() and not kept.all()
+    np.testing.assert_array_equal(kept, distance_transform_cdt(~mask, "chessboard") <= 5)
+    assert (truth[~kept] == 0).all()
+
+
+def test_only_the_t_pose_counts_as_one(oracle):
+    views = read_held_out(oracle[0], "novel_pose")
+    assert [is_t_pose(v) for v in views if v.view == "body"] == [False, True]
+
+
+def test_a_capture_without_truth_is_refused_by_name(oracle, tmp_path):
+    capture, avatar, _ = oracle
+    (tmp_path / "capture.json").write_text((capture / "capture.json").read_text())
+    with pytest.raises(AssetError, match=r"truth/rest\.npz"):
+        eval_main([str(avatar), str(tmp_path)])
+    with pytest.raises(AssetError, match=r"nothing\.glb"):
+        eval_main([str(tmp_path / "nothing.glb"), str(capture)])
+
+
+def test_a_field_of_the_wrong_shape_is_named(oracle, tmp_path):
+    shutil.copytree(oracle[0] / "truth", tmp_path / "truth")
+    path = tmp_path / "truth" / "rest.npz"
+    with np.load(path) as data:
+        fields = dict(data)
+    fields["part"] = fields["part"][:-1]
+    np.savez(path, **fields)
+    with pytest.raises(AssetError, match="part should be"):
+        read_true_mesh(tmp_path)

@@ -1,0 +1,66 @@
+"""Accuracy against time on the oracle avatar."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from avatar.avatar_file import read_avatar
+from bench.contact import LARGEST, WIDTH, contact_sheet, save_sheet, sheet
+from bench.report import bench_main, mark_dominated
+from player.ladder import rungs_of, views_of
+
+
+def test_bench_writes_json_table_plot_and_pictures(oracle, tmp_path, capsys):
+    capture, avatar, _ = oracle
+    out = tmp_path / "bench"
+    assert bench_main([str(avatar), "--capture", str(capture), "-o", str(out), "--rounds", "2"]) == 0
+    result = json.loads((out / "bench.json").read_text())
+    assert result["machine"]["renderer"] and result["machine"]["cores"] >= 1
+    best, half = result["rungs"]
+    for row in (best, half):
+        assert row.keys() >= {"name", "ms_median", "ms_p95", "bytes", "psnr_db", "ssim", "flip", "dominated"}
+        assert 0 < row["ms_median"] <= row["ms_p95"] and row["bytes"] > 0
+    assert best["psnr_db"] is None and "identical" in best["reasons"]["psnr_db"]
+    assert half["psnr_db"] < 35 and half["bytes"] < best["bytes"]
+    assert best["against_truth"]["psnr_db"] > half["against_truth"]["psnr_db"]
+    assert {path.name for path in out.iterdir()} >= {"bench.json", "bench.md", "pareto.png", "rungs.png"}
+    assert "half resolution" in capsys.readouterr().out
+
+
+def test_a_rung_is_dominated_by_one_that_is_no_slower_and_more_exact():
+    def rung(ms, psnr):
+        return {"ms_median": ms, "psnr_db": psnr}
+
+    rows = [rung(10, None), rung(5, 30), rung(6, 29), rung(1, 20), rung(1, 20)]
+    mark_dominated(rows)
+    assert [row["dominated"] for row in rows] == [False, False, True, False, False]
+
+
+def test_the_ladder_offers_only_what_the_file_holds(oracle):
+    avatar = read_avatar(oracle[1])
+    assert views_of(avatar) == ["off"]
+    assert [(r.view, r.level, r.share) for r in rungs_of(avatar)] == [("off", 0, 1.0), ("off", 0, 0.5)]
+
+
+def test_the_contact_sheet_shows_truth_beside_the_avatar(oracle, tmp_path):
+    capture, avatar, _ = oracle
+    contact_sheet(None, avatar, capture, tmp_path / "contact.png")
+    with Image.open(tmp_path / "contact.png") as page:
+        assert page.width == WIDTH
+        assert np.asarray(page).std() > 10
+
+
+def test_a_sheet_is_scaled_down_until_it_fits(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 255, (900, 900, 3), dtype=np.uint8)
+    page = sheet([[noise]] * 4, [["noise"]] * 4, "noise", columns=2)
+    save_sheet(tmp_path / "noise.png", page)
+    assert (tmp_path / "noise.png").stat().st_size <= LARGEST
+
+
+@pytest.mark.parametrize("rounds", ["0", "-1"])
+def test_no_rounds_is_wrong_usage(oracle, tmp_path, rounds):
+    with pytest.raises(SystemExit) as stop:
+        bench_main([str(oracle[1]), "-o", str(tmp_path / "x"), "--rounds", rounds])
+    assert stop.value.code == 2
