@@ -17,6 +17,7 @@ import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -69,9 +70,9 @@ class NpyRows:
 
     def __init__(self, path: Path, archive: zipfile.ZipFile, name: str):
         self.path, self.name, self.archive = path, name, archive
-        self.file: zipfile.ZipExtFile | None = None
+        self.file: Any = None  # an open member; its type differs between Python versions
         self.next_row = 0
-        self.whole: Array | None = None
+        self.whole: Any = None
         with self._refusing(), archive.open(f"{name}.npy") as file:
             version = np.lib.format.read_magic(file)
             if version not in ((1, 0), (2, 0)):
@@ -141,7 +142,7 @@ class _Refusing:
             raise AssetError(message) from None
 
 
-def _exactly(file: zipfile.ZipExtFile, size: int) -> bytes:
+def _exactly(file: Any, size: int) -> bytes:
     parts, left = [], size
     while left:
         part = file.read(min(left, 1 << 20))
@@ -152,7 +153,7 @@ def _exactly(file: zipfile.ZipExtFile, size: int) -> bytes:
     return b"".join(parts)
 
 
-def _skip(file: zipfile.ZipExtFile, size: int) -> None:
+def _skip(file: Any, size: int) -> None:
     while size:
         part = file.read(min(size, 1 << 20))
         if not part:

@@ -252,7 +252,7 @@ def _hierarchy(reader: _Lines):
 
 def _motion_header(reader: _Lines) -> tuple[int, float]:
     words = reader.next()
-    if words[0].upper().rstrip(":") != "FRAMES" or not words[-1].isdecimal():
+    if words[0].upper().rstrip(":") != "FRAMES" or not words[-1].isdecimal() or len(words[-1]) > 12:
         raise reader.error(f"expected 'Frames: N', found {' '.join(words)[:40]!r}")
     frames = int(words[-1])
     if frames < 1:

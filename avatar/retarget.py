@@ -85,29 +85,27 @@ def _joint_map(bvh: Bvh) -> tuple[dict[str, int], dict[str, int], list[str]]:
     places: dict[str, int] = {}
     absent: list[str] = []
     for side in ("left", "right"):
-        have, used = by_side[side], set()
+        have = by_side[side]
+        used: set[str] = set()
         for ours, aliases in LIMB_NAMES.items():
             key = f"{side}_{ours}"
-            found = next((a for a in aliases if a in have and a not in used), None)
-            if found is None:
+            found = next((a for a in aliases if a in have and a not in used), "")
+            if not found:
                 absent.append(key)
                 continue
             used.add(found)
             turns[key], places[key] = have[found], have[BONE_START.get(found, found)]
-        chains = {
-            f"{finger}{n}": have.get(f"hand{alias}{n}", have.get(f"{alias}{n}"))
-            for finger, aliases in FINGER_NAMES.items()
-            for alias in aliases
-            for n in (1, 2, 3)
-            if f"hand{alias}{n}" in have or f"{alias}{n}" in have
-        }
-        if (
-            sum(f"{finger}2" in chains for finger in FINGER_NAMES) >= 3
-        ):  # else a lump that means "the fingers"
+        chains: dict[str, int] = {}
+        for finger, aliases in FINGER_NAMES.items():
+            for n in (1, 2, 3):
+                spelt = [f"{prefix}{alias}{n}" for alias in aliases for prefix in ("", "hand")]
+                chains |= {f"{finger}{n}": have[name] for name in spelt if name in have}
+        # fewer chains than three are lumps that mean "the fingers"
+        if sum(f"{finger}2" in chains for finger in FINGER_NAMES) >= 3:
             for finger, index in chains.items():
                 turns[f"{side}_{finger}"] = places[f"{side}_{finger}"] = index
-    head = next((by_side[""][n] for n in ("head",) if n in by_side[""]), None)
-    missing = [k for k in absent if k.split("_")[1] in REQUIRED] + (["head"] if head is None else [])
+    head = by_side[""].get("head", -1)
+    missing = [k for k in absent if k.split("_")[1] in REQUIRED] + (["head"] if head < 0 else [])
     if missing:
         names = ", ".join(bvh.names[:12])
         raise AssetError(
