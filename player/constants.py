@@ -14,18 +14,18 @@ def literal(value: float) -> str:
     """A GLSL float that reads back as the same float32: nine digits and a decimal point, whatever the locale."""
     if not np.isfinite(value):
         raise ValueError(f"a shader constant should be finite, is {value}")
-    text = f"{float(value):.9g}"
+    text = f"{value:.9g}"
     return text if "." in text or "e" in text else text + ".0"
 
 
 def constructor(kind: str, values: Float[np.ndarray, "n"]) -> str:
     """`mat4(...)` or `vec4(...)` of values in GLSL's order (matrices by columns)."""
-    return f"{kind}({', '.join(literal(value) for value in values)})"
+    return f"{kind}({', '.join(literal(float(value)) for value in values)})"
 
 
 def network_constants(network: ViewNetwork, amplitude: float) -> str:
     """Constants for view_network.glsl. Layer 1 is cut into 4x4 blocks: features and [t', |t'|] by four hidden units."""
-    lines = [f"const float AMPLITUDE = {literal(amplitude)};"]
+    lines = [f"const float AMPLITUDE = {literal(float(amplitude))};"]
     for block in range(4):
         rows = network.w1[4 * block : 4 * block + 4]
         lines.append(f"const mat4 W1_F{block} = {constructor('mat4', rows[:, :4].T.ravel())};")

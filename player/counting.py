@@ -22,7 +22,8 @@ DRAWS = {
     "glDrawArraysInstanced": (c_uint, c_int, c_int, c_int),
     "glDrawElementsInstanced": (c_uint, c_int, c_uint, c_void_p, c_int),
 }
-# (binding point, bytes a texel) of internal formats; 4 for the rest, which is what drivers do with RGB8 too
+TEXTURE_MAX_LEVEL = 0x813D
+# bytes a texel of internal formats; 4 for the rest, which is what drivers do with RGB8 too
 TEXEL_BYTES = {0x8814: 16, 0x881A: 8, 0x8815: 12, 0x822B: 2, 0x8229: 1, 0x8230: 8, 0x81A6: 4, 0x8CAC: 4}
 
 
@@ -31,8 +32,8 @@ class Counts:
 
     live[kind] is the set of object names now alive (kind: buffer, texture, framebuffer, renderbuffer,
     vertex_array, query, sampler, program, shader). calls counts `draw`, `uniform`, `clear`, `blit`, `read`,
-    `create`. uploaded is in bytes since the context was made; live_bytes sums buffers, textures (level 0 and
-    those given explicitly) and renderbuffers that are alive.
+    `create`. uploaded is in bytes since the context was made; live_bytes sums buffers, textures (with their
+    mipmaps) and renderbuffers that are alive.
     """
 
     def __init__(self):
@@ -41,6 +42,8 @@ class Counts:
         self.uploaded = 0
         self._sizes: dict[tuple[str, int], dict[int, int]] = {}
         self._bound: dict[tuple[str, int], int] = {}
+        self._extents: dict[int, tuple[int, int]] = {}  # of textures
+        self._max_level: dict[int, int] = {}
         self._thunks: list[object] = []  # ctypes callbacks die with their last reference
 
     def objects(self) -> dict[str, int]:
@@ -92,6 +95,10 @@ class Counts:
         if name == "glTexSubImage2D":
             signature = (c_uint, c_int, c_int, c_int, c_int, c_int, c_uint, c_uint, c_void_p)
             return self._thunk(address, None, signature, self._tex_sub_image)
+        if name == "glTexParameteri":
+            return self._thunk(address, None, (c_uint, c_uint, c_int), self._tex_parameter)
+        if name == "glGenerateMipmap":
+            return self._thunk(address, None, (c_uint,), self._mipmaps)
         if name == "glRenderbufferStorage":
             return self._thunk(address, None, (c_uint, c_uint, c_int, c_int), self._renderbuffer)
         return address
@@ -175,8 +182,22 @@ class Counts:
 
     def _tex_image(self, target, level, internal, width, height, _border, _format, _type, data):
         size = width * height * TEXEL_BYTES.get(internal, 4)
+        if level == 0:
+            self._extents[self._bound.get(("texture", target), 0)] = (width, height)
         self._allocate("texture", target, level, size)
         self.uploaded += size if data else 0
+
+    def _tex_parameter(self, target, parameter, value):
+        if parameter == TEXTURE_MAX_LEVEL:
+            self._max_level[self._bound.get(("texture", target), 0)] = value
+
+    def _mipmaps(self, target):
+        name = self._bound.get(("texture", target), 0)
+        levels = self._sizes.get(("texture", name), {})
+        width, height = self._extents.get(name, (1, 1))
+        texel = levels.get(0, 0) // (width * height)
+        for level in range(1, min(self._max_level.get(name, 1000), (max(width, height)).bit_length() - 1) + 1):
+            levels[level] = max(width >> level, 1) * max(height >> level, 1) * texel
 
     def _tex_sub_image(self, _target, _level, _x, _y, width, height, _format, _type, _data):
         self.uploaded += width * height * 4

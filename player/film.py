@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import IO, Any
 
 import numpy as np
 from jaxtyping import UInt8
@@ -59,7 +59,7 @@ class Film:
         self._ended = False  # the drawing side has said that no more frames come
         self._thread = threading.Thread(target=self._work, name="film", daemon=True)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "Film":
         self._thread.start()
         return self
 

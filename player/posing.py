@@ -27,6 +27,12 @@ class Reach(NamedTuple):
     depth: Float[np.ndarray, "2"]  # nearest and farthest, metres along the optical axis
     box: Float[np.ndarray, "4"]  # left, top, right, bottom, pixels; infinite when the eye is inside a sphere
 
+    def shows(self, camera: Camera) -> bool:
+        """Whether any of it can be in front of the camera and inside the image."""
+        left, top, right, bottom = self.box
+        width, height = camera.size
+        return bool(self.depth[1] > 0 and right > 0 and bottom > 0 and left < width and top < height)
+
 
 class Poser:
     """Bones of one avatar; keeps what does not change from frame to frame."""

@@ -156,7 +156,8 @@ class Renderer:
         width, height = camera.size
         bones = [poser.posed(*pose, camera) for poser, pose in zip(self.posers, poses, strict=True)]
         reaches = [reach(one, camera) for one in bones]
-        planes = clip_planes(np.concatenate([r.depth for r in reaches]) if reaches else np.zeros(0))
+        shown = [r.shows(camera) for r in reaches]
+        planes = clip_planes(np.array([r.depth for r, seen in zip(reaches, shown, strict=True) if seen]).ravel())
 
         gl = self.context.gl
         framebuffer.viewport = (0, 0, width, height)
@@ -165,7 +166,6 @@ class Renderer:
         gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         if planes is not None:
             self._write_frame(camera, planes, flipped)
-        shown = [_can_show(r.box, planes, (width, height)) for r in reaches]
         tall = [bool(r.box[3] - r.box[1] >= MIN_HEIGHT) for r in reaches]
         posed: set[int] = set()
         drawn = []
@@ -205,6 +205,7 @@ class Renderer:
         frame["clip_from_view"] = clip.T
         frame["view_amount"] = self.view_amount
         self.buffers["frame"].write(frame.tobytes())
+        self.buffers["frame"].bind_to_uniform_block(0)
 
     def _write_bones(self, avatar: int, bones: PosedBones, viewed: bool) -> None:
         tag = self._tag(avatar)
@@ -226,7 +227,6 @@ class Renderer:
     def _realise(self) -> None:
         gl = self.context.gl
         self.buffers["frame"] = gl.buffer(reserve=FRAME.itemsize, dynamic=True)
-        self.buffers["frame"].bind_to_uniform_block(0)
         for index, avatar in enumerate(self.avatars):
             tag, level = self._tag(index), self._level(avatar)
             order, faces = draw_order(level.positions, level.faces)
@@ -306,8 +306,3 @@ class Renderer:
 
 
 _ANY_CAMERA = Camera(np.eye(3), np.eye(4), (1, 1))
-
-
-def _can_show(box: Float[np.ndarray, "4"], planes: object, size: tuple[int, int]) -> bool:
-    left, top, right, bottom = box
-    return bool(planes is not None and right > 0 and bottom > 0 and left < size[0] and top < size[1])

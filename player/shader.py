@@ -76,7 +76,7 @@ def _follow(line: str, branches: list[bool], defines: Mapping[str, int]) -> None
         branches.pop()
 
 
-def tested_names(source: str) -> set[str]:
+def names_in_conditions(source: str) -> set[str]:
     """Names of defines that the source's `#if`s ask about."""
     return {name for condition in CONDITION.findall(source) for name in NAME.findall(condition)}
 
@@ -96,7 +96,7 @@ def compile_program(
     """
     defines = dict(defines or {})
     stages = [assembled(name, defines, generated) for name in (vertex, fragment)]
-    asked = set().union(*(tested_names(source) for source, _ in stages))
+    asked = set().union(*(names_in_conditions(source) for source, _ in stages))
     if asked != set(defines):
         unknown, missing = sorted(set(defines) - asked), sorted(asked - set(defines))
         facts = [f"no #if tests {unknown}"] * bool(unknown) + [f"{missing} not given"] * bool(missing)

@@ -1,0 +1,32 @@
+"""A context for the tests of a file, and the built-in body as an avatar."""
+
+import numpy as np
+import pytest
+
+from player.context import open_context
+from player.mannequin import mannequin
+
+
+@pytest.fixture(scope="module")
+def context():
+    context = open_context()
+    yield context
+    assert context.gl.error == "GL_NO_ERROR"
+    assert context.counts.objects() == {}, "a test left objects behind"
+    context.release()
+
+
+@pytest.fixture(scope="session")
+def avatar():
+    return mannequin()
+
+
+@pytest.fixture(scope="session")
+def pose():
+    """Both elbows, a knee, the head and all fingers bent: (axis-angle, root)."""
+    axis_angle = np.zeros((52, 3))
+    axis_angle[[18, 19], 1] = [-1.2, 1.0]
+    axis_angle[[16, 17], 2] = [-0.9, 0.7]
+    axis_angle[4, 0], axis_angle[15, 1] = 0.8, 0.5
+    axis_angle[22:37, 2], axis_angle[37:52, 2] = -0.4, 0.4
+    return axis_angle, np.array([0.1, 0.05, -0.2])

@@ -1,0 +1,93 @@
+import pytest
+
+import player.context as contexts
+from player.context import NoContextError, open_context
+from player.raster import Rasteriser
+
+
+def test_a_context_opens_without_a_display(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    context = open_context()
+    assert context.gl.version_code >= 330
+    assert context.renderer in context.attempts[-1]
+    context.release()
+
+
+def test_an_unknown_kind_is_refused():
+    with pytest.raises(ValueError, match="'vulkan'"):
+        open_context("vulkan")
+
+
+def test_osmesa_takes_over_where_egl_is_missing_and_the_log_says_why(monkeypatch, caplog):
+    def missing():
+        raise OSError("libEGL.so.1: cannot open shared object file")
+
+    monkeypatch.setattr(contexts, "Egl", missing)
+    with caplog.at_level("INFO", logger="selfscan.context"):
+        context = open_context()
+    assert context.kind == "osmesa"
+    assert "libEGL.so.1" in caplog.text and "OSMesa: llvmpipe" in caplog.text
+    context.release()
+
+
+def test_with_no_driver_at_all_everything_tried_is_named(monkeypatch):
+    def missing(*_names):
+        raise OSError("not installed")
+
+    monkeypatch.setattr(contexts, "_library", missing)
+    with pytest.raises(NoContextError, match=r"EGL: not installed; OSMesa: not installed.*doctor"):
+        open_context()
+
+
+def test_a_gpu_that_is_not_there_is_refused_and_no_other_taken():
+    with pytest.raises(NoContextError, match="--gpu 7: not among"):
+        open_context(gpu=7)
+
+
+def test_two_contexts_of_one_mesa_take_turns():
+    contexts_ = [open_context("egl"), open_context("osmesa")]
+    targets = []
+    for context in contexts_:
+        context.make_current()
+        targets.append(context.gl.framebuffer([context.gl.renderbuffer((2, 2), 4)]))
+    for turn in range(4):
+        context, target = contexts_[turn % 2], targets[turn % 2]
+        context.make_current()
+        target.use()
+        target.clear(turn / 255, 0, 0, 1)
+        assert target.read(components=1)[0] == turn and context.gl.error == "GL_NO_ERROR"
+    for context in contexts_:
+        context.release()
+
+
+def test_counts_see_objects_calls_and_bytes():
+    context = open_context()
+    counts, gl = context.counts, context.gl
+    buffer = gl.buffer(bytes(100))
+    texture = gl.texture((8, 4), 4, bytes(128))
+    assert counts.objects() == {"buffer": 1, "texture": 1}
+    assert counts.uploaded == 228 and counts.live_bytes == 228
+    buffer.write(bytes(50))
+    assert counts.uploaded == 278
+    buffer.release()
+    assert counts.objects() == {"texture": 1} and counts.live_bytes == 128
+    texture.release()
+    assert counts.objects() == {} and counts.live_bytes == 0
+    context.release()
+
+
+def test_an_attachment_that_outlives_its_framebuffer_is_seen():
+    context = open_context()
+    gl = context.gl
+    target = gl.framebuffer([gl.texture((4, 4), 4)], gl.depth_renderbuffer((4, 4)))
+    target.release()
+    assert context.counts.objects() == {"texture": 1, "renderbuffer": 1}
+    context.release()
+
+
+def test_releasing_the_rasteriser_leaves_nothing():
+    context = open_context()
+    Rasteriser(context).release()
+    assert context.counts.objects() == {}
+    context.release()

@@ -1,0 +1,219 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from avatar.camera import Camera, orbit_camera
+from avatar.skeleton import BIG_POSE, skin_transforms
+from avatar.skinning import SkinWeights, skin_points
+from avatar.texture import sample_texture
+from player.context import open_context
+from player.doctor import difference
+from player.plan import resolve
+from player.posing import Poser, reach
+from player.raster import Rasteriser
+from player.renderer import Renderer
+
+SIZE = (200, 240)
+CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)
+VIEWS = ["off", "vertex", "linear", "network"]
+
+
+@pytest.fixture
+def render(context):
+    """Makes renderers and frees them after the test."""
+    made = []
+
+    def make(avatars, size=SIZE, **options):
+        made.append(Renderer(context, avatars, size, **options))
+        return made[-1]
+
+    yield make
+    for renderer in made:
+        renderer.release()
+
+
+def posed_vertices(avatar, pose):
+    level = avatar.levels[0]
+    skin = SkinWeights(level.joints.astype(int), (level.weights / 255).astype(np.float32))
+    joints = avatar.joint_positions.astype(float)
+    return skin_points(level.positions.astype(float), skin, skin_transforms(pose[0], joints, pose[1], rest=BIG_POSE))
+
+
+def test_the_picture_is_the_posed_surface_with_its_texture(context, render, avatar, pose):
+    fine = replace(avatar.levels[0], base_color=np.full((4, 4, 3), (200, 90, 30), np.uint8))
+    image = render([replace(avatar, levels=(fine,))], view="off").draw([pose], CAMERA)
+    rasteriser = Rasteriser(context)
+    vertices = posed_vertices(avatar, pose)
+    expected = rasteriser.draw(vertices, avatar.levels[0].faces.astype(int), CAMERA, cull=True).face >= 0
+    rasteriser.release()
+    assert expected.sum() > 4000
+    assert (expected != (image[..., 3] > 0)).sum() <= 3  # rounding at edges that pass a pixel centre
+    assert (image[image[..., 3] > 0] == (200, 90, 30, 255)).all()
+
+
+def test_texture_rows_run_downwards(render, avatar, pose, context):
+    color = np.zeros((256, 256, 3), np.uint8)
+    color[..., 0], color[..., 1] = np.arange(256), np.arange(256)[:, None]
+    level = replace(avatar.levels[0], base_color=color)
+    image = render([replace(avatar, levels=(level,))], view="off").draw([pose], CAMERA)
+    rasteriser = Rasteriser(context)
+    hit = rasteriser.draw(posed_vertices(avatar, pose), level.faces.astype(int), CAMERA, cull=True)
+    rasteriser.release()
+    inside = (hit.face >= 0) & (image[..., 3] > 0)
+    uv = (level.uv[level.faces[hit.face[inside]]] * hit.barycentric[inside][..., None]).sum(1)
+    expected = sample_texture(color, uv.astype(np.float64))
+    close = np.abs(image[inside][:, :2] - expected[:, :2]).max(1) <= 6  # texture seams and coarser mips aside
+    assert close.mean() > 0.97
+
+
+def test_row_0_is_the_top(render, avatar):
+    head_up = (np.zeros((52, 3)), np.zeros(3))
+    alpha = render([avatar], view="off").draw([head_up], orbit_camera((0, 0, 0), 3.2, 0, 0, SIZE))[..., 3] > 0
+    arms = np.argmax(alpha.sum(1))  # the widest row of a T-pose
+    assert arms < SIZE[1] // 2 and alpha[: SIZE[1] // 4].any()
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_live_objects_are_exactly_the_plan_and_release_frees_them(avatar, pose, view):
+    context = open_context()
+    renderer = Renderer(context, [avatar], SIZE, view=view)
+    assert context.counts.objects() == renderer.plan.objects()
+    renderer.draw([pose], CAMERA)
+    assert context.counts.objects() == renderer.plan.objects()
+    assert context.counts.live_bytes == sum(resource.bytes for resource in renderer.plan.resources.values())
+    renderer.release()
+    assert context.counts.objects() == {} and context.gl.error == "GL_NO_ERROR"
+    context.release()
+
+
+def test_a_leaked_texture_is_noticed(avatar):
+    context = open_context()
+    renderer = Renderer(context, [avatar], SIZE, view="off")
+    context.gl.texture((2, 2), 4)  # nobody's
+    with pytest.raises(AssertionError):
+        assert context.counts.objects() == renderer.plan.objects()
+    context.release()
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_drawing_makes_nothing(context, render, avatar, pose, view):
+    renderer = render([avatar], view=view)
+    renderer.draw([pose], CAMERA)
+    made, live = context.counts.calls["create"], context.counts.objects()
+    draws = context.counts.calls["draw"]
+    for step in range(3):
+        renderer.draw([(pose[0] * (1 + 0.1 * step), pose[1])], CAMERA)
+    assert context.counts.calls["create"] == made and context.counts.objects() == live
+    assert context.counts.calls["draw"] == draws + 3
+
+
+def test_what_is_not_asked_for_is_not_compiled_nor_allocated(avatar):
+    off, vertex = (resolve([avatar], SIZE, view, True) for view in ("off", "vertex"))
+    assert len(off.variants) == 1 and dict(off.variants[0].defines)["VIEW_STAGE"] == 0
+    assert not [name for name in off.resources if "view" in name or "turns" in name or "features" in name]
+    assert {"avatar view vertices", "avatar turns", "avatar features"} <= set(vertex.resources)
+    context = open_context()
+    renderer = Renderer(context, [avatar], SIZE, view="off")
+    assert context.counts.objects()["program"] == 1 and context.counts.objects()["texture"] == 1
+    renderer.release()
+    context.release()
+
+
+def test_auto_is_per_vertex_on_software_and_the_files_own_on_a_gpu(avatar):
+    def modes(plan):
+        return [item.name for item in plan.passes if item.variant]
+
+    assert modes(resolve([avatar], SIZE, "auto", True)) == ["avatar: paper", "avatar: view vertex"]
+    assert modes(resolve([avatar], SIZE, "auto", False)) == ["avatar: paper", "avatar: view network"]
+    plain = replace(avatar, default_view="off")
+    assert modes(resolve([plain], SIZE, "auto", False)) == ["avatar: paper"]
+
+
+def test_a_view_mode_the_avatar_lacks_is_refused(avatar):
+    with pytest.raises(ValueError, match="view network is not in avatar mannequin male; it has off, linear"):
+        resolve([replace(avatar, network=None)], SIZE, "network", True)
+    with pytest.raises(ValueError, match="'shiny'"):
+        resolve([avatar], SIZE, "shiny", True)
+
+
+def test_view_dependence_of_a_tiny_avatar_is_skipped_and_equals_paper_mode(context, render, avatar, pose):
+    far = orbit_camera((0, 0, 0), 60.0, 0.4, 0.1, SIZE)
+    paper, full = render([avatar], view="off"), render([avatar], view="network")
+    draws = context.counts.calls["draw"]
+    assert np.array_equal(paper.draw([pose], far), full.draw([pose], far))
+    assert context.counts.calls["draw"] == draws + 2
+    passes = {row["name"]: row for row in full.explain(1)}
+    assert passes["avatar: paper"]["runs"] and not passes["avatar: view network"]["runs"]
+    assert passes["avatar: view network"]["why"] == "the avatar is less than 40 pixels tall"
+
+
+def test_an_avatar_out_of_view_is_not_drawn(context, render, avatar, pose):
+    renderer = render([avatar], view="off", background=(0.2, 0.4, 0.6, 1.0))
+    away = orbit_camera((0, 0, 10), 2.0, np.pi, 0, SIZE)
+    draws = context.counts.calls["draw"]
+    image = renderer.draw([pose], away)
+    assert context.counts.calls["draw"] == draws
+    assert (image == (51, 102, 153, 255)).all()
+    assert renderer.explain()[0]["why"] == "out of view" and renderer.explain()[0]["ms"] == 0
+
+
+def test_explain_lists_every_pass_with_why_time_and_bytes(render, avatar, pose):
+    renderer = render([avatar], view="linear")
+    with pytest.raises(ValueError, match="no frame"):
+        renderer.explain()
+    renderer.draw([pose], CAMERA)
+    rows = renderer.explain(2)
+    assert [row["name"] for row in rows] == ["avatar: paper", "avatar: view linear"]
+    assert [row["runs"] for row in rows] == [False, True]
+    assert rows[1]["ms"] > 0 and rows[1]["bytes"] > rows[0]["bytes"] > 0 and rows[1]["why"] == "asked for"
+
+
+def test_the_reach_holds_every_vertex(avatar, pose):
+    vertices = posed_vertices(avatar, pose)
+    bones = Poser(avatar, avatar.levels[0]).posed(*pose, CAMERA)
+    bounds = reach(bones, CAMERA)
+    local = vertices @ CAMERA.camera_from_world[:3, :3].T + CAMERA.camera_from_world[:3, 3]
+    pixels = local @ CAMERA.K.T
+    pixels = pixels[:, :2] / pixels[:, 2:]
+    assert bounds.depth[0] <= local[:, 2].min() and local[:, 2].max() <= bounds.depth[1]
+    assert (pixels >= bounds.box[:2]).all() and (pixels <= bounds.box[2:]).all()
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_egl_and_osmesa_draw_the_same_frame(avatar, pose, view):
+    images = []
+    for kind in ("egl", "osmesa"):
+        context = open_context(kind)
+        renderer = Renderer(context, [avatar], SIZE, view=view)
+        images.append(renderer.draw([pose], CAMERA))
+        context.release()
+    worst, band = difference(*images)
+    assert worst <= 1 and band < 0.1
+
+
+def test_ten_kilometres_from_the_origin_the_picture_is_the_same(render, avatar, pose):
+    renderer = render([avatar], view="vertex")
+    here = renderer.draw([pose], CAMERA)
+    shift = np.array([10_000.0, 300.0, -7_000.0])
+    moved = CAMERA.camera_from_world.copy()
+    moved[:3, 3] -= moved[:3, :3] @ shift
+    there = renderer.draw([(pose[0], pose[1] + shift)], Camera(CAMERA.K, moved, CAMERA.size))
+    assert (np.abs(here.astype(int) - there).max(-1) > 1).sum() <= 3
+
+
+def test_transparent_background_and_two_avatars(render, avatar, pose):
+    single, double = render([avatar], view="off"), render([avatar, avatar], view="off")
+    away = (pose[0], pose[1] + [1000.0, 0, 0])
+    assert np.array_equal(single.draw([pose], CAMERA), double.draw([pose, away], CAMERA))
+    image = double.draw([pose, (pose[0], pose[1] + [0.5, 0, 0])], CAMERA)
+    assert set(np.unique(image[..., 3])) == {0, 255} and (image[image[..., 3] == 0] == 0).all()
+    with pytest.raises(ValueError, match="2 avatars need as many poses, found 1"):
+        double.draw([pose], CAMERA)
+
+
+def test_a_pose_that_is_not_finite_is_refused(render, avatar, pose):
+    bad = pose[0].copy()
+    bad[7, 1] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        render([avatar], view="off").draw([(bad, pose[1])], CAMERA)

@@ -1,0 +1,82 @@
+"""GLSL against the reference: posing of points and turning of directions."""
+
+import numpy as np
+import pytest
+from glsl_probe import probe
+
+from avatar.body import builtin_body
+from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
+from avatar.skeleton import skin_transforms
+from avatar.skinning import SkinWeights, blended_rotations, skin_points
+
+POINT = "vec4(skinned(point, joints, weights), 0.0)"
+BACK = "vec4(turned_back(blended_turn(joints, weights), direction), 0.0)"
+
+
+@pytest.fixture(scope="module")
+def body():
+    return builtin_body("male")
+
+
+def upload(context, transforms):
+    rows = context.gl.buffer(np.ascontiguousarray(transforms[:, :3], np.float32).tobytes())
+    turns = context.gl.buffer(quaternion_from_matrix(transforms[:, :3, :3]).astype(np.float32).tobytes())
+    rows.bind_to_uniform_block(1)
+    turns.bind_to_uniform_block(2)
+    return rows, turns
+
+
+def heaviest_first(skin):
+    order = np.argsort(-skin.weights, axis=1, kind="stable")
+    return SkinWeights(np.take_along_axis(skin.joints, order, 1), np.take_along_axis(skin.weights, order, 1))
+
+
+def random_transforms(body, seed, reach):
+    rng = np.random.default_rng(seed)
+    return skin_transforms(rng.normal(size=(52, 3)) * reach, body.joints, rng.normal(size=3))
+
+
+@pytest.mark.parametrize("reach", [0.0, 0.3, 2.0])
+def test_skinned_points_equal_the_reference(context, body, reach):
+    transforms = random_transforms(body, 1, reach)
+    buffers = upload(context, transforms)
+    values = {"point": body.vertices, "joints": body.skin.joints, "weights": body.skin.weights}
+    out = probe(context, ["skinning.glsl"], POINT, values, ints=("joints",), stage="vertex")[:, :3]
+    assert np.abs(out - skin_points(body.vertices, body.skin, transforms)).max() < 3e-6  # metres
+    for buffer in buffers:
+        buffer.release()
+
+
+@pytest.mark.parametrize("reach", [0.3, 2.0])
+def test_directions_turn_back_as_the_reference_says(context, body, reach):
+    transforms = random_transforms(body, 2, reach)
+    buffers = upload(context, transforms)
+    skin = heaviest_first(body.skin)
+    d = np.random.default_rng(3).normal(size=(len(body.vertices), 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    values = {"direction": d, "joints": skin.joints, "weights": skin.weights}
+    out = probe(context, ["directions.glsl"], BACK, values, ints=("joints",), stage="vertex")[:, :3]
+    expected = np.einsum("nji,nj->ni", blended_rotations(skin, transforms), d)
+    # where a bone stands at 90 degrees of the half sphere's rim to the heaviest, rounding decides its side
+    agrees = np.abs(out - expected).max(1) < 1e-5
+    assert agrees.mean() > 0.999
+    assert np.abs(np.linalg.norm(out, axis=1) - 1).max() < 1e-6
+    for buffer in buffers:
+        buffer.release()
+
+
+@pytest.mark.parametrize("angle", [0.0, 90.0, 135.0, 179.9, 180.0])
+def test_directions_stay_unit_between_two_bones(context, angle):
+    transforms = np.tile(np.eye(4), (52, 1, 1))
+    transforms[1, :3, :3] = matrix_from_axis_angle(np.radians([angle, 0, 0]))
+    buffers = upload(context, transforms)
+    share = np.linspace(0, 1, 101)
+    weights = np.stack([np.maximum(share, 1 - share), np.minimum(share, 1 - share), 0 * share, 0 * share], 1)
+    joints = np.zeros((101, 4), int)
+    joints[share < 0.5, 1] = 1
+    joints[share >= 0.5, 0] = 1
+    values = {"direction": np.tile([0.6, 0.0, 0.8], (101, 1)), "joints": joints, "weights": weights}
+    out = probe(context, ["directions.glsl"], BACK, values, ints=("joints",), stage="vertex")[:, :3]
+    assert np.abs(np.linalg.norm(out, axis=1) - 1).max() < 1e-6
+    for buffer in buffers:
+        buffer.release()
