@@ -1,0 +1,182 @@
+"""Charts and their packing (xatlas), part by part, in a process of its own whose time is bounded.
+
+Run as `python -m bake.atlas IN.npz OUT.npz` by `unwrap`: a pathological mesh can keep the unwrapper busy for
+many minutes inside native code, and only a process can be stopped there.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from avatar.errors import AssetError
+from jaxtyping import Float, Integer
+
+
+class Unwrapped(NamedTuple):
+    source: Integer[np.ndarray, "corners"]  # the vertex each atlas vertex copies
+    uv: Float[np.ndarray, "corners 2"]  # [0, 1], v down as in glTF
+    faces: Integer[np.ndarray, "faces 3"]  # of atlas vertices; the order is the input's, part by part
+    face_part: Integer[np.ndarray, "faces"]
+    charts: int
+    utilisation: float  # share of the atlas that charts cover
+
+
+def unwrap(
+    vertices: Float[np.ndarray, "vertices 3"],
+    faces: Integer[np.ndarray, "faces 3"],
+    face_part: Integer[np.ndarray, "faces"],
+    density: Float[np.ndarray, "parts"],
+    *,
+    size: int,
+    padding: int,
+    seconds: float = 60.0,
+) -> Unwrapped:
+    """Texture coordinates of a mesh in one square atlas.
+
+    density multiplies a part's texels per metre. padding is the gutter between charts, in texels of `size`.
+
+    Raises:
+        AssetError: the unwrapper did not end within `seconds`, failed, or lost triangles.
+    """
+    if len(faces) > 200_000:
+        raise ValueError(f"{len(faces)} triangles to unwrap: at most 200000, decimate first")
+    if not np.isfinite(vertices).all():
+        raise ValueError("vertices to unwrap are not finite")
+    with tempfile.TemporaryDirectory() as folder:
+        given, found = Path(folder, "in.npz"), Path(folder, "out.npz")
+        np.savez(
+            given, vertices=vertices, faces=faces, part=face_part, density=density, size=size, padding=padding
+        )
+        try:
+            done = subprocess.run(
+                [sys.executable, "-m", "bake.atlas", str(given), str(found)],
+                timeout=seconds,
+                capture_output=True,
+                text=True,
+                cwd=Path(__file__).parent.parent,
+            )
+        except subprocess.TimeoutExpired:
+            raise AssetError(
+                f"atlas: unwrapping {len(faces)} triangles should end within {seconds:g} s and did not; "
+                "the mesh is too broken to unwrap (see `selfscan inspect`), or ask for fewer --faces"
+            ) from None
+        if done.returncode:
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            raise AssetError(f"atlas: the unwrapper failed with status {done.returncode}: {last}")
+        with np.load(found) as data:
+            result = Unwrapped(
+                data["source"],
+                data["uv"].astype(np.float64),
+                data["faces"],
+                data["part"],
+                int(data["charts"]),
+                float(data["utilisation"]),
+            )
+    if len(result.faces) != len(faces):
+        raise AssetError(f"atlas: {len(faces)} triangles went in and {len(result.faces)} came out")
+    return result
+
+
+def pack(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    face_part: np.ndarray,
+    density: np.ndarray,
+    size: int,
+    padding: int,
+) -> Unwrapped:
+    """What `unwrap` runs in its process: one xatlas mesh per part, scaled by the part's density."""
+    import xatlas
+
+    atlas = xatlas.Atlas()
+    used = []
+    for part in np.unique(face_part):
+        own = np.flatnonzero(face_part == part)
+        kept, local = np.unique(faces[own], return_inverse=True)
+        atlas.add_mesh(
+            np.ascontiguousarray(vertices[kept] * density[part], np.float32),
+            np.ascontiguousarray(local.reshape(-1, 3), np.uint32),
+        )
+        used.append((int(part), own, kept))
+    options = xatlas.PackOptions()
+    # the packer overshoots the size it is asked for by about a fifth: the gutter is asked in its texels
+    options.resolution = int(size * 0.82)
+    options.padding = padding
+    options.bilinear = True
+    options.create_image = False
+    atlas.generate(xatlas.ChartOptions(), options)
+    if atlas.atlas_count > 1:
+        raise RuntimeError(f"{atlas.atlas_count} atlases")
+    source, uv, triangles, parts, start, charts = [], [], [], [], 0, 0
+    for i, (part, own, kept) in enumerate(used):
+        mapping, indices, coordinates = atlas[i]
+        mapping, indices, coordinates = adopt_orphans(
+            atlas, i, mapping, indices.astype(np.int64), coordinates
+        )
+        source.append(kept[mapping])
+        uv.append(coordinates)
+        triangles.append(indices + start)
+        parts.append(np.full(len(indices), part))
+        if len(indices) != len(own):
+            raise RuntimeError(f"part {part}: {len(own)} triangles in, {len(indices)} out")
+        start += len(mapping)
+        charts += atlas.get_mesh_chart_count(i)
+    return Unwrapped(
+        np.concatenate(source),
+        np.concatenate(uv),
+        np.concatenate(triangles),
+        np.concatenate(parts),
+        charts,
+        float(atlas.utilization),
+    )
+
+
+def adopt_orphans(atlas: Any, number: int, mapping: np.ndarray, indices: np.ndarray, uv: np.ndarray) -> tuple:
+    """Texture coordinates for the triangles without area, which the unwrapper leaves in no chart, at (0, 0).
+
+    All three corners get the place that one of them has in a chart: the triangle shows one colour, and is not
+    wide enough for more.
+    """
+    charted = np.zeros(len(indices), bool)
+    for chart in range(atlas.get_mesh_chart_count(number)):
+        charted[atlas.get_mesh_chart(number, chart).faces] = True
+    orphans = np.flatnonzero(~charted)
+    if len(orphans) == 0:
+        return mapping, indices, uv
+    known = np.unique(indices[charted])
+    place = np.full(int(mapping.max()) + 1, -1)
+    place[mapping[known][::-1]] = known[::-1]
+    homes = place[mapping[indices[orphans]]]
+    home = np.where(homes.max(1) >= 0, np.where(homes[:, 0] >= 0, homes[:, 0], homes.max(1)), known[0])
+    added_uv = np.repeat(uv[home], 3, axis=0)
+    added = len(mapping) + np.arange(3 * len(orphans)).reshape(-1, 3)
+    indices = indices.copy()
+    old = indices[orphans]
+    indices[orphans] = added
+    mapping, uv = np.concatenate([mapping, mapping[old].reshape(-1)]), np.concatenate([uv, added_uv])
+    used, renumbered = np.unique(indices, return_inverse=True)
+    return mapping[used], renumbered.reshape(-1, 3), uv[used]
+
+
+if __name__ == "__main__":
+    with np.load(sys.argv[1]) as given_data:
+        packed = pack(
+            given_data["vertices"],
+            given_data["faces"],
+            given_data["part"],
+            given_data["density"],
+            int(given_data["size"]),
+            int(given_data["padding"]),
+        )
+    np.savez(
+        sys.argv[2],
+        source=packed.source,
+        uv=packed.uv,
+        faces=packed.faces,
+        part=packed.face_part,
+        charts=packed.charts,
+        utilisation=packed.utilisation,
+    )

@@ -1,0 +1,240 @@
+"""What baking lost: avatar file drawn by the player against the field drawn as its first surface crossing."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from avatar.avatar_file import Avatar
+from avatar.camera import Camera, orbit_camera, pixel_rays
+from avatar.skeleton import joint_transforms, skin_transforms
+from avatar.skinning import blended_rotations, skin_points, strongest_four
+from avatar.texture import sample_texture
+from jaxtyping import Bool, Float, Integer, UInt8
+from scipy.ndimage import binary_erosion
+
+from bake.cone import ViewCone, clamped_tangent, cone_direction, interpolated
+from bake.network import ColorFunction
+from bake.surface import Mesh, PointFunction, project_to_zero
+
+HEAD, LEFT_WRIST, RIGHT_WRIST = 15, 20, 21
+LEFT_MIDDLE, RIGHT_MIDDLE = 25, 40
+
+
+class View(NamedTuple):
+    name: str
+    axis_angle: Float[np.ndarray, "52 3"]
+    root: Float[np.ndarray, "3"]
+    camera: Camera
+
+
+class FieldSurface(NamedTuple):
+    """The fine mesh of the field with all that is needed to draw the field in any pose."""
+
+    mesh: Mesh
+    normals: Float[np.ndarray, "vertices 3"]
+    weights: Float[np.ndarray, "vertices joints"]  # dense skin weights
+    cone: ViewCone
+    joints: Float[np.ndarray, "52 3"]
+    distance: PointFunction
+    color: ColorFunction
+
+
+def test_poses() -> dict[str, Float[np.ndarray, "52 3"]]:
+    """Poses that the bake is scored in: the T-pose, and one that bends what bends, fingers included."""
+    rest = np.zeros((52, 3))
+    bent = np.zeros((52, 3))
+    bent[16], bent[17] = (0, 0, -0.9), (0, 0, 0.7)  # shoulders
+    bent[18], bent[19] = (0, -0.8, 0), (0, 0.5, 0)  # elbows
+    bent[1], bent[4] = (-0.5, 0, 0), (0.7, 0, 0)  # left hip and knee
+    bent[15] = (0, 0.3, 0)
+    for first, sign in ((22, -1.0), (37, 1.0)):
+        for finger in range(4):
+            for link in range(3):
+                bent[first + 3 * finger + link] = (0, 0, sign * 0.12 * (finger + 1))
+    return {"t": rest, "bent": bent}
+
+
+def test_views(joints: Float[np.ndarray, "52 3"], size: int = 512) -> list[View]:
+    """Whole body from four sides and close-ups of head and hands, in both poses."""
+    views = []
+    for pose_name, pose in test_poses().items():
+        world = joint_transforms(pose, joints, np.zeros(3))[:, :3, 3]
+        middle = 0.5 * (world.max(0) + world.min(0))
+        reach = 1.45 * float((world.max(0) - world.min(0)).max())
+        for i, azimuth in enumerate((0.35, 2.0, 3.6, 5.2)):
+            if (i % 2) == (pose_name == "bent"):
+                camera = orbit_camera(middle, max(reach, 1.0) * 1.25, azimuth, 0.05, (size, size))
+                views.append(View(f"{pose_name} body {azimuth:g}", pose, np.zeros(3), camera))
+        head = world[HEAD] + np.array([0.0, 0.07, 0.0])
+        views.append(
+            View(f"{pose_name} head", pose, np.zeros(3), orbit_camera(head, 0.75, 0.4, 0.1, (size, size)))
+        )
+        for side, middle_joint, azimuth in (("left", LEFT_MIDDLE, 0.6), ("right", RIGHT_MIDDLE, -0.6)):
+            camera = orbit_camera(world[middle_joint], 0.55, azimuth, 0.5, (size, size))
+            views.append(View(f"{pose_name} {side} hand", pose, np.zeros(3), camera))
+    return views
+
+
+class FieldImage(NamedTuple):
+    paper: Float[np.ndarray, "height width 3"]  # [0, 1], field at d_bar
+    cone: Float[np.ndarray, "height width 3"] | None  # field at d', where asked
+    mask: Bool[np.ndarray, "height width"]
+
+
+def draw_field(
+    surface: FieldSurface,
+    view: View,
+    draw: Callable[[np.ndarray, np.ndarray, Camera], tuple[np.ndarray, np.ndarray]],
+    *,
+    with_cone: bool,
+) -> FieldImage:
+    """The field as its first surface crossing: the fine mesh posed and rasterised, each pixel's canonical point
+    moved onto the zero set, its colour asked there. draw(vertices_world, faces, camera) -> face, barycentric."""
+    transforms = skin_transforms(view.axis_angle, surface.joints, view.root)
+    skin = strongest_four(surface.weights)
+    posed = skin_points(surface.mesh.vertices, skin, transforms)
+    face, barycentric = draw(posed, surface.mesh.faces, view.camera)
+    mask = face >= 0
+    corners, weight = surface.mesh.faces[face[mask]], np.clip(barycentric[mask].astype(np.float64), 0, 1)
+    points = (weight[:, :, None] * surface.mesh.vertices[corners]).sum(1)
+    normals = (weight[:, :, None] * surface.normals[corners]).sum(1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    points, _ = project_to_zero(
+        surface.distance, _no_normals, points, reach=0.003, steps=2, directions=normals
+    )
+    cone = interpolated(surface.cone, corners, weight)
+    paper = np.zeros((*mask.shape, 3))
+    paper[mask] = surface.color(points, cone.direction)
+    if not with_cone:
+        return FieldImage(paper, None, mask)
+    dense = (weight[:, :, None] * surface.weights[corners]).sum(1)
+    rotation = blended_rotations(strongest_four(dense), transforms)
+    _, rays = pixel_rays(view.camera)
+    direction = np.einsum("nji,nj->ni", rotation, rays.reshape(*mask.shape, 3)[mask])
+    image = np.zeros((*mask.shape, 3))
+    image[mask] = surface.color(points, cone_direction(clamped_tangent(direction, cone), cone))
+    return FieldImage(paper, image, mask)
+
+
+def _no_normals(points: np.ndarray) -> np.ndarray:
+    raise AssertionError("directions are given")
+
+
+def scored_mask(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+    """The mask eroded by one pixel: silhouettes differ by a fraction of a pixel in any two rasterisers."""
+    return binary_erosion(mask, np.ones((3, 3), bool), border_value=0)
+
+
+class Score(NamedTuple):
+    paper_db: float  # baked paper mode against the field at d_bar, pooled over all views
+    view_db: dict[str, float]  # each mode against the cone field, pooled
+    per_view: dict[str, float]  # paper mode, by view
+    pixels: int
+
+
+def pooled_db(errors: list[np.ndarray]) -> float:
+    """PSNR of the pooled mean square of errors in [0, 1] units; infinite when there is none, NaN of no pixels."""
+    count = sum(e.size for e in errors)
+    if count == 0:
+        return float("nan")
+    mse = sum(float(np.square(e).sum()) for e in errors) / count
+    return float("inf") if mse == 0 else -10 * float(np.log10(mse))
+
+
+def compare(
+    avatar: Avatar, surface: FieldSurface, views: list[View], *, keep: dict[str, np.ndarray] | None = None
+) -> Score:
+    """Draw every view of field and file and score them; pictures go into `keep` when it is given."""
+    from player.context import open_context
+    from player.raster import Rasteriser
+    from player.renderer import Renderer
+
+    modes = ["off"] + [
+        m for m, there in (("linear", avatar.linear), ("network", avatar.network)) if there is not None
+    ]
+    errors: dict[str, list[np.ndarray]] = {mode: [] for mode in ["paper", *modes]}
+    per_view = {}
+    context = open_context()
+    try:
+        rasteriser = Rasteriser(context)
+
+        def draw(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+            fragments = rasteriser.draw(vertices, faces, camera)
+            return fragments.face, fragments.barycentric
+
+        fields = [draw_field(surface, view, draw, with_cone=len(modes) > 1) for view in views]
+        for mode in modes:
+            renderer = Renderer(context, [avatar], views[0].camera.size, view=mode)
+            for view, field in zip(views, fields, strict=True):
+                image = renderer.draw([(view.axis_angle, view.root)], view.camera)[..., :3] / 255.0
+                inside = scored_mask(field.mask)
+                if mode == "off":
+                    error = (image - np.round(field.paper * 255) / 255)[inside]
+                    errors["paper"].append(error)
+                    per_view[view.name] = pooled_db([error])
+                    if keep is not None:
+                        keep[f"{view.name} field"], keep[f"{view.name} baked"] = field.paper, image
+                if field.cone is not None:
+                    errors[mode].append((image - field.cone)[inside])
+            renderer.release()
+        rasteriser.release()
+    finally:
+        context.release()
+    paper = errors.pop("paper")
+    view_db = {mode: pooled_db(e) for mode, e in errors.items() if e}
+    return Score(pooled_db(paper), view_db, per_view, sum(len(e) for e in paper))
+
+
+def seam_steps(
+    uv: Float[np.ndarray, "corners 2"],
+    faces: Integer[np.ndarray, "faces 3"],
+    source: Integer[np.ndarray, "corners"],
+    image: UInt8[np.ndarray, "height width channels"],
+    *,
+    samples: int = 5,
+) -> Float[np.ndarray, "steps"]:
+    """Colour step (bytes, worst channel) between the two sides of every chart edge, at points along it."""
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    ends = source[directed]
+    count = int(source.max()) + 1
+    key = np.sort(ends, axis=1)
+    key = key[:, 0] * count + key[:, 1]
+    order = np.argsort(key, kind="stable")
+    same = np.flatnonzero(key[order][1:] == key[order][:-1])
+    left, right = directed[order[same]], directed[order[same + 1]]
+    # put both in the same direction along the edge
+    swap = source[left[:, 0]] != source[right[:, 0]]
+    right = np.where(swap[:, None], right[:, ::-1], right)
+    # a triangle without area has no texels of its own: its corners share one texture coordinate
+    wide = (uv[left[:, 0]] != uv[left[:, 1]]).any(1) & (uv[right[:, 0]] != uv[right[:, 1]]).any(1)
+    seam = (left != right).any(1) & wide
+    left, right = left[seam], right[seam]
+    if len(left) == 0:
+        return np.zeros(0)
+    steps = []
+    for t in (np.arange(samples) + 0.5) / samples:
+        one = sample_texture(image, (1 - t) * uv[left[:, 0]] + t * uv[left[:, 1]])
+        other = sample_texture(image, (1 - t) * uv[right[:, 0]] + t * uv[right[:, 1]])
+        steps.append(np.abs(one - other).max(1))
+    return np.concatenate(steps)
+
+
+def field_to_mesh(
+    distance: PointFunction, mesh: Mesh, *, count: int = 40_000, seed: int = 0
+) -> Float[np.ndarray, "count"]:
+    """|distance| of points spread evenly over a mesh, metres: how far its triangles cut through the surface."""
+    rng = np.random.default_rng(seed)
+    face, weight = spread_over(mesh, count, rng)
+    return np.abs(distance((weight[:, :, None] * mesh.vertices[mesh.faces[face]]).sum(1)))
+
+
+def spread_over(
+    mesh: Mesh, count: int, rng: np.random.Generator, importance: Float[np.ndarray, "faces"] | None = None
+) -> tuple[Integer[np.ndarray, "count"], Float[np.ndarray, "count 3"]]:
+    """Random points of a mesh, uniform in area (times importance): face and barycentric coordinates."""
+    from bake.surface import face_areas
+
+    areas = face_areas(mesh.vertices, mesh.faces) * (1.0 if importance is None else importance)
+    face = np.searchsorted(np.cumsum(areas), rng.random(count) * areas.sum()).clip(0, len(areas) - 1)
+    root, along = np.sqrt(rng.random(count)), rng.random(count)
+    return face, np.stack([1 - root, root * (1 - along), root * along], 1)

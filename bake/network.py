@@ -1,0 +1,256 @@
+"""View-dependent residual over the paper's colour, distilled from the field inside the cone that was seen.
+
+    colour = clamp(base + A |t'| y / (1 + |y|)),   y = W2 relu(W1 x + b1) + b2,   x = [f (4), t' (3), |t'|]
+
+f are four 8-bit features of the surface point. The teacher's residual is C(x, d') - C(x, d_bar), so at
+d = d_bar the result is the paper's colour whatever the weights. A linear residual (sum f_i M_i) t' over the
+same features is always fitted as well, and ships alone where the network gains less than 0.3 dB over it.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import torch
+from avatar.avatar_file import ViewNetwork
+from avatar.files import whole_file
+from jaxtyping import Float, Integer, UInt8
+from torch import nn
+
+from bake.cone import ViewCone, clamped_tangent, cone_direction, matrix_from_six, tangent_frame
+
+AMPLITUDE = 0.6
+GAIN_DB = 0.3  # what a mode must gain over the simpler one to be shipped
+INVISIBLE_DB = 45.0  # a field this close to its own paper mode has nothing to add: 1.4 / 255 rms
+
+ColorFunction = Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
+
+
+class SurfacePoints(NamedTuple):
+    """What the feature encoder knows about points of the surface."""
+
+    points: Float[np.ndarray, "n 3"]  # canonical, metres
+    normals: Float[np.ndarray, "n 3"]
+    base: Float[np.ndarray, "n 3"]  # paper colour, [0, 1]
+    cone: ViewCone
+
+
+class Distilled(NamedTuple):
+    network: ViewNetwork | None
+    linear: Float[np.ndarray, "4 3 3"] | None
+    default_view: Literal["network", "linear", "off"]
+    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n 4"]] | None
+    decibels: dict[str, float]  # of each mode against the cone field, on samples kept out of training
+
+
+class FeatureEncoder(nn.Module):
+    """Surface point -> four features in [0, 1], rounded to 1/255 with the gradient passed straight through.
+
+    The encoder ties texels together, so that a few hundred thousand teacher colours are enough for a million
+    texels; it is thrown away after its output is stored. Position enters as sines of up to 2^5 periods per
+    2 m (about 6 cm): a residual of the view varies no faster.
+    """
+
+    def __init__(self, *, width: int = 48, octaves: int = 6):
+        super().__init__()
+        self.octaves = octaves
+        self.layers = nn.Sequential(
+            nn.Linear(3 + 6 * octaves + 9, width),
+            nn.ReLU(),
+            nn.Linear(width, width),
+            nn.ReLU(),
+            nn.Linear(width, 4),
+        )
+
+    def forward(self, surface: Float[torch.Tensor, "n 12"]) -> Float[torch.Tensor, "n 4"]:
+        position = surface[:, :3]
+        waves = [f(position * (torch.pi * 2**k)) for k in range(self.octaves) for f in (torch.sin, torch.cos)]
+        value = torch.sigmoid(self.layers(torch.cat([surface, *waves], 1)))
+        return value + (torch.round(value * 255) / 255 - value).detach()
+
+
+def sampled_directions(cone: ViewCone, rng: np.random.Generator, *, seen_share: float = 0.7) -> np.ndarray:
+    """Unit directions: most distributed as training saw them, the rest over the whole sphere."""
+    n = len(cone.direction)
+    first, second = tangent_frame(cone.direction)
+    frame = np.stack([first, second], 1)
+    flat = frame @ matrix_from_six(cone.metric) @ frame.transpose(0, 2, 1)
+    values, vectors = np.linalg.eigh(flat)
+    # Q = 1 / (1.6^2 variance): back to the standard deviation along each axis
+    spread = 1.0 / (1.6 * np.sqrt(np.maximum(values, 0.15)))
+    along = rng.normal(size=(n, 2)) * spread
+    tangent = np.einsum("nk,nik,nij->nj", along, vectors, frame)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1.0)
+    observed = tangent + cone.direction * np.sqrt(np.maximum(1 - (tangent**2).sum(1, keepdims=True), 0))
+    anywhere = rng.normal(size=(n, 3))
+    anywhere /= np.linalg.norm(anywhere, axis=1, keepdims=True)
+    return np.where(rng.random((n, 1)) < seen_share, observed, anywhere)
+
+
+def network_inputs(
+    features: Float[np.ndarray, "n 4"], tangent: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 8"]:
+    """x = [features / 255, t', |t'|] from features in [0, 1]."""
+    return np.concatenate([features, tangent, np.linalg.norm(tangent, axis=1, keepdims=True)], 1)
+
+
+def network_residual(
+    network: ViewNetwork, features: Float[np.ndarray, "n 4"], tangent: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """A |t'| y / (1 + |y|) in float64: the reference of the shader."""
+    x = network_inputs(features, tangent)
+    hidden = np.maximum(x @ np.asarray(network.w1, np.float64).T + network.b1, 0)
+    y = hidden @ np.asarray(network.w2, np.float64).T + network.b2
+    return AMPLITUDE * x[:, 7:8] * y / (1 + np.abs(y))
+
+
+def linear_residual(
+    linear: Float[np.ndarray, "4 3 3"], features: Float[np.ndarray, "n 4"], tangent: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    return np.einsum("nf,fij,nj->ni", features, linear, tangent)
+
+
+def decibels(error: Float[np.ndarray, "*n"]) -> float:
+    """PSNR of an error in [0, 1] units; infinite when there is none."""
+    mse = float(np.mean(np.square(error)))
+    return float("inf") if mse == 0 else -10 * float(np.log10(mse))
+
+
+def fit_linear(
+    features: Float[np.ndarray, "n 4"], tangent: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "4 3 3"]:
+    """Least squares of residual = (sum f_i M_i) t', lightly damped: features may be nearly equal."""
+    design = (features[:, :, None] * tangent[:, None, :]).reshape(len(features), 12)
+    gram = design.T @ design
+    solution = np.linalg.solve(gram + (1e-6 * np.trace(gram) + 1e-12) * np.eye(12), design.T @ residual)
+    return solution.reshape(4, 3, 3).transpose(0, 2, 1)
+
+
+def distil(
+    color: ColorFunction,
+    surface: SurfacePoints,
+    *,
+    seed: int = 0,
+    steps: int = 1200,
+    batch: int = 8192,
+    report: Callable[[str], None] = lambda line: None,
+) -> Distilled:
+    """Features, network and linear residual for the cone field color(points, directions).
+
+    One eighth of the surface points is kept out and scores the modes. When the field's own view dependence
+    inside the cone is below what can be seen, or nothing beats the paper's colour, nothing is shipped and the
+    view is "off".
+    """
+    rng = np.random.default_rng(seed)
+    usable = np.flatnonzero(surface.cone.seen > 0.02)
+    if len(usable) < 64:
+        return Distilled(None, None, "off", None, {"off": float("inf")})
+    surface = SurfacePoints(
+        surface.points[usable], surface.normals[usable], surface.base[usable], _rows(surface.cone, usable)
+    )
+    direction = sampled_directions(surface.cone, rng)
+    tangent = clamped_tangent(direction, surface.cone)
+    paper = color(surface.points, surface.cone.direction)
+    residual = color(surface.points, cone_direction(tangent, surface.cone)) - paper
+    kept = rng.random(len(usable)) < 0.125
+    scores = {"off": decibels(residual[kept])}
+    report(f"cone field against its paper mode: {scores['off']:.1f} dB")
+    if scores["off"] >= INVISIBLE_DB:
+        return Distilled(None, None, "off", None, scores)
+
+    torch.manual_seed(seed)
+    encoder = FeatureEncoder()
+    layers = nn.Sequential(nn.Linear(8, 16), nn.ReLU(), nn.Linear(16, 3))
+    matrices = nn.Parameter(torch.zeros(4, 3, 3))
+    inputs = torch.from_numpy(_encoder_inputs(surface))
+    tangents = torch.from_numpy(tangent.astype(np.float32))
+    targets = torch.from_numpy(residual.astype(np.float32))
+    bases = torch.from_numpy(surface.base.astype(np.float32))
+    optimiser = torch.optim.Adam([*encoder.parameters(), *layers.parameters(), matrices], lr=3e-3)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, max_lr=6e-3, total_steps=steps)
+    train = np.flatnonzero(~kept)
+    for _ in range(steps):
+        pick = torch.from_numpy(rng.choice(train, min(batch, len(train))))
+        features, t = encoder(inputs[pick]), tangents[pick]
+        size = t.norm(dim=1, keepdim=True)
+        y = layers(torch.cat([features, t, size], 1))
+        wanted = (bases[pick] + targets[pick]).clamp(0, 1)
+        by_network = bases[pick] + AMPLITUDE * size * y / (1 + y.abs())
+        by_matrix = bases[pick] + torch.einsum("nf,fij,nj->ni", features, matrices, t)
+        loss = (by_network - wanted).abs().mean() + 0.5 * (by_matrix - wanted).abs().mean()
+        loss = loss + 3 * (by_network - wanted).square().mean() + (by_matrix - wanted).square().mean()
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+
+    def features_of(points: SurfacePoints) -> UInt8[np.ndarray, "n 4"]:
+        encoded = []
+        with torch.no_grad():
+            for chunk in torch.from_numpy(_encoder_inputs(points)).split(1 << 16):
+                encoded.append(torch.round(encoder(chunk) * 255).to(torch.uint8).numpy())
+        return np.concatenate(encoded) if encoded else np.zeros((0, 4), np.uint8)
+
+    network = ViewNetwork(
+        w1=layers[0].weight.detach().numpy().copy(),
+        b1=layers[0].bias.detach().numpy().copy(),
+        w2=layers[2].weight.detach().numpy().copy(),
+        b2=layers[2].bias.detach().numpy().copy(),
+    )
+    features = features_of(surface) / 255.0
+    linear = fit_linear(features[~kept], tangent[~kept], residual[~kept])
+    held = features[kept], tangent[kept]
+    scores["linear"] = decibels(linear_residual(linear, *held) - residual[kept])
+    scores["network"] = decibels(network_residual(network, *held) - residual[kept])
+    report(f"linear {scores['linear']:.1f} dB, network {scores['network']:.1f} dB on samples kept out")
+    return choose(scores, network, linear, features_of)
+
+
+def choose(
+    scores: dict[str, float],
+    network: ViewNetwork,
+    linear: Float[np.ndarray, "4 3 3"],
+    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n 4"]],
+) -> Distilled:
+    """The simplest mode that is not GAIN_DB worse than a richer one; what is not worth it is not in the file."""
+    if scores["network"] >= max(scores["linear"], scores["off"]) + GAIN_DB:
+        return Distilled(network, linear.astype(np.float32), "network", features, scores)
+    if scores["linear"] >= scores["off"] + GAIN_DB:
+        return Distilled(None, linear.astype(np.float32), "linear", features, scores)
+    return Distilled(None, None, "off", None, scores)
+
+
+def _rows(cone: ViewCone, index: Integer[np.ndarray, "n"]) -> ViewCone:
+    return ViewCone(cone.direction[index], cone.metric[index], cone.seen[index])
+
+
+def _encoder_inputs(surface: SurfacePoints) -> Float[np.ndarray, "n 12"]:
+    return np.concatenate([surface.points, surface.normals, surface.base, surface.cone.direction], 1).astype(
+        np.float32
+    )
+
+
+def write_onnx(path: Path, network: ViewNetwork) -> None:
+    """The network alone, x (n, 8) -> y (n, 3), for ONNX Runtime: the reference the shader is tested against."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    weights = {"w1": network.w1, "b1": network.b1, "w2": network.w2, "b2": network.b2}
+    graph = helper.make_graph(
+        [
+            helper.make_node("Gemm", ["x", "w1", "b1"], ["z"], transB=1),
+            helper.make_node("Relu", ["z"], ["h"]),
+            helper.make_node("Gemm", ["h", "w2", "b2"], ["y"], transB=1),
+        ],
+        "view_network",
+        [helper.make_tensor_value_info("x", TensorProto.FLOAT, ["n", 8])],
+        [helper.make_tensor_value_info("y", TensorProto.FLOAT, ["n", 3])],
+        [numpy_helper.from_array(np.asarray(value, np.float32), name) for name, value in weights.items()],
+    )
+    model = helper.make_model(
+        graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8, producer_name="selfscan"
+    )
+    onnx.checker.check_model(model)
+    with whole_file(path) as file:
+        file.write(model.SerializeToString(deterministic=True))

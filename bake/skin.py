@@ -1,0 +1,48 @@
+"""Skin weights of the baked vertices: four influences, 8 bits, each row summing to exactly 255."""
+
+import numpy as np
+from jaxtyping import Float, Integer, UInt8
+
+from bake.transfer import Match, fill_harmonic
+
+
+def transferred_weights(
+    match: Match,
+    faces: Integer[np.ndarray, "faces 3"],
+    source_faces: Integer[np.ndarray, "source_faces 3"],
+    source: Float[np.ndarray, "vertices joints"],
+    *,
+    limit: float = 0.03,
+) -> tuple[Float[np.ndarray, "n joints"], int]:
+    """Dense weights at the closest source point that faces the same way, within `limit` metres; the rest is
+    filled harmonically over the mesh `faces` (Abdrashitov et al. 2023, Robust Skin Weights Transfer).
+
+    Returns:
+        rows that sum to one, and how many were filled.
+    """
+    weights = (match.barycentric[:, :, None] * source[source_faces[match.face]]).sum(1)
+    good = match.agrees & (match.distance < limit)
+    weights = np.maximum(fill_harmonic(weights, good, faces), 0)
+    return weights / weights.sum(1, keepdims=True), int((~good).sum())
+
+
+def quantised(
+    weights: Float[np.ndarray, "n joints"],
+) -> tuple[UInt8[np.ndarray, "n 4"], UInt8[np.ndarray, "n 4"]]:
+    """The four largest weights as bytes that sum to exactly 255, by largest remainder.
+
+    Influences are sorted by weight; an influence of weight 0 names joint 0, as glTF asks, and no joint is
+    named twice with weight.
+    """
+    if not np.isfinite(weights).all() or (weights < 0).any() or (weights.sum(1) <= 0).any():
+        raise ValueError("skin weights must be finite, not negative, and not all zero in a row")
+    joints = np.argsort(-weights, axis=1, kind="stable")[:, :4]
+    four = np.take_along_axis(weights, joints, 1).astype(np.float64)
+    exact = 255.0 * four / four.sum(1, keepdims=True)
+    whole = np.floor(exact)
+    missing = np.rint(255 - whole.sum(1)).astype(np.int64)
+    order = np.argsort(-(exact - whole), axis=1, kind="stable")
+    rank = np.argsort(order, axis=1, kind="stable")
+    whole += rank < missing[:, None]
+    joints = np.where(whole > 0, joints, 0)
+    return joints.astype(np.uint8), whole.astype(np.uint8)

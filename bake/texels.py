@@ -1,0 +1,176 @@
+"""Texels <-> surface: which triangle and which canonical point a texel shows, and its base colour."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer, UInt8
+from scipy.ndimage import distance_transform_edt
+
+# where in a texel the colour is sampled: its centre, then a rotated grid
+JITTER = np.array([[0.0, 0.0], [-0.125, -0.375], [0.375, -0.125], [0.125, 0.375], [-0.375, 0.125]])
+
+# texels this far outside their chart are still given the surface that lies there: bilinear filtering reads
+# them at a chart's edge, and both sides of the edge then see the same surface
+SKIRT = 1.5
+
+
+class TexelMap(NamedTuple):
+    """The texels of an atlas that show surface, in row-major order."""
+
+    index: Integer[np.ndarray, "texels"]  # row * size + column; row 0 is v = 0
+    face: Integer[np.ndarray, "texels"]
+    inside: Bool[np.ndarray, "texels"]  # centre inside its triangle; others are the charts' skirt
+    size: int
+
+
+def rasterise_charts(
+    uv: Float[np.ndarray, "corners 2"],
+    faces: Integer[np.ndarray, "faces 3"],
+    size: int,
+    *,
+    skirt: float = SKIRT,
+) -> TexelMap:
+    """Triangle of every texel whose centre lies in one, or within `skirt` texels of one.
+
+    A texel takes the triangle it is deepest inside, so that a skirt never covers a chart, and a chart thinner
+    than a texel still owns the texels it passes through.
+    """
+    corners = uv[faces] * size
+    low = np.clip(np.floor(corners.min(1) - skirt - 0.5).astype(np.int64) + 1, 0, size - 1)
+    high = np.clip(np.ceil(corners.max(1) + skirt - 0.5).astype(np.int64) - 1, 0, size - 1)
+    extent = np.maximum(high - low + 1, 0)
+    ahead, aside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    # a triangle without area in the atlas owns no texel: it borrows one from a neighbour (atlas.adopt_orphans)
+    owns = np.abs(ahead[:, 0] * aside[:, 1] - ahead[:, 1] * aside[:, 0]) > 1e-6
+    counts = extent[:, 0] * extent[:, 1] * owns
+    depth = np.full(size * size, -np.inf, np.float32)
+    owner = np.full(size * size, -1, np.int64)
+    bounds = np.searchsorted(np.cumsum(counts), np.arange(0, counts.sum() + 4_000_000, 4_000_000))
+    bounds = np.unique(np.append(bounds, len(faces)))
+    for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+        own = np.arange(first, last)
+        face = np.repeat(own, counts[own])
+        if len(face) == 0:
+            continue
+        local = np.arange(len(face)) - np.repeat(np.cumsum(counts[own]) - counts[own], counts[own])
+        column = low[face, 0] + local % extent[face, 0]
+        row = low[face, 1] + local // extent[face, 0]
+        centre = np.stack([column + 0.5, row + 0.5], 1)
+        inset = _inset(corners, face, centre)
+        close = inset > -skirt
+        texel, face, inset = (row * size + column)[close], face[close], inset[close].astype(np.float32)
+        order = np.lexsort((-face, inset))  # deepest last; ties go to the lower face
+        texel, face, inset = texel[order], face[order], inset[order]
+        deeper = inset > depth[texel]
+        texel, face, inset = texel[deeper], face[deeper], inset[deeper]
+        # NumPy keeps the last of repeated indices, which the order makes the deepest
+        depth[texel], owner[texel] = inset, face
+    index = np.flatnonzero(owner >= 0)
+    return TexelMap(index, owner[index], depth[index] >= 0, size)
+
+
+def _inset(corners: np.ndarray, face: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Depth of points inside their triangles, texels; minus the distance to the triangle outside."""
+    triangle = corners[face]
+    ahead = np.roll(triangle, -1, axis=1) - triangle
+    to_point = points[:, None] - triangle
+    cross = ahead[..., 0] * to_point[..., 1] - ahead[..., 1] * to_point[..., 0]
+    area = ahead[:, 0, 0] * ahead[:, 1, 1] - ahead[:, 0, 1] * ahead[:, 1, 0]
+    square = np.maximum((ahead**2).sum(-1), 1e-12)
+    signed = np.where(area < 0, -1.0, 1.0)[:, None] * cross / np.sqrt(square)
+    inside = (signed.min(1) >= 0) & (np.abs(area) > 1e-9)
+    along = np.clip((to_point * ahead).sum(-1) / square, 0, 1)
+    away = np.sqrt((((to_point - along[..., None] * ahead) ** 2).sum(-1)).min(1))
+    return np.where(inside, signed.min(1), -away)
+
+
+def barycentric(
+    uv: Float[np.ndarray, "corners 2"],
+    faces: Integer[np.ndarray, "faces 3"],
+    texels: TexelMap,
+    jitter: Float[np.ndarray, "2"],
+    *,
+    reach: float = 2.5,
+) -> Float[np.ndarray, "texels 3"]:
+    """Barycentric coordinates of each texel's sample in its triangle; they leave [0, 1] on the skirt.
+
+    At most `reach` texels outside: in a triangle thinner than a texel the coordinates would run away, so they
+    are clamped to the triangle there.
+    """
+    corners = uv[faces[texels.face]] * texels.size
+    column, row = texels.index % texels.size, texels.index // texels.size
+    p = np.stack([column, row], 1) + 0.5 + jitter - corners[:, 0]
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    determinant = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]
+    longest = np.maximum((e1**2).sum(1), (e2**2).sum(1))
+    flat = np.abs(determinant) < 1e-3 * longest + 1e-9
+    safe = np.where(flat, 1.0, determinant)
+    b = (p[:, 0] * e2[:, 1] - p[:, 1] * e2[:, 0]) / safe
+    c = (e1[:, 0] * p[:, 1] - e1[:, 1] * p[:, 0]) / safe
+    result = np.stack([1 - b - c, b, c], 1)
+    # a degenerate triangle: along its longer side
+    side = np.where((((e1**2).sum(1)) >= ((e2**2).sum(1)))[:, None], e1, e2)
+    along = np.clip((p * side).sum(1) / np.maximum((side**2).sum(1), 1e-12), 0, 1)
+    first = ((e1**2).sum(1)) >= ((e2**2).sum(1))
+    line = np.stack([1 - along, np.where(first, along, 0), np.where(first, 0, along)], 1)
+    result[flat] = line[flat]
+    wild = _inset(uv[faces] * texels.size, texels.face, p + corners[:, 0]) < -reach
+    clipped = np.clip(result, 0, None)
+    clipped /= clipped.sum(1, keepdims=True)
+    return np.where(wild[:, None] | (np.abs(result).max(1) > 50)[:, None], clipped, result)
+
+
+def spread(values: Float[np.ndarray, "texels channels"], texels: TexelMap, rest: float = 0.0) -> np.ndarray:
+    """Image (size, size, channels) with every uncovered texel set to the nearest covered one's value."""
+    image = np.full((texels.size * texels.size, values.shape[1]), rest)
+    image[texels.index] = values
+    image = image.reshape(texels.size, texels.size, -1)
+    covered = np.zeros(texels.size * texels.size, bool)
+    covered[texels.index] = True
+    if not covered.any():
+        return image
+    covered = covered.reshape(texels.size, texels.size)
+    rows, columns = distance_transform_edt(~covered, return_distances=False, return_indices=True)
+    return image[rows, columns]
+
+
+def bytes_from_unit(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
+    """[0, 1] -> 0..255, rounded to nearest (truncation would darken by half a step)."""
+    return np.clip(np.round(values * 255.0), 0, 255).astype(np.uint8)
+
+
+def sample_texels(
+    color: Callable[[TexelMap, np.ndarray], Float[np.ndarray, "texels 3"]],
+    texels: TexelMap,
+    *,
+    contrast: float = 3 / 255,
+) -> Float[np.ndarray, "texels 3"]:
+    """Mean colour of each texel: one sample everywhere, four more where neighbours differ.
+
+    color(texels, jitter) returns the colour at each texel's centre moved by jitter (texels). Where the centre
+    differs from a neighbour by no more than `contrast`, more samples would not change its byte by one.
+    """
+    first = color(texels, JITTER[0])
+    grid = np.full((texels.size * texels.size, 3), np.nan, np.float32)
+    grid[texels.index] = first
+    grid = grid.reshape(texels.size, texels.size, 3)
+    busy = np.zeros((texels.size, texels.size), bool)
+    for axis in (0, 1):
+        step = np.abs(np.diff(grid, axis=axis)).max(-1) > contrast  # NaN compares False
+        if axis == 0:
+            busy[1:] |= step
+            busy[:-1] |= step
+        else:
+            busy[:, 1:] |= step
+            busy[:, :-1] |= step
+    chosen = np.flatnonzero(busy.reshape(-1)[texels.index])
+    if len(chosen) == 0:
+        return first
+    some = TexelMap(texels.index[chosen], texels.face[chosen], texels.inside[chosen], texels.size)
+    total = np.zeros((len(chosen), 3))
+    for jitter in JITTER[1:]:
+        total += color(some, jitter)
+    first = first.copy()
+    first[chosen] = total / (len(JITTER) - 1)
+    return first
