@@ -35,7 +35,7 @@ def stages(out: Path) -> list[Stage]:
     def train() -> object:
         from train.command import main
 
-        resume = ["--resume"] if run.exists() else []
+        resume = ["--resume"] if run.with_name(run.name + ".partial").exists() else []
         return main([str(capture), "-o", str(run), "--preset", "demo", *resume])
 
     def bake() -> object:

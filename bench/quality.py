@@ -18,6 +18,7 @@ from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.progress import progress
 from avatar.skeleton import BIG_POSE
+from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
 from bench.held_out import SETS, HeldOutView, TrueMesh, read_capture_facts, read_held_out, read_true_mesh
 from bench.picture_scores import ImageScores, is_t_pose, score_images
@@ -61,7 +62,7 @@ PAPER = {
 }
 
 
-def evaluate(path: Path, capture: Path, *, own_weights: bool = True) -> dict[str, Any]:
+def evaluate(path: Path, capture: Path, *, ceiling: bool = False) -> dict[str, Any]:
     """Every number of `selfscan eval` as one JSON-ready dictionary."""
     start = time.perf_counter()
     facts = read_capture_facts(capture)
@@ -69,7 +70,11 @@ def evaluate(path: Path, capture: Path, *, own_weights: bool = True) -> dict[str
     held_out = {name: read_held_out(capture, name) for name in SETS}
     drawer = Drawer(path)
     try:
-        result = measured(drawer, truth, held_out, own_weights=own_weights)
+        result = measured(drawer, truth, held_out)
+        if ceiling:
+            result["beside"]["ceiling"] = measured_ceiling(
+                drawer, capture, facts, truth, held_out["novel_pose"]
+            )
     finally:
         drawer.release()
     source = {"path": str(path), "kind": "avatar" if drawer.avatar is not None else "run"}
@@ -85,20 +90,17 @@ def evaluate(path: Path, capture: Path, *, own_weights: bool = True) -> dict[str
     }
 
 
-def measured(
-    drawer: Drawer, truth: TrueMesh, held_out: dict[str, list[HeldOutView]], *, own_weights: bool
-) -> dict[str, Any]:
+def measured(drawer: Drawer, truth: TrueMesh, held_out: dict[str, list[HeldOutView]]) -> dict[str, Any]:
+    """Both sets of held-out pictures and poses, and what stands beside them."""
     surface = drawer.surface
     rest = np.zeros((52, 3)), truth.joints[0]
     visible = visible_faces(drawer.raster, surface.posed(*rest), surface.faces)
     case = geometry_case(truth, surface, visible)
-    own = own_weights_surface(truth, surface) if own_weights else None
+    own = own_weights_surface(truth, surface)
 
     out: dict[str, Any] = {}
     beside: dict[str, Any] = {
         "t_pose": regions_of(measure_once(case, *rest)),
-        "own_weights": {},
-        "aligned": {},
     }
     beside["canonical"] = regions_of(measure_once(case, BIG_POSE, truth.joints[0]))
     for name, views in held_out.items():
@@ -113,18 +115,31 @@ def measured(
             measure_pose(case, truth_posed, posed, distances["ours"])
             if apart:
                 measure_pose(case, truth_posed, aligned_total(case, truth_posed, posed), distances["aligned"])
-                if own is not None:
-                    measure_pose(case, truth_posed, own.posed(*pose), distances["own"])
+                measure_pose(case, truth_posed, own.posed(*pose), distances["own"])
         out[name] = regions_of(distances["ours"], images.scored)
         if apart:
             beside["aligned"] = regions_of(distances["aligned"])
-            beside["own_weights"] = regions_of(distances["own"]) if own is not None else {}
+            beside["own_weights"] = regions_of(distances["own"])
             beside["poses"] = len(poses)
             if images.t_pose:
                 beside["t_pose_frames"] = regions_of({}, images.t_pose)
     out["baked_vs_field"] = baked_vs_field_of(drawer)
     out["beside"] = beside
     return out
+
+
+def measured_ceiling(
+    drawer: Drawer, capture: Path, facts: dict[str, Any], truth: TrueMesh, views: list[HeldOutView]
+) -> dict[str, Any]:
+    """Novel poses of the true mesh under our weights: pictures and distances."""
+    best = CeilingDrawer(drawer.raster, capture, facts, truth)
+    images = score_images(views, truth, best.draw, "ceiling pictures", t_pose_apart=True)
+    case = geometry_case(truth, best.surface, truth.visible)
+    distances = {region: Distances() for region in SAMPLES}
+    for view in progress(distinct_poses([v for v in views if not is_t_pose(v)]), "ceiling surfaces"):
+        pose = view.axis_angle, view.root
+        measure_pose(case, truth.posed(*pose), best.surface.posed(*pose), distances)
+    return regions_of(distances, images.scored)
 
 
 def distinct_poses(views: list[HeldOutView]) -> list[HeldOutView]:
@@ -228,7 +243,8 @@ def table_rows(result: dict[str, Any]) -> list[list[str]]:
                 rows.append([f"  paper: {region}", *cells(PAPER[region])])
     beside = result["beside"]
     labels = {
-        "own_weights": "novel pose, own rig weights",
+        "ceiling": "novel pose, true mesh under our weights",
+        "own_weights": "novel pose, our surface under the rig's weights",
         "aligned": "novel pose, ICP-aligned",
         "t_pose": "T-pose",
         "canonical": "canonical",
@@ -292,10 +308,15 @@ def eval_main(argv: list[str]) -> int:
     )
     parser.add_argument("--json", metavar="FILE", type=Path, help="write every number here as well")
     parser.add_argument("--markdown", metavar="FILE", type=Path, help="write the table here as Markdown")
+    parser.add_argument(
+        "--ceiling",
+        action="store_true",
+        help="also score the true mesh under our skin weights: the best to be had",
+    )
     options = parser.parse_args(argv)
     if not options.subject.exists():
         raise AssetError(f"{options.subject}: expected a run folder or an avatar file, found nothing")
-    result = evaluate(options.subject, options.capture)
+    result = evaluate(options.subject, options.capture, ceiling=options.ceiling)
     print_table(result)
     if options.json:
         with whole_file(options.json, "w") as file:

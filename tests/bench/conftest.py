@@ -11,7 +11,7 @@ import bench.synth.surface
 import bench.synth.truth
 from avatar.avatar_file import Avatar, Level, write_avatar
 from avatar.body import builtin_body
-from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
+from avatar.skeleton import BIG_POSE, JOINTS, PARENTS, skin_transforms
 from avatar.skinning import SkinWeights, dense_weights, skin_points
 from bench.synth.light import light_of
 from bench.synth.photo import Studio
@@ -29,15 +29,20 @@ def byte_weights(skin):
     return rows.astype(np.uint8)
 
 
+def part_labels(skin):
+    dense = dense_weights(skin)
+    part = np.zeros(len(dense), np.uint8)
+    part[dense[:, 22:37].sum(1) + dense[:, 20] > 0.5] = 2
+    part[dense[:, 37:].sum(1) + dense[:, 21] > 0.5] = 3
+    part[dense[:, JOINTS.index("head")] > 0.5] = 1
+    return part
+
+
 def striped_subject():
     body = builtin_body("male")
     corner = body.faces.ravel()
     uv = body.uv[body.uv_faces.ravel()]
-    part = np.zeros(len(body.vertices), np.uint8)
-    dense = dense_weights(body.skin)
-    part[dense[:, 22:37].sum(1) + dense[:, 20] > 0.5] = 2
-    part[dense[:, 37:].sum(1) + dense[:, 21] > 0.5] = 3
-    part[dense[:, JOINTS.index("head")] > 0.5] = 1
+    part = part_labels(body.skin)
     rows, columns = np.indices((256, 256))
     texture = np.stack([60 + 120 * (rows // 8 % 2), 90 + 100 * (columns // 8 % 2), 0 * rows + 140], -1)
     return Subject(
@@ -53,6 +58,25 @@ def striped_subject():
         part=part[corner],
         hair=np.zeros(len(corner), bool),
         licence="CC0-1.0",
+    )
+
+
+def write_template(path):
+    """The body itself as a perfectly registered template."""
+    body = builtin_body("male")
+    part = part_labels(body.skin)
+    np.savez(
+        path,
+        v_template=body.vertices,
+        faces=body.faces,
+        skin_joints=body.skin.joints.astype(np.uint8),
+        skin_weights=body.skin.weights,
+        joints=body.joints,
+        parents=PARENTS,
+        uv=body.uv,
+        uv_faces=body.uv_faces,
+        hair=np.zeros(len(body.vertices), bool),
+        part=part,
     )
 
 
@@ -112,6 +136,7 @@ def oracle(tmp_path_factory, small_pictures):
     capture.mkdir()
     facts = {"format": "selfscan-capture", "version": 1, "subject": "striped", "light": "even", "seed": 0}
     (capture / "capture.json").write_text(json.dumps(facts))
+    write_template(capture / "subject.npz")
     context = open_context()
     raster = Rasteriser(context)
     studio = Studio(raster, subject, supersample=2)

@@ -9,6 +9,7 @@ from scipy.ndimage import distance_transform_cdt
 
 from avatar.camera import Camera, look_at, pinhole, pixel_rays
 from avatar.errors import AssetError
+from bench.ceiling import ceiling_surface
 from bench.held_out import read_held_out, read_true_mesh
 from bench.picture_scores import box_pixels, is_t_pose, region_pictures
 from bench.quality import eval_main, evaluate
@@ -42,6 +43,19 @@ def test_own_rig_weights_leave_a_perfect_avatar_where_it_is(result):
     assert result["beside"]["own_weights"]["total"]["chamfer_cm"] < 0.03
 
 
+def test_a_perfect_template_has_no_ceiling(oracle):
+    capture, _, _ = oracle
+    truth = read_true_mesh(capture)
+    view = read_held_out(capture, "novel_pose")[0]
+    apart = ceiling_surface(capture, truth).posed(view.axis_angle, view.root) - truth.posed(
+        view.axis_angle, view.root
+    )
+    outside = np.unique(truth.faces[truth.visible])
+    assert (
+        np.quantile(np.linalg.norm(apart[outside], axis=1), 0.95) < 1e-5
+    )  # metres; the rest are lips and eyelids
+
+
 def test_baked_against_field_is_read_from_the_file(result):
     assert result["baked_vs_field"] == {"paper_db": 40.0, "network_db": None}
 
@@ -50,7 +64,7 @@ def test_the_command_prints_a_table_with_the_papers_row_and_writes_json(
     oracle, tmp_path, capsys, result, monkeypatch
 ):
     capture, avatar, _ = oracle
-    monkeypatch.setattr("bench.quality.evaluate", lambda *_: result)
+    monkeypatch.setattr("bench.quality.evaluate", lambda *_, **__: result)
     assert eval_main([str(avatar), str(capture), "--json", str(tmp_path / "q.json")]) == 0
     printed = capsys.readouterr().out
     assert "paper: total" in printed and "26.15" in printed

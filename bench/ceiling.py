@@ -1,0 +1,86 @@
+"""The ceiling of an evaluation: the subject's own mesh and textures, posed by the skin weights that learning uses.
+
+What it loses against the truth no learner can win back: a T-pose video does not show the rig's weights.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+from avatar.camera import Camera
+from avatar.errors import AssetError
+from avatar.npz import read_npz
+from avatar.skeleton import BIG_POSE
+from bench.field_view import Picture, PosableSurface
+from bench.held_out import TrueMesh
+from bench.synth.light import light_of
+from bench.synth.photo import Studio
+from bench.synth.subject import Subject
+from player.raster import Rasteriser
+from train.capture import read_subject
+from train.skin import CanonicalSkin
+
+
+def ceiling_surface(capture: Path, truth: TrueMesh) -> PosableSurface:
+    """The true mesh with weights looked up on the capture's template, as training looks them up."""
+    canonical = truth.canonical()
+    template = read_subject(Path(capture) / "subject.npz")
+    skin = CanonicalSkin(template).of_mesh(canonical, truth.faces)
+    return PosableSurface(canonical, truth.faces, skin, np.asarray(template.joints, np.float64), BIG_POSE)
+
+
+class CeilingDrawer:
+    """Pictures of the ceiling in the light of the capture."""
+
+    def __init__(self, raster: Rasteriser, capture: Path, facts: dict[str, Any], truth: TrueMesh):
+        self.surface = ceiling_surface(capture, truth)
+        self.studio = Studio(raster, true_subject(capture, truth), supersample=1)
+        self.light = light_of(facts["light"], "body", int(facts["seed"]))
+        self.sheen = float(facts.get("sheen", 0.0))
+
+    def draw(
+        self,
+        axis_angle: Float[np.ndarray, "52 3"],
+        root: Float[np.ndarray, "3"],
+        camera: Camera,
+        samples: int,
+    ) -> Picture:
+        self.studio.supersample = samples
+        photo = self.studio.take(self.surface.posed(axis_angle, root), camera, self.light, self.sheen)
+        return Picture((photo.image / np.float32(255)).astype(np.float32), photo.mask > 127)
+
+
+def true_subject(capture: Path, truth: TrueMesh) -> Subject:
+    """The filmed person from the capture's truth folder.
+
+    Raises:
+        AssetError: a texture is missing or the materials name one that is.
+    """
+    folder = Path(capture) / "truth"
+    fields = read_npz(folder / "rest.npz", "ground truth", {"uv", "material"})
+    count = int(fields["material"].max()) + 1
+    textures = []
+    for i in range(count):
+        path = folder / f"texture_{i}.png"
+        try:
+            with Image.open(path) as file:
+                textures.append(np.asarray(file.convert("RGB")))
+        except OSError as error:
+            raise AssetError(f"{path}: expected the texture of material {i}, found: {error}") from None
+    return Subject(
+        name="truth",
+        vertices=truth.vertices.astype(np.float32),
+        faces=truth.faces,
+        uv=fields["uv"],
+        material=fields["material"].astype(np.int64),
+        textures=tuple(textures),
+        alpha=(None,) * count,
+        skin=truth.skin,
+        joints=truth.joints,
+        part=truth.part.astype(np.uint8),
+        hair=truth.hair,
+        licence="",
+    )
