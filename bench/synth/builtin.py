@@ -1,6 +1,5 @@
 """The built-in subject: the free body, dressed and painted by our own code. Everything about it is CC0."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -128,10 +127,10 @@ def baked_light(dressed: Dressed):
         centre = mesh.vertices[rows].mean(0)
         around = coarse[np.linalg.norm(coarse - centre, axis=1) < 0.45]
         fine = surface_points(mesh.vertices, mesh.faces, density, 1 + number)
-        near = sky_light(mesh.vertices[rows], normals[rows], np.concatenate([fine, around]), cell=0.0026, bias=0.0040)
+        near = sky_light(mesh.vertices[rows], normals[rows], np.concatenate([fine, around]), cell=0.0026, bias=0.0048)
         light[rows], opened[rows] = near
     everywhere = np.ones(len(light), bool)
-    values = smoothed(np.stack([light, opened], -1), mesh.faces, everywhere, 4)
+    values = smoothed(np.stack([light, opened], -1), mesh.faces, everywhere, 7)
     return values[:, 0], values[:, 1]
 
 
@@ -154,12 +153,9 @@ def painted(dressed: Dressed, faces, atlas, per_vertex, joints, looks: Looks, si
     n = across(normals)
     n = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-9)
     line = hairline(p, dressed.face, looks).astype(np.float32)
-    canvas = Canvas(p, across(mesh.vertices), n, across(mesh.uv, uv_corners), line, across(light), across(opened), across(cavity))
+    canvas = Canvas(p, across(mesh.vertices), n, across(mesh.uv, uv_corners), line, across(dressed.collar), across(light), across(opened), across(cavity))
     image = np.zeros((size * size, 3), np.float32)
     image[texels.index] = paint(canvas, dressed.kind[faces[texels.face]], dressed, joints, looks)
     covered = np.zeros(size * size, bool)
     covered[texels.index] = True
     return spread(image.reshape(size, size, 3), covered.reshape(size, size))
-
-
-__all__ = ["builtin_subject", "replace"]

@@ -30,6 +30,9 @@ NAILS = (  # texture coordinates (v up) of the nails' middles
 )  # fmt: skip
 
 
+LID_X = np.linspace(-0.0125, 0.0135, 11)  # towards the temple, from the eye's centre
+
+
 @dataclass(frozen=True)
 class Looks:
     """What one person wears; lengths in metres, colours sRGB 0-255."""
@@ -64,7 +67,7 @@ class Dressed:
     kind: Int[Array, " F"]
     face: "Face"
     hairline: Float[Array, " V"]  # metres inside the hairline, negative outside
-    hem: Float[Array, " V"]  # metres to the nearest hem, unsigned
+    collar: Float[Array, " V"]  # metres from the edge of the collar, over the cloth
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,7 @@ class Face:
 
     eyes: Float[Array, "2 3"]  # centres of the eyeballs, left then right
     eye_radius: float
+    lids: Float[Array, "2 2 11"]  # of each eye the upper and the lower lid's edge: y over the centre at LID_X
     mouth: Float[Array, "3"]
     nose: Float[Array, "3"]
     chin: Float[Array, "3"]
@@ -115,9 +119,21 @@ def find_face(mesh: Mesh) -> Face:
         centre = np.linalg.lstsq(system, (points**2).sum(1), rcond=None)[0][:3]
         eyes.append(centre)
         radii.append(np.linalg.norm(points - centre, axis=1).min())
+    on_socket, on_skin = np.zeros((2, len(mesh.vertices)), bool)
+    on_socket[mesh.faces[island]] = True
+    on_skin[mesh.faces[~island]] = True
+    rim = mesh.vertices[on_socket & on_skin]
+    lids = []
+    for side, centre in zip((1, -1), eyes):
+        d = rim - centre
+        d = d[np.linalg.norm(d, axis=1) < 0.02] * [side, 1, 1]
+        d = d[np.argsort(d[:, 0])]
+        over = d[:, 1] >= np.interp(d[:, 0], d[[0, -1], 0], d[[0, -1], 1])
+        lids.append([np.interp(LID_X, d[rows, 0], d[rows, 1]) for rows in (over, ~over)])
     return Face(
         np.array(eyes),
         float(min(radii)),
+        np.array(lids),
         0.5 * (at_uv(mesh, 0.909, 1 - 0.502) + at_uv(mesh, 0.909, 1 - 0.466)),
         at_uv(mesh, 0.863, 1 - 0.4835),
         at_uv(mesh, 0.936, 1 - 0.4835),
@@ -181,7 +197,7 @@ def hairline(points: Float[Array, "N 3"], face: Face, looks: Looks) -> Float[Arr
     peak = 0.006 * np.exp(-((x / 0.012) ** 2)) - 0.005 * smoothstep(0.02, 0.045, x) * smoothstep(0.04, 0.06, z)
     inside = inside + (peak if looks.sex == "male" else 0.6 * peak)
     for centre in face.ears:  # the ear itself stays bare
-        d = (points - centre - [0, -0.004, 0.002]) / [0.024, 0.036, 0.022]
+        d = (points - centre - [0, -0.004, 0.002]) / [0.026, 0.043, 0.024]
         inside = np.minimum(inside, (np.linalg.norm(d, axis=1) - 1) * 0.022 + 0.004)
     return np.where(points[:, 1] > eye[1] - 0.10, inside, -0.1)
 
@@ -234,7 +250,6 @@ def dress(body: Body, looks: Looks) -> Dressed:
         kind[(f_above > 0) & (f_above < 0.035 + LIP) & (f_arm > 0)] = BELT
     else:
         kind[(f_above < 0) & (f_above > -LIP)] = LINING
-    hem = np.minimum(np.abs(neck), np.minimum(np.abs(arm), np.abs(above)))
 
     line = hairline(skin, face, looks)
     cavity = _inner(mesh, face)
@@ -256,7 +271,13 @@ def dress(body: Body, looks: Looks) -> Dressed:
     posed = _apart(posed, skin, joints, trousers)
     for values, level in ((neck, 0.0), (arm, 0.0), *((above, level) for level, _ in waist), (skin[:, 1], ankle_level(joints))):
         posed = _straight(posed, mesh.faces, (np.abs(values - level) < tiny) & cloth)
-    # hems lie in their planes
+    # nothing near a hem hangs over it, and hems lie in their planes
+    for sign, near in ((1, (above > 0) & (above < 0.04) & shirt), (-1, (above < 0) & (above > -0.04) & trousers)):
+        kept = hem_y + 0.4 * above
+        posed[:, 1] = np.where(near, sign * np.maximum(sign * posed[:, 1], sign * kept), posed[:, 1])
+    near = (arm > 0) & (arm < 0.04)
+    over = np.where(near, np.minimum(sleeves(posed, joints, looks) - 0.4 * arm, 0), 0)
+    posed[:, 0] += np.sign(skin[:, 0]) * over
     edge = np.zeros(len(skin), bool)
     for level, _ in waist:
         edge |= np.abs(above - level) < tiny
@@ -274,7 +295,9 @@ def dress(body: Body, looks: Looks) -> Dressed:
     posed = smoothed(posed, mesh.faces, hair & (line > 0.002), 2)
 
     dressed = replace(mesh, vertices=posed)
-    result = Dressed(dressed, skin, kind, face, line, hem)
+    on_collar = np.flatnonzero((np.abs(neck) < tiny) & cloth)
+    collar, _ = cKDTree(posed[on_collar]).query(posed)
+    result = Dressed(dressed, skin, kind, face, line, collar)
     for side in (0, 1):
         result = _with_shoe(result, body, joints, side)
     for centre in face.eyes:
@@ -476,7 +499,7 @@ def _with_shoe(dressed: Dressed, body: Body, joints, side: int) -> Dressed:
             facing = direction @ n
             radius = np.where(facing > 1e-6, np.minimum(radius, (n @ (p - centre)) / np.maximum(facing, 1e-6)), radius)
         sole = 0.0095 if k in (1, 2, 3) else 0.0085 if k == 0 else 0.0075
-        sole = sole - 0.0055 * smoothstep(ankle[1] - 0.035, ankle[1] - 0.005, y)  # slim inside the trouser leg
+        sole = sole - 0.0060 * smoothstep(ankle[1] - 0.035, ankle[1] - 0.005, y)  # slim inside the trouser leg
         xz = centre + direction * (radius + sole)[:, None]
         rings.append(np.stack([xz[:, 0], np.full(AROUND, y), xz[:, 1]], -1))
     rings = np.array(rings)
@@ -580,17 +603,17 @@ def _joined(dressed: Dressed, points, faces, uv, uv_faces, weights, kind, skin) 
         skin_positions=np.concatenate([dressed.skin_positions, skin]),
         kind=np.concatenate([dressed.kind, kind]),
         hairline=np.concatenate([dressed.hairline, np.full(len(points), -0.1)]),
-        hem=np.concatenate([dressed.hem, np.full(len(points), 1.0)]),
+        collar=np.concatenate([dressed.collar, np.full(len(points), 1.0)]),
     )
 
 
 MALE = Looks(
-    sex="male", seed=11, tucked=False, sleeve=0.62, collar=0.012, neckline=0.55, shirt_ease=0.010, trouser_ease=(0.010, 0.014, 0.021),
+    sex="male", seed=11, tucked=False, sleeve=0.62, collar=0.012, neckline=0.55, shirt_ease=0.010, trouser_ease=(0.010, 0.014, 0.0235),
     hair_top=0.016, hair_side=0.0075, bun=0.0, pattern="stripes", skin=(222, 172, 143), hair=(62, 42, 28), iris=(92, 122, 140),
     lips=(186, 112, 102), shirt=((238, 234, 224), (38, 62, 104)), trousers=(52, 66, 96), shoes=(232, 230, 226),
 )  # fmt: skip
 FEMALE = Looks(
-    sex="female", seed=23, tucked=True, sleeve=1.45, collar=0.004, neckline=0.8, shirt_ease=0.011, trouser_ease=(0.009, 0.010, 0.016),
+    sex="female", seed=23, tucked=True, sleeve=1.45, collar=0.004, neckline=0.5, shirt_ease=0.011, trouser_ease=(0.009, 0.010, 0.019),
     hair_top=0.012, hair_side=0.008, bun=0.019, pattern="plaid", skin=(232, 188, 164), hair=(110, 62, 34), iris=(96, 108, 62),
     lips=(196, 98, 98), shirt=((150, 42, 44), (34, 40, 60)), trousers=(70, 68, 74), shoes=(60, 44, 38),
 )  # fmt: skip

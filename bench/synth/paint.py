@@ -15,6 +15,7 @@ from bench.synth.dress import (
     BELT,
     EYE,
     HAIR,
+    LID_X,
     LINING,
     SHIRT,
     SHOE,
@@ -26,7 +27,6 @@ from bench.synth.dress import (
     Looks,
     hairline,
     hem_height,
-    neckline,
     sleeves,
     smoothstep,
 )
@@ -97,6 +97,7 @@ class Canvas:
     n: Float[Array, "N 3"]  # normal of the dressed person
     uv: Float[Array, "N 2"]  # the body's own texture coordinates, v down
     hair: Float[Array, " N"]  # metres inside the hairline
+    collar: Float[Array, " N"]  # metres from the collar's edge
     light: Float[Array, " N"]  # 0 to 1
     opened: Float[Array, " N"]  # 0 to 1
     cavity: Float[Array, " N"]  # negative in creases, positive on ridges
@@ -122,14 +123,15 @@ def _blob(points, centre, radius):
 def paint(c: Canvas, kind: Int[Array, " N"], dressed: Dressed, joints, looks: Looks) -> Float[Array, "N 3"]:
     """The colour of each texel."""
     out = np.zeros((len(kind), 3), np.float32)
+    ground = float(dressed.mesh.vertices[:, 1].min())
     painters = {
         SKIN: lambda x: skin(x, dressed, joints, looks),
         SHIRT: lambda x: shirt(x, joints, looks),
         TROUSERS: lambda x: trousers(x, joints, looks),
         BELT: lambda x: belt(x, joints, looks),
         HAIR: lambda x: hair(x, dressed.face, looks),
-        SHOE: lambda x: shoe(x, joints, looks),
-        SOLE: lambda x: sole(x, looks),
+        SHOE: lambda x: shoe(x, joints, ground, looks),
+        SOLE: lambda x: sole(x, ground, looks),
         LINING: lambda x: lining(x, joints, looks),
     }
     for number, painter in painters.items():
@@ -167,7 +169,7 @@ def skin(c: Canvas, dressed: Dressed, joints, looks: Looks):
     rows = np.flatnonzero(head & (np.abs(p[:, 0] - joints[15, 0]) < 0.15))
     if len(rows):
         colour[rows] = head_skin(colour[rows], c.at(rows), face, looks)
-    crease = np.clip(1 + np.clip(c.cavity, -1, 0.2) * 0.20, 0.4, 1.12)[:, None]
+    crease = np.clip(1 + np.clip(c.cavity, -1, 0.2) * 0.11, 0.4, 1.12)[:, None]
     colour = colour * crease ** np.array([0.75, 1.05, 1.1], np.float32)
     return shaded(colour, c, 0.62, (1.35, 0.95, 0.9))
 
@@ -200,7 +202,7 @@ def head_skin(colour, c: Canvas, face: Face, looks: Looks):
     if male:
         colour = stubble(colour, c, face, looks)
     else:
-        freckle = smoothstep(0.52, 0.8, noise(p * 420, seed + 33)) * front
+        freckle = smoothstep(0.48, 0.75, noise(p * 720, seed + 33)) * front
         freckle = freckle * (_blob(mirrored, [0.5 * iod, -0.034, face.mouth[2]], [0.03, 0.018, 0.04]) + 0.1)
         colour = _mix(colour, colour * [0.84, 0.70, 0.60], 0.5 * freckle)
     colour = lips(colour, c, looks)
@@ -264,41 +266,46 @@ def brows(colour, c: Canvas, face: Face, looks: Looks):
         arch = np.array(arch)
         middle = np.interp(x, arch[:, 0], arch[:, 1])
         half = np.interp(x, [-0.020, -0.015, 0.0, 0.012, 0.030], [0.0020, 0.0040, 0.0040, 0.0031, 0.0006])
-        half = half * (1.12 if male else 0.74)
+        half = half * (1.22 if male else 0.84)
         s = (y - middle) / np.maximum(half, 1e-5)
         ends = smoothstep(-0.0205, -0.0150, x) * smoothstep(0.0305, 0.026, x)
         lean = np.interp(x, [-0.02, -0.005, 0.03], [1.1, 0.45, 0.12])  # hairs rise at the nose, lie down outside
         across = (y - middle) - lean * (x + 0.02)
         hairs = noise(np.stack([across * 1500, (x + lean * y) * 150, x * 0], -1), looks.seed + 70 + k)
         density = smoothstep(1.25, 0.30, np.abs(s) + 0.10 * noise(np.stack([x, y, 0 * x], -1) * 300, looks.seed + 72))
-        cover = np.clip(density * ends * (0.66 + 0.5 * hairs), 0, 1)
+        cover = np.clip(density * ends * (0.82 + 0.45 * hairs), 0, 1)
         dark = _colour(looks.hair) * (0.80 if male else 0.72)
         colour[rows] = _mix(colour[rows], dark, cover * (0.92 if male else 0.85))
     return colour
 
 
 def lashes(colour, c: Canvas, face: Face, looks: Looks):
-    """The lid's edge, where the skin meets the eyeball: lashes above, a moist rim below."""
+    """The lids' edges in the front view: a dark line of lashes above, a moist rim and sparse lashes below."""
+    male = looks.sex == "male"
     for k, centre in enumerate(face.eyes):
-        side = (1, -1)[k]
-        d = c.p - centre
-        gap = np.linalg.norm(d, axis=1) - face.eye_radius
-        rows = np.flatnonzero((gap < 0.008) & (d[:, 2] > 0.0))
+        d = (c.p - centre) * [(1, -1)[k], 1, 1]
+        rows = np.flatnonzero((np.abs(d[:, 0]) < 0.018) & (np.abs(d[:, 1]) < 0.016) & (d[:, 2] > 0))
         if not len(rows):
             continue
-        d, gap = d[rows], gap[rows]
-        rim = np.interp(side * d[:, 0], [-0.0125, -0.006, 0.003, 0.0125], [0.0, 0.0035, 0.0042, 0.0005])
-        upper = smoothstep(-0.0010, 0.0010, d[:, 1] - 0.4 * rim + 0.0012)
-        liner = smoothstep(0.0030, 0.0016, gap) * upper
-        soft = smoothstep(0.0060, 0.0020, gap) * upper
-        below = smoothstep(0.0024, 0.0012, gap) * (1 - upper)
-        colour[rows] = _mix(colour[rows], colour[rows] * [0.62, 0.50, 0.46], 0.55 * soft)
+        x, y = d[rows, 0], d[rows, 1]
+        over, under = y - np.interp(x, LID_X, face.lids[k, 0]), y - np.interp(x, LID_X, face.lids[k, 1])
+        ends = smoothstep(-0.0135, -0.0105, x) * smoothstep(0.0165, 0.0135, x)
         dark = np.array([0.10, 0.065, 0.055], np.float32)
-        colour[rows] = _mix(colour[rows], dark, liner * (0.80 if looks.sex == "male" else 0.95))
-        moist = np.array([0.62, 0.36, 0.33], np.float32)
-        colour[rows] = _mix(colour[rows], moist, 0.75 * below)
-        line = smoothstep(0.0036, 0.0027, gap) * smoothstep(0.0013, 0.0022, gap) * (1 - upper)
-        colour[rows] = _mix(colour[rows], dark, line * (0.22 if looks.sex == "male" else 0.38))
+        wide = (0.0011 if male else 0.0017) * np.interp(x, [-0.012, -0.004, 0.006, 0.0135], [0.55, 0.9, 1.1, 1.35])
+        upper = over > -0.0012
+        colour[rows] = _mix(colour[rows], colour[rows] * [0.64, 0.52, 0.48], 0.5 * smoothstep(0.0048, 0.0012, over) * upper * ends)
+        liner = smoothstep(wide + 0.0011, wide, over) * upper * ends
+        colour[rows] = _mix(colour[rows], dark, liner * (0.86 if male else 0.96))
+        lower = ~upper & (under < 0.0012)
+        moist = np.array([0.66, 0.40, 0.37], np.float32)
+        colour[rows] = _mix(colour[rows], moist, 0.7 * smoothstep(-0.0018, -0.0008, under) * lower * ends)
+        strokes = 0.5 + 0.5 * noise(np.stack([x * 1500, y * 120, 0 * x], -1), looks.seed + 75)
+        line = smoothstep(-0.0034, -0.0022, under) * smoothstep(-0.0008, -0.0016, under) * lower * ends
+        colour[rows] = _mix(colour[rows], dark, line * strokes * (0.30 if male else 0.50))
+        # the fold of the upper lid
+        fold = np.exp(-(((over - 0.0062 + 12 * (x - 0.003) ** 2) / 0.0007) ** 2)) * smoothstep(-0.012, -0.006, x)
+        fold *= smoothstep(0.017, 0.012, x)
+        colour[rows] = _mix(colour[rows], colour[rows] * [0.66, 0.52, 0.48], 0.55 * fold)
     return colour
 
 
@@ -329,7 +336,7 @@ def hands(colour, c: Canvas, face: Face, joints, looks: Looks):
                     continue
                 wave = (q - joint) @ axis + 0.0006 * noise(q * 400, seed + 80)
                 lines = sum(np.exp(-(((wave - o) / 0.0006) ** 2)) for o in (-0.0030, -0.0004, 0.0024))
-                some = _mix(some, some * [0.82, 0.68, 0.64], 0.5 * lines * back * reach)
+                some = _mix(some, some * [0.82, 0.68, 0.64], 0.30 * lines * back * reach)
                 palm = np.exp(-(((wave - 0.001) / 0.0009) ** 2)) * (1 - back) * reach
                 some = _mix(some, some * [0.80, 0.64, 0.60], 0.55 * palm)
             colour[near] = some
@@ -427,7 +434,7 @@ def shirt(c: Canvas, joints, looks: Looks):
     p, seed = c.p, looks.seed + 100
     x, y, z = p.T
     middle = joints[0, 0]
-    neck, arm = neckline(p, joints, looks), sleeves(p, joints, looks)
+    arm = sleeves(p, joints, looks)
     shoulder = abs(joints[16, 0]) - 0.012
     above = np.where(arm < 0.29, 1.0, y - hem_height(joints, looks))
     armhole = np.abs(x - middle) - (shoulder + 0.10 * np.maximum(joints[16, 1] - y, 0))
@@ -436,7 +443,7 @@ def shirt(c: Canvas, joints, looks: Looks):
     wobble = 0.0012 * noise(p * 30, seed + 3)
     if looks.pattern == "stripes":
         along = np.where(on_sleeve, np.abs(x - middle) - shoulder, y - hem_height(joints, looks)) + wobble
-        phase = (along / 0.034) % 1
+        phase = (along / 0.034 + 0.62) % 1
         band = smoothstep(0.0, 0.03, phase) * smoothstep(0.36, 0.33, phase)
         plain = np.where(on_sleeve, 0.0, smoothstep(0.395, 0.40, y - hem_height(joints, looks)))
         colour = _mix(np.broadcast_to(light, p.shape), dark, band * (1 - plain))
@@ -449,7 +456,7 @@ def shirt(c: Canvas, joints, looks: Looks):
         for value in (s, t):
             phase = (value / 0.062) % 1
             wide = smoothstep(0.0, 0.015, phase) * smoothstep(0.42, 0.405, phase)
-            twill = 0.50 + 0.12 * np.sign(np.sin((s + t) * 2600))
+            twill = 0.52 + 0.10 * noise(np.stack([(s + t) * 900, (s - t) * 120, 0 * s], -1), seed + 9)
             colour = _mix(colour, dark, wide * twill)
         for value in (s, t):
             phase = (value / 0.062) % 1
@@ -459,12 +466,12 @@ def shirt(c: Canvas, joints, looks: Looks):
     # collar, cuffs and hem, their stitches, and the armhole's seam
     rib = 1 + 0.10 * np.sin(np.arctan2(x - middle, z) * 160)
     trim = dark if looks.pattern == "stripes" else light * 0.72
-    collar = smoothstep(0.0185, 0.0175, neck)
+    collar = smoothstep(0.0185, 0.0175, c.collar)
     colour = _mix(colour, trim * rib[:, None], collar)
     cuff = smoothstep(0.0185, 0.0175, arm) if looks.pattern == "stripes" else smoothstep(0.036, 0.035, arm)
     colour = _mix(colour, trim * (1 + 0.05 * _weave(p, seed + 5))[:, None], cuff)
     shade = 0.35 * np.exp(-((armhole / 0.0014) ** 2)) * (arm < 0.29)
-    shade = shade + 0.45 * np.exp(-(((neck - 0.0195) / 0.0012) ** 2)) + 0.4 * np.exp(-(((arm - cuff_width(looks)) / 0.0012) ** 2))
+    shade = shade + 0.45 * np.exp(-(((c.collar - 0.0195) / 0.0012) ** 2)) + 0.4 * np.exp(-(((arm - cuff_width(looks)) / 0.0012) ** 2))
     shade = shade + 0.25 * np.exp(-(((above - 0.022) / 0.0009) ** 2)) * (above < 0.1)
     colour = _mix(colour, colour * 0.55, shade)
     if looks.pattern == "stripes":
@@ -482,8 +489,8 @@ def shirt(c: Canvas, joints, looks: Looks):
             colour = _mix(colour, tone, button)
             colour = _mix(colour, np.array([0.25, 0.2, 0.18], np.float32), np.clip(hole, 0, 1) * button)
             colour = _mix(colour, colour * 0.5, 0.8 * np.exp(-(((r - 1.15) / 0.14) ** 2)) * placket)
-    fold = np.clip(1 + 0.5 * np.clip(c.cavity, -1, 0.5), 0.5, 1.2)[:, None]
-    return shaded(colour * fold, c, 0.80)
+    fold = np.clip(1 + 0.28 * np.clip(c.cavity, -1, 0.5), 0.5, 1.2)[:, None]
+    return shaded(colour * fold, c, 0.70)
 
 
 def cuff_width(looks: Looks) -> float:
@@ -589,14 +596,14 @@ def belt(c: Canvas, joints, looks: Looks):
 def lining(c: Canvas, joints, looks: Looks):
     """The inside of a hem: the garment's colour in its own shadow."""
     near_shirt = c.p[:, 1] > hem_height(joints, looks) - 0.02
-    colour = np.where(near_shirt[:, None], _colour(looks.shirt[1]) * 0.45, _colour(looks.trousers) * 0.45)
+    colour = np.where(near_shirt[:, None], _colour(looks.shirt[looks.pattern == "stripes"]) * 0.5, _colour(looks.trousers) * 0.45)
     return shaded(colour, c, 0.5)
 
 
 # ---- shoes and eyes ----
 
 
-def shoe(c: Canvas, joints, looks: Looks):
+def shoe(c: Canvas, joints, ground: float, looks: Looks):
     q, n, seed = c.q, c.n, looks.seed + 400
     side = np.where(q[:, 0] > joints[0, 0], 0, 1)
     ankle = joints[[7, 8]][side]
@@ -604,7 +611,6 @@ def shoe(c: Canvas, joints, looks: Looks):
     x, z = q[:, 0] - ankle[:, 0], q[:, 2] - ankle[:, 2]
     length = ball[:, 2] - ankle[:, 2]
     s = z / length  # 0 at the ankle, 1 at the ball of the foot
-    ground = q[:, 1].min()
     y = q[:, 1] - ground
     base = _colour(looks.shoes)
     colour = base * (1 + 0.05 * fractal(q * 130, seed, 2) + 0.03 * noise(q * 900, seed + 1))[:, None]
@@ -640,9 +646,9 @@ def shoe(c: Canvas, joints, looks: Looks):
     return shaded(colour, c, 0.8)
 
 
-def sole(c: Canvas, looks: Looks):
+def sole(c: Canvas, ground: float, looks: Looks):
     q = c.q
-    y = q[:, 1] - q[:, 1].min()
+    y = q[:, 1] - ground
     rubber = np.array([0.88, 0.87, 0.84] if looks.pattern == "stripes" else [0.15, 0.12, 0.11], np.float32)
     colour = rubber * (1 + 0.05 * noise(q * 300, looks.seed + 410))[:, None]
     stripe = smoothstep(0.0016, 0.0008, np.abs(y - 0.0155))
@@ -663,7 +669,7 @@ def eye_picture(looks: Looks, radius: float, size: int = 512) -> UInt8[Array, "s
     ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1).reshape(-1, 3)
     flat = mm.ravel()
     seed = looks.seed + 500
-    white = np.array([0.850, 0.815, 0.790], np.float32) * (1 - 0.10 * smoothstep(7.0, 14.0, flat))[:, None]
+    white = np.array([0.850, 0.815, 0.790], np.float32) * (1 - 0.34 * smoothstep(7.5, 12.5, flat))[:, None]
     vein = 1 - np.abs(noise(ring * 9 + flat[:, None] * [0.25, 0.31, 0.2], seed)) * 5
     white = _mix(white, np.array([0.78, 0.50, 0.47], np.float32), np.clip(vein, 0, 1) * 0.35 * smoothstep(7.5, 11.0, flat))
     iris = _colour(looks.iris)
