@@ -92,7 +92,7 @@ def run_stages(todo: list[Stage]) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m bench.demo", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m bench.demo", description="The whole path on the built-in person.")
     parser.add_argument("out", type=Path, nargs="?", default=Path("out/demo"), help="folder (%(default)s)")
     options = parser.parse_args(argv)
     start = time.perf_counter()

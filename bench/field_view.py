@@ -64,8 +64,10 @@ class FieldView:
             np.asarray(run.subject.joints, np.float64),
             BIG_POSE,
         )
-        statistics = (s.view_count, s.view_mean, s.view_covariance, s.normals)
-        self.cone = view_cone(*(np.asarray(a, np.float64) for a in statistics), self.surface.faces)
+        count, mean, covariance, normals = (
+            np.asarray(a, np.float64) for a in (s.view_count, s.view_mean, s.view_covariance, s.normals)
+        )
+        self.cone = view_cone(count, mean, covariance, normals, self.surface.faces)
 
     def draw(
         self,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 CENTIMETRES = 100.0  # per metre
 PAIRS_AT_ONCE = 1_000_000  # point-triangle pairs held in memory
@@ -135,8 +135,8 @@ class TriangleIndex(NamedTuple):
     corners: Float[np.ndarray, "f 3 3"]
     centre: Float[np.ndarray, "f 3"]
     radius: Float[np.ndarray, "f"]  # of the sphere about `centre` that holds the triangle
-    tree: cKDTree  # of all centres
-    classes: list[tuple[Int[np.ndarray, "members"], cKDTree]]  # faces of like radius, and their centres
+    tree: KDTree  # of all centres
+    classes: list[tuple[Int[np.ndarray, "members"], KDTree]]  # faces of like radius, and their centres
 
 
 def triangle_index(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> TriangleIndex:
@@ -147,8 +147,8 @@ def triangle_index(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f
     centre = corners.mean(1)
     radius = np.sqrt(np.square(corners - centre[:, None]).sum(-1).max(-1))
     size = np.floor(np.log2(np.maximum(radius, 1e-9)))
-    classes = [(m, cKDTree(centre[m])) for m in (np.flatnonzero(size == level) for level in np.unique(size))]
-    return TriangleIndex(corners, centre, radius, cKDTree(centre), classes)
+    classes = [(m, KDTree(centre[m])) for m in (np.flatnonzero(size == level) for level in np.unique(size))]
+    return TriangleIndex(corners, centre, radius, KDTree(centre), classes)
 
 
 def closest_points(points: Float[np.ndarray, "n 3"], index: TriangleIndex) -> ClosestPoints:

@@ -87,7 +87,7 @@ def ssim(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -
     if window < 3:
         return Score(None, f"image of {truth.shape[1]} x {truth.shape[0]} px is smaller than any SSIM window")
     value = structural_similarity(truth, image, data_range=1.0, channel_axis=-1, win_size=window)
-    return Score(float(value))
+    return Score(float(np.asarray(value)))
 
 
 def flip(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:

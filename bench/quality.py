@@ -77,8 +77,11 @@ def evaluate(path: Path, capture: Path, *, ceiling: bool = False) -> dict[str, A
             )
     finally:
         drawer.release()
-    source = {"path": str(path), "kind": "avatar" if drawer.avatar is not None else "run"}
-    source["provenance"] = drawer.provenance
+    source = {
+        "path": str(path),
+        "kind": "avatar" if drawer.avatar is not None else "run",
+        "provenance": drawer.provenance,
+    }
     kept = ("subject", "light", "sheen", "pose_noise_deg", "seed", "registration")
     return {
         "format": "selfscan-quality",
@@ -161,10 +164,10 @@ def regions_of(
 ) -> dict[str, dict[str, Any]]:
     """{"head": M, "left_hand": M, "right_hand": M, "hands": M, "total": M}; hands pool left and right."""
     distances, images = dict(distances), dict(images or {})
-    for table in (distances, images):
-        hands = [table[r] for r in ("left_hand", "right_hand") if r in table]
-        if len(hands) == 2:
-            table["hands"] = hands[0].merged(hands[1])
+    if {"left_hand", "right_hand"} <= distances.keys():
+        distances["hands"] = distances["left_hand"].merged(distances["right_hand"])
+    if {"left_hand", "right_hand"} <= images.keys():
+        images["hands"] = images["left_hand"].merged(images["right_hand"])
     return {
         region: region_scores(distances.get(region), images.get(region))
         for region in ("head", "left_hand", "right_hand", "hands", "total")

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from avatar.baked_avatar import Avatar
-from avatar.camera import Camera
 from jaxtyping import Float
 
+from avatar.baked_avatar import Avatar
+from avatar.camera import Camera
 from player.context import Context
 from player.plan import VIEWS
 from player.renderer import Pose, Renderer
@@ -89,6 +89,7 @@ def time_rungs(
         for number in range(rounds):
             pose, camera = frames[number % len(frames)]
             for row, renderer in enumerate(renderers):
+                assert renderer.target is not None
                 for _ in range(2):
                     context.gl.finish()
                     start = time.perf_counter()
