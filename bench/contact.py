@@ -131,7 +131,9 @@ def film_sheet(film: Path, out: Path, *, frames: int = 24, columns: int = 6) -> 
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m bench.contact", description="Contact sheets of a person or a film.")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench.contact", description="Contact sheets of a person or a film."
+    )
     parser.add_argument("paths", nargs="*", type=Path, metavar="RUN AVATAR CAPTURE")
     parser.add_argument("--film", type=Path, help="make the sheet of this film instead")
     parser.add_argument("-o", dest="out", type=Path, required=True, metavar="SHEET.png")
@@ -141,7 +143,8 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     if len(options.paths) != 3:
         parser.error("expected RUN AVATAR CAPTURE, or --film FILE")
-    contact_sheet(*options.paths, options.out)
+    run, avatar, capture = options.paths
+    contact_sheet(run, avatar, capture, options.out)
     return 0
 
 

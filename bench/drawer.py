@@ -9,7 +9,7 @@ from avatar.avatar_file import Avatar, Level, read_avatar
 from avatar.camera import Camera
 from avatar.skinning import SkinWeights
 from bench.field_view import FieldView, Picture, PosableSurface, averaged
-from player.context import open_context
+from player.command import opened
 from player.raster import Rasteriser
 from player.renderer import Renderer
 from train.run import read_run
@@ -31,6 +31,7 @@ class Drawer:
     """Draws the field of a run (a folder) or a baked avatar (a file), and gives back what it made."""
 
     def __init__(self, path: Path):
+        self.path = Path(path)
         self.field: FieldView | None = None
         self.avatar: Avatar | None = None
         if Path(path).is_dir():
@@ -42,7 +43,7 @@ class Drawer:
             self.avatar = read_avatar(path)
             self.provenance = self.avatar.provenance
             self.surface = level_surface(self.avatar, self.avatar.levels[0])
-        self.context = open_context()
+        self.context = opened("auto", None)
         self.raster = Rasteriser(self.context)
         self.renderers: dict[tuple[int, int], Renderer] = {}
 

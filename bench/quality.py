@@ -98,7 +98,10 @@ def measured(drawer: Drawer, truth: TrueMesh, held_out: dict[str, list[HeldOutVi
     surface = drawer.surface
     rest = np.zeros((52, 3)), truth.joints[0]
     visible = visible_faces(drawer.raster, surface.posed(*rest), surface.faces)
-    case = geometry_case(truth, surface, visible)
+    try:
+        case = geometry_case(truth, surface, visible)
+    except ValueError as error:  # other units, no faces: the file's fault, not the caller's
+        raise AssetError(f"{drawer.path}: {error}") from None
     own = own_weights_surface(truth, surface)
 
     out: dict[str, Any] = {}

@@ -28,7 +28,8 @@ from avatar.skinning import SkinWeights, skin_points
 from bench import metrics
 from bench.contact import save_sheet, sheet, spread_poses
 from bench.held_out import HeldOutView, read_held_out
-from player.context import Context, open_context
+from player.command import opened
+from player.context import Context
 from player.ladder import Rung, rungs_of, time_rungs
 from player.raster import Rasteriser
 from player.renderer import Pose, Renderer
@@ -54,7 +55,7 @@ def bench(
     """Measure the ladder, write bench.json, bench.md, pareto.png and rungs.png into folder `out`."""
     avatar = read_avatar(avatar_path)
     frames = held_out_frames(capture) if capture is not None else motion_frames(avatar)
-    context = open_context()
+    context = opened("auto", None)
     try:
         rungs = rungs_of(avatar)
         full = frames[0].camera.size
