@@ -37,6 +37,7 @@ def bind_block(program: moderngl.Program, name: str) -> None:
     if name not in program:
         return  # the compiler removed a block this variant never reads
     block, (dtype, binding) = program[name], BINDING[name]
+    assert isinstance(block, moderngl.UniformBlock), f"{name} is a {type(block).__name__}"
     if block.size != dtype.itemsize:
         raise RuntimeError(f"uniform block {name}: {block.size} bytes in GLSL, {dtype.itemsize} in blocks.py")
     block.binding = binding

@@ -81,21 +81,33 @@ def render_parser() -> argparse.ArgumentParser:
         epilog=RENDER_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("avatar", nargs="+", metavar="AVATAR", help="avatar file (.glb); several stand side by side")
-    parser.add_argument("--motion", metavar="FILE", help="pose file (.npz, .bvh), or: counting, walking (default: T-pose)")
+    parser.add_argument(
+        "avatar", nargs="+", metavar="AVATAR", help="avatar file (.glb); several stand side by side"
+    )
+    parser.add_argument(
+        "--motion", metavar="FILE", help="pose file (.npz, .bvh), or: counting, walking (default: T-pose)"
+    )
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--frame", type=frame_number, metavar="N", help="draw only this frame")
     which.add_argument("--frames", type=parse_frames, metavar="A:B", help="draw frames A to B-1")
     parser.add_argument("--camera", default="front", metavar="FILE|front|orbit",
                         help="camera file (.json), or one fitted to the avatar (default: front)")  # fmt: skip
-    parser.add_argument("--size", type=parse_size, metavar="WxH", help="pixels (default: the camera file's, else 640x640)")
+    parser.add_argument(
+        "--size", type=parse_size, metavar="WxH", help="pixels (default: the camera file's, else 640x640)"
+    )
     parser.add_argument("--view", choices=("auto", *VIEWS), default="auto",
                         help="view dependence: off is the paper; auto picks by avatar and device")  # fmt: skip
-    parser.add_argument("--background", type=parse_color, default=parse_color("#2b2d33"), metavar="#rrggbb|transparent")
+    parser.add_argument(
+        "--background", type=parse_color, default=parse_color("#2b2d33"), metavar="#rrggbb|transparent"
+    )
     parser.add_argument("--body", metavar="MODEL", help="SMPL+H model (.npz) that the pose file was made for")
-    parser.add_argument("--context", choices=("auto", "egl", "osmesa"), default="auto", help="how to reach OpenGL")
+    parser.add_argument(
+        "--context", choices=("auto", "egl", "osmesa"), default="auto", help="how to reach OpenGL"
+    )
     parser.add_argument("--gpu", type=frame_number, metavar="N", help="this GPU only, counted as CUDA counts")
-    parser.add_argument("--explain", action="store_true", help="print which passes ran, why, and what each costs")
+    parser.add_argument(
+        "--explain", action="store_true", help="print which passes ran, why, and what each costs"
+    )
     parser.add_argument("--json", metavar="FILE", help="write what --explain prints to a file")
     parser.add_argument("-o", "--output", required=True, metavar="OUT")
     return parser
@@ -183,7 +195,9 @@ def frame_range(
     start, stop = start or 0, motion.frames if stop is None else stop
     if stop > motion.frames or start >= stop:
         asked = f"frame {start}" if stop == start + 1 else f"frames {start}:{stop}"
-        raise AssetError(f"{motion.name}: {asked} asked for, it has {motion.frames} (0 to {motion.frames - 1})")
+        raise AssetError(
+            f"{motion.name}: {asked} asked for, it has {motion.frames} (0 to {motion.frames - 1})"
+        )
     return start, stop
 
 
@@ -211,7 +225,10 @@ def posed_frames(
         for i in range(len(blocks[0].root)):
             yield (
                 first + i,
-                [(block.axis_angle[i], block.root[i] + beside(k, len(blocks))) for k, block in enumerate(blocks)],
+                [
+                    (block.axis_angle[i], block.root[i] + beside(k, len(blocks)))
+                    for k, block in enumerate(blocks)
+                ],
             )
 
 
@@ -253,7 +270,11 @@ def view_names(renderer: Renderer) -> list[str]:
     """The view mode of each avatar, as the plan resolved it."""
     names = []
     for index in range(len(renderer.avatars)):
-        modes = [p.name.split(": view ")[1] for p in renderer.plan.passes if p.avatar == index and ": view " in p.name]
+        modes = [
+            p.name.split(": view ")[1]
+            for p in renderer.plan.passes
+            if p.avatar == index and ": view " in p.name
+        ]
         names += modes or ["off"]
     return names
 
@@ -277,15 +298,23 @@ def play_main(argv: list[str]) -> int:
         epilog="keys  space play/pause   , . one frame back/on   left right one second   home end   "
         "r reset camera   v view dependence   s screenshot   h help line   q quit",
     )
-    parser.add_argument("avatar", nargs="+", metavar="AVATAR", help="avatar file (.glb); several stand side by side")
-    parser.add_argument("--motion", metavar="FILE", default="counting", help="pose file (.npz, .bvh), or: counting, walking")
+    parser.add_argument(
+        "avatar", nargs="+", metavar="AVATAR", help="avatar file (.glb); several stand side by side"
+    )
+    parser.add_argument(
+        "--motion", metavar="FILE", default="counting", help="pose file (.npz, .bvh), or: counting, walking"
+    )
     parser.add_argument("--body", metavar="MODEL", help="SMPL+H model (.npz) that the pose file was made for")
     parser.add_argument("--size", type=parse_size, default=(960, 720), metavar="WxH")
     parser.add_argument("--view", choices=("auto", *VIEWS), default="auto")
     parser.add_argument("--background", type=parse_color, default=parse_color("#2b2d33"), metavar="#rrggbb")
     parser.add_argument("--platform", choices=("auto", "null"), default="auto",
                         help="null: no display, drawn by OSMesa in memory (for tests)")  # fmt: skip
-    parser.add_argument("--script", metavar="KEYS", help="keys pressed one a frame, as 'space . . right'; then the window closes")
+    parser.add_argument(
+        "--script",
+        metavar="KEYS",
+        help="keys pressed one a frame, as 'space . . right'; then the window closes",
+    )
     parser.add_argument("--screenshot", metavar="FILE", help="write the last frame shown to a .png")
     options = parser.parse_args(argv)
     from player.window import play  # glfw only when a window is asked for
@@ -311,7 +340,9 @@ def doctor_main(argv: list[str]) -> int:
         prog="selfscan doctor",
         description="Which OpenGL contexts work here, which one wins and why, and what is missing.",
     )
-    parser.add_argument("--compare", action="store_true", help="draw one frame on EGL and on OSMesa and compare them")
+    parser.add_argument(
+        "--compare", action="store_true", help="draw one frame on EGL and on OSMesa and compare them"
+    )
     parser.add_argument("--json", metavar="FILE", help="write the findings to a file")
     options = parser.parse_args(argv)
     from player.doctor import compare, findings, report

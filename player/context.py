@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable
 from ctypes import POINTER, byref, c_char_p, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass, field
+from typing import Any
 
 import moderngl
 
@@ -104,8 +105,8 @@ class Context:
         self.released = False
         self._screen: moderngl.Framebuffer | None = None
         self._claim()
-        self.gl = moderngl.create_context(context=Loader(driver, self.counts), standalone=standalone)
-        self.gl.gc_mode = None  # objects die by release(), never by Python's collector
+        loader: Any = Loader(driver, self.counts)  # moderngl's types know only its own loader
+        self.gl = moderngl.create_context(context=loader, standalone=standalone)
         self.renderer: str = self.gl.info["GL_RENDERER"]
         self.software = any(name in self.renderer.lower() for name in SOFTWARE_RENDERERS)
         self.attempts = [*attempts, f"{driver.name}: {self.renderer}, OpenGL {self.gl.info['GL_VERSION']}"]
@@ -220,7 +221,9 @@ def _chosen_devices(egl: "Egl", gpu: int | None, attempts: list[str]) -> list[Eg
     if gpu is None:
         # software last: it answers first on some machines and is the commonest cause of "slow"
         return sorted(devices, key=lambda device: device.software)
-    chosen = [d for d in devices if d.cuda == gpu] or [d for d in devices if d.index == gpu and d.cuda is None]
+    chosen = [d for d in devices if d.cuda == gpu] or [
+        d for d in devices if d.index == gpu and d.cuda is None
+    ]
     if not chosen:
         attempts.append(f"--gpu {gpu}: not among {[str(device) for device in devices]}")
     return chosen
@@ -292,7 +295,10 @@ class Egl:
         """A 3.3 core context with no surface. An OSError says which call refused and why."""
         lib = self.library
         name = str(device) if device else "EGL surfaceless"
-        if platform == EGL_PLATFORM_SURFACELESS and "EGL_MESA_platform_surfaceless" not in self.client_extensions:
+        if (
+            platform == EGL_PLATFORM_SURFACELESS
+            and "EGL_MESA_platform_surfaceless" not in self.client_extensions
+        ):
             raise OSError("this EGL has no EGL_MESA_platform_surfaceless")
         get_display = self.function("eglGetPlatformDisplayEXT", c_void_p, c_uint, c_void_p, POINTER(c_int))
         display = get_display(platform, device.handle if device else None, None)

@@ -196,7 +196,9 @@ class Counts:
         levels = self._sizes.get(("texture", name), {})
         width, height = self._extents.get(name, (1, 1))
         texel = levels.get(0, 0) // (width * height)
-        for level in range(1, min(self._max_level.get(name, 1000), (max(width, height)).bit_length() - 1) + 1):
+        for level in range(
+            1, min(self._max_level.get(name, 1000), (max(width, height)).bit_length() - 1) + 1
+        ):
             levels[level] = max(width >> level, 1) * max(height >> level, 1) * texel
 
     def _tex_sub_image(self, _target, _level, _x, _y, width, height, _format, _type, _data):

@@ -1,6 +1,5 @@
 """What this machine can draw with: devices, drivers, the context that wins and why, and what is missing."""
 
-import ctypes.util
 import importlib.metadata
 import importlib.util
 import os
@@ -17,7 +16,10 @@ from player.context import Context, Egl, NoContextError, _library, open_context
 LIBRARIES = {
     "libEGL.so.1": ("libegl1", "contexts without a display"),
     "libGL.so.1": ("libgl1", "OpenGL"),
-    "libOSMesa.so.8": ("libosmesa6", "drawing in memory alone (gone from Mesa 25.1 on; optional where EGL works)"),
+    "libOSMesa.so.8": (
+        "libosmesa6",
+        "drawing in memory alone (gone from Mesa 25.1 on; optional where EGL works)",
+    ),
 }
 DRIVERS = ("libgl1-mesa-dri", "Mesa's drivers, llvmpipe among them")
 VENDORS = ("/usr/share/glvnd/egl_vendor.d", "/etc/glvnd/egl_vendor.d")
@@ -64,7 +66,12 @@ def findings() -> dict[str, Any]:
         found["tried"].append({"kind": kind, "works": True, "attempts": context.attempts})
         if found["winner"] is None:
             why = "first in the order EGL device, EGL surfaceless, OSMesa that works"
-            winner = {"kind": kind, "name": context.driver.name, "renderer": context.renderer, "version": version}
+            winner = {
+                "kind": kind,
+                "name": context.driver.name,
+                "renderer": context.renderer,
+                "version": version,
+            }
             found["winner"] = winner | {"software": context.software, "why": why}
         context.release()
     if found["winner"] is None and not any(m["package"] in ("libegl1", "libgl1") for m in missing):
@@ -88,9 +95,13 @@ def report(found: dict[str, Any]) -> str:
     if winner is None:
         lines.append("no context works: nothing can be drawn on this machine yet")
     else:
-        lines.append(f"draws with {winner['name']}: {winner['renderer']}, OpenGL {winner['version']} ({winner['why']})")
+        lines.append(
+            f"draws with {winner['name']}: {winner['renderer']}, OpenGL {winner['version']} ({winner['why']})"
+        )
         if winner["software"]:
-            lines.append("  this is the processor, not a GPU: right for CI, slower than a driver for your card")
+            lines.append(
+                "  this is the processor, not a GPU: right for CI, slower than a driver for your card"
+            )
     lines.append(f"display: {found['display'] or 'none (selfscan render needs none; selfscan play does)'}")
     for extra, packages in found["packages"].items():
         there = [f"{name} {version}" for name, version in packages.items() if version]

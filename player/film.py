@@ -41,7 +41,9 @@ def film_kind(path: Path | str) -> str:
     suffix = Path(path).suffix.lower()
     known = {"", ".png", *VIDEO, *PICTURE_SEQUENCES}
     if suffix not in known:
-        raise ValueError(f"{path}: should end in {', '.join(sorted(known - {''}))} or be a folder; ends in {suffix}")
+        raise ValueError(
+            f"{path}: should end in {', '.join(sorted(known - {''}))} or be a folder; ends in {suffix}"
+        )
     return suffix
 
 
@@ -143,6 +145,7 @@ class Film:
         container = av.open(file, "w", format=self.kind[1:])
         try:
             stream = container.add_stream(encoder, rate=rate, options=options)
+            assert isinstance(stream, av.VideoStream)
             stream.width, stream.height = width + width % 2, height + height % 2
             stream.pix_fmt = pixel_format
             context = stream.codec_context

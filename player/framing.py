@@ -36,7 +36,9 @@ def facing(axis_angle: Float[Array, "52 3"], joints: Float[Array, "52 3"]) -> fl
     return float(np.arctan2(forward[0], forward[2]))
 
 
-def extent(avatar: Avatar, clip: Clip, *, following: bool = False, samples: int = 48) -> Float[Array, "points 3"]:
+def extent(
+    avatar: Avatar, clip: Clip, *, following: bool = False, samples: int = 48
+) -> Float[Array, "points 3"]:
     """World points whose view holds the avatar in (about `samples`) frames of the clip.
 
     following: the points as seen by a camera that goes along with the pelvis, over the ground.
@@ -64,7 +66,9 @@ def fitted_camera(
 ) -> Camera:
     """The nearest camera from that side that sees every point, its target the middle of their box."""
     target = 0.5 * (points.min(0) + points.max(0))
-    return _at_distance(target, _needed_distance(points, target, azimuth, elevation, size), azimuth, elevation, size)
+    return _at_distance(
+        target, _needed_distance(points, target, azimuth, elevation, size), azimuth, elevation, size
+    )
 
 
 def orbit(

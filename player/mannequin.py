@@ -41,7 +41,9 @@ def mannequin(sex: str = "male", *, texture: int = 512, seed: int = 0) -> Avatar
         features=rng.integers(0, 256, (64, 64, 4)).astype(np.uint8),
     )
     shapes = {"w1": (16, 8), "b1": (16,), "w2": (3, 16), "b2": (3,)}
-    network = ViewNetwork(**{name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()})
+    network = ViewNetwork(
+        **{name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+    )
     linear = (0.2 * rng.normal(size=(4, 3, 3))).astype(np.float32)
     return Avatar(
         name=f"mannequin {sex}",

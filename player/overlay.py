@@ -5,7 +5,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from player.context import Context
-from player.shader import compile_program
+from player.shader import compile_program, uniform
 
 PADDING = 5  # pixels round the letters
 UNIT = 7  # texture unit, away from those of the avatar
@@ -18,7 +18,7 @@ class TextLine:
         context.make_current()
         self.context = context
         self.program = compile_program(context.gl, "text.vert", "text.frag")
-        self.program["letters"].value = UNIT
+        uniform(self.program, "letters").value = UNIT
         self.array = context.gl.vertex_array(self.program, [])
         self.texture: moderngl.Texture | None = None
         self.text = ""
@@ -31,7 +31,7 @@ class TextLine:
             self._upload(text)
         assert self.texture is not None
         width, height = self.texture.size
-        self.program["rectangle"].value = (-1.0, -1.0, 2 * width / size[0] - 1, 2 * height / size[1] - 1)
+        uniform(self.program, "rectangle").value = (-1.0, -1.0, 2 * width / size[0] - 1, 2 * height / size[1] - 1)
         self.texture.use(UNIT)
         gl.enable_only(moderngl.BLEND)
         gl.blend_func = (moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA)

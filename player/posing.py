@@ -18,7 +18,9 @@ from avatar.skeleton import joint_transforms, rigid_inverse
 class PosedBones(NamedTuple):
     view_from_canonical: Float[np.ndarray, "52 4 4"]
     centers: Float[np.ndarray, "52 3"]  # joints in view space, metres
-    radii: Float[np.ndarray, "52"]  # of the sphere about each joint that holds all its bone moves; < 0: nothing
+    radii: Float[
+        np.ndarray, "52"
+    ]  # of the sphere about each joint that holds all its bone moves; < 0: nothing
 
 
 class Reach(NamedTuple):

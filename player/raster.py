@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from avatar.camera import Camera, clip_from_view, view_from_world
 from player.context import Context
-from player.shader import compile_program
+from player.shader import compile_program, uniform
 
 MAX_FACES = 1 << 24  # a float32 counts no further
 
@@ -88,7 +88,7 @@ class Rasteriser:
         self._use_target((width, height))
         self._use_vertices(points.astype(np.float32)[faces])
         assert self.vertex_array is not None and self.target is not None
-        self.program["clip_from_view"].write(clip_from_view(camera, *planes).T.astype("f4").tobytes())
+        uniform(self.program, "clip_from_view").write(clip_from_view(camera, *planes).T.astype("f4").tobytes())
         gl.enable_only(moderngl.DEPTH_TEST | (moderngl.CULL_FACE if cull else 0))
         gl.front_face, gl.cull_face = "ccw", "back"
         self.target.clear()

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -17,7 +18,7 @@ from player.mesh import draw_order, interleaved, view_interleaved
 from player.plan import MIN_HEIGHT, MIP_LEVELS, Pass, Plan, Variant, resolve
 from player.posing import PosedBones, Poser, quaternions, reach
 from player.raster import clip_planes
-from player.shader import compile_program
+from player.shader import compile_program, uniform
 
 Pose = tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]]  # axis-angle, pelvis joint in world
 
@@ -58,7 +59,8 @@ class Renderer:
     ):
         self.context, self.avatars = context, tuple(avatars)
         self.view, self.level, self.view_amount = view, level, view_amount
-        self.background = tuple(float(channel) for channel in background)
+        red, green, blue, alpha = background
+        self.background = (float(red), float(green), float(blue), float(alpha))
         self.plan: Plan = resolve(self.avatars, size, view, context.software, level)
         limit = context.gl.info["GL_MAX_TEXTURE_SIZE"]
         largest = max(*(size or (1, 1)), *(max(self._level(a).base_color.shape) for a in self.avatars))
@@ -96,7 +98,7 @@ class Renderer:
         self.context.make_current()
         self._frame(framebuffer, poses, camera, flipped=False)
 
-    def explain(self, repeats: int = 5) -> list[dict[str, object]]:
+    def explain(self, repeats: int = 5) -> list[dict[str, Any]]:
         """Every pass of the plan: whether it ran in the last frame, why, what it costs in ms (median), its bytes.
 
         A pass that did not run costs nothing and says 0. Times include its share of posing and end when the
@@ -129,7 +131,12 @@ class Renderer:
         """Free everything this renderer made."""
         self.context.make_current()
         self.context.leave_framebuffer()
-        things = [*self.arrays.values(), *self.programs.values(), *self.buffers.values(), *self.textures.values()]
+        things = [
+            *self.arrays.values(),
+            *self.programs.values(),
+            *self.buffers.values(),
+            *self.textures.values(),
+        ]
         for thing in things:
             thing.release()
         self.arrays, self.programs, self.buffers, self.textures = {}, {}, {}, {}
@@ -157,12 +164,14 @@ class Renderer:
         bones = [poser.posed(*pose, camera) for poser, pose in zip(self.posers, poses, strict=True)]
         reaches = [reach(one, camera) for one in bones]
         shown = [r.shows(camera) for r in reaches]
-        planes = clip_planes(np.array([r.depth for r, seen in zip(reaches, shown, strict=True) if seen]).ravel())
+        planes = clip_planes(
+            np.array([r.depth for r, seen in zip(reaches, shown, strict=True) if seen]).ravel()
+        )
 
         gl = self.context.gl
         framebuffer.viewport = (0, 0, width, height)
         framebuffer.use()
-        framebuffer.clear(*self.background)
+        framebuffer.clear(color=self.background)
         gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
         if planes is not None:
             self._write_frame(camera, planes, flipped)
@@ -254,12 +263,12 @@ class Renderer:
             bind_block(program, block)
         for sampler, unit in UNITS.items():
             if sampler in program:
-                program[sampler].value = unit
+                uniform(program, sampler).value = unit
         return program
 
     def _vertex_array(self, item: Pass, variant: Variant) -> moderngl.VertexArray:
         tag, program = self._tag(item.avatar), self.programs[variant]
-        content = [(self.buffers[f"{tag} vertices"], *BASE)]
+        content: list[tuple[object, ...]] = [(self.buffers[f"{tag} vertices"], *BASE)]
         if f"{tag} view vertices" in item.reads:
             content.append((self.buffers[f"{tag} view vertices"], *VIEW))
         return self.context.gl.vertex_array(program, content, self.buffers[f"{tag} faces"])

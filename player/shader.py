@@ -14,7 +14,9 @@ import moderngl
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"\s*$')
 CONDITION = re.compile(r"^\s*#\s*(?:if|elif)\b(.*)$", re.MULTILINE)
 NAME = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
-PLACE = re.compile(r"^(?:(?:ERROR|WARNING):\s*)?(\d+)[:(](\d+)\)?", re.MULTILINE)  # 0:12(3) | 0(12) | ERROR: 0:12
+PLACE = re.compile(
+    r"^(?:(?:ERROR|WARNING):\s*)?(\d+)[:(](\d+)\)?", re.MULTILINE
+)  # 0:12(3) | 0(12) | ERROR: 0:12
 
 
 class ShaderError(RuntimeError):
@@ -107,6 +109,13 @@ def compile_program(
         message = str(error)
         order = stages[1][1] if "fragment_shader" in message else stages[0][1]
         raise ShaderError(located(message, order)) from None
+
+
+def uniform(program: moderngl.Program, name: str) -> moderngl.Uniform:
+    """A uniform that the program is known to have."""
+    found = program[name]
+    assert isinstance(found, moderngl.Uniform), f"{name} is a {type(found).__name__}"
+    return found
 
 
 def located(message: str, order: list[str]) -> str:

@@ -7,6 +7,7 @@ a frame at a fixed 30 frames a second, so that what a test sees does not depend 
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import glfw
 import numpy as np
@@ -57,7 +58,8 @@ class Orbit:
         self.target -= metres * (dx * right + dy * down)
 
     def approach(self, clicks: float) -> None:
-        self.distance = float(np.clip(self.distance * 0.9**clicks, 0.05, 1000.0))
+        nearer = 0.9 ** float(np.clip(clicks, -100, 100))
+        self.distance = float(np.clip(self.distance * nearer, 0.05, 1000.0))
 
     def camera(self, size: tuple[int, int]) -> Camera:
         flat = np.cos(self.elevation)
@@ -68,7 +70,9 @@ class Orbit:
 class Playback:
     """Which frame of the motion is shown, and its poses, read in blocks."""
 
-    def __init__(self, motion: Motion, clips: Sequence[Callable[[int, int], Clip]], beside: Sequence[np.ndarray]):
+    def __init__(
+        self, motion: Motion, clips: Sequence[Callable[[int, int], Clip]], beside: Sequence[np.ndarray]
+    ):
         self.motion, self.clips, self.beside = motion, clips, beside
         self.seconds, self.playing = 0.0, True
         self.first, self.blocks = 0, [clip(0, min(BLOCK, motion.frames)) for clip in clips]
@@ -80,7 +84,9 @@ class Playback:
     def advance(self, dt: float) -> None:
         """Let time pass; the clip starts over at its end. A clock that goes backwards stands still."""
         if self.playing:
-            self.seconds = (self.seconds + min(max(dt, 0.0), LONGEST_STEP)) % (self.motion.frames / self.motion.rate)
+            self.seconds = (self.seconds + min(max(dt, 0.0), LONGEST_STEP)) % (
+                self.motion.frames / self.motion.rate
+            )
 
     def seek(self, frame: int) -> None:
         self.seconds = (min(max(frame, 0), self.motion.frames - 1) + 0.5) / self.motion.rate
@@ -89,7 +95,9 @@ class Playback:
         frame = self.frame
         if not self.first <= frame < self.first + len(self.blocks[0].root):
             self.first = frame - frame % BLOCK
-            self.blocks = [clip(self.first, min(self.first + BLOCK, self.motion.frames)) for clip in self.clips]
+            self.blocks = [
+                clip(self.first, min(self.first + BLOCK, self.motion.frames)) for clip in self.clips
+            ]
         i = frame - self.first
         return [(b.axis_angle[i], b.root[i] + at) for b, at in zip(self.blocks, self.beside, strict=True)]
 
@@ -111,7 +119,7 @@ class Window:
         self.playback, self.orbit = playback, orbit
         self.handle = open_window(size, null)
         self.context: Context = wrap_context(
-            lambda name: glfw.get_proc_address(name) or 0,
+            window_function,
             lambda: glfw.make_context_current(self.handle),
             "glfw null + OSMesa" if null else "window",
         )
@@ -121,7 +129,9 @@ class Window:
         self.pointer: tuple[float, float] | None = None
         self.image: UInt8[np.ndarray, "height width 3"] | None = None
         self.shown_rate, self.rate_frames, self.rate_began = 0.0, 0, time.perf_counter()
-        self.has_view = any(p.variant and dict(p.variant.defines)["VIEW_STAGE"] for p in self.renderer.plan.passes)
+        self.has_view = any(
+            p.variant and dict(p.variant.defines)["VIEW_STAGE"] for p in self.renderer.plan.passes
+        )
         glfw.set_key_callback(self.handle, lambda _w, key, _s, action, _m: self.key(key) if action else None)
         glfw.set_scroll_callback(self.handle, lambda _w, _dx, dy: self.orbit.approach(dy))
         glfw.set_cursor_pos_callback(self.handle, lambda _w, x, y: self.move(x, y))
@@ -244,7 +254,11 @@ def open_window(size: tuple[int, int], null: bool):
         AssetError: there is no display, or the driver has no OpenGL 3.3.
     """
     reasons: list[str] = []
-    glfw.set_error_callback(lambda _code, text: reasons.append(text.decode("utf-8", "replace")))
+
+    def note(_code: int, text: Any) -> None:
+        reasons.append(text.decode("utf-8", "replace"))
+
+    glfw.set_error_callback(note)
     glfw.init_hint(glfw.PLATFORM, glfw.PLATFORM_NULL if null else glfw.ANY_PLATFORM)
     if not glfw.init():
         raise AssetError(f"no window: {'; '.join(reasons) or 'no display'}; `selfscan render` needs none")
@@ -262,6 +276,12 @@ def open_window(size: tuple[int, int], null: bool):
         raise AssetError(f"no window: {'; '.join(reasons) or 'unknown reason'}; `selfscan doctor` tells more")
     glfw.make_context_current(window)
     return window
+
+
+def window_function(name: str) -> int:
+    """Address of a GL function in the current window's context."""
+    address: Any = glfw.get_proc_address(name)
+    return address or 0
 
 
 def save(path: Path, image: UInt8[np.ndarray, "height width 3"]) -> None:
@@ -295,7 +315,13 @@ def play(
     target = 0.5 * (everything.min(0) + everything.max(0))
     orbit = Orbit(target, float(np.linalg.norm(camera.eye - target)), azimuth)
     window = Window(
-        avatars, Playback(motion, clips, beside), orbit, size=size, view=view, background=background, null=null
+        avatars,
+        Playback(motion, clips, beside),
+        orbit,
+        size=size,
+        view=view,
+        background=background,
+        null=null,
     )
     try:
         print(window.context.attempts[-1])
@@ -325,4 +351,6 @@ def check_script(script: Sequence[str]) -> None:
         except ValueError:
             known = False
         if not known:
-            raise ValueError(f"script: {word!r} is no key; there are wait, {', '.join(KEYS)}, turn:DX:DY, near:N, size:W:H")
+            raise ValueError(
+                f"script: {word!r} is no key; there are wait, {', '.join(KEYS)}, turn:DX:DY, near:N, size:W:H"
+            )

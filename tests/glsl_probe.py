@@ -22,7 +22,7 @@ def probe(context, includes, expression, inputs, generated=None, uniforms=None, 
     height = -(-count // WIDTH)
     kinds = {name: "uvec4" if name in ints else TYPES[value.shape[1]] for name, value in inputs.items()}
     include = "\n".join(f'#include "{name}"' for name in includes)
-    block = "#include \"frame.glsl\"\n" if "view_cone.glsl" in includes else ""
+    block = '#include "frame.glsl"\n' if "view_cone.glsl" in includes else ""
     place = f"""
     vec2 cell = vec2(gl_VertexID % {WIDTH}, gl_VertexID / {WIDTH}) + 0.5;
     gl_Position = vec4(2.0 * cell / vec2({WIDTH}, {height}) - 1.0, 0.0, 1.0);"""
@@ -36,7 +36,9 @@ def probe(context, includes, expression, inputs, generated=None, uniforms=None, 
         vertex = f"{attributes}\n{outs}\nvoid main() {{ {place}\n {copies} }}"
         ins = "\n".join(f"flat in {kind} {name}_;" for name, kind in kinds.items())
         names = " ".join(f"{kind} {name} = {name}_;" for name, kind in kinds.items())
-        fragment = f"{block}{include}\n{ins}\nout vec4 value;\nvoid main() {{ {names}\n value = {expression}; }}"
+        fragment = (
+            f"{block}{include}\n{ins}\nout vec4 value;\nvoid main() {{ {names}\n value = {expression}; }}"
+        )
     sources = {"probe.vert": "#version 330\n" + vertex, "probe.frag": "#version 330\n" + fragment}
     program = compile_program(gl, "probe.vert", "probe.frag", {}, {**(generated or {}), **sources})
     for name, binding in (("Frame", 0), ("Bones", 1), ("Turns", 2)):

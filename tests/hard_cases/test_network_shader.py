@@ -38,7 +38,9 @@ def network(scale1=1.0, scale2=1.0, seed=0):
     rng = np.random.default_rng(seed)
     shapes = [(16, 8), (16,), (3, 16), (3,)]
     values = [rng.normal(size=shape).astype(np.float32) for shape in shapes]
-    return ViewNetwork(*(v * np.float32(s) for v, s in zip(values, (scale1, scale1, scale2, scale2), strict=True)))
+    return ViewNetwork(
+        *(v * np.float32(s) for v, s in zip(values, (scale1, scale1, scale2, scale2), strict=True))
+    )
 
 
 def inputs(count, seed=1):
@@ -74,12 +76,16 @@ def onnx_runtime(net, features, tangent):
         helper.make_node("Softsign", ["y"], ["s"]),
     ]
     weights = [onnx.numpy_helper.from_array(np.asarray(getattr(net, n)), n) for n in ("w1", "b1", "w2", "b2")]
-    ends = [helper.make_tensor_value_info(n, TensorProto.FLOAT, ["n", size]) for n, size in (("x", 8), ("s", 3))]
+    ends = [
+        helper.make_tensor_value_info(n, TensorProto.FLOAT, ["n", size]) for n, size in (("x", 8), ("s", 3))
+    ]
     graph = helper.make_graph(nodes, "view", ends[:1], ends[1:], weights)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
-    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(
+        model.SerializeToString(), options, providers=["CPUExecutionProvider"]
+    )
     return A * far * session.run(None, {"x": x})[0]
 
 
@@ -117,12 +123,16 @@ def test_linear_in_glsl_equals_float64(context, within):
     features, tangent = inputs(5_000)
     M = np.random.default_rng(4).normal(size=(4, 3, 3)).astype(np.float32)
     generated = {"linear_constants.glsl": linear_constants(M)}
-    out = probe(context, ["view_linear.glsl"], RESIDUAL, {"features": features, "tangent": tangent}, generated)[:, :3]
+    out = probe(
+        context, ["view_linear.glsl"], RESIDUAL, {"features": features, "tangent": tangent}, generated
+    )[:, :3]
     exact = np.einsum("nf,fij,nj->ni", features.astype(float), M.astype(float), tangent.astype(float))
     within(out - exact, 1e-6)
 
 
-EXTREMES = np.array([0.0, -0.0, 1e-8, -1e-8, 1e4, -1e4, 1 / 3, np.pi, 16777217.0, 1.5e-38, 3.4e38, 7.0], np.float32)
+EXTREMES = np.array(
+    [0.0, -0.0, 1e-8, -1e-8, 1e4, -1e4, 1 / 3, np.pi, 16777217.0, 1.5e-38, 3.4e38, 7.0], np.float32
+)
 
 
 def test_every_weight_prints_and_parses_as_the_same_float32(context):
@@ -212,7 +222,13 @@ def test_the_cone_holds_for_every_direction(context, within):
     assert np.isfinite(out).all() and (out[values["seen"] == 0] == 0).all()
     within(np.maximum(np.linalg.norm(out, axis=1) - 1, 0), 1e-6)
     within(out[:1000], 1e-6)  # along d̄ or against it there is no tangent
-    within(out - cone_reference(values["d"], values["mean"], np.hstack([values["q0"], values["q1"]]), values["seen"]), 2e-5)
+    within(
+        out
+        - cone_reference(
+            values["d"], values["mean"], np.hstack([values["q0"], values["q1"]]), values["seen"]
+        ),
+        2e-5,
+    )
 
 
 @pytest.fixture(scope="module")

@@ -37,7 +37,9 @@ def posed_vertices(avatar, pose):
     level = avatar.levels[0]
     skin = SkinWeights(level.joints.astype(int), (level.weights / 255).astype(np.float32))
     joints = avatar.joint_positions.astype(float)
-    return skin_points(level.positions.astype(float), skin, skin_transforms(pose[0], joints, pose[1], rest=BIG_POSE))
+    return skin_points(
+        level.positions.astype(float), skin, skin_transforms(pose[0], joints, pose[1], rest=BIG_POSE)
+    )
 
 
 def test_the_picture_is_the_posed_surface_with_its_texture(context, render, avatar, pose):

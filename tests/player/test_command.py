@@ -1,0 +1,138 @@
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from avatar.avatar_file import write_avatar
+from avatar.camera import orbit_camera, write_camera
+from avatar.errors import AssetError
+from player.command import doctor_main, render_main
+from player.framing import extent, facing, fitted_camera, orbit, outermost, pelvis_height
+
+
+def pixels(path):
+    with Image.open(path) as image:
+        return np.asarray(image)
+
+
+@pytest.fixture(scope="module")
+def avatar_path(avatar, tmp_path_factory):
+    path = tmp_path_factory.mktemp("avatar") / "a.glb"
+    write_avatar(path, avatar)
+    return str(path)
+
+
+def test_one_frame_of_the_counting_clip(avatar_path, tmp_path, capsys):
+    out = tmp_path / "a.png"
+    arguments = [avatar_path, "--motion", "counting", "--frame", "60", "--size", "120x160", "--view", "off"]
+    assert render_main([*arguments, "--background", "transparent", "-o", str(out)]) == 0
+    image = pixels(out)
+    assert image.shape == (160, 120, 4)
+    rows, columns = np.nonzero(image[..., 3])
+    margin = min(rows.min(), 159 - rows.max(), columns.min(), 119 - columns.max())
+    assert margin >= 1 and rows.max() - rows.min() > 100  # the whole avatar, and large
+    assert "view off" in capsys.readouterr().out
+
+
+def test_the_same_frame_is_drawn_again_to_the_byte(avatar_path, tmp_path):
+    files = [tmp_path / name for name in ("a.png", "b.png")]
+    for file in files:
+        render_main([avatar_path, "--motion", "walking", "--frame", "7", "--size", "64x64", "-o", str(file)])
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_a_range_of_frames_goes_to_a_folder_and_explain_to_json(avatar_path, tmp_path, capsys):
+    out, explained = tmp_path / "frames", tmp_path / "explain.json"
+    arguments = [
+        avatar_path,
+        "--motion",
+        "walking",
+        "--frames",
+        "3:6",
+        "--size",
+        "48x64",
+        "--camera",
+        "orbit",
+    ]
+    render_main([*arguments, "--view", "linear", "--explain", "--json", str(explained), "-o", str(out)])
+    assert len(list(out.glob("*.png"))) == 3
+    passes = json.loads(explained.read_text())["passes"]
+    assert {key for row in passes for key in row} == {"name", "runs", "why", "ms", "bytes"}
+    assert [(row["name"], row["runs"]) for row in passes] == [
+        ("avatar: paper", False),
+        ("avatar: view linear", True),
+    ]
+    assert "does not run" in capsys.readouterr().out
+
+
+def test_a_camera_file_decides_view_and_size(avatar_path, tmp_path):
+    write_camera(tmp_path / "camera.json", orbit_camera((0, 1, 0), 3.0, 0.2, 0.0, (50, 70)))
+    base = [avatar_path, "--camera", str(tmp_path / "camera.json"), "--motion", "counting", "--frame", "0"]
+    render_main([*base, "-o", str(tmp_path / "a.png")])
+    render_main([*base, "--size", "25x35", "-o", str(tmp_path / "b.png")])
+    assert pixels(tmp_path / "a.png").shape == (70, 50, 3) and pixels(tmp_path / "b.png").shape == (35, 25, 3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--motion", "none.npz"], r"none\.npz: no such file"),
+        (["--motion", "counting", "--frame", "100000"], r"frame 100000 asked for, it has \d+"),
+        (["--motion", "counting", "--frames", "5:100000"], r"frames 5:100000 asked for"),
+        (["--gpu", "9"], "--gpu 9: not among"),
+        (["--camera", "none.json"], r"none\.json"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(avatar_path, tmp_path, arguments, message):
+    with pytest.raises(AssetError, match=message):
+        render_main([avatar_path, *arguments, "-o", str(tmp_path / "frames")])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cut_avatar_file_is_refused(avatar_path, tmp_path):
+    cut = tmp_path / "cut.glb"
+    with open(avatar_path, "rb") as file:
+        cut.write_bytes(file.read()[:5000])
+    with pytest.raises(AssetError, match=r"cut\.glb"):
+        render_main([str(cut), "-o", str(tmp_path / "a.png")])
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["-o", "a.avi"], ["--size", "4by4", "-o", "a.png"], ["--frames", "9:3", "-o", "f"], ["--json", "x", "-o", "a.png"],
+     ["--background", "red", "-o", "a.png"], ["--frames", "0:2", "-o", "a.png"], ["--glitter", "-o", "a.png"], []],
+)  # fmt: skip
+def test_wrong_usage_exits_2(avatar_path, arguments, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        render_main([avatar_path, *arguments])
+    assert stopped.value.code == 2 and capsys.readouterr().err
+
+
+def test_doctor_names_the_winner_and_compares(tmp_path, capsys):
+    assert doctor_main(["--compare", "--json", str(tmp_path / "d.json")]) == 0
+    said, found = capsys.readouterr().out, json.loads((tmp_path / "d.json").read_text())
+    assert found["winner"]["renderer"] in said and found["compare"]["worst"] <= 1
+    assert "EGL and OSMesa differ by at most" in said
+
+
+def test_a_fitted_camera_holds_every_point_from_every_side():
+    points = np.random.default_rng(0).normal(size=(500, 3)) * [0.3, 0.9, 0.2]
+    turning = orbit(points[outermost(points)], 0.3, (300, 200))
+    for azimuth in np.linspace(0, 2 * np.pi, 7):
+        for camera in (fitted_camera(points, azimuth, (300, 200)), turning(azimuth / 7, np.zeros(3))):
+            local = points @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+            pixels = local @ camera.K.T
+            pixels = pixels[:, :2] / pixels[:, 2:]
+            assert (local[:, 2] > 0).all() and (pixels > 0).all() and (pixels < (300, 200)).all()
+
+
+def test_the_front_is_where_the_chest_looks(avatar):
+    turned = np.zeros((52, 3))
+    turned[0, 1] = 0.7
+    assert abs(facing(turned, avatar.joint_positions) - 0.7) < 1e-9
+    lying = np.zeros((52, 3))
+    lying[0, 0] = np.pi / 2
+    assert facing(lying, avatar.joint_positions) == 0.0
+    assert 0.8 < pelvis_height(avatar) < 1.1
+    assert extent is not None
