@@ -1,0 +1,307 @@
+"""`selfscan train`: the two stages of TotalSelfScan, section 3, from a capture folder to a run folder."""
+
+import argparse
+import concurrent.futures
+import multiprocessing
+import os
+import platform
+import shutil
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from avatar.errors import AssetError
+from avatar.files import whole_folder
+from avatar.progress import Progress
+from train import run as run_folder
+from train.appearance import match_appearance
+from train.capture import PARTS, Capture, Subject, read_capture
+from train.field import PartField
+from train.fused import FusedField
+from train.parts import part_boxes
+from train.preset import PRESETS, Preset
+from train.rays import part_rays
+from train.register import Registration, refine_by_surfaces, similarity_from_landmarks
+from train.skin import CanonicalSkin
+from train.surface import Surface, extract_surface
+from train.template import surface_cloud, template_grid, vertex_normals, visible_faces
+from train.trainer import ray_tensors, set_threads, train_field
+from train.views import fused_statistics, part_views, statistics
+
+Array = np.ndarray
+
+
+def main(argv: list[str]) -> int:
+    """Parse the command line and train."""
+    parser = argparse.ArgumentParser(
+        prog="selfscan train",
+        description="Learn a person from a capture folder: one signed distance and colour field for each of body, "
+        "head and hands, fused into one. Writes a run folder, which `selfscan bake` turns into an avatar.",
+        epilog="example: selfscan train out/capture -o out/run",
+    )
+    parser.add_argument("capture", metavar="CAPTURE", help="folder made by `selfscan synth` or `selfscan import`")
+    parser.add_argument("-o", "--out", metavar="RUN", required=True, help="run folder to write, whole or not at all")
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="demo", help="demo: minutes on two CPU cores")
+    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="where to compute (default: cpu)")
+    parser.add_argument("--resume", action="store_true", help="go on from the checkpoints of an interrupted training")
+    parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
+    parser.add_argument("--iterations", type=int, metavar="N", help="optimiser steps per part, instead of the preset's")
+    arguments = parser.parse_args(argv)
+    if arguments.iterations is not None and arguments.iterations < 1:
+        parser.error(f"--iterations should be at least 1, is {arguments.iterations}")
+    if arguments.device == "cuda" and not torch.cuda.is_available():
+        raise AssetError("--device cuda: this machine has no CUDA device that torch can use")
+    preset = PRESETS[arguments.preset]
+    if arguments.iterations is not None:
+        preset = replace(preset, parts=tuple(replace(p, iterations=arguments.iterations) for p in preset.parts))
+    try:
+        train(arguments.capture, arguments.out, preset, device=arguments.device, seed=arguments.seed,
+              resume=arguments.resume)  # fmt: skip
+    except KeyboardInterrupt:
+        print(f"stopped; `selfscan train {arguments.capture} -o {arguments.out} --resume` goes on", file=sys.stderr)
+        return 130
+    return 0
+
+
+def train(
+    capture_path: Path | str, out: Path | str, preset: Preset, *, device: str = "cpu", seed: int = 0,
+    resume: bool = False,
+) -> Path:  # fmt: skip
+    """Train all parts, compose them, and write the run folder.
+
+    Parts learn independently (stage 1), two at a time on a CPU with two cores, each on its own thread. Their
+    checkpoints lie beside the run folder, in RUN.partial, until the run is complete.
+    """
+    out = Path(out)
+    capture = read_capture(capture_path)
+    partial = out.with_name(out.name + ".partial")
+    if not resume:
+        shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True, exist_ok=True)
+    seconds: dict[str, float] = {}
+    began = time.monotonic()
+
+    video = capture.videos["head"]
+    landmarks = similarity_from_landmarks(video.landmarks, capture.subject.vertices[video.landmark_vertices])
+    _say(f"head frame by {len(video.landmarks)} landmarks (Eq. 6): residual {landmarks.residual * 1000:.1f} mm")
+    if landmarks.residual > 0.02:
+        raise AssetError(
+            f"{capture.path / 'head' / 'landmarks.json'}: landmarks should fit the template within 20 mm, "
+            f"are {landmarks.residual * 1000:.0f} mm off"
+        )
+
+    _say(f"stage 1: {len(PARTS)} parts by volume rendering of signed distance (Eq. 10-12), preset {preset.name}")
+    facts = _train_parts(capture, preset, landmarks, partial, device, seed, resume)
+    seconds |= {f"{name}": fact["seconds"] for name, fact in facts.items()}
+    fields = [run_folder.read_part(partial / f"{name}.pt", capture.subject, i, preset.parts[i])
+              for i, name in enumerate(PARTS)]  # fmt: skip
+
+    set_threads(os.cpu_count() or 1)
+    with whole_folder(out) as folder:
+        surface, tables, composition = _compose(capture, fields, preset, landmarks, seed, seconds)
+        for name, field in zip(PARTS, fields):
+            run_folder.write_part(folder / f"{name}.pt", field)
+            shutil.copyfile(partial / f"{name}.ckpt", folder / f"{name}.ckpt")
+        run_folder.write_surface(folder / "surface.npz", surface, tables)
+        shutil.copyfile(capture.path / "subject.npz", folder / "subject.npz")
+        seconds["all"] = time.monotonic() - began
+        run_folder.write_json(
+            folder / "run.json",
+            {
+                "subject": capture.subject.name,
+                "preset": preset.name,
+                "settings": run_folder.preset_facts(preset),
+                "seed": seed,
+                "device": device,
+                "machine": f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}",
+                "capture": capture.facts,
+                "canonical_pose": "hips opened 30 degrees about z (avatar.skeleton.BIG_POSE)",
+                "seconds": {name: round(value, 1) for name, value in seconds.items()},
+                "parts": facts,
+                **composition,
+            },
+        )
+    shutil.rmtree(partial, ignore_errors=True)
+    _say(f"{out}: {len(surface.vertices)} surface vertices, {seconds['all']:.0f} s")
+    return out
+
+
+def _train_parts(
+    capture: Capture, preset: Preset, landmarks: Registration, partial: Path, device: str, seed: int, resume: bool
+) -> dict[str, dict]:
+    """Stage 1 for every part; heavier parts first so that two workers end together."""
+    jobs = [(str(capture.path), index, preset, landmarks.transform, str(partial), device, seed, resume)
+            for index in (1, 0, 2, 3)]  # fmt: skip
+    workers = min(2, os.cpu_count() or 1) if device == "cpu" else 1
+    if workers == 1:
+        facts = [train_part(*job, threads=os.cpu_count() or 1) for job in jobs]
+    else:
+        context = multiprocessing.get_context("spawn")  # a forked torch may hang
+        with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context) as pool:
+            pending = [pool.submit(train_part, *job) for job in jobs]
+            try:
+                facts = [future.result() for future in pending]
+            except BaseException:
+                pool.shutdown(wait=True, cancel_futures=True)
+                raise
+    return {PARTS[job[1]]: fact for job, fact in zip(jobs, facts)}
+
+
+def train_part(
+    capture_path: str, index: int, preset: Preset, canonical_from_head: Array, partial: str, device: str,
+    seed: int, resume: bool, threads: int = 1,
+) -> dict:  # fmt: skip
+    """Train one part from its video and leave PART.pt and PART.ckpt in `partial`; returns what run.json says of it."""
+    set_threads(threads)
+    name, part_preset = PARTS[index], preset.parts[index]
+    began, cpu = time.monotonic(), time.process_time()
+    capture = read_capture(capture_path)
+    subject, video = capture.subject, capture.videos[name]
+    part = part_boxes(subject)[index]
+    torch.manual_seed(seed * 4 + index)
+    visible = visible_faces(subject.vertices, subject.faces)
+    cloud = surface_cloud(subject, index, visible, part_preset.spacing)
+    template = template_grid(cloud, part.extent.low, part.extent.high, part_preset.cell)
+    field = run_folder.build_field(subject, index, part_preset, template, len(video.images)).to(device)
+    rays = part_rays(
+        video, subject, cloud, part, part_preset.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame,
+        background=preset.background, canonical_from_head=canonical_from_head if name == "head" else None,
+        rng=np.random.default_rng([seed, index]),
+    )  # fmt: skip
+    prepared = time.monotonic() - began
+    _say(
+        f"{name}: {len(rays.ends)} rays of {len(video.images)} frames, {rays.flagged:.1%} left out as ambiguous, "
+        f"prepared in {prepared:.0f} s"
+    )
+    progress = Progress(name, part_preset.iterations)
+    last = {}
+
+    def report(iteration: int, step) -> None:
+        last.update(step.__dict__)
+        progress.update(
+            iteration,
+            f"loss {step.loss:.4f}  colour {step.color:.4f}  PSNR {step.psnr:.1f} dB  |grad| {step.slope:.2f}"
+            f"  T_nr {step.displacement * 1000:.1f} mm",
+        )
+
+    checkpoint = Path(partial) / f"{name}.ckpt"
+    skipped = train_field(
+        field, ray_tensors(rays, cloud, torch.device(device)), part_preset, preset, seed=seed, checkpoint=checkpoint,
+        resume=resume, report=report,
+    )  # fmt: skip
+    run_folder.write_part(Path(partial) / f"{name}.pt", field.cpu())
+    seconds = time.monotonic() - began
+    psnr = f"PSNR {last['psnr']:.1f} dB" if last else "already trained"
+    _say(f"{name}: {part_preset.iterations} steps, {psnr}, {skipped} skipped, {seconds:.0f} s")
+    return {
+        "rays": len(rays.ends),
+        "flagged": round(rays.flagged, 5),
+        "steps": part_preset.iterations,
+        "skipped": skipped,
+        "last": {key: round(value, 5) for key, value in last.items()},
+        "seconds": round(seconds, 1),
+        "seconds_preparing": round(prepared, 1),
+        "cpu_seconds": round(time.process_time() - cpu, 1),
+    }
+
+
+def _compose(
+    capture: Capture, fields: list[PartField], preset: Preset, landmarks: Registration, seed: int,
+    seconds: dict[str, float],
+) -> tuple[Surface, list, dict]:  # fmt: skip
+    """Registration of the head (Eq. 5), appearance (Eq. 8), one surface, view statistics (Eq. 14)."""
+    subject, parts = capture.subject, part_boxes(capture.subject)
+    began = time.monotonic()
+    correction = _register_head(subject, fields)
+    _say(f"head surface on the body's (Eq. 5): median {correction.residual * 1000:.2f} mm point to plane")
+    head_from_canonical = torch.tensor(np.linalg.inv(correction.transform), dtype=torch.float32)
+    fused = FusedField(fields, parts, head_from_canonical).eval().requires_grad_(False)
+    seconds["registration"] = time.monotonic() - began
+
+    began = time.monotonic()
+    vertices, faces = extract_surface(fused, parts)
+    points = torch.as_tensor(vertices, dtype=torch.float32)
+    normals = fused.normal(points).numpy().astype(np.float64)
+    shares = fused.shares(points).numpy()
+    skin = CanonicalSkin(subject).of_mesh(vertices, faces, normals)
+    seconds["surface"] = time.monotonic() - began
+    _say(f"surface: {len(vertices)} vertices, {len(faces)} faces")
+
+    began = time.monotonic()
+    canonical_from_head = correction.transform @ landmarks.transform
+    sums = [
+        part_views(capture.videos[name], subject, vertices, normals, skin, shares[:, i] > 0,
+                   canonical_from_head if name == "head" else None)
+        for i, name in enumerate(PARTS)
+    ]  # fmt: skip
+    tables = [statistics(s) for s in sums]
+    fused_table = fused_statistics(sums, shares)
+    seconds["views"] = time.monotonic() - began
+    _say(f"view directions (Eq. 14): {float((fused_table.count > 0).mean()):.1%} of the vertices seen")
+
+    began = time.monotonic()
+    matched = {}
+    for index in range(1, len(PARTS)):
+        overlap = (shares[:, index] > 0) & (shares[:, index] < 1)
+        overlap &= (tables[0].count > 0) & (tables[index].count > 0)
+        if overlap.sum() < 50:
+            _say(f"{PARTS[index]}: only {int(overlap.sum())} overlap vertices seen by both videos; code stays the mean")
+            continue
+        directions = tables[0].mean[overlap]
+        directions = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
+        before, after = match_appearance(fused, index, points[overlap], torch.as_tensor(directions).float(),
+                                         steps=preset.appearance_steps, seed=seed)  # fmt: skip
+        matched[PARTS[index]] = {"before": round(before, 4), "after": round(after, 4), "points": int(overlap.sum())}
+        _say(f"{PARTS[index]}: overlap colours (Eq. 8) {before:.3f} -> {after:.3f} of the body's")
+    seconds["appearance"] = time.monotonic() - began
+
+    surface = Surface(
+        vertices, faces, normals, shares.argmax(1), skin, fused_table.count, fused_table.mean, fused_table.covariance
+    )
+    facts = {
+        "head_from_canonical": np.linalg.inv(canonical_from_head).tolist(),
+        "canonical_from_head_field": correction.transform.tolist(),
+        "registration": {
+            "landmarks_rms_mm": round(landmarks.residual * 1000, 3),
+            "surfaces_median_mm": round(correction.residual * 1000, 3),
+        },
+        "appearance": matched,
+    }
+    return surface, tables, facts
+
+
+def _register_head(subject: Subject, fields: list[PartField]) -> Registration:
+    """Eq. 5 on template points of the face and neck, projected onto each field's own zero level."""
+    chosen = (subject.part == 1) & ~subject.hair
+    seeds = subject.vertices[chosen]
+    normals = vertex_normals(subject.vertices, subject.faces)[chosen]
+    head, head_ok, _ = _project(fields[1], seeds, normals)
+    body, body_ok, body_normals = _project(fields[0], seeds, normals)
+    if head_ok.sum() < 100 or body_ok.sum() < 100:
+        raise ValueError("head registration: the head or body field has no surface near the template's head")
+    return refine_by_surfaces(head[head_ok], body[body_ok], body_normals[body_ok])
+
+
+def _project(field: PartField, points: Array, normals: Array) -> tuple[Array, Array, Array]:
+    """Points moved onto the zero level by four Newton steps; ok where they arrived within a millimetre and 2 cm."""
+    at = torch.as_tensor(points, dtype=torch.float32)
+    start = at.clone()
+    gradient = torch.as_tensor(normals, dtype=torch.float32)
+    sample = field(at)
+    for _ in range(4):
+        sample, gradient = field.with_gradient(at, create_graph=False)
+        slope = gradient.square().sum(-1, keepdim=True).clamp_min(0.1)
+        at = (at - (sample.distance[:, None] * gradient / slope).clamp(-0.01, 0.01)).detach()
+    with torch.no_grad():
+        left = field(at).distance.abs()
+    ok = (left < 1e-3) & ((at - start).norm(dim=1) < 0.02)
+    unit = torch.nn.functional.normalize(gradient.detach(), dim=1)
+    return at.numpy().astype(np.float64), ok.numpy(), unit.numpy().astype(np.float64)
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)

@@ -1,0 +1,115 @@
+"""The whole person as one field: four parts, fused in space (TotalSelfScan, 3.3)."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from train.field import PartField, unit_normals
+from train.parts import Part, part_weight
+
+
+class FusedField(nn.Module):
+    """F(x + mean over frames of T_nr(x, code)), distance and colour blended with Eq. 9's weights.
+
+    Everything is canonical, metres, float32. `head_from_canonical` is the rigid correction of Eq. 5: the head
+    field lives where the landmarks (Eq. 6) put it, and points, directions and normals are moved there inside.
+    Colours use each part's reference code.
+    """
+
+    def __init__(
+        self, fields: Sequence[PartField], parts: Sequence[Part], head_from_canonical: Float[Tensor, "4 4"]
+    ):
+        super().__init__()
+        self.fields = nn.ModuleList(fields)
+        self.parts = tuple(parts)
+        self.register_buffer("head_from_canonical", head_from_canonical.float())
+
+    def shares(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
+        """Eq. 9: weight of each part at canonical points; rows sum to 1."""
+        weights = [part_weight(points, part) for part in self.parts[1:]]
+        return torch.stack([1 - sum(weights), *weights], -1)
+
+    def distance(self, points: Float[Tensor, "n 3"], *, grad: bool = False) -> Float[Tensor, "n"]:
+        """Signed distance, metres."""
+        out = []
+        with torch.set_grad_enabled(grad):
+            for piece in points.split(65536):
+                shares = self.shares(piece)
+                total = torch.zeros(len(piece), device=piece.device)
+                for index, field in enumerate(self.fields):
+                    chosen = shares[:, index] > 0
+                    if chosen.any():
+                        local, _ = self._local(index, piece[chosen])
+                        total = total.index_put((chosen,), shares[chosen, index] * field(local).distance, True)
+                out.append(total)
+        return torch.cat(out) if out else torch.zeros(0)
+
+    def normal(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Unit gradient of the distance: the parts' gradients blended with Eq. 9's weights."""
+        out = []
+        for piece in points.split(32768):
+            shares = self.shares(piece)
+            total = torch.zeros_like(piece)
+            for index, field in enumerate(self.fields):
+                chosen = shares[:, index] > 0
+                if chosen.any():
+                    _, gradient = self._part_gradient(index, field, piece[chosen])
+                    total[chosen] += shares[chosen, index, None] * gradient
+            out.append(unit_normals(total))
+        return torch.cat(out) if out else torch.zeros_like(points)
+
+    def color(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """sRGB in [0, 1] of canonical points seen along unit directions (from the camera to the point)."""
+        out = []
+        for piece, seen in zip(points.split(32768), directions.split(32768)):
+            shares = self.shares(piece)
+            total = torch.zeros_like(piece)
+            for index in range(len(self.fields)):
+                chosen = shares[:, index] > 0
+                if chosen.any():
+                    total[chosen] += shares[chosen, index, None] * self.part_color(index, piece[chosen], seen[chosen])
+            out.append(total)
+        return torch.cat(out) if out else torch.zeros_like(points)
+
+    def part_color(
+        self,
+        index: int,
+        points: Float[Tensor, "n 3"],
+        directions: Float[Tensor, "n 3"],
+        code: Float[Tensor, "l"] | None = None,
+    ) -> Float[Tensor, "n 3"]:
+        """Colour of one part; `code` replaces its reference code and may carry a gradient (Eq. 8)."""
+        field = self.fields[index]
+        sample, gradient = self._part_gradient(index, field, points)
+        local, R = self._local(index, points)
+        normals = unit_normals(gradient)
+        if R is not None:
+            normals, directions = normals @ R.T, directions @ R.T
+        code = field.reference if code is None else code
+        with torch.set_grad_enabled(code.requires_grad):
+            return field.color(local, sample.feature, normals, directions, code.expand(len(points), -1))
+
+    def _local(self, index: int, points: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Points in the part's own frame with the mean displacement added, and the rotation into that frame."""
+        R = None
+        if self.parts[index].name == "head":
+            R = self.head_from_canonical[:3, :3]
+            points = points @ R.T + self.head_from_canonical[:3, 3]
+        field = self.fields[index]
+        return points + field.displacement.mean(field.unit(points)), R
+
+    def _part_gradient(self, index: int, field: PartField, points: Tensor):
+        """F_s of a part and its gradient turned back into the canonical frame."""
+        with torch.no_grad():
+            local, R = self._local(index, points)
+        sample, gradient = field.with_gradient(local, create_graph=False)
+        sample = type(sample)(sample.distance.detach(), sample.feature.detach())
+        gradient = gradient.detach()
+        return sample, gradient if R is None else gradient @ R
+
+
+def inside_any(points: Float[Tensor, "n 3"], parts: Sequence[Part]) -> Bool[Tensor, "n"]:
+    """Points where a part other than the body has a say."""
+    return torch.stack([part_weight(points, part) > 0 for part in parts if part.speaks is not None]).any(0)

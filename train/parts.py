@@ -1,0 +1,83 @@
+"""The four parts: their canonical boxes, and who speaks where two of them overlap (TotalSelfScan, 3.3, Eq. 9)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from train.capture import PARTS, Subject
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-aligned box of the canonical frame, metres."""
+
+    low: Float[Array, "3"]
+    high: Float[Array, "3"]
+
+    def contains(self, points: Float[Array, "n 3"]) -> Array:
+        return ((points >= self.low) & (points <= self.high)).all(-1)
+
+    def padded(self, margin: float) -> "Box":
+        return Box(self.low - margin, self.high + margin)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Where a part's field lives and where it takes over from the body.
+
+    `extent` is the box its networks are scaled to; nothing outside it is learnt. `speaks` is the box of Eq. 9:
+    at its border the body speaks alone, `overlap` metres inside it the part does.
+    """
+
+    name: str
+    extent: Box
+    speaks: Box | None  # None: the body, which covers everyone
+    overlap: float  # d_s, metres
+
+
+def part_boxes(subject: Subject) -> tuple[Part, ...]:
+    """The boxes of the four parts, from the template's labelled vertices.
+
+    Hands begin 10 cm up the forearm, the head 5 cm under its lowest labelled skin; there the overlap lies. The
+    other faces of `speaks` stand off by d_s more than the surface needs, so that Eq. 9's weight is 1 at the
+    fingertips and continuous everywhere.
+    """
+    everyone = Box(subject.vertices.min(0), subject.vertices.max(0))
+    parts = [Part("body", everyone.padded(0.08), None, 0.0)]
+    for index, name in enumerate(PARTS[1:], start=1):
+        vertices = subject.vertices[(subject.part == index) & ~subject.hair]
+        covered = subject.vertices[subject.part == index]
+        overlap = 0.05 if name == "head" else 0.10
+        low, high = covered.min(0).copy(), covered.max(0).copy()
+        stand_off = overlap + 0.03
+        if name == "head":  # the neck below: Eq. 9 starts under the lowest skin of the head, hair hanging deeper or not
+            low[1] = max(low[1], vertices[:, 1].min())
+            speaks_low, speaks_high = low - stand_off, high + stand_off
+            speaks_low[1] = low[1] - overlap + 0.02
+            low[1] = speaks_low[1] - 0.02
+            extent = Box(low - [0.05, 0.0, 0.05], high + 0.05)
+        else:
+            inner = 0 if name == "hand_left" else 1  # the left hand's wrist is its low x
+            speaks_low, speaks_high = low - stand_off, high + stand_off
+            if inner == 0:
+                speaks_low[0] = low[0] - overlap
+                extent = Box(np.array([speaks_low[0] - 0.02, low[1] - 0.03, low[2] - 0.03]), high + 0.03)
+            else:
+                speaks_high[0] = high[0] + overlap
+                extent = Box(low - 0.03, np.array([speaks_high[0] + 0.02, high[1] + 0.03, high[2] + 0.03]))
+        parts.append(Part(name, extent, Box(speaks_low, speaks_high), overlap))
+    return tuple(parts)
+
+
+def part_weight(points: Float[Tensor, "n 3"], part: Part) -> Float[Tensor, "n"]:
+    """Eq. 9's share of a part: d / d_s with d the depth inside its box, 0 outside, 1 from d_s on."""
+    assert part.speaks is not None
+    low = torch.as_tensor(part.speaks.low, dtype=points.dtype, device=points.device)
+    high = torch.as_tensor(part.speaks.high, dtype=points.dtype, device=points.device)
+    depth = torch.minimum(points - low, high - points).amin(-1)
+    return (depth / part.overlap).clamp(0, 1)

@@ -1,0 +1,233 @@
+"""Training rays of one part: which pixels supervise it, and where along each ray the surface can be.
+
+Everything that does not change while the field learns is computed once: the march to the template, the posed to
+canonical map at every section end (Eq. 3, or the rigid motion of Eq. 4), the pixel colours.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from avatar.camera import pixel_rays
+from avatar.rotation import quaternion_from_matrix
+from avatar.skeleton import skin_transforms
+from avatar.skinning import SkinWeights, skin_normals, skin_points
+from train.capture import PARTS, PartVideo, Subject
+from train.deform import apply_rows, canonical_from_posed, inverse_transforms
+from train.parts import Part
+from train.template import SurfaceCloud, sample_grid, signed
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Band:
+    """How far from the template a surface is looked for, metres."""
+
+    outside: float  # rays enter the band here
+    inside: float  # and leave it this deep under the template
+    step: float  # march step within the band
+
+
+@dataclass(frozen=True)
+class TrainingRays:
+    """Rays with their cached section ends, all canonical; R rays, E ends each."""
+
+    ends: Float[Array, "rays ends 3"]  # canonical, metres
+    row: Int[Array, "rays ends"]  # template sample that each end follows
+    direction: Float[Array, "rays 3"]  # unit, away from the camera; world (body, hands) or canonical (head)
+    frame: Int[Array, "rays"]
+    color: Float[Array, "rays 3"]  # sRGB in [0, 1], black outside the mask
+    mask: Float[Array, "rays"]
+    bones: Float[Array, "frames 52 4"] | None  # posed_from_canonical quaternions; None: rigid, direction is canonical
+    flagged: float  # share of rays left out because their map to the canonical pose did not settle
+
+
+def march(
+    origins: Float[Array, "n 3"],
+    directions: Float[Array, "n 3"],
+    cloud_points: Float[Array, "s 3"],
+    cloud_normals: Float[Array, "s 3"],
+    spacing: float,
+    band: Band,
+    *,
+    iterations: int = 72,
+) -> tuple[Int[Array, "k"], Float[Array, "k"], Float[Array, "k"], Int[Array, "k"]]:
+    """Steps of every ray inside the band around the (posed) template: ray, t, signed distance, nearest sample.
+
+    Far from the surface a ray jumps by its distance less the band (sphere tracing); inside the band it walks in
+    fixed steps until it is `inside` deep or out of the box. Steps come in order of ray, then t.
+    """
+    tree = cKDTree(cloud_points)
+    low, high = cloud_points.min(0) - band.outside, cloud_points.max(0) + band.outside
+    safe = np.where(np.abs(directions) > 1e-12, directions, 1e-12)
+    t0, t1 = (low - origins) / safe, (high - origins) / safe
+    t = np.maximum(np.minimum(t0, t1).max(1), 0.0)
+    far = np.maximum(t0, t1).min(1)
+    active = np.flatnonzero(t < far)
+    # far from the surface a search tree visits half its leaves: come near with a thinned cloud first
+    thin = cloud_points[:: max(len(cloud_points) // 1500, 1)]
+    thin_tree = cKDTree(thin)
+    margin = float(thin_tree.query(cloud_points[::7])[0].max()) * 1.05
+    found: list[tuple[Array, ...]] = []
+    reach = 3 * band.outside
+    waiting = active
+    for _ in range(24):
+        length, _ = thin_tree.query(origins[waiting] + t[waiting, None] * directions[waiting])
+        jump = length - margin - band.outside
+        t[waiting] += np.maximum(jump, 0)
+        waiting = waiting[(jump > 0.3 * reach) & (t[waiting] < far[waiting])]
+        if len(waiting) == 0:
+            break
+    active = active[t[active] < far[active]]
+    for _ in range(iterations):
+        if len(active) == 0:
+            break
+        points = origins[active] + t[active, None] * directions[active]
+        length, sample = tree.query(points, distance_upper_bound=reach)
+        length, sample = np.minimum(length, reach), np.minimum(sample, len(cloud_points) - 1)
+        distance = signed(points, length, cloud_points[sample], cloud_normals[sample], spacing)
+        distance = np.where(length < reach, distance, reach)
+        within = (length <= band.outside * 1.001) & (distance > -band.inside - band.step)
+        found.append((active[within], t[active[within]], distance[within], sample[within]))
+        t[active] += np.maximum(length - band.outside, band.step)
+        active = active[(distance > -band.inside) & (t[active] < far[active])]
+    if not found:
+        return np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros(0, int)
+    ray, at, distance, sample = (np.concatenate([step[i] for step in found]) for i in range(4))
+    order = np.lexsort((at, ray))
+    return ray[order], at[order], distance[order], sample[order]
+
+
+def spread_ends(
+    counts: Int[Array, "n"], ends: int
+) -> tuple[Int[Array, "n ends"], Float[Array, "n ends"]]:
+    """Section ends spread evenly over the steps of each ray: index of the step, and how far into it."""
+    place = np.linspace(0, 1, ends)[None, :] * counts[:, None]
+    step = np.minimum(place.astype(int), counts[:, None] - 1)
+    return step, place - step
+
+
+def part_rays(
+    video: PartVideo,
+    subject: Subject,
+    cloud: SurfaceCloud,
+    part: Part,
+    band: Band,
+    *,
+    ends: int,
+    per_frame: int,
+    background: float,
+    canonical_from_head: Float[Array, "4 4"] | None,
+    rng: np.random.Generator,
+) -> TrainingRays:
+    """The rays of a video that train `part`, at most `per_frame` of each frame, a share of them background.
+
+    A pixel supervises a part when its ray first meets the template inside the part's box, or, for a ray that
+    passes by, when its closest approach lies in the box (FRAMES.md). Sections never leave the box.
+    """
+    frames, index = len(video.masks), PARTS.index(part.name)
+    kept: list[tuple[Array, ...]] = []
+    bones = []
+    # the march needs the template to a few millimetres only: a quarter of the samples, twice as far apart
+    thin = np.arange(0, len(cloud.points), 4)
+    thin_skin = SkinWeights(cloud.skin.joints[thin], cloud.skin.weights[thin])
+    grid = sample_grid(cloud, part.extent.low - 0.02, part.extent.high + 0.02, cloud.spacing)
+    settled = max(1e-4, 0.25 * cloud.spacing)  # neighbouring samples differ by this much near a joint
+    tried = dropped = 0
+    for frame in range(frames):
+        mask = video.masks[frame]
+        camera, scale = video.cameras[frame], 1.0
+        if canonical_from_head is not None:
+            scale = float(np.cbrt(np.linalg.det(canonical_from_head[:3, :3])))
+            points, normals, inverse = cloud.points[thin], cloud.normals[thin], None
+            middle = np.linalg.solve(canonical_from_head, np.append(points[cloud.part[thin] == index].mean(0), 1))[:3]
+        else:
+            assert video.axis_angle is not None and video.root is not None
+            B = skin_transforms(video.axis_angle[frame], subject.joints, video.root[frame])
+            points = skin_points(cloud.points[thin], thin_skin, B)
+            normals = skin_normals(cloud.normals[thin], thin_skin, B)
+            inverse, invertible = inverse_transforms(cloud.skin, B)
+            bones.append(quaternion_from_matrix(B[:, :3, :3]))
+            middle = points[cloud.part[thin] == index].mean(0)
+        # background pixels farther from the person than this see no band
+        reach = camera.K[0, 0] * band.outside / scale / max(float(np.linalg.norm(middle - camera.eye)), 1e-9)
+        pixels = _choose_pixels(mask, per_frame, background, reach, rng)
+        origins, directions = pixel_rays(camera, pixels[:, ::-1] + 0.5)
+        if canonical_from_head is not None:
+            origins = origins @ canonical_from_head[:3, :3].T + canonical_from_head[:3, 3]
+            directions = directions @ canonical_from_head[:3, :3].T / scale
+        ray, t, distance, sample = march(origins, directions, points, normals, 2 * cloud.spacing, band)
+        sample = thin[sample]
+        if len(ray) == 0:
+            continue
+        at = origins[ray] + t[:, None] * directions[ray]
+        if inverse is None:
+            row, ok, canonical = sample, np.ones(len(ray), bool), at
+        else:
+            row, canonical, ok = canonical_from_posed(at, sample, inverse, grid.nearest, settled=settled)
+            ok &= invertible[row]
+
+        # the steps of each ray, cut to those inside the part's box
+        first = np.flatnonzero(np.r_[True, ray[1:] != ray[:-1]])
+        meets = _meeting_step(ray, first, distance)
+        trains = part.extent.contains(canonical[meets])
+        inside = part.extent.contains(canonical)
+        of_ray = np.repeat(np.arange(len(first)), np.diff(np.r_[first, len(ray)]))
+        doubtful = np.zeros(len(first), bool)
+        np.logical_or.at(doubtful, of_ray[~ok & inside & (np.abs(distance) < band.outside / 3)], True)
+        tried += int(trains.sum())
+        dropped += int((trains & doubtful).sum())
+        keep = (trains & ~doubtful)[of_ray] & inside
+        if not keep.any():
+            continue
+        of_ray, ray, t, row = of_ray[keep], ray[keep], t[keep], row[keep]
+        begin = np.flatnonzero(np.r_[True, of_ray[1:] != of_ray[:-1]])
+        counts = np.diff(np.r_[begin, len(of_ray)])
+        step, into = spread_ends(counts, ends)
+        at_step = begin[:, None] + step
+        which = ray[begin]
+        posed = origins[which][:, None] + (t[at_step] + into * band.step)[..., None] * directions[which][:, None]
+        if inverse is not None:
+            posed = apply_rows(inverse, row[at_step].ravel(), posed.reshape(-1, 3)).reshape(posed.shape)
+        pixel = pixels[which]
+        lit = mask[pixel[:, 0], pixel[:, 1]]
+        color = video.images[frame][pixel[:, 0], pixel[:, 1]] / np.float32(255) * lit[:, None]
+        kept.append((posed.astype(np.float32), row[at_step].astype(np.int32), directions[which].astype(np.float32),
+                     np.full(len(which), frame, np.int32), color.astype(np.float32), lit.astype(np.float32)))  # fmt: skip
+    if not kept:
+        raise ValueError(f"no ray of the {video.part} video meets the template inside the {part.name} box")
+    columns = [np.concatenate([rows[i] for rows in kept]) for i in range(6)]
+    quaternions = np.stack(bones).astype(np.float32) if bones else None
+    return TrainingRays(*columns, quaternions, dropped / max(tried, 1))
+
+
+def _choose_pixels(
+    mask: Array, count: int, background: float, reach: float, rng: np.random.Generator
+) -> Array:
+    """Random pixels (row, column): a share of background near the person, the rest on the person."""
+    inside = np.argwhere(mask)
+    if len(inside) == 0:
+        return np.zeros((0, 2), int)
+    away = ndimage.distance_transform_edt(~mask)
+    outside = np.argwhere((away > 0) & (away < max(reach, 2.0)))
+    wanted = min(int(count * background), len(outside))
+    return np.concatenate(
+        [
+            rng.permutation(outside)[:wanted],
+            rng.permutation(inside)[: count - wanted],
+        ]
+    )
+
+
+def _meeting_step(ray: Array, first: Array, distance: Array) -> Array:
+    """Of each ray the step that first lies under the template, else the one closest to it."""
+    last = np.r_[first[1:], len(ray)]
+    index = np.arange(len(ray))
+    under = np.where(distance < 0, index, len(ray))
+    first_under = np.minimum.reduceat(under, first)
+    closest = np.lexsort((np.abs(distance), ray))[first]
+    return np.where(first_under < last, first_under, closest)

@@ -1,0 +1,106 @@
+"""The head video's frame in the canonical one: landmarks first (Eq. 6), then the two surfaces (Eq. 5)."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from avatar.rotation import matrix_from_axis_angle
+
+Array = np.ndarray
+
+
+class Registration(NamedTuple):
+    """A transform target_from_source and how well it fits."""
+
+    transform: Float[Array, "4 4"]
+    residual: float  # metres, root mean square (landmarks) or median (surfaces)
+
+
+def similarity_from_landmarks(source: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Registration:
+    """Eq. 6 with scale: min |s R source + T - target|^2, R a proper rotation (Umeyama 1991).
+
+    Raises:
+        ValueError: fewer than 3 points, points on a line, a mirrored correspondence, or numbers that are not
+            finite; the rotation would be undetermined or a reflection.
+    """
+    if len(source) < 3 or source.shape != target.shape:
+        raise ValueError(f"landmarks: expected at least 3 pairs, found {len(source)} and {len(target)}")
+    if not (np.isfinite(source).all() and np.isfinite(target).all()):
+        raise ValueError("landmarks: a coordinate is not finite")
+    middle_s, middle_t = source.mean(0), target.mean(0)
+    a, b = source - middle_s, target - middle_t
+    for name, points in (("source", a), ("target", b)):
+        spread = np.linalg.svd(points, compute_uv=False)
+        if not spread[0] > 0 or spread[1] < 1e-3 * spread[0]:
+            raise ValueError(f"landmarks: the {name} points lie on a line; the rotation about it is undetermined")
+    U, D, Vt = np.linalg.svd(b.T @ a)
+    mirrored = np.linalg.det(U @ Vt) < 0
+    if mirrored and D[2] > 0.05 * D[1]:
+        raise ValueError("landmarks: source and target are mirror images; left and right may be exchanged")
+    sign = np.array([1.0, 1.0, -1.0 if mirrored else 1.0])
+    R = U @ np.diag(sign) @ Vt
+    scale = float((D * sign).sum() / (a * a).sum())
+    if not scale > 0:
+        raise ValueError("landmarks: no positive scale fits the points")
+    out = np.eye(4)
+    out[:3, :3] = scale * R
+    out[:3, 3] = middle_t - scale * R @ middle_s
+    error = source @ out[:3, :3].T + out[:3, 3] - target
+    return Registration(out, float(np.sqrt((error**2).sum(1).mean())))
+
+
+def refine_by_surfaces(
+    source: Float[Array, "n 3"],
+    target: Float[Array, "m 3"],
+    target_normals: Float[Array, "m 3"],
+    *,
+    reach: float = 0.02,
+    steps: int = 30,
+    most: float = 0.03,
+) -> Registration:
+    """Eq. 5: rigid target_from_source by point-to-plane ICP, robust to surface that only one side has.
+
+    Each step pairs source points with their nearest target points within `reach` (shrinking to a quarter),
+    weights them by Huber's rule at the median residual, and solves the linearised 6x6 system. A rotation that
+    the surfaces do not determine (a sphere, a plane) is left at zero by truncating the system's small
+    eigenvalues.
+
+    Raises:
+        ValueError: under a tenth of the points find a partner, or the answer moves points by more than `most`
+            metres: the start was wrong, or the units are.
+    """
+    tree = cKDTree(target)
+    transform = np.eye(4)
+    residual = np.inf
+    for step in range(steps):
+        moved = source @ transform[:3, :3].T + transform[:3, 3]
+        gap, row = tree.query(moved, distance_upper_bound=reach * max(0.25, 1 - step / steps), workers=-1)
+        near = np.isfinite(gap)
+        if near.sum() < max(6, 0.1 * len(source)):
+            share = near.mean() if len(near) else 0.0
+            raise ValueError(f"head registration: {share:.0%} of the surface within {reach} m of the body's, under 10 %")
+        p, q, n = moved[near], target[row[near]], target_normals[row[near]]
+        r = ((p - q) * n).sum(1)
+        residual = float(np.median(np.abs(r)))
+        w = 1 / np.maximum(np.abs(r) / max(residual, 1e-9), 1.0)
+        centre = p.mean(0)  # turning about the middle decouples rotation from translation
+        J = np.concatenate([np.cross(p - centre, n), n], 1)
+        size = np.abs(p - centre).max()
+        J[:, :3] /= size
+        H, g = (J * w[:, None]).T @ J, (J * w[:, None]).T @ r
+        values, vectors = np.linalg.eigh(H)
+        usable = values > 1e-3 * values[-1]
+        delta = -vectors[:, usable] @ ((vectors[:, usable].T @ g) / values[usable])
+        R = matrix_from_axis_angle(delta[:3] / size)
+        update = np.eye(4)
+        update[:3, :3] = R
+        update[:3, 3] = centre - R @ centre + delta[3:]
+        transform = update @ transform
+        if np.abs(delta).max() < 1e-7:
+            break
+    shift = np.linalg.norm(source @ transform[:3, :3].T + transform[:3, 3] - source, axis=1).max()
+    if shift > most:
+        raise ValueError(f"head registration: moves the head by {shift:.3f} m, more than {most}; is Eq. 6's start right?")
+    return Registration(transform, residual)

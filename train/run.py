@@ -1,0 +1,153 @@
+"""The run folder: what training leaves for baking and measuring."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from avatar.errors import AssetError
+from avatar.skinning import SkinWeights
+from train.capture import PARTS, Subject, read_subject
+from train.field import PartField
+from train.fused import FusedField
+from train.parts import part_boxes
+from train.preset import PRESETS, PartPreset
+from train.surface import Surface
+from train.template import TemplateGrid
+from train.views import ViewStatistics
+
+FORMAT, VERSION = "selfscan-run", 1
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trained person."""
+
+    path: Path
+    field: FusedField
+    surface: Surface
+    subject: Subject
+    provenance: dict  # all of run.json
+
+
+def build_field(subject: Subject, index: int, preset: PartPreset, template: TemplateGrid, frames: int) -> PartField:
+    """An untrained field of part `index`."""
+    extent = part_boxes(subject)[index].extent
+    low, high = (torch.tensor(edge, dtype=torch.float32) for edge in (extent.low, extent.high))
+    return PartField(
+        template, low, high, frames, plane_size=preset.plane_size, color_size=preset.color_size,
+        displacement_reach=preset.displacement_reach,
+    )  # fmt: skip
+
+
+def write_part(path: Path, field: PartField) -> None:
+    """One part's weights, readable with weights_only."""
+    torch.save({"state": field.state_dict(), "cell": field.template.cell, "frames": len(field.appearance.weight)}, path)
+
+
+def read_part(path: Path, subject: Subject, index: int, preset: PartPreset) -> PartField:
+    """Read one part.
+
+    Raises:
+        AssetError: the file is not such a part, or its shapes are another preset's.
+    """
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+        state = content["state"]
+        template = TemplateGrid(state["template.values"], state["template.low"], content["cell"])
+        field = build_field(subject, index, preset, template, content["frames"])
+        field.load_state_dict(state)
+    except FileNotFoundError:
+        raise AssetError(f"{path}: no such file; expected a part of a run made by `selfscan train`") from None
+    except Exception as error:  # torch.load raises whatever the broken pickle or zip leads to
+        raise AssetError(f"{path}: expected a trained part, found: {str(error).splitlines()[0][:200]}") from None
+    return field
+
+
+def write_surface(path: Path, surface: Surface, per_part: list[ViewStatistics]) -> None:
+    """surface.npz: the mesh, the fused view statistics, and each part's own beside them."""
+    tables = {}
+    for name, table in zip(PARTS, per_part):
+        tables[f"{name}_view_count"] = table.count.astype(np.float32)
+        tables[f"{name}_view_mean"] = table.mean.astype(np.float32)
+        tables[f"{name}_view_covariance"] = table.covariance.astype(np.float32)
+    with open(path, "wb") as file:
+        np.savez(
+            file,
+            vertices=surface.vertices.astype(np.float32),
+            faces=surface.faces.astype(np.uint32),
+            normals=surface.normals.astype(np.float32),
+            part=surface.part.astype(np.uint8),
+            skin_joints=surface.skin.joints.astype(np.uint8),
+            skin_weights=surface.skin.weights.astype(np.float32),
+            view_count=surface.view_count.astype(np.float32),
+            view_mean=surface.view_mean.astype(np.float32),
+            view_covariance=surface.view_covariance.astype(np.float32),
+            **tables,
+        )
+
+
+def read_surface(path: Path) -> Surface:
+    """Read surface.npz.
+
+    Raises:
+        AssetError: a field is absent or misshapen.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            fields = {name: data[name] for name in data.files}
+    except (OSError, ValueError, EOFError) as error:
+        raise AssetError(f"{path}: expected a surface (.npz), found: {error}") from None
+    count = len(fields.get("vertices", ()))
+    shapes = {"vertices": (count, 3), "normals": (count, 3), "part": (count,), "skin_joints": (count, 4),
+              "skin_weights": (count, 4), "view_count": (count,), "view_mean": (count, 3), "view_covariance": (count, 6)}  # fmt: skip
+    for name, shape in shapes.items():
+        if name not in fields or fields[name].shape != shape:
+            found = fields[name].shape if name in fields else "nothing"
+            raise AssetError(f"{path}: {name} should be {shape}, is {found}")
+    if "faces" not in fields or fields["faces"].ndim != 2 or fields["faces"].max(initial=0) >= max(count, 1):
+        raise AssetError(f"{path}: faces should index {count} vertices")
+    skin = SkinWeights(fields["skin_joints"].astype(np.int64), fields["skin_weights"])
+    return Surface(
+        fields["vertices"].astype(np.float64), fields["faces"].astype(np.int64), fields["normals"].astype(np.float64),
+        fields["part"].astype(np.int64), skin, fields["view_count"], fields["view_mean"], fields["view_covariance"],
+    )  # fmt: skip
+
+
+def write_json(path: Path, facts: dict) -> None:
+    path.write_text(json.dumps({"format": FORMAT, "version": VERSION, **facts}, indent=1), "utf-8")
+
+
+def read_run(path: Path | str, device: str = "cpu") -> Run:
+    """Read a run folder.
+
+    Raises:
+        AssetError: not a run folder, or a file in it is unusable.
+    """
+    path = Path(path)
+    try:
+        facts = json.loads((path / "run.json").read_text("utf-8"))
+    except FileNotFoundError:
+        raise AssetError(f"{path / 'run.json'}: no such file; expected a run folder made by `selfscan train`") from None
+    except (OSError, ValueError) as error:
+        raise AssetError(f"{path / 'run.json'}: expected JSON, found: {error}") from None
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT or facts.get("version") != VERSION:
+        raise AssetError(f"{path / 'run.json'}: expected format {FORMAT!r} version {VERSION}")
+    if facts.get("preset") not in PRESETS:
+        raise AssetError(f"{path / 'run.json'}: preset should be one of {sorted(PRESETS)}, is {facts.get('preset')!r}")
+    subject = read_subject(path / "subject.npz", name=str(facts.get("subject", "")))
+    preset = PRESETS[facts["preset"]]
+    fields = [read_part(path / f"{name}.pt", subject, i, preset.parts[i]) for i, name in enumerate(PARTS)]
+    correction = np.asarray(facts.get("canonical_from_head_field"), np.float64)
+    if correction.shape != (4, 4) or not np.isfinite(correction).all():
+        raise AssetError(f"{path / 'run.json'}: canonical_from_head_field should be a 4x4 matrix")
+    inverse = torch.tensor(np.linalg.inv(correction), dtype=torch.float32)
+    field = FusedField(fields, part_boxes(subject), inverse).to(device).eval().requires_grad_(False)
+    return Run(path, field, read_surface(path / "surface.npz"), subject, facts)
+
+
+def preset_facts(preset) -> dict:
+    """The preset's numbers, for the provenance."""
+    return asdict(preset)

@@ -1,0 +1,134 @@
+"""The zero level of the fused field as one mesh: coarse on the body, fine on head and hands, no seam."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy import sparse
+from skimage.measure import marching_cubes
+
+from avatar.skinning import SkinWeights
+from train.fused import FusedField
+from train.parts import Part
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Mesh of the fused field in the canonical frame, with Eq. 14's statistics (train/views.py)."""
+
+    vertices: Float[Array, "v 3"]
+    faces: Int[Array, "f 3"]
+    normals: Float[Array, "v 3"]  # unit, gradient of the field
+    part: Int[Array, "v"]  # the part that speaks loudest
+    skin: SkinWeights
+    view_count: Float[Array, "v"]  # directions seen
+    view_mean: Float[Array, "v 3"]  # their mean, not normalised
+    view_covariance: Float[Array, "v 6"]  # xx xy xz yy yz zz, across the mean direction
+
+
+def grid_axes(parts: tuple[Part, ...], body_cell: float, head_cell: float, hand_cell: float) -> list[Array]:
+    """Lines of a rectilinear grid that are close where a fine part lies and far elsewhere.
+
+    One grid means one watertight mesh. Each axis takes the finest cell that any part asks for at that coordinate.
+    """
+    cells = {"head": head_cell, "hand_left": hand_cell, "hand_right": hand_cell}
+    axes = []
+    whole = parts[0].extent
+    for axis in range(3):
+        lines, at = [], float(whole.low[axis])
+        while at < whole.high[axis]:
+            lines.append(at)
+            here = [cells[p.name] for p in parts[1:] if p.extent.low[axis] - 0.01 <= at <= p.extent.high[axis] + 0.01]
+            at += min([body_cell, *here])
+        axes.append(np.array([*lines, at]))
+    return axes
+
+
+def extract_surface(
+    field: FusedField,
+    parts: tuple[Part, ...],
+    *,
+    body_cell: float = 0.005,
+    head_cell: float = 0.003,
+    hand_cell: float = 0.0022,
+    near: float = 0.02,
+) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"]]:
+    """Marching cubes (Lewiner et al. 2003) on a rectilinear grid; the largest connected piece.
+
+    The field is asked only at grid points within `near` of a coarse pass (every third line) that found the
+    surface near; all others take the coarse value. Neither floaters nor a second person survive.
+
+    Raises:
+        ValueError: the field has no zero crossing in the box.
+    """
+    axes = grid_axes(parts, body_cell, head_cell, hand_cell)
+    thin = [np.unique(np.r_[axis[::4], axis[-1]]) for axis in axes]
+    coarse = _ask(field, np.stack(np.meshgrid(*thin, indexing="ij"), -1).reshape(-1, 3))
+    coarse = coarse.reshape([len(axis) for axis in thin])
+    # coarse values at the fine lines, by linear interpolation along each axis
+    values = coarse.astype(np.float32)
+    for axis in range(3):
+        values = _interpolated(values, thin[axis], axes[axis], axis)
+    band = np.abs(values) < near + 0.5 * max(np.diff(a).max() for a in thin)
+    index = np.argwhere(band)
+    points = np.stack([axes[i][index[:, i]] for i in range(3)], 1)
+    values[tuple(index.T)] = _ask(field, points)
+    if not (values.min() < 0 < values.max()):
+        raise ValueError("the field has no zero crossing: nothing to extract")
+    vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")
+    for axis in range(3):
+        vertices[:, axis] = np.interp(vertices[:, axis], np.arange(len(axes[axis])), axes[axis])
+    return largest_piece(vertices.astype(np.float64), faces.astype(np.int64))
+
+
+def _ask(field: FusedField, points: Array) -> Array:
+    return field.distance(torch.as_tensor(points, dtype=torch.float32)).numpy()
+
+
+def _interpolated(values: Array, old: Array, new: Array, axis: int) -> Array:
+    right = np.clip(np.searchsorted(old, new), 1, len(old) - 1)
+    f = ((new - old[right - 1]) / (old[right] - old[right - 1])).astype(np.float32)
+    f = f.reshape([-1 if i == axis else 1 for i in range(3)])
+    return np.take(values, right - 1, axis) * (1 - f) + np.take(values, right, axis) * f
+
+
+def largest_piece(
+    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]
+) -> tuple[Float[Array, "w 3"], Int[Array, "g 3"]]:
+    """The connected piece with the most faces; triangles without area are dropped with their slivers merged away."""
+    count = len(vertices)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    graph = sparse.csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (count, count))
+    _, label = sparse.csgraph.connected_components(graph, directed=False)
+    of_face = label[faces[:, 0]]
+    keep = of_face == np.bincount(of_face).argmax()
+    used = np.zeros(count, bool)
+    used[faces[keep]] = True
+    return vertices[used], (np.cumsum(used) - 1)[faces[keep]]
+
+
+def fill_from_neighbours(
+    values: Float[Array, "v c"], known: Bool[Array, "v"], faces: Int[Array, "f 3"], rounds: int = 2000
+) -> Float[Array, "v c"]:
+    """Values of unknown vertices copied inwards from known ones, ring by ring over the edges (mean of the ring)."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    count = len(values)
+    ones = np.ones(len(edges))
+    graph = sparse.csr_matrix((ones, (edges[:, 0], edges[:, 1])), (count, count))
+    graph = graph + graph.T
+    out, known = np.where(known[:, None], values, 0.0), known.copy()
+    for _ in range(rounds):
+        if known.all():
+            break
+        total, number = graph @ out, graph @ known.astype(float)
+        ring = ~known & (number > 0)
+        if not ring.any():
+            break
+        out[ring] = total[ring] / number[ring, None]
+        known |= ring
+    return out
+
+

@@ -1,0 +1,246 @@
+"""The canonical template as a cloud of surface samples and as a signed distance grid: where a part field starts.
+
+Only faces that can be reached from outside count. The inside of the mouth and the eye sockets would flip the
+sign of the distance a few millimetres under the skin.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from avatar.skinning import SkinWeights, dense_weights, strongest_four
+from train.capture import Subject
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class SurfaceCloud:
+    """Dense samples of the visible template, canonical frame; a nearest sample stands for the closest triangle."""
+
+    points: Float[Array, "samples 3"]
+    normals: Float[Array, "samples 3"]  # unit, outward
+    skin: SkinWeights
+    part: Int[Array, "samples"]
+    tree: cKDTree
+    spacing: float  # metres, of the finest part
+
+    def distance(self, points: Float[Array, "n 3"]) -> tuple[Float[Array, "n"], Int[Array, "n"]]:
+        """Signed distance to the samples, and the nearest sample. Right near the surface, see `signed`."""
+        length, row = self.tree.query(points)
+        return signed(points, length, self.points[row], self.normals[row], self.spacing), row
+
+
+def signed(points: Array, length: Array, nearest: Array, normals: Array, spacing: float) -> Array:
+    """Distance with sign from the nearest sample: to its tangent plane when close, to the sample itself when far.
+
+    Close to the surface the plane removes the scalloping of the samples; farther than four spacings the sample's
+    own distance is right to spacing^2 / (2 * distance).
+    """
+    along = ((points - nearest) * normals).sum(-1)
+    return np.where(length < 4 * spacing, along, np.where(along < 0, -length, length))
+
+
+def sample_faces(
+    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], spacing: Float[Array, "f"]
+) -> tuple[Int[Array, "s"], Float[Array, "s 3"]]:
+    """Face and barycentric coordinates of samples about `spacing` apart.
+
+    Each face is cut into n^2 equal triangles, n = longest edge / spacing rounded, and sampled at their centres.
+    """
+    corners = vertices[faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    counts = np.clip(np.round(longest / spacing), 1, 64).astype(int)
+    rows, weights = [], []
+    for n in np.unique(counts):
+        chosen = np.flatnonzero(counts == n)
+        i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
+        up = (i + j) < n
+        down = (i + j) < n - 1
+        a = np.concatenate([(i[up] + 1 / 3) / n, (i[down] + 2 / 3) / n])
+        b = np.concatenate([(j[up] + 1 / 3) / n, (j[down] + 2 / 3) / n])
+        barycentric = np.stack([1 - a - b, a, b], 1)
+        rows.append(np.repeat(chosen, len(barycentric)))
+        weights.append(np.tile(barycentric, (len(chosen), 1)))
+    return np.concatenate(rows), np.concatenate(weights)
+
+
+def vertex_normals(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) -> Float[Array, "v 3"]:
+    """Unit normals, area weighted; a vertex without area gets (0, 1, 0)."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    face_normals = np.cross(b - a, c - a)
+    normals = np.zeros_like(vertices)
+    for i in range(3):
+        np.add.at(normals, faces[:, i], face_normals)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 1e-20, normals / np.maximum(length, 1e-20), [0.0, 1.0, 0.0])
+
+
+def visible_faces(
+    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], cell: float = 0.005
+) -> Bool[Array, "f"]:
+    """Faces that the outside air reaches: flood fill of the cells of a voxel grid that hold no surface.
+
+    A face is visible when an outside cell lies within three cells of its middle. Openings narrower than two
+    cells (lips, eyelids) are closed for the flood.
+    """
+    face, barycentric = sample_faces(vertices, faces, np.full(len(faces), 0.5 * cell))
+    points = np.einsum("sk,skc->sc", barycentric, vertices[faces[face]])
+    low = points.min(0) - 4 * cell
+    index = ((points - low) / cell).astype(int)
+    shape = tuple(index.max(0) + 5)
+    occupied = np.zeros(shape, bool)
+    occupied[tuple(index.T)] = True
+    occupied = ndimage.binary_dilation(occupied)
+    label, _ = ndimage.label(~occupied)
+    near_air = ndimage.binary_dilation(label == label[0, 0, 0], iterations=3)
+    middle = ((vertices[faces].mean(1) - low) / cell).astype(int)
+    return near_air[tuple(middle.T)]
+
+
+def surface_cloud(
+    subject: Subject, fine_part: int, visible: Bool[Array, "f"], fine: float, coarse: float = 0.02
+) -> SurfaceCloud:
+    """Samples of the visible template: `fine` spacing on one part, `coarse` elsewhere (metres)."""
+    faces = subject.faces[visible]
+    part = np.sort(subject.part[faces], 1)[:, 1]  # the majority of the three
+    face, barycentric = sample_faces(subject.vertices, faces, np.where(part == fine_part, fine, max(fine, coarse)))
+    corners = faces[face]
+    blend = lambda values: np.einsum("sk,skc->sc", barycentric, values[corners])  # noqa: E731
+    normals = blend(vertex_normals(subject.vertices, subject.faces))
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    points = blend(subject.vertices)
+    skin = blend_skin(subject.skin, corners, barycentric)
+    return SurfaceCloud(points, normals, skin, part[face], cKDTree(points), fine)
+
+
+def blend_skin(
+    skin: SkinWeights, corners: Int[Array, "s 3"], barycentric: Float[Array, "s 3"]
+) -> SkinWeights:
+    """Skin weights inside triangles: the barycentric blend of the corners, its four strongest bones."""
+    dense = dense_weights(skin).astype(np.float32)
+    out_joints, out_weights = [], []
+    for start in range(0, len(corners), 65536):
+        stop = start + 65536
+        mixed = sum(barycentric[start:stop, k, None] * dense[corners[start:stop, k]] for k in range(3))
+        joints, weights = strongest_four(mixed)
+        out_joints.append(joints)
+        out_weights.append(weights)
+    return SkinWeights(np.concatenate(out_joints), np.concatenate(out_weights))
+
+
+class TemplateGrid(torch.nn.Module):
+    """Trilinear signed distance of the template in a box; outside it, the distance at the border plus the way there.
+
+    Value and gradient come from the same interpolant. The gradient is a constant of the training: `forward`
+    gives the value with that gradient attached (first order), which is all that the displacement field needs.
+    """
+
+    def __init__(self, values: Float[Tensor, "x y z"], low: Float[Tensor, "3"], cell: float):
+        super().__init__()
+        self.register_buffer("values", values)
+        self.register_buffer("low", low)
+        self.cell = cell
+
+    def sample(self, points: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n"], Float[Tensor, "n 3"]]:
+        """Distance and its gradient; no graph."""
+        with torch.no_grad():
+            shape = torch.tensor(self.values.shape, device=points.device)
+            at = (points - self.low) / self.cell
+            inside = torch.minimum(at.clamp_min(0), (shape - 1 - 1e-3).to(at.dtype))
+            beyond = (at - inside) * self.cell
+            corner = inside.floor().long()
+            f = inside - corner
+            strides = torch.tensor([self.values.shape[1] * self.values.shape[2], self.values.shape[2], 1])
+            strides = strides.to(points.device)
+            base = (corner * strides).sum(-1)
+            flat = self.values.reshape(-1)
+            v = [flat[base + (strides * torch.tensor(o, device=base.device)).sum()] for o in _CORNERS]
+            fx, fy, fz = f.unbind(-1)
+            # interpolate along z, then y, then x, keeping the differences for the gradient
+            z00, z01, z10, z11 = (v[2 * i] + fz * (v[2 * i + 1] - v[2 * i]) for i in range(4))
+            d00, d01, d10, d11 = (v[2 * i + 1] - v[2 * i] for i in range(4))
+            y0, y1 = z00 + fy * (z01 - z00), z10 + fy * (z11 - z10)
+            gx = y1 - y0
+            gy = (z01 - z00) + fx * ((z11 - z10) - (z01 - z00))
+            dz0, dz1 = d00 + fy * (d01 - d00), d10 + fy * (d11 - d10)
+            gz = dz0 + fx * (dz1 - dz0)
+            gradient = torch.stack([gx, gy, gz], -1) / self.cell
+            away = beyond.norm(dim=-1)
+            out = away > 0
+            gradient = torch.where(out[:, None], beyond / away.clamp_min(1e-12)[:, None], gradient)
+            return y0 + fx * gx + away, gradient
+
+    def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
+        distance, gradient = self.sample(points)
+        if points.requires_grad:
+            distance = distance + (gradient * (points - points.detach())).sum(-1)
+        return distance
+
+
+_CORNERS = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+
+
+@dataclass(frozen=True)
+class SampleGrid:
+    """The nearest sample of the cloud at every cell of a box: a look-up instead of a tree search.
+
+    Right to about a cell, over which skin weights hardly change. Points outside the box get -1.
+    """
+
+    rows: Int[Array, "x y z"]
+    low: Float[Array, "3"]
+    cell: float
+
+    def nearest(self, points: Float[Array, "n 3"]) -> Int[Array, "n"]:
+        index = np.floor((points - self.low) / self.cell).astype(np.int64)
+        inside = ((index >= 0) & (index < self.rows.shape)).all(1)
+        index[~inside] = 0
+        return np.where(inside, self.rows[tuple(index.T)], -1)
+
+
+def sample_grid(
+    cloud: SurfaceCloud, low: Float[Array, "3"], high: Float[Array, "3"], cell: float
+) -> SampleGrid:
+    """Nearest samples on a grid over a box, by the feature transform of the occupied cells."""
+    shape = tuple(np.ceil((high - low) / cell).astype(int) + 1)
+    rows = np.full(shape, -1)
+    index = np.floor((cloud.points - low) / cell).astype(int)
+    inside = np.flatnonzero(((index >= 0) & (index < shape)).all(1))
+    rows[tuple(index[inside].T)] = inside
+    nearest = ndimage.distance_transform_edt(rows < 0, return_distances=False, return_indices=True)
+    return SampleGrid(rows[tuple(nearest)].astype(np.int32), low, cell)
+
+
+def template_grid(
+    cloud: SurfaceCloud, low: Float[Array, "3"], high: Float[Array, "3"], cell: float
+) -> TemplateGrid:
+    """Signed distance of the cloud on a grid over a box.
+
+    Deeper than three cells the sign comes from a flood fill, so that one bad normal cannot open a hole there.
+    """
+    axes = [np.arange(low[i], high[i] + cell, cell) for i in range(3)]
+    shape = tuple(len(axis) for axis in axes)
+    # exact within four cells of a sample; farther out the distance between cells is near enough
+    occupied = np.zeros(shape, bool)
+    index = np.round((cloud.points - low) / cell).astype(int)
+    index = index[((index >= 0) & (index < shape)).all(1)]
+    occupied[tuple(index.T)] = True
+    distance = ndimage.distance_transform_edt(~occupied) * cell
+    near = np.argwhere(distance < 4 * cell)
+    exact, _ = cloud.distance(np.stack([axes[i][near[:, i]] for i in range(3)], 1))
+    # air is what the border reaches through cells clearly off the surface and not known to lie under it
+    blocked = np.zeros(shape, bool)
+    blocked[tuple(near.T)] = exact < 0.87 * cell
+    label, _ = ndimage.label(np.pad(~blocked, 1, constant_values=True))
+    air = (label == label[0, 0, 0])[1:-1, 1:-1, 1:-1]
+    distance = np.where(air, distance, -distance)
+    deep = np.abs(exact) > 3 * cell
+    exact = np.where(deep & ~air[tuple(near.T)], -np.abs(exact), exact)
+    distance[tuple(near.T)] = exact
+    return TemplateGrid(torch.tensor(distance, dtype=torch.float32), torch.tensor(low, dtype=torch.float32), cell)
