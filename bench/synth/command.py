@@ -14,6 +14,7 @@ from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 from avatar.progress import Progress
 from avatar.skeleton import PARENTS
+from bench.synth.cutout import cut_out
 from bench.synth.film import Shots, disturbed, plan_videos
 from bench.synth.head_frame import cameras_in_head_frame, landmarks, scale_of, seeded_similarity
 from bench.synth.light import MODES, light_of
@@ -55,7 +56,7 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
     if config.seed < 0:
         raise ValueError(f"seed should not be negative, is {config.seed}")
     light_of(config.light, "body", config.seed)
-    person = load_subject(subject)
+    person = cut_out(load_subject(subject))
     print(f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces; {'; '.join(person.notes)}")
 
     context = open_context()
@@ -64,7 +65,7 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
         studio = Studio(rasteriser, person)
         videos = plan_videos(studio, config.frames, config.size)
         visible = visible_faces(rasteriser, person.vertices, person.faces)
-        template = register(person, visible)
+        template = register(person, visible, rasteriser)
         residual = template.residual
         print(
             f"template: {template.body}, {residual['surface_cm']:.2f} cm from the visible surface "

@@ -179,7 +179,7 @@ def _shoulder_for(forearm: Float[np.ndarray, "3 3"], sign: float) -> Float[np.nd
     lowered = rotation(y=-sign * 15) @ rotation(z=-sign * 20)
     best, least = lowered, np.inf
     for twist in range(-90, 91, 5):
-        candidate = lowered @ rotation(x=twist)
+        candidate = lowered @ rotation(x=float(twist))
         elbow = np.linalg.norm(axis_angle_from_matrix(candidate.T @ forearm))
         cost = elbow + 0.4 * abs(np.radians(twist))
         if cost < least:

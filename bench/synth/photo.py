@@ -57,19 +57,21 @@ class Studio:
             color = shade(color, normals, towards_eye, light, sheen)
         samples = np.zeros((*hit.shape, 3), np.float32)
         samples[hit] = np.clip(color, 0, 255)
-        image = _box_mean(samples, n)
+        image = np.round(_block_sum(samples, n) / n**2).astype(np.uint8)
+        covered = 2 * _block_sum(hit.astype(np.uint8), n) >= n**2
         labels = np.zeros(hit.shape, np.uint8)
         labels[hit] = 1 + self.face_part[face]
-        counts = np.stack([_box_mean((labels == label).astype(np.float32), n) for label in range(len(PARTS) + 1)], -1)
-        covered = counts[..., 0] <= 0.5
-        parts = np.where(covered, 1 + counts[..., 1:].argmax(-1), 0)
-        return Photo(np.round(image).astype(np.uint8), np.where(covered, 255, 0).astype(np.uint8), parts.astype(np.uint8))
+        counts = np.stack([_block_sum((labels == 1 + part).astype(np.uint8), n) for part in range(len(PARTS))])
+        parts = np.where(covered, 1 + counts.argmax(0), 0).astype(np.uint8)
+        return Photo(image, np.where(covered, 255, 0).astype(np.uint8), parts)
 
     def _color(self, face: Int[np.ndarray, " N"], weights: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
         subject = self.subject
-        uv = _blend(subject.uv, subject.faces[face], weights).astype(np.float64)
+        uv = _blend(subject.uv, subject.faces[face], weights)  # float32: a ten-thousandth of a texel
         # the samplers repeat; a coordinate of exactly 1 is the far edge, not the near one
         uv = np.where((uv < 0) | (uv > 1), uv - np.floor(uv), uv)
+        if len(subject.textures) == 1:
+            return sample_texture(subject.textures[0], uv)
         material = subject.material[face]
         color = np.empty((len(face), 3), np.float32)
         for i, texture in enumerate(subject.textures):
@@ -87,10 +89,9 @@ def _blend(values: Float[np.ndarray, "V C"], corners: Int[np.ndarray, "N 3"], we
     return blended
 
 
-def _box_mean(samples: np.ndarray, n: int) -> np.ndarray:
-    """Means of n x n blocks."""
-    if n == 1:
-        return samples
-    height, width = samples.shape[0] // n, samples.shape[1] // n
-    blocks = samples.reshape(height, n, width, n, *samples.shape[2:])
-    return blocks.mean(axis=(1, 3))
+def _block_sum(samples: np.ndarray, n: int) -> np.ndarray:
+    """Sums of n x n blocks; slices are several times faster than a reduction over two inner axes."""
+    total = samples[::n, ::n].copy()
+    for k in range(1, n * n):
+        total += samples[k // n :: n, k % n :: n]
+    return total

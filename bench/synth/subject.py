@@ -14,7 +14,6 @@ zero rest pose drives the mesh exactly as the file's rig does.
 
 import io
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -356,12 +355,12 @@ def _read_material(gltf: Gltf, index: int, notes: list[str]) -> tuple[np.ndarray
 
 
 def _licence(path: Path, gltf: Gltf) -> str:
-    """What the file says of its licence, else the first line of a LICENSE beside it."""
+    """What the file says of its licence, else the first two lines (name, holder) of a LICENSE beside it."""
     copyright_line = gltf.json["asset"].get("copyright", "")
     if copyright_line:
         return str(copyright_line)
     beside = path.parent / "LICENSE"
     if beside.is_file():
-        lines: Iterable[str] = (line.strip() for line in beside.read_text(errors="replace").splitlines())
-        return next((line for line in lines if line), "not stated")
+        lines = [line.strip() for line in beside.read_text(errors="replace").splitlines()]
+        return "; ".join([line for line in lines if line][:2]) or "not stated"
     return "not stated"

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
@@ -23,10 +24,11 @@ from avatar.rotation import rotation_between
 from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND
 from avatar.skinning import SkinWeights, skin_points
 from bench.synth.subject import PARTS, Subject, part_of
-from bench.synth.surface import spread_points, surface_distance, vertex_normals
+from bench.synth.surface import spread_points, surface_distance, vertex_normals, view_counts
+from player.raster import Rasteriser
 
 SAMPLES = 200_000  # points on the subject's visible surface
-HAIR_REACH = 0.10  # metres: hair nearer than this over a template vertex stands over it
+HAIR_REACH = 0.08  # metres: hair nearer than this, straight out from a template vertex, stands over it
 STEPS = (  # stiffness, farthest correspondence (metres), repetitions
     (60.0, 0.08, 6),
     (40.0, 0.06, 5),
@@ -55,7 +57,7 @@ class Template:
     residual: dict[str, float]  # centimetres, mean distance from the subject's visible surface
 
 
-def register(subject: Subject, visible: Bool[np.ndarray, " F"]) -> Template:
+def register(subject: Subject, visible: Bool[np.ndarray, " F"], rasteriser: Rasteriser) -> Template:
     """The template of a subject; `visible` are the faces that can be seen from outside.
 
     Both free bodies are tried; the one whose first fit is closer goes on.
@@ -64,7 +66,9 @@ def register(subject: Subject, visible: Bool[np.ndarray, " F"]) -> Template:
     fits = [_fit_shape(builtin_body(sex), subject.joints, surface) for sex in ("male", "female")]
     body = min(fits, key=lambda fit: fit[1])[0]
     carried = _carry_limbs(body, subject.joints.astype(np.float64))
-    vertices = _smooth_offsets(body, carried, surface)
+    placed = _place_head(body, carried, surface)
+    outside = _outer_vertices(rasteriser, placed, body.faces)
+    vertices = _smooth_offsets(body, placed, surface, outside)
     hair = _under_hair(subject, vertices, body.faces)
     assert body.uv is not None and body.uv_faces is not None  # the built-in bodies have both
     return Template(
@@ -154,13 +158,13 @@ def _carry_limbs(body: Body, joints: Float[np.ndarray, "52 3"]) -> Float[np.ndar
     """The fitted body with limbs and fingers carried onto the subject's joints, bone by bone.
 
     Trunk, hips and shoulders stay where the surface put them: rigs agree on where an elbow is, not on where a
-    spine is (notes of up to 14 cm). Each bone is turned the shortest way, on top of its parent's turn, and
+    spine is (measured: up to 14 cm apart). Each bone is turned the shortest way, on top of its parent's turn, and
     stretched along itself; a palm follows its five knuckles (Kabsch 1976).
     """
     goal = body.joints.copy()
     carried = [i for i in _LIMBS if not JOINTS[i].endswith(("hip", "shoulder"))]
     goal[carried] = joints[carried]
-    children = {i: [int(c) for c in np.flatnonzero(PARENTS == i)] for i in range(len(JOINTS))}
+    children = {i: [int(c) for c in np.flatnonzero(i == PARENTS)] for i in range(len(JOINTS))}
     turn = np.tile(np.eye(3), (len(JOINTS), 1, 1))
     stretch = np.tile(np.eye(3), (len(JOINTS), 1, 1))  # in the rest frame, before the turn
     for k in range(1, len(JOINTS)):
@@ -186,6 +190,63 @@ def _carry_limbs(body: Body, joints: Float[np.ndarray, "52 3"]) -> Float[np.ndar
     return skin_points(body.vertices, body.skin, transforms)
 
 
+def _place_head(body: Body, x: Float[np.ndarray, "V 3"], surface: _Surface) -> Float[np.ndarray, "V 3"]:
+    """The head moved nose on nose, then fitted by affine point-to-plane steps kept near a similarity.
+
+    Smooth offsets cannot slide an ear along a head: features have to meet before them. The neck follows by the
+    head joint's skin weight. Without a face to see (all hair) the head stays where it is.
+    """
+    head = JOINTS.index("head")
+    share = ((body.skin.joints == head) * body.skin.weights).sum(1)
+    members = np.flatnonzero(share > 0.7)
+    seen = np.flatnonzero(surface.part == PARTS.index("head"))
+    if len(seen) < 500:
+        return x
+    points, normals = surface.points[seen], surface.normals[seen]
+    nose, goal = (p[np.abs(p[:, 0] - np.median(p[:, 0])) < 0.015] for p in (x[members], points))
+    nose, goal = nose[nose[:, 2].argmax()], goal[goal[:, 2].argmax()]
+    tree = cKDTree(np.concatenate([points, 0.03 * normals], 1))
+    affine, shift = np.eye(3), goal - nose
+    for step in range(30):
+        moved = nose + (x - nose) @ affine.T + shift
+        own = vertex_normals(moved, body.faces)[members]
+        at = moved[members]
+        _, found = tree.query(np.concatenate([at, 0.03 * own], 1))
+        apart = points[found] - at
+        n = normals[found]
+        limit = 0.03 if step < 10 else 0.015
+        keep = ((n * own).sum(1) > 0.6) & (np.linalg.norm(apart, axis=1) < limit)
+        if keep.sum() < 200:
+            return x
+        arm = (at - nose)[keep]
+        rows = np.concatenate([np.einsum("ni,nj->nij", n[keep], arm).reshape(-1, 9), n[keep]], 1)
+        # shears and unequal scales cost; turning and growing as a whole cost nothing
+        shear = np.zeros((7, 12))
+        for row, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
+            shear[row, 3 * i + j] = shear[row, 3 * j + i] = 1
+            shear[3 + row, 4 * i], shear[3 + row, 4 * j] = 1, -1
+        penalty = 1e-4 * shear.T @ shear + 1e-7 * np.eye(12)
+        delta = np.linalg.solve(rows.T @ rows / len(rows) + penalty, rows.T @ (n[keep] * apart[keep]).sum(1) / len(rows))
+        affine = affine + delta[:9].reshape(3, 3) @ affine
+        shift = shift + delta[9:] + delta[:9].reshape(3, 3) @ shift
+    moved = nose + (x - nose) @ affine.T + shift
+    return x + share[:, None] * (moved - x)
+
+
+def _outer_vertices(
+    rasteriser: Rasteriser, x: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Bool[np.ndarray, " V"]:
+    """Vertices of the outer skin: mouth, nostrils and eye sockets have no surface to go to.
+
+    A face is outside when it is seen from six views or more (the back of a mouth is seen from one or two,
+    between the lips); the outer skin is the largest piece of such faces.
+    """
+    kept = faces[view_counts(rasteriser, x, faces) >= 6]
+    edges = np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]]])
+    _, piece = connected_components(coo_matrix((np.ones(len(edges)), edges.T), shape=(len(x), len(x))), directed=False)
+    return piece == np.bincount(piece[kept[:, 0]]).argmax()
+
+
 def _fingers(joint: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
     """0-9: the finger of a joint; -2, -1: the palms (left, right); -3: elsewhere."""
     finger = np.full(len(joint), -3)
@@ -196,7 +257,9 @@ def _fingers(joint: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
     return finger
 
 
-def _smooth_offsets(body: Body, start: Float[np.ndarray, "V 3"], surface: _Surface) -> Float[np.ndarray, "V 3"]:
+def _smooth_offsets(
+    body: Body, start: Float[np.ndarray, "V 3"], surface: _Surface, outside: Bool[np.ndarray, " V"]
+) -> Float[np.ndarray, "V 3"]:
     """Non-rigid fit: each step solves for offsets o from `start`
 
         min sum_i w_i |start_i + o_i - c_i|^2 + (k / 1000)^2 / mean_edge^2 sum_edges |o_i - o_j|^2 ...
@@ -212,7 +275,10 @@ def _smooth_offsets(body: Body, start: Float[np.ndarray, "V 3"], surface: _Surfa
     adjacency = adjacency + adjacency.T
     degree = np.asarray(adjacency.sum(1)).ravel()
     laplacian = csr_matrix(diags(degree) - adjacency)
-    bending = laplacian.T @ diags(1 / degree) @ laplacian
+    # bending carries a slope on past the last vertex that is held, and would blow the mouth's inside up into the
+    # cheeks: inside, offsets are harmonic, so no larger than at the lips
+    bent = adjacency @ (~outside).astype(float) == 0
+    bending = laplacian.T @ diags((bent & outside) / degree) @ laplacian
 
     # closest points in position and normal together: a normal turned by 60 degrees costs 3 cm
     reach = 0.03
@@ -245,7 +311,7 @@ def _smooth_offsets(body: Body, start: Float[np.ndarray, "V 3"], surface: _Surfa
                 along = (apart * n).sum(1, keepdims=True)
                 # mostly the foot on the plane; a tenth of the way to the point itself keeps rims from drifting
                 target[members] = x[members] - along * n
-                weight[members] = np.where(agree, tukey, 0)
+                weight[members] = np.where(agree & outside[members], tukey, 0)
             A = diags(weight) + (stiffness / 20) * (0.02 * laplacian + 0.15 * bending)
             solve = splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
             x = start + solve.solve(weight[:, None] * (target - start))
@@ -261,7 +327,8 @@ def _under_hair(subject: Subject, vertices: Float[np.ndarray, "V 3"], faces: Int
     normals = vertex_normals(vertices, faces)
     distance, nearest = cKDTree(hair.points).query(vertices)
     outside = ((hair.points[nearest] - vertices) * normals).sum(1)
-    return (distance < HAIR_REACH) & (outside > 0.5 * distance - 0.004)
+    straight_out = outside > np.minimum(0.85 * distance, distance - 0.005)  # within half a centimetre any side will do
+    return (distance < HAIR_REACH) & straight_out
 
 
 def _residual(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], surface: _Surface) -> dict[str, float]:

@@ -23,7 +23,7 @@ CANDIDATES = 8  # camera directions tried for a close-up; the one that sees most
 
 # degrees about x, y, z of the parent's frame; "left" only: the other side mirrors it unless it is named itself.
 # The left arm runs along +x: shoulder z < 0 lowers it, y < 0 brings it forward; elbow y < 0 bends it forward.
-_STANCES: dict[str, dict[str, tuple[float, float, float]]] = {
+_STANCES: dict[str, dict[str, tuple[int, int, int]]] = {
     "sitting": {
         "left_hip": (-85, 0, 6), "left_knee": (85, 0, 0), "spine2": (8, 0, 0),
         "left_shoulder": (0, -25, -62), "left_elbow": (0, -45, 0),
@@ -99,7 +99,7 @@ def novel_views(seed: int) -> list[Stand]:
     return stands
 
 
-def _stance(angles: dict[str, tuple[float, float, float]]) -> Float[np.ndarray, "52 3"]:
+def _stance(angles: dict[str, tuple[int, int, int]]) -> Float[np.ndarray, "52 3"]:
     pose = np.zeros((len(JOINTS), 3))
     for joint, degrees in angles.items():
         pose[JOINTS.index(joint)] = _euler(degrees)
@@ -109,8 +109,8 @@ def _stance(angles: dict[str, tuple[float, float, float]]) -> Float[np.ndarray, 
     return pose
 
 
-def _euler(degrees: tuple[float, float, float]) -> Float[np.ndarray, "3"]:
-    return axis_angle_from_matrix(rotation(*degrees))
+def _euler(degrees: tuple[int, int, int]) -> Float[np.ndarray, "3"]:
+    return axis_angle_from_matrix(rotation(*map(float, degrees)))
 
 
 def _hands(rng: np.random.Generator) -> Float[np.ndarray, "52 3"]:

@@ -1,0 +1,58 @@
+"""Small rigged glTF files made from the built-in body, to be read back."""
+
+import base64
+import json
+from pathlib import Path
+
+import numpy as np
+
+from avatar.body import builtin_body
+from avatar.skeleton import JOINTS, PARENTS, joint_transforms, skin_transforms
+from avatar.skinning import skin_points
+
+
+def rig(names=JOINTS, pose=None, turn=np.eye(3)) -> tuple[dict, np.ndarray]:
+    """glTF JSON of a few of the free body's triangles, bound in `pose` and standing as `turn` says; its vertices."""
+    body = builtin_body("male")
+    pose = np.zeros((52, 3)) if pose is None else pose
+    faces = body.faces[::25]
+    used, faces = np.unique(faces, return_inverse=True)
+    points = skin_points(body.vertices, body.skin, skin_transforms(pose, body.joints, rest=np.zeros((52, 3))))
+    points = (points @ turn.T)[used].astype("<f4")
+    frames = np.tile(np.eye(4), (52, 1, 1))  # bones parallel to the world, where the pose left their joints
+    frames[:, :3, 3] = joint_transforms(pose, body.joints)[:, :3, 3] @ turn.T
+    arrays = [
+        (points, 5126, "VEC3"),
+        (faces.reshape(-1).astype("<u4"), 5125, "SCALAR"),
+        (body.skin.joints[used].astype("<u2"), 5123, "VEC4"),
+        (body.skin.weights[used].astype("<f4"), 5126, "VEC4"),
+        (np.linalg.inv(frames).swapaxes(1, 2).astype("<f4").reshape(52, 16), 5126, "MAT4"),
+    ]
+    data, views, accessors = b"", [], []
+    for array, component, kind in arrays:
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes})
+        accessors.append({"bufferView": len(views) - 1, "componentType": component, "count": len(array), "type": kind})
+        data += array.tobytes()
+    nodes = []
+    for k, name in enumerate(names):
+        origin = frames[PARENTS[k], :3, 3] if k else np.zeros(3)
+        children = [int(c) for c in np.flatnonzero(k == PARENTS)]
+        node = {"name": name, "translation": (frames[k, :3, 3] - origin).tolist()}
+        nodes.append(node | ({"children": children} if children else {}))
+    nodes.append({"name": "person", "mesh": 0, "skin": 0})
+    attributes = {"POSITION": 0, "JOINTS_0": 2, "WEIGHTS_0": 3}
+    document = {
+        "asset": {"version": "2.0"},
+        "nodes": nodes,
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 1}]}],
+        "skins": [{"joints": list(range(52)), "inverseBindMatrices": 4}],
+        "buffers": [{"byteLength": len(data), "uri": "data:;base64," + base64.b64encode(data).decode()}],
+        "bufferViews": views,
+        "accessors": accessors,
+    }
+    return document, body.vertices[used]
+
+
+def write(path: Path, document: dict) -> Path:
+    path.write_text(json.dumps(document))
+    return path
