@@ -84,7 +84,7 @@ class Face:
     nails: Float[Array, "10 3"]  # the middles of the finger nails
 
 
-def smoothstep(low: float, high: float, x):
+def smoothstep(low, high, x):
     """0 below `low`, 1 above `high`, smooth between."""
     t = np.clip((x - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
@@ -216,7 +216,15 @@ def dress(body: Body, looks: Looks) -> Dressed:
         dense_weights(body.skin),
     )
     face = find_face(mesh)
-    mesh = refined(mesh, lambda points: np.where(hairline(points, face, looks) > -0.006, 0.0085, 0.016))
+    wrist = np.abs(joints[20:22, 0]).min()
+    mesh = refined(
+        mesh,
+        lambda points: np.where(
+            np.abs(points[:, 0]) > wrist - 0.01,
+            0.05,  # hands stay as they are
+            np.where(hairline(points, face, looks) > -0.006, 0.0085, 0.016),
+        ),
+    )
     mesh = _without_feet(mesh, joints)
     hem_y = hem_height(joints, looks)
 
@@ -261,13 +269,18 @@ def dress(body: Body, looks: Looks) -> Dressed:
     normals = vertex_normals(smoothed(skin, mesh.faces, np.ones(len(skin), bool), 30), mesh.faces)
     ease = np.where(cloth, _ease(skin, joints, looks, shirt, belt, above), 0.0)
     under = smoothed(skin, mesh.faces, _breast_tips(mesh) & cloth, 200)
+    ease = ease + np.where(_breast_tips(mesh) & shirt, 0.006, 0.0)  # the tips stand out of `under`
     posed = _hang(under, mesh.faces, cloth, ease, normals)
     folds = _folds(skin, joints, looks, shirt, above)
     posed += np.where(cloth & ~belt, folds, 0)[:, None] * vertex_normals(posed, mesh.faces)
     for _ in range(2):
-        off = ((posed - under) * normals).sum(1)
-        posed += np.where(cloth, np.maximum(CLOSEST + 0.0015 - off, 0), 0)[:, None] * normals
+        off = ((posed - 0.5 * (skin + under)) * normals).sum(1)
+        posed += np.where(cloth, np.maximum(CLOSEST + 0.0030 - off, 0), 0)[:, None] * normals
         posed = smoothed(posed, mesh.faces, cloth, 1)
+    nearest = cKDTree(skin)
+    for _ in range(3):  # what still comes too close, the tips
+        short = np.maximum(CLOSEST + 0.001 - nearest.query(posed)[0], 0)
+        posed += np.where(cloth, short, 0)[:, None] * normals
     posed = _apart(posed, skin, joints, trousers)
     for values, level in ((neck, 0.0), (arm, 0.0), *((above, level) for level, _ in waist), (skin[:, 1], ankle_level(joints))):
         posed = _straight(posed, mesh.faces, (np.abs(values - level) < tiny) & cloth)
@@ -483,7 +496,7 @@ def _with_shoe(dressed: Dressed, body: Body, joints, side: int) -> Dressed:
     rings = []
     for k, level in enumerate(levels):
         y = ground + level
-        part = foot[foot[:, 1] > y - 0.009][:, [0, 2]]
+        part = foot[foot[:, 1] > y - 0.0115][:, [0, 2]]
         outline = part[ConvexHull(part).vertices]
         centre = np.array([part[:, 0].mean(), 0.5 * (part[:, 1].min() + part[:, 1].max())])
         length = 0.5 * (part[:, 1].max() - part[:, 1].min())
@@ -498,8 +511,8 @@ def _with_shoe(dressed: Dressed, body: Body, joints, side: int) -> Dressed:
                 n = -n
             facing = direction @ n
             radius = np.where(facing > 1e-6, np.minimum(radius, (n @ (p - centre)) / np.maximum(facing, 1e-6)), radius)
-        sole = 0.0095 if k in (1, 2, 3) else 0.0085 if k == 0 else 0.0075
-        sole = sole - 0.0060 * smoothstep(ankle[1] - 0.035, ankle[1] - 0.005, y)  # slim inside the trouser leg
+        sole = 0.0120 if k in (1, 2, 3) else 0.0110 if k == 0 else 0.0115
+        sole = sole - 0.0062 * smoothstep(ankle[1] - 0.035, ankle[1] - 0.005, y)  # slim inside the trouser leg
         xz = centre + direction * (radius + sole)[:, None]
         rings.append(np.stack([xz[:, 0], np.full(AROUND, y), xz[:, 1]], -1))
     rings = np.array(rings)
