@@ -18,7 +18,7 @@ from avatar.motion import Clip, Motion, fitted, read_motion
 from avatar.progress import progress
 from player.context import Context, NoContextError, open_context
 from player.film import Film, film_kind
-from player.framing import extent, facing, fitted_camera, orbit, pelvis_height
+from player.framing import extent, facing, fitted_camera, orbit, outermost, pelvis_height
 from player.plan import VIEWS
 from player.renderer import Pose, Renderer
 
@@ -251,14 +251,17 @@ def cameras(
         camera = camera.resized(size) if size else camera
         return (lambda _part, _root: camera), camera.size
     size = size or (640, 640)
-    points, azimuth = [], 0.0
+    everything, azimuth = np.zeros((0, 3)), 0.0
     for k, (avatar, clip) in enumerate(zip(avatars, clips, strict=True)):
         for first in range(start, stop, BLOCK):
             block = clip(first, min(first + BLOCK, stop))
             if k == 0 and first == start:
                 azimuth = facing(block.axis_angle[0], avatar.joint_positions.astype(np.float64))
-            points.append(extent(avatar, block, following=choice == "orbit") + beside(k, len(avatars)))
-    everything = np.concatenate(points)
+            points = extent(avatar, block, following=choice == "orbit") + beside(k, len(avatars))
+            everything = np.concatenate([everything, points])
+            everything = everything[
+                outermost(everything)
+            ]  # a long motion takes no more memory than a short one
     if choice == "orbit":
         everything = everything - beside(0, len(avatars))  # the camera goes along with the first avatar
         return orbit(everything, azimuth, size), size
@@ -296,7 +299,7 @@ def play_main(argv: list[str]) -> int:
         prog="selfscan play",
         description="An avatar in a window: drag to orbit, wheel to come nearer.",
         epilog="keys  space play/pause   , . one frame back/on   left right one second   home end   "
-        "r reset camera   v view dependence   s screenshot   h help line   q quit",
+        "r reset camera   f follow   v view dependence   s screenshot   h help line   q quit",
     )
     parser.add_argument(
         "avatar", nargs="+", metavar="AVATAR", help="avatar file (.glb); several stand side by side"

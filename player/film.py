@@ -85,9 +85,15 @@ class Film:
         try:
             self._write(self._arriving())
         except BaseException as error:  # carried over to the drawing thread, which raises it
-            self._error = self._error or error
+            self._error = self._error or self._said(error)
         while not self._ended:  # so that `add` is never left waiting
             self._ended = self._queue.get() is None
+
+    def _said(self, error: BaseException) -> BaseException:
+        """Errors of disk and encoder as one line that names the file; all others as they are."""
+        if isinstance(error, OSError) or type(error).__module__.startswith("av."):
+            return AssetError(f"{self.path}: cannot be written as {self.kind or 'frames'}: {error}")
+        return error
 
     def _arriving(self) -> Iterator[Frame]:
         while True:

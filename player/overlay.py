@@ -31,7 +31,12 @@ class TextLine:
             self._upload(text)
         assert self.texture is not None
         width, height = self.texture.size
-        uniform(self.program, "rectangle").value = (-1.0, -1.0, 2 * width / size[0] - 1, 2 * height / size[1] - 1)
+        uniform(self.program, "rectangle").value = (
+            -1.0,
+            -1.0,
+            2 * width / size[0] - 1,
+            2 * height / size[1] - 1,
+        )
         self.texture.use(UNIT)
         gl.enable_only(moderngl.BLEND)
         gl.blend_func = (moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA)

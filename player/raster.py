@@ -88,7 +88,9 @@ class Rasteriser:
         self._use_target((width, height))
         self._use_vertices(points.astype(np.float32)[faces])
         assert self.vertex_array is not None and self.target is not None
-        uniform(self.program, "clip_from_view").write(clip_from_view(camera, *planes).T.astype("f4").tobytes())
+        uniform(self.program, "clip_from_view").write(
+            clip_from_view(camera, *planes).T.astype("f4").tobytes()
+        )
         gl.enable_only(moderngl.DEPTH_TEST | (moderngl.CULL_FACE if cull else 0))
         gl.front_face, gl.cull_face = "ccw", "back"
         self.target.clear()

@@ -27,9 +27,10 @@ from player.renderer import Pose, Renderer
 KEYS = {
     "space": glfw.KEY_SPACE, ",": glfw.KEY_COMMA, ".": glfw.KEY_PERIOD, "left": glfw.KEY_LEFT,
     "right": glfw.KEY_RIGHT, "home": glfw.KEY_HOME, "end": glfw.KEY_END, "r": glfw.KEY_R, "v": glfw.KEY_V,
-    "s": glfw.KEY_S, "h": glfw.KEY_H, "q": glfw.KEY_Q,
+    "s": glfw.KEY_S,
+    "f": glfw.KEY_F, "h": glfw.KEY_H, "q": glfw.KEY_Q,
 }  # fmt: skip
-HELP = "space play/pause  , . step  arrows 1 s  home end  r camera  v view  s shot  q quit"
+HELP = "space play/pause  , . step  arrows 1 s  home end  r camera  f follow  v view  s shot  q quit"
 SCRIPT_RATE = 30.0
 BLOCK = 256
 LONGEST_STEP = 0.25  # seconds; after a stall the clip goes on where it was
@@ -61,10 +62,12 @@ class Orbit:
         nearer = 0.9 ** float(np.clip(clicks, -100, 100))
         self.distance = float(np.clip(self.distance * nearer, 0.05, 1000.0))
 
-    def camera(self, size: tuple[int, int]) -> Camera:
+    def camera(self, size: tuple[int, int], along: Float[np.ndarray, "3"] | None = None) -> Camera:
+        """The camera, moved along with the avatar by `along`, metres."""
         flat = np.cos(self.elevation)
         away = np.array([np.sin(self.azimuth) * flat, np.sin(self.elevation), np.cos(self.azimuth) * flat])
-        return Camera(pinhole(size, FOV), look_at(self.target + self.distance * away, self.target), size)
+        target = self.target if along is None else self.target + along
+        return Camera(pinhole(size, FOV), look_at(target + self.distance * away, target), size)
 
 
 class Playback:
@@ -117,6 +120,7 @@ class Window:
         null: bool,
     ):
         self.playback, self.orbit = playback, orbit
+        self.start = playback.poses()[0][1]
         self.handle = open_window(size, null)
         self.context: Context = wrap_context(
             window_function,
@@ -125,6 +129,7 @@ class Window:
         )
         self.renderer = Renderer(self.context, avatars, None, view=view, background=background)
         self.text = TextLine(self.context)
+        self.follow = False
         self.help, self.shoot, self.shots, self.closing = False, False, 0, False
         self.pointer: tuple[float, float] | None = None
         self.image: UInt8[np.ndarray, "height width 3"] | None = None
@@ -155,6 +160,8 @@ class Window:
             playback.seek(playback.motion.frames - 1)
         elif key == glfw.KEY_R:
             self.orbit.reset()
+        elif key == glfw.KEY_F:
+            self.follow = not self.follow
         elif key == glfw.KEY_V:
             self.renderer.view_amount = 1.0 - self.renderer.view_amount
         elif key == glfw.KEY_H:
@@ -180,7 +187,9 @@ class Window:
         if not (size[0] and size[1]):
             return
         screen = self.context.screen()
-        self.renderer.draw_into(screen, self.playback.poses(), self.orbit.camera(size))
+        poses = self.playback.poses()
+        along = (poses[0][1] - self.start) * [1.0, 0.0, 1.0] if self.follow else np.zeros(3)
+        self.renderer.draw_into(screen, poses, self.orbit.camera(size, along))
         self.text.draw(self.line(), size)
         if keep or self.shoot:
             raw = np.frombuffer(screen.read(viewport=(0, 0, *size), components=3, alignment=1), np.uint8)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from player.context import open_context
+from player.context import NoContextError, open_context
 from player.mannequin import mannequin
 
 
@@ -14,6 +14,15 @@ def context():
     assert context.gl.error == "GL_NO_ERROR"
     assert context.counts.objects() == {}, "a test left objects behind"
     context.release()
+
+
+@pytest.fixture(scope="session")
+def osmesa():
+    """Skips where the distribution's Mesa has no OSMesa (25.1 and later)."""
+    try:
+        open_context("osmesa").release()
+    except NoContextError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")

@@ -109,7 +109,7 @@ def test_wrong_usage_exits_2(avatar_path, arguments, capsys):
     assert stopped.value.code == 2 and capsys.readouterr().err
 
 
-def test_doctor_names_the_winner_and_compares(tmp_path, capsys):
+def test_doctor_names_the_winner_and_compares(osmesa, tmp_path, capsys):
     assert doctor_main(["--compare", "--json", str(tmp_path / "d.json")]) == 0
     said, found = capsys.readouterr().out, json.loads((tmp_path / "d.json").read_text())
     assert found["winner"]["renderer"] in said and found["compare"]["worst"] <= 1

@@ -19,7 +19,7 @@ def test_an_unknown_kind_is_refused():
         open_context("vulkan")
 
 
-def test_osmesa_takes_over_where_egl_is_missing_and_the_log_says_why(monkeypatch, caplog):
+def test_osmesa_takes_over_where_egl_is_missing_and_the_log_says_why(osmesa, monkeypatch, caplog):
     def missing():
         raise OSError("libEGL.so.1: cannot open shared object file")
 
@@ -45,7 +45,7 @@ def test_a_gpu_that_is_not_there_is_refused_and_no_other_taken():
         open_context(gpu=7)
 
 
-def test_two_contexts_of_one_mesa_take_turns():
+def test_two_contexts_of_one_mesa_take_turns(osmesa):
     contexts_ = [open_context("egl"), open_context("osmesa")]
     targets = []
     for context in contexts_:

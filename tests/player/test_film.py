@@ -96,6 +96,23 @@ def test_an_error_of_the_encoder_reaches_the_drawing_side(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_size_the_encoder_refuses_is_one_line(tmp_path):
+    with (
+        pytest.raises(AssetError, match=r"a\.mp4: cannot be written as \.mp4"),
+        Film(tmp_path / "a.mp4", 30.0) as film,
+    ):
+        for _ in range(20):
+            film.add(np.zeros((2, 40_000, 4), np.uint8))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.webm", "a.mov", "a.gif", "a.webp"])
+def test_a_film_of_one_pixel_is_written(tmp_path, name):
+    with Film(tmp_path / name, 30.0) as film:
+        film.add(np.full((1, 1, 4), 255, np.uint8))
+    assert (tmp_path / name).stat().st_size > 30
+
+
 def test_a_film_without_frames_is_refused(tmp_path):
     with pytest.raises(AssetError, match="no frames"), Film(tmp_path / "a.mp4", 30.0):
         pass

@@ -183,7 +183,7 @@ def test_the_reach_holds_every_vertex(avatar, pose):
 
 
 @pytest.mark.parametrize("view", VIEWS)
-def test_egl_and_osmesa_draw_the_same_frame(avatar, pose, view):
+def test_egl_and_osmesa_draw_the_same_frame(osmesa, avatar, pose, view):
     images = []
     for kind in ("egl", "osmesa"):
         context = open_context(kind)

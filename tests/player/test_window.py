@@ -1,6 +1,5 @@
 """The window program itself, on glfw's null platform with OSMesa: no display, no GPU."""
 
-import ctypes.util
 import subprocess
 import sys
 
@@ -12,11 +11,6 @@ from avatar.avatar_file import write_avatar
 from avatar.errors import AssetError
 from player.command import play_main
 from player.window import Orbit, Playback, check_script
-
-pytest.importorskip("glfw")
-needs_osmesa = pytest.mark.skipif(
-    not any(ctypes.util.find_library(name) for name in ("OSMesa",)), reason="this Mesa has no OSMesa"
-)
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +41,10 @@ def screenshot(avatar_path, path, script, *more):
     return pixels(path)
 
 
-@needs_osmesa
+@pytest.mark.usefixtures("osmesa")
 def test_keys_play_pause_step_scrub_and_reset(avatar_path, tmp_path):
-    def shot(script):
-        return screenshot(avatar_path, tmp_path / "a.png", script)[:170]  # without the line of text
+    def shot(script, *more):
+        return screenshot(avatar_path, tmp_path / "a.png", script, *more)[:170]  # without the line of text
 
     paused = shot("space home right right")
     assert paused.shape == (170, 160, 3)
@@ -58,10 +52,18 @@ def test_keys_play_pause_step_scrub_and_reset(avatar_path, tmp_path):
     assert not np.array_equal(paused, shot("space home right right . . . . . ."))
     assert np.array_equal(paused, shot("space home right right turn:90:10 near:2 r"))
     assert not np.array_equal(paused, shot("space home right right turn:90:10"))
+    walk = ("--motion", "walking")
+    still, away, along = (
+        shot(f"space home {keys}", *walk) for keys in ("wait", "right right", "f right right")
+    )
+    place = [np.argwhere((image != image[0, 0]).any(-1)).mean(0) for image in (still, away, along)]
+    assert (
+        np.abs(place[0] - place[2]).max() < 6 < np.abs(place[0] - place[1]).max()
+    )  # f goes along with the avatar
     assert np.array_equal(shot("end"), shot("space home"))  # playing, the clip starts over
 
 
-@needs_osmesa
+@pytest.mark.usefixtures("osmesa")
 def test_view_dependence_switches_and_the_window_resizes(avatar_path, tmp_path):
     full = screenshot(avatar_path, tmp_path / "a.png", "space home")
     paper = screenshot(avatar_path, tmp_path / "b.png", "space home v")
@@ -71,7 +73,7 @@ def test_view_dependence_switches_and_the_window_resizes(avatar_path, tmp_path):
     assert small.shape == (60, 90, 3) and len(np.unique(small.reshape(-1, 3), axis=0)) > 20
 
 
-@needs_osmesa
+@pytest.mark.usefixtures("osmesa")
 def test_a_window_minimised_to_nothing_comes_back(avatar_path, tmp_path):
     code = (
         "import glfw, sys; import player.window as w; real = glfw.get_framebuffer_size; n = [0]\n"
