@@ -7,10 +7,9 @@ left is learning, the difference is skinning), ICP-aligned as the paper's code d
 
 import argparse
 import json
-import sys
 import time
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
@@ -31,35 +30,8 @@ from bench.posed_geometry import (
     measure_pose,
     own_weights_surface,
 )
+from bench.quality_table import PAPER, markdown, print_table
 from bench.synth.surface import visible_faces
-
-# TotalSelfScan (Dong et al. 2022), tables 1 and 2, SynTotalHuman; its crops are unknown: PSNR is context, no bar
-PAPER = {
-    "head": {
-        "p2s_cm": 0.59,
-        "chamfer_cm": 0.82,
-        "psnr_db": 22.23,
-        "ssim": 0.934,
-        "flip": None,
-        "lpips": 0.084,
-    },
-    "hands": {
-        "p2s_cm": 0.55,
-        "chamfer_cm": 0.52,
-        "psnr_db": 22.49,
-        "ssim": 0.941,
-        "flip": None,
-        "lpips": 0.076,
-    },
-    "total": {
-        "p2s_cm": 1.84,
-        "chamfer_cm": 1.89,
-        "psnr_db": 26.15,
-        "ssim": 0.921,
-        "flip": None,
-        "lpips": 0.114,
-    },
-}
 
 
 def evaluate(path: Path, capture: Path, *, ceiling: bool = False) -> dict[str, Any]:
@@ -224,78 +196,6 @@ def find_key(tree: Any, key: str) -> dict[str, Any] | None:
             if found is not None:
                 return found
     return None
-
-
-COLUMNS = (
-    ("P2S cm", "p2s_cm", 2),
-    ("CD cm", "chamfer_cm", 2),
-    ("PSNR dB", "psnr_db", 2),
-    ("mask dB", "psnr_mask_db", 2),
-    ("SSIM", "ssim", 3),
-    ("FLIP", "flip", 3),
-    ("LPIPS", "lpips", 3),
-)
-
-
-def table_rows(result: dict[str, Any]) -> list[list[str]]:
-    """Rows of the printed and the Markdown table: ours and, beside it, the paper's."""
-    rows = []
-    for name in SETS:
-        for region in ("head", "left_hand", "right_hand", "hands", "total"):
-            rows.append(
-                [f"{name.replace('_', ' ')}: {region.replace('_', ' ')}", *cells(result[name][region])]
-            )
-            if name == "novel_pose" and region in PAPER:
-                rows.append([f"  paper: {region}", *cells(PAPER[region])])
-    beside = result["beside"]
-    labels = {
-        "ceiling": "novel pose, true mesh under our weights",
-        "own_weights": "novel pose, our surface under the rig's weights",
-        "aligned": "novel pose, ICP-aligned",
-        "t_pose": "T-pose",
-        "canonical": "canonical",
-    }
-    for name, label in labels.items():
-        for region in ("head", "hands", "total"):
-            if beside.get(name):
-                rows.append([f"{label}: {region}", *cells(beside[name][region])])
-    for apart in ("without_hair", "hair"):
-        if apart in result["novel_pose"]["head"]:
-            rows.append(
-                [f"novel pose: head {apart.replace('_', ' ')}", *cells(result["novel_pose"]["head"][apart])]
-            )
-    return rows
-
-
-def cells(scores: dict[str, Any]) -> list[str]:
-    out = []
-    for _, key, digits in COLUMNS:
-        value = scores.get(key)
-        infinite = "infinite" in scores.get("reasons", {}).get(key, "")
-        out.append(f"{value:.{digits}f}" if value is not None else ("inf" if infinite else "-"))
-    return out
-
-
-def markdown(result: dict[str, Any]) -> str:
-    """The table as Markdown, with what it was measured on."""
-    facts = ", ".join(f"{k} {v}" for k, v in result["capture"].items() if k != "registration")
-    lines = [f"{result['source']['kind']} `{Path(result['source']['path']).name}`; {facts}", ""]
-    lines += ["| | " + " | ".join(c[0] for c in COLUMNS) + " |", "|-|" + "-|" * len(COLUMNS)]
-    lines += ["| " + " | ".join(row) + " |" for row in table_rows(result)]
-    baked = result["baked_vs_field"]
-    if baked.get("paper_db") is not None:
-        lines += [
-            "",
-            f"Baked against field: paper mode {baked['paper_db']} dB, network {baked['network_db']} dB.",
-        ]
-    return "\n".join(lines) + "\n"
-
-
-def print_table(result: dict[str, Any], file: TextIO | None = None) -> None:
-    rows = [["", *(c[0] for c in COLUMNS)], *table_rows(result)]
-    wide = max(len(row[0]) for row in rows)
-    for row in rows:
-        print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]), file=file or sys.stdout)
 
 
 def eval_main(argv: list[str]) -> int:
