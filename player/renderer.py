@@ -94,8 +94,13 @@ class Renderer:
         return image
 
     def draw_into(self, framebuffer: moderngl.Framebuffer, poses: Sequence[Pose], camera: Camera) -> None:
-        """The same into a window's framebuffer, of the camera's size, whose rows count from the bottom."""
+        """The same into another framebuffer, whose rows count from the bottom; nothing is read back.
+
+        A window (which has no size of its own that GL knows) is drawn on the camera's pixels.
+        """
         self.context.make_current()
+        if framebuffer.glo != 0 and camera.size != framebuffer.size:
+            camera = camera.resized(framebuffer.size)
         self._frame(framebuffer, poses, camera, flipped=False)
 
     def explain(self, repeats: int = 5) -> list[dict[str, Any]]:

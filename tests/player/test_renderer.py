@@ -214,6 +214,15 @@ def test_transparent_background_and_two_avatars(render, avatar, pose):
         double.draw([pose], CAMERA)
 
 
+def test_drawing_into_another_framebuffer_is_the_same_picture_upside_down(context, render, avatar, pose):
+    renderer = render([avatar], view="off")
+    image = renderer.draw([pose], CAMERA)
+    renderer.draw_into(renderer.target, [pose], CAMERA.resized((50, 60)))  # fitted to the framebuffer
+    raw = np.frombuffer(renderer.target.read(components=4), np.uint8).reshape(*image.shape)[::-1]
+    worst, _ = difference(image, raw)
+    assert worst <= 1
+
+
 def test_a_pose_that_is_not_finite_is_refused(render, avatar, pose):
     bad = pose[0].copy()
     bad[7, 1] = np.nan
