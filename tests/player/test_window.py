@@ -9,7 +9,10 @@ from PIL import Image
 
 from avatar.avatar_file import write_avatar
 from avatar.errors import AssetError
-from player.command import play_main
+from player.command import opened_motion, play_main, retargeted
+from player.context import open_context
+from player.framing import extent, facing, fitted_camera
+from player.renderer import Renderer
 from player.window import Orbit, Playback, check_script
 
 
@@ -95,6 +98,23 @@ def test_a_window_minimised_to_nothing_comes_back(avatar_path, tmp_path):
     done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert pixels(out).shape == (64, 64, 3)
+
+
+@pytest.mark.usefixtures("osmesa")
+def test_the_window_shows_the_frame_that_render_writes(avatar, avatar_path, tmp_path):
+    """Within 1/255 outside the contours, on the same camera."""
+    shown = screenshot(avatar_path, tmp_path / "a.png", "space home", "--background", "#000000")
+    motion = opened_motion("counting", None)
+    clip = retargeted(motion, avatar)
+    points = extent(avatar, clip(0, min(256, motion.frames)))
+    frame = clip(0, 1)
+    camera = fitted_camera(points, facing(frame.axis_angle[0], avatar.joint_positions), (160, 200))
+    context = open_context()
+    renderer = Renderer(context, [avatar], (160, 200))
+    image = renderer.draw([(frame.axis_angle[0], frame.root[0])], camera)
+    context.release()
+    other = np.abs(image[:170, :, :3].astype(int) - shown[:170]).max(-1) > 1
+    assert other.sum() < 0.01 * (image[..., 3] > 0).sum()
 
 
 def test_an_unknown_word_in_a_script_is_refused(avatar_path):
