@@ -57,7 +57,9 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
         raise ValueError(f"seed should not be negative, is {config.seed}")
     light_of(config.light, "body", config.seed)
     person = cut_out(load_subject(subject))
-    print(f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces; {'; '.join(person.notes)}")
+    print(
+        f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces; {'; '.join(person.notes)}"
+    )
 
     context = open_context()
     rasteriser = Rasteriser(context)
@@ -85,8 +87,12 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
         context.release()
     for part, shots in videos.items():
         camera = shots.cameras[0]
-        distance = np.linalg.norm(camera.eye - shots.root.mean(0)) if part == "body" else np.linalg.norm(camera.eye)
-        print(f"{part}: {config.frames} frames of {config.size} px, {1000 * distance / camera.K[0, 0]:.2f} mm a pixel")
+        distance = (
+            np.linalg.norm(camera.eye - shots.root.mean(0)) if part == "body" else np.linalg.norm(camera.eye)
+        )
+        print(
+            f"{part}: {config.frames} frames of {config.size} px, {1000 * distance / camera.K[0, 0]:.2f} mm a pixel"
+        )
     return facts
 
 
@@ -143,7 +149,9 @@ def _write_template(path: Path, template: Template) -> None:
         )
 
 
-def _film(folder: Path, studio: Studio, template: Template, videos: dict[str, Shots], config: SynthConfig) -> None:
+def _film(
+    folder: Path, studio: Studio, template: Template, videos: dict[str, Shots], config: SynthConfig
+) -> None:
     """Take the four videos and write them with what a learner is told of them."""
     done, report = 0, Progress("filming", sum(len(shots.root) for shots in videos.values()))
     for part, shots in videos.items():
@@ -157,7 +165,9 @@ def _film(folder: Path, studio: Studio, template: Template, videos: dict[str, Sh
             report.update(done, part)
         if part == "head":
             similarity = seeded_similarity(config.seed)
-            write_cameras(folder / part / "cameras.npz", cameras_in_head_frame(shots, studio.subject.joints, similarity))
+            write_cameras(
+                folder / part / "cameras.npz", cameras_in_head_frame(shots, studio.subject.joints, similarity)
+            )
             with whole_file(folder / part / "landmarks.json", "w") as file:
                 json.dump(landmarks(template, similarity, config.seed), file, indent=1)
             continue
@@ -182,7 +192,9 @@ def _take_truth(folder: Path, studio: Studio, visible: np.ndarray, config: Synth
     finer = Studio(studio.rasteriser, studio.subject, supersample=2)
     done, report = 0, Progress("held-out pictures", 4 * sum(len(stands) for stands in sets.values()))
     for number, (name, stands) in enumerate(sets.items()):
-        for picture in take_set(finer, stands, folder / name, light, config.sheen, 100_000 * (number + 1) + config.seed):
+        for picture in take_set(
+            finer, stands, folder / name, light, config.sheen, 100_000 * (number + 1) + config.seed
+        ):
             done += 1
             report.update(done, picture)
 
@@ -196,23 +208,47 @@ def main(argv: Sequence[str]) -> int:
         "each hand) with masks, cameras and poses, the registered template, and held-out pictures to measure with.",
         epilog="example: selfscan synth builtin out/capture && selfscan train out/capture -o out/run",
     )
-    parser.add_argument("subject", metavar="SUBJECT", help="builtin, builtin:female, or a rigged humanoid .glb, .gltf, .vrm")
-    parser.add_argument("out", metavar="OUT", type=Path, help="capture folder to write; replaced if synth wrote it before")
-    parser.add_argument("--size", type=int, default=default.size, help="pixels, both sides (default %(default)s)")
-    parser.add_argument("--frames", type=int, default=default.frames, help="in each video (default %(default)s)")
+    parser.add_argument(
+        "subject", metavar="SUBJECT", help="builtin, builtin:female, or a rigged humanoid .glb, .gltf, .vrm"
+    )
+    parser.add_argument(
+        "out", metavar="OUT", type=Path, help="capture folder to write; replaced if synth wrote it before"
+    )
+    parser.add_argument(
+        "--size", type=int, default=default.size, help="pixels, both sides (default %(default)s)"
+    )
+    parser.add_argument(
+        "--frames", type=int, default=default.frames, help="in each video (default %(default)s)"
+    )
     parser.add_argument(
         "--light", choices=MODES, default=default.light, help="even: base colour; soft: .75 ambient + .25 key; "
         "fixed: .45 + .55 and a highlight; varied: another light in each video (default %(default)s)",
     )  # fmt: skip
-    parser.add_argument("--sheen", type=float, default=default.sheen, metavar="0..1", help="view-dependent shine (default 0)")
     parser.add_argument(
-        "--pose-noise", type=float, default=0.0, metavar="DEG", help="noise on the written poses, degrees (default 0)"
+        "--sheen", type=float, default=default.sheen, metavar="0..1", help="view-dependent shine (default 0)"
     )
-    parser.add_argument("--seed", type=int, default=default.seed, help="of everything drawn by chance (default 0)")
-    parser.add_argument("--no-truth", action="store_true", help="leave out held-out pictures and the subject's mesh")
+    parser.add_argument(
+        "--pose-noise",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="noise on the written poses, degrees (default 0)",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=default.seed, help="of everything drawn by chance (default 0)"
+    )
+    parser.add_argument(
+        "--no-truth", action="store_true", help="leave out held-out pictures and the subject's mesh"
+    )
     options = parser.parse_args(argv)
     config = SynthConfig(
-        options.size, options.frames, options.light, options.sheen, options.pose_noise, options.seed, not options.no_truth
+        options.size,
+        options.frames,
+        options.light,
+        options.sheen,
+        options.pose_noise,
+        options.seed,
+        not options.no_truth,
     )
     began = time.monotonic()
     try:

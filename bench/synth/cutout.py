@@ -68,5 +68,8 @@ def _opaque_share(alpha: UInt8[np.ndarray, "H W"], uv: Float[np.ndarray, "F 3 2"
     """The share of 15 places spread over each triangle at which alpha is one half or more."""
     grid = [(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]
     places = np.einsum("pc,fcx->fpx", np.array(grid) / 4, uv).reshape(-1, 2)
-    opaque = sample_texture(alpha[:, :, None], np.where((places < 0) | (places > 1), places % 1, places))[:, 0] >= 128
+    opaque = (
+        sample_texture(alpha[:, :, None], np.where((places < 0) | (places > 1), places % 1, places))[:, 0]
+        >= 128
+    )
     return opaque.reshape(len(uv), len(grid)).mean(1)

@@ -31,7 +31,10 @@ class Shots:
 
 def rotation(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Float[np.ndarray, "3 3"]:
     """R_x R_y R_z of angles in degrees: z acts first."""
-    about = [matrix_from_axis_angle(np.radians(angle) * axis) for angle, axis in zip((x, y, z), np.eye(3), strict=True)]
+    about = [
+        matrix_from_axis_angle(np.radians(angle) * axis)
+        for angle, axis in zip((x, y, z), np.eye(3), strict=True)
+    ]
     return about[0] @ about[1] @ about[2]
 
 
@@ -53,7 +56,9 @@ def plan_videos(studio: Studio, frames: int, size: int) -> dict[str, Shots]:
     }
 
 
-def frame_points(eye, target, points: Float[np.ndarray, "N 3"], size: int, finest: float | None = None) -> Camera:
+def frame_points(
+    eye, target, points: Float[np.ndarray, "N 3"], size: int, finest: float | None = None
+) -> Camera:
     """A square camera at `eye` looking at `target` whose focal length just holds `points`.
 
     `finest`: metres that a pixel may cover at the target's distance; the focal length grows until it does not.
@@ -64,7 +69,9 @@ def frame_points(eye, target, points: Float[np.ndarray, "N 3"], size: int, fines
     focal = 0.5 * size / reach
     if finest is not None:
         focal = max(focal, np.linalg.norm(np.subtract(eye, target)) / finest)
-    return Camera(np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1.0]]), camera_from_world, (size, size))
+    return Camera(
+        np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1.0]]), camera_from_world, (size, size)
+    )
 
 
 def _body_video(studio: Studio, frames: int, size: int) -> Shots:
@@ -82,21 +89,33 @@ def _body_video(studio: Studio, frames: int, size: int) -> Shots:
 
 
 def _head_video(studio: Studio, frames: int, size: int) -> Shots:
-    """Two turns of the whole person, stiff in the T-pose, about the head's middle, which nods 20 degrees."""
+    """Two turns of the whole person, stiff in the T-pose, about the head's middle, which nods 20 degrees up and down."""
     subject = studio.subject
     head = subject.vertices[(subject.part == PARTS.index("head")) & ~_low_hair(subject)].astype(np.float64)
-    collar = head[head[:, 1] < np.quantile(head[:, 1], 0.2)] - [0, 0.04, 0]  # the neck is where parts are joined
+    collar = head[head[:, 1] < np.quantile(head[:, 1], 0.2)] - [
+        0,
+        0.04,
+        0,
+    ]  # the neck is where parts are joined
     head = np.concatenate([head, collar])
     middle = (head.min(0) + head.max(0)) / 2
     turn = 720 * np.arange(frames) / frames
-    # the nod's period is no multiple of the turn's: each side is seen from above once and from below once
-    turned = np.stack([rotation(x=20 * np.sin(np.radians(0.75 * t + 40))) @ rotation(y=t) for t in turn])
+    nod = [_nod(t) for t in turn]
+    turned = np.stack([rotation(x=n) @ rotation(y=float(t)) for n, t in zip(nod, turn, strict=True)])
     axis_angle = np.zeros((frames, 52, 3))
     axis_angle[:, 0] = axis_angle_from_matrix(turned)
     root = -(turned @ middle)
     every = np.concatenate([(head[::7] - middle) @ R.T for R in turned])
     camera = frame_points([0, 0.05, 1.0], np.zeros(3), every, size, FINEST_PIXEL)
     return Shots("head", axis_angle, root, (camera,) * frames)
+
+
+def _nod(turn: float) -> float:
+    """How far the head bows at a heading, degrees: the face is seen from below in the first turn and from above
+    in the second; with an arm towards the camera it always bows, so that no hand passes before the face."""
+    second = 0.5 - 0.5 * np.cos(np.radians(turn / 2))
+    twice = np.cos(np.radians(2 * turn))
+    return float((1 - second) * (-5 - 13 * twice) + second * (17.5 + 2.5 * twice))
 
 
 def _low_hair(subject: Subject) -> np.ndarray:
@@ -126,7 +145,9 @@ def _hand_video(studio: Studio, side: str, frames: int, size: int) -> Shots:
     joints = subject.joints.astype(np.float64)
     sign = 1.0 if side == "left" else -1.0
     fingers = relaxed_fingers()
-    number = {name: JOINTS.index(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist", "middle1", "middle3")}
+    number = {
+        name: JOINTS.index(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist", "middle1", "middle3")
+    }
     other = "right" if side == "left" else "left"
     fingers[JOINTS.index(f"{other}_shoulder")] = np.radians([0, 0, sign * 70])  # the other arm hangs
 
@@ -154,7 +175,9 @@ def _hand_video(studio: Studio, side: str, frames: int, size: int) -> Shots:
 
     # the person steps along so that the hand stays before the camera, within 1.5 cm
     at = joint_transforms(axis_angle, joints, np.zeros((frames, 3)))[:, number["middle1"], :3, 3]
-    drift = 0.015 * np.stack([np.sin(np.radians(roll)), np.cos(np.radians(1.5 * roll)), np.sin(np.radians(0.5 * roll))], 1)
+    drift = 0.015 * np.stack(
+        [np.sin(np.radians(roll)), np.cos(np.radians(1.5 * roll)), np.sin(np.radians(0.5 * roll))], 1
+    )
     root = drift - at
     members = subject.part == PARTS.index(f"hand_{side}")
     every = np.concatenate([studio.posed(axis_angle[i], root[i])[members] for i in range(frames)])

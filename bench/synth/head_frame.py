@@ -25,7 +25,9 @@ def seeded_similarity(seed: int) -> Float[np.ndarray, "4 4"]:
     rng = np.random.default_rng([seed, 11])
     q = rng.standard_normal(4)
     similarity = np.eye(4)
-    similarity[:3, :3] = np.exp(rng.uniform(np.log(0.4), np.log(2.5))) * matrix_from_quaternion(q / np.linalg.norm(q))
+    similarity[:3, :3] = np.exp(rng.uniform(np.log(0.4), np.log(2.5))) * matrix_from_quaternion(
+        q / np.linalg.norm(q)
+    )
     similarity[:3, 3] = rng.uniform(-1, 1, 3)
     return similarity
 
@@ -91,7 +93,7 @@ def landmark_vertices(template: Template) -> dict[str, int]:
 
 def landmarks(
     template: Template, head_from_canonical: Float[np.ndarray, "4 4"], seed: int
-) -> dict[str, dict[str, list[float] | int]]:
+) -> dict[str, dict]:
     """landmarks.json: points in the head frame, LANDMARK_NOISE off, and the template vertices they belong to."""
     vertices = landmark_vertices(template)
     assert len(vertices) >= 6, f"only {sorted(vertices)} of the landmarks are free of hair"

@@ -34,7 +34,9 @@ def _mixamo_names() -> dict[str, str]:
     for side in ("left", "right"):
         names |= {f"{side}_{joint}": side.title() + name for joint, name in _MIXAMO_SIDE.items()}
         names |= {
-            f"{side}_{finger}{i}": f"{side.title()}Hand{finger.title()}{i}" for finger in FINGERS for i in (1, 2, 3)
+            f"{side}_{finger}{i}": f"{side.title()}Hand{finger.title()}{i}"
+            for finger in FINGERS
+            for i in (1, 2, 3)
         }
     return names
 
@@ -59,7 +61,9 @@ def find_joints(path: Path, gltf: dict) -> tuple[list[int], str]:
         AssetError: no naming fits, or one fits and lacks joints; the message lists them.
     """
     nodes = gltf.get("nodes", [])
-    candidates: list[tuple[str, dict[str, str], dict[str, int]]] = []  # naming, name of a joint, node of a name
+    candidates: list[
+        tuple[str, dict[str, str], dict[str, int]]
+    ] = []  # naming, name of a joint, node of a name
 
     extensions = gltf.get("extensions", {})
     if "VRMC_vrm" in extensions:
@@ -92,7 +96,9 @@ def find_joints(path: Path, gltf: dict) -> tuple[list[int], str]:
     found = [node_of[names[joint]] for joint in JOINTS]
     for joint, node in zip(JOINTS, found, strict=True):
         if not (isinstance(node, int) and 0 <= node < len(nodes)):
-            raise AssetError(f"{path}: humanoid: expected a node index below {len(nodes)} for {joint}, found {node}")
+            raise AssetError(
+                f"{path}: humanoid: expected a node index below {len(nodes)} for {joint}, found {node}"
+            )
     if len(set(found)) != len(found):
         raise AssetError(f"{path}: humanoid: expected {len(JOINTS)} different nodes, found {len(set(found))}")
     return found, naming

@@ -40,7 +40,9 @@ def light_of(mode: str, video: str, seed: int) -> Light:
         azimuth, elevation = rng.uniform(-1.2, 1.2), rng.uniform(0.2, 1.0)
         x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
         ambient = float(rng.uniform(0.45, 0.8))
-        return Light(ambient, 1 - ambient, (float(x), float(y), float(np.cos(azimuth) * np.cos(elevation))), 0.05)
+        return Light(
+            ambient, 1 - ambient, (float(x), float(y), float(np.cos(azimuth) * np.cos(elevation))), 0.05
+        )
     raise ValueError(f"light should be one of {MODES}, is {mode!r}")
 
 

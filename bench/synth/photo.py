@@ -23,7 +23,9 @@ class Photo(NamedTuple):
 
     image: UInt8[np.ndarray, "H W 3"]
     mask: UInt8[np.ndarray, "H W"]  # 255 where the person covers half of the pixel or more
-    parts: UInt8[np.ndarray, "H W"]  # 1 + part (index in PARTS) that covers most of the pixel, 0 outside the mask
+    parts: UInt8[
+        np.ndarray, "H W"
+    ]  # 1 + part (index in PARTS) that covers most of the pixel, 0 outside the mask
 
 
 class Studio:
@@ -34,7 +36,9 @@ class Studio:
         self.welded = weld(subject.vertices)
         self.face_part = subject.part[subject.faces[:, 0]]
 
-    def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]) -> Float[np.ndarray, "V 3"]:
+    def posed(
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "V 3"]:
         """The subject's vertices in a pose, world."""
         joints = self.subject.joints.astype(np.float64)
         transforms = skin_transforms(axis_angle, joints, root, rest=np.zeros((52, 3)))
@@ -44,7 +48,9 @@ class Studio:
         """A picture of posed vertices."""
         width, height = camera.size
         n = self.supersample
-        fragments = self.rasteriser.draw(vertices, self.subject.faces, camera.resized((n * width, n * height)))
+        fragments = self.rasteriser.draw(
+            vertices, self.subject.faces, camera.resized((n * width, n * height))
+        )
         hit = fragments.face >= 0
         face, weights = fragments.face[hit], fragments.barycentric[hit]
         color = self._color(face, weights)
@@ -61,11 +67,15 @@ class Studio:
         covered = 2 * _block_sum(hit.astype(np.uint8), n) >= n**2
         labels = np.zeros(hit.shape, np.uint8)
         labels[hit] = 1 + self.face_part[face]
-        counts = np.stack([_block_sum((labels == 1 + part).astype(np.uint8), n) for part in range(len(PARTS))])
+        counts = np.stack(
+            [_block_sum((labels == 1 + part).astype(np.uint8), n) for part in range(len(PARTS))]
+        )
         parts = np.where(covered, 1 + counts.argmax(0), 0).astype(np.uint8)
         return Photo(image, np.where(covered, 255, 0).astype(np.uint8), parts)
 
-    def _color(self, face: Int[np.ndarray, " N"], weights: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    def _color(
+        self, face: Int[np.ndarray, " N"], weights: Float[np.ndarray, "N 3"]
+    ) -> Float[np.ndarray, "N 3"]:
         subject = self.subject
         uv = _blend(subject.uv, subject.faces[face], weights)  # float32: a ten-thousandth of a texel
         # the samplers repeat; a coordinate of exactly 1 is the far edge, not the near one
@@ -81,7 +91,9 @@ class Studio:
         return color
 
 
-def _blend(values: Float[np.ndarray, "V C"], corners: Int[np.ndarray, "N 3"], weights: Float[np.ndarray, "N 3"]) -> np.ndarray:
+def _blend(
+    values: Float[np.ndarray, "V C"], corners: Int[np.ndarray, "N 3"], weights: Float[np.ndarray, "N 3"]
+) -> np.ndarray:
     """Barycentric interpolation."""
     blended = values[corners[:, 0]] * weights[:, 0:1]
     blended += values[corners[:, 1]] * weights[:, 1:2]

@@ -42,7 +42,9 @@ PARTS = ("body", "head", "hand_left", "hand_right")  # the numbers in Subject.pa
 # an arm this close to horizontal is a T-pose as animators leave it: turning it would only stretch the shoulders
 REST_ARM_DEGREES = 8.0
 HAIR_NAME = re.compile(r"wig|hair|ponytail|afro|beard", re.IGNORECASE)
-HAIR_SIZE = 0.10  # metres: a mesh on the head alone and larger than this in two directions is no eye and no tooth
+HAIR_SIZE = (
+    0.10  # metres: a mesh on the head alone and larger than this in two directions is no eye and no tooth
+)
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,9 @@ def read_subject(path: Path) -> Subject:
     notes = [f"{naming} joint names"]
     rig = _Rig(gltf, joint_nodes)
     nodes = [i for i, node in enumerate(gltf.items("nodes")) if "mesh" in node]
-    nodes.sort(key=lambda i: "skin" not in gltf.items("nodes")[i])  # skins first: they say where bones are bound
+    nodes.sort(
+        key=lambda i: "skin" not in gltf.items("nodes")[i]
+    )  # skins first: they say where bones are bound
     meshes = [mesh for node in nodes for mesh in _read_mesh_node(rig, node)]
     if not meshes:
         raise AssetError(f"{path}: meshes: expected triangles on the skeleton, found none")
@@ -84,7 +88,7 @@ def read_subject(path: Path) -> Subject:
         notes.append("morph targets are left at zero")
 
     bind, world = rig.bind, rig.world
-    frames = np.stack([bind.get(node, world[node]) for node in joint_nodes])
+    frames = np.stack([bind[node] if node in bind else world[node] for node in joint_nodes])
     unbound = [joint for joint, node in zip(JOINTS, joint_nodes, strict=True) if node not in bind]
     if unbound:
         notes.append(f"no inverse bind matrix for {', '.join(unbound)}: placed as its node stands")
@@ -99,7 +103,9 @@ def read_subject(path: Path) -> Subject:
     joints = joints - joints[0]
     height = float(np.ptp(vertices[:, 1]))
     if not 0.5 < height < 3.0:
-        raise AssetError(f"{path}: POSITION: expected a person 0.5 to 3 metres tall, found {height:.3g} metres")
+        raise AssetError(
+            f"{path}: POSITION: expected a person 0.5 to 3 metres tall, found {height:.3g} metres"
+        )
 
     skin = strongest_four(np.concatenate([mesh.weights for mesh in meshes]))
     vertices, joints, posed = _arms_horizontal(vertices, joints, skin)
@@ -111,13 +117,17 @@ def read_subject(path: Path) -> Subject:
     textures, alpha = zip(*(_read_material(gltf, index, notes) for index in materials), strict=True)
     part = part_of(skin)
     hair = np.concatenate([np.full(len(mesh.vertices), mesh.hair) for mesh in meshes])
-    part[hair] = PARTS.index("head")  # hair that hangs over the shoulders is measured with the head all the same
+    part[hair] = PARTS.index(
+        "head"
+    )  # hair that hangs over the shoulders is measured with the head all the same
     return Subject(
         name=path.stem,
         vertices=vertices.astype(np.float32),
         faces=faces.astype(np.int32),
         uv=np.concatenate([mesh.uv for mesh in meshes]).astype(np.float32),
-        material=np.concatenate([np.full(len(mesh.faces), materials.index(mesh.material)) for mesh in meshes]).astype(np.int32),
+        material=np.concatenate(
+            [np.full(len(mesh.faces), materials.index(mesh.material)) for mesh in meshes]
+        ).astype(np.int32),
         textures=textures,
         alpha=alpha,
         skin=skin,
@@ -148,7 +158,9 @@ class _Rig:
         self.gltf, self.joint_nodes = gltf, joint_nodes
         self.world = world_from_node(gltf)
         self.parent = node_parents(gltf)
-        self.bind: dict[int, np.ndarray] = {}  # world_from_node in the bind pose, of the nodes that skins name
+        self.bind: dict[
+            int, np.ndarray
+        ] = {}  # world_from_node in the bind pose, of the nodes that skins name
         self.joint_of_node = self._nearest_joints()
 
     def _nearest_joints(self) -> list[int]:
@@ -176,11 +188,15 @@ class _Rig:
             try:
                 frame = place @ np.linalg.inv(skin.joint_from_mesh[i])
             except np.linalg.LinAlgError:
-                raise self.gltf.error(f"{field}[{i}]", "invertible", skin.joint_from_mesh[i].tolist()) from None
+                raise self.gltf.error(
+                    f"{field}[{i}]", "invertible", skin.joint_from_mesh[i].tolist()
+                ) from None
             apart = np.linalg.norm(self.bind.setdefault(node, frame)[:3, 3] - frame[:3, 3])
             if node in self.joint_nodes and apart > 0.002:
                 joint = JOINTS[self.joint_nodes.index(node)]
-                raise self.gltf.error(field, "one bind pose", f"{joint} {100 * apart:.2f} cm from another skin's")
+                raise self.gltf.error(
+                    field, "one bind pose", f"{joint} {100 * apart:.2f} cm from another skin's"
+                )
         return place, np.array([self.joint_of_node[node] for node in skin.nodes])
 
     def place_rigid(self, node: int) -> Float[np.ndarray, "4 4"]:
@@ -198,7 +214,9 @@ def _read_mesh_node(rig: _Rig, node: int) -> list[_Mesh]:
     gltf, described = rig.gltf, rig.gltf.items("nodes")[node]
     number = gltf.index("meshes", described["mesh"], f"nodes[{node}].mesh")
     skinned = "skin" in described
-    place, column = rig.bind_skin(described["skin"]) if skinned else (rig.place_rigid(node), np.zeros(1, np.int64))
+    place, column = (
+        rig.bind_skin(described["skin"]) if skinned else (rig.place_rigid(node), np.zeros(1, np.int64))
+    )
     meshes = []
     for i in range(len(primitives(gltf, number))):
         field = f"meshes[{number}].primitives[{i}]"
@@ -265,7 +283,9 @@ def _upright(path: Path, joints: Float[np.ndarray, "52 3"]) -> tuple[Float[np.nd
     up = at["neck"] - at["pelvis"]
     found = np.stack([left, up]) / np.linalg.norm([left, up], axis=1, keepdims=True)
     snapped = np.round(found)
-    off = np.degrees(np.arccos(np.clip((found * snapped).sum(1) / np.maximum(np.linalg.norm(snapped, axis=1), 1), -1, 1)))
+    off = np.degrees(
+        np.arccos(np.clip((found * snapped).sum(1) / np.maximum(np.linalg.norm(snapped, axis=1), 1), -1, 1))
+    )
     if (np.abs(snapped).sum(1) != 1).any() or (off > 20).any() or abs(snapped[0] @ snapped[1]) > 0:
         raise AssetError(
             f"{path}: joints: expected a person standing along the axes, found left {np.round(found[0], 2)} "
@@ -274,7 +294,10 @@ def _upright(path: Path, joints: Float[np.ndarray, "52 3"]) -> tuple[Float[np.nd
     rotation = np.stack([snapped[0], snapped[1], np.cross(snapped[0], snapped[1])])
     if np.array_equal(rotation, np.eye(3)):
         return rotation, ""
-    return rotation, f"turned to face +z with +y up (left was {snapped[0].astype(int)}, up was {snapped[1].astype(int)})"
+    return (
+        rotation,
+        f"turned to face +z with +y up (left was {snapped[0].astype(int)}, up was {snapped[1].astype(int)})",
+    )
 
 
 def _arms_horizontal(vertices, joints, skin: SkinWeights):
@@ -303,7 +326,11 @@ def _arms_horizontal(vertices, joints, skin: SkinWeights):
         return vertices, joints, f"arms rest {worst:.1f} degrees from horizontal: kept as pose 0"
     transforms = skin_transforms(pose, joints, rest=np.zeros((len(JOINTS), 3)))
     posed = np.einsum("kij,kj->ki", transforms[:, :3, :3], joints) + transforms[:, :3, 3]
-    return skin_points(vertices, skin, transforms), posed, f"arms rested {worst:.0f} degrees from horizontal: skinned to a T-pose"
+    return (
+        skin_points(vertices, skin, transforms),
+        posed,
+        f"arms rested {worst:.0f} degrees from horizontal: skinned to a T-pose",
+    )
 
 
 def _material(gltf: Gltf, index: int) -> dict:
@@ -318,7 +345,9 @@ def _read_material(gltf: Gltf, index: int, notes: list[str]) -> tuple[np.ndarray
     """Base colour (H, W, 3) sRGB and, where the material cuts holes, alpha (H, W) with its cutoff moved to 128."""
     material = _material(gltf, index)
     described = _base_texture(gltf, index)
-    factor = np.array(material.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1, 1]), np.float64)
+    factor = np.array(
+        material.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1, 1]), np.float64
+    )
     if "KHR_texture_transform" in described.get("extensions", {}):
         raise AssetError(
             f"{gltf.path}: materials[{index}]: expected plain texture coordinates, found KHR_texture_transform; "
@@ -347,7 +376,9 @@ def _read_material(gltf: Gltf, index: int, notes: list[str]) -> tuple[np.ndarray
         return np.ascontiguousarray(color), None
     cutoff = material.get("alphaCutoff", 0.5) if mode == "MASK" else 0.5
     if mode == "BLEND":
-        notes.append(f"material {material.get('name', index)} blends: drawn with holes where alpha is below one half")
+        notes.append(
+            f"material {material.get('name', index)} blends: drawn with holes where alpha is below one half"
+        )
     opacity = rgba[..., 3] / 255 * factor[3]
     # piecewise linear, so that a bilinear sample passes 128 where the file's passes its cutoff
     moved = np.interp(opacity, [0, max(cutoff, 1e-6), max(1, cutoff + 1e-6)], [0, 128, 255])

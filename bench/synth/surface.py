@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from avatar.camera import Camera, look_at, project
 from player.raster import Rasteriser
@@ -27,12 +27,16 @@ def weld(vertices: Float[np.ndarray, "V 3"]) -> Int[np.ndarray, " V"]:
 
     Places are compared to a hundredth of a millimetre.
     """
-    _, first, inverse = np.unique(np.round(vertices * 1e5).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    _, first, inverse = np.unique(
+        np.round(vertices * 1e5).astype(np.int64), axis=0, return_index=True, return_inverse=True
+    )
     return first[inverse.reshape(-1)]
 
 
 def vertex_normals(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], welded: Int[np.ndarray, " V"] | None = None
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    welded: Int[np.ndarray, " V"] | None = None,
 ) -> Float[np.ndarray, "V 3"]:
     """Unit normals: the faces' normals, weighted by area and summed over `welded` vertices; 0 where no face is."""
     corners = vertices[faces].astype(np.float64)
@@ -69,7 +73,7 @@ def surface_distance(points: Float[np.ndarray, "N 3"], surface: Samples) -> Floa
 
     The tangential part below the samples' own spacing is sampling, not distance, and is taken off.
     """
-    tree = cKDTree(surface.points)
+    tree = KDTree(surface.points)
     spacing = 2 * np.median(tree.query(surface.points[:: max(1, len(surface.points) // 2000)], k=2)[0][:, 1])
     _, nearest = tree.query(points)
     apart = points - surface.points[nearest]

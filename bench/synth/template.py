@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from avatar.body import Body, builtin_body, shaped
 from avatar.rotation import rotation_between
@@ -36,7 +36,11 @@ STEPS = (  # stiffness, farthest correspondence (metres), repetitions
     (20.0, 0.04, 8),
 )
 
-_LIMBS = [i for i, name in enumerate(JOINTS) if name.split("_")[-1] in ("hip", "knee", "ankle", "foot", "shoulder", "elbow", "wrist")]
+_LIMBS = [
+    i
+    for i, name in enumerate(JOINTS)
+    if name.split("_")[-1] in ("hip", "knee", "ankle", "foot", "shoulder", "elbow", "wrist")
+]
 _LIMBS += list(range(LEFT_HAND.start, RIGHT_HAND.stop))
 
 
@@ -124,14 +128,16 @@ def _fit_shape(body: Body, joints: Float[np.ndarray, "52 3"], surface: _Surface)
     wanted = joints[_LIMBS].astype(np.float64)
     shapes = body.shape_directions.shape[2]
     every = np.arange(0, len(body.vertices), 2)
-    basis_v = np.concatenate([body.vertices[every, :, None], body.shape_directions[every]], 2)  # (n, 3, 1 + S)
+    basis_v = np.concatenate(
+        [body.vertices[every, :, None], body.shape_directions[every]], 2
+    )  # (n, 3, 1 + S)
     basis_j = np.concatenate([body.joints[_LIMBS, :, None], body.joint_directions[_LIMBS]], 2)
     eye_v, eye_j = (np.broadcast_to(np.eye(3), (len(b), 3, 3)) for b in (basis_v, basis_j))
     A_v, A_j = np.concatenate([basis_v, eye_v], 2), np.concatenate([basis_j, eye_j], 2)
     solution = np.zeros(1 + shapes + 3)
     solution[0] = np.ptp(surface.points[:, 1]) / np.ptp(body.vertices[:, 1])
     prior = np.diag([0.0, *[0.02**2] * shapes, 0, 0, 0])  # a beta of 1 costs what 2 cm cost a vertex
-    tree = cKDTree(surface.points[::8])
+    tree = KDTree(surface.points[::8])
     normals = surface.normals[::8]
     faces_normals = vertex_normals(body.vertices, body.faces)[every]
     error = np.inf
@@ -205,7 +211,7 @@ def _place_head(body: Body, x: Float[np.ndarray, "V 3"], surface: _Surface) -> F
     points, normals = surface.points[seen], surface.normals[seen]
     nose, goal = (p[np.abs(p[:, 0] - np.median(p[:, 0])) < 0.015] for p in (x[members], points))
     nose, goal = nose[nose[:, 2].argmax()], goal[goal[:, 2].argmax()]
-    tree = cKDTree(np.concatenate([points, 0.03 * normals], 1))
+    tree = KDTree(np.concatenate([points, 0.03 * normals], 1))
     affine, shift = np.eye(3), goal - nose
     for step in range(30):
         moved = nose + (x - nose) @ affine.T + shift
@@ -226,7 +232,9 @@ def _place_head(body: Body, x: Float[np.ndarray, "V 3"], surface: _Surface) -> F
             shear[row, 3 * i + j] = shear[row, 3 * j + i] = 1
             shear[3 + row, 4 * i], shear[3 + row, 4 * j] = 1, -1
         penalty = 1e-4 * shear.T @ shear + 1e-7 * np.eye(12)
-        delta = np.linalg.solve(rows.T @ rows / len(rows) + penalty, rows.T @ (n[keep] * apart[keep]).sum(1) / len(rows))
+        delta = np.linalg.solve(
+            rows.T @ rows / len(rows) + penalty, rows.T @ (n[keep] * apart[keep]).sum(1) / len(rows)
+        )
         affine = affine + delta[:9].reshape(3, 3) @ affine
         shift = shift + delta[9:] + delta[:9].reshape(3, 3) @ shift
     moved = nose + (x - nose) @ affine.T + shift
@@ -243,7 +251,9 @@ def _outer_vertices(
     """
     kept = faces[view_counts(rasteriser, x, faces) >= 6]
     edges = np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]]])
-    _, piece = connected_components(coo_matrix((np.ones(len(edges)), edges.T), shape=(len(x), len(x))), directed=False)
+    _, piece = connected_components(
+        coo_matrix((np.ones(len(edges)), edges.T), shape=(len(x), len(x))), directed=False
+    )
     return piece == np.bincount(piece[kept[:, 0]]).argmax()
 
 
@@ -269,7 +279,9 @@ def _smooth_offsets(
     """
     V = len(start)
     faces = body.faces
-    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0)
+    edges = np.unique(
+        np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0
+    )
     ones = np.ones(len(edges))
     adjacency = coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(V, V))
     adjacency = adjacency + adjacency.T
@@ -291,9 +303,11 @@ def _smooth_offsets(
         elif f == -3:
             allowed = sample_finger < 0
         else:
-            allowed = (sample_finger < 0) | ((sample_finger // 5 == (0 if f == -2 else 1)) & (sample_finger >= 0))
+            allowed = (sample_finger < 0) | (
+                (sample_finger // 5 == (0 if f == -2 else 1)) & (sample_finger >= 0)
+            )
         rows = np.flatnonzero(allowed)
-        tree = cKDTree(np.concatenate([surface.points[rows], reach * surface.normals[rows]], 1))
+        tree = KDTree(np.concatenate([surface.points[rows], reach * surface.normals[rows]], 1))
         groups.append((np.flatnonzero(finger == f), rows, tree))
 
     x = start.copy()
@@ -318,20 +332,33 @@ def _smooth_offsets(
     return x
 
 
-def _under_hair(subject: Subject, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Bool[np.ndarray, " V"]:
+def _under_hair(
+    subject: Subject, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Bool[np.ndarray, " V"]:
     """Template vertices over which the subject's hair stands: on the outer side and within HAIR_REACH."""
     if not subject.hair.any():
         return np.zeros(len(vertices), bool)
     strands = subject.faces[subject.hair[subject.faces].all(1)]
     hair = spread_points(subject.vertices, strands, SAMPLES // 4, seed=2)
     normals = vertex_normals(vertices, faces)
-    distance, nearest = cKDTree(hair.points).query(vertices)
+    distance, nearest = KDTree(hair.points).query(vertices)
     outside = ((hair.points[nearest] - vertices) * normals).sum(1)
-    straight_out = outside > np.minimum(0.85 * distance, distance - 0.005)  # within half a centimetre any side will do
-    return (distance < HAIR_REACH) & straight_out
+    straight_out = outside > np.minimum(
+        0.85 * distance, distance - 0.005
+    )  # within half a centimetre any side will do
+    covered = (distance < HAIR_REACH) & straight_out
+    # close small gaps (where the nape turns away from the hair): grow by four edges, shrink by four
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    for value in (True, False):
+        for _ in range(4):
+            reached = edges[(covered[edges] == value).any(1)]
+            covered[reached] = value
+    return covered
 
 
-def _residual(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], surface: _Surface) -> dict[str, float]:
+def _residual(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], surface: _Surface
+) -> dict[str, float]:
     template = spread_points(vertices, faces, SAMPLES, seed=3)
     distance = 100 * surface_distance(surface.points[:SAMPLES], template)
     part = surface.part[:SAMPLES]

@@ -130,7 +130,9 @@ def _hands(rng: np.random.Generator) -> Float[np.ndarray, "52 3"]:
     return pose
 
 
-def view_cameras(studio: Studio, vertices: Float[np.ndarray, "V 3"], seed: int, turn: Float[np.ndarray, "3 3"]) -> dict[str, Camera]:
+def view_cameras(
+    studio: Studio, vertices: Float[np.ndarray, "V 3"], seed: int, turn: Float[np.ndarray, "3 3"]
+) -> dict[str, Camera]:
     """One camera on the whole person and one close to the head and each hand, from seeded directions.
 
     A close-up tries CANDIDATES directions and keeps the one that sees most of its part; the head is looked at
@@ -144,7 +146,11 @@ def view_cameras(studio: Studio, vertices: Float[np.ndarray, "V 3"], seed: int, 
     cameras["body"] = frame_points(middle + 3.4 * direction, middle, vertices[::5], SIZE)
     for part in PARTS[1:]:
         members = subject.part == PARTS.index(part)
-        points = vertices[members & (subject.vertices[:, 1] > subject.joints[JOINTS.index("neck"), 1] - 0.02)] if part == "head" else vertices[members]
+        points = (
+            vertices[members & (subject.vertices[:, 1] > subject.joints[JOINTS.index("neck"), 1] - 0.02)]
+            if part == "head"
+            else vertices[members]
+        )
         middle = (points.min(0) + points.max(0)) / 2
         best, most = None, -1.0
         for _ in range(CANDIDATES):
@@ -153,7 +159,9 @@ def view_cameras(studio: Studio, vertices: Float[np.ndarray, "V 3"], seed: int, 
             else:
                 direction = rng.standard_normal(3)
                 direction /= np.linalg.norm(direction)
-            camera = frame_points(middle + (1.1 if part == "head" else 0.85) * direction, middle, points, SIZE, FINEST_PIXEL)
+            camera = frame_points(
+                middle + (1.1 if part == "head" else 0.85) * direction, middle, points, SIZE, FINEST_PIXEL
+            )
             small = studio.rasteriser.draw(vertices, subject.faces, camera.resized((64, 64)))
             drawn = small.face[small.face >= 0]
             share = float((studio.face_part[drawn] == PARTS.index(part)).sum())
@@ -170,7 +178,9 @@ def _direction(azimuth: float, elevation: float) -> Float[np.ndarray, "3"]:
     return np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
 
 
-def take_set(studio: Studio, stands: list[Stand], folder: Path, light: Light, sheen: float, seed: int) -> Iterator[str]:
+def take_set(
+    studio: Studio, stands: list[Stand], folder: Path, light: Light, sheen: float, seed: int
+) -> Iterator[str]:
     """Write one set of held-out pictures (images, masks, parts, views.npz); yields the name of each picture."""
     for kind in ("images", "masks", "parts"):
         (folder / kind).mkdir(parents=True)
@@ -178,7 +188,12 @@ def take_set(studio: Studio, stands: list[Stand], folder: Path, light: Light, sh
     for i, stand in enumerate(stands):
         vertices = studio.posed(stand.axis_angle, stand.root)
         turn = matrix_from_axis_angle(stand.axis_angle)
-        head = turn[0] @ turn[JOINTS.index("spine1")] @ turn[JOINTS.index("spine2")] @ turn[JOINTS.index("spine3")]
+        head = (
+            turn[0]
+            @ turn[JOINTS.index("spine1")]
+            @ turn[JOINTS.index("spine2")]
+            @ turn[JOINTS.index("spine3")]
+        )
         head = head @ turn[JOINTS.index("neck")] @ turn[JOINTS.index("head")]
         for view, camera in view_cameras(studio, vertices, seed + 1000 * (i + 1), head).items():
             photo = studio.take(vertices, camera, light, sheen)

@@ -11,10 +11,11 @@ from avatar.skeleton import JOINTS, PARENTS, joint_transforms, skin_transforms
 from avatar.skinning import skin_points
 
 
-def rig(names=JOINTS, pose=None, turn=np.eye(3)) -> tuple[dict, np.ndarray]:
+def rig(names=JOINTS, pose=None, turn=None) -> tuple[dict, np.ndarray]:
     """glTF JSON of a few of the free body's triangles, bound in `pose` and standing as `turn` says; its vertices."""
     body = builtin_body("male")
     pose = np.zeros((52, 3)) if pose is None else pose
+    turn = np.eye(3) if turn is None else turn
     faces = body.faces[::25]
     used, faces = np.unique(faces, return_inverse=True)
     points = skin_points(body.vertices, body.skin, skin_transforms(pose, body.joints, rest=np.zeros((52, 3))))
@@ -31,7 +32,9 @@ def rig(names=JOINTS, pose=None, turn=np.eye(3)) -> tuple[dict, np.ndarray]:
     data, views, accessors = b"", [], []
     for array, component, kind in arrays:
         views.append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes})
-        accessors.append({"bufferView": len(views) - 1, "componentType": component, "count": len(array), "type": kind})
+        accessors.append(
+            {"bufferView": len(views) - 1, "componentType": component, "count": len(array), "type": kind}
+        )
         data += array.tobytes()
     nodes = []
     for k, name in enumerate(names):

@@ -58,7 +58,9 @@ def template(captures):
 
 def test_the_template_lies_on_the_surface(captures):
     registration = json.loads((captures[0] / "capture.json").read_text())["registration"]
-    assert registration["surface_cm"] < 0.21  # notes/ceiling.md reached .21, hands .06; measured here .16, .04, .05
+    assert (
+        registration["surface_cm"] < 0.21
+    )  # notes/ceiling.md reached .21, hands .06; measured here .16, .04, .05
     assert registration["hands_cm"] < 0.06
     assert registration["head_cm"] < 0.08
 
@@ -98,7 +100,9 @@ def test_head_cameras_show_what_the_world_cameras_show(rasteriser, person):
     studio = Studio(rasteriser, subject)
     shots = plan_videos(studio, 4, 128)["head"]
     similarity = seeded_similarity(9)
-    head = subject.vertices[subject.skin.weights[:, 0] * (subject.skin.joints[:, 0] == JOINTS.index("head")) == 1]
+    head = subject.vertices[
+        subject.skin.weights[:, 0] * (subject.skin.joints[:, 0] == JOINTS.index("head")) == 1
+    ]
     in_head = head.astype(np.float64) @ similarity[:3, :3].T + similarity[:3, 3]
     moved = cameras_in_head_frame(shots, subject.joints, similarity)
     for i, camera in enumerate(moved):
@@ -156,7 +160,9 @@ def test_held_out_pictures_read_back(rasteriser, person, tmp_path):
     subject = read_subject(person)
     studio = Studio(rasteriser, subject, supersample=1)
     stand = Stand(0.1 * np.random.default_rng(0).standard_normal((52, 3)), np.array([0.5, 0, -2]))
-    names = list(take_set(studio, [stand], tmp_path / "truth" / "novel_pose", light_of("even", "body", 0), 0.0, 0))
+    names = list(
+        take_set(studio, [stand], tmp_path / "truth" / "novel_pose", light_of("even", "body", 0), 0.0, 0)
+    )
     views = read_held_out(tmp_path, "novel_pose")
     assert [view.name for view in views] == names
     vertices = studio.posed(stand.axis_angle, stand.root)
@@ -190,7 +196,10 @@ def test_a_cut_out_quad_keeps_its_opaque_half():
     )  # fmt: skip
     cut = cut_out(quad)
     corners = cut.vertices[cut.faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    area = (
+        np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+        / 2
+    )
     assert abs(area - 0.005) < 0.0001
     assert corners[..., 0].min() > 0.045
 
@@ -204,14 +213,20 @@ def test_a_textured_quad_is_drawn_texel_by_texel(rasteriser):
         np.zeros((52, 3), np.float32), np.zeros(4, np.uint8), np.zeros(4, bool), "none",
     )  # fmt: skip
     camera = Camera(np.array([[16.0, 0, 4], [0, 16, 4], [0, 0, 1]]), look_at([0, 0, 4], [0, 0, 0]), (8, 8))
-    photo = Studio(rasteriser, quad, 1).take(vertices.astype(np.float64), camera, light_of("even", "body", 0), 0.0)
+    photo = Studio(rasteriser, quad, 1).take(
+        vertices.astype(np.float64), camera, light_of("even", "body", 0), 0.0
+    )
     assert np.abs(photo.image.astype(int) - texture).max() <= 1  # pixel centres fall on texel centres
     assert (photo.mask == 255).all() and (photo.parts == 1).all()
 
 
 @pytest.mark.parametrize(
     "options, message",
-    [(["--frames", "1"], "at least 4, is 1"), (["--size", "3"], "32 to 4096"), (["--sheen", "2"], "0 to 1, is 2")],
+    [
+        (["--frames", "1"], "at least 4, is 1"),
+        (["--size", "3"], "32 to 4096"),
+        (["--sheen", "2"], "0 to 1, is 2"),
+    ],
 )
 def test_settings_out_of_range_are_wrong_usage(person, tmp_path, capsys, options, message):
     with pytest.raises(SystemExit) as stop:
