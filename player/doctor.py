@@ -4,6 +4,8 @@ import importlib.metadata
 import importlib.util
 import os
 import platform
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from player.context import Context, Egl, NoContextError, _library, open_context
 # what lacks when a library does not load, by its Debian and Ubuntu package
 LIBRARIES = {
     "libEGL.so.1": ("libegl1", "contexts without a display"),
-    "libGL.so.1": ("libgl1", "OpenGL"),
+    "libGL.so.1": ("libgl1", "windows"),
     "libOSMesa.so.8": (
         "libosmesa6",
         "drawing in memory alone (gone from Mesa 25.1 on; optional where EGL works)",
@@ -152,10 +154,15 @@ def difference(a: np.ndarray, b: np.ndarray) -> tuple[int, float]:
     return int(gap[~band].max(initial=0)), float(band.mean())
 
 
+@cache
+def _distributions() -> Mapping[str, list[str]]:
+    return importlib.metadata.packages_distributions()
+
+
 def _version(module: str) -> str | None:
     if importlib.util.find_spec(module) is None:
         return None
-    names = importlib.metadata.packages_distributions().get(module, [module])
+    names = _distributions().get(module, [module])
     try:
         return importlib.metadata.version(names[0])
     except importlib.metadata.PackageNotFoundError:

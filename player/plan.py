@@ -15,7 +15,6 @@ from player.blocks import BONES, FRAME, TURNS
 VIEWS = ("off", "vertex", "linear", "network")
 STAGE = {"off": 0, "vertex": 1, "linear": 2, "network": 2}
 MIN_HEIGHT = 40  # pixels; view dependence of a smaller avatar cannot be seen
-MIP_LEVELS = 5  # the bake leaves 16 texels between charts: coarser levels would mix them
 
 
 @dataclass(frozen=True)
@@ -149,6 +148,14 @@ def resolve(
     return Plan(tuple(passes), resources, tuple(variants))
 
 
+def mip_levels(shape: tuple[int, ...]) -> int:
+    """Mipmaps worth having, the texture itself included: coarser ones would mix neighbouring charts.
+
+    The bake leaves gutters of a 256th of the atlas (8 texels at 2048), which stay clean for log2(gutter) levels.
+    """
+    return min(max(2, max(shape[:2]) // 256).bit_length(), max(shape[:2]).bit_length())
+
+
 def _mipmapped(shape: tuple[int, ...]) -> int:
     height, width = shape[:2]
-    return sum(4 * max(height >> i, 1) * max(width >> i, 1) for i in range(MIP_LEVELS))
+    return sum(4 * max(height >> i, 1) * max(width >> i, 1) for i in range(mip_levels(shape)))

@@ -15,7 +15,7 @@ from player.blocks import BONES, FRAME, TURNS, bind_block
 from player.constants import avatar_constants
 from player.context import Context
 from player.mesh import draw_order, interleaved, view_interleaved
-from player.plan import MIN_HEIGHT, MIP_LEVELS, Pass, Plan, Variant, resolve
+from player.plan import MIN_HEIGHT, Pass, Plan, Variant, mip_levels, resolve
 from player.posing import PosedBones, Poser, quaternions, reach
 from player.raster import clip_planes
 from player.shader import compile_program, uniform
@@ -300,7 +300,7 @@ class Renderer:
         if channels == 3:  # three bytes a texel are slow to fetch everywhere
             image = np.dstack([image, np.full((height, width), 255, np.uint8)])
         texture = gl.texture((width, height), 4, np.ascontiguousarray(image).tobytes())
-        texture.build_mipmaps(0, MIP_LEVELS - 1)
+        texture.build_mipmaps(0, mip_levels(image.shape) - 1)
         # nearest mip on software: trilinear fetches cost 1.3-2.5 times as much there (notes: 9-27 against 7-11 ns)
         minify = moderngl.LINEAR_MIPMAP_NEAREST if self.context.software else moderngl.LINEAR_MIPMAP_LINEAR
         texture.filter = (minify, moderngl.LINEAR)
