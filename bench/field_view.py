@@ -1,7 +1,7 @@
 """Pictures of the trained field: its first surface crossing under a posed camera.
 
-The posed fine surface is rasterised, each pixel's canonical point is moved onto the field's zero set, and asked
-for its colour there: at the global view direction d̄ (the paper, Eq. 14: colour depends on the point alone), or
+The fine surface is moved onto the field's zero set, posed and rasterised, and each pixel's canonical point is
+asked for its colour there: at the global view direction d̄ (the paper, Eq. 14: colour depends on the point alone), or
 at the pixel's own direction pulled into the cone that training saw (d').
 """
 
@@ -11,18 +11,18 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
 
 from avatar.camera import Camera, pixel_rays
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, skin_points
 from bake.cone import clamped_tangent, cone_direction, interpolated, view_cone
 from player.raster import Rasteriser
+from train.fused import FusedField
 from train.run import Run
 
 CHUNK = 1 << 16  # field queries at once
-FARTHEST = 0.004  # metres: a pixel is not moved farther than this onto the zero set
-CLOSE = 2e-4  # metres: nearer than this counts as on it
+FARTHEST = 0.002  # metres: a vertex is not moved farther than this in one step onto the zero set
+CLOSE = 5e-5  # metres: nearer than this counts as on it
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class FieldView:
         s = run.surface
         self.field = run.field
         self.surface = PosableSurface(
-            np.asarray(s.vertices, np.float64),
+            on_zero_set(run.field, np.asarray(s.vertices, np.float64)),
             np.asarray(s.faces, np.int64),
             SkinWeights(s.skin.joints.astype(np.int64), s.skin.weights),
             np.asarray(run.subject.joints, np.float64),
@@ -80,50 +80,81 @@ class FieldView:
         cone: bool = False,
         surface: PosableSurface | None = None,
     ) -> Picture:
-        """One picture on black, `samples` squared rays a pixel. `cone` asks the field at d' instead of at d̄;
+        """One picture on black, silhouettes smoothed by `samples` squared a pixel. `cone` asks the field at d' instead of at d̄;
         `surface` is the same mesh with other skin weights."""
         surface = surface or self.surface
-        fine = camera.resized((samples * camera.size[0], samples * camera.size[1]))
         posed = surface.posed(axis_angle, root)
-        fragments = raster.draw(posed, surface.faces, fine)
-        hit = fragments.face >= 0
-        corners = surface.faces[fragments.face[hit]]
-        weight = fragments.barycentric[hit].astype(np.float64)
+        fragments = raster.draw(
+            posed, surface.faces, camera, (samples * camera.size[0], samples * camera.size[1])
+        )
+        cover = fragments.face >= 0
+        chosen = first_samples(cover, samples)
+        corners = surface.faces[fragments.face[chosen]]
+        weight = fragments.barycentric[chosen].astype(np.float64)
         points = (weight[:, :, None] * surface.vertices[corners]).sum(1)
         seen = interpolated(self.cone, corners, weight)
         direction = seen.direction
         if cone:
             rotations = blended_rotations(surface.skin, surface.transforms(axis_angle, root))
-            rays = pixel_rays(fine)[1].reshape(*hit.shape, 3)[hit]
+            rows, columns = chosen
+            rays = pixel_rays(camera, (np.stack([columns, rows], -1) + 0.5) / samples)[1]
             strongest = corners[np.arange(len(corners)), weight.argmax(1)]
             in_canonical = np.einsum("nji,nj->ni", rotations[strongest], rays)
             direction = cone_direction(clamped_tangent(in_canonical, seen), seen)
-        image = np.zeros((*hit.shape, 3), np.float32)
-        image[hit] = self.colour(points, direction)
-        return averaged(image, hit, samples)
+        return shaded(cover, chosen, self.colour(points, direction), samples)
 
     def colour(
         self, points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, "n 3"]:
-        """Colour of canonical points near the surface at given unit directions."""
+        """Colour of canonical points on the surface at given unit directions."""
         out = np.empty((len(points), 3), np.float32)
         with torch.no_grad():
             for start in range(0, len(points), CHUNK):
                 x = torch.as_tensor(points[start : start + CHUNK], dtype=torch.float32)
                 d = torch.as_tensor(directions[start : start + CHUNK], dtype=torch.float32)
-                out[start : start + CHUNK] = self.field.color(self.on_zero_set(x), d).clamp(0, 1).numpy()
+                out[start : start + CHUNK] = self.field.color(x, d).clamp(0, 1).numpy()
         return out
 
-    def on_zero_set(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """Points moved along the gradient onto the zero set: one Newton step, at most FARTHEST."""
-        distance = self.field.distance(points)
-        off = distance.abs() > CLOSE
-        if not bool(off.any()):
-            return points
-        moved = points.clone()
-        step = distance[off].clamp(-FARTHEST, FARTHEST)[:, None] * self.field.normal(points[off])
-        moved[off] = points[off] - step
-        return moved
+
+def on_zero_set(
+    field: FusedField, points: Float[np.ndarray, "n 3"], steps: int = 2
+) -> Float[np.ndarray, "n 3"]:
+    """Points near the surface moved along the gradient onto the zero set: Newton steps, each at most FARTHEST."""
+    moved = torch.as_tensor(points, dtype=torch.float32).clone()
+    with torch.no_grad():
+        for start in range(0, len(moved), CHUNK):
+            part = moved[start : start + CHUNK]
+            for _ in range(steps):
+                distance = field.distance(part)
+                off = distance.abs() > CLOSE
+                if not bool(off.any()):
+                    break
+                step = distance[off].clamp(-FARTHEST, FARTHEST)[:, None] * field.normal(part[off])
+                part[off] = part[off] - step
+    return moved.numpy().astype(np.float64)
+
+
+def first_samples(cover: Bool[np.ndarray, "a b"], samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the first covered sample of every pixel that has one: the one that is shaded."""
+    height, width = cover.shape[0] // samples, cover.shape[1] // samples
+    blocks = cover.reshape(height, samples, width, samples).transpose(0, 2, 1, 3).reshape(height, width, -1)
+    rows, columns = np.nonzero(blocks.any(-1))
+    within = blocks[rows, columns].argmax(-1)
+    return rows * samples + within // samples, columns * samples + within % samples
+
+
+def shaded(
+    cover: Bool[np.ndarray, "a b"],
+    chosen: tuple[np.ndarray, np.ndarray],
+    colour: Float[np.ndarray, "n 3"],
+    samples: int,
+) -> Picture:
+    """The picture of one shaded sample a pixel, dimmed by the share of the pixel that is covered."""
+    height, width = cover.shape[0] // samples, cover.shape[1] // samples
+    share = cover.reshape(height, samples, width, samples).mean((1, 3), dtype=np.float32)
+    image = np.zeros((height, width, 3), np.float32)
+    image[chosen[0] // samples, chosen[1] // samples] = colour
+    return Picture(image * share[..., None], share >= 0.5)
 
 
 def averaged(image: Float[np.ndarray, "a b 3"], mask: Bool[np.ndarray, "a b"], samples: int) -> Picture:

@@ -34,12 +34,12 @@ from bench.quality_table import PAPER, markdown, print_table
 from bench.synth.surface import visible_faces
 
 
-def evaluate(path: Path, capture: Path, *, ceiling: bool = False) -> dict[str, Any]:
+def evaluate(path: Path, capture: Path, *, ceiling: bool = False, poses: int | None = None) -> dict[str, Any]:
     """Every number of `selfscan eval` as one JSON-ready dictionary."""
     start = time.perf_counter()
     facts = read_capture_facts(capture)
     truth = read_true_mesh(capture)
-    held_out = {name: read_held_out(capture, name) for name in SETS}
+    held_out = {name: some_poses(read_held_out(capture, name), poses) for name in SETS}
     drawer = Drawer(path)
     try:
         result = measured(drawer, truth, held_out)
@@ -118,6 +118,15 @@ def measured_ceiling(
         pose = view.axis_angle, view.root
         measure_pose(case, truth.posed(*pose), best.surface.posed(*pose), distances)
     return regions_of(distances, images.scored)
+
+
+def some_poses(views: list[HeldOutView], count: int | None) -> list[HeldOutView]:
+    """The views of `count` poses spread evenly over the set; all of them for None."""
+    numbers = sorted({view.pose_index for view in views})
+    if count is None or count >= len(numbers):
+        return views
+    kept = {numbers[i] for i in np.linspace(0, len(numbers) - 1, count).round().astype(int)}
+    return [view for view in views if view.pose_index in kept]
 
 
 def distinct_poses(views: list[HeldOutView]) -> list[HeldOutView]:
@@ -219,10 +228,13 @@ def eval_main(argv: list[str]) -> int:
         action="store_true",
         help="also score the true mesh under our skin weights: the best to be had",
     )
+    parser.add_argument("--poses", type=int, metavar="N", help="a quick look: only N poses of each set")
     options = parser.parse_args(argv)
+    if options.poses is not None and options.poses < 1:
+        parser.error(f"--poses should be at least 1, is {options.poses}")
     if not options.subject.exists():
         raise AssetError(f"{options.subject}: expected a run folder or an avatar file, found nothing")
-    result = evaluate(options.subject, options.capture, ceiling=options.ceiling)
+    result = evaluate(options.subject, options.capture, ceiling=options.ceiling, poses=options.poses)
     print_table(result)
     if options.json:
         with whole_file(options.json, "w") as file:
