@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from avatar.errors import AssetError
 from jaxtyping import Float, Integer
+
+from avatar.errors import AssetError
 
 
 class Unwrapped(NamedTuple):

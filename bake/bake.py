@@ -4,23 +4,23 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import torch
+from jaxtyping import Float, Integer
+
 from avatar.avatar_file import Avatar, Level, ViewNetwork, write_avatar
 from avatar.errors import AssetError
 from avatar.skeleton import BIG_POSE, joint_transforms
-from avatar.skinning import dense_weights
-from jaxtyping import Float, Integer
-
+from avatar.skinning import dense_weights, strongest_four
 from bake import measure
 from bake.atlas import unwrap
 from bake.cone import ViewCone, interpolated, view_cone
 from bake.decimate import Enlargement, balanced, decimate
 from bake.network import AMPLITUDE, Distilled, SurfacePoints, distil, write_onnx
 from bake.skin import quantised, transferred_weights
-from bake.surface import Extraction, Mesh, extract, face_areas, project_to_zero
+from bake.surface import Extraction, Mesh, enclosed_volume, extract, face_areas, project_to_zero
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from bake.transfer import match_surface
 
@@ -32,8 +32,8 @@ PARTS = ("body", "head", "hand_left", "hand_right")
 class BakeOptions:
     faces: int = 30_000  # triangles of the finest level
     texture: int = 2048  # its atlas, texels per side
-    body_step: float = 0.004  # grid step of the extraction, metres
-    fine_step: float = 0.002  # the same along the spans of head and hands
+    body_step: float = 0.005  # grid step of the extraction, metres
+    fine_step: float = 0.0025  # the same along the spans of head and hands
     head_density: float = 2.5  # texels per metre, relative to the body's
     hand_density: float = 2.5
     head_scale: float = 1.8  # blown up so much while triangles are collapsed
@@ -50,6 +50,7 @@ class BakeOptions:
             raise ValueError(f"--texture should be a power of two from 64 to 8192, is {self.texture}")
 
 
+@runtime_checkable
 class Field(Protocol):
     """What is baked: the fused field of a run, canonical frame, torch float32."""
 
@@ -114,6 +115,8 @@ def bake_run(run: Any, out: Path, options: BakeOptions, report: Callable[[str], 
     source_faces = np.asarray(source.faces, np.int64)
     source_part = np.asarray(source.part, np.int64)
     source_normals = np.asarray(source.normals, np.float64)
+    if enclosed_volume(Mesh(source_vertices, source_faces)) < 0:
+        source_faces = source_faces[:, ::-1]  # only the normals of a run's surface are promised to face outwards
 
     extraction = extract(
         field.distance,
@@ -125,7 +128,7 @@ def bake_run(run: Any, out: Path, options: BakeOptions, report: Callable[[str], 
     )
     check_complete(extraction.mesh, source_vertices, source_part)
     clock(
-        f"surface: {len(extraction.mesh.faces)} triangles on the zero set (worst {extraction.residual * 1e3:.3f} mm, "
+        f"surface: {len(extraction.mesh.faces)} triangles on the zero set (1 in 1000 farther than {extraction.residual * 1e3:.3f} mm, "
         f"{extraction.queries / 1e6:.1f} M distances, {extraction.islands} islands dropped)"
     )
 
@@ -192,7 +195,7 @@ def bake_run(run: Any, out: Path, options: BakeOptions, report: Callable[[str], 
         provenance=provenance,
     )
     drawn = measure.FieldSurface(
-        extraction.mesh, extraction.normals, fine.weights, fine.cone, joints, field.distance, field.color
+        extraction.mesh, extraction.normals, strongest_four(fine.weights), fine.cone, joints, field.distance, field.color
     )
     score = measure.compare(avatar, drawn, measure.test_views(joints, options.image))
     worst = min(score.per_view, key=lambda name: score.per_view[name])
@@ -304,24 +307,24 @@ def bake_level(
         weight = barycentric(chart.uv, chart.faces, some, jitter)
         corners = chart.faces[some.face]
         points = (weight[:, :, None] * corner_points[corners]).sum(1)
-        facing = (np.clip(weight, 0, 1)[:, :, None] * corner_normals[corners]).sum(1)
+        near = np.clip(weight, 0, 1)
+        near /= near.sum(1, keepdims=True)
+        facing = (near[:, :, None] * corner_normals[corners]).sum(1)
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-20)
-        points, _ = project_to_zero(
-            field.distance, field.normal, points, reach=0.004, steps=2, directions=facing
-        )
-        return (
-            points,
-            facing,
-            interpolated(cone, corners, np.clip(weight, 0, 1) / np.clip(weight, 0, 1).sum(1)[:, None]),
-        )
+        return points, facing, interpolated(cone, corners, near)
 
-    def color_at(some: TexelMap, jitter: np.ndarray) -> np.ndarray:
-        result = np.empty((len(some.index), 3))
-        for start in range(0, len(result), 1 << 18):
-            piece = slice(start, start + (1 << 18))
-            part = TexelMap(some.index[piece], some.face[piece], some.inside[piece], some.size)
-            points, _, local = surface_at(part, jitter)
-            result[piece] = field.color(points, local.direction)
+    lift = np.zeros(len(texels.index))  # metres along the normal from the triangle to the zero set
+
+    def color_at(rows: np.ndarray, jitter: np.ndarray) -> np.ndarray:
+        result = np.empty((len(rows), 3))
+        for start in range(0, len(rows), 1 << 18):
+            own = rows[start : start + (1 << 18)]
+            points, facing, local = surface_at(texels.rows(own), jitter)
+            if jitter.any():
+                points += lift[own, None] * facing  # the centre's lift serves the whole texel
+            else:
+                points, lift[own] = lifted(field, points, facing)
+            result[start : start + (1 << 18)] = field.color(points, local.direction)
         return result
 
     color = sample_texels(color_at, texels)
@@ -362,7 +365,8 @@ def bake_level(
 
     def surface_of(some: TexelMap) -> SurfacePoints:
         points, facing, local = surface_at(some, np.zeros(2))
-        base_unit = spread(color, texels).reshape(size * size, 3)
+        points, _ = lifted(field, points, facing)
+        base_unit = base.reshape(size * size, 3) / 255.0
         scale = size // some.size
         row, column = some.index // some.size, some.index % some.size
         middle = (row * scale + scale // 2) * size + column * scale + scale // 2
@@ -370,6 +374,16 @@ def bake_level(
 
     baked = BakedLevel(level, mesh, facts)
     return baked, surface_of
+
+
+def lifted(
+    field: NumpyField, points: Float[np.ndarray, "n 3"], facing: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
+    """Points of the mesh moved along its normals onto the zero set, at most 4 mm, and how far."""
+    moved, _ = project_to_zero(
+        field.distance, field.normal, points, reach=0.004, steps=1, tolerance=1e-4, directions=facing
+    )
+    return moved, ((moved - points) * facing).sum(1)
 
 
 def _texel_sizes(
@@ -426,8 +440,7 @@ def with_features(
     values = np.empty((len(texels.index), 4), np.uint8)
     for start in range(0, len(values), 1 << 18):
         piece = slice(start, start + (1 << 18))
-        part = TexelMap(texels.index[piece], texels.face[piece], texels.inside[piece], texels.size)
-        values[piece] = distilled.features(surface_of(part))
+        values[piece] = distilled.features(surface_of(texels.rows(np.arange(len(values))[piece])))
     features = spread(values.astype(np.float64), texels).astype(np.uint8)
     return BakedLevel(replace(level, features=features), baked.mesh, baked.facts)
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
+from scipy.sparse.csgraph import connected_components
 
 from bake.transfer import fill_harmonic, neighbour_matrix
 
@@ -65,13 +66,8 @@ def view_cone(
 
 def _filled(direction: np.ndarray, known: np.ndarray, fallback: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Harmonic fill; vertices out of reach of any known one, or where the fill cancels, take the fallback."""
-    reached = known.copy()
-    adjacency = neighbour_matrix(faces, len(direction))
-    while True:
-        wider = reached | (adjacency @ reached.astype(np.float64) > 0)
-        if (wider == reached).all():
-            break
-        reached = wider
+    labels = connected_components(neighbour_matrix(faces, len(direction)), directed=False)[1]
+    reached = np.isin(labels, labels[known])
     values = np.where(reached[:, None], direction, fallback)
     filled = fill_harmonic(values, known | ~reached, faces)
     length = np.linalg.norm(filled, axis=1)

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import fast_simplification
 import numpy as np
-from avatar.errors import AssetError
 from jaxtyping import Float, Integer
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from avatar.errors import AssetError
 from bake.surface import Mesh, PointFunction, compact, face_areas, largest_component
 
 
@@ -91,6 +91,83 @@ def enlarged(
     return result
 
 
+def parted(mesh: Mesh, *, rounds: int = 6) -> Mesh:
+    """Sheets that were collapsed onto one edge, parted again without losing a triangle.
+
+    The triangles round a crowded edge are paired across the solid wedges between them; every pair but the
+    first gets a midpoint of its own, and fans that touch in one vertex a copy each. A closed mesh comes back
+    closed and manifold; edges whose triangles do not pair up (an open mesh) are left for `mend`.
+    """
+    vertices, faces = mesh.vertices, mesh.faces.copy()
+    for _ in range(rounds):
+        directed = half_edges(faces)
+        pair = np.sort(directed, axis=1)
+        key = pair[:, 0].astype(np.int64) * len(vertices) + pair[:, 1]
+        order = np.argsort(key, kind="stable")
+        starts = np.flatnonzero(np.r_[True, np.diff(key[order]) > 0, True])
+        crowded = [order[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True) if b - a > 2]
+        if not crowded:
+            break
+        touched: set[int] = set()
+        added: list[np.ndarray] = []
+        points: list[np.ndarray] = []
+        for uses in crowded:
+            owners = uses % len(faces)
+            if touched & set(owners.tolist()) or len(set(owners.tolist())) < len(owners):
+                continue  # changed in this round already: the next one sees it
+            wedges = _wedges(vertices, faces, pair[uses[0]], directed[uses], owners)
+            if wedges is None:
+                continue
+            touched |= set(owners.tolist())
+            for wedge in wedges[1:]:
+                middle = len(vertices) + len(points)
+                points.append(vertices[pair[uses[0]]].mean(0))
+                for face in owners[list(wedge)]:
+                    u, v = (int(i) for i in pair[uses[0]])
+                    whole = faces[face]
+                    added.append(np.where(whole == u, middle, whole))
+                    faces[face] = np.where(whole == v, middle, whole)
+        if not touched:
+            break
+        if points:
+            vertices = np.concatenate([vertices, np.array(points)])
+            faces = np.concatenate([faces, np.array(added)])
+    return _touching_fans_parted(vertices, faces)
+
+
+def _wedges(
+    vertices: np.ndarray, faces: np.ndarray, edge: np.ndarray, directed: np.ndarray, owners: np.ndarray
+) -> list[tuple[int, int]] | None:
+    """Pairs of uses of an edge with the solid between them; None when forward and backward uses do not match.
+
+    Round the edge (from its lower to its higher vertex) a triangle that runs forward faces larger angles, so
+    the solid lies below it, down to the next triangle that runs backward.
+    """
+    forward = directed[:, 0] == edge[0]
+    if forward.sum() * 2 != len(forward):
+        return None
+    apex = vertices[faces[owners].sum(1) - edge.sum()] - vertices[edge[0]]
+    axis = vertices[edge[1]] - vertices[edge[0]]
+    axis = axis / max(float(np.linalg.norm(axis)), 1e-20)
+    first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    first /= max(float(np.linalg.norm(first)), 1e-20)
+    angle = np.arctan2(apex @ np.cross(axis, first), apex @ first)
+    free, result = {int(i) for i in np.flatnonzero(forward)}, []
+    for back in np.flatnonzero(~forward)[np.argsort(angle[~forward], kind="stable")]:
+        ahead = min(free, key=lambda i: ((angle[i] - angle[back]) % (2 * np.pi), i))
+        free.remove(ahead)
+        result.append((int(back), ahead))
+    return result
+
+
+def _touching_fans_parted(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    """Fans that touch in one vertex get a copy of it each."""
+    fans = _fans(faces, len(vertices))
+    key = faces.reshape(-1).astype(np.int64) * (fans.max() + 1) + fans
+    owners, renumbered = np.unique(key, return_inverse=True)
+    return Mesh(vertices[owners // (fans.max() + 1)], renumbered.reshape(-1, 3))
+
+
 def mend(mesh: Mesh, *, rounds: int = 8) -> Mesh:
     """Close what a collapse tore open: crowded edges lose their triangles, touching fans are parted, and every
     hole is closed by a fan about its centre. The mesh that comes back has no faults, or AssetError."""
@@ -103,12 +180,7 @@ def mend(mesh: Mesh, *, rounds: int = 8) -> Mesh:
         faces = faces[~_crowded(faces, len(vertices))]
         if len(faces) == 0:
             break
-        # part fans that touch in one vertex: each gets a copy of its own
-        fans = _fans(faces, len(vertices))
-        key = faces.reshape(-1).astype(np.int64) * (fans.max() + 1) + fans
-        owners, renumbered = np.unique(key, return_inverse=True)
-        vertices = vertices[owners // (fans.max() + 1)]
-        faces = renumbered.reshape(-1, 3)
+        vertices, faces = _touching_fans_parted(vertices, faces)
         loops = _boundary_loops(faces, len(vertices))
         centres = [vertices[loop].mean(0) for loop in loops]
         new = [
@@ -181,7 +253,9 @@ def decimate(mesh: Mesh, target: int, parts: list[Enlargement] | None = None) ->
         points, faces, patience = _gentle_pass(points, faces, target, patience)
     collapsed = Mesh(points.astype(np.float64), faces.astype(np.int64))
     if find_faults(collapsed.faces, len(points)) or component_count(collapsed) > 1:
-        collapsed = mend(collapsed)
+        collapsed, _, _ = largest_component(parted(collapsed))
+        if find_faults(collapsed.faces, len(collapsed.vertices)):
+            collapsed = mend(collapsed)
     if parts:
         collapsed = Mesh(shrunk(collapsed.vertices, grown, mesh.vertices, parts), collapsed.faces)
     return collapsed

@@ -4,14 +4,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from avatar.avatar_file import Avatar
-from avatar.camera import Camera, orbit_camera, pixel_rays
-from avatar.skeleton import joint_transforms, skin_transforms
-from avatar.skinning import blended_rotations, skin_points, strongest_four
-from avatar.texture import sample_texture
 from jaxtyping import Bool, Float, Integer, UInt8
 from scipy.ndimage import binary_erosion
 
+from avatar.avatar_file import Avatar
+from avatar.camera import Camera, orbit_camera, pixel_rays
+from avatar.skeleton import joint_transforms, skin_transforms
+from avatar.skinning import SkinWeights, blended_rotations, skin_points, strongest_four
+from avatar.texture import sample_texture
 from bake.cone import ViewCone, clamped_tangent, cone_direction, interpolated
 from bake.network import ColorFunction
 from bake.surface import Mesh, PointFunction, project_to_zero
@@ -32,7 +32,7 @@ class FieldSurface(NamedTuple):
 
     mesh: Mesh
     normals: Float[np.ndarray, "vertices 3"]
-    weights: Float[np.ndarray, "vertices joints"]  # dense skin weights
+    skin: SkinWeights
     cone: ViewCone
     joints: Float[np.ndarray, "52 3"]
     distance: PointFunction
@@ -91,8 +91,7 @@ def draw_field(
     """The field as its first surface crossing: the fine mesh posed and rasterised, each pixel's canonical point
     moved onto the zero set, its colour asked there. draw(vertices_world, faces, camera) -> face, barycentric."""
     transforms = skin_transforms(view.axis_angle, surface.joints, view.root)
-    skin = strongest_four(surface.weights)
-    posed = skin_points(surface.mesh.vertices, skin, transforms)
+    posed = skin_points(surface.mesh.vertices, surface.skin, transforms)
     face, barycentric = draw(posed, surface.mesh.faces, view.camera)
     mask = face >= 0
     corners, weight = surface.mesh.faces[face[mask]], np.clip(barycentric[mask].astype(np.float64), 0, 1)
@@ -107,7 +106,10 @@ def draw_field(
     paper[mask] = surface.color(points, cone.direction)
     if not with_cone:
         return FieldImage(paper, None, mask)
-    dense = (weight[:, :, None] * surface.weights[corners]).sum(1)
+    dense = np.zeros((len(corners), len(transforms)))
+    for corner in range(3):
+        joints, share = surface.skin.joints[corners[:, corner]], surface.skin.weights[corners[:, corner]]
+        np.add.at(dense, (np.arange(len(dense))[:, None], joints), share * weight[:, corner, None])
     rotation = blended_rotations(strongest_four(dense), transforms)
     _, rays = pixel_rays(view.camera)
     direction = np.einsum("nji,nj->ni", rotation, rays.reshape(*mask.shape, 3)[mask])

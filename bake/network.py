@@ -13,11 +13,12 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-from avatar.avatar_file import ViewNetwork
-from avatar.files import whole_file
+import torch._dynamo  # now, before any GL context: it loads an LLVM that crashes when Mesa's came first
 from jaxtyping import Float, Integer, UInt8
 from torch import nn
 
+from avatar.avatar_file import ViewNetwork
+from avatar.files import whole_file
 from bake.cone import ViewCone, clamped_tangent, cone_direction, matrix_from_six, tangent_frame
 
 AMPLITUDE = 0.6

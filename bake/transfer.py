@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 from scipy.sparse import coo_matrix, csr_matrix, diags
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 
@@ -63,8 +64,30 @@ def match_surface(
     corners = vertices[faces]
     face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     face_normals /= np.maximum(np.linalg.norm(face_normals, axis=1, keepdims=True), 1e-20)
-    count = min(candidates, len(faces))
-    _, near = cKDTree(corners.mean(1)).query(points, k=count, workers=-1)
+    tree = cKDTree(corners.mean(1))
+    found = _compete(points, normals, corners, face_normals, tree, min(FEW, candidates, len(faces)), cosine)
+    doubtful = np.flatnonzero(~found.agrees)
+    if len(doubtful) and min(candidates, len(faces)) > FEW:
+        count = min(candidates, len(faces))
+        again = _compete(points[doubtful], normals[doubtful], corners, face_normals, tree, count, cosine)
+        for kept, better in zip(found, again, strict=True):
+            kept[doubtful] = better
+    return found
+
+
+FEW = 6  # candidates that settle nearly every query
+
+
+def _compete(
+    points: np.ndarray,
+    normals: np.ndarray,
+    corners: np.ndarray,
+    face_normals: np.ndarray,
+    tree: cKDTree,
+    count: int,
+    cosine: float,
+) -> Match:
+    _, near = tree.query(points, k=count, workers=-1)
     near = near.reshape(len(points), count)
     best_face = near[:, 0].copy()
     best_bary = np.zeros((len(points), 3))
@@ -110,16 +133,13 @@ def fill_harmonic(
         raise ValueError(f"none of {len(known)} vertices is known, nothing to fill from")
     adjacency = neighbour_matrix(faces, len(values))
     degree = np.asarray(adjacency.sum(1)).reshape(-1)
-    # a breath of self-weight keeps an unreachable component from being singular; it is found below
-    laplacian = (diags(degree + 1e-9) - adjacency).tocsr()
-    right = -laplacian[unknown][:, np.flatnonzero(known)] @ values[known]
-    solved = spsolve(laplacian[unknown][:, unknown].tocsc(), right).reshape(len(unknown), -1)
-    reach = spsolve(
-        laplacian[unknown][:, unknown].tocsc(),
-        -np.asarray(laplacian[unknown][:, np.flatnonzero(known)].sum(1)).reshape(-1),
-    )
-    if reach.min() < 0.5:
-        raise ValueError(f"{int((reach < 0.5).sum())} vertices hang together with no known vertex")
+    labels = connected_components(adjacency, directed=False)[1]
+    anchored = np.isin(labels[unknown], labels[known])
+    if not anchored.all():
+        raise ValueError(f"{int((~anchored).sum())} vertices hang together with no known vertex")
+    laplacian = (diags(degree) - adjacency).tocsr()[unknown]
+    right = -laplacian[:, np.flatnonzero(known)] @ values[known]
+    solved = splu(laplacian[:, unknown].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0).solve(right)
     filled = values.astype(np.float64).copy()
-    filled[unknown] = solved / reach[:, None]
+    filled[unknown] = solved
     return filled

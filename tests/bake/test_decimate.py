@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+from capsules import ball_mesh, sphere
+
+from bake.decimate import Enlargement, balanced, decimate, enlarged, find_faults, mend, shrunk
+from bake.measure import field_to_mesh
+from bake.surface import Mesh
+
+
+@pytest.mark.parametrize("target", [4000, 2000, 800])
+def test_decimated_ball_is_a_closed_manifold_of_the_size_asked(target):
+    mesh = decimate(ball_mesh(step=0.005), target)
+    assert not find_faults(mesh.faces, len(mesh.vertices))
+    assert abs(len(mesh.faces) - target) <= 0.03 * target
+
+
+def test_person_decimates_closed_with_more_triangles_on_hands(run):
+    hands = [
+        Enlargement(run.subject.joints[20], np.array([1.0, 0, 0]), 0.25, 2.4),
+        Enlargement(run.subject.joints[21], np.array([-1.0, 0, 0]), 0.25, 2.4),
+    ]
+    whole = Mesh(run.surface.vertices, run.surface.faces)
+
+    def on_hands(mesh):
+        return (np.abs(mesh.vertices[mesh.faces[:, 0], 0]) > run.subject.joints[20, 0] + 0.05).sum()
+
+    plain, dense = decimate(whole, 3000), decimate(whole, 3000, hands)
+    for mesh in (plain, dense):
+        assert not find_faults(mesh.faces, len(mesh.vertices))
+    assert on_hands(dense) > 1.5 * on_hands(plain)
+
+
+def test_shrinking_undoes_the_enlargement():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.2, 0.2, (4000, 3))
+    part = [Enlargement(np.array([0.02, 0, 0]), np.array([1.0, 0, 0]), 0.5, 2.4)]
+    chosen = points[rng.integers(0, 4000, 300)] + rng.normal(size=(300, 3)) * 0.002
+    back = shrunk(enlarged(chosen, part), enlarged(points, part), points, part)
+    np.testing.assert_allclose(back, chosen, atol=1e-4)
+
+
+def test_balanced_ball_is_nearer_to_the_sphere_than_one_with_its_vertices_on_it():
+    distance, normal = sphere(0.1)
+    mesh = decimate(ball_mesh(step=0.005), 600)
+    on = Mesh(0.1 * mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True), mesh.faces)
+    better = balanced(on, distance, normal)
+    assert field_to_mesh(distance, better).mean() < 0.6 * field_to_mesh(distance, on).mean()
+
+
+def test_mending_closes_a_torn_mesh():
+    ball = ball_mesh()
+    torn = Mesh(ball.vertices, np.delete(ball.faces, [3, 4, 5, 100, 101, 300], axis=0))
+    assert find_faults(torn.faces, len(torn.vertices)).open_edges > 0
+    closed = mend(torn)
+    assert not find_faults(closed.faces, len(closed.vertices))
+
+
+def test_faults_are_counted_by_kind():
+    tetrahedron = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    assert not find_faults(tetrahedron, 4)
+    assert find_faults(tetrahedron[:3], 4).open_edges == 3
+    touching = np.concatenate([tetrahedron, np.where(tetrahedron == 0, 0, tetrahedron + 3)])
+    assert find_faults(touching, 7) == (0, 0, 1, 0)
+    assert find_faults(np.concatenate([tetrahedron, [[0, 1, 4], [1, 0, 4]]]), 5).crowded_edges > 0
+
+
+def test_mesh_with_a_hole_is_refused():
+    ball = ball_mesh()
+    with pytest.raises(ValueError, match="closed and manifold, has Fault"):
+        decimate(Mesh(ball.vertices, ball.faces[1:]), 100)

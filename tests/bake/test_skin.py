@@ -1,0 +1,58 @@
+import numpy as np
+import pytest
+from capsules import ball_mesh
+
+from bake.skin import quantised, transferred_weights
+from bake.transfer import fill_harmonic, match_surface
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        [1.0, 0, 0, 0, 0],
+        [0.25, 0.25, 0.25, 0.25, 0],
+        [1 / 3, 1 / 3, 1 / 3, 0, 0],
+        [0.999, 1e-9, 1e-9, 1e-9, 1e-9],
+        [0.2, 0.2, 0.2, 0.2, 0.2],
+        [1e-30, 0, 0, 0, 0],
+    ],
+)
+def test_bytes_sum_to_255_and_are_the_nearest(row):
+    joints, weights = quantised(np.array([row]))
+    assert weights.sum() == 255
+    four = np.sort(row)[::-1][:4] / np.sort(row)[::-1][:4].sum()
+    assert np.abs(weights[0] / 255 - four).max() < 1 / 255
+    used = joints[0][weights[0] > 0]
+    assert len(set(used.tolist())) == len(used) and (joints[0][weights[0] == 0] == 0).all()
+
+
+def test_random_rows_sum_to_255():
+    rng = np.random.default_rng(0)
+    _, weights = quantised(rng.dirichlet(np.full(52, 0.1), 5000) + 1e-12)
+    assert (weights.astype(int).sum(1) == 255).all()
+
+
+@pytest.mark.parametrize("row", [[0.0, 0.0], [np.nan, 1.0], [-0.1, 1.1]])
+def test_bad_rows_are_refused(row):
+    with pytest.raises(ValueError, match="skin weights"):
+        quantised(np.array([row]))
+
+
+def test_transfer_to_itself_is_exact_and_far_vertices_are_filled_between_their_neighbours():
+    ball = ball_mesh()
+    normals = ball.vertices / 0.1
+    x = np.clip(0.5 + 5 * ball.vertices[:, 0], 0, 1)
+    source = np.stack([x, 1 - x], 1)
+    match = match_surface(ball.vertices, normals, ball.vertices, ball.faces)
+    weights, filled = transferred_weights(match, ball.faces, ball.faces, source)
+    assert filled == 0
+    np.testing.assert_allclose(weights, source, atol=1e-9)
+    far = match._replace(distance=np.where(ball.vertices[:, 1] > 0.06, 1.0, 0.0))
+    weights, filled = transferred_weights(far, ball.faces, ball.faces, source)
+    assert filled > 50
+    np.testing.assert_allclose(weights, source, atol=0.12)  # harmonic, not linear
+
+
+def test_nothing_known_is_refused():
+    with pytest.raises(ValueError, match="nothing to fill from"):
+        fill_harmonic(np.ones((4, 1)), np.zeros(4, bool), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))

@@ -1,0 +1,185 @@
+"""HARD_CASES, Surface and atlas: fields without surfaces, thin sheets, torn meshes, slow unwraps, thin charts."""
+
+import time
+
+import numpy as np
+import pytest
+from capsules import ball_mesh, sphere
+
+from avatar.errors import AssetError
+from bake.atlas import unwrap
+from bake.decimate import balanced, decimate, find_faults, mend
+from bake.surface import Mesh, compact, extract
+from bake.texels import rasterise_charts, spread
+from bake.transfer import match_surface
+
+BOX = np.array([[-0.12, -0.12, -0.12], [0.12, 0.12, 0.12]])
+COARSE = np.zeros(2, bool)
+
+
+def found(distance, normal=None, box=BOX, step=0.01):
+    return extract(distance, normal or sphere(0.1)[1], box, np.zeros(len(box), bool), coarse_step=step, fine_step=step)
+
+
+def test_field_without_a_zero_crossing():
+    with pytest.raises(AssetError, match="positive everywhere"):
+        found(lambda p: np.full(len(p), 0.05))
+
+
+def test_field_that_is_inside_everywhere():
+    with pytest.raises(AssetError, match="negative everywhere"):
+        found(lambda p: np.full(len(p), -0.05))
+
+
+def test_field_that_leaves_its_box():
+    with pytest.raises(AssetError, match="should be positive 3 cm outside"):
+        found(sphere(0.2)[0])
+
+
+def test_field_that_is_not_finite():
+    ball = sphere(0.1)[0]
+    with pytest.raises(AssetError, match="should be finite"):
+        found(lambda p: np.where(p[:, 0] > 0.05, np.nan, ball(p)))
+
+
+def test_islands_and_inner_sheets_are_dropped(within):
+    ball, speck, hole = sphere(0.1)[0], sphere(0.012, (0.13, 0.0, 0.0))[0], sphere(0.03)[0]
+    result = found(lambda p: np.minimum(np.maximum(ball(p), -hole(p)), speck(p)))
+    assert result.islands == 2
+    assert not find_faults(result.mesh.faces, len(result.mesh.vertices))
+    within(np.linalg.norm(result.mesh.vertices, axis=1) - 0.1, 1e-4, "m")
+
+
+@pytest.mark.parametrize("thickness", [0.02, 0.012, 0.006, 0.002])
+def test_sheet_thinner_than_a_voxel_is_closed_or_gone(thickness):
+    """Thinner than a voxel a sheet may have holes, but the mesh is closed or the loss is an error."""
+
+    def slab(p):
+        q = np.abs(p - 0.0013) - np.array([0.09, 0.09, 0.5 * thickness])
+        return np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(1), 0)
+
+    def normal(p):
+        step = 1e-5 * np.eye(3)
+        g = np.stack([slab(p + s) - slab(p - s) for s in step], 1)
+        return g / np.maximum(np.linalg.norm(g, axis=1, keepdims=True), 1e-12)
+
+    try:
+        result = found(slab, normal)
+    except AssetError as error:
+        assert thickness < 0.01 and "everywhere" in str(error)
+        return
+    assert not find_faults(result.mesh.faces, len(result.mesh.vertices))
+    assert np.isfinite(result.mesh.vertices).all()
+
+
+def torn(kind):
+    ball = ball_mesh()
+    faces = ball.faces.copy()
+    if kind == "hole":
+        return Mesh(ball.vertices, faces[~(ball.vertices[faces].mean(1)[:, 1] > 0.08)])
+    if kind == "doubled":
+        return Mesh(ball.vertices, np.concatenate([faces, faces[:7], faces[20:24, ::-1]]))
+    if kind == "fin":
+        fin = np.array([[faces[0, 0], faces[0, 1], faces[50, 2]]])
+        return Mesh(ball.vertices, np.concatenate([faces, fin]))
+    if kind == "degenerate":
+        return Mesh(ball.vertices, np.concatenate([faces, [[3, 3, 9], [5, 5, 5]]]))
+    if kind == "pinched":
+        return Mesh(ball.vertices, np.where(faces == faces[0, 0], faces[200, 0], faces))
+    raise ValueError(kind)
+
+
+@pytest.mark.parametrize("kind", ["hole", "doubled", "fin", "degenerate", "pinched"])
+def test_broken_meshes_are_refused_by_decimation_and_closed_by_mending(kind):
+    mesh = torn(kind)
+    assert find_faults(mesh.faces, len(mesh.vertices))
+    with pytest.raises(ValueError, match="closed and manifold"):
+        decimate(mesh, 100)
+    closed = mend(mesh)
+    assert not find_faults(closed.faces, len(closed.vertices))
+    assert len(decimate(closed, 800).faces) <= 810
+
+
+def test_nothing_left_to_mend_is_an_error():
+    with pytest.raises(AssetError, match="no triangle left"):
+        mend(Mesh(np.zeros((3, 3)), np.array([[0, 0, 1], [1, 2, 2]])))
+
+
+@pytest.mark.parametrize("target", [3000, 800, 100, 20])
+def test_decimation_never_opens_a_hole(target):
+    mesh = decimate(ball_mesh(step=0.006), target)
+    assert not find_faults(mesh.faces, len(mesh.vertices))
+
+
+def test_vertices_never_referenced_are_dropped():
+    ball = ball_mesh()
+    loose = Mesh(np.concatenate([[[9.0, 9, 9]], ball.vertices, [[np.nan] * 3]]), ball.faces + 1)
+    kept, index = compact(loose.vertices, loose.faces)
+    assert len(kept.vertices) == len(ball.vertices) and index[0] == 1
+    assert np.linalg.norm(decimate(loose, 800).vertices, axis=1).max() < 0.11
+
+
+def test_balancing_turns_no_triangle_over():
+    distance, normal = sphere(0.1)
+    mesh = decimate(ball_mesh(step=0.005), 500)
+    rough = Mesh(mesh.vertices * (1 + 0.02 * np.sin(40 * mesh.vertices[:, :1])), mesh.faces)
+    smooth = balanced(rough, distance, normal, rounds=4)
+    facing = [np.cross(m.vertices[m.faces[:, 1]] - m.vertices[m.faces[:, 0]],
+                       m.vertices[m.faces[:, 2]] - m.vertices[m.faces[:, 0]]) for m in (rough, smooth)]  # fmt: skip
+    assert ((facing[0] * facing[1]).sum(1) >= 0).all()
+
+
+def test_unwrapping_is_stopped_when_it_takes_too_long():
+    mesh = ball_mesh(step=0.004)
+    began = time.monotonic()
+    with pytest.raises(AssetError, match=r"should end within 0\.05 s"):
+        unwrap(mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), np.ones(1), size=256, padding=2, seconds=0.05)
+    assert time.monotonic() - began < 5
+
+
+def test_unwrapping_survives_degenerate_and_crowded_triangles():
+    ball = ball_mesh()
+    vertices = np.concatenate([ball.vertices, ball.vertices[:1] + [[0, 1e-9, 0]]])
+    extra = np.array([[0, 1, len(ball.vertices)], [0, 5, 900], [7, 7, 8]])
+    faces = np.concatenate([ball.faces, extra])
+    result = unwrap(vertices, faces, np.zeros(len(faces), int), np.ones(1), size=128, padding=2)
+    assert len(result.faces) == len(faces) and np.isfinite(result.uv).all()
+    # no triangle may be left in the corner where the unwrapper parks what it cannot chart
+    assert not (result.uv[result.faces] == 0).all((1, 2)).any()
+
+
+def test_too_many_triangles_are_refused_before_they_are_tried():
+    with pytest.raises(ValueError, match="at most 200000"):
+        unwrap(np.zeros((3, 3)), np.zeros((200_001, 3), int), np.zeros(200_001, int), np.ones(1), size=64, padding=2)
+
+
+@pytest.mark.parametrize("mip", [0, 1, 2])
+def test_no_mip_bleeds_across_charts(within, mip):
+    """Two charts with a gutter of 8 texels: each mip in use keeps their colours apart inside the charts."""
+    uv = np.array([[0.05, 0.05], [0.45, 0.05], [0.45, 0.95], [0.05, 0.95]])
+    uv = np.concatenate([uv, uv + [0.4 + 8 / 128, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    texels = rasterise_charts(uv, faces, 128)
+    image = spread((texels.face >= 2).astype(float)[:, None], texels)[..., 0]
+    level = image.reshape(128 >> mip, 1 << mip, 128 >> mip, 1 << mip).mean((1, 3))
+    centre = (np.arange(128 >> mip) + 0.5) / (128 >> mip)
+    left, right = centre <= 0.45, (centre >= 0.85 + 8 / 128 - 0.4) & (centre <= 0.85 + 8 / 128)
+    rows = (centre > 0.1) & (centre < 0.9)
+    within(level[np.ix_(rows, left)], 0.0)
+    within(level[np.ix_(rows, right)] - 1, 0.0)
+
+
+@pytest.mark.parametrize("gap", [0.004, 0.001, 0.0002])
+def test_thin_parts_back_to_back_do_not_swap_sides(gap):
+    """Two flat fingers facing each other across a gap: a query outside the closer one still takes its own side."""
+    grid = np.stack(np.meshgrid(np.linspace(0, 0.03, 16), np.linspace(0, 0.03, 16)), -1).reshape(-1, 2)
+    index = np.arange(256).reshape(16, 16)
+    quads = np.stack([index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]], -1).reshape(-1, 4)
+    up = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    vertices = np.concatenate([np.c_[grid, np.zeros(256)], np.c_[grid, np.full(256, gap)]])
+    faces = np.concatenate([up, up[:, ::-1] + 256])  # the lower side looks up, the upper side looks down
+    inner = grid[(grid > 0.004).all(1) & (grid < 0.026).all(1)]
+    # queries that belong to the lower side but lie nearer to the upper one
+    points = np.c_[inner, np.full(len(inner), 0.8 * gap)]
+    match = match_surface(points, np.tile([0.0, 0, 1], (len(inner), 1)), vertices, faces)
+    assert match.agrees.all() and (match.face < len(up)).all()
