@@ -103,6 +103,12 @@ def markdown(result: dict[str, Any]) -> str:
             "",
             f"Baked against field: paper mode {baked['paper_db']} dB, network {baked['network_db']} dB.",
         ]
+    if "on_held_out" in baked:
+        held = baked["on_held_out"]
+        lines += [
+            "",
+            f"On held-out poses: {held['paper_db']} dB, worst {held['worst_db']} ({held['worst']}).",
+        ]
     return "\n".join(lines) + "\n"
 
 
