@@ -28,7 +28,7 @@ from train.rays import part_rays
 from train.register import Registration, refine_by_surfaces, similarity_from_landmarks
 from train.skin import CanonicalSkin
 from train.surface import Surface, extract_surface
-from train.template import surface_cloud, template_grid, vertex_normals, visible_faces
+from train.template import neck_height, surface_cloud, template_grid, vertex_normals, visible_faces
 from train.trainer import ray_tensors, set_threads, train_field
 from train.views import fused_statistics, part_views, statistics
 
@@ -163,9 +163,9 @@ def train_part(
     subject, video = capture.subject, capture.videos[name]
     part = part_boxes(subject)[index]
     torch.manual_seed(seed * 4 + index)
-    visible = visible_faces(subject.vertices, subject.faces)
-    cloud = surface_cloud(subject, index, visible, part_preset.spacing)
-    template = template_grid(cloud, part.extent.low, part.extent.high, part_preset.cell)
+    cloud = surface_cloud(subject, index, visible_faces(subject), part_preset.spacing)
+    template = template_grid(cloud, part.extent.low, part.extent.high, part_preset.cell,
+                             (subject, neck_height(subject)) if name == "head" else None)  # fmt: skip
     field = run_folder.build_field(subject, index, part_preset, template, len(video.images)).to(device)
     rays = part_rays(
         video, subject, cloud, part, part_preset.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame,

@@ -29,11 +29,12 @@ class Preset:
     rays: int = 1024  # per step
     rays_per_frame: int = 4000  # cached of each frame
     background: float = 0.2  # share of cached rays that pass the person
-    sections: int = 16  # per ray
-    shaded: int = 4  # sections with the largest weights get normal and colour
+    sections: int = 12  # per ray
+    shaded: int = 3  # sections with the largest weights get normal and colour
     displaced_every: int = 4  # T_nr is evaluated at every n-th section end and linear between
     plane_rate: float = 4e-3  # learning rate of the planes
     network_rate: float = 2e-3  # of the networks and codes
+    displacement_rate: float = 3e-4  # of T_nr and its codes: geometry settles first
     warm_up: int = 100  # steps
     last_rate: float = 0.05  # of the first, reached exponentially
     beta_until: float = 0.8  # share of the steps over which beta shrinks
@@ -43,14 +44,13 @@ class Preset:
     appearance_steps: int = 200  # Eq. 8, per part
 
 
-_WIDE = Band(outside=0.04, inside=0.03, step=0.007)
-_HAND = PartPreset(1400, 0.002, 0.002, Band(0.015, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, 160, 256)
+_HAND = PartPreset(700, 0.002, 0.002, Band(0.012, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, 160, 256)
 
 DEMO = Preset(
     "demo",
     (
-        PartPreset(1200, 0.01, 0.01, _WIDE, (0.010, 0.0015), 0.03, 0.01, 160, 256),
-        PartPreset(1600, 0.004, 0.004, _WIDE, (0.010, 0.0015), 0.03, 0.01, 160, 256),
+        PartPreset(700, 0.01, 0.01, Band(0.03, 0.02, 0.006), (0.008, 0.0015), 0.03, 0.01, 160, 256),
+        PartPreset(900, 0.003, 0.003, Band(0.035, 0.02, 0.006), (0.008, 0.001), 0.03, 0.01, 160, 256),
         _HAND,
         _HAND,
     ),

@@ -51,7 +51,7 @@ def march(
     directions: Float[Array, "n 3"],
     cloud_points: Float[Array, "s 3"],
     cloud_normals: Float[Array, "s 3"],
-    spacing: float,
+    gap: Float[Array, "s"],
     band: Band,
     *,
     iterations: int = 72,
@@ -89,7 +89,7 @@ def march(
         points = origins[active] + t[active, None] * directions[active]
         length, sample = tree.query(points, distance_upper_bound=reach)
         length, sample = np.minimum(length, reach), np.minimum(sample, len(cloud_points) - 1)
-        distance = signed(points, length, cloud_points[sample], cloud_normals[sample], spacing)
+        distance = signed(points, length, cloud_points[sample], cloud_normals[sample], gap[sample])
         distance = np.where(length < reach, distance, reach)
         within = (length <= band.outside * 1.001) & (distance > -band.inside - band.step)
         found.append((active[within], t[active[within]], distance[within], sample[within]))
@@ -160,7 +160,7 @@ def part_rays(
         if canonical_from_head is not None:
             origins = origins @ canonical_from_head[:3, :3].T + canonical_from_head[:3, 3]
             directions = directions @ canonical_from_head[:3, :3].T / scale
-        ray, t, distance, sample = march(origins, directions, points, normals, 2 * cloud.spacing, band)
+        ray, t, distance, sample = march(origins, directions, points, normals, 2 * cloud.gap[thin], band)
         sample = thin[sample]
         if len(ray) == 0:
             continue

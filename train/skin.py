@@ -54,7 +54,7 @@ class CanonicalSkin:
     limit = 0.03  # metres; farther than this a weight is a guess
 
     def __init__(self, subject: Subject):
-        visible = visible_faces(subject.vertices, subject.faces)
+        visible = visible_faces(subject)
         self.vertices, self.faces, self.skin = subject.vertices, subject.faces[visible], subject.skin
         self.normals = vertex_normals(subject.vertices, subject.faces)
         on_hand = (subject.part[self.faces] >= 2).any(1)

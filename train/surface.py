@@ -51,9 +51,9 @@ def extract_surface(
     field: FusedField,
     parts: tuple[Part, ...],
     *,
-    body_cell: float = 0.005,
-    head_cell: float = 0.003,
-    hand_cell: float = 0.0022,
+    body_cell: float = 0.006,
+    head_cell: float = 0.0035,
+    hand_cell: float = 0.0025,
     near: float = 0.02,
 ) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"]]:
     """Marching cubes (Lewiner et al. 2003) on a rectilinear grid; the largest connected piece.

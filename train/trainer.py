@@ -151,10 +151,16 @@ def losses(
 
 
 def optimiser_of(field: PartField, preset: Preset) -> torch.optim.Adam:
-    """Adam with a faster rate on the planes; no weight decay, cells never seen stay as they are."""
+    """Adam, one rate each for planes, displacement and the rest; no weight decay, cells never seen stay as they are."""
     planes = [field.planes.planes, field.color_planes.planes]
-    others = [p for p in field.parameters() if all(p is not plane for plane in planes)]
-    groups = [{"params": planes, "lr": preset.plane_rate}, {"params": others, "lr": preset.network_rate}]
+    moves = list(field.displacement.parameters())
+    taken = {id(p) for p in planes + moves}
+    others = [p for p in field.parameters() if id(p) not in taken]
+    groups = [
+        {"params": planes, "lr": preset.plane_rate},
+        {"params": moves, "lr": preset.displacement_rate},
+        {"params": others, "lr": preset.network_rate},
+    ]
     return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
 

@@ -1,0 +1,85 @@
+"""A tiny capture made in the test: the built-in body with painted skin, drawn by the training march itself."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+from avatar.body import builtin_body
+from avatar.camera import Camera, look_at, pinhole, pixel_rays, write_cameras
+from avatar.files import whole_folder
+from avatar.rotation import matrix_from_axis_angle
+from avatar.skeleton import skin_transforms
+from avatar.skinning import skin_normals, skin_points
+from PIL import Image
+from train.capture import PARTS, read_subject
+from train.rays import Band, march
+from train.template import surface_cloud
+
+
+def write_capture(out: Path, *, size: int = 48, frames: int = 4) -> Path:
+    """A capture folder of `frames` frames per part, `size` pixels square."""
+    body = builtin_body("male")
+    heaviest = body.skin.joints[:, 0]
+    part = np.zeros(len(body.vertices), np.uint8)
+    part[heaviest == 15] = 1
+    part[(heaviest == 20) | ((heaviest >= 22) & (heaviest < 37))] = 2
+    part[(heaviest == 21) | (heaviest >= 37)] = 3
+    with whole_folder(out) as folder:
+        np.savez(
+            folder / "subject.npz", v_template=body.vertices, faces=body.faces, joints=body.joints,
+            skin_joints=body.skin.joints.astype(np.uint8), skin_weights=body.skin.weights, part=part,
+            hair=np.zeros(len(body.vertices), bool),
+        )  # fmt: skip
+        subject = read_subject(folder / "subject.npz", "test")
+        cloud = surface_cloud(subject, 0, np.ones(len(subject.faces), bool), 0.02, 0.02)
+        for index, name in enumerate(PARTS):
+            _write_video(folder / name, subject, cloud, index, size, frames)
+        facts = {"format": "selfscan-capture", "version": 1, "subject": "test", "units": "metres",
+                 "parts": list(PARTS), "light": "even", "seed": 0, "size": size}  # fmt: skip
+        (folder / "capture.json").write_text(json.dumps(facts))
+    return out
+
+
+def _write_video(folder: Path, subject, cloud, index: int, size: int, frames: int) -> None:
+    (folder / "images").mkdir(parents=True)
+    (folder / "masks").mkdir()
+    middle = subject.rest[subject.part == index].mean(0) if index else np.zeros(3)
+    distance = 3.5 if index == 0 else 0.8 if index == 1 else 0.6
+    K = pinhole((size, size), np.radians(35))
+    cameras, poses = [], np.zeros((frames, 156))
+    for frame in range(frames):
+        turn = 2 * np.pi * frame / frames
+        poses[frame, 1] = turn  # the root turns about y; the camera stands still
+        B = skin_transforms(poses[frame].reshape(52, 3), subject.joints, np.zeros(3))
+        target = matrix_from_axis_angle(np.array([0, turn, 0])) @ middle
+        camera = Camera(K, look_at(target + [0, 0.1, distance], target), (size, size))
+        origins, directions = pixel_rays(camera)
+        points, normals = skin_points(cloud.points, cloud.skin, B), skin_normals(cloud.normals, cloud.skin, B)
+        ray, _, s, sample = march(origins, directions, points, normals, cloud.gap, Band(0.03, 0.02, 0.005))
+        image = np.zeros((size * size, 3))
+        inside = np.flatnonzero(s < 0)[::-1]  # the first step inside is written last
+        image[ray[inside]] = 0.5 + 0.4 * np.sin(20 * cloud.points[sample[inside]])
+        mask = np.zeros(size * size, np.uint8)
+        mask[ray[inside]] = 255
+        Image.fromarray((image * 255).astype(np.uint8).reshape(size, size, 3)).save(folder / f"images/{frame:06d}.png")
+        Image.fromarray(mask.reshape(size, size)).save(folder / f"masks/{frame:06d}.png")
+        if index == 1:  # rigid: the camera goes round a still head, in a frame of its own
+            world = np.eye(4)
+            world[:3, :3] = matrix_from_axis_angle(np.array([0, turn, 0]))
+            camera = Camera(K, _scaled(camera.camera_from_world @ world), (size, size))
+        cameras.append(camera)
+    write_cameras(folder / "cameras.npz", cameras)
+    if index == 1:
+        chosen = np.flatnonzero(subject.part == 1)[::200][:12]
+        points = {f"p{i:02d}": (2.0 * subject.vertices[v]).tolist() for i, v in enumerate(chosen)}
+        vertices = {f"p{i:02d}": int(v) for i, v in enumerate(chosen)}
+        (folder / "landmarks.json").write_text(json.dumps({"points": points, "vertices": vertices}))
+    else:
+        np.savez(folder / "poses.npz", poses=poses, trans=np.zeros((frames, 3)))
+
+
+def _scaled(camera_from_world: np.ndarray) -> np.ndarray:
+    """The same camera in a frame whose unit is half a metre."""
+    out = camera_from_world.copy()
+    out[:3, 3] *= 2.0
+    return out

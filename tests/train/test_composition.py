@@ -1,0 +1,139 @@
+"""Eq. 9's weights, skin look-ups, template grids, encodings."""
+
+import numpy as np
+import pytest
+import torch
+from avatar.skinning import SkinWeights, blended_rotations
+from scipy.spatial import cKDTree
+from train.deform import canonical_directions, inverse_transforms
+from train.parts import Box, Part, part_weight
+from train.skin import closest_on_triangles, harmonic_fill
+from train.surface import fill_from_neighbours, largest_piece
+from train.template import SurfaceCloud, TemplateGrid, sample_faces, template_grid
+
+BOX = Box(np.array([0.5, -0.3, -0.3]), np.array([1.5, 0.3, 0.3]))
+HAND = Part("hand_left", BOX, BOX, 0.1)
+
+
+def test_eq9_weight_rises_linearly_over_the_overlap():
+    x = torch.tensor([0.4, 0.5, 0.525, 0.55, 0.6, 0.9])
+    points = torch.stack([x, torch.zeros(6), torch.zeros(6)], 1)
+    expected = torch.tensor([0, 0, 0.25, 0.5, 1.0, 1.0])
+    torch.testing.assert_close(part_weight(points, HAND), expected, rtol=0, atol=1e-6)
+
+
+def test_eq9_weight_is_continuous_everywhere():
+    points = torch.rand(20000, 3, generator=torch.Generator().manual_seed(0)) * 2 - 0.5
+    step = 1e-3 * torch.randn(20000, 3, generator=torch.Generator().manual_seed(1)).clamp(-1, 1)
+    jump = (part_weight(points + step, HAND) - part_weight(points, HAND)).abs()
+    assert jump.max() <= 1e-3 / 0.1 + 1e-5
+
+
+def _sphere_cloud() -> SurfaceCloud:
+    d = np.random.default_rng(0).normal(size=(60000, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    skin = SkinWeights(np.zeros((len(d), 4), int), np.tile(np.float32([1, 0, 0, 0]), (len(d), 1)))
+    return SurfaceCloud(0.1 * d, d, skin, np.zeros(len(d), int), cKDTree(0.1 * d), 0.003, np.full(len(d), 0.003))
+
+
+def test_template_grid_of_a_sphere_is_its_distance():
+    grid = template_grid(_sphere_cloud(), np.full(3, -0.15), np.full(3, 0.15), 0.005)
+    points = 0.14 * (torch.rand(5000, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1)
+    near = (points.norm(dim=1) - 0.1).abs() < 0.015
+    exact = points.norm(dim=1) - 0.1
+    assert (grid(points) - exact)[near].abs().max() < 5e-4
+    assert (torch.sign(grid(points)) == torch.sign(exact))[exact.abs() > 1e-3].all()
+
+
+def test_template_gradient_is_the_derivative_of_its_own_values():
+    torch.manual_seed(0)
+    grid = TemplateGrid(torch.randn(5, 6, 7), torch.tensor([-1.0, 0.0, 2.0]), 0.5)
+    inside = torch.tensor([-1.0, 0.0, 2.0]) + torch.rand(300, 3) * 0.5 * torch.tensor([4.0, 5.0, 6.0])
+    outside = inside + torch.tensor([5.0, 0.3, -4.0])
+    for points, bound in ((inside, 1e-4), (outside, 1e-2)):  # at the border `sample` stops 1e-3 cells short
+        points = points.clone().requires_grad_()
+        value, gradient = grid.sample(points.detach())
+        same = grid(points)
+        torch.testing.assert_close(same, value, rtol=0, atol=bound)
+        if bound < 1e-3:
+            (auto,) = torch.autograd.grad(same.sum(), points)
+            close = (auto - gradient).abs().amax(1) < 1e-2
+            assert close.float().mean() > 0.98  # cells' faces have two derivatives
+
+
+def test_samples_of_a_face_are_its_own_and_evenly_spaced():
+    vertices = np.array([[0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]])
+    face, barycentric = sample_faces(vertices, np.array([[0, 1, 2]]), np.array([0.1]))
+    assert (barycentric >= 0).all() and np.allclose(barycentric.sum(1), 1)
+    points = barycentric @ vertices
+    gap, _ = cKDTree(points).query(np.random.default_rng(0).dirichlet([1, 1, 1], 2000) @ vertices)
+    assert gap.max() < 0.1 and len(face) == 14**2
+
+
+def test_closest_point_of_triangles_beats_every_sample():
+    rng = np.random.default_rng(4)
+    corners, points = rng.normal(size=(300, 3, 3)), rng.normal(size=(300, 3))
+    corners[:20, 2] = corners[:20, 1]  # without area
+    corners[:5, 1:] = corners[:5, :1]
+    nearest, weights = closest_on_triangles(points, corners)
+    assert (weights >= -1e-12).all() and np.allclose(weights.sum(1), 1)
+    gap = np.linalg.norm(points - nearest, axis=1)
+    for _ in range(200):
+        other = np.einsum("nk,nkc->nc", rng.dirichlet([0.5, 0.5, 0.5], 300), corners)
+        assert (gap <= np.linalg.norm(points - other, axis=1) + 1e-9).all()
+
+
+def test_canonical_directions_equal_the_numpy_rule():
+    rng = np.random.default_rng(0)
+    q = rng.normal(size=(52, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    from avatar.rotation import matrix_from_quaternion
+
+    transforms = np.tile(np.eye(4), (52, 1, 1))
+    transforms[:, :3, :3] = matrix_from_quaternion(q)
+    weights = np.sort(rng.dirichlet(np.ones(4), 200), axis=1)[:, ::-1].astype(np.float32)
+    skin = SkinWeights(rng.integers(0, 52, (200, 4)), weights)
+    d = rng.normal(size=(200, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    expected = np.einsum("nij,ni->nj", blended_rotations(skin, transforms), d)
+    found = canonical_directions(torch.tensor(d), torch.tensor(weights).double(), torch.tensor(q)[torch.tensor(skin.joints)])
+    np.testing.assert_allclose(found.numpy(), expected, atol=1e-6)
+
+
+def test_inverse_transforms_invert_and_flag_what_has_no_inverse():
+    transforms = np.tile(np.eye(4), (52, 1, 1))
+    transforms[1, :3, :3] = np.diag([-1.0, -1, 1])  # half a turn: blended half and half it flattens space
+    transforms[0, :3, 3] = transforms[1, :3, 3] = [0.3, -0.2, 0.1]
+    half = np.float32([0.5, 0.5, 0, 0])
+    skin = SkinWeights(np.tile([0, 1, 2, 3], (2, 1)), np.stack([half, np.float32([0.9, 0.1, 0, 0])]))
+    rows, ok = inverse_transforms(skin, transforms)
+    assert ok.tolist() == [False, True] and np.isfinite(rows).all()
+    M = 0.9 * transforms[0] + 0.1 * transforms[1]
+    np.testing.assert_allclose(rows[1], np.linalg.inv(M)[:3], atol=1e-6)
+
+
+def test_harmonic_fill_of_a_strip_is_linear():
+    count = 11
+    faces = np.array([[i, i + 1, i + 1] for i in range(count - 1)])
+    joints = np.tile([3, 7, 0, 0], (count, 1))
+    weights = np.zeros((count, 4), np.float32)
+    weights[0, 0], weights[-1, 1], weights[1:-1, 0] = 1, 1, 1
+    known = np.zeros(count, bool)
+    known[[0, -1]] = True
+    filled = harmonic_fill(SkinWeights(joints, weights), known, faces)
+    share = np.where(filled.joints == 7, filled.weights, 0).sum(1)
+    np.testing.assert_allclose(share, np.linspace(0, 1, count), atol=1e-6)
+
+
+def test_the_largest_piece_drops_islands_and_fill_reaches_everything_connected():
+    faces = np.array([[0, 1, 2], [1, 2, 3], [4, 5, 6]])
+    vertices, kept = largest_piece(np.arange(21.0).reshape(7, 3), faces)
+    assert len(vertices) == 4 and kept.tolist() == [[0, 1, 2], [1, 2, 3]]
+    values = fill_from_neighbours(np.eye(7)[:, :1] * 5, np.arange(7) == 0, faces)
+    assert values[:4, 0].tolist() == [5, 5, 5, 5] and values[4:, 0].tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_lookups_of_nothing_are_nothing(count):
+    grid = TemplateGrid(torch.zeros(3, 3, 3), torch.zeros(3), 0.1)
+    assert grid(torch.zeros(count, 3)).shape == (count,)

@@ -1,0 +1,144 @@
+"""The training from a capture folder to a run folder, small."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from avatar.errors import AssetError
+from train import run as run_folder
+from train.capture import read_capture
+from train.command import main
+from train.parts import part_boxes
+from train.preset import DEMO
+from train.rays import part_rays
+from train.template import surface_cloud, template_grid, visible_faces
+from train.trainer import losses, ray_tensors, set_threads, train_field
+
+from painted_capture import write_capture
+
+TINY = replace(
+    DEMO, rays=64, rays_per_frame=300, warm_up=5,
+    parts=tuple(replace(p, iterations=6, plane_size=16, color_size=16, cell=max(p.cell, 0.006),
+                        spacing=max(p.spacing, 0.006)) for p in DEMO.parts),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    return read_capture(write_capture(tmp_path_factory.mktemp("capture") / "test"))
+
+
+@pytest.fixture(scope="module")
+def hand(capture):
+    part = part_boxes(capture.subject)[2]
+    cloud = surface_cloud(capture.subject, 2, visible_faces(capture.subject), 0.006)
+    template = template_grid(cloud, part.extent.low, part.extent.high, 0.006)
+    rays = part_rays(capture.videos["hand_left"], capture.subject, cloud, part, TINY.parts[2].band, ends=18,
+                     per_frame=300, background=0.2, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
+
+    def field():
+        torch.manual_seed(5)
+        return run_folder.build_field(capture.subject, 2, TINY.parts[2], template, 4)
+
+    return field, ray_tensors(rays, cloud, torch.device("cpu"))
+
+
+def test_cached_sections_begin_outside_the_template_and_the_hits_lie_on_it(capture, hand):
+    build, rays = hand
+    field = build()
+    with torch.no_grad():
+        s = field.template(rays.ends.reshape(-1, 3)).view(rays.ends.shape[:2])
+    on = rays.mask > 0.5
+    assert (s[:, 0] > -0.004).float().mean() > 0.98
+    assert (s[on].amin(1) < 0.002).float().mean() > 0.95  # rays on the person enter the template
+    assert len(rays.ends) > 100
+
+
+def test_resumed_training_equals_training_never_stopped(hand, tmp_path):
+    build, rays = hand
+    threads = torch.get_num_threads()
+    set_threads(1)
+    try:
+        whole, halves, again = build(), build(), build()
+        train_field(whole, rays, TINY.parts[2], TINY, seed=3)
+        path = tmp_path / "half.ckpt"
+        train_field(halves, rays, TINY.parts[2], TINY, seed=3, checkpoint=path, stop_after=3)
+        train_field(again, rays, TINY.parts[2], TINY, seed=3, checkpoint=path, resume=True)
+    finally:
+        set_threads(threads)
+    for name, value in whole.state_dict().items():
+        assert torch.equal(value, again.state_dict()[name]), name
+
+
+def test_a_checkpoint_cut_in_half_is_refused_by_name(hand, tmp_path):
+    build, rays = hand
+    path = tmp_path / "half.ckpt"
+    train_field(build(), rays, TINY.parts[2], TINY, seed=3, checkpoint=path, stop_after=1)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(AssetError, match=r"half\.ckpt: expected a checkpoint"):
+        train_field(build(), rays, TINY.parts[2], TINY, seed=3, checkpoint=path, resume=True)
+
+
+def test_steps_that_are_not_finite_change_nothing_and_too_many_are_an_error(hand):
+    build, rays = hand
+    poisoned = replace(rays, color=torch.full_like(rays.color, float("nan")))
+    field = build()
+    before = {name: value.clone() for name, value in field.state_dict().items()}
+    with pytest.raises(FloatingPointError, match="not finite"):
+        train_field(field, poisoned, TINY.parts[2], TINY, seed=0)
+    for name, value in field.state_dict().items():
+        assert torch.equal(value, before[name]), name
+
+
+@pytest.mark.parametrize("mask", [0.0, 1.0])
+def test_a_batch_without_person_or_without_background_has_finite_gradients(hand, mask):
+    build, rays = hand
+    one_sided = replace(rays, mask=torch.full_like(rays.mask, mask), color=mask * rays.color)
+    field = build()
+    loss, report = losses(field, one_sided, torch.arange(32), torch.rand(32), 0.001, TINY.parts[2], TINY)
+    loss.backward()
+    assert torch.isfinite(loss) and np.isfinite(report().psnr)
+    assert all(torch.isfinite(p.grad).all() for p in field.parameters() if p.grad is not None)
+
+
+def test_displaced_knots_cover_every_end(hand):
+    """Linear interpolation between knots is exact for a linear displacement."""
+    build, rays = hand
+    field = build()
+    moved = torch.tensor([0.001, -0.002, 0.003])
+    with torch.no_grad():
+        field.displacement.out.bias.copy_(torch.atanh(moved / field.displacement.reach))
+    field.displacement.settle()
+    torch.testing.assert_close(field.displacement.mean(torch.rand(9, 3) * 2 - 1), moved.expand(9, 3), rtol=1e-4, atol=1e-7)
+
+
+def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("train.preset").preset.PRESETS, "demo", TINY)
+    monkeypatch.setattr("os.cpu_count", lambda: 1)  # parts one after the other, in this process
+    out = tmp_path / "run"
+    threads = torch.get_num_threads()
+    try:
+        assert main([str(capture.path), "-o", str(out), "--seed", "1"]) == 0
+    finally:
+        set_threads(threads)
+    run = run_folder.read_run(out)
+    points = torch.as_tensor(run.surface.vertices, dtype=torch.float32)
+    assert run.field.distance(points).abs().quantile(0.95) < 0.003
+    torch.testing.assert_close(run.field.shares(points).sum(1), torch.ones(len(points)))
+    color = run.field.color(points, torch.tensor([0.0, 0, -1]).expand(len(points), 3))
+    assert torch.isfinite(color).all() and color.min() >= 0 and color.max() <= 1
+    assert (run.surface.view_count > 0).mean() > 0.5
+    assert run.field.normal(torch.zeros(0, 3)).shape == (0, 3)
+    assert not (tmp_path / "run.partial").exists()
+
+    (out / "hand_left.pt").write_bytes(b"not a part")
+    with pytest.raises(AssetError, match=r"hand_left\.pt: expected a trained part"):
+        run_folder.read_run(out)
+
+
+def test_a_capture_without_a_field_is_refused_by_name(capture, tmp_path):
+    with pytest.raises(AssetError, match=r"capture\.json: no such file"):
+        read_capture(tmp_path)
+    with pytest.raises(AssetError, match=r"run\.json: no such file"):
+        run_folder.read_run(tmp_path)
