@@ -20,6 +20,7 @@ import json
 import sys
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -249,7 +250,7 @@ def main(argv: list[str] | None = None) -> int:
     source = Source(arguments.wheel)
     arguments.out.mkdir(parents=True, exist_ok=True)
     for sex in ("male", "female"):
-        fields = derive(source, sex)
+        fields: dict[str, Any] = dict(derive(source, sex))  # any, as savez has a keyword that is no array
         if arguments.compare:
             with np.load(arguments.compare / f"body_{sex}.npz") as published:
                 for name, value in fields.items():

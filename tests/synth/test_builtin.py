@@ -7,11 +7,14 @@ import pytest
 import trimesh
 
 from avatar.body import builtin_body
-from bench.synth.builtin import builtin_subject, layout
-from bench.synth.dress import BELT, EYE, FEMALE, HAIR, LINING, MALE, SHIRT, SHOE, SKIN, SOLE, TROUSERS, dress
-from bench.synth.noise import noise
-from bench.synth.paint import covered_texels
-from bench.synth.refine import Mesh, cut_along, refined
+from bench.synth.builtin import builtin_subject
+from bench.synth.builtin.atlas import layout
+from bench.synth.builtin.dress import dress
+from bench.synth.builtin.dressed import BELT, EYE, HAIR, LINING, SHIRT, SHOE, SKIN, SOLE, TROUSERS
+from bench.synth.builtin.looks import FEMALE, MALE
+from bench.synth.builtin.noise import noise
+from bench.synth.builtin.refine import Mesh, cut_along, refined
+from bench.synth.builtin.texels import covered_texels
 
 SEXES = ("male", "female")
 
@@ -126,7 +129,9 @@ def test_splitting_keeps_a_surface_closed_and_cuts_run_along_the_line():
     assert trimesh.Trimesh(cut.vertices, cut.faces, process=False).is_watertight
     height = cut.vertices[cut.faces][..., 1] - 0.0213
     assert not ((height.max(1) > 1e-9) & (height.min(1) < -1e-9)).any()
-    np.testing.assert_allclose(cut.uv[cut.uv_faces].mean(), cut.vertices[cut.faces][..., :2].mean(), atol=2e-3)
+    np.testing.assert_allclose(
+        cut.uv[cut.uv_faces].mean(), cut.vertices[cut.faces][..., :2].mean(), atol=2e-3
+    )
 
 
 def test_noise_is_smooth_bounded_and_repeats_its_numbers():

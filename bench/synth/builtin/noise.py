@@ -1,12 +1,12 @@
-"""Seeded noise in space: the same numbers on every machine."""
+"""What surfaces and painters are drawn with: a soft step, and seeded noise, the same on every machine."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt32
 
 Array = np.ndarray
 
 
-def _mixed(h):
+def _mixed(h: UInt32[Array, "*n"]) -> Float[Array, "*n"]:
     """Integer mixing (Wang 2007) of unsigned 32-bit numbers, to [-1, 1]: no generator state."""
     h = (h ^ np.uint32(61)) ^ (h >> np.uint32(16))
     h = h * np.uint32(9)
@@ -41,4 +41,15 @@ def noise(points: Float[Array, "N 3"], seed: int) -> Float[Array, " N"]:
 
 def fractal(points: Float[Array, "N 3"], seed: int, octaves: int) -> Float[Array, " N"]:
     """Octaves of noise, each twice as fine and half as strong as the one before."""
-    return sum(noise(points * 2**n + 17.3 * n, seed + n) * 0.5**n for n in range(octaves)) / (2 - 0.5 ** (octaves - 1))
+    total = np.zeros(len(points), np.float32)
+    for n in range(octaves):
+        total += noise(points * 2**n + 17.3 * n, seed + n) * 0.5**n
+    return total / (2 - 0.5 ** (octaves - 1))
+
+
+def smoothstep(
+    low: float | np.floating | Array, high: float | np.floating | Array, x: Float[Array, "*n"]
+) -> Float[Array, "*n"]:
+    """0 below `low`, 1 above `high`, smooth between; the other way round where low > high."""
+    t = np.clip((x - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)

@@ -5,7 +5,9 @@ is asked, so every machine gets the same numbers.
 """
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
+
+from bench.synth.builtin.refine import Mesh, smoothed, vertex_normals
 
 Array = np.ndarray
 
@@ -72,3 +74,33 @@ def sky_light(
         full += facing
         total += facing
     return light / np.maximum(full, 1e-9), opened / np.maximum(total, 1e-9)
+
+
+def baked_light(mesh: Mesh, part: UInt8[Array, " V"]) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
+    """Sky light and openness of every vertex, 0 to 1: coarse for the body (part 0), fine for the other parts."""
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    of_face = part[mesh.faces[:, 0]]
+    coarse = surface_points(mesh.vertices, mesh.faces, np.full(len(mesh.faces), 110_000.0), 1)
+    light, opened = sky_light(mesh.vertices, normals, coarse, cell=0.006, bias=0.010)
+    for number in range(1, int(part.max()) + 1):
+        density = np.where(of_face == number, 700_000.0, 0.0)
+        rows = np.flatnonzero(part == number)
+        centre = mesh.vertices[rows].mean(0)
+        around = coarse[np.linalg.norm(coarse - centre, axis=1) < 0.45]
+        fine = surface_points(mesh.vertices, mesh.faces, density, 1 + number)
+        near = sky_light(
+            mesh.vertices[rows], normals[rows], np.concatenate([fine, around]), cell=0.0026, bias=0.0048
+        )
+        light[rows], opened[rows] = near
+    everywhere = np.ones(len(light), bool)
+    values = smoothed(np.stack([light, opened], -1), mesh.faces, everywhere, 7)
+    return values[:, 0], values[:, 1]
+
+
+def crease(
+    vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"], normals: Float[Array, "V 3"]
+) -> Float[Array, " V"]:
+    """Signed mean curvature, squashed to about -1 (crease) to 1 (ridge), over some 4 mm."""
+    calm = smoothed(vertices, faces, np.ones(len(vertices), bool), 2)
+    height = ((vertices - calm) * normals).sum(1)
+    return np.tanh(height / 0.0010)

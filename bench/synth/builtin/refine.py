@@ -28,9 +28,10 @@ def vertex_normals(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> F
     """Unit normals, faces weighted by area; zero where a vertex has no area around it."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     across = np.cross(b - a, c - a)
-    normals = np.stack(
-        [sum(np.bincount(faces[:, i], across[:, k], len(vertices)) for i in range(3)) for k in range(3)], -1
-    )
+    normals = np.zeros((len(vertices), 3))
+    for k in range(3):
+        for i in range(3):
+            normals[:, k] += np.bincount(faces[:, i], across[:, k], len(vertices))
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
 
 
@@ -94,7 +95,10 @@ def split_edges(mesh: Mesh, marked: Bool[Array, " E"], at: Float[Array, " E"]) -
     middles = np.take_along_axis(middles, turn[..., None], 1)
 
     def faces_of(rows, *triples):
-        points = {**{f"c{i}": corners[rows, i] for i in range(3)}, **{f"m{i}": middles[rows, i] for i in range(3)}}
+        points = {
+            **{f"c{i}": corners[rows, i] for i in range(3)},
+            **{f"m{i}": middles[rows, i] for i in range(3)},
+        }
         return [np.stack([points[name] for name in triple.split()], 1) for triple in triples]
 
     parts = faces_of(count == 0, "c0 c1 c2") + faces_of(count == 1, "c0 m0 c2", "m0 c1 c2")
@@ -109,7 +113,9 @@ def split_edges(mesh: Mesh, marked: Bool[Array, " E"], at: Float[Array, " E"]) -
     return Mesh(vertices, faces[..., 0], uv, faces[..., 1], weights)
 
 
-def refined(mesh: Mesh, longest: Callable[[Float[Array, "V 3"]], Float[Array, " V"]], rounds: int = 3) -> Mesh:
+def refined(
+    mesh: Mesh, longest: Callable[[Float[Array, "V 3"]], Float[Array, " V"]], rounds: int = 3
+) -> Mesh:
     """Split edges longer than `longest` allows at both ends, metres, rounding the surface a little on the way.
 
     The new point is the edge's middle moved 0.6 of the way to the mean of its projections on the tangent planes
