@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 import torch
 from jaxtyping import Float, Integer
+from scipy.spatial import cKDTree
 
 from avatar.avatar_file import Avatar, Level, ViewNetwork, write_avatar
 from avatar.errors import AssetError
@@ -20,9 +21,18 @@ from bake.cone import ViewCone, interpolated, view_cone
 from bake.decimate import Enlargement, balanced, decimate
 from bake.network import AMPLITUDE, Distilled, SurfacePoints, distil, write_onnx
 from bake.skin import quantised, transferred_weights
-from bake.surface import Extraction, Mesh, enclosed_volume, extract, face_areas, project_to_zero
+from bake.surface import (
+    Extraction,
+    Mesh,
+    PointFunction,
+    enclosed_volume,
+    extract,
+    face_areas,
+    project_to_zero,
+)
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from bake.transfer import match_surface
+from train.template import vertex_normals, visible_faces
 
 BODY, HEAD, LEFT_HAND, RIGHT_HAND = range(4)
 PARTS = ("body", "head", "hand_left", "hand_right")
@@ -119,7 +129,7 @@ def bake_run(run: Any, out: Path, options: BakeOptions, report: Callable[[str], 
         source_faces = source_faces[:, ::-1]  # only the normals of a run's surface are promised to face outwards
 
     extraction = extract(
-        field.distance,
+        solid_inside(field.distance, run.subject),
         field.normal,
         source_vertices,
         source_part != BODY,
@@ -249,10 +259,46 @@ def carried(origin: Origin, mesh: Mesh, normals: Float[np.ndarray, "n 3"]) -> Ca
     )
 
 
+INSIDE = np.array([0.02, 0.015, 0.004, 0.004])  # metres: so deep inside the registered template is no surface
+
+
+def solid_inside(distance: PointFunction, subject: Any) -> PointFunction:
+    """The distance, made negative deep inside the subject's template (INSIDE, per part).
+
+    Training samples a band around the template; deeper in, the field is whatever its network makes up, and its
+    zero sets there are sheets inside the body, some of them joined to the skin through a pinhole. Only the
+    faces that can be seen from outside count: mouth and eye sockets would turn the sign.
+    """
+    faces = np.asarray(subject.faces, np.int64)
+    vertices = np.asarray(subject.vertices, np.float64)
+    seen = np.unique(faces[visible_faces(subject)])
+    normals = vertex_normals(vertices, faces)[seen]
+    places = vertices[seen]
+    part = np.asarray(subject.part, np.int64)[seen]
+    tree, limit = cKDTree(places), INSIDE[part]
+    hands = places[part >= LEFT_HAND]
+    if len(hands):  # the hands' fields speak up to 10 cm beyond the wrist, where the part is body
+        limit = np.where(cKDTree(hands).query(places)[0] < 0.12, np.minimum(limit, 0.006), limit)
+
+    def solid(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        value = distance(points)
+        # only what is positive, or nearly, can be wrong; an island deeper in is dropped as one
+        doubtful = np.flatnonzero((value > -0.005) & (value < 0.06))
+        away, near = tree.query(points[doubtful], k=4, distance_upper_bound=0.1, workers=-1)
+        found = np.isfinite(away).all(1)
+        doubtful, away, near = doubtful[found], away[found], near[found]
+        # four vertices must agree: beside a sharp edge one normal alone can be wrong
+        offset = points[doubtful][:, None] - places[near]
+        behind = ((offset * normals[near]).sum(2) < -0.3 * away).all(1)
+        deep = behind & (away[:, 0] > limit[near[:, 0]])
+        value[doubtful[deep]] = -away[deep, 0]
+        return value
+
+    return solid
+
+
 def check_complete(mesh: Mesh, vertices: np.ndarray, part: np.ndarray, limit: float = 0.03) -> None:
     """Every part of the run's surface must have the extracted one near it, else a part broke off."""
-    from scipy.spatial import cKDTree
-
     away, _ = cKDTree(mesh.vertices).query(vertices, workers=-1)
     for label in np.unique(part):
         missing = float((away[part == label] > limit).mean())

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from capsules import ball_mesh, sphere
 
-from bake.decimate import Enlargement, balanced, decimate, enlarged, find_faults, mend, shrunk
+from bake.decimate import Enlargement, balanced, decimate, enlarged, find_faults, mend, parted, shrunk
 from bake.measure import field_to_mesh
-from bake.surface import Mesh
+from bake.surface import Mesh, enclosed_volume
 
 
 @pytest.mark.parametrize("target", [4000, 2000, 800])
@@ -68,3 +68,47 @@ def test_mesh_with_a_hole_is_refused():
     ball = ball_mesh()
     with pytest.raises(ValueError, match="closed and manifold, has Fault"):
         decimate(Mesh(ball.vertices, ball.faces[1:]), 100)
+
+
+@pytest.mark.parametrize("share", ["edge", "edge and both sheets joined"])
+def test_sheets_that_share_an_edge_are_parted_without_losing_volume(share):
+    """Two tetrahedra glued along an edge; in the second case their other ends are one body, so that the edge's
+    ends cannot be split and only a midpoint of its own parts the sheets."""
+    if share == "edge":
+        vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1, 0.2], [0.5, 1, -0.2], [0.5, -1, 0.2], [0.5, -1, -0.2]])
+        one = np.array([[0, 1, 2], [1, 0, 3], [0, 2, 3], [1, 3, 2]])
+        other = np.array([[1, 0, 4], [0, 1, 5], [4, 0, 5], [1, 4, 5]])
+        other, one = (f if _volume(vertices, f) > 0 else f[:, ::-1] for f in (other, one))
+        mesh = Mesh(vertices, np.concatenate([one, other]))
+    else:
+        mesh = _pinched_ring()
+    assert find_faults(mesh.faces, len(mesh.vertices)).crowded_edges > 0
+    found = parted(mesh)
+    assert not find_faults(found.faces, len(found.vertices))
+    assert enclosed_volume(found) == pytest.approx(enclosed_volume(mesh), rel=1e-12)
+
+
+def _volume(vertices, faces):
+    return enclosed_volume(Mesh(vertices, faces))
+
+
+def _pinched_ring():
+    """A ring of square section whose hole is pinched shut to one edge: opposite inner edges are welded."""
+    n, rows = 8, []
+    for k in range(n):
+        angle = 2 * np.pi * k / n
+        for radius, height in ((1.0, -0.3), (1.0, 0.3), (0.4, 0.3), (0.4, -0.3)):
+            rows.append([radius * np.cos(angle), height, radius * np.sin(angle)])
+    quads = []
+    for k in range(n):
+        for side in range(4):
+            a, b = 4 * k + side, 4 * k + (side + 1) % 4
+            c, d = 4 * ((k + 1) % n) + (side + 1) % 4, 4 * ((k + 1) % n) + side
+            quads += [[a, b, c], [a, c, d]]
+    vertices, faces = np.array(rows), np.array(quads)
+    if _volume(vertices, faces) < 0:
+        faces = faces[:, ::-1]
+    for low, high in ((2, 18), (3, 19)):  # inner edge of column 0 and of column 4
+        vertices[low] = vertices[high] = 0.5 * (vertices[low] + vertices[high])
+        faces = np.where(faces == high, low, faces)
+    return Mesh(vertices, faces)
