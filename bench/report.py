@@ -316,6 +316,7 @@ def plot(result: dict[str, Any], path: Path) -> None:
 
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FormatStrFormatter
 
     rows = result["rungs"]
     finite = [row["psnr_db"] for row in rows if row["psnr_db"] is not None]
@@ -329,6 +330,9 @@ def plot(result: dict[str, Any], path: Path) -> None:
         axes.scatter([x], [y], s=28, color="0.7" if row["dominated"] else "tab:blue", zorder=2)
         axes.annotate(row["name"], (x, y), fontsize=7, xytext=(4, 4), textcoords="offset points")
     axes.set_xscale("log")
+    axes.margins(x=0.25, y=0.12)  # room for the names
+    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_formatter(FormatStrFormatter("%g"))
     axes.set_xlabel("ms per frame (median)")
     axes.set_ylabel(f"PSNR dB against {result['best_rung']} (its own point is on top)", fontsize=8)
     axes.set_title(f"{result['avatar']} on {result['machine']['renderer']}", fontsize=9)
