@@ -4,13 +4,14 @@ import json
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
+
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, pinhole, pixel_rays, write_cameras
 from avatar.files import whole_folder
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_normals, skin_points
-from PIL import Image
 from train.capture import PARTS, read_subject
 from train.rays import Band, march
 from train.template import surface_cloud

@@ -27,7 +27,7 @@ from train.preset import PRESETS, Preset
 from train.rays import part_rays
 from train.register import Registration, refine_by_surfaces, similarity_from_landmarks
 from train.skin import CanonicalSkin
-from train.surface import Surface, extract_surface
+from train.surface import Surface, extract_surface, fill_from_neighbours
 from train.template import neck_height, surface_cloud, template_grid, vertex_normals, visible_faces
 from train.trainer import ray_tensors, set_threads, train_field
 from train.views import fused_statistics, part_views, statistics
@@ -223,7 +223,8 @@ def _compose(
     seconds["registration"] = time.monotonic() - began
 
     began = time.monotonic()
-    vertices, faces = extract_surface(fused, parts)
+    body_cell, head_cell, hand_cell = preset.surface_cells
+    vertices, faces = extract_surface(fused, parts, body_cell=body_cell, head_cell=head_cell, hand_cell=hand_cell)
     points = torch.as_tensor(vertices, dtype=torch.float32)
     normals = fused.normal(points).numpy().astype(np.float64)
     shares = fused.shares(points).numpy()
@@ -240,8 +241,10 @@ def _compose(
     ]  # fmt: skip
     tables = [statistics(s) for s in sums]
     fused_table = fused_statistics(sums, shares)
+    seen = fused_table.count > 0
+    filled = fill_from_neighbours(fused_table.mean, seen, faces)  # unseen vertices: their count stays 0
     seconds["views"] = time.monotonic() - began
-    _say(f"view directions (Eq. 14): {float((fused_table.count > 0).mean()):.1%} of the vertices seen")
+    _say(f"view directions (Eq. 14): {float(seen.mean()):.1%} of the vertices seen")
 
     began = time.monotonic()
     matched = {}
@@ -260,7 +263,7 @@ def _compose(
     seconds["appearance"] = time.monotonic() - began
 
     surface = Surface(
-        vertices, faces, normals, shares.argmax(1), skin, fused_table.count, fused_table.mean, fused_table.covariance
+        vertices, faces, normals, shares.argmax(1), skin, fused_table.count, filled, fused_table.covariance
     )
     facts = {
         "head_from_canonical": np.linalg.inv(canonical_from_head).tolist(),

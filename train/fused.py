@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from train.field import PartField, unit_normals
@@ -108,8 +108,3 @@ class FusedField(nn.Module):
         sample = type(sample)(sample.distance.detach(), sample.feature.detach())
         gradient = gradient.detach()
         return sample, gradient if R is None else gradient @ R
-
-
-def inside_any(points: Float[Tensor, "n 3"], parts: Sequence[Part]) -> Bool[Tensor, "n"]:
-    """Points where a part other than the body has a say."""
-    return torch.stack([part_weight(points, part) > 0 for part in parts if part.speaks is not None]).any(0)

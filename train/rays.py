@@ -7,7 +7,7 @@ canonical map at every section end (Eq. 3, or the rigid motion of Eq. 4), the pi
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy import ndimage
 from scipy.spatial import cKDTree
 

@@ -25,7 +25,7 @@ class Surface:
     part: Int[Array, "v"]  # the part that speaks loudest
     skin: SkinWeights
     view_count: Float[Array, "v"]  # directions seen
-    view_mean: Float[Array, "v 3"]  # their mean, not normalised
+    view_mean: Float[Array, "v 3"]  # their mean, not normalised; unseen vertices have their neighbours'
     view_covariance: Float[Array, "v 6"]  # xx xy xz yy yz zz, across the mean direction
 
 
@@ -51,14 +51,14 @@ def extract_surface(
     field: FusedField,
     parts: tuple[Part, ...],
     *,
-    body_cell: float = 0.006,
-    head_cell: float = 0.0035,
-    hand_cell: float = 0.0025,
+    body_cell: float,
+    head_cell: float,
+    hand_cell: float,
     near: float = 0.02,
 ) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"]]:
     """Marching cubes (Lewiner et al. 2003) on a rectilinear grid; the largest connected piece.
 
-    The field is asked only at grid points within `near` of a coarse pass (every third line) that found the
+    The field is asked only at grid points within `near` of a coarse pass (every fourth line) that found the
     surface near; all others take the coarse value. Neither floaters nor a second person survive.
 
     Raises:
@@ -98,7 +98,7 @@ def _interpolated(values: Array, old: Array, new: Array, axis: int) -> Array:
 def largest_piece(
     vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]
 ) -> tuple[Float[Array, "w 3"], Int[Array, "g 3"]]:
-    """The connected piece with the most faces; triangles without area are dropped with their slivers merged away."""
+    """The connected piece with the most faces."""
     count = len(vertices)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     graph = sparse.csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (count, count))

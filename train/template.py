@@ -147,7 +147,7 @@ def surface_cloud(
     gap = np.where(part == fine_part, fine, max(fine, coarse))
     face, barycentric = sample_faces(subject.vertices, faces, gap)
     corners = faces[face]
-    blend = lambda values: np.einsum("sk,skc->sc", barycentric, values[corners])  # noqa: E731
+    blend = lambda values: np.einsum("sk,skc->sc", barycentric, values[corners])
     normals = blend(vertex_normals(subject.vertices, subject.faces))
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     points = blend(subject.vertices)

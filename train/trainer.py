@@ -43,7 +43,7 @@ class RayTensors:
 
 def ray_tensors(rays: TrainingRays, cloud: SurfaceCloud, device: torch.device) -> RayTensors:
     """The rays, ready for training."""
-    put = lambda array: torch.as_tensor(np.ascontiguousarray(array)).to(device)  # noqa: E731
+    put = lambda array: torch.as_tensor(np.ascontiguousarray(array)).to(device)
     return RayTensors(put(rays.ends), put(rays.row), put(rays.direction), put(rays.frame).long(), put(rays.color),
                       put(rays.mask), None if rays.bones is None else put(rays.bones),
                       put(cloud.skin.joints).long(), put(cloud.skin.weights))  # fmt: skip

@@ -164,7 +164,7 @@ def fused_statistics(
     each = [statistics(sums) for sums in per_part]
     weights = np.stack([shares[:, i] * (s.count > 0) for i, s in enumerate(each)], 1)
     weights = weights / np.maximum(weights.sum(1, keepdims=True), 1e-12)
-    blend = lambda arrays: sum(weights[:, i, None] * a for i, a in enumerate(arrays))  # noqa: E731
+    blend = lambda arrays: sum(weights[:, i, None] * a for i, a in enumerate(arrays))
     return ViewStatistics(
         sum(weights[:, i] * s.count for i, s in enumerate(each)),
         blend([s.mean for s in each]),

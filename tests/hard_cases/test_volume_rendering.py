@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+
 from train.field import unit_normals
 from train.loss import color_loss, displacement_loss, eikonal_loss, mask_logit_loss, mask_loss
 from train.render import LOGISTIC_PER_BETA, crossing, jittered, section_weights
@@ -61,7 +62,7 @@ def test_an_opaque_slab_is_seen_at_its_surface(beta):
     """A ray into the half space z < 0 has log transmittance log Phi(s_end) - log Phi(s_start), in closed form."""
     ends = torch.linspace(0.04, -0.03, 17)[None]
     rendered = section_weights(ends, beta)
-    phi = lambda s: -math.log1p(math.exp(-s / (LOGISTIC_PER_BETA * beta)))  # noqa: E731
+    phi = lambda s: -math.log1p(math.exp(-s / (LOGISTIC_PER_BETA * beta)))
     assert rendered.log_transmittance.item() == pytest.approx(phi(-0.03) - phi(0.04), rel=1e-5)
     section = (0.04 + 0.03) / 16
     depth = (rendered.weights * 0.5 * (ends[:, 1:] + ends[:, :-1])).sum().item()

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import torch
-from avatar.skinning import SkinWeights, blended_rotations
 from scipy.spatial import cKDTree
+
+from avatar.skinning import SkinWeights, blended_rotations
 from train.deform import canonical_directions, inverse_transforms
 from train.parts import Box, Part, part_weight
 from train.skin import closest_on_triangles, harmonic_fill

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from avatar.rotation import matrix_from_axis_angle
 from train.register import refine_by_surfaces, similarity_from_landmarks
 

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from painted_capture import write_capture
+
 from avatar.errors import AssetError
 from train import run as run_folder
 from train.capture import read_capture
@@ -15,10 +17,8 @@ from train.rays import part_rays
 from train.template import surface_cloud, template_grid, visible_faces
 from train.trainer import losses, ray_tensors, set_threads, train_field
 
-from painted_capture import write_capture
-
 TINY = replace(
-    DEMO, rays=64, rays_per_frame=300, warm_up=5,
+    DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(0.03, 0.015, 0.008),
     parts=tuple(replace(p, iterations=6, plane_size=16, color_size=16, cell=max(p.cell, 0.006),
                         spacing=max(p.spacing, 0.006)) for p in DEMO.parts),
 )  # fmt: skip
