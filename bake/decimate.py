@@ -207,7 +207,7 @@ def _crowded(faces: Integer[np.ndarray, "faces 3"], count: int) -> np.ndarray:
     pair = np.sort(directed, axis=1)
     _, inverse2, both = np.unique(pair[:, 0] * count + pair[:, 1], return_inverse=True, return_counts=True)
     bad = (times[inverse] > 1) | (both[inverse2] > 2)
-    return bad.reshape(3, -1).any(0)
+    return bad.reshape(3, -1).any(axis=0, keepdims=True)[0]
 
 
 def _boundary_loops(faces: Integer[np.ndarray, "faces 3"], count: int) -> list[np.ndarray]:
@@ -270,7 +270,7 @@ def _gentle_pass(
     """One call of the library; the attempt with the fewest faults, and the aggressiveness of the next pass."""
     best: tuple[int, np.ndarray, np.ndarray] | None = None
     for attempt in (target, int(target * 1.008), int(target * 0.985)):
-        found, triangles = fast_simplification.simplify(points, faces, target_count=attempt, agg=patience)
+        found, triangles = fast_simplification.simplify(points, faces, target_count=attempt, agg=patience)[:2]
         faults = sum(find_faults(triangles.astype(np.int64), len(found)))
         if best is None or faults < best[0]:
             best = faults, found, triangles

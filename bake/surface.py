@@ -53,7 +53,7 @@ def graded_axis(
 
 def sample_near_surface(
     distance: PointFunction,
-    axes: tuple[np.ndarray, np.ndarray, np.ndarray],
+    axes: tuple[np.ndarray, ...],
     hints: Float[np.ndarray, "hints 3"],
     *,
     block: int = 8,

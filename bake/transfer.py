@@ -1,10 +1,10 @@
 """Closest points from one mesh of a person to another, never across to the other side of a thin part."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
-from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse import coo_matrix, diags
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
@@ -110,7 +110,7 @@ def interpolate(
     return (match.barycentric[:, :, None] * values[faces[match.face]]).sum(1)
 
 
-def neighbour_matrix(faces: Integer[np.ndarray, "faces 3"], count: int) -> csr_matrix:
+def neighbour_matrix(faces: Integer[np.ndarray, "faces 3"], count: int) -> Any:
     """Symmetric 0/1 matrix of vertices that share an edge."""
     pair = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     rows, columns = np.concatenate([pair, pair[:, ::-1]]).T
