@@ -1,5 +1,6 @@
 """What all tests share: where the sample data is, and the report of the hard cases."""
 
+import contextlib
 import os
 import platform
 from collections import defaultdict
@@ -108,6 +109,9 @@ def rasteriser() -> str:
 
 
 def pytest_configure(config):
+    # torch's optimisers import triton, which crashes when Mesa's LLVM was loaded into the process before its own
+    with contextlib.suppress(ImportError):
+        import torch._dynamo  # noqa: F401
     path = config.getoption("--hard-cases-report")
     if path:
         config.pluginmanager.register(HardCases(Path(path)), "hard-cases")
