@@ -187,7 +187,7 @@ class TemplateGrid(torch.nn.Module):
         with torch.no_grad():
             shape = torch.tensor(self.values.shape, device=points.device)
             at = (points - self.low) / self.cell
-            inside = torch.minimum(at.clamp_min(0), (shape - 1 - 1e-3).to(at.dtype))
+            inside = torch.minimum(at.clamp_min(0), (shape - 1 - 1e-4).to(at.dtype))
             beyond = (at - inside) * self.cell
             corner = inside.floor().long()
             f = inside - corner

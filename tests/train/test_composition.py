@@ -51,12 +51,12 @@ def test_template_gradient_is_the_derivative_of_its_own_values():
     grid = TemplateGrid(torch.randn(5, 6, 7), torch.tensor([-1.0, 0.0, 2.0]), 0.5)
     inside = torch.tensor([-1.0, 0.0, 2.0]) + torch.rand(300, 3) * 0.5 * torch.tensor([4.0, 5.0, 6.0])
     outside = inside + torch.tensor([5.0, 0.3, -4.0])
-    for points, bound in ((inside, 1e-4), (outside, 1e-2)):  # at the border `sample` stops 1e-3 cells short
+    for points, bound in ((inside, 1e-3), (outside, 2e-3)):  # at the border `sample` stops 1e-4 cells short
         points = points.clone().requires_grad_()
         value, gradient = grid.sample(points.detach())
         same = grid(points)
         torch.testing.assert_close(same, value, rtol=0, atol=bound)
-        if bound < 1e-3:
+        if bound == 1e-3:
             (auto,) = torch.autograd.grad(same.sum(), points)
             close = (auto - gradient).abs().amax(1) < 1e-2
             assert close.float().mean() > 0.98  # cells' faces have two derivatives
