@@ -1,4 +1,4 @@
-"""What a preset fixes. Each number of `demo` was measured on two CPU cores (docs/decisions.md)."""
+"""What a preset fixes: everything that a training run does not take from the capture."""
 
 from dataclasses import dataclass
 
@@ -45,13 +45,13 @@ class Preset:
     appearance_steps: int = 200  # Eq. 8, per part
 
 
-_HAND = PartPreset(700, 0.002, 0.002, Band(0.012, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, 160, 256)
+_HAND = PartPreset(1000, 0.002, 0.002, Band(0.012, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, 160, 256)
 
 DEMO = Preset(
     "demo",
     (
-        PartPreset(700, 0.01, 0.01, Band(0.03, 0.02, 0.006), (0.008, 0.0015), 0.03, 0.01, 160, 256),
-        PartPreset(900, 0.003, 0.003, Band(0.035, 0.02, 0.006), (0.008, 0.001), 0.03, 0.01, 160, 256),
+        PartPreset(900, 0.01, 0.01, Band(0.03, 0.02, 0.006), (0.008, 0.0015), 0.03, 0.01, 160, 256),
+        PartPreset(1500, 0.003, 0.003, Band(0.035, 0.02, 0.006), (0.008, 0.001), 0.03, 0.01, 160, 256),
         _HAND,
         _HAND,
     ),
