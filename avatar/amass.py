@@ -22,10 +22,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from avatar.body import Body, shaped
+from avatar.body import Body
 from avatar.errors import AssetError
+from avatar.file_body import USUAL_PELVIS, given_pelvis, usual_pelvis
 from avatar.files import whole_file
 from avatar.motion import Clip, Motion
+from avatar.pose_vector import FULL_HANDS, REFUSED_COLUMNS, Layout, expanded, pose_layout, readable
 from avatar.rotation import (
     axis_angle_from_quaternion,
     quaternion_from_axis_angle,
@@ -36,18 +38,9 @@ from avatar.skeleton import JOINTS
 
 Array = np.ndarray
 
-USUAL_PELVIS = np.array([-0.002, -0.233, 0.028])  # J0 of SMPL(+H) bodies of mean shape, good to about 2 cm
 RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "framerate", "fps")
 Y_FROM_Z = np.array([-np.sqrt(0.5), 0, 0, np.sqrt(0.5)])  # quaternion, a quarter turn about -x
 
-REFUSED_COLUMNS = {
-    63: "63 is a body without its root: expected `root_orient` and `pose_body`",
-    69: "69 is 23 joints without a root orientation, or a body with a part left out",
-    75: "75 may be SMPL-X without hands or a body with hand PCA coefficients",
-    78: "78 is a body with 2 x 6 hand PCA coefficients (EasyMocap): they need the MANO components; export 156 columns",
-    87: "87 is EasyMocap's SMPL-X vector with hand PCA coefficients: they need the MANO components; export 156 columns",
-    153: "153 is 51 joints: the root orientation is missing",
-}
 ZIP_ERRORS = (
     OSError,
     EOFError,
@@ -164,15 +157,15 @@ def _skip(file: Any, size: int) -> None:
 @dataclass(frozen=True)
 class _Part:
     rows: NpyRows
-    columns: slice  # of the stored array
     joints: slice  # of the 52
+    layout: Layout | None = None  # of whole pose vectors; None: three numbers a joint
 
 
 def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
     """Open an AMASS pose file; see the module for frames and for what is assumed.
 
-    `poses` may have 156 columns (SMPL+H), 165 (SMPL-X: jaw and eyes are left out), 66 or 72 (body only, SMPL's
-    two hand joints are left out: hands flat); or `root_orient`, `pose_body` and perhaps `pose_hand` are there.
+    `poses` may have the columns that avatar/pose_vector.py lists, those with hand coefficients where `body` has
+    their components; or `root_orient`, `pose_body` and perhaps `pose_hand` are there.
 
     Raises:
         AssetError: absent or damaged archive, no poses, no frames, a column count that could mean several
@@ -188,7 +181,7 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
     names = {name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")}
     notes: list[str] = []
 
-    parts, frames = _pose_parts(path, archive, names, notes)
+    parts, frames = _pose_parts(path, archive, names, body, notes)
     if frames == 0:
         raise AssetError(f"{path}: {parts[0].rows.name} has 0 frames, expected at least 1")
     for part in parts:
@@ -210,8 +203,11 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
     def block(start: int, stop: int) -> tuple[Array, Array]:
         pose = np.zeros((stop - start, 52, 3))
         for part in parts:
-            values = part.rows.rows(start, stop)[:, part.columns]
-            values = values.reshape(stop - start, values.shape[1] // 3, 3)
+            values = part.rows.rows(start, stop)
+            if part.layout is not None:
+                values = expanded(values, part.layout, body)
+            else:
+                values = values.reshape(stop - start, values.shape[1] // 3, 3)
             _check_finite(path, part.rows.name, values, start, part.joints.start)
             pose[:, part.joints] = values
         root = np.zeros((stop - start, 3))
@@ -234,26 +230,16 @@ def _turned(axis_angle: Float[Array, "frames 3"], turn: Float[Array, "4"]) -> Fl
 
 
 def _pose_parts(
-    path: Path, archive: zipfile.ZipFile, names: set[str], notes: list[str]
+    path: Path, archive: zipfile.ZipFile, names: set[str], body: Body | None, notes: list[str]
 ) -> tuple[list[_Part], int]:
-    hands = "hands: as stored (flat-hand convention; AMASS hands already contain the MANO mean)"
     if "poses" in names:
         poses = NpyRows(path, archive, "poses")
         if len(poses.shape) < 2 or poses.dtype.kind not in "fiu":
             raise AssetError(f"{path}: poses should be (frames, 156), is {poses.shape} of {poses.dtype}")
-        if poses.row == 156:
-            notes.append(hands)
-            return [_Part(poses, slice(0, 156), slice(0, 52))], poses.shape[0]
-        if poses.row == 165:
-            notes += [hands, "165 columns are SMPL-X: jaw and eyes left out"]
-            return [
-                _Part(poses, slice(0, 66), slice(0, 22)),
-                _Part(poses, slice(75, 165), slice(22, 52)),
-            ], poses.shape[0]
-        if poses.row in (66, 72):
-            extra = "; SMPL's two hand joints left out" if poses.row == 72 else ""
-            notes.append(f"hands: none in the file ({poses.row} columns), flat{extra}")
-            return [_Part(poses, slice(0, 66), slice(0, 22))], poses.shape[0]
+        layout = pose_layout(poses.row)
+        if layout and readable(layout, body):
+            notes.append(layout.note)
+            return [_Part(poses, slice(0, 52), layout)], poses.shape[0]
         if not {"root_orient", "pose_body"} <= names:
             why = REFUSED_COLUMNS.get(poses.row, "no known layout")
             raise AssetError(f"{path}: poses should have 156, 165, 66 or 72 columns, has {poses.row}: {why}")
@@ -272,9 +258,9 @@ def _pose_parts(
             raise AssetError(
                 f"{path}: {name} should be (frames, {3 * joints}), is {rows.shape} of {rows.dtype}"
             )
-        parts.append(_Part(rows, slice(0, 3 * joints), slice(first, first + joints)))
+        parts.append(_Part(rows, slice(first, first + joints)))
     if "pose_hand" in names:
-        notes.append(hands)
+        notes.append(FULL_HANDS)
     return parts, parts[0].rows.shape[0]
 
 
@@ -329,20 +315,13 @@ def _pelvis(
         if betas.dtype.kind not in "fiu" or not np.isfinite(betas).all():
             raise AssetError(f"{path}: betas should be finite numbers, is {betas.dtype} {betas.shape}")
         betas = betas.reshape(-1).astype(np.float64)
-    if body is not None and not body.name.startswith("builtin"):
-        used = min(len(betas), body.shape_directions.shape[2])
-        own = shaped(body, betas[:used])
-        notes.append(f"pelvis: trans + J0 of {body.name} with {used} of the file's {len(betas)} betas")
-        return own.origin, float(-own.vertices[:, 1].min())
-    if np.any(betas):
-        notes.append("betas ignored: they belong to SMPL's shape space, not to the built-in body's")
+    given = given_pelvis(betas, body, notes)
+    if given is not None:
+        return given
     if not turn:
         notes.append("pelvis: at trans, as in our own y-up files")
         return np.zeros(3), height
-    notes.append(
-        f"pelvis: trans + {tuple(USUAL_PELVIS.tolist())}, the usual J0 of SMPL+H (2 cm; --body gives it exactly)"
-    )
-    return USUAL_PELVIS, height
+    return usual_pelvis(notes), height
 
 
 def _numbers(path: Path, archive: zipfile.ZipFile, name: str, count: int) -> Array:

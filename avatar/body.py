@@ -12,8 +12,17 @@ from avatar.errors import AssetError
 from avatar.npz import read_npz
 from avatar.skeleton import JOINTS, PARENTS
 from avatar.skinning import SkinWeights, strongest_four
+from avatar.unpickle import read_pickle
 
 Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class HandSpace:
+    """MANO's space of hand poses (Romero et al. 2017): pose = coefficients @ components + mean. Left, then right."""
+
+    mean: Float[Array, "2 45"]
+    components: Float[Array, "2 components 45"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +41,7 @@ class Body:
     pose_directions: Float[Array, "vertices 3 459"] | None  # against R - I of joints 1-51, row-major
     licence: str
     origin: Float[Array, "3"]  # where the file puts the pelvis joint: added to AMASS trans
+    hands: HandSpace | None = None  # merged SMPL+H models have it
 
 
 @cache
@@ -60,15 +70,16 @@ def shaped(body: Body, betas: Float[Array, "n"]) -> Body:
 
 
 def read_body(path: Path | str) -> Body:
-    """Read an SMPL+H model (.npz) or a body of ours: v_template, f, weights, J or J_regressor, shapedirs, ...
+    """Read an SMPL+H model (.npz, .pkl) or a body of ours: v_template, f, weights, J or J_regressor, shapedirs, ...
 
     SMPL+H itself is licensed and must be obtained by the user (mano.is.tue.mpg.de); the format is read here.
+    Nothing in a .pkl is run (avatar/unpickle.py). A model with hands_meanl/r and hands_componentsl/r has `hands`.
 
     Raises:
         AssetError: a field is absent, misshapen or not finite, or the tree is not SMPL+H's. File and field named.
     """
     path = Path(path)
-    fields = read_npz(path, "an SMPL+H model")
+    fields = _model_fields(path)
     vertices = _field(path, fields, "v_template", (None, 3))
     count = len(vertices)
     faces = _field(path, fields, "f", (None, 3)).astype(np.int64)
@@ -110,7 +121,32 @@ def read_body(path: Path | str) -> Body:
     if pose is not None and not pose.any():
         pose = None  # a body that has no pose correctives stores zeros to keep the format
     return Body(path.stem, vertices - joints[0], faces, skin, joints - joints[0], shapes, joint_directions, uv, uv_faces,
-                pose, "the licence of your own model file", joints[0])  # fmt: skip
+                pose, "the licence of your own model file", joints[0], _hand_space(path, fields))  # fmt: skip
+
+
+def _model_fields(path: Path) -> dict[str, Array]:
+    """The arrays of a model file by name."""
+    if path.suffix.lower() != ".pkl":
+        return read_npz(path, "an SMPL+H model")
+    content = read_pickle(path, "an SMPL+H model")
+    if type(content) is not dict or not all(isinstance(name, str) for name in content):
+        raise AssetError(
+            f"{path}: expected an SMPL+H model, a dict of arrays, found a {type(content).__name__}"
+        )
+    return {name: value for name, value in content.items() if isinstance(value, Array)}
+
+
+def _hand_space(path: Path, fields: dict[str, Array]) -> HandSpace | None:
+    names = ("hands_meanl", "hands_meanr", "hands_componentsl", "hands_componentsr")
+    if not any(name in fields for name in names):
+        return None
+    mean = np.stack([_field(path, fields, name, (45,)) for name in names[:2]])
+    left, right = (_field(path, fields, name, (None, 45)) for name in names[2:])
+    if len(left) != len(right):
+        raise AssetError(
+            f"{path}: hands_componentsr should be {left.shape} as hands_componentsl, is {right.shape}"
+        )
+    return HandSpace(mean, np.stack([left, right]))
 
 
 def _field(path: Path, fields: dict[str, Array], name: str, shape: tuple[int | None, ...]) -> Array:

@@ -15,6 +15,7 @@ from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_ang
 Array = np.ndarray
 
 BUILTIN_MOTIONS = ("counting", "walking")
+MOTION_FILES = "a motion (.npz AMASS, .pkl, .bvh, .glb .gltf .vrm .vrma, EasyMocap .json or folder)"
 
 
 @dataclass(frozen=True)
@@ -57,30 +58,45 @@ class Motion:
 
 
 def read_motion(source: Path | str, *, body: Body | None = None) -> Motion:
-    """Open a motion: a pose file (.npz with AMASS keys, .bvh) or the name of a built-in one.
+    """Open a motion: a pose file, a folder of them, or the name of a built-in one.
 
-    `body` is the body the file was made for; it settles where an AMASS `trans` puts the pelvis. What had to
-    be assumed is in `notes`.
+    .npz (AMASS), .pkl (SMPL+H, MoSh, 3DPW), .bvh, .glb .gltf .vrm .vrma (animation), .json or a folder of them
+    (EasyMocap). `body` is the body the file was made for; it settles where `trans` puts the pelvis and what hand
+    coefficients mean. What had to be assumed is in `notes`.
 
     Raises:
         AssetError: the file is absent, of an unknown kind, or holds what cannot be explained.
     """
-    # the readers import Clip and Motion from here
-    from avatar.amass import read_amass
-    from avatar.bvh import read_bvh
-
     if str(source) in BUILTIN_MOTIONS:
         return builtin_motion(str(source))
     path = Path(source)
-    if not path.is_file():
+    if not path.exists():
         raise AssetError(
-            f"{path}: no such file; expected a .npz or .bvh motion, or one of {', '.join(BUILTIN_MOTIONS)}"
+            f"{path}: no such file; expected {MOTION_FILES}, or one of {', '.join(BUILTIN_MOTIONS)}"
         )
-    if path.suffix.lower() == ".npz":
+    suffix = path.suffix.lower()
+    if path.is_dir() or suffix == ".json":
+        # the readers are imported when asked for: they import Clip and Motion from here
+        from avatar.easymocap import read_easymocap
+
+        return read_easymocap(path, body=body)
+    if suffix == ".npz":
+        from avatar.amass import read_amass
+
         return read_amass(path, body=body)
-    if path.suffix.lower() == ".bvh":
+    if suffix == ".pkl":
+        from avatar.pickled_motion import read_pickled_motion
+
+        return read_pickled_motion(path, body=body)
+    if suffix == ".bvh":
+        from avatar.bvh import read_bvh
+
         return read_bvh(path)
-    raise AssetError(f"{path}: expected a motion ending in .npz (AMASS) or .bvh, found '{path.suffix}'")
+    if suffix in (".glb", ".gltf", ".vrm", ".vrma"):
+        from avatar.gltf_motion import read_gltf_motion
+
+        return read_gltf_motion(path)
+    raise AssetError(f"{path}: expected {MOTION_FILES}, found '{path.suffix}'")
 
 
 def builtin_motion(name: str) -> Motion:

@@ -11,12 +11,13 @@ Spine and neck chains of any length are interpolated along their length. Lengths
 """
 
 import re
+from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from avatar.body import Body, builtin_body
-from avatar.bvh import Bvh
 from avatar.errors import AssetError
 from avatar.motion import Motion
 from avatar.rotation import (
@@ -52,6 +53,31 @@ FINGER_NAMES = {
     "thumb": ("thumb",),
 }
 REQUIRED = ("hip", "knee", "ankle", "shoulder", "elbow")
+
+
+@runtime_checkable
+class Rig(Protocol):
+    """An animated skeleton in its own units and axes: a BVH file (avatar/bvh.py), a glTF animation (gltf_motion.py)."""
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def parents(self) -> tuple[int, ...]: ...  # -1 for a root; parents come first
+    @property
+    def ends(self) -> tuple[tuple[int, tuple[float, float, float]], ...]: ...  # of joints without a child
+    @property
+    def frames(self) -> int: ...
+    @property
+    def rate(self) -> float | int: ...
+    def values(self, start: int, stop: int) -> Float[np.ndarray, "frames channels"]: ...
+    def transforms(  # turn of each joint away from its rest pose, and its place, in the file's world
+        self, values: Float[np.ndarray, "frames channels"]
+    ) -> tuple[Float[np.ndarray, "frames joints 3 3"], Float[np.ndarray, "frames joints 3"]]: ...
+    def rest_positions(self) -> Float[np.ndarray, "joints 3"]: ...
+
+
 SAMPLED_FRAMES = 200  # looked at for up axis, ground and soles
 J = {name: index for index, name in enumerate(JOINTS)}
 
@@ -74,10 +100,10 @@ def side_and_base(name: str) -> tuple[str, str]:
     return "", re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def _joint_map(bvh: Bvh) -> tuple[dict[str, int], dict[str, int], list[str]]:
+def _joint_map(rig: Rig) -> tuple[dict[str, int], dict[str, int], list[str]]:
     """Our joint name -> their joint that turns it, and -> their joint that places it; names not found."""
     by_side: dict[str, dict[str, int]] = {"left": {}, "right": {}, "": {}}
-    for index, name in enumerate(bvh.names):
+    for index, name in enumerate(rig.names):
         if not name.startswith("__"):  # MakeHuman's helper joints, named as the joints they lead to
             side, base = side_and_base(name)
             by_side[side].setdefault(base, index)
@@ -107,25 +133,30 @@ def _joint_map(bvh: Bvh) -> tuple[dict[str, int], dict[str, int], list[str]]:
     head = by_side[""].get("head", -1)
     missing = [k for k in absent if k.split("_")[1] in REQUIRED] + (["head"] if head < 0 else [])
     if missing:
-        names = ", ".join(bvh.names[:12])
+        names = ", ".join(rig.names[:12])
         raise AssetError(
-            f"{bvh.path}: no joint was found for {', '.join(missing)}; the file has {names}, ..."
+            f"{rig.path}: no joint was found for {', '.join(missing)}; the file has {names}, ..."
         )
     turns["head"] = places["head"] = head
     return turns, places, absent
 
 
-def _ancestors(bvh: Bvh, joint: int) -> list[int]:
+def _ancestors(rig: Rig, joint: int) -> list[int]:
     line = [joint]
-    while bvh.parents[line[-1]] >= 0:
-        line.append(bvh.parents[line[-1]])
+    while rig.parents[line[-1]] >= 0:
+        line.append(rig.parents[line[-1]])
     return line[::-1]
 
 
-def _common(bvh: Bvh, a: int, b: int) -> int:
+def _common(rig: Rig, a: int, b: int) -> int:
     """The deepest joint above both."""
-    above = set(_ancestors(bvh, b)[:-1])
-    return [k for k in _ancestors(bvh, a)[:-1] if k in above][-1]
+    above = set(_ancestors(rig, b)[:-1])
+    shared = [k for k in _ancestors(rig, a)[:-1] if k in above]
+    if not shared:
+        raise AssetError(
+            f"{rig.path}: {rig.names[a]} and {rig.names[b]} should hang on one joint, have none above both"
+        )
+    return shared[-1]
 
 
 def _unit(v: Array) -> Array:
@@ -146,8 +177,12 @@ def _frame(left: Array, up: Array) -> Float[Array, "3 3"]:
     return snapped
 
 
-def retarget(bvh: Bvh, body: Body | None = None) -> Motion:
+def retarget(
+    rig: Rig, body: Body | None = None, *, up_known: bool = False, assumed: tuple[str, ...] = ()
+) -> Motion:
     """The motion on our skeleton; `body` gives its bone lengths (the built-in man unless told otherwise).
+
+    `up_known` says that the file's world is y-up by its format; `assumed` are the reader's own notes, put first.
 
     Facts and assumptions are in the notes: joints not found, up axis, scale, ground, calibration frame.
 
@@ -155,29 +190,30 @@ def retarget(bvh: Bvh, body: Body | None = None) -> Motion:
         AssetError: hips, knees, ankles, shoulders, elbows or head cannot be found by name, or have no length.
     """
     body = builtin_body("male") if body is None else body
-    notes: list[str] = []
-    turns, places, absent = _joint_map(bvh)
+    notes: list[str] = list(assumed)
+    turns, places, absent = _joint_map(rig)
     if absent:
         notes.append(f"joints not in the file, kept straight: {', '.join(absent)}")
     if not any("index1" in k for k in turns):
         notes.append("hands: no separate fingers in the file, flat")
 
-    pelvis = _common(bvh, turns["left_hip"], turns["right_hip"])
-    chest = _common(bvh, turns["left_shoulder"], turns["right_shoulder"])
-    spine = [k for k in _ancestors(bvh, chest)[1:] if k != pelvis]
-    above = _ancestors(bvh, turns["head"])
+    pelvis = _common(rig, turns["left_hip"], turns["right_hip"])
+    chest = _common(rig, turns["left_shoulder"], turns["right_shoulder"])
+    line = _ancestors(rig, chest)
+    spine = line[line.index(pelvis) + 1 :] if pelvis in line else line[1:]
+    above = _ancestors(rig, turns["head"])
     neck = above[above.index(chest) + 1 : -1] if chest in above else []
 
-    rest = bvh.rest_positions()
+    rest = rig.rest_positions()
     ours = body.joints
-    A, soles = _rest_alignment(bvh, turns, places, rest, ours, notes)
-    scale = _scale(bvh, places, rest, ours, notes)
+    A, soles = _rest_alignment(rig, turns, places, rest, ours, notes)
+    scale = _scale(rig, places, rest, ours, notes)
 
-    sample = np.unique(np.linspace(0, bvh.frames - 1, min(bvh.frames, SAMPLED_FRAMES)).astype(int))
-    values = np.concatenate([bvh.values(int(k), int(k) + 1) for k in sample])
-    G, at = bvh.transforms(values)
+    sample = np.unique(np.linspace(0, rig.frames - 1, min(rig.frames, SAMPLED_FRAMES)).astype(int))
+    values = np.concatenate([rig.values(int(k), int(k) + 1) for k in sample])
+    G, at = rig.transforms(values)
     mid = (at[:, places["left_hip"]] + at[:, places["right_hip"]]) / 2
-    W = _world_turn((at[:, turns["head"]] - mid).mean(0), notes)
+    W = np.eye(3) if up_known else _world_turn((at[:, turns["head"]] - mid).mean(0), notes)
 
     def rotations(G: Array) -> Float[Array, "frames 52 3 3"]:
         """World rotation of each of our joints."""
@@ -215,15 +251,15 @@ def retarget(bvh: Bvh, body: Body | None = None) -> Motion:
     R = rotations(G)
     ground = _ground(body, pose_of(R), roots(R, at))
     notes.append(f"ground: lowered by {ground:.3f} m so that the soles stand at 0")
-    _note_calibration(bvh, turns, notes)
+    _note_calibration(rig, turns, notes)
 
     def block(start: int, stop: int) -> tuple[Array, Array]:
-        G, at = bvh.transforms(bvh.values(start, stop))
+        G, at = rig.transforms(rig.values(start, stop))
         R = rotations(G)
         return pose_of(R), roots(R, at) - [0, ground, 0]
 
     height = float(-body.vertices[:, 1].min())
-    return Motion(bvh.path.name, bvh.frames, bvh.rate, tuple(notes), block, height)
+    return Motion(rig.path.name, rig.frames, rig.rate, tuple(notes), block, height)
 
 
 def _along(chain: list[Array], part: float) -> Array:
@@ -238,7 +274,7 @@ def _along(chain: list[Array], part: float) -> Array:
 
 
 def _rest_alignment(
-    bvh: Bvh, turns: dict[str, int], places: dict[str, int], rest: Array, ours: Array, notes: list[str]
+    rig: Rig, turns: dict[str, int], places: dict[str, int], rest: Array, ours: Array, notes: list[str]
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """A_k of every joint, and for each ankle the other choice: the foot flat at rest."""
 
@@ -252,7 +288,7 @@ def _rest_alignment(
     middle = (rest[places["left_hip"]] + rest[places["right_hip"]]) / 2
     up = rest[places["head"]] - middle
     if np.linalg.norm(left) == 0 or np.linalg.norm(up) == 0:
-        raise AssetError(f"{bvh.path}: hips or hips and head rest at the same place")
+        raise AssetError(f"{rig.path}: hips or hips and head rest at the same place")
     root = _frame(left, up)
     facing = "+-"[int(root[:, 2].min() < 0)] + "xyz"[int(np.argmax(np.abs(root[:, 2])))]
     upwards = "+-"[int(root[:, 1].min() < 0)] + "xyz"[int(np.argmax(np.abs(root[:, 1])))]
@@ -273,7 +309,7 @@ def _rest_alignment(
         if foot in places and places[foot] != places[ankle]:
             toe = bone(ankle, foot)
         else:
-            toe = np.array(next((e for k, e in bvh.ends if k == places[ankle]), (0.0, 0.0, 0.0)))
+            toe = np.array(next((e for k, e in rig.ends if k == places[ankle]), (0.0, 0.0, 0.0)))
         A[ankle] = A[knee] @ _heading(our_bone(ankle, foot), A[knee].T @ toe)
         flat[ankle] = root @ _heading(our_bone(ankle, foot), root.T @ toe)
         A[foot] = A[ankle]
@@ -296,7 +332,8 @@ def _rest_alignment(
             names = [f"{side}_{n}" for n in ("middle1", "index1", "pinky1")]
             mine = _palm(our_bone(wrist, names[0]), our_bone(names[2], names[1]))
             theirs = _palm(bone(wrist, names[0]), bone(names[2], names[1]))
-            A[wrist] = theirs @ mine.T
+            if np.isfinite(theirs).all():  # finger joints at one place span no palm
+                A[wrist] = theirs @ mine.T
         for finger in FINGER_NAMES:
             base = A[wrist]
             for n in (1, 2, 3):
@@ -314,8 +351,12 @@ def _rest_alignment(
 
 
 def _palm(along: Array, across: Array) -> Float[Array, "3 3"]:
-    x = _unit(along)
-    z = _unit(across - x * (across @ x))
+    """Frame of a palm; NaN where the two directions are parallel or have no length."""
+    length = np.linalg.norm(along)
+    x = along / length if length > 1e-9 else np.full(3, np.nan)
+    z = across - x * (across @ x)
+    length = np.linalg.norm(z)
+    z = z / length if length > 1e-9 else np.full(3, np.nan)
     return np.stack([x, np.cross(z, x), z], -1)
 
 
@@ -327,7 +368,7 @@ def _heading(ours: Array, theirs: Array) -> Float[Array, "3 3"]:
     return matrix_from_axis_angle(np.array([0, angle, 0]))
 
 
-def _scale(bvh: Bvh, places: dict[str, int], rest: Array, ours: Array, notes: list[str]) -> float:
+def _scale(rig: Rig, places: dict[str, int], rest: Array, ours: Array, notes: list[str]) -> float:
     def leg(at: Array, index: dict[str, int]) -> float:
         pairs = [
             (f"{s}_{a}", f"{s}_{b}")
@@ -338,7 +379,7 @@ def _scale(bvh: Bvh, places: dict[str, int], rest: Array, ours: Array, notes: li
 
     theirs, mine = leg(rest, places), leg(ours, J)
     if not theirs > 0:
-        raise AssetError(f"{bvh.path}: the legs have no length")
+        raise AssetError(f"{rig.path}: the legs have no length")
     notes.append(f"scale: leg {theirs:.4g} units -> {mine:.3f} m, root scaled by {mine / theirs:.5g}")
     return mine / theirs
 
@@ -399,13 +440,13 @@ def _ground(body: Body, pose: Array, root: Array) -> float:
     return float(np.percentile(y.min(1), 10))
 
 
-def _note_calibration(bvh: Bvh, turns: dict[str, int], notes: list[str]) -> None:
+def _note_calibration(rig: Rig, turns: dict[str, int], notes: list[str]) -> None:
     """Say so when frame 0 is a rest pose followed by a jump, as in CMU's files; it is kept."""
-    if bvh.frames < 2:
+    if rig.frames < 2:
         return
-    G, _ = bvh.transforms(bvh.values(0, 2))
+    G, _ = rig.transforms(rig.values(0, 2))
     used = sorted(set(turns.values()))
     jump = axis_angle_from_matrix(np.swapaxes(G[0, used], -1, -2) @ G[1, used])
     largest = float(np.degrees(np.linalg.norm(jump, axis=-1)).max())
-    if largest > 20 and largest * bvh.rate > 1500:  # no limb turns faster
+    if largest > 20 and largest * rig.rate > 1500:  # no limb turns faster
         notes.append(f"frame 0: the pose jumps by {largest:.0f} degrees to frame 1; a calibration pose, kept")

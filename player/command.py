@@ -14,11 +14,13 @@ from avatar.body import read_body
 from avatar.camera import Camera, read_camera
 from avatar.errors import AssetError
 from avatar.files import whole_file
+from avatar.hands import HANDS, with_hands
 from avatar.motion import Clip, Motion, fitted, read_motion
 from avatar.progress import progress
 from player.context import Context, NoContextError, open_context
 from player.film import Film, film_kind
 from player.framing import extent, facing, fitted_camera, orbit, outermost, pelvis_height
+from player.live.command import add_live_options
 from player.plan import VIEWS
 from player.renderer import Pose, Renderer
 
@@ -84,9 +86,9 @@ def render_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "avatar", nargs="+", metavar="AVATAR", help="avatar file (.glb); several stand side by side"
     )
-    parser.add_argument(
-        "--motion", metavar="FILE", help="pose file (.npz, .bvh), or: counting, walking (default: T-pose)"
-    )
+    parser.add_argument("--motion", metavar="FILE",
+                        help="pose file (.npz, .pkl, .bvh, .glb, .vrma ...), EasyMocap folder, or: counting, walking "
+                        "(default: T-pose)")  # fmt: skip
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--frame", type=frame_number, metavar="N", help="draw only this frame")
     which.add_argument("--frames", type=parse_frames, metavar="A:B", help="draw frames A to B-1")
@@ -100,7 +102,10 @@ def render_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--background", type=parse_color, default=parse_color("#2b2d33"), metavar="#rrggbb|transparent"
     )
-    parser.add_argument("--body", metavar="MODEL", help="SMPL+H model (.npz) that the pose file was made for")
+    parser.add_argument(
+        "--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for"
+    )
+    add_hands(parser)
     parser.add_argument(
         "--context", choices=("auto", "egl", "osmesa"), default="auto", help="how to reach OpenGL"
     )
@@ -111,6 +116,13 @@ def render_parser() -> argparse.ArgumentParser:
     parser.add_argument("--json", metavar="FILE", help="write what --explain prints to a file")
     parser.add_argument("-o", "--output", required=True, metavar="OUT")
     return parser
+
+
+def add_hands(parser: argparse.ArgumentParser) -> None:
+    """The option --hands."""
+    parser.add_argument("--hands", choices=HANDS, default="file",
+                        help="the motion's hands: file as they are (flat where there are none), flat, relaxed, or "
+                        "mean, the mean hands of --body")  # fmt: skip
 
 
 def render_main(argv: list[str]) -> int:
@@ -127,7 +139,7 @@ def render_main(argv: list[str]) -> int:
         parser.error("a .png holds one frame: give --frame N, or another OUT")
 
     avatars = [read_avatar(path) for path in options.avatar]
-    motion = opened_motion(options.motion, options.body)
+    motion = opened_motion(options.motion, options.body, options.hands)
     start, stop = frame_range(motion, options.frame, options.frames, single=kind == ".png")
     clips = [retargeted(motion, avatar) for avatar in avatars]
     context = opened(options.context, options.gpu)
@@ -170,19 +182,20 @@ def opened(kind: str, gpu: int | None) -> Context:
         raise AssetError(str(error)) from None
 
 
-def opened_motion(source: str | None, body: str | None) -> Motion:
-    """The motion, or one frame of T-pose."""
+def opened_motion(source: str | None, body: str | None, hands: str = "file") -> Motion:
+    """The motion with the hands asked for, or one frame of T-pose."""
+    model = read_body(body) if body else None
     if source is None:
         note = "no --motion: one frame, T-pose"
 
         def block(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
             return np.zeros((stop - start, 52, 3)), np.zeros((stop - start, 3))
 
-        return Motion("T-pose", 1, 30.0, (note,), block)
-    motion = read_motion(source, body=read_body(body) if body else None)
+        return with_hands(Motion("T-pose", 1, 30.0, (note,), block), hands, model)
+    motion = read_motion(source, body=model)
     if motion.frames < 1:
         raise AssetError(f"{source}: expected at least one frame, found none")
-    return motion
+    return with_hands(motion, hands, model)
 
 
 def frame_range(
@@ -299,15 +312,18 @@ def play_main(argv: list[str]) -> int:
         prog="selfscan play",
         description="An avatar in a window: drag to orbit, wheel to come nearer.",
         epilog="keys  space play/pause   , . one frame back/on   left right one second   home end   "
-        "r reset camera   f follow   v view dependence   s screenshot   h help line   q quit",
+        "r reset camera   f follow   v view dependence   s screenshot   h help line   q quit   t T-pose (--live)",
     )
     parser.add_argument(
         "avatar", nargs="+", metavar="AVATAR", help="avatar file (.glb); several stand side by side"
     )
     parser.add_argument(
-        "--motion", metavar="FILE", default="counting", help="pose file (.npz, .bvh), or: counting, walking"
+        "--motion", metavar="FILE", help="pose file, EasyMocap folder, or: counting (default), walking"
     )
-    parser.add_argument("--body", metavar="MODEL", help="SMPL+H model (.npz) that the pose file was made for")
+    parser.add_argument(
+        "--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for"
+    )
+    add_hands(parser)
     parser.add_argument("--size", type=parse_size, default=(960, 720), metavar="WxH")
     parser.add_argument("--view", choices=("auto", *VIEWS), default="auto")
     parser.add_argument("--background", type=parse_color, default=parse_color("#2b2d33"), metavar="#rrggbb")
@@ -319,11 +335,21 @@ def play_main(argv: list[str]) -> int:
         help="keys pressed one a frame, as 'space . . right'; then the window closes",
     )
     parser.add_argument("--screenshot", metavar="FILE", help="write the last frame shown to a .png")
+    add_live_options(parser)
     options = parser.parse_args(argv)
+    if options.live is None and any(
+        value is not None
+        for value in (options.smooth, options.buffer, options.calibrate, options.record, options.latency)
+    ):
+        parser.error("--smooth, --buffer, --calibrate, --record and --latency go with --live")
+    if options.live is not None and options.motion is not None:
+        parser.error("give --motion or --live")
     from player.window import play  # glfw only when a window is asked for
 
     avatars = [read_avatar(path) for path in options.avatar]
-    motion = opened_motion(options.motion, options.body)
+    if options.live is not None:
+        return play_live(avatars, options)
+    motion = opened_motion(options.motion or "counting", options.body, options.hands)
     clips = [retargeted(motion, avatar) for avatar in avatars]
     for note in notes(clips, 0):
         print(note)
@@ -335,6 +361,41 @@ def play_main(argv: list[str]) -> int:
         )  # fmt: skip
     except (ValueError, NoContextError) as error:
         raise AssetError(str(error)) from None
+
+
+def play_live(avatars: Sequence[Avatar], options: argparse.Namespace) -> int:
+    """The window, posed by what arrives; the avatars stand in T-pose until something does."""
+    from player.live.session import LiveOptions, live_session
+    from player.window import play
+
+    places = [beside(k, len(avatars)) for k in range(len(avatars))]
+    motion = opened_motion(None, None)
+    clips = [standing(avatar) for avatar in avatars]
+    asked = LiveOptions(
+        options.live, smooth=options.smooth, buffer=options.buffer, record=options.record,
+        latency=options.latency, calibrate_after=options.calibrate,
+    )  # fmt: skip
+    script = options.script.split() if options.script is not None else None
+    try:
+        with live_session(asked, avatars, places) as live:
+            return play(
+                avatars, motion, clips, size=options.size, view=options.view, background=options.background,
+                null=options.platform == "null", beside=places, script=script, screenshot=options.screenshot,
+                live=live,
+            )  # fmt: skip
+    except (ValueError, NoContextError) as error:
+        raise AssetError(str(error)) from None
+
+
+def standing(avatar: Avatar) -> Callable[[int, int], Clip]:
+    """Frames of T-pose with the soles on the ground."""
+    height = pelvis_height(avatar)
+
+    def read(start: int, stop: int) -> Clip:
+        count = stop - start
+        return Clip(np.zeros((count, 52, 3)), np.tile([0.0, height, 0.0], (count, 1)), 30.0)
+
+    return read
 
 
 def doctor_main(argv: list[str]) -> int:

@@ -14,13 +14,14 @@ from avatar.gltf_scene import (
     read_skin,
     world_from_node,
 )
+from avatar.humanoid import mixamo_names, vrm_names
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
-from bench.synth.humanoid import _mixamo_names, _vrm_names, find_joints
+from bench.synth.humanoid import find_joints
 from bench.synth.subject import read_subject
 
-MIXAMO = ["mixamorig:" + _mixamo_names()[joint] for joint in JOINTS]
+MIXAMO = ["mixamorig:" + mixamo_names()[joint] for joint in JOINTS]
 
 
 @pytest.mark.parametrize("person", ["White_M_1_Casual", "Asian_F_2_Casual"])
@@ -71,7 +72,7 @@ def test_joints_are_found_by_name(tmp_path, names):
 @pytest.mark.parametrize("version", [0, 1])
 def test_joints_are_found_by_the_vrm_humanoid_whatever_their_names(tmp_path, version):
     document, vertices = rigs.rig([f"bone {i}" for i in range(52)])
-    bones = {name: JOINTS.index(joint) for joint, name in _vrm_names(version).items()}
+    bones = {name: JOINTS.index(joint) for joint, name in vrm_names(version).items()}
     if version == 1:
         humanoid = {"humanBones": {name: {"node": node} for name, node in bones.items()}}
         document["extensions"] = {"VRMC_vrm": {"humanoid": humanoid}}

@@ -1,0 +1,376 @@
+"""Pickles of data: what is admitted comes back equal, everything else is refused and never run."""
+
+import collections
+import fractions
+import io
+import os
+import pickle
+import struct
+import sys
+import tracemalloc
+import types
+
+import numpy as np
+import pytest
+
+from avatar import unpickle
+from avatar.body import builtin_body, read_body
+from avatar.errors import AssetError
+from avatar.skeleton import PARENTS
+from avatar.skinning import dense_weights
+from avatar.unpickle import MAX_STEPS, read_pickle
+
+STEPS = 20_000
+PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
+
+
+def saved(path, value, protocol=4):
+    path.write_bytes(pickle.dumps(value, protocol))
+    return path
+
+
+def same(a, b):
+    if isinstance(a, np.ndarray):
+        assert isinstance(b, np.ndarray) and a.dtype == b.dtype and a.shape == b.shape
+        np.testing.assert_array_equal(a, b)
+    elif isinstance(a, dict):
+        assert list(a) == list(b)
+        for key in a:
+            same(a[key], b[key])
+    elif isinstance(a, (list, tuple)):
+        assert type(a) is type(b) and len(a) == len(b)
+        for x, y in zip(a, b, strict=True):
+            same(x, y)
+    else:
+        assert a == b and type(a) is type(b)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_plain_data_comes_back_equal(tmp_path, protocol):
+    rng = np.random.default_rng(0)
+    shared = rng.normal(size=(3, 4))
+    value = {
+        "poses": rng.normal(size=(5, 156)),
+        "float32": rng.normal(size=7).astype("f4"),
+        "columns": np.asfortranarray(rng.normal(size=(4, 6))),
+        "big endian": np.arange(5, dtype=">i4").astype("i4"),
+        "text": "grün",
+        "bytes": b"\x00\xff",
+        "numbers": [
+            0,
+            1,
+            -1,
+            255,
+            256,
+            65536,
+            -(2**31),
+            2**31,
+            2**63,
+            -(2**70),
+            1.5,
+            float("inf"),
+            True,
+            False,
+            None,
+        ],
+        "tuple": (1, (2, 3), ()),
+        "nested": {"a": {"b": [shared, shared]}},
+        "scalar": np.float64(120.0),
+        "gender": np.array("female"),
+        "byte gender": np.array(b"female"),
+        "bools": np.array([True, False]),
+        "empty": np.zeros((0, 3)),
+        "ordered": collections.OrderedDict([("b", 1), ("a", 2)]),
+    }
+    back = read_pickle(saved(tmp_path / "a.pkl", value, protocol), "data")
+    value["ordered"] = dict(value["ordered"])
+    value["columns"] = value["columns"]
+    same(value, back)
+    assert back["nested"]["a"]["b"][0] is back["nested"]["a"]["b"][1]
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_other_byte_orders_and_sets_are_understood(tmp_path, protocol):
+    value = {"big": np.arange(4, dtype=">f8"), "set": {1}, "frozen": frozenset(["x"])}
+    back = read_pickle(saved(tmp_path / "a.pkl", value, protocol), "data")
+    np.testing.assert_array_equal(back["big"], np.arange(4.0))
+    assert back["set"] == [1] and back["frozen"] == ["x"]
+
+
+def test_arrays_of_objects_are_lists(tmp_path):
+    value = {"poses": np.array([np.zeros(3), np.ones(2)], object)}
+    back = read_pickle(saved(tmp_path / "a.pkl", value), "data")
+    assert [a.tolist() for a in back["poses"]] == [[0, 0, 0], [1, 1]]
+
+
+def test_text_of_python_2_is_latin1(tmp_path):
+    (tmp_path / "a.pkl").write_bytes(b"(dp0\nS'gender'\np1\nS'fem\\xe4le'\np2\nsS'n'\nL5L\nsS'yes'\nI01\ns.")
+    assert read_pickle(tmp_path / "a.pkl", "data") == {"gender": "femäle", "n": 5, "yes": True}
+    (tmp_path / "b.pkl").write_bytes(b"\x80\x02}q\x00U\x01aq\x01T\x02\x00\x00\x00\xe4\xffq\x02s.")
+    assert read_pickle(tmp_path / "b.pkl", "data") == {"a": "\xe4\xff"}
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("kind", ["csc_matrix", "csr_matrix", "csc_array"])
+def test_sparse_matrices_are_what_scipy_says(tmp_path, protocol, kind):
+    sparse = pytest.importorskip("scipy.sparse", reason="scipy is not installed")
+    rng = np.random.default_rng(1)
+    dense = rng.normal(size=(52, 90)) * (rng.random((52, 90)) < 0.1)
+    matrix = getattr(sparse, kind)(dense)
+    back = read_pickle(saved(tmp_path / "a.pkl", {"J_regressor": matrix}, protocol), "data")
+    np.testing.assert_array_equal(back["J_regressor"], dense)
+
+
+def chumpy_module():
+    """Classes with chumpy's names and states, so that they pickle as chumpy's objects do."""
+    ch, reordering = types.ModuleType("chumpy.ch"), types.ModuleType("chumpy.reordering")
+
+    class Ch:
+        pass
+
+    class Select:
+        pass
+
+    for module, kind in ((ch, Ch), (reordering, Select)):
+        kind.__module__, kind.__qualname__ = module.__name__, kind.__name__
+        setattr(module, kind.__name__, kind)
+    return (
+        ch,
+        reordering,
+        {"chumpy": types.ModuleType("chumpy"), "chumpy.ch": ch, "chumpy.reordering": reordering},
+    )
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_chumpy_arrays_are_their_values(tmp_path, protocol, monkeypatch):
+    ch, reordering, modules = chumpy_module()
+    x = np.arange(12.0).reshape(4, 3)
+    a = ch.Ch()
+    a.__dict__.update(x=x, _dirty_vars={"x"}, _itr=None, _cache={"drs": {}})
+    picked = reordering.Select()
+    picked.__dict__.update(a=a, idxs=np.array([0, 5, 7, 2]), preferred_shape=(2, 2))
+    with monkeypatch.context() as patch:
+        for name, module in modules.items():
+            patch.setitem(sys.modules, name, module)
+        path = saved(tmp_path / "a.pkl", {"v_template": a, "picked": picked}, protocol)
+    back = read_pickle(path, "data")
+    np.testing.assert_array_equal(back["v_template"], x)
+    np.testing.assert_array_equal(back["picked"], [[0, 5], [7, 2]])
+
+
+class Bomb:
+    def __init__(self, place):
+        self.place = place
+
+    def __reduce__(self):
+        return (open, (self.place, "w"))
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_nothing_is_run_and_the_name_is_said(tmp_path, protocol):
+    place = str(tmp_path / "executed")
+    for value, name in [
+        (Bomb(place), r"(_?io|builtins|__builtin__)\.open"),
+        ({"a": [np.zeros(3), os.system]}, r"(posix|nt)\.system"),
+        (collections.Counter("aab"), r"collections\.Counter"),
+        (fractions.Fraction(1, 3), r"fractions\.Fraction"),
+        (np.zeros(3).view(np.recarray), r"numpy\.(core\.records|rec|_core\.records)\.recarray"),
+    ]:
+        with pytest.raises(AssetError, match=rf"a\.pkl: expected data .*'{name}'.*nothing was run"):
+            read_pickle(saved(tmp_path / "a.pkl", value, protocol), "data")
+    assert not os.path.exists(place)
+
+
+@pytest.mark.parametrize(
+    "program, message",
+    [
+        (b"cnumpy\nload\n.", "numpy.load"),
+        (b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nmatrix\n(I0\ntS'b'\ntR.", "numpy.matrix"),
+        (b"cnumpy\ndtype\n(S'f8'\nI0\nI1\ntRb.", "an empty stack"),
+        (b"Px\n.", "PERSID"),
+        (b"\x82\x01.", "EXT1"),
+        (b"\x80\x05\x97.", "NEXT_BUFFER"),
+        (b"\xff.", "byte 0xff"),
+        (b"N", "ends at byte 1"),
+        (b"", "ends at byte 0"),
+        (b".", "empty stack"),
+        (b"0.", "empty stack"),
+        (b"g7\n.", "reference to object 7"),
+        (b"e.", "no mark"),
+        (b"I1\nI2\na.", "expected a list"),
+        (b"}]N s.", "0x20"),
+        (b"}]Ns.", "a dict key that is a list"),
+        (b"})\x85Ns.", "a dict key that is a tuple"),
+        (b"L999999999999999999999999999999999999999L\n.", "for a whole number"),
+        (b"\x8b\xff\xff\xff\x7f", "too early"),
+        (b"\x8d" + struct.pack("<Q", 1 << 62), "too early"),
+        (b"\x8e" + struct.pack("<Q", 1 << 62), "too early"),
+        (b"]q\x00h\x00a.", "hold themselves"),
+        (b"c__builtin__\nset\n(I1\ntR.", "cannot be rebuilt"),
+        (b"cnumpy\ndtype\n(S'V8'\nI0\nI1\ntR.", "'V8'"),
+        (b"cnumpy\ndtype\n(S'S9999999999'\nI0\nI1\ntR.", "expected numbers or text"),
+        (b"c_codecs\nencode\n(Vx\nS'rot13'\ntR.", "encoding 'rot13'"),
+        (b"c_codecs\nencode\n(Vx\nS'nonsense'\ntR.", "cannot be rebuilt"),
+        (b"cchumpy.ch\nCh\n)\x81.", "without 'x'"),
+        (b"ccopy_reg\n_reconstructor\n(c_codecs\nencode\nc__builtin__\nobject\nNtR.", "cannot be rebuilt"),
+        (b"S'abc\n.", "without quotes"),
+        (b"X\x02\x00\x00\x00\xff\xfe\x93.", "empty stack"),
+    ],
+)
+def test_broken_programs_are_refused_with_a_reason(tmp_path, program, message):
+    (tmp_path / "a.pkl").write_bytes(program)
+    with pytest.raises(AssetError, match=message) as error:
+        read_pickle(tmp_path / "a.pkl", "data")
+    assert "a.pkl" in str(error.value) and "\n" not in str(error.value)
+
+
+def sparse_bomb():
+    """A matrix of 2^40 by 2^20 that holds nothing."""
+    state = (b"}(U\x06_shape" + b"\x8a\x06" + (1 << 40).to_bytes(6, "little") + b"J" + struct.pack("<i", 1)
+             + b"\x86U\x04data" + ARRAY + b"U\x07indices" + ARRAY + b"U\x06indptr" + ARRAY + b"u")  # fmt: skip
+    return b"cscipy.sparse.csc\ncsc_matrix\n)\x81" + state + b"b."
+
+
+ARRAY = (b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\nI0\n\x85S'b'\ntR(I1\nI2\n\x85cnumpy\ndtype\n"
+         b"(S'i8'\nI0\nI1\ntR(I3\nS'<'\nNNNI-1\nI-1\nI0\ntbI00\nU\x10" + bytes(16) + b"tb")  # fmt: skip
+FRESH = b"c_codecs\nencode\n(h\x00S'latin1'\ntR0"
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        pytest.param(b"}" * (STEPS + 10), id="objects without end"),
+        pytest.param(b"(" * (STEPS + 10), id="marks without end"),
+        pytest.param(
+            b"X" + struct.pack("<I", 1 << 20) + b"a" * (1 << 20) + b"q\x000" + FRESH * 2000, id="copies"
+        ),
+        pytest.param(b"r\xff\xff\xff\xff" * 10, id="a far memo"),
+        pytest.param(b"N" + b"r\xff\xff\xff\xff" * 10, id="a far memo of something"),
+        pytest.param(b"]" + b"\x85" * 5000 + b".", id="deep"),
+        pytest.param(sparse_bomb(), id="a sparse matrix that is mostly promise"),
+    ],
+)
+def test_no_program_takes_more_than_its_share(tmp_path, program, monkeypatch):
+    monkeypatch.setattr(
+        unpickle, "MAX_STEPS", STEPS
+    )  # memory is counted a step: counting a million takes minutes
+    monkeypatch.setattr(unpickle, "MAX_BYTES", 1 << 26)
+    (tmp_path / "a.pkl").write_bytes(program)
+    tracemalloc.start()
+    try:
+        with pytest.raises(AssetError):
+            read_pickle(tmp_path / "a.pkl", "data")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert (peak - 2 * len(program)) / STEPS * MAX_STEPS < 1 << 29 or peak < 3 << 26
+
+
+def test_a_value_that_names_itself_twice_at_each_level_is_walked_once(tmp_path):
+    (tmp_path / "a.pkl").write_bytes(b"I1\n" + b"2\x86" * 60 + b".")
+    value = read_pickle(tmp_path / "a.pkl", "data")
+    for _ in range(60):
+        assert value[0] is value[1]
+        value = value[0]
+    assert value == 1
+
+
+def test_flipped_and_cut_pickles_are_refused_or_read(tmp_path):
+    rng = np.random.default_rng(5)
+    value = {
+        "poses": rng.normal(size=(2, 6)),
+        "trans": np.zeros((2, 3)),
+        "gender": "male",
+        "n": [1, 2.5, (3, b"x")],
+    }
+    for protocol in PROTOCOLS:
+        whole = pickle.dumps(value, protocol)
+        for n in range(150):
+            damaged = bytearray(whole)
+            for place in rng.integers(0, len(whole), 1 + n % 3):
+                damaged[place] = rng.integers(256)
+            (tmp_path / "b.pkl").write_bytes(damaged[: rng.integers(len(whole))] if n % 3 == 0 else damaged)
+            try:
+                read_pickle(tmp_path / "b.pkl", "data")
+            except AssetError as error:
+                assert "b.pkl" in str(error) and "\n" not in str(error)
+
+
+def test_cut_at_every_byte(tmp_path):
+    whole = pickle.dumps({"poses": np.zeros((1, 3)), "gender": "male"}, 2)
+    for length in range(len(whole)):
+        (tmp_path / "cut.pkl").write_bytes(whole[:length])
+        with pytest.raises(AssetError, match=r"cut\.pkl"):
+            read_pickle(tmp_path / "cut.pkl", "data")
+
+
+def model(hands=True):
+    """The built-in body with the fields and types of an official .pkl."""
+    body = builtin_body("male")
+    count = len(body.vertices)
+    regressor = np.zeros((52, count))
+    regressor[:, :4] = 0.25
+    fields = {
+        "v_template": body.vertices.astype("f4"),
+        "f": body.faces.astype("u4"),
+        "weights": dense_weights(body.skin),
+        "shapedirs": body.shape_directions[:, :, :2],
+        "kintree_table": np.array([np.where(PARENTS < 0, 4294967295, PARENTS), np.arange(52)], "u4"),
+        "J": body.joints,
+        "J_regressor": regressor,
+        "bs_style": "lbs",
+    }
+    if hands:
+        rng = np.random.default_rng(0)
+        fields |= {f"hands_mean{side}": rng.normal(size=45) for side in "lr"}
+        fields |= {f"hands_components{side}": rng.normal(size=(45, 45)) for side in "lr"}
+    return fields
+
+
+def test_a_body_model_in_a_pickle_is_the_one_in_an_npz(tmp_path):
+    sparse = pytest.importorskip("scipy.sparse", reason="scipy is not installed")
+    fields = model()
+    np.savez(tmp_path / "a.npz", **{k: v for k, v in fields.items() if k != "bs_style"})
+    fields["J_regressor"] = sparse.csc_matrix(fields["J_regressor"])
+    a, b = read_body(tmp_path / "a.npz"), read_body(saved(tmp_path / "a.pkl", fields, 2))
+    for name in ("vertices", "faces", "joints", "shape_directions", "joint_directions", "origin"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    np.testing.assert_array_equal(a.skin.weights, b.skin.weights)
+    np.testing.assert_array_equal(b.hands.mean[1], fields["hands_meanr"])
+    np.testing.assert_array_equal(b.hands.components[0], fields["hands_componentsl"])
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"weights": np.ones((5, 24))}, "weights should be"),
+        ({"v_template": "text"}, "no v_template"),
+        ({"hands_meanl": np.zeros(12)}, r"hands_meanl should be \(45\), is \(12,\)"),
+        ({"hands_componentsr": np.zeros((12, 45))}, "hands_componentsr should be"),
+        ({"hands_meanr": np.full(45, np.nan)}, "hands_meanr is not finite"),
+    ],
+)
+def test_what_a_pickled_model_lacks_is_named(tmp_path, change, message):
+    with pytest.raises(AssetError, match=rf"a\.pkl: {message}"):
+        read_body(saved(tmp_path / "a.pkl", model() | change))
+
+
+def test_a_list_is_no_model(tmp_path):
+    with pytest.raises(AssetError, match="a dict of arrays, found a list"):
+        read_body(saved(tmp_path / "a.pkl", [1, 2]))
+
+
+def test_a_body_without_hands_has_none(tmp_path):
+    assert read_body(saved(tmp_path / "a.pkl", model(hands=False))).hands is None
+    assert builtin_body("male").hands is None
+
+
+def test_pickles_written_step_by_step_are_read(tmp_path):
+    """A pickler without memo and framing, as other languages write them."""
+    file = io.BytesIO()
+    pickler = pickle.Pickler(file, 3)
+    pickler.fast = True
+    pickler.dump({"fps": 30.0, "poses": np.arange(6.0).reshape(2, 3)})
+    (tmp_path / "a.pkl").write_bytes(file.getvalue())
+    back = read_pickle(tmp_path / "a.pkl", "data")
+    assert back["fps"] == 30.0 and back["poses"].tolist() == [[0, 1, 2], [3, 4, 5]]
