@@ -21,16 +21,18 @@ from avatar.files import whole_file
 from avatar.motion import Clip, Motion
 from player.context import Context, wrap_context
 from player.framing import ELEVATION, FOV, extent, facing, fitted_camera
+from player.live.playback import LivePlayback
 from player.overlay import TextLine
 from player.renderer import Pose, Renderer
 
 KEYS = {
     "space": glfw.KEY_SPACE, ",": glfw.KEY_COMMA, ".": glfw.KEY_PERIOD, "left": glfw.KEY_LEFT,
     "right": glfw.KEY_RIGHT, "home": glfw.KEY_HOME, "end": glfw.KEY_END, "r": glfw.KEY_R, "v": glfw.KEY_V,
-    "s": glfw.KEY_S,
+    "s": glfw.KEY_S, "t": glfw.KEY_T,
     "f": glfw.KEY_F, "h": glfw.KEY_H, "q": glfw.KEY_Q,
 }  # fmt: skip
 HELP = "space play/pause  , . step  arrows 1 s  home end  r camera  f follow  v view  s shot  q quit"
+HELP_LIVE = "space pause  t T-pose in 3 s  r camera  f follow  v view  s shot  q quit"
 SCRIPT_RATE = 30.0
 BLOCK = 256
 LONGEST_STEP = 0.25  # seconds; after a stall the clip goes on where it was
@@ -104,6 +106,11 @@ class Playback:
         i = frame - self.first
         return [(b.axis_angle[i], b.root[i] + at) for b, at in zip(self.blocks, self.beside, strict=True)]
 
+    def status(self) -> str:
+        """Frame and time, in one line."""
+        state = "" if self.playing else "  paused"
+        return f"frame {self.frame}/{self.motion.frames}  {self.frame / self.motion.rate:.1f} s{state}"
+
 
 class Window:
     """The window with everything in it. `run` returns when it is closed or the script has ended."""
@@ -111,7 +118,7 @@ class Window:
     def __init__(
         self,
         avatars: Sequence[Avatar],
-        playback: Playback,
+        playback: Playback | LivePlayback,
         orbit: Orbit,
         *,
         size: tuple[int, int],
@@ -168,6 +175,8 @@ class Window:
             self.help = not self.help
         elif key == glfw.KEY_S:
             self.shoot = True
+        elif key == glfw.KEY_T and isinstance(playback, LivePlayback):
+            playback.ask_for_t_pose()
 
     def move(self, x: float, y: float) -> None:
         """Pointer moved: left button turns, right or middle shifts."""
@@ -200,6 +209,8 @@ class Window:
                 print(f"{name} written")
                 self.shoot, self.shots = False, self.shots + 1
         glfw.swap_buffers(self.handle)
+        if isinstance(self.playback, LivePlayback):
+            self.playback.drawn()
         self.rate_frames += 1
         now = time.perf_counter()
         if now - self.rate_began > 0.5:
@@ -207,14 +218,11 @@ class Window:
             self.rate_frames, self.rate_began = 0, now
 
     def line(self) -> str:
-        """The line of text: frames per second, frame and time, view, or the keys."""
+        """The line of text: frames per second, where the playback is, view, or the keys."""
         if self.help:
-            return HELP
-        playback, motion = self.playback, self.playback.motion
-        state = "" if playback.playing else "  paused"
+            return HELP_LIVE if isinstance(self.playback, LivePlayback) else HELP
         view = f"  view {'on' if self.renderer.view_amount else 'off'}" if self.has_view else "  paper mode"
-        seconds = playback.frame / motion.rate
-        return f"{self.shown_rate:.0f} fps  frame {playback.frame}/{motion.frames}  {seconds:.1f} s{state}{view}  h: keys"
+        return f"{self.shown_rate:.0f} fps  {self.playback.status()}{view}  h: keys"
 
     def run(self, script: Sequence[str] | None, *, keep: bool) -> None:
         """Until closed, or one key of the script a frame."""
@@ -236,7 +244,7 @@ class Window:
                 glfw.wait_events_timeout(0.1)
 
     def press(self, word: str) -> None:
-        """A word of a script: a key, `wait`, `turn:DX:DY`, `near:CLICKS`, `size:W:H`."""
+        """A word of a script: a key, `wait`, `turn:DX:DY`, `near:CLICKS`, `size:W:H`; `pose`: until a live one comes."""
         name, *values = word.split(":")
         numbers = [float(value) for value in values]
         if name == "turn":
@@ -245,6 +253,9 @@ class Window:
             self.orbit.approach(*numbers)
         elif name == "size":
             glfw.set_window_size(self.handle, int(numbers[0]), int(numbers[1]))
+        elif word == "pose":
+            if isinstance(self.playback, LivePlayback):
+                self.playback.wait_for_pose()
         elif word != "wait":
             self.key(KEYS[word])
 
@@ -310,8 +321,12 @@ def play(
     beside: Sequence[np.ndarray],
     script: Sequence[str] | None,
     screenshot: str | None,
+    live: LivePlayback | None = None,
 ) -> int:
-    """Open the window and run it. A script closes it at its end; a screenshot keeps the last frame shown."""
+    """Open the window and run it. A script closes it at its end; a screenshot keeps the last frame shown.
+
+    With `live` the clips only say where the avatars stand until poses come.
+    """
     if script is not None:
         check_script(script)
     points = [
@@ -325,7 +340,7 @@ def play(
     orbit = Orbit(target, float(np.linalg.norm(camera.eye - target)), azimuth)
     window = Window(
         avatars,
-        Playback(motion, clips, beside),
+        live or Playback(motion, clips, beside),
         orbit,
         size=size,
         view=view,
@@ -353,7 +368,7 @@ def check_script(script: Sequence[str]) -> None:
     counts = {"turn": 2, "near": 1, "size": 2}
     for word in script:
         name, *values = word.split(":")
-        if word in KEYS or word == "wait":
+        if word in KEYS or word in ("wait", "pose"):
             continue
         try:
             known = counts.get(name) == len([float(value) for value in values])
@@ -361,5 +376,5 @@ def check_script(script: Sequence[str]) -> None:
             known = False
         if not known:
             raise ValueError(
-                f"script: {word!r} is no key; there are wait, {', '.join(KEYS)}, turn:DX:DY, near:N, size:W:H"
+                f"script: {word!r} is no key; there are wait, pose, {', '.join(KEYS)}, turn:DX:DY, near:N, size:W:H"
             )

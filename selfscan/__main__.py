@@ -15,7 +15,8 @@ make an avatar
 
 use it
   render  AVATAR --motion FILE -o OUT    a picture, frames or a film, with or without GPU and display
-  play    AVATAR [--motion FILE]         a window: orbit, pause, step, scrub
+  play    AVATAR [--motion FILE]         a window: orbit, pause, step, scrub; --live vmc:39539: posed by a sender
+  stream  MOTION --to vmc:HOST:PORT      sends a motion as live poses (VMC, or JSON with udp:)
 
 judge it
   eval    RUN_OR_AVATAR CAPTURE          how near to the truth: cm, PSNR, SSIM, FLIP
@@ -61,6 +62,8 @@ def _dispatch(name: str, rest: list[str]) -> int:
             from player.command import render_main as run
         elif name == "play":
             from player.command import play_main as run
+        elif name == "stream":
+            from player.live.command import stream_main as run
         elif name == "doctor":
             from player.command import doctor_main as run
         else:

@@ -1,0 +1,55 @@
+"""T-pose calibration: what a sender's bones look like in a T-pose, so that any rig becomes ours.
+
+A rig's bones may have any rotation at rest (VRM 1 sends them raw). With q0 a bone's local rotation in the T-pose
+and W its parent's rotation in the world then (the product of q0 from the hips down), the same turn between bones
+that are identity at rest is
+
+    q_n = W (q q0^-1) W^-1
+
+because the turn in the parent's axes, q q0^-1, is carried to axes that stand as the world's. Only bones that are
+sent enter W; a rig with turned joints between them that are not sent cannot be recovered.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.rotation import axis_angle_from_quaternion, quaternion_inverse, quaternion_product
+from avatar.skeleton import DEPTHS, PARENTS
+from player.live.frame import LivePose
+from player.live.vmc import Rig
+
+
+class Calibration(NamedTuple):
+    rest: Float[np.ndarray, "52 4"]  # q0
+    parent_rest: Float[np.ndarray, "52 4"]  # W
+
+
+def identity_calibration() -> Calibration:
+    """Of a normalised rig: every bone is identity in the T-pose."""
+    identity = np.tile([0.0, 0, 0, 1], (52, 1))
+    return Calibration(identity, identity.copy())
+
+
+def calibrated(t_pose: Rig) -> Calibration:
+    """The calibration of a rig that stands in the T-pose, facing where it should face in our pose 0."""
+    world = t_pose.rotations.copy()
+    parent_rest = np.tile([0.0, 0, 0, 1], (52, 1))
+    for joints in DEPTHS:
+        parent_rest[joints] = world[PARENTS[joints]]
+        world[joints] = quaternion_product(parent_rest[joints], t_pose.rotations[joints])
+    return Calibration(t_pose.rotations.copy(), parent_rest)
+
+
+def pose_from_rig(rig: Rig, calibration: Calibration) -> LivePose:
+    """Our pose of a rig; the root's own pose moves and turns the pelvis."""
+    turn = quaternion_product(rig.rotations, quaternion_inverse(calibration.rest))
+    W = calibration.parent_rest
+    normal = quaternion_product(quaternion_product(W, turn), quaternion_inverse(W))
+    normal[0] = quaternion_product(rig.root_rotation, normal[0])
+    hips = np.append(rig.hips, 0.0)
+    carried = quaternion_product(
+        quaternion_product(rig.root_rotation, hips), quaternion_inverse(rig.root_rotation)
+    )
+    return LivePose(axis_angle_from_quaternion(normal), rig.root + carried[:3])

@@ -1,0 +1,227 @@
+"""`selfscan stream`: a motion goes out as live poses; and the live options of `selfscan play`."""
+
+import argparse
+import itertools
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+import numpy as np
+
+from avatar.body import Body, builtin_body, read_body
+from avatar.errors import AssetError
+from avatar.motion import Clip, Motion, fitted, read_motion
+from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+from player.live import json_pose
+from player.live.address import Address, parse_address
+from player.live.frame import LivePose
+from player.live.inbox import LONGEST_DELAY
+from player.live.one_euro import LEAST
+from player.live.vmc import VmcEncoder
+
+BLOCK = 256  # frames read at once
+FASTEST = 1000.0  # frames a second
+CATCH_UP = 1.0  # seconds; a sender that was stopped for longer goes on from now instead of hurrying
+
+EXAMPLES = """examples
+  selfscan stream counting --to udp:127.0.0.1:39550          (beside: selfscan play me.glb --live udp:39550)
+  selfscan stream walk.npz --to vmc:192.168.1.20:39539 --loop
+  selfscan stream take.npz --to vmc:127.0.0.1:39540 --rate 30"""
+
+
+def add_live_options(parser: argparse.ArgumentParser) -> None:
+    """--live and what belongs to it."""
+    live = parser.add_argument_group("live poses")
+    live.add_argument(
+        "--live", type=source, metavar="vmc:PORT|udp:PORT|ws:PORT",
+        help="pose by what arrives: VMC (usual port 39539), or our JSON over UDP or WebSocket; "
+        "this machine only, unless HOST:PORT names another interface (0.0.0.0: all)",
+    )  # fmt: skip
+    live.add_argument(
+        "--smooth", type=cutoff, nargs="?", const=LEAST, metavar="HZ",
+        help=f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})",
+    )  # fmt: skip
+    live.add_argument(
+        "--buffer", type=milliseconds, metavar="MS",
+        help="show poses MS late, evenly, instead of the newest as it comes",
+    )  # fmt: skip
+    live.add_argument(
+        "--calibrate", type=seconds, metavar="S",
+        help="S seconds after the first pose, take the pose of then for the T-pose (key t does it too)",
+    )  # fmt: skip
+    live.add_argument("--record", metavar="FILE.npz", help="write what came as an AMASS pose file at the end")
+    live.add_argument(
+        "--latency", metavar="FILE.csv", help="write when each pose was sent, received, applied, drawn"
+    )
+
+
+def source(text: str) -> Address:
+    return _address(text, ("vmc", "udp", "ws"))
+
+
+def target(text: str) -> Address:
+    address = _address(text, ("vmc", "udp"))
+    if address.port == 0:
+        raise argparse.ArgumentTypeError(f"expected a port from 1 to 65535, found {text!r}")
+    return address
+
+
+def _address(text: str, kinds: tuple[str, ...]) -> Address:
+    try:
+        return parse_address(text, kinds)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def cutoff(text: str) -> float:
+    return _number(text, 0.01, 1000, "Hz")
+
+
+def milliseconds(text: str) -> float:
+    """Seconds of a text in milliseconds."""
+    return _number(text, 0, 1000 * LONGEST_DELAY, "ms") / 1000
+
+
+def seconds(text: str) -> float:
+    return _number(text, 0, 3600, "seconds")
+
+
+def rate(text: str) -> float:
+    return _number(text, 0.1, FASTEST, "frames a second")
+
+
+def _number(text: str, least: float | int, most: float | int, unit: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not least <= value <= most:
+        raise argparse.ArgumentTypeError(f"expected {least:g} to {most:g} {unit}, found {text!r}")
+    return value
+
+
+def stream_main(argv: list[str]) -> int:
+    """Send a motion as live poses."""
+    parser = argparse.ArgumentParser(
+        prog="selfscan stream",
+        description="Send a motion as live poses: to `selfscan play --live`, or to any program that takes VMC.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("motion", metavar="MOTION", help="pose file (.npz, .bvh), or: counting, walking")
+    parser.add_argument("--to", type=target, required=True, metavar="vmc:HOST:PORT|udp:HOST:PORT",
+                        help="VMC or our JSON; HOST may be left out: this machine")  # fmt: skip
+    parser.add_argument("--rate", type=rate, metavar="R", help="poses a second (default: the motion's)")
+    parser.add_argument("--loop", action="store_true", help="start over at the end, until stopped")
+    parser.add_argument("--body", metavar="MODEL", help="SMPL+H model (.npz) that the pose file was made for")
+    options = parser.parse_args(argv)
+    motion = read_motion(options.motion, body=read_body(options.body) if options.body else None)
+    for note in motion.notes:
+        print(note)
+    encode = encoder(options.to.kind, builtin_body("male"))
+    poses = timed_poses(motion, options.rate or motion.rate, loop=options.loop)
+    began = time.monotonic()
+    with connected(options.to) as connection:
+        print(f"{motion.name} to {options.to}, {options.rate or motion.rate:g} poses a second")
+        try:
+            sent = send(poses, encode, lambda data: deliver(connection, data))
+        except OSError as error:
+            raise AssetError(f"{options.to}: {error.strerror or error}") from None
+    took = time.monotonic() - began
+    print(f"{sent} poses sent in {took:.1f} s")
+    return 0
+
+
+def connected(address: Address) -> socket.socket:
+    """A UDP socket that sends there.
+
+    Raises:
+        AssetError: there is no such host.
+    """
+    try:
+        family, kind, proto, _, place = socket.getaddrinfo(
+            address.host, address.port, type=socket.SOCK_DGRAM
+        )[0]
+        connection = socket.socket(family, kind, proto)
+        connection.connect(place)
+    except OSError as error:
+        raise AssetError(f"{address}: {error.strerror or error}") from None
+    return connection
+
+
+def deliver(connection: socket.socket, data: bytes) -> None:
+    """Send; that no one listens (yet) is no error."""
+    with suppress(ConnectionRefusedError):
+        connection.send(data)
+
+
+Encode = Callable[[int, float, LivePose], bytes]  # number, seconds since the start, pose
+
+
+def encoder(kind: str, body: Body, wall: Callable[[], float] = time.time) -> Encode:
+    """Poses to datagrams, with the root fitted to the body whose bones are sent; JSON carries the `wall` time."""
+    height = -float(body.vertices[:, 1].min())
+    if kind == "vmc":
+        vmc = VmcEncoder(body.joints.astype(np.float64))
+        return lambda _number, seconds, pose: vmc.encode(pose.axis_angle, pose.root, seconds)
+
+    def encode(number: int, _seconds: float, pose: LivePose) -> bytes:
+        return json_pose.build_pose(
+            pose.axis_angle,
+            pose.root,
+            time=wall(),
+            sequence=number,
+            sender="selfscan",
+            pelvis_height=height,
+        )
+
+    return encode
+
+
+def timed_poses(motion: Motion, rate: float | int, *, loop: bool) -> Iterator[tuple[float, LivePose]]:
+    """The motion at a rate, read in blocks: seconds since the start, and the pose then, between frames on the
+    shorter arc. The last pose is the last that is not after the motion's last frame; looping, the first frame
+    follows one step after it."""
+    body = builtin_body("male")
+    height = -float(body.vertices[:, 1].min())
+    count = int(np.floor((motion.frames - 1) / motion.rate * rate * (1 + 1e-12))) + 1
+    first, block = 0, None
+    for number in itertools.count() if loop else range(count):
+        at = min(number % count * (motion.rate / rate), motion.frames - 1)
+        frame = min(int(at + 1e-9), motion.frames - 1)
+        if block is None or not first <= frame < first + len(block.root) - 1:
+            first = frame
+            block = fitted(motion.read(first, min(first + BLOCK, motion.frames)), height)
+        yield number / rate, between(block, frame - first, at - frame)
+
+
+def between(clip: Clip, frame: int, part: float | int) -> LivePose:
+    """The pose at a part of the way from a frame to the next."""
+    a = LivePose(clip.axis_angle[frame], clip.root[frame])
+    if part < 1e-6 or frame + 1 == len(clip.root):
+        return a
+    q = quaternion_from_axis_angle(clip.axis_angle[frame : frame + 2])
+    joints = axis_angle_from_quaternion(slerp(q[0], q[1], part))
+    return LivePose(joints, a.root + part * (clip.root[frame + 1] - a.root))
+
+
+def send(
+    poses: Iterator[tuple[float, LivePose]],
+    encode: Encode,
+    deliver: Callable[[bytes], object],
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], object] = time.sleep,
+) -> int:
+    """Send each pose at its time; how many were sent. Late by a little it hurries, by more it goes on from now."""
+    began, sent = clock(), 0
+    for seconds, pose in poses:
+        wait = began + seconds - clock()
+        if wait > 0:
+            sleep(wait)
+        elif wait < -CATCH_UP:
+            began -= wait
+        deliver(encode(sent, seconds, pose))
+        sent += 1
+    return sent

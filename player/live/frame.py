@@ -1,0 +1,38 @@
+"""One pose as it came in, before it is fitted to an avatar; and the counts of all that came."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class LivePose(NamedTuple):
+    """A pose in our world, of the sender's body."""
+
+    axis_angle: Float[np.ndarray, "52 3"]
+    root: Float[np.ndarray, "3"]  # pelvis joint, metres
+
+
+class Frame(NamedTuple):
+    """What a decoder made of one or more datagrams."""
+
+    content: object  # that its decoder turns into a LivePose
+    received: float  # monotonic seconds on this machine, of the last datagram
+    sent: float | None  # seconds on the sender's clock
+    time: float  # of the pose, on this machine's clock: the sender's steps where it has a clock
+    number: int  # counts frames; a frame that is completed by a second datagram keeps its number
+
+
+@dataclass
+class Counters:
+    """Datagrams and frames; each datagram is received, and at most one of the others."""
+
+    received: int = 0
+    frames: int = 0  # poses
+    malformed: int = 0  # not the protocol, or a number that is not finite; the rest of a VMC bundle is used
+    oversized: int = 0
+    late: int = 0  # older than what was used already
+    duplicate: int = 0
+    other: int = 0  # from a sender that is not the one followed
+    lost: int = 0  # gaps in the sequence numbers (JSON); VMC has none

@@ -1,0 +1,222 @@
+"""Where frames wait between the network and the window: the newest one, or a short buffer that evens out jitter.
+
+Times. `received` is this machine's monotonic clock. A pose's own `time` follows the sender's clock from a common
+start, so that its steps are the sender's and not the network's; where the sender has no clock, or sets it back, it
+follows `received`. The buffer plays at
+
+    now - lag - delay,    lag = the smallest received - time of late (it may grow by 1 ms a second)
+
+so a frame that takes up to `delay` longer than the quickest ones is shown at its right time.
+"""
+
+import threading
+from bisect import bisect_right
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+from player.live.calibration import calibrated, identity_calibration, pose_from_rig
+from player.live.frame import Counters, Frame, LivePose
+from player.live.json_pose import LARGEST as LARGEST_JSON
+from player.live.json_pose import JsonDecoder, JsonPose
+from player.live.osc import LARGEST as LARGEST_OSC
+from player.live.take import Take
+from player.live.vmc import VmcDecoder, VmcState, rig_from_state
+
+MOST_WAITING = 512  # frames; two seconds at 240 a second
+LONGEST_DELAY = 1.0  # seconds
+COARSE = 8192.0  # seconds; float32 clocks step by 1 ms from here on, so arrival is the better clock
+JUMP = 1.0  # seconds; a sender's clock that jumps by more against ours is started anew
+DRIFT = 1e-3  # seconds a second, by which lag may grow
+SILENT = 1.0  # seconds without a datagram
+
+
+class Facts(NamedTuple):
+    """How the source does, for the line of text."""
+
+    frames: int
+    rate: float  # frames a second, of late
+    age: float | None  # seconds since the last frame came; None: none has
+    counters: Counters
+    tracking: bool
+
+
+class Inbox:
+    """Takes datagrams from a thread, gives poses to another. Memory does not grow."""
+
+    def __init__(self, kind: str, *, delay: float | None = None, take: Take | None = None):
+        if delay is not None and not 0 <= delay <= LONGEST_DELAY:
+            raise ValueError(f"buffer should be 0 to {1000 * LONGEST_DELAY:g} ms, is {1000 * delay:g}")
+        self.lock = threading.Lock()
+        self.arrived = threading.Condition(self.lock)
+        self.vmc = VmcDecoder() if kind == "vmc" else None
+        self.json = JsonDecoder()
+        self.largest = LARGEST_OSC if self.vmc else LARGEST_JSON
+        self.counters = Counters()
+        self.delay, self.take = delay, take
+        self.calibration = identity_calibration()
+        self.newest: Frame | None = None
+        self.waiting: deque[Frame] = deque(maxlen=MOST_WAITING)  # by time; only for the buffer
+        self.arrivals: deque[float] = deque(maxlen=64)
+        self.start: tuple[float, float] | None = None  # sender's clock and ours at a common moment
+        self.lag = np.inf
+        self.lag_at = 0.0
+
+    def feed(self, data: bytes | str, received: float | int) -> None:
+        """Take a datagram that arrived at `received`. Nothing in it can make this fail."""
+        with self.lock:
+            self.counters.received += 1
+            if len(data) > self.largest:
+                self.counters.oversized += 1
+                return
+            if self.vmc is not None:
+                assert isinstance(data, bytes)
+                arrival = self.vmc.decode(data, self.counters)
+                if arrival is not None:
+                    self._accept(arrival.state, arrival.sent, received, arrival.begins, arrival.restarted)
+                return
+            found = self.json.decode(data, received, self.counters)
+            if found is not None:
+                pose, late, restarted = found
+                if not late:
+                    self._accept(pose, pose.time, received, True, restarted)
+                elif self.delay is not None and self.waiting:
+                    self._insert_late(pose, received)
+
+    def oversize(self) -> None:
+        """Count a message that was too large to be handed over."""
+        with self.lock:
+            self.counters.received += 1
+            self.counters.oversized += 1
+
+    def _accept(
+        self, content: object, sent: float | None, received: float | int, begins: bool, restarted: bool
+    ) -> None:
+        last = self.newest
+        if restarted:
+            self.start = None
+            self.waiting.clear()
+            self.lag = np.inf
+        begins = begins or last is None
+        if begins:
+            self.counters.frames += 1
+            self.arrivals.append(received)
+            self._record()
+        if begins or last is None:
+            time = self._time(sent, received)
+        else:
+            time = last.time
+        frame = Frame(content, received, sent, time, self.counters.frames)
+        self.newest = frame
+        if self.delay is not None:
+            if not begins and self.waiting:
+                self.waiting.pop()
+            self.waiting.append(frame)
+            self._follow_lag(frame)
+        self.arrived.notify_all()
+
+    def _time(self, sent: float | None, received: float | int) -> float:
+        """When the pose was, on our clock; never before the last one's."""
+        time = float(received)
+        if sent is not None and not (self.vmc is not None and abs(sent) > COARSE):
+            if self.start is None or abs((received - self.start[1]) - (sent - self.start[0])) > JUMP:
+                self.start = (float(sent), float(received))
+                self.lag = np.inf
+            time = self.start[1] + (sent - self.start[0])
+        return max(time, self.newest.time) if self.newest is not None else time
+
+    def _insert_late(self, pose: JsonPose, received: float | int) -> None:
+        """A late pose still has its place in the buffer."""
+        if self.start is None:
+            return
+        time = self.start[1] + (pose.time - self.start[0])
+        at = bisect_right([frame.time for frame in self.waiting], time)
+        if 0 < at < len(self.waiting) and len(self.waiting) < MOST_WAITING:
+            self.waiting.insert(at, Frame(pose, received, pose.time, time, self.waiting[at].number))
+
+    def _follow_lag(self, frame: Frame) -> None:
+        grown = self.lag + DRIFT * max(frame.received - self.lag_at, 0.0)
+        self.lag, self.lag_at = min(grown, frame.received - frame.time), frame.received
+
+    def _record(self) -> None:
+        """Give the frame that is complete now to the take."""
+        if self.take is not None and self.newest is not None:
+            pose = self.pose(self.newest)
+            self.take.add(self.newest.time, pose)
+
+    def finish(self) -> None:
+        """The last frame is complete: nothing comes any more."""
+        with self.lock:
+            self._record()
+            self.take = None
+
+    def wait(self, after: int, timeout: float | int) -> bool:
+        """Wait for a frame later than number `after`; whether there is one."""
+        with self.arrived:
+            return self.arrived.wait_for(
+                lambda: self.newest is not None and self.newest.number > after, timeout
+            )
+
+    def pose(self, frame: Frame) -> LivePose:
+        """A frame in our joints and world, of the sender's body."""
+        if isinstance(frame.content, VmcState):
+            return pose_from_rig(rig_from_state(frame.content), self.calibration)
+        assert isinstance(frame.content, JsonPose)
+        return frame.content.pose
+
+    def leg(self) -> float | None:
+        """Leg length of the sender's body (vmc.leg_length), where its bones tell."""
+        frame = self.newest
+        return rig_from_state(frame.content).leg if frame and isinstance(frame.content, VmcState) else None
+
+    def pelvis_height(self) -> float | None:
+        """Pelvis height of the sender's body, where it says so."""
+        frame = self.newest
+        return frame.content.pelvis_height if frame and isinstance(frame.content, JsonPose) else None
+
+    def calibrate(self) -> bool:
+        """Take the newest frame for a T-pose; whether there was one to take."""
+        with self.lock:
+            if self.newest is None or not isinstance(self.newest.content, VmcState):
+                return False
+            self.calibration = calibrated(rig_from_state(self.newest.content))
+            return True
+
+    def sample(self, now: float | int) -> tuple[Frame, LivePose] | None:
+        """The pose to show now, and the frame it comes from (in the buffer: the nearer later one). None: none yet."""
+        with self.lock:
+            newest = self.newest
+            if newest is None:
+                return None
+            if self.delay is None or len(self.waiting) < 2:
+                before = after = newest
+                at = newest.time
+            else:
+                at = now - self.lag - self.delay
+                while len(self.waiting) > 2 and self.waiting[1].time <= at:
+                    self.waiting.popleft()
+                before, after = self.waiting[0], self.waiting[1]
+        if after.time <= before.time or at >= after.time:
+            return after, self.pose(after)
+        if at <= before.time:
+            return before, self.pose(before)
+        return after, blended(
+            self.pose(before), self.pose(after), (at - before.time) / (after.time - before.time)
+        )
+
+    def facts(self, now: float | int) -> Facts:
+        with self.lock:
+            times = list(self.arrivals)
+            age = now - self.newest.received if self.newest else None
+            span = times[-1] - times[0] if len(times) > 1 else 0.0
+            rate = (len(times) - 1) / span if span > 0 and age is not None and age < SILENT else 0.0
+            tracking = self.vmc is None or self.vmc.tracking
+            return Facts(self.counters.frames, rate, age, Counters(**vars(self.counters)), tracking)
+
+
+def blended(a: LivePose, b: LivePose, part: float) -> LivePose:
+    """Between two poses: joints on the shorter arc, the root straight."""
+    joints = slerp(quaternion_from_axis_angle(a.axis_angle), quaternion_from_axis_angle(b.axis_angle), part)
+    return LivePose(axis_angle_from_quaternion(joints), a.root + part * (b.root - a.root))

@@ -1,0 +1,149 @@
+"""Our own pose in JSON, one object a UDP datagram or a WebSocket message:
+
+    {"v": 1, "t": 12.345, "seq": 42, "id": "a", "trans": [x, y, z], "poses": [156 numbers]}
+
+`poses` are 52 axis-angle vectors in SMPL+H order, flat-hand convention, radians; `trans` is the pelvis joint in
+the world, +y up, metres. `t` is seconds on the sender's clock (Unix time lets the latency be absolute), `seq`
+counts up by one a message. `id` (at most 64 letters) tells several senders apart and may be left out, as may
+`pelvis_height`: metres from the soles to the pelvis of the body that `trans` fits. Other keys are ignored.
+"""
+
+import json
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from player.live.frame import Counters, LivePose
+
+PORT = 39550
+LARGEST = 16384  # bytes; a message has about 3000
+REORDERED = 64  # a sequence number older by more is a restarted sender
+PATIENCE = 1.0  # seconds that the followed sender may be silent before another is followed
+
+
+class JsonPose(NamedTuple):
+    time: float
+    sequence: int
+    sender: str
+    pose: LivePose
+    pelvis_height: float | None
+
+
+class PoseError(ValueError):
+    """The text is no pose."""
+
+
+def parse_pose(data: bytes | str) -> JsonPose:
+    """Read one message.
+
+    Raises:
+        PoseError: not JSON, another version, a key missing, a number not finite or out of all measure.
+    """
+    try:
+        found = json.loads(data, parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        raise PoseError(f"no JSON: {error}") from None
+    if not isinstance(found, dict) or found.get("v") != 1:
+        raise PoseError('expected an object with "v": 1')
+    sequence, sender = found.get("seq"), found.get("id", "")
+    if not isinstance(sequence, int) or isinstance(sequence, bool) or not 0 <= sequence < 1 << 63:
+        raise PoseError("seq should be a whole number from 0")
+    if not isinstance(sender, str) or len(sender) > 64:
+        raise PoseError("id should be a text of at most 64 letters")
+    time = _numbers([found.get("t")], 1, 1e12, "t")[0]
+    trans = _numbers(found.get("trans"), 3, 1e6, "trans")
+    poses = _numbers(found.get("poses"), 156, 1e3, "poses")
+    height = found.get("pelvis_height")
+    if height is not None:
+        height = float(_numbers([height], 1, 100, "pelvis_height")[0])
+        if height < 0.05:
+            raise PoseError("pelvis_height should be metres, at least 0.05")
+    return JsonPose(float(time), sequence, sender, LivePose(poses.reshape(52, 3), trans), height)
+
+
+def _refuse(name: str) -> None:
+    raise ValueError(f"{name} is no number")
+
+
+def _numbers(value: object, count: int, largest: float | int, name: str) -> Float[np.ndarray, "numbers"]:
+    """`count` plain numbers below `largest`; true and false are none."""
+    if not isinstance(value, list) or len(value) != count:
+        raise PoseError(f"{name} should be {count} numbers")
+    if not all(type(number) in (int, float) and -largest <= number <= largest for number in value):
+        raise PoseError(f"{name} should be {count} finite numbers, at most {largest:g}")
+    return np.array(value, np.float64)
+
+
+def build_pose(
+    axis_angle: Float[np.ndarray, "52 3"],
+    root: Float[np.ndarray, "3"],
+    *,
+    time: float | int,
+    sequence: int,
+    sender: str = "",
+    pelvis_height: float | None = None,
+) -> bytes:
+    """One message; the numbers to 1e-6."""
+    message: dict = {"v": 1, "t": time, "seq": sequence}
+    if sender:
+        message["id"] = sender
+    if pelvis_height is not None:
+        message["pelvis_height"] = round(pelvis_height, 6)
+    message["trans"] = np.round(root, 6).tolist()
+    message["poses"] = np.round(axis_angle, 6).reshape(-1).tolist()
+    return json.dumps(message, separators=(",", ":"), allow_nan=False).encode()
+
+
+class JsonDecoder:
+    """Messages to poses of one sender: each sequence number once; gaps, late and repeated ones are counted."""
+
+    def __init__(self):
+        self.sender: str | None = None
+        self.heard = -np.inf  # when the followed sender was last heard
+        self.newest: int | None = None
+        self.recent: deque[tuple[int, float]] = deque(maxlen=2 * REORDERED)
+        self.late_in_a_row = 0
+
+    def decode(
+        self, data: bytes | str, received: float | int, counters: Counters
+    ) -> tuple[JsonPose, bool, bool] | None:
+        """The pose, whether it is late (older than the newest), and whether the sender has restarted; or None."""
+        try:
+            pose = parse_pose(data)
+        except PoseError:
+            counters.malformed += 1
+            return None
+        restarted = False
+        if pose.sender != self.sender:
+            if self.sender is not None and received - self.heard < PATIENCE:
+                counters.other += 1
+                return None
+            restarted = self.sender is not None
+            self._begin(pose.sender)
+        self.heard = received
+        if (pose.sequence, pose.time) in self.recent:
+            counters.duplicate += 1
+            return None
+        late = False
+        if self.newest is not None:
+            ahead = pose.sequence - self.newest
+            if -REORDERED <= ahead < 0 and self.late_in_a_row < REORDERED // 2:
+                late = True
+                counters.late += 1
+                counters.lost = max(counters.lost - 1, 0)  # it was counted as lost when its follower came
+                self.late_in_a_row += 1
+            elif ahead < 0 or ahead > 1_000_000:
+                restarted = True
+                self._begin(pose.sender)
+            else:
+                counters.lost += ahead - 1
+        if not late:
+            self.newest, self.late_in_a_row = pose.sequence, 0
+        self.recent.append((pose.sequence, pose.time))
+        return pose, late, restarted
+
+    def _begin(self, sender: str) -> None:
+        self.sender, self.newest, self.late_in_a_row = sender, None, 0
+        self.recent.clear()

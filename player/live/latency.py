@@ -1,0 +1,101 @@
+"""How late a pose is: sent, received, applied, drawn; percentiles for the screen and a CSV row a frame.
+
+Sent is on the sender's clock. Where that is Unix time of this machine (our JSON), sent to received is what it
+says; elsewhere the two clocks share no start, and it is told above the quickest datagram so far, marked
+"relative". Applied is when the pose was taken for drawing, drawn when the buffers were swapped.
+"""
+
+import time
+from collections import deque
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from avatar.files import whole_file
+from player.live.frame import Frame
+
+HEADER = (
+    "frame,sent_s,received_s,applied_s,drawn_s,sent_clock,sent_to_received_ms,received_to_applied_ms,"
+    "applied_to_drawn_ms,received_to_drawn_ms\n"
+)
+KEPT = 2048  # frames, for the percentiles
+UNIX = 1e9  # seconds; a larger time is Unix time
+BELIEVED = 10.0  # seconds; Unix clocks of two machines that differ by more are not compared
+
+
+class Percentiles(NamedTuple):
+    """Milliseconds."""
+
+    p50: float
+    p95: float
+    p99: float
+
+
+class Latency:
+    """Stamps of the frames that were drawn. With a path, every frame is a row of a CSV, written when closed."""
+
+    def __init__(self, path: Path | str | None = None):
+        self.spans: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
+        self.quickest = np.inf
+        self.last = -1
+        self.pending: tuple[Frame, float] | None = None
+        self.file = whole_file(Path(path), "w") if path is not None else None
+        self.rows = self.file.__enter__() if self.file else None
+        if self.rows:
+            self.rows.write(HEADER)
+
+    def applied(self, frame: Frame, now: float | int) -> None:
+        """The frame goes into the picture that is drawn next; only its first time counts."""
+        if frame.number != self.last:
+            self.pending, self.last = (frame, float(now)), frame.number
+
+    def drawn(self, now: float | int) -> None:
+        """The picture with the applied frame is on the screen."""
+        if self.pending is None:
+            return
+        (frame, applied), self.pending = self.pending, None
+        clock, travelled = self._travel(frame)
+        self.spans.append((travelled, applied - frame.received, now - frame.received))
+        if self.rows:
+            sent = "" if frame.sent is None else f"{frame.sent:.6f}"
+            spans = [travelled, applied - frame.received, now - applied, now - frame.received]
+            columns = [f"{1000 * span:.3f}" if np.isfinite(span) else "" for span in spans]
+            stamps = [f"{stamp:.6f}" for stamp in (frame.received, applied, now)]
+            self.rows.write(",".join([str(frame.number), sent, *stamps, clock, *columns]) + "\n")
+
+    def _travel(self, frame: Frame) -> tuple[str, float]:
+        """Which clock tells, and seconds from sent to received; NaN where the sender has none."""
+        if frame.sent is None:
+            return "none", np.nan
+        if frame.sent > UNIX:
+            travelled = frame.received + (time.time() - time.monotonic()) - frame.sent
+            if -1e-3 < travelled < BELIEVED:  # a millisecond: the two clocks are not read at once
+                return "unix", max(travelled, 0.0)
+        offset = frame.received - frame.sent
+        if abs(offset - self.quickest) > BELIEVED:  # another clock: a restarted sender
+            self.quickest = offset
+        self.quickest = min(self.quickest, offset)
+        return "relative", offset - self.quickest
+
+    def percentiles(self) -> Percentiles | None:
+        """Received to drawn, of the last frames."""
+        if not self.spans:
+            return None
+        return Percentiles(*(1000 * np.percentile([span[2] for span in self.spans], [50, 95, 99])))
+
+    def summary(self) -> list[str]:
+        """One line a span, for printing at the end."""
+        names = ("sent to received", "received to applied", "received to drawn")
+        lines = []
+        for name, values in zip(names, np.array(self.spans).reshape(-1, 3).T, strict=True):
+            values = 1000 * values[np.isfinite(values)]
+            if len(values):
+                p50, p95, p99 = np.percentile(values, [50, 95, 99])
+                lines.append(f"latency, {name}: p50 {p50:.2f} ms, p95 {p95:.2f}, p99 {p99:.2f}")
+        return lines
+
+    def close(self) -> None:
+        if self.file:
+            self.file.__exit__(None, None, None)
+            self.file = self.rows = None

@@ -1,0 +1,186 @@
+"""Open Sound Control 1.0: bytes of a packet to messages and back, bounded in size, number and depth.
+
+A packet is a message or a bundle. All is big-endian in units of 4 bytes; strings end in 1 to 4 zeros. A message is
+an address, a string of type letters that starts with a comma, and the arguments; a bundle is "#bundle", a time
+tag, and packets each after its int32 size (opensoundcontrol.org, "OSC spec 1.0").
+"""
+
+import struct
+from collections.abc import Sequence
+from typing import NamedTuple
+
+LARGEST = 32768  # bytes of a packet; a VMC bundle of 55 bones has about 4500
+MOST_MESSAGES = 1024  # in a packet
+DEEPEST = 8  # bundles within bundles
+IMMEDIATELY = 1  # time tag
+
+PLAIN = {
+    "i": "i",
+    "f": "f",
+    "h": "q",
+    "d": "d",
+    "t": "Q",
+}  # types that struct knows, OSC letter to its letter
+VALUELESS = {"T": True, "F": False, "N": None, "I": float("inf")}  # I is "infinitum", an impulse
+_layouts: dict[bytes, struct.Struct] = {}
+
+
+class OscError(ValueError):
+    """The bytes are no OSC packet, or a larger or deeper one than is read here."""
+
+
+class Message(NamedTuple):
+    address: str
+    arguments: tuple
+
+
+def parse_packet(data: bytes) -> list[Message]:
+    """The messages of a packet, bundles flattened in order; time tags are not waited for.
+
+    A message with an argument of unknown type is left out, as the specification asks.
+
+    Raises:
+        OscError: anything else that is not as it should be; then nothing of the packet is used.
+    """
+    if len(data) > LARGEST:
+        raise OscError(f"packet of {len(data)} bytes, at most {LARGEST} are read")
+    messages: list[Message] = []
+    _parse(data, 0, len(data), messages, 0)
+    return messages
+
+
+def _parse(data: bytes, start: int, end: int, messages: list[Message], depth: int) -> None:
+    if (end - start) % 4 or start == end:
+        raise OscError(f"{end - start} bytes: a packet is a positive multiple of 4 long")
+    if data[start] == 0x2F:  # "/"
+        if len(messages) >= MOST_MESSAGES:
+            raise OscError(f"more than {MOST_MESSAGES} messages in a packet")
+        message = _message(data, start, end)
+        if message is not None:
+            messages.append(message)
+        return
+    if data[start : start + 8] != b"#bundle\0" or end - start < 16:
+        raise OscError("neither a message nor a bundle")
+    if depth == DEEPEST:
+        raise OscError(f"bundles nested more than {DEEPEST} deep")
+    at = start + 16
+    while at < end:
+        size = int.from_bytes(data[at : at + 4], "big")
+        if size > end - at - 4:
+            raise OscError(f"an element of {size} bytes in a bundle with {end - at - 4} left")
+        _parse(data, at + 4, at + 4 + size, messages, depth + 1)
+        at += 4 + size
+
+
+def _message(data: bytes, start: int, end: int) -> Message | None:
+    address, at = _string(data, start, end)
+    if at == end:
+        return Message(address, ())  # senders of before 1.0 leave the type letters out
+    if data[at] != 0x2C:  # ","
+        raise OscError("no type letters after the address")
+    stop = data.find(b"\0", at, end)
+    letters = data[at + 1 : stop] if stop >= 0 else b""
+    if stop < 0:
+        raise OscError("a string that does not end")
+    at += (stop - at) // 4 * 4 + 4
+    if letters in _layouts or _remember(letters):  # what VMC sends: one string, then numbers
+        arguments: list = []
+        if letters[:1] == b"s":
+            text, at = _string(data, at, end)
+            arguments.append(text)
+        layout = _layouts[letters]
+        if at + layout.size > end:
+            raise OscError("arguments end before their types do")
+        arguments.extend(layout.unpack_from(data, at))
+        return Message(address, tuple(arguments))
+    return _any_arguments(data, at, end, address, letters)
+
+
+def _remember(letters: bytes) -> bool:
+    """Whether the letters are at most one string, in front, and numbers; then their layout is kept."""
+    numbers = letters[1:] if letters[:1] == b"s" else letters
+    if len(numbers) > 16 or not all(chr(letter) in PLAIN for letter in numbers):
+        return False
+    if len(_layouts) < 64:
+        _layouts[letters] = struct.Struct(">" + "".join(PLAIN[chr(letter)] for letter in numbers))
+    return letters in _layouts
+
+
+def _any_arguments(data: bytes, at: int, end: int, address: str, letters: bytes) -> Message | None:
+    stack: list[list] = [[]]  # arrays are tuples
+    for letter in letters.decode("latin-1"):
+        if letter in PLAIN:
+            size = struct.calcsize(">" + PLAIN[letter])
+            if at + size > end:
+                raise OscError("arguments end before their types do")
+            stack[-1].append(struct.unpack_from(">" + PLAIN[letter], data, at)[0])
+            at += size
+        elif letter in "sS":
+            text, at = _string(data, at, end)
+            stack[-1].append(text)
+        elif letter == "b":
+            size = int.from_bytes(data[at : at + 4], "big")
+            if at + 4 > end or size > end - at - 4:
+                raise OscError(f"a blob of {size} bytes does not fit")
+            stack[-1].append(data[at + 4 : at + 4 + size])
+            at += 4 + (size + 3) // 4 * 4
+        elif letter in "crm":
+            if at + 4 > end:
+                raise OscError("arguments end before their types do")
+            stack[-1].append(data[at : at + 4])
+            at += 4
+        elif letter in VALUELESS:
+            stack[-1].append(VALUELESS[letter])
+        elif letter == "[" and len(stack) <= DEEPEST:
+            stack.append([])
+        elif letter == "]" and len(stack) > 1:
+            inner = tuple(stack.pop())
+            stack[-1].append(inner)
+        elif letter in "[]":
+            raise OscError("arrays of arguments that do not match or are too deep")
+        else:
+            return None
+    if len(stack) > 1:
+        raise OscError("an array of arguments that does not end")
+    return Message(address, tuple(stack[0]))
+
+
+def _string(data: bytes, start: int, end: int) -> tuple[str, int]:
+    stop = data.find(b"\0", start, end)
+    if stop < 0:
+        raise OscError("a string that does not end")
+    try:
+        return data[start:stop].decode("utf-8"), start + (stop - start) // 4 * 4 + 4
+    except UnicodeDecodeError:
+        raise OscError("a string that is not UTF-8") from None
+
+
+def build_message(address: str, *arguments: str | float | int | bool) -> bytes:
+    """A message: str as s, bool as T or F, int as int32, float as float32."""
+    letters, parts = [","], []
+    for value in arguments:
+        if isinstance(value, bool):
+            letters.append("T" if value else "F")
+        elif isinstance(value, int):
+            letters.append("i")
+            parts.append(struct.pack(">i", value))
+        elif isinstance(value, float):
+            letters.append("f")
+            parts.append(struct.pack(">f", value))
+        else:
+            letters.append("s")
+            parts.append(_padded(value))
+    return _padded(address) + _padded("".join(letters)) + b"".join(parts)
+
+
+def build_bundle(elements: Sequence[bytes], time_tag: int = IMMEDIATELY) -> bytes:
+    """A bundle of messages or bundles."""
+    head = b"#bundle\0" + struct.pack(">Q", time_tag)
+    return head + b"".join(struct.pack(">i", len(element)) + element for element in elements)
+
+
+def _padded(text: str) -> bytes:
+    data = text.encode("utf-8")
+    if b"\0" in data:
+        raise ValueError(f"an OSC string holds no zero byte: {text!r}")
+    return data + b"\0" * (4 - len(data) % 4)

@@ -1,0 +1,156 @@
+"""Live poses for the window, in the place of a file's playback: taken, fitted to each avatar, smoothed, timed."""
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.baked_avatar import Avatar
+from avatar.motion import Motion
+from player.framing import pelvis_height
+from player.live.address import Address
+from player.live.frame import LivePose
+from player.live.inbox import SILENT, Inbox
+from player.live.latency import Latency
+from player.live.one_euro import OneEuro
+from player.live.vmc import joint_offsets, leg_length
+from player.renderer import Pose
+
+LOW = 0.05  # metres; a pelvis lower than this was not measured, not even of someone who lies
+PATIENCE = 10.0  # seconds that a script waits for a pose
+
+
+class LivePlayback:
+    """What the window asks of a playback, from an inbox. Until a pose comes the avatars stand in T-pose.
+
+    The person first seen stands at the world's origin; `calibrate` puts them there again, soles on the ground. The root is scaled by
+    the ratio of leg lengths where the sender tells its own (VMC bone positions, JSON pelvis_height).
+    """
+
+    def __init__(
+        self,
+        inbox: Inbox,
+        address: Address,
+        avatars: Sequence[Avatar],
+        beside: Sequence[Float[np.ndarray, "3"]],
+        *,
+        smooth: float | None = None,
+        latency: Latency | None = None,
+        calibrate_after: float | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ):
+        self.inbox, self.address, self.beside, self.clock = inbox, address, beside, clock
+        self.motion, self.frame, self.playing = Motion(str(address), 1, 30.0, (), standing), 0, True
+        self.heights = [pelvis_height(avatar) for avatar in avatars]
+        self.legs = [
+            leg_length(joint_offsets(avatar.joint_positions.astype(np.float64))) for avatar in avatars
+        ]
+        self.filter = OneEuro(smooth) if smooth is not None else None
+        self.latency = latency or Latency()
+        self.countdown = calibrate_after
+        self.origin: Float[np.ndarray, "3"] | None = None  # in the sender's metres
+        self.stands = False  # whether the pose that sets the origin stands on the ground for certain
+        self.shown: LivePose | None = None
+        self.sampled: float | None = None
+
+    def advance(self, dt: float | int) -> None:
+        """Let time pass: only the countdown to the calibration needs it."""
+        if self.countdown is not None and self.inbox.newest is not None:
+            self.countdown -= max(dt, 0.0)
+            if self.countdown <= 0:
+                self.countdown = None
+                self.calibrate()
+
+    def seek(self, frame: int) -> None:
+        """There is no going back in what is live."""
+
+    def ask_for_t_pose(self, seconds: float | int = 3.0) -> None:
+        """Start the countdown to the calibration; pressed again, stop it."""
+        self.countdown = None if self.countdown is not None else float(seconds)
+
+    def calibrate(self) -> None:
+        """Take the pose of now for the T-pose, standing on the ground at the origin."""
+        self.inbox.calibrate()
+        self.origin, self.stands = None, True
+        if self.filter:
+            self.filter.reset()
+
+    def poses(self) -> list[Pose]:
+        """A pose for each avatar. Paused or silent, the last good one."""
+        now = self.clock()
+        found = self.inbox.sample(now) if self.playing else None
+        if found is not None:
+            frame, pose = found
+            self.latency.applied(frame, now)
+            dt = now - self.sampled if self.sampled is not None else 0.0
+            self.shown = self.filter(pose, dt) if self.filter else pose
+            self.sampled = now
+            if self.origin is None:
+                self.origin = pose.root * [1.0, 0.0, 1.0]
+                if self.stands or abs(pose.root[1]) < LOW:
+                    self.origin[1] = pose.root[1] - self.heights[0] / self._ratio(0)
+        if self.shown is None or self.origin is None:
+            return [
+                (np.zeros((52, 3)), np.array([0, height, 0]) + at)
+                for height, at in zip(self.heights, self.beside, strict=True)
+            ]
+        root = self.shown.root - self.origin
+        return [(self.shown.axis_angle, root * self._ratio(k) + at) for k, at in enumerate(self.beside)]
+
+    def _ratio(self, k: int) -> float:
+        """Avatar k's size against the sender's body; 1 where the sender does not tell."""
+        own, height, leg = self.inbox.pelvis_height(), self.heights[k], self.legs[k]
+        if own is not None:
+            return height / own
+        theirs = self.inbox.leg()
+        return leg / theirs if theirs and leg else 1.0
+
+    def sender_height(self) -> float:
+        """Pelvis height of the sender's body, for the take: played back it is scaled as it was live."""
+        return self.heights[0] / self._ratio(0)
+
+    def drawn(self) -> None:
+        """The picture of the last `poses` is on the screen."""
+        self.latency.drawn(self.clock())
+
+    def wait_for_pose(self) -> None:
+        """Wait for a frame that was not shown yet, some seconds at most."""
+        self.inbox.wait(self.latency.last, PATIENCE)
+
+    def status(self) -> str:
+        """Source, rate, age of the pose, loss and latency, in one line."""
+        facts = self.inbox.facts(self.clock())
+        count = facts.counters
+        if self.countdown is not None:
+            return f"{self.address}  hold a T-pose: {self.countdown:.0f}"
+        if facts.age is None:
+            bad = f", {count.malformed + count.oversized} packets are no poses" if count.received else ""
+            return f"{self.address}  waiting for poses{bad}"
+        parts = [str(self.address), f"{facts.rate:.0f}/s", f"age {1000 * facts.age:.0f} ms"]
+        if facts.age > SILENT:
+            parts[1:] = [f"SILENT {facts.age:.0f} s, last pose held"]
+        elif not facts.tracking:
+            parts.append("sender: no tracking")
+        if not self.playing:
+            parts.append("paused")
+        named = {
+            "lost": count.lost, "late": count.late, "twice": count.duplicate,
+            "bad": count.malformed + count.oversized, "others": count.other,
+        }  # fmt: skip
+        parts.append("  ".join(f"{name} {n}" for name, n in named.items() if n or name == "lost"))
+        spans = self.latency.percentiles()
+        if spans:
+            parts.append(f"p95 {spans.p95:.0f} ms")
+        return "  ".join(parts)
+
+    def summary(self) -> list[str]:
+        """What came, in a few lines for printing at the end."""
+        facts = self.inbox.facts(self.clock())
+        named = {name: n for name, n in vars(facts.counters).items() if n or name in ("received", "frames")}
+        return [f"live: {', '.join(f'{name} {n}' for name, n in named.items())}", *self.latency.summary()]
+
+
+def standing(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+    """Frames of T-pose."""
+    return np.zeros((stop - start, 52, 3)), np.zeros((stop - start, 3))

@@ -1,0 +1,242 @@
+"""The Virtual Motion Capture protocol (V3.1): bones over OSC, to and from our 52 joints, fingers included.
+
+`/VMC/Ext/Bone/Pos` gives each bone's local pose under its Unity name. Unity is left-handed, +y up, facing +z;
+we are right-handed, so x is mirrored and left stays left:
+
+    p' = (-x, y, z)        q' = (x, -y, -z, w)
+
+Bones that a sender lacks (often UpperChest) stay at rest; eyes, jaw and unknown names are ignored. The pelvis is
+root pose times Hips pose. A sender's bones are taken as normalised (identity in T-pose, as VRM 0) until
+`calibration` says otherwise.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.rotation import quaternion_from_axis_angle
+from avatar.skeleton import PARENTS
+from player.live.frame import Counters
+from player.live.osc import Message, OscError, build_bundle, build_message, parse_packet
+
+PORT = 39539
+RESTART = 1.0  # seconds; a clock set back by more was restarted, by less its datagram came late
+REMEMBERED = 16  # datagrams, to know a repeated one
+
+_BODY = (
+    "Hips LeftUpperLeg RightUpperLeg Spine LeftLowerLeg RightLowerLeg Chest LeftFoot RightFoot UpperChest "
+    "LeftToes RightToes Neck LeftShoulder RightShoulder Head LeftUpperArm RightUpperArm LeftLowerArm RightLowerArm "
+    "LeftHand RightHand"
+).split()
+BONES: tuple[str, ...] = tuple(
+    _BODY
+    + [
+        f"{side}{finger}{part}"
+        for side in ("Left", "Right")
+        for finger in ("Index", "Middle", "Little", "Ring", "Thumb")
+        for part in ("Proximal", "Intermediate", "Distal")
+    ]
+)  # UnityEngine.HumanBodyBones in the order of our joints
+_JOINT = {name.lower(): joint for joint, name in enumerate(BONES)}
+_LEGS = [(1, 4, 7), (2, 5, 8)]
+
+Bone = tuple[float, ...]  # seven: position xyz, rotation xyzw, as sent
+
+
+def _joints(vrm1_thumbs: bool) -> dict[str, int]:
+    """Lower-case names to joints. VRM 1 calls the thumb's bones metacarpal, proximal, distal."""
+    names = dict(_JOINT)
+    if vrm1_thumbs:
+        for side, first in (("left", 34), ("right", 49)):
+            names[f"{side}thumbmetacarpal"], names[f"{side}thumbproximal"] = first, first + 1
+    return names
+
+
+JOINT_OF = {False: _joints(False), True: _joints(True)}
+KNOWN = frozenset(JOINT_OF[True])
+
+
+class VmcState(NamedTuple):
+    """The newest pose of every bone that the sender has sent, by lower-case name, in Unity's axes."""
+
+    bones: dict[str, Bone]
+    root: Bone | None
+
+
+class Rig(NamedTuple):
+    """A state in our axes and order, not yet normalised."""
+
+    rotations: Float[np.ndarray, "52 4"]  # parent_from_bone
+    hips: Float[np.ndarray, "3"]  # in the root's frame
+    root_rotation: Float[np.ndarray, "4"]
+    root: Float[np.ndarray, "3"]
+    leg: float | None  # metres from the pelvis' height to the ankle, along the bones
+
+
+class Arrival(NamedTuple):
+    """What a datagram brought: a state, whether it begins a new frame, and the sender's clock."""
+
+    state: VmcState
+    begins: bool
+    sent: float | None
+    restarted: bool
+
+
+class VmcDecoder:
+    """Datagrams to states. A frame may be cut into several datagrams: a bone seen again begins the next frame."""
+
+    def __init__(self):
+        self.bones: dict[str, Bone] = {}
+        self.root: Bone | None = None
+        self.seen: set[str] = set()  # in the frame that is being filled
+        self.clock: float | None = None  # the sender's, newest
+        self.frame_clock: float | None = None
+        self.clock_is_new = False
+        self.recent: dict[int, None] = {}
+        self.tracking = True
+
+    def decode(self, data: bytes, counters: Counters) -> Arrival | None:
+        """The state after this datagram, or None where it held no bone or is not used; the counters say why."""
+        try:
+            messages = parse_packet(data)
+        except OscError:
+            counters.malformed += 1
+            return None
+        clock, found, root, bad = self._read(messages)
+        if clock is not None and self._is_old(data, clock, counters):
+            return None
+        restarted = clock is not None and self.clock is not None and clock < self.clock - RESTART
+        if clock is not None:
+            self.clock, self.clock_is_new = clock, True
+        if bad:
+            counters.malformed += 1
+        names = set(found) | ({"root"} if root else set())
+        if not names:
+            return None
+        begins = not self.seen or not self.seen.isdisjoint(names)
+        if begins:
+            self.seen = names
+            self.frame_clock = self.clock if self.clock_is_new else None
+        else:
+            self.seen |= names
+            self.frame_clock = clock if clock is not None else self.frame_clock
+        self.clock_is_new = False
+        self.bones.update(found)
+        self.root = root or self.root
+        return Arrival(VmcState(dict(self.bones), self.root), begins, self.frame_clock, restarted)
+
+    def _read(self, messages: list[Message]) -> tuple[float | None, dict[str, Bone], Bone | None, bool]:
+        clock, found, root, bad = None, {}, None, False
+        for address, arguments in messages:
+            if address == "/VMC/Ext/Bone/Pos" or address == "/VMC/Ext/Root/Pos":
+                pose = _pose(arguments)
+                if pose is None:
+                    bad = True
+                elif address == "/VMC/Ext/Root/Pos":
+                    root = pose
+                else:
+                    name = arguments[0].lower()
+                    if name in KNOWN:
+                        found[name] = pose
+            elif address == "/VMC/Ext/T":
+                if (
+                    len(arguments) >= 1
+                    and isinstance(arguments[0], (int, float))
+                    and abs(arguments[0]) < 1e12
+                ):
+                    clock = float(arguments[0])
+                else:
+                    bad = True
+            elif address == "/VMC/Ext/OK":
+                numbers = [value for value in arguments if isinstance(value, int)]
+                self.tracking = bool(numbers and numbers[0]) and (len(numbers) < 4 or numbers[3] != 0)
+        return clock, found, root, bad
+
+    def _is_old(self, data: bytes, clock: float, counters: Counters) -> bool:
+        """Whether a datagram with a clock came before, or belongs before what was used already."""
+        key = hash(data)
+        if key in self.recent:
+            counters.duplicate += 1
+            return True
+        if self.clock is not None and self.clock - RESTART <= clock < self.clock:
+            counters.late += 1
+            return True
+        self.recent[key] = None
+        if len(self.recent) > REMEMBERED:
+            del self.recent[next(iter(self.recent))]
+        return False
+
+
+def _pose(arguments: tuple) -> Bone | None:
+    """Seven finite numbers after a name, with a rotation that is one; or None."""
+    if len(arguments) < 8 or not isinstance(arguments[0], str):
+        return None
+    numbers = arguments[1:8]
+    try:
+        x, y, z, w = numbers[3:]
+        if sum(map(abs, numbers)) < 1e6 and x * x + y * y + z * z + w * w > 1e-6:  # false for NaN
+            return tuple(map(float, numbers))  # other number types are read, too
+    except TypeError:
+        pass
+    return None
+
+
+def rig_from_state(state: VmcState) -> Rig:
+    """The state in our axes: x mirrored, bones in the order of our joints."""
+    vrm1 = any(name.endswith("thumbmetacarpal") for name in state.bones)
+    poses = np.zeros((52, 7))
+    poses[:, 6] = 1
+    for name, pose in state.bones.items():
+        joint = JOINT_OF[vrm1].get(name)
+        if joint is not None:
+            poses[joint] = pose
+    root = np.array(state.root if state.root else (0, 0, 0, 0, 0, 0, 1), np.float64)
+    mirror = np.array([-1, 1, 1, 1, -1, -1, 1.0])
+    poses, root = poses * mirror, root * mirror
+    rotations = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
+    return Rig(
+        rotations, poses[0, :3], root[3:] / np.linalg.norm(root[3:]), root[:3], leg_length(poses[:, :3])
+    )
+
+
+def leg_length(offsets: Float[np.ndarray, "52 3"]) -> float | None:
+    """Metres from pelvis to ankle: the hip's drop, thigh and shin, the mean of both legs.
+
+    `offsets` are the joints from their parents. None where that is no leg (under 0.1 m or over 5 m): the sender
+    leaves positions out.
+    """
+    legs = [
+        abs(offsets[hip, 1]) + np.linalg.norm(offsets[knee]) + np.linalg.norm(offsets[ankle])
+        for hip, knee, ankle in _LEGS
+    ]
+    length = float(np.mean(legs))
+    return length if 0.1 < length < 5 else None
+
+
+def joint_offsets(joints: Float[np.ndarray, "52 3"]) -> Float[np.ndarray, "52 3"]:
+    """Rest positions of the joints from their parents; the pelvis' is zero."""
+    offsets = np.zeros((52, 3))
+    offsets[1:] = joints[1:] - joints[PARENTS[1:]]
+    return offsets
+
+
+class VmcEncoder:
+    """Poses to bundles, one a frame: all bones of a frame arrive, or none. 52 bones, about 4 KB."""
+
+    def __init__(self, joints: Float[np.ndarray, "52 3"]):
+        self.offsets = joint_offsets(joints) * [-1.0, 1, 1]
+        self.heads = [build_message("/VMC/Ext/Bone/Pos", name, *[0.0] * 7)[:-28] for name in BONES]
+        self.root = build_message("/VMC/Ext/Root/Pos", "root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        self.ok = build_message("/VMC/Ext/OK", 1, 3, 0, 1)
+
+    def encode(
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], seconds: float | int
+    ) -> bytes:
+        """The bundle of a pose; `seconds` is the sender's clock."""
+        positions = self.offsets.copy()
+        positions[0] = root * np.array([-1.0, 1, 1])
+        rotations = quaternion_from_axis_angle(axis_angle) * np.array([1.0, -1, -1, 1])
+        numbers = np.concatenate([positions, rotations], 1).astype(">f4")
+        bones = [head + row.tobytes() for head, row in zip(self.heads, numbers, strict=True)]
+        return build_bundle([self.ok, build_message("/VMC/Ext/T", float(seconds)), self.root, *bones])

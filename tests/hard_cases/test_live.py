@@ -1,0 +1,129 @@
+"""Live poses: odd clocks, lying packets, silence; what goes out comes in again."""
+
+import numpy as np
+import pytest
+
+from avatar.amass import read_amass
+from avatar.body import builtin_body
+from avatar.motion import builtin_motion
+from avatar.rotation import quaternion_from_axis_angle, quaternion_inverse, quaternion_product
+from avatar.skeleton import PARENTS
+from player.live.calibration import calibrated, pose_from_rig
+from player.live.command import encoder, send, timed_poses
+from player.live.frame import LivePose
+from player.live.inbox import Inbox
+from player.live.one_euro import OneEuro
+from player.live.take import Take
+from player.live.vmc import Rig
+
+
+def angles(a, b):
+    """Radians between rotations given as axis-angle."""
+    relative = quaternion_product(
+        quaternion_inverse(quaternion_from_axis_angle(a)), quaternion_from_axis_angle(b)
+    )
+    return 2 * np.arctan2(np.linalg.norm(relative[..., :3], axis=-1), np.abs(relative[..., 3]))
+
+
+@pytest.mark.parametrize("kind", ["vmc", "udp"])
+@pytest.mark.parametrize("motion", ["counting", "walking"])
+def test_a_motion_sent_out_comes_back_as_the_same_file(kind, motion, tmp_path, within):
+    source = builtin_motion(motion)
+    now, take = [0.0], Take()
+    inbox = Inbox(kind, take=take)
+    encode = encoder(kind, builtin_body("male"), lambda: 2e9 + now[0])
+    send(
+        timed_poses(source, source.rate, loop=False), encode, lambda data: inbox.feed(data, now[0]),
+        clock=lambda: now[0], sleep=lambda wait: now.__setitem__(0, now[0] + wait),
+    )  # fmt: skip
+    inbox.finish()
+    take.write(tmp_path / "take.npz")
+    found, sent = read_amass(tmp_path / "take.npz").read(), source.read()
+    assert found.axis_angle.shape == sent.axis_angle.shape and found.rate == sent.rate
+    within(angles(found.axis_angle, sent.axis_angle), 1e-4, "rad")
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-8, 1.0, np.pi - 1e-6, np.pi])
+def test_t_pose_calibration_recovers_any_rig(turn, within):
+    rng = np.random.default_rng(0)
+    axes = rng.normal(size=(52, 3))
+    rest = quaternion_from_axis_angle(turn * axes / np.linalg.norm(axes, axis=1, keepdims=True))
+    W = np.concatenate([[[0.0, 0, 0, 1]], rest[PARENTS[1:]]])
+    axis_angle = rng.normal(size=(52, 3))
+    zero, identity = np.zeros(3), np.array([0.0, 0, 0, 1])
+
+    def raw(pose):
+        local = quaternion_product(quaternion_inverse(W), quaternion_from_axis_angle(pose))
+        return Rig(quaternion_product(local, rest), zero, identity, zero, None)
+
+    found = pose_from_rig(raw(axis_angle), calibrated(raw(np.zeros((52, 3)))))
+    within(angles(found.axis_angle, axis_angle), 1e-12, "rad")
+
+
+@pytest.mark.parametrize("kind", ["vmc", "udp"])
+@pytest.mark.parametrize(
+    "clock",
+    ["steady", "backwards", "30 days on", "stall of 10 s", "set ahead", "frozen", "reordered", "twice"],
+)
+def test_the_last_pose_is_shown_whatever_the_sender_clock_does(kind, clock, within):
+    encode_at = [0.0]
+    encode = encoder(kind, builtin_body("male"), lambda: encode_at[0])
+    inbox = Inbox(kind, delay=0.05)
+    packets = []
+    for n in range(100):
+        seconds, received = n / 60, 1000 + n / 60
+        if clock == "backwards" and n >= 50:
+            seconds -= 5000
+        elif clock == "30 days on":
+            seconds += 30 * 86400
+        elif clock == "stall of 10 s" and n >= 50:
+            seconds, received = seconds + 10, received + 10
+        elif clock == "set ahead" and n >= 50:
+            seconds += 5000
+        elif clock == "frozen":
+            seconds = 7.0
+        encode_at[0] = seconds
+        axis_angle = np.zeros((52, 3))
+        axis_angle[16, 2] = 0.01 * n
+        packets.append((encode(n, seconds, LivePose(axis_angle, np.array([0, 0.9, 0.0]))), received))
+    if clock == "reordered":
+        for n in range(1, 98, 4):
+            packets[n], packets[n + 1] = (
+                (packets[n + 1][0], packets[n][1]),
+                (packets[n][0], packets[n + 1][1]),
+            )
+    if clock == "twice":
+        packets = [packet for packet in packets for _ in range(2)]
+    for data, received in packets:
+        inbox.feed(data, received)
+        found = inbox.sample(received)
+        assert found is not None and np.isfinite(found[1].axis_angle).all()
+    late = 25 if clock == "reordered" else 0
+    assert inbox.counters.late == late and inbox.counters.lost == inbox.counters.malformed == 0
+    assert inbox.counters.duplicate == (100 if clock == "twice" else 0)
+    found = inbox.sample(packets[-1][1] + 10)  # a silent sender: held
+    assert found is not None
+    within(found[1].axis_angle[16, 2] - 0.99, 1e-6, "rad")
+
+
+def test_nonsense_at_ten_kilohertz_leaves_the_last_good_pose(within):
+    rng = np.random.default_rng(0)
+    for kind in ("vmc", "udp"):
+        inbox = Inbox(kind)
+        axis_angle = np.full((52, 3), 0.1)
+        inbox.feed(encoder(kind, builtin_body("male"))(0, 0.0, LivePose(axis_angle, np.zeros(3))), 0.0)
+        for n in range(10_000):
+            inbox.feed(rng.bytes(rng.integers(0, 100)), 1e-4 * n)
+        assert inbox.counters.received == 10_001 and inbox.counters.malformed == 10_000
+        found = inbox.sample(1.0)
+        assert found is not None
+        within(found[1].axis_angle - axis_angle, 1e-6, "rad")
+
+
+@pytest.mark.parametrize("dt", [-1.0, 0.0, 1e-9, 1e-6, 1 / 240, 1 / 24, 10.0, 30 * 86400.0])
+def test_one_euro_leaves_a_constant_pose_constant(dt, within):
+    pose = LivePose(np.random.default_rng(0).normal(size=(52, 3)), np.array([1.0, 2, 3]))
+    smooth = OneEuro()
+    for _ in range(200):
+        found = smooth(pose, dt)
+    within(np.append(angles(found.axis_angle, pose.axis_angle), found.root - pose.root), 1e-12, "")

@@ -1,0 +1,180 @@
+"""Frames between network and window: newest and buffered, odd clocks, silence, floods of nonsense."""
+
+import numpy as np
+import pytest
+
+from player.live.frame import Counters
+from player.live.inbox import MOST_WAITING, Inbox
+from player.live.json_pose import build_pose
+from player.live.osc import build_bundle, build_message
+from player.live.take import Take
+from player.live.vmc import VmcEncoder
+from player.mannequin import builtin_body
+
+ENCODER = VmcEncoder(builtin_body("male").joints)
+
+
+def bundle(angle, seconds):
+    axis_angle = np.zeros((52, 3))
+    axis_angle[16, 2] = angle
+    return ENCODER.encode(axis_angle, np.array([angle, 1.0, 0.0]), seconds)
+
+
+def message(angle, seconds, sequence, *, sender=""):
+    axis_angle = np.zeros((52, 3))
+    axis_angle[16, 2] = angle
+    root = np.array([angle, 1.0, 0.0])
+    return build_pose(axis_angle, root, time=seconds, sequence=sequence, sender=sender)
+
+
+def shown(inbox, now):
+    found = inbox.sample(now)
+    return None if found is None else found[1].axis_angle[16, 2]
+
+
+def test_the_newest_pose_is_shown_and_held():
+    inbox = Inbox("vmc")
+    assert inbox.sample(0.0) is None and inbox.facts(0.0).age is None
+    for n in range(60):
+        inbox.feed(bundle(0.01 * n, n / 60), 100 + n / 60)
+    assert abs(shown(inbox, 101.0) - 0.59) < 1e-6
+    facts = inbox.facts(101.0)
+    assert abs(facts.rate - 60) < 1e-6 and abs(facts.age - 1 / 60) < 1e-9
+    held = inbox.facts(111.0)  # a stall of 10 s
+    assert abs(shown(inbox, 111.0) - 0.59) < 1e-6 and held.rate == 0 and held.age > 10
+    assert inbox.counters == Counters(received=60, frames=60)
+
+
+def test_the_buffer_evens_out_jitter():
+    rng = np.random.default_rng(0)
+    inbox = Inbox("udp", delay=0.1)
+    sent = np.arange(300) / 60
+    received = 50 + sent + 0.005 + 0.08 * rng.uniform(size=300)
+    events = sorted(
+        [(t, "feed", n) for n, t in enumerate(received)] + [(50.5 + k / 100, "look", k) for k in range(400)]
+    )
+    errors = []
+    for now, kind, n in events:
+        if kind == "feed":
+            inbox.feed(message(0.5 * sent[n], sent[n], n), now)
+        elif (value := shown(inbox, now)) is not None:
+            errors.append(2 * value - (now - 50.005 - 0.1))
+    assert np.ptp(errors[100:]) < 2e-3  # seconds
+    assert inbox.counters.late > 0 and inbox.counters.lost == 0
+
+
+def test_a_frame_in_two_datagrams_is_one_frame():
+    half = [("LeftUpperArm", 0.2), ("RightUpperArm", 0.3)]
+    for delay in (None, 0.0):
+        inbox = Inbox("vmc", delay=delay, take=Take())
+        for n in range(10):
+            for name, turn in half:
+                turn *= n / 10
+                bone = build_message(
+                    "/VMC/Ext/Bone/Pos",
+                    name,
+                    0.0,
+                    0.0,
+                    0.0,
+                    float(np.sin(turn)),
+                    0.0,
+                    0.0,
+                    float(np.cos(turn)),
+                )
+                inbox.feed(build_bundle([bone]), n / 30)
+        assert inbox.counters.frames == 10
+        take = inbox.take
+        inbox.finish()
+        assert np.allclose(
+            take.clip().axis_angle[:, [16, 17], 0], np.arange(10)[:, None] / 10 * [0.4, 0.6], atol=1e-6
+        )
+
+
+@pytest.mark.parametrize("kind", ["vmc", "udp"])
+@pytest.mark.parametrize("delay", [None, 0.05])
+def test_reordered_repeated_and_backward_clocks_keep_the_time_running(kind, delay):
+    inbox = Inbox(kind, delay=delay)
+
+    def feed(n, seconds, received):
+        data = bundle(0.01 * n, seconds) if kind == "vmc" else message(0.01 * n, seconds, n)
+        inbox.feed(data, received)
+
+    for n in (0, 1, 2, 4, 3, 4, 5):  # 3 is late, the second 4 a repetition
+        feed(n, n / 60, n / 60)
+    assert (inbox.counters.late, inbox.counters.duplicate) == (1, 1)
+    assert abs(shown(inbox, 10.0) - 0.05) < 1e-6
+    times = [inbox.newest.time]
+    for n, seconds in [
+        (6, -50.0),
+        (7, -50 + 1 / 60),
+        (8, 1e6),
+        (9, 1e6 + 1 / 60),
+    ]:  # the clock is set back, and ahead
+        feed(n, seconds, n / 60)
+        times.append(inbox.newest.time)
+    assert inbox.counters.late == 1 and np.all(np.diff(times) >= 0) and abs(times[-1] - 9 / 60) < 0.02
+    assert abs(shown(inbox, 20.0) - 0.09) < 1e-6
+
+
+def test_after_thirty_days_each_frame_still_has_its_time():
+    month = 30 * 86400.0
+    for kind in ("vmc", "udp"):
+        inbox, times = Inbox(kind), []
+        for n in range(120):
+            data = bundle(0.01 * n, month + n / 60) if kind == "vmc" else message(0.01 * n, month + n / 60, n)
+            inbox.feed(data, month + n / 60)
+            times.append(inbox.newest.time)
+        assert np.allclose(np.diff(times), 1 / 60, atol=1e-6) and inbox.counters.frames == 120
+        assert abs(shown(inbox, month + 2) - 1.19) < 1e-6
+
+
+def test_memory_does_not_grow():
+    inbox = Inbox("udp", delay=1.0)
+    for n in range(3000):
+        inbox.feed(message(0.0, n * 1e-4, n, sender=""), n * 1e-4)
+    assert len(inbox.waiting) <= MOST_WAITING and len(inbox.arrivals) <= 64 and len(inbox.json.recent) <= 128
+    inbox = Inbox("vmc")
+    for n in range(2000):
+        inbox.feed(build_message("/VMC/Ext/Bone/Pos", f"Bone{n}", *[0.0] * 6, 1.0), 0.0)
+        inbox.feed(build_message("/VMC/Ext/T", float(n)), 0.0)
+    assert len(inbox.vmc.bones) == 0 and len(inbox.vmc.recent) <= 16 and inbox.newest is None
+
+
+@pytest.mark.parametrize("kind", ["vmc", "udp"])
+def test_ten_thousand_packets_of_nonsense_change_nothing(kind):
+    rng = np.random.default_rng(0)
+    inbox = Inbox(kind, delay=0.02)
+    good = (
+        [bundle(0.7, 1.0), bundle(0.7, 1.1)]
+        if kind == "vmc"
+        else [message(0.7, 1.0, 0), message(0.7, 1.1, 1)]
+    )
+    inbox.feed(good[0], 0.0)
+    nonsense = [rng.bytes(rng.integers(0, 300)) for _ in range(5000)]
+    nonsense += [good[0][: rng.integers(0, len(good[0]) // 4) * 4 + 2] for _ in range(4000)]  # cut short
+    nonsense += [bytes(40_000)] * 1000
+    for n, packet in enumerate(nonsense):
+        inbox.feed(packet, 1e-4 * n)
+    assert abs(shown(inbox, 2.0) - 0.7) < 1e-6
+    assert inbox.counters == Counters(received=10_001, frames=1, malformed=9000, oversized=1000)
+    inbox.feed(good[1], 3.0)
+    assert inbox.counters.frames == 2
+
+
+def test_flipped_bytes_never_crash_and_every_pose_shown_is_finite():
+    rng = np.random.default_rng(1)
+    for kind, whole in (("vmc", bundle(0.5, 1.0)), ("udp", message(0.5, 1.0, 1))):
+        inbox = Inbox(kind, delay=0.0)
+        for n in range(3000):
+            broken = bytearray(whole)
+            for at in rng.integers(0, len(whole), rng.integers(1, 20)):
+                broken[at] = rng.integers(0, 256)
+            inbox.feed(bytes(broken), 1e-3 * n)
+            if n % 50 == 0 and (found := inbox.sample(1e-3 * n)) is not None:
+                assert np.isfinite(found[1].axis_angle).all() and np.isfinite(found[1].root).all()
+        assert inbox.counters.received == 3000
+
+
+def test_a_buffer_out_of_range_is_refused():
+    with pytest.raises(ValueError, match="0 to 1000 ms"):
+        Inbox("vmc", delay=1.5)

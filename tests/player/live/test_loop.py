@@ -1,0 +1,359 @@
+"""Out over sockets and in again: stream to receiver, receiver to window, all on this machine."""
+
+import json
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from avatar.amass import read_amass, write_amass
+from avatar.avatar_file import write_avatar
+from avatar.body import builtin_body
+from avatar.errors import AssetError
+from avatar.motion import Clip, builtin_motion, read_motion
+from avatar.rotation import matrix_from_axis_angle
+from player.command import play_main
+from player.live.address import Address, parse_address
+from player.live.command import connected, encoder, send, stream_main, timed_poses
+from player.live.frame import LivePose
+from player.live.inbox import Inbox
+from player.live.json_pose import build_pose
+from player.live.playback import LivePlayback
+from player.live.receiver import UdpListener, listen
+from player.live.take import Take
+
+
+def worst_angle(a, b):
+    relative = np.swapaxes(matrix_from_axis_angle(a), -1, -2) @ matrix_from_axis_angle(b)
+    skew = relative - np.swapaxes(relative, -1, -2)
+    return np.arcsin(np.minimum(np.linalg.norm(skew[..., [2, 0, 1], [1, 2, 0]], axis=-1) / 2, 1)).max()
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory):
+    """A motion file of large turns, with fingers: 90 frames at 30 a second."""
+    rng = np.random.default_rng(0)
+    waves = rng.normal(size=(52, 3)) * np.sin(np.arange(90)[:, None, None] / 20 + rng.uniform(0, 6, (52, 1)))
+    root = np.cumsum(0.01 * rng.normal(size=(90, 3)), 0) + [0, 0.9, 0]
+    path = tmp_path_factory.mktemp("motion") / "moving.npz"
+    write_amass(path, Clip(waves, root, 30.0))
+    return path, Clip(waves, root, 30.0)
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.mark.parametrize("kind", ["vmc", "udp"])
+def test_npz_out_and_in_again_is_the_same_npz(kind, moving, tmp_path):
+    path, clip = moving
+    take, now = Take(), [0.0]
+    inbox = Inbox(kind, take=take)
+    encode = encoder(kind, builtin_body("male"), lambda: 2e9 + now[0])
+    motion = read_motion(path)
+    sent = send(
+        timed_poses(motion, motion.rate, loop=False), encode, lambda data: inbox.feed(data, now[0] + 0.003),
+        clock=lambda: now[0], sleep=lambda wait: now.__setitem__(0, now[0] + wait),
+    )  # fmt: skip
+    inbox.finish()
+    take.write(tmp_path / "take.npz")
+    found = read_amass(tmp_path / "take.npz").read()
+    assert sent == 90 and found.rate == 30
+    assert worst_angle(found.axis_angle, clip.axis_angle) < 1e-4
+    assert np.abs(found.root - clip.root).max() < 1e-5
+
+
+@pytest.mark.parametrize("kind", ["vmc", "udp"])
+def test_every_datagram_sent_over_a_socket_is_received_and_recorded(kind, moving):
+    path, clip = moving
+    take = Take()
+    inbox = Inbox(kind, take=take)
+    listener = listen(Address(kind, "127.0.0.1", 0), inbox)
+    motion, encode = read_motion(path), encoder(kind, builtin_body("male"))
+    with connected(listener.address) as connection:
+        for number, (seconds, pose) in enumerate(timed_poses(motion, motion.rate, loop=False)):
+            connection.send(encode(number, seconds, pose))
+            assert inbox.wait(number, 10)  # one at a time, so that a slow machine loses none
+    listener.close()
+    inbox.finish()
+    assert inbox.counters.received == inbox.counters.frames == 90 and inbox.counters.lost == 0
+    assert worst_angle(np.stack([p[:52] for p in take.poses]), clip.axis_angle) < 1e-4
+
+
+def test_a_motion_streams_at_another_rate_and_loops():
+    motion = builtin_motion("counting")
+    poses = list(timed_poses(motion, 2 * motion.rate, loop=False))
+    assert len(poses) == 2 * motion.frames - 1
+    assert np.allclose(poses[80][1].axis_angle, motion.read(40, 41).axis_angle[0], atol=1e-9)
+    looping = timed_poses(motion, motion.rate, loop=True)
+    seconds = [next(looping) for _ in range(motion.frames + 3)]
+    assert np.array_equal(seconds[motion.frames + 1][1].axis_angle, seconds[1][1].axis_angle)
+    assert np.allclose(np.diff([at for at, _ in seconds]), 1 / motion.rate)
+
+
+def test_a_sender_that_was_stopped_does_not_hurry_through_what_it_missed():
+    now, waits = [0.0], []
+
+    def deliver(_data):
+        now[0] += 10.0 * (len(waits) == 5 and now[0] < 10)  # suspended once
+
+    def sleep(wait):
+        waits.append(wait)
+        now[0] += wait
+
+    poses = ((n / 10, LivePose(np.zeros((52, 3)), np.zeros(3))) for n in range(30))
+    assert send(poses, lambda *_: b"", deliver, clock=lambda: now[0], sleep=sleep) == 30
+    assert min(waits) > 0 and len(waits) >= 26 and abs(now[0] - 12.9) < 0.2
+
+
+def test_kernel_stamps_date_a_datagram_from_its_arrival():
+    inbox = Inbox("udp")
+    listener = UdpListener(Address("udp", "127.0.0.1", 0), inbox)
+    before = time.monotonic()
+    with connected(listener.address) as connection:
+        connection.send(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.0, sequence=0))
+    assert inbox.wait(0, 10)
+    listener.close()
+    assert before - 0.01 < inbox.newest.received <= time.monotonic()
+
+
+def test_web_sockets_take_poses_of_programs_and_of_no_foreign_page():
+    from websockets.exceptions import ConnectionClosed, InvalidStatus
+    from websockets.sync.client import connect
+
+    inbox = Inbox("ws")
+    listener = listen(Address("ws", "127.0.0.1", 0), inbox)
+    url = f"ws://127.0.0.1:{listener.address.port}"
+    message = build_pose(np.full((52, 3), 0.1), np.zeros(3), time=0.0, sequence=0)
+    try:
+        with connect(url) as sender:
+            sender.send(message.decode())
+            assert inbox.wait(0, 10)
+            sender.send("x" * 20_000)  # larger than a pose: counted
+            sender.send("{}")
+            sender.send(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.1, sequence=1))  # bytes do as well
+            assert inbox.wait(1, 10)
+            assert (inbox.counters.oversized, inbox.counters.malformed) == (1, 1)
+            with pytest.raises(ConnectionClosed):
+                sender.send("x" * 200_000)  # much larger: closed
+                sender.recv()
+        with pytest.raises(InvalidStatus):
+            connect(url, origin="https://example.org")
+        with connect(url, origin="http://localhost:8000") as page:
+            page.send(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.2, sequence=2))
+            assert inbox.wait(2, 10)
+    finally:
+        listener.close()
+
+
+def test_without_websockets_one_line_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "websockets.sync.server", None)
+    with pytest.raises(AssetError, match=r"pip install 'selfscan\[live\]'"):
+        listen(Address("ws", "127.0.0.1", 0), Inbox("ws"))
+
+
+def test_a_taken_port_and_a_host_of_elsewhere_are_one_line():
+    listener = listen(Address("vmc", "127.0.0.1", 0), Inbox("vmc"))
+    with pytest.raises(AssetError, match="in use by another program"):
+        listen(listener.address, Inbox("vmc"))
+    listener.close()
+    with pytest.raises(AssetError, match=r"192\.0\.2\.1"):
+        listen(Address("vmc", "192.0.2.1", 39539), Inbox("vmc"))
+
+
+def test_addresses_are_of_this_machine_unless_a_host_is_named():
+    kinds = ("vmc", "udp", "ws")
+    assert parse_address("vmc", kinds) == Address("vmc", "127.0.0.1", 39539)
+    assert parse_address("udp:9000", kinds) == Address("udp", "127.0.0.1", 9000)
+    assert parse_address("udp::9000", kinds) == Address("udp", "127.0.0.1", 9000)
+    assert parse_address("ws:[::1]:9000", kinds) == Address("ws", "::1", 9000)
+    named = parse_address("vmc:0.0.0.0:39539", kinds)
+    assert named.host == "0.0.0.0" and not named.local and parse_address("vmc:1", kinds).local
+    for wrong in ("", "osc:1", "vmc:x", "vmc:70000", "udp:-1", "udp:::1:90", "udp:1.2.3.4:"):
+        with pytest.raises(ValueError, match="expected"):
+            parse_address(wrong, kinds)
+
+
+# The window -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def avatar_path(avatar, tmp_path_factory):
+    path = tmp_path_factory.mktemp("avatar") / "a.glb"
+    write_avatar(path, avatar)
+    return str(path)
+
+
+class Sender(threading.Thread):
+    """Sends one pose 240 times a second until stopped, with what else is given in between."""
+
+    def __init__(self, kind, pose, others=()):
+        super().__init__(daemon=True)
+        self.address = Address(kind, "127.0.0.1", free_port())
+        self.encode, self.pose = encoder(kind, builtin_body("male")), pose
+        self.others, self.stop, self.sent = others, threading.Event(), 0
+
+    def run(self):
+        with connected(self.address) as connection:
+            while not self.stop.wait(1 / 240):
+                packets = [self.encode(self.sent, self.sent / 240, self.pose), *self.others]
+                for packet in packets:
+                    with suppress(ConnectionRefusedError):  # the window is not open yet
+                        connection.send(packet)
+                self.sent += 1
+
+    def __enter__(self):
+        self.start()
+        return self
+
+    def __exit__(self, *_):
+        self.stop.set()
+        self.join()
+
+
+def play_live(avatar_path, source, path, script, *more):
+    arguments = [
+        avatar_path,
+        "--live",
+        str(source),
+        "--platform",
+        "null",
+        "--size",
+        "160x200",
+        "--script",
+        script,
+    ]
+    assert play_main([*arguments, "--screenshot", str(path), *more]) == 0
+    with Image.open(path) as image:
+        return np.asarray(image).astype(int)[:170]  # without the line of text
+
+
+@pytest.mark.usefixtures("osmesa")
+@pytest.mark.parametrize("kind", ["vmc", "udp"])
+def test_the_window_shows_what_a_sender_sends(kind, avatar_path, tmp_path, capsys):
+    clip = builtin_motion("counting").read(40, 41)
+    rng = np.random.default_rng(0)
+    nonsense = [rng.bytes(200), b"#bundle\0" + bytes(9), b"[" * 500]
+    still = play_live(avatar_path, f"{kind}:{free_port()}", tmp_path / "still.png", "wait wait")
+    with Sender(kind, LivePose(clip.axis_angle[0], clip.root[0]), nonsense) as sender:
+        out = [str(tmp_path / name) for name in ("take.npz", "latency.csv")]
+        options = ("--record", out[0], "--latency", out[1], "--smooth")
+        posed = play_live(avatar_path, sender.address, tmp_path / "a.png", "pose " * 12, *options)
+    assert (posed != still).any(-1).mean() > 0.02
+    expected = play_file(avatar_path, tmp_path, clip)
+    assert (np.abs(posed - expected).max(-1) > 1).mean() < 0.002  # float32 on the wire moves a contour pixel
+    printed = capsys.readouterr().out
+    assert "this machine only" in printed and "received to drawn: p50" in printed
+    take = read_amass(out[0])
+    assert take.frames >= 11 and worst_angle(take.read(0, 1).axis_angle, clip.axis_angle) < 1e-4
+    rows = [row.split(",") for row in Path(out[1]).read_text().splitlines()[1:]]
+    assert len(rows) >= 11
+    for row in rows:
+        received, applied, drawn = (float(x) for x in row[2:5])
+        assert received <= applied <= drawn
+
+
+def play_file(avatar_path, tmp_path, clip):
+    """The same pose from a file, standing at the origin, drawn by the live window's camera: held by a silent sender."""
+    with Sender("udp", LivePose(clip.axis_angle[0], clip.root[0] * [0, 1, 0])) as sender:
+        return play_live(avatar_path, sender.address, tmp_path / "b.png", "pose pose pose")
+
+
+@pytest.mark.usefixtures("osmesa")
+def test_pause_holds_a_pose_and_t_takes_the_t_pose(avatar_path, tmp_path, capsys):
+    turned = np.zeros((52, 3))
+    turned[16, 2] = -1.0
+    pose = LivePose(turned, np.array([5.0, 0.9, 5.0]))
+    with Sender("vmc", pose) as sender:
+        posed = play_live(avatar_path, sender.address, tmp_path / "a.png", "pose pose space wait wait h wait")
+        assert "frames" in capsys.readouterr().out
+        # 3 s at the script's 30 frames a second
+        calibrated = play_live(
+            avatar_path, sender.address, tmp_path / "b.png", "pose t " + "wait " * 92 + "pose"
+        )
+        now = play_live(avatar_path, sender.address, tmp_path / "c.png", "pose " * 3, "--calibrate", "0")
+    still = play_live(avatar_path, f"vmc:{free_port()}", tmp_path / "d.png", "wait")
+    assert (posed != still).any(-1).mean() > 0.02
+    for image in (calibrated, now):
+        assert (np.abs(image - still).max(-1) > 1).mean() < 0.02
+
+
+def test_options_of_live_need_a_source_and_files_and_live_exclude_each_other(avatar_path):
+    for wrong in (["--record", "a.npz"], ["--smooth"], ["--live", "vmc:1", "--motion", "walking"], ["--live", "x:1"],
+                  ["--live", "vmc:1", "--buffer", "5000"]):  # fmt: skip
+        with pytest.raises(SystemExit) as stopped:
+            play_main([avatar_path, *wrong])
+        assert stopped.value.code == 2
+
+
+def playback_of(avatar, inbox, **options):
+    now = [100.0]
+    live = LivePlayback(
+        inbox, Address("udp", "127.0.0.1", 1), [avatar], [np.zeros(3)], clock=lambda: now[0], **options
+    )
+    return live, now
+
+
+def test_the_line_tells_rate_age_loss_and_silence(avatar):
+    inbox = Inbox("udp")
+    live, now = playback_of(avatar, inbox)
+    inbox.feed(b"{}", 99.0)
+    assert live.status() == "udp:127.0.0.1:1  waiting for poses, 1 packets are no poses"
+    for n in range(60):
+        if n != 30:
+            inbox.feed(build_pose(np.zeros((52, 3)), np.zeros(3), time=n / 60, sequence=n), 100 + n / 60)
+    now[0] = 101.0
+    live.poses()
+    live.drawn()
+    assert live.status() == "udp:127.0.0.1:1  59/s  age 17 ms  lost 1  bad 1  p95 17 ms"
+    now[0] = 111.0
+    assert "SILENT 10 s, last pose held  lost 1" in live.status()
+
+
+def test_roots_are_scaled_placed_and_lifted(avatar):
+    inbox = Inbox("udp")
+    live, _ = playback_of(avatar, inbox)
+    height = live.heights[0]
+    assert live.poses()[0][1][1] == height  # standing until something comes
+
+    def feed(n, root, pelvis_height=None):
+        data = build_pose(
+            np.zeros((52, 3)), np.array(root), time=n / 60, sequence=n, pelvis_height=pelvis_height
+        )
+        inbox.feed(data, 100 + n / 60)
+        return live.poses()[0][1]
+
+    assert np.allclose(feed(0, [5.0, 1.8, 7.0], 2 * height), [0, 0.9, 0], atol=1e-5)
+    assert np.allclose(feed(1, [6.0, 1.8, 7.0], 2 * height), [0.5, 0.9, 0], atol=1e-5)
+    live.calibrate()
+    assert np.allclose(
+        feed(2, [6.0, 0.0, 7.0], 2 * height), [0, height, 0], atol=1e-5
+    )  # no height was measured
+
+
+def test_stream_sends_the_motion_and_says_so(moving, capsys):
+    inbox = Inbox("udp")
+    listener = listen(Address("udp", "127.0.0.1", 0), inbox)
+    assert stream_main([str(moving[0]), "--to", str(listener.address), "--rate", "1000"]) == 0
+    listener.close()
+    assert "poses sent in" in capsys.readouterr().out and inbox.counters.frames > 0
+    for wrong in (["--to", "ws:1"], ["--to", "udp:0"], ["--to", "udp:1", "--rate", "0"], []):
+        with pytest.raises(SystemExit):
+            stream_main(["counting", *wrong])
+    with pytest.raises(AssetError, match="no such file"):
+        stream_main(["absent.npz", "--to", "udp:1"])
+
+
+def test_the_player_imports_no_live_package_until_asked():
+    code = "import sys, json, player.command; print(json.dumps([m for m in sys.modules if m.startswith(('websockets', 'pythonosc'))]))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == []
