@@ -27,14 +27,21 @@ from avatar.errors import AssetError
 from avatar.file_body import USUAL_PELVIS, given_pelvis, usual_pelvis
 from avatar.files import whole_file
 from avatar.motion import Clip, Motion
-from avatar.pose_vector import FULL_HANDS, REFUSED_COLUMNS, Layout, expanded, pose_layout, readable
+from avatar.pose_vector import (
+    FULL_HANDS,
+    REFUSED_COLUMNS,
+    Layout,
+    check_numbers,
+    expanded,
+    pose_layout,
+    readable,
+)
 from avatar.rotation import (
     axis_angle_from_quaternion,
     quaternion_from_axis_angle,
     quaternion_inverse,
     quaternion_product,
 )
-from avatar.skeleton import JOINTS
 
 Array = np.ndarray
 
@@ -208,12 +215,12 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
                 values = expanded(values, part.layout, body)
             else:
                 values = values.reshape(stop - start, values.shape[1] // 3, 3)
-            _check_finite(path, part.rows.name, values, start, part.joints.start)
+            check_numbers(path, part.rows.name, values, start, part.joints.start)
             pose[:, part.joints] = values
         root = np.zeros((stop - start, 3))
         if trans is not None:
             root = trans.rows(start, stop)
-            _check_finite(path, "trans", root[:, None], start, 0)
+            check_numbers(path, "trans", root[:, None], start, 0)
         root = root + pelvis
         if turn:
             root = np.stack([root[:, 0], root[:, 2], -root[:, 1]], -1)
@@ -329,14 +336,6 @@ def _numbers(path: Path, archive: zipfile.ZipFile, name: str, count: int) -> Arr
     if value.size != count or value.dtype.kind not in "fiu" or not np.isfinite(value).all():
         raise AssetError(f"{path}: {name} should be {count} finite numbers, is {value.dtype} {value.shape}")
     return value.reshape(count).astype(np.float64)
-
-
-def _check_finite(path: Path, name: str, values: Array, start: int, first_joint: int) -> None:
-    if not np.isfinite(values).all():
-        frame, joint = (int(i) for i in np.argwhere(~np.isfinite(values))[0][:2])
-        raise AssetError(
-            f"{path}: {name} is not finite at frame {start + frame}, joint {JOINTS[first_joint + joint]}"
-        )
 
 
 def write_amass(

@@ -91,8 +91,10 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
         return out
 
     sample = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLED_FRAMES)).astype(int))
-    Rh = np.concatenate([rows(int(k), int(k) + 1)["Rh"] for k in sample])
-    turn = np.array(TURNS[up_axis(Rh, notes)])
+    seen = [(name_of(int(k)), _people(name_of(int(k)))) for k in sample]
+    # a frame without the person is an error when it is read, not before
+    Rh = [_numbers(file, here[person], "Rh") for file, here in seen if person in here]
+    turn = np.array(TURNS[up_axis(np.array(Rh), notes)])
     W = matrix_from_quaternion(turn)
     shapes = rows(0, 1).get("shapes", np.zeros((1, 0)))[0]
     given = given_pelvis(shapes, body, notes, what="Th + R J0, J0")

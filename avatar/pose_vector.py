@@ -11,14 +11,19 @@ Where the root is given apart (EasyMocap's Rh, root_orient) the vector may lack 
 Coefficients need the components and the mean of the MANO hand, which are licensed: the user's own model has them.
 """
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from avatar.body import Body
+from avatar.errors import AssetError
+from avatar.skeleton import JOINTS
 
 Array = np.ndarray
+
+LARGEST = 1e9  # radians or metres
 
 FULL_HANDS = "hands: as stored (flat-hand convention; the file's hands already contain the MANO mean)"
 NEEDS_MODEL = (
@@ -104,3 +109,22 @@ def hand_from_coefficients(
     if count > body.hands.components.shape[1]:
         raise ValueError(f"{count} hand coefficients, {body.name} has {body.hands.components.shape[1]}")
     return coefficients @ body.hands.components[side, :count] + body.hands.mean[side]
+
+
+def check_numbers(
+    path: Path, name: str, values: Float[Array, "frames joints 3"], start: int, first_joint: int = 0
+) -> None:
+    """Refuse frames with a number that is not finite, or so large that its square may not be.
+
+    Raises:
+        AssetError: names file, field, frame (counted from `start`) and joint.
+    """
+    with np.errstate(invalid="ignore"):
+        good = np.abs(values) < LARGEST
+    if not good.all():
+        frame, joint, axis = (int(i) for i in np.argwhere(~good)[0])
+        value = values[frame, joint, axis]
+        found = f"{value:.3g}, expected below {LARGEST:g}," if np.isfinite(value) else "not finite"
+        raise AssetError(
+            f"{path}: {name} is {found} at frame {start + frame}, joint {JOINTS[first_joint + joint]}"
+        )

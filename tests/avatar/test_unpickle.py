@@ -12,12 +12,11 @@ import types
 
 import numpy as np
 import pytest
+from smplh_model import model_fields
 
 from avatar import unpickle
 from avatar.body import builtin_body, read_body
 from avatar.errors import AssetError
-from avatar.skeleton import PARENTS
-from avatar.skinning import dense_weights
 from avatar.unpickle import MAX_STEPS, read_pickle
 
 STEPS = 20_000
@@ -304,32 +303,9 @@ def test_cut_at_every_byte(tmp_path):
             read_pickle(tmp_path / "cut.pkl", "data")
 
 
-def model(hands=True):
-    """The built-in body with the fields and types of an official .pkl."""
-    body = builtin_body("male")
-    count = len(body.vertices)
-    regressor = np.zeros((52, count))
-    regressor[:, :4] = 0.25
-    fields = {
-        "v_template": body.vertices.astype("f4"),
-        "f": body.faces.astype("u4"),
-        "weights": dense_weights(body.skin),
-        "shapedirs": body.shape_directions[:, :, :2],
-        "kintree_table": np.array([np.where(PARENTS < 0, 4294967295, PARENTS), np.arange(52)], "u4"),
-        "J": body.joints,
-        "J_regressor": regressor,
-        "bs_style": "lbs",
-    }
-    if hands:
-        rng = np.random.default_rng(0)
-        fields |= {f"hands_mean{side}": rng.normal(size=45) for side in "lr"}
-        fields |= {f"hands_components{side}": rng.normal(size=(45, 45)) for side in "lr"}
-    return fields
-
-
 def test_a_body_model_in_a_pickle_is_the_one_in_an_npz(tmp_path):
     sparse = pytest.importorskip("scipy.sparse", reason="scipy is not installed")
-    fields = model()
+    fields = model_fields()
     np.savez(tmp_path / "a.npz", **{k: v for k, v in fields.items() if k != "bs_style"})
     fields["J_regressor"] = sparse.csc_matrix(fields["J_regressor"])
     a, b = read_body(tmp_path / "a.npz"), read_body(saved(tmp_path / "a.pkl", fields, 2))
@@ -352,7 +328,7 @@ def test_a_body_model_in_a_pickle_is_the_one_in_an_npz(tmp_path):
 )
 def test_what_a_pickled_model_lacks_is_named(tmp_path, change, message):
     with pytest.raises(AssetError, match=rf"a\.pkl: {message}"):
-        read_body(saved(tmp_path / "a.pkl", model() | change))
+        read_body(saved(tmp_path / "a.pkl", model_fields() | change))
 
 
 def test_a_list_is_no_model(tmp_path):
@@ -361,7 +337,7 @@ def test_a_list_is_no_model(tmp_path):
 
 
 def test_a_body_without_hands_has_none(tmp_path):
-    assert read_body(saved(tmp_path / "a.pkl", model(hands=False))).hands is None
+    assert read_body(saved(tmp_path / "a.pkl", model_fields(hands=False))).hands is None
     assert builtin_body("male").hands is None
 
 

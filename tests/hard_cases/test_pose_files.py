@@ -1,15 +1,21 @@
 """Pose files that lie, are damaged, or are longer than memory."""
 
+import copy
+import json
+import pickle
 import tracemalloc
 import zipfile
 
 import numpy as np
 import pytest
+from smplh_model import model_body
+from tiny_avatar import join_glb
 
 from avatar.body import builtin_body
 from avatar.errors import AssetError
 from avatar.motion import read_motion
-from avatar.skeleton import JOINTS
+from avatar.rotation import quaternion_from_axis_angle
+from avatar.skeleton import JOINTS, PARENTS
 
 TRANS = np.zeros((3, 3))
 
@@ -54,6 +60,18 @@ def test_understood_column_counts_read_as_52_joints(tmp_path, columns):
     assert clip.axis_angle.shape == (3, 52, 3)
     assert (clip.axis_angle[:, 1:22] == 1).all()
     assert (clip.axis_angle[:, 22:] == (1 if columns > 100 else 0)).all()
+
+
+@pytest.mark.parametrize("columns", [78, 87])
+def test_hand_coefficients_are_read_with_the_model_that_explains_them(tmp_path, columns):
+    path = save(tmp_path / "a.npz", poses=np.zeros((3, columns)))
+    with pytest.raises(
+        AssetError, match=rf"has {columns}: .*components and the mean of the MANO hands.*--body"
+    ):
+        read_motion(path)
+    body = model_body(tmp_path)
+    clip = read_motion(path, body=body).read()  # no coefficient: the mean, once
+    np.testing.assert_allclose(clip.axis_angle[1, 22:].reshape(2, 45), body.hands.mean)
 
 
 def test_no_frames_is_refused_and_one_frame_is_a_motion(tmp_path):
@@ -208,3 +226,157 @@ def test_a_damaged_bvh_gives_an_error_or_finite_frames(tmp_path, data):
         else:
             assert np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()
     assert refused > 30
+
+
+def fuzzed(whole: bytes, rng, n: int) -> bytes:
+    """The file with a few bytes changed; every fifth also cut."""
+    damaged = bytearray(whole)
+    for place in rng.integers(0, len(whole), 1 + n % 4):
+        damaged[place] = rng.integers(256)
+    return bytes(damaged[: rng.integers(len(whole))]) if n % 5 == 0 else bytes(damaged)
+
+
+def refused_or_finite(path) -> bool:
+    """Whether the motion is refused, by its name and in one line; what is read instead is finite."""
+    try:
+        motion = read_motion(path)
+        clip = motion.read(0, min(motion.frames, 50))
+    except AssetError as error:
+        assert path.name in str(error) and "\n" not in str(error) and len(str(error)) < 600 + len(str(path))
+        return True
+    assert np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()
+    return False
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 5])
+def test_a_damaged_pickled_sequence_gives_an_error_or_finite_frames(tmp_path, protocol):
+    rng = np.random.default_rng(4)
+    fields = {
+        "poses": rng.normal(size=(3, 72)),
+        "trans": np.zeros((3, 3)),
+        "betas": np.zeros(10),
+        "gender": "male",
+    }
+    whole = pickle.dumps(fields | {"fps": 30.0}, protocol)
+    refused = 0
+    for n in range(120):
+        (tmp_path / "b.pkl").write_bytes(fuzzed(whole, rng, n))
+        refused += refused_or_finite(tmp_path / "b.pkl")
+    assert refused > 25
+
+
+def test_a_pickled_sequence_runs_nothing(tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "executed"), "w"))
+
+    for protocol in range(pickle.HIGHEST_PROTOCOL + 1):
+        data = pickle.dumps({"poses": np.zeros((1, 72)), "extra": Bomb()}, protocol)
+        (tmp_path / "a.pkl").write_bytes(data)
+        with pytest.raises(AssetError, match=r"open', which is not one of .*nothing was run"):
+            read_motion(tmp_path / "a.pkl")
+    assert not (tmp_path / "executed").exists()
+
+
+def easymocap_person() -> str:
+    person = {"id": 0, "Rh": [[0.1, 0, 0]], "Th": [[0, 1, 0]], "poses": [[0.1] * 72], "shapes": [[0.0] * 10]}
+    return json.dumps([person])
+
+
+def test_a_damaged_easymocap_frame_gives_an_error_or_finite_frames(tmp_path):
+    rng = np.random.default_rng(5)
+    whole, refused = easymocap_person().encode(), 0
+    for n in range(200):
+        (tmp_path / "000000.json").write_bytes(fuzzed(whole, rng, n))
+        refused += refused_or_finite(tmp_path / "000000.json")
+    assert refused > 40
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", "null", "3", "[" * 100_000, "[1]", '{"annots": 1}', "9" * 5000, "\xff"]
+)
+def test_a_frame_that_is_no_frame_is_refused(tmp_path, text):
+    (tmp_path / "000000.json").write_text(text)
+    with pytest.raises(AssetError, match=r"000000\.json"):
+        read_motion(tmp_path)
+
+
+def test_a_longer_easymocap_folder_takes_hardly_more_memory(tmp_path, within):
+    peaks = []
+    text = easymocap_person()
+    for frames in (200, 200, 2000):  # the first fills caches
+        folder = tmp_path / str(len(peaks))
+        folder.mkdir()
+        for number in range(frames):
+            (folder / f"{number:06d}.json").write_text(text)
+        tracemalloc.start()
+        motion = read_motion(folder)
+        motion.read(0, 10), motion.read(frames - 10, frames)
+        del motion
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    within((peaks[2] - peaks[1]) / 1800, 400, "bytes a frame")  # while the names are sorted
+
+
+def animated_glb() -> tuple[dict, bytes]:
+    """A rig with our names, no mesh, its knees bending; JSON and binary chunk."""
+    joints = builtin_body("male").joints
+    times = np.arange(8, dtype="<f4") / 30
+    values = quaternion_from_axis_angle(np.linspace([0, 0, 0], [1.0, 0, 0], 8)).astype("<f4")
+    binary = times.tobytes() + values.tobytes()
+    nodes = []
+    for k, name in enumerate(JOINTS):
+        place = joints[k] - (joints[PARENTS[k]] if k else 0)
+        children = [int(c) for c in np.flatnonzero(k == PARENTS)]
+        nodes.append(
+            {"name": name, "translation": place.tolist()} | ({"children": children} if children else {})
+        )
+    document = {
+        "asset": {"version": "2.0"}, "nodes": nodes, "buffers": [{"byteLength": len(binary)}],
+        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": 32}, {"buffer": 0, "byteOffset": 32, "byteLength": 128}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 8, "type": "SCALAR"},
+                      {"bufferView": 1, "componentType": 5126, "count": 8, "type": "VEC4"}],
+        "animations": [{"samplers": [{"input": 0, "output": 1}], "channels": [
+            {"sampler": 0, "target": {"node": JOINTS.index(f"{side}_knee"), "path": "rotation"}} for side in ("left", "right")]}],
+    }  # fmt: skip
+    return document, binary
+
+
+def test_a_damaged_animation_gives_an_error_or_finite_frames(tmp_path):
+    rng = np.random.default_rng(6)
+    document, binary = animated_glb()
+    (tmp_path / "good.glb").write_bytes(join_glb(document, binary))
+    assert not refused_or_finite(tmp_path / "good.glb")
+    whole, refused = (tmp_path / "good.glb").read_bytes(), 0
+    tail = (
+        len(whole) - len(binary) - 700
+    )  # the animation's JSON and numbers; the rest is mostly digits of places
+    for n in range(200):
+        damaged = bytearray(whole)
+        for place in rng.integers(tail if n % 2 else 20, len(whole), 1 + n % 3):
+            damaged[place] = rng.integers(256)
+        (tmp_path / "b.glb").write_bytes(damaged)
+        refused += refused_or_finite(tmp_path / "b.glb")
+    assert refused > 80
+
+
+@pytest.mark.parametrize("key", ["nodes", "animations", "accessors", "bufferViews"])
+@pytest.mark.parametrize("value", [None, -1, 1e300, "x", [], {}, [[]], True])
+def test_a_gltf_animation_with_one_wrong_value_is_refused_or_finite(tmp_path, key, value):
+    document, binary = animated_glb()
+
+    def places(item, path=()):
+        entries = item.items() if isinstance(item, dict) else enumerate(item)
+        for k, inner in entries:
+            yield (*path, k)
+            if isinstance(inner, (dict, list)):
+                yield from places(inner, (*path, k))
+
+    for path in [p for p in places(document[key]) if key != "nodes" or p[0] in (0, 4)]:
+        changed = copy.deepcopy(document)
+        target = changed[key]
+        for k in path[:-1]:
+            target = target[k]
+        target[path[-1]] = value
+        (tmp_path / "b.glb").write_bytes(join_glb(changed, binary))
+        refused_or_finite(tmp_path / "b.glb")
