@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from PIL import Image
 
 from avatar.camera import Camera
@@ -47,7 +47,9 @@ class CeilingDrawer:
         root: Float[np.ndarray, "3"],
         camera: Camera,
         samples: int,
+        where: Bool[np.ndarray, "h w"] | None = None,
     ) -> Picture:
+        """One picture on black; all of it, whatever `where` says: drawing the mesh costs the same."""
         self.studio.supersample = samples
         photo = self.studio.take(self.surface.posed(axis_angle, root), camera, self.light, self.sheen)
         return Picture((photo.image / np.float32(255)).astype(np.float32), photo.mask > 127)

@@ -7,6 +7,7 @@ interrupted demo goes on where it stopped; once a stage has run anew, all after 
 """
 
 import argparse
+import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -23,50 +24,44 @@ class Stage:
     run: Callable[[], object]
 
 
+def command(*words: str | Path) -> Callable[[], int]:
+    """A command of the project as a process of its own.
+
+    Training must not share a process with drawing: torch's optimiser brings its own LLVM (triton), which crashes
+    where Mesa's was loaded first. A person types the commands one by one as well.
+    """
+
+    def run() -> int:
+        return subprocess.run([sys.executable, "-m", *map(str, words)], check=False).returncode
+
+    return run
+
+
 def stages(out: Path) -> list[Stage]:
-    """The commands of the demo, as a user would type them. Each is imported when it runs."""
+    """The commands of the demo, as a user would type them."""
     capture, run, avatar, film = out / "capture", out / "run", out / "avatar.glb", out / "avatar.mp4"
-
-    def synth() -> object:
-        from bench.synth.command import main
-
-        return main(["builtin", str(capture)])
-
-    def train() -> object:
-        from train.command import main
-
-        resume = ["--resume"] if run.with_name(run.name + ".partial").exists() else []
-        return main([str(capture), "-o", str(run), "--preset", "demo", *resume])
-
-    def bake() -> object:
-        from bake.command import main
-
-        return main([str(run), "-o", str(avatar)])
-
-    def render() -> object:
-        from player.command import render_main
-
-        return render_main([str(avatar), "--motion", "counting", "--size", "640x640", "-o", str(film)])
-
-    def contact() -> object:
-        from bench.contact import contact_sheet
-
-        return contact_sheet(run, avatar, capture, out / "contact.png")
-
-    def report() -> object:
-        from bench.report import bench_main
-
-        return bench_main(
-            [str(avatar), "--run", str(run), "--capture", str(capture), "-o", str(out / "report")]
-        )
-
+    contact, report = out / "contact.png", out / "report"
+    resume = ["--resume"] if run.with_name(run.name + ".partial").exists() else []
+    given = ["--run", run, "--capture", capture]
     return [
-        Stage("synth", capture / "capture.json", synth),
-        Stage("train", run / "run.json", train),
-        Stage("bake", avatar, bake),
-        Stage("film", film, render),
-        Stage("contact sheet", out / "contact.png", contact),
-        Stage("accuracy against time", out / "report" / "bench.json", report),
+        Stage("synth", capture / "capture.json", command("selfscan", "synth", "builtin", capture)),
+        Stage(
+            "train",
+            run / "run.json",
+            command("selfscan", "train", capture, "-o", run, "--preset", "demo", *resume),
+        ),
+        Stage("bake", avatar, command("selfscan", "bake", run, "-o", avatar)),
+        Stage(
+            "film",
+            film,
+            command("selfscan", "render", avatar, "--motion", "counting", "--size", "640x640", "-o", film),
+        ),
+        Stage("contact sheet", contact, command("bench.contact", run, avatar, capture, "-o", contact)),
+        Stage(
+            "accuracy against time",
+            report / "bench.json",
+            command("selfscan", "bench", avatar, *given, "-o", report, "--frames", "1", "--rounds", "5"),
+        ),
     ]
 
 
@@ -92,7 +87,9 @@ def run_stages(todo: list[Stage]) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m bench.demo", description="The whole path on the built-in person.")
+    parser = argparse.ArgumentParser(
+        prog="python -m bench.demo", description="The whole path on the built-in person."
+    )
     parser.add_argument("out", type=Path, nargs="?", default=Path("out/demo"), help="folder (%(default)s)")
     options = parser.parse_args(argv)
     start = time.perf_counter()
@@ -101,8 +98,10 @@ def main(argv: list[str] | None = None) -> int:
     except AssetError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
+    out = options.out
     print(
-        f"done in {time.perf_counter() - start:.0f} s: {options.out}/avatar.mp4, contact.png, report/bench.md"
+        f"done in {time.perf_counter() - start:.0f} s: film {out / 'avatar.mp4'}, "
+        f"contact sheet {out / 'contact.png'}, report {out / 'report' / 'bench.md'}"
     )
     return 0
 

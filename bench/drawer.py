@@ -3,11 +3,12 @@
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from avatar.avatar_file import Avatar, Level, read_avatar
 from avatar.camera import Camera
 from avatar.skinning import SkinWeights
+from bench import metrics
 from bench.field_view import FieldView, Picture, PosableSurface, averaged
 from player.command import opened
 from player.raster import Rasteriser
@@ -53,8 +54,12 @@ class Drawer:
         root: Float[np.ndarray, "3"],
         camera: Camera,
         samples: int = 1,
+        where: Bool[np.ndarray, "h w"] | None = None,
     ) -> Picture:
-        """One picture on black; `samples` squared rays for each pixel, averaged."""
+        """One picture on black; `samples` squared rays for each pixel, averaged. A field is asked for colours only
+        `where` they are looked at."""
+        if self.field is not None and where is not None:
+            return drawn_where(self.field, self.raster, axis_angle, root, camera, samples, where)
         if self.field is not None:
             return self.field.draw(self.raster, axis_angle, root, camera, samples=samples)
         assert self.avatar is not None
@@ -69,3 +74,27 @@ class Drawer:
             renderer.release()
         self.raster.release()
         self.context.release()
+
+
+def drawn_where(
+    field: FieldView,
+    raster: Rasteriser,
+    axis_angle: Float[np.ndarray, "52 3"],
+    root: Float[np.ndarray, "3"],
+    camera: Camera,
+    samples: int,
+    where: Bool[np.ndarray, "h w"],
+) -> Picture:
+    """The field's picture, drawn only in the rectangle of `where`; nothing outside it."""
+    height, width = where.shape
+    whole = Picture(np.zeros((height, width, 3), np.float32), np.zeros((height, width), bool))
+    rectangle = metrics.rectangle(where)
+    if rectangle is None:
+        return whole
+    rows, columns = rectangle
+    K = camera.K.copy()
+    K[:2, 2] -= columns.start, rows.start
+    part = Camera(K, camera.camera_from_world, (columns.stop - columns.start, rows.stop - rows.start))
+    drawn = field.draw(raster, axis_angle, root, part, samples=samples, where=where[rectangle])
+    whole.colour[rectangle], whole.mask[rectangle] = drawn.colour, drawn.mask
+    return whole

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from skimage.metrics import structural_similarity
 
 SSIM_WINDOW = 7  # pixels, scikit-image's default: uniform window
+FLIP_REACH = 21  # pixels: twice FLIP's widest filter, feature after colour
 LPIPS_REASON = "LPIPS needs network weights under their own licence; none are shipped"
 
 
@@ -91,14 +92,22 @@ def ssim(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -
 
 
 def flip(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
-    """Mean LDR-FLIP (Andersson et al. 2020) at 67 pixels per degree: 0 is equal, 1 the worst."""
+    """Mean LDR-FLIP (Andersson et al. 2020) at 67 pixels per degree: 0 is equal, 1 the worst.
+
+    Black ground that both images share is left out of the work and counted as equal, which it is: FLIP's widest
+    filter reaches 10 px, and a rim of FLIP_REACH is kept.
+    """
     check_images(truth, image)
     if truth.size == 0:
         return Score(None, "no pixels to compare")
-    a = np.ascontiguousarray(np.clip(truth, 0, 1), dtype=np.float32)
-    b = np.ascontiguousarray(np.clip(image, 0, 1), dtype=np.float32)
+    where = rectangle((truth > 0).any(-1) | (image > 0).any(-1))
+    if where is None:
+        return Score(0.0)  # both are black
+    where = grown(where, FLIP_REACH, truth.shape[:2])
+    a = np.ascontiguousarray(np.clip(truth[where], 0, 1), dtype=np.float32)
+    b = np.ascontiguousarray(np.clip(image[where], 0, 1), dtype=np.float32)
     _, mean, _ = flip_evaluator.evaluate(a, b, "LDR", applyMagma=False)
-    return Score(float(mean))
+    return Score(float(mean) * (a.size / truth.size))
 
 
 def lpips(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
@@ -113,6 +122,15 @@ def rectangle(mask: Bool[np.ndarray, "h w"]) -> tuple[slice, slice] | None:
     if len(rows) == 0:
         return None
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def grown(where: tuple[slice, slice], margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """A rectangle widened by `margin` pixels, inside an image of `shape`."""
+    rows, columns = where
+    return (
+        slice(max(0, rows.start - margin), min(shape[0], rows.stop + margin)),
+        slice(max(0, columns.start - margin), min(shape[1], columns.stop + margin)),
+    )
 
 
 def mean_score(scores: list[Score]) -> Score:

@@ -1,6 +1,7 @@
 """Reconstruction against truth in every test pose: which samples count to which region, and their distances."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -11,7 +12,7 @@ from bench.field_view import PosableSurface
 from bench.held_out import TrueMesh
 from bench.picture_scores import REGION_PART
 
-SAMPLES = {"total": 6000, "head": 3000, "left_hand": 2000, "right_hand": 2000}
+SAMPLES = {"total": 4000, "head": 1500, "left_hand": 1000, "right_hand": 1000}  # in every pose
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,8 @@ def geometry_case(
     geometry.check_same_unit(truth.vertices, surface.vertices)
     truth_faces, faces = truth.faces[truth.visible], surface.faces[visible]
     canonical = truth.canonical()
-    index = geometry.triangle_index(canonical, truth_faces)
-    nearest = index.tree.query(surface.vertices[faces].mean(1))[1]
+    middles = canonical[truth_faces].mean(1)
+    nearest = geometry.centre_tree(middles).query(surface.vertices[faces].mean(1))[1]
     truth_part = truth.part[truth_faces[:, 0]]
     part = truth_part[nearest]
 
@@ -83,44 +84,76 @@ class Distances:
         return geometry.surface_distance(to_truth, to_surface)
 
 
+class PosedPair(NamedTuple):
+    """Truth and reconstruction in one pose, ready to be measured."""
+
+    truth: Float[np.ndarray, "v 3"]
+    surface: Float[np.ndarray, "w 3"]
+    truth_index: geometry.TriangleIndex
+    index: geometry.TriangleIndex
+
+
+def posed_pair(
+    case: GeometryCase, truth_posed: Float[np.ndarray, "v 3"], posed: Float[np.ndarray, "w 3"]
+) -> PosedPair:
+    return PosedPair(
+        truth_posed,
+        posed,
+        geometry.triangle_index(truth_posed, case.truth_faces),
+        geometry.triangle_index(posed, case.faces),
+    )
+
+
 def measure_pose(
     case: GeometryCase,
-    truth_posed: Float[np.ndarray, "v 3"],
-    posed: Float[np.ndarray, "w 3"],
+    pair: PosedPair,
     into: dict[str, Distances],
+    *,
+    every: int = 1,
+    truth_from_surface: Float[np.ndarray, "4 4"] | None = None,
 ) -> None:
-    """Add the distances of one pose, every region."""
-    truth_index = geometry.triangle_index(truth_posed, case.truth_faces)
-    index = geometry.triangle_index(posed, case.faces)
+    """Add the distances of one pose, every region. `every` takes only each n-th sample; `truth_from_surface` moves
+    the reconstruction rigidly first."""
     hair = case.truth.hair[case.truth_faces].sum(1) >= 2
-    for region, samples in case.on_truth.items():
-        if region not in case.on_surface:
-            continue
-        there = geometry.closest_points(case.on_surface[region].on(posed, case.faces), truth_index)
-        back = geometry.closest_points(samples.on(truth_posed, case.truth_faces), index)
-        into[region].to_truth.append(there.distance)
-        into[region].hair_to_truth.append(hair[there.face])
-        into[region].to_surface.append(back.distance)
-        into[region].hair_to_surface.append(hair[samples.face])
+    regions = [region for region in case.on_truth if region in case.on_surface]
+    ours = [thinned(case.on_surface[region], every) for region in regions]
+    true = [thinned(case.on_truth[region], every) for region in regions]
+    there = np.concatenate([samples.on(pair.surface, case.faces) for samples in ours])
+    back = np.concatenate([samples.on(pair.truth, case.truth_faces) for samples in true])
+    if truth_from_surface is not None:
+        R, t = truth_from_surface[:3, :3], truth_from_surface[:3, 3]
+        there, back = there @ R.T + t, (back - t) @ R
+    to_truth = geometry.closest_points(there, pair.truth_index)
+    to_surface = geometry.closest_points(back, pair.index)
+    ends = (
+        np.cumsum([len(samples.face) for samples in ours])[:-1],
+        np.cumsum([len(s.face) for s in true])[:-1],
+    )
+    distance, face = np.split(to_truth.distance, ends[0]), np.split(to_truth.face, ends[0])
+    returning = np.split(to_surface.distance, ends[1])
+    for i, region in enumerate(regions):
+        into[region].to_truth.append(distance[i])
+        into[region].hair_to_truth.append(hair[face[i]])
+        into[region].to_surface.append(returning[i])
+        into[region].hair_to_surface.append(hair[true[i].face])
 
 
-def aligned_total(
-    case: GeometryCase, truth_posed: Float[np.ndarray, "v 3"], posed: Float[np.ndarray, "w 3"]
-) -> Float[np.ndarray, "w 3"]:
-    """The posed reconstruction after rigid ICP of the whole onto the truth (what the paper's code does)."""
-    samples = case.on_surface["total"]
-    few = geometry.SurfaceSamples(samples.face[::8], samples.barycentric[::8])
-    index = geometry.triangle_index(truth_posed, case.truth_faces)
-    truth_from_posed = geometry.rigid_alignment(few.on(posed, case.faces), index, rounds=15)
-    return posed @ truth_from_posed[:3, :3].T + truth_from_posed[:3, 3]
+def thinned(samples: geometry.SurfaceSamples, every: int) -> geometry.SurfaceSamples:
+    """Each n-th sample: still even over the surface, because samples are drawn along it."""
+    return geometry.SurfaceSamples(samples.face[::every], samples.barycentric[::every])
+
+
+def alignment(case: GeometryCase, pair: PosedPair) -> Float[np.ndarray, "4 4"]:
+    """truth_from_surface by rigid ICP of the whole reconstruction onto the truth (what the paper's code does)."""
+    few = thinned(case.on_surface["total"], 16)
+    return geometry.rigid_alignment(few.on(pair.surface, case.faces), pair.truth_index, rounds=15)
 
 
 def own_weights_surface(truth: TrueMesh, surface: PosableSurface) -> PosableSurface:
     """The reconstruction skinned by the subject's own rig weights, looked up at the nearest true surface point."""
     canonical = truth.canonical()
     faces = truth.faces[truth.visible]
-    index = geometry.triangle_index(canonical, faces)
-    corners = faces[index.tree.query(surface.vertices)[1]]
+    corners = faces[geometry.centre_tree(canonical[faces].mean(1)).query(surface.vertices)[1]]
     gap = np.linalg.norm(canonical[corners] - surface.vertices[:, None], axis=-1)
     nearest = corners[np.arange(len(corners)), gap.argmin(1)]
     skin = SkinWeights(truth.skin.joints[nearest], truth.skin.weights[nearest])

@@ -7,6 +7,7 @@ left is learning, the difference is skinning), ICP-aligned as the paper's code d
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -21,46 +22,56 @@ from avatar.skeleton import BIG_POSE
 from bench import metrics
 from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
-from bench.field_view import FieldView
+from bench.field_view import FieldView, one_thread
+from bench.geometry import triangle_index
 from bench.held_out import SETS, HeldOutView, TrueMesh, read_capture_facts, read_held_out, read_true_mesh
 from bench.picture_scores import ImageScores, is_t_pose, score_images
 from bench.posed_geometry import (
     SAMPLES,
     Distances,
     GeometryCase,
-    aligned_total,
+    alignment,
     geometry_case,
     measure_pose,
     own_weights_surface,
+    posed_pair,
 )
 from bench.quality_table import PAPER, markdown, print_table
 from bench.synth.surface import visible_faces
 from train.run import read_run
 
 FIELD_POSES = 5  # held-out poses on which an avatar is compared with its run's field
+BESIDE = 4  # rows beside the main ones take each 4th sample, in every pose
+
+
+def tell(text: str) -> None:
+    """One line about what begins, on standard error."""
+    print(f"eval: {text}", file=sys.stderr, flush=True)
 
 
 def evaluate(
     path: Path, capture: Path, *, ceiling: bool = False, poses: int | None = None, run: Path | None = None
 ) -> dict[str, Any]:
     """Every number of `selfscan eval` as one JSON-ready dictionary."""
-    start = time.perf_counter()
+    start, cpu_start = time.perf_counter(), time.process_time()
+    tell(f"reading {path} and {capture}")
     facts = read_capture_facts(capture)
     truth = read_true_mesh(capture)
     held_out = {name: some_poses(read_held_out(capture, name), poses) for name in SETS}
-    drawer = Drawer(path)
-    try:
-        result = measured(drawer, truth, held_out)
-        if run is not None and drawer.avatar is not None:
-            result["baked_vs_field"]["on_held_out"] = compared_with_run(
-                drawer, run, some_poses(held_out["novel_pose"], FIELD_POSES)
-            )
-        if ceiling:
-            result["beside"]["ceiling"] = measured_ceiling(
-                drawer, capture, facts, truth, held_out["novel_pose"]
-            )
-    finally:
-        drawer.release()
+    with one_thread():
+        drawer = Drawer(path)
+        try:
+            result = measured(drawer, truth, held_out)
+            if run is not None and drawer.avatar is not None:
+                result["baked_vs_field"]["on_held_out"] = compared_with_run(
+                    drawer, run, some_poses(held_out["novel_pose"], FIELD_POSES)
+                )
+            if ceiling:
+                result["beside"]["ceiling"] = measured_ceiling(
+                    drawer, capture, facts, truth, held_out["novel_pose"]
+                )
+        finally:
+            drawer.release()
     source = {
         "path": str(path),
         "kind": "avatar" if drawer.avatar is not None else "run",
@@ -74,6 +85,7 @@ def evaluate(
         **result,
         "paper": PAPER,
         "seconds": round(time.perf_counter() - start, 1),
+        "cpu_seconds": round(time.process_time() - cpu_start, 1),
     }
 
 
@@ -81,6 +93,7 @@ def measured(drawer: Drawer, truth: TrueMesh, held_out: dict[str, list[HeldOutVi
     """Both sets of held-out pictures and poses, and what stands beside them."""
     surface = drawer.surface
     rest = np.zeros((52, 3)), truth.joints[0]
+    tell(f"which of {len(surface.faces)} faces can be seen from outside")
     visible = visible_faces(drawer.raster, surface.posed(*rest), surface.faces)
     try:
         case = geometry_case(truth, surface, visible)
@@ -96,16 +109,21 @@ def measured(drawer: Drawer, truth: TrueMesh, held_out: dict[str, list[HeldOutVi
     for name, views in held_out.items():
         # novel views are of a standing T-pose by design; among novel poses a T-pose frame would flatter
         apart = name == "novel_pose"
+        tell(f"{name.replace('_', ' ')}: {len(views)} pictures")
         images = score_images(views, truth, drawer.draw, f"{name} pictures", t_pose_apart=apart)
         distances = {kind: {region: Distances() for region in SAMPLES} for kind in ("ours", "own", "aligned")}
         poses = distinct_poses([view for view in views if not (apart and is_t_pose(view))])
+        tell(f"{name.replace('_', ' ')}: {len(poses)} posed surfaces")
         for view in progress(poses, f"{name} surfaces"):
             pose = view.axis_angle, view.root
-            truth_posed, posed = truth.posed(*pose), surface.posed(*pose)
-            measure_pose(case, truth_posed, posed, distances["ours"])
+            pair = posed_pair(case, truth.posed(*pose), surface.posed(*pose))
+            measure_pose(case, pair, distances["ours"])
             if apart:
-                measure_pose(case, truth_posed, aligned_total(case, truth_posed, posed), distances["aligned"])
-                measure_pose(case, truth_posed, own.posed(*pose), distances["own"])
+                aligned = alignment(case, pair)
+                measure_pose(case, pair, distances["aligned"], every=BESIDE, truth_from_surface=aligned)
+                posed = own.posed(*pose)
+                pair = pair._replace(surface=posed, index=triangle_index(posed, case.faces))
+                measure_pose(case, pair, distances["own"], every=BESIDE)
         out[name] = regions_of(distances["ours"], images.scored)
         if apart:
             beside["aligned"] = regions_of(distances["aligned"])
@@ -122,13 +140,14 @@ def measured_ceiling(
     drawer: Drawer, capture: Path, facts: dict[str, Any], truth: TrueMesh, views: list[HeldOutView]
 ) -> dict[str, Any]:
     """Novel poses of the true mesh under our weights: pictures and distances."""
+    tell(f"the ceiling: {len(views)} pictures and their poses")
     best = CeilingDrawer(drawer.raster, capture, facts, truth)
     images = score_images(views, truth, best.draw, "ceiling pictures", t_pose_apart=True)
     case = geometry_case(truth, best.surface, truth.visible)
     distances = {region: Distances() for region in SAMPLES}
     for view in progress(distinct_poses([v for v in views if not is_t_pose(v)]), "ceiling surfaces"):
         pose = view.axis_angle, view.root
-        measure_pose(case, truth.posed(*pose), best.surface.posed(*pose), distances)
+        measure_pose(case, posed_pair(case, truth.posed(*pose), best.surface.posed(*pose)), distances)
     return regions_of(distances, images.scored)
 
 
@@ -151,7 +170,8 @@ def distinct_poses(views: list[HeldOutView]) -> list[HeldOutView]:
 
 def measure_once(case: GeometryCase, axis_angle: np.ndarray, root: np.ndarray) -> dict[str, Distances]:
     into = {region: Distances() for region in SAMPLES}
-    measure_pose(case, case.truth.posed(axis_angle, root), case.surface.posed(axis_angle, root), into)
+    pair = posed_pair(case, case.truth.posed(axis_angle, root), case.surface.posed(axis_angle, root))
+    measure_pose(case, pair, into, every=BESIDE)
     return into
 
 
@@ -184,6 +204,7 @@ def region_scores(distances: Distances | None, images: ImageScores | None) -> di
             if distances.to_truth and any(h.any() for h in distances.hair_to_surface):
                 out[name] = {"p2s_cm": rounded(apart.p2s), "chamfer_cm": rounded(apart.chamfer)}
     if images is not None:
+        out["pictures"], out["flip_pictures"] = len(images.ssim), len(images.flip)
         for name, score in images.scores().items():
             out[name] = rounded(score.value)
             if score.value is None:
@@ -214,6 +235,7 @@ def compared_with_run(drawer: Drawer, run: Path, views: list[HeldOutView]) -> di
     Inside the field's mask eroded by 1 px. Unlike the bake's own measurement this sees wrong skin weights in the
     avatar, because nothing that is compared was made by the bake on both sides.
     """
+    tell(f"the avatar against the field of {run}: {len(views)} pictures")
     field = FieldView(read_run(run))
     error = metrics.PooledError()
     worst: tuple[float, str] = (np.inf, "")

@@ -50,11 +50,17 @@ class Frame:
 
 
 def bench(
-    avatar_path: Path, out: Path, *, run: Path | None = None, capture: Path | None = None, rounds: int = 20
+    avatar_path: Path,
+    out: Path,
+    *,
+    run: Path | None = None,
+    capture: Path | None = None,
+    rounds: int = 20,
+    count: int = FRAMES,
 ) -> dict[str, Any]:
     """Measure the ladder, write bench.json, bench.md, pareto.png and rungs.png into folder `out`."""
     avatar = read_avatar(avatar_path)
-    frames = held_out_frames(capture) if capture is not None else motion_frames(avatar)
+    frames = held_out_frames(capture, count) if capture is not None else motion_frames(avatar, count)
     context = opened("auto", None)
     try:
         rungs = rungs_of(avatar)
@@ -374,11 +380,19 @@ def bench_main(argv: list[str]) -> int:
     )
     parser.add_argument("-o", dest="out", metavar="DIR", type=Path, required=True, help="folder to write")
     parser.add_argument("--rounds", type=int, default=20, help="timed frames for each rung (%(default)s)")
+    parser.add_argument("--frames", type=int, default=FRAMES, help="pictures compared (%(default)s)")
     options = parser.parse_args(argv)
+    if options.frames < 1:
+        parser.error(f"--frames should be at least 1, is {options.frames}")
     if options.rounds < 1:
         parser.error(f"--rounds should be at least 1, is {options.rounds}")
     result = bench(
-        options.avatar, options.out, run=options.run, capture=options.capture, rounds=options.rounds
+        options.avatar,
+        options.out,
+        run=options.run,
+        capture=options.capture,
+        rounds=options.rounds,
+        count=options.frames,
     )
     for row in result["rungs"]:
         psnr = "same" if row["psnr_db"] is None else f"{row['psnr_db']:.2f} dB"

@@ -3,7 +3,7 @@
 import pytest
 
 from avatar.errors import AssetError
-from bench.demo import Stage, run_stages, stages
+from bench.demo import Stage, command, run_stages, stages
 
 
 def writing(path, log, name):
@@ -38,3 +38,16 @@ def test_a_stage_without_its_product_stops_the_demo(tmp_path):
 def test_the_demo_ends_with_film_contact_sheet_and_report(tmp_path):
     names = [stage.product.relative_to(tmp_path).as_posix() for stage in stages(tmp_path)]
     assert names[-4:] == ["avatar.glb", "avatar.mp4", "contact.png", "report/bench.json"]
+
+
+def test_a_command_that_fails_in_its_own_process_stops_the_demo(tmp_path, capfd):
+    todo = [
+        Stage(
+            "bake",
+            tmp_path / "a.glb",
+            command("selfscan", "bake", tmp_path / "none", "-o", tmp_path / "a.glb"),
+        )
+    ]
+    with pytest.raises(AssetError, match="'bake' ended without"):
+        run_stages(todo)
+    assert "none" in capfd.readouterr().err

@@ -58,3 +58,13 @@ def test_rectangle_is_the_tight_box_of_a_mask():
     mask = np.zeros((20, 30), bool)
     mask[3, 7] = mask[11, 25] = True
     assert rectangle(mask) == (slice(3, 12), slice(7, 26))
+
+
+def test_flip_leaves_shared_black_ground_out_of_the_work_but_not_of_the_mean():
+    small = np.zeros((2, 90, 90, 3), np.float32)
+    small[:, 30:60, 30:60] = RNG.random((2, 30, 30, 3))
+    wide = np.pad(small, ((0, 0), (100, 100), (100, 100), (0, 0)))
+    ink = wide.copy()
+    ink[:, 0, 0] = ink[:, -1, -1] = 1e-6  # nothing to see, yet nothing can be left out
+    assert flip(*wide).value == pytest.approx(flip(*ink).value, rel=1e-4)
+    assert flip(*wide).value == pytest.approx(flip(*small).value * 90**2 / 290**2, rel=1e-4)
