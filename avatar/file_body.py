@@ -24,9 +24,9 @@ def given_pelvis(
     return None
 
 
-def usual_pelvis(notes: list[str], *, what: str = "trans") -> Float[Array, "3"]:
+def usual_pelvis(notes: list[str], *, what: str = "trans +") -> Float[Array, "3"]:
     """The usual J0, for a file without `--body`."""
     notes.append(
-        f"pelvis: {what} + {tuple(USUAL_PELVIS.tolist())}, the usual J0 of SMPL+H (2 cm; --body gives it exactly)"
+        f"pelvis: {what} {tuple(USUAL_PELVIS.tolist())}, the usual J0 of SMPL+H (2 cm; --body gives it exactly)"
     )
     return USUAL_PELVIS

@@ -229,11 +229,8 @@ def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple
     others = [str(a.get("name", f"number {i}"))[:40] for i, a in enumerate(animations[1:6], 1)]
     rest = f", the first of {len(animations)} ({', '.join(others)} are not read)" if others else ""
     notes.append(f"animation: {title!r}{rest}")
-    samplers = animation.get("samplers")
-    entries = animation.get("channels")
-    for key, value in (("samplers", samplers), ("channels", entries)):
-        if not isinstance(value, list) or not value or not all(isinstance(v, dict) for v in value):
-            raise gltf.error(f"{where}.{key}", "a list of objects", value)
+    samplers = _objects(gltf, animation, "samplers", where)
+    entries = _objects(gltf, animation, "channels", where)
     channels: dict[tuple[int, str], Channel] = {}
     left_out: set[str] = set()
     for i, entry in enumerate(entries):
@@ -261,6 +258,13 @@ def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple
     if left_out:
         notes.append("scale: animated scales are left out")
     return channels
+
+
+def _objects(gltf: Gltf, holder: dict[str, Any], key: str, where: str) -> list[dict[str, Any]]:
+    value = holder.get(key)
+    if not isinstance(value, list) or not value or not all(isinstance(v, dict) for v in value):
+        raise gltf.error(f"{where}.{key}", "a list of objects", value)
+    return value
 
 
 def _channel(gltf: Gltf, sampler: dict[str, Any], path: str, where: str) -> Channel:

@@ -109,10 +109,13 @@ def _humanoid_bones(path: Path, extension: Any, name: str, count: int) -> dict[s
         pairs = [(b.get("bone"), b.get("node")) if isinstance(b, dict) else (None, None) for b in bones]
     else:
         raise AssetError(f"{path}: {name}.humanoid.humanBones should be the bones' nodes, is not")
-    pairs = [(bone, node) for bone, node in pairs if node != -1]  # some VRM 0 exporters list absent bones so
+    found: dict[str, int] = {}
     for bone, node in pairs:
+        if node == -1:
+            continue  # some VRM 0 exporters list absent bones so
         if not isinstance(bone, str) or type(node) is not int or not 0 <= node < count:
             raise AssetError(
                 f"{path}: humanoid: expected a node index below {count} for {str(bone)[:40]}, found {str(node)[:40]}"
             )
-    return dict(pairs)
+        found[bone] = node
+    return found

@@ -250,8 +250,11 @@ class Machine:
                 raise ValueError(f"a base class {arguments[0]}")
             return Built("array")
         if kind == "frombuffer":
-            data, dtype, shape, order = arguments
-            return Built("array", self.array(raw(data), dtype_of(dtype), shape, order == "F"))
+            data, kind_of, shape, order = arguments
+            dtype = dtype_of(kind_of)
+            if dtype is None:
+                raise ValueError("an object")
+            return Built("array", self.array(raw(data), dtype, shape, order == "F"))
         if kind == "dtype":
             code = text(arguments[0]).lstrip("<>=|")
             if code not in (*NUMBER_TYPES, "O", "O8", "O4") and not (
