@@ -100,7 +100,7 @@ def flip(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -
     check_images(truth, image)
     if truth.size == 0:
         return Score(None, "no pixels to compare")
-    where = rectangle((truth > 0).any(-1) | (image > 0).any(-1))
+    where = rectangle(np.asarray((truth > 0).any(-1) | (image > 0).any(-1)))
     if where is None:
         return Score(0.0)  # both are black
     where = grown(where, FLIP_REACH, truth.shape[:2])
