@@ -17,6 +17,8 @@ from avatar.errors import AssetError
 
 
 class Unwrapped(NamedTuple):
+    """A mesh cut into charts: an atlas vertex is one vertex of the mesh in one chart."""
+
     source: Integer[np.ndarray, "corners"]  # the vertex each atlas vertex copies
     uv: Float[np.ndarray, "corners 2"]  # [0, 1], v down as in glTF
     faces: Integer[np.ndarray, "faces 3"]  # of atlas vertices; the order is the input's, part by part

@@ -13,6 +13,7 @@ The file is a plain glTF binary that any viewer opens. What baking lost is measu
 
 
 def main(argv: list[str]) -> int:
+    """Parse the command line and bake."""
     parser = argparse.ArgumentParser(
         prog="selfscan bake", description=HELP, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
-from scipy.sparse.csgraph import connected_components
 
-from bake.transfer import fill_harmonic, neighbour_matrix
+from train.harmonic import anchored, fill_harmonic
 
 REACH = 1.6  # standard deviations of the seen directions at which the clamp has bent them by 1/sqrt(2)
 FLOOR = np.radians(3.0)  # a vertex seen from one direction only still has a cone of this width
@@ -15,16 +14,20 @@ OPPOSED = 0.05  # |mean| below which the directions cancel and their mean means 
 
 
 class ViewCone(NamedTuple):
+    """What the training saw of each point, in the canonical frame."""
+
     direction: Float[np.ndarray, "n 3"]  # unit, from camera to surface, canonical
     metric: Float[np.ndarray, "n 6"]  # Q: xx, xy, xz, yy, yz, zz; zero across the direction
     seen: Float[np.ndarray, "n"]  # [0, 1]
 
 
 def matrix_from_six(six: Float[np.ndarray, "*n 6"]) -> Float[np.ndarray, "*n 3 3"]:
+    """Symmetric matrices of their six numbers xx, xy, xz, yy, yz, zz."""
     return six[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(*six.shape[:-1], 3, 3)
 
 
 def six_from_matrix(matrix: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 6"]:
+    """The upper triangle of symmetric matrices, row by row."""
     return matrix.reshape(*matrix.shape[:-2], 9)[..., [0, 1, 2, 4, 5, 8]]
 
 
@@ -66,8 +69,7 @@ def view_cone(
 
 def _filled(direction: np.ndarray, known: np.ndarray, fallback: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Harmonic fill; vertices out of reach of any known one, or where the fill cancels, take the fallback."""
-    labels = connected_components(neighbour_matrix(faces, len(direction)), directed=False)[1]
-    reached = np.isin(labels, labels[known])
+    reached = anchored(known, faces)
     values = np.where(reached[:, None], direction, fallback)
     filled = fill_harmonic(values, known | ~reached, faces)
     length = np.linalg.norm(filled, axis=1)

@@ -7,9 +7,11 @@ import numpy as np
 from jaxtyping import Float, Integer
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from avatar.errors import AssetError
-from bake.surface import Mesh, PointFunction, compact, face_areas, largest_component
+from bake.surface import Mesh, PointFunction, compact, largest_component
+from train.mesh import area_normals, component_labels, face_areas, half_edges
 
 
 class Fault(NamedTuple):
@@ -32,10 +34,6 @@ class Enlargement(NamedTuple):
     axis: Float[np.ndarray, "3"]  # unit, from the anchor into the part
     radius: float  # metres around the axis
     scale: float
-
-
-def half_edges(faces: Integer[np.ndarray, "faces 3"]) -> Integer[np.ndarray, "edges 2"]:
-    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
 def find_faults(faces: Integer[np.ndarray, "faces 3"], count: int) -> Fault:
@@ -207,7 +205,7 @@ def _crowded(faces: Integer[np.ndarray, "faces 3"], count: int) -> np.ndarray:
     pair = np.sort(directed, axis=1)
     _, inverse2, both = np.unique(pair[:, 0] * count + pair[:, 1], return_inverse=True, return_counts=True)
     bad = (times[inverse] > 1) | (both[inverse2] > 2)
-    return bad.reshape(3, -1).any(axis=0, keepdims=True)[0]
+    return np.any(bad.reshape(3, -1), axis=0)
 
 
 def _boundary_loops(faces: Integer[np.ndarray, "faces 3"], count: int) -> list[np.ndarray]:
@@ -252,7 +250,7 @@ def decimate(mesh: Mesh, target: int, parts: list[Enlargement] | None = None) ->
     while len(faces) > 1.01 * target and patience <= 10:
         points, faces, patience = _gentle_pass(points, faces, target, patience)
     collapsed = Mesh(points.astype(np.float64), faces.astype(np.int64))
-    if find_faults(collapsed.faces, len(points)) or component_count(collapsed) > 1:
+    if find_faults(collapsed.faces, len(points)) or component_labels(collapsed.faces, len(points)).max() > 0:
         collapsed, _, _ = largest_component(parted(collapsed))
         if find_faults(collapsed.faces, len(collapsed.vertices)):
             collapsed = mend(collapsed)
@@ -282,14 +280,6 @@ def _gentle_pass(
     return np.ascontiguousarray(found, np.float32), triangles.astype(np.int32), patience + slow
 
 
-def component_count(mesh: Mesh) -> int:
-    graph = coo_matrix(
-        (np.ones(len(mesh.faces) * 3, np.int8), tuple(half_edges(mesh.faces).T)),
-        shape=(len(mesh.vertices),) * 2,
-    )
-    return connected_components(graph, directed=False)[0]
-
-
 def shrunk(
     points: Float[np.ndarray, "n 3"],
     grown: Float[np.ndarray, "vertices 3"],
@@ -299,9 +289,7 @@ def shrunk(
 ) -> Float[np.ndarray, "n 3"]:
     """Inverse of `enlarged`: start at the displacement of the nearest vertex, then x <- x - J^-1 (f(x) - y)
     with J approximated by the local scale, which converges because the growth is monotone along the axis."""
-    from scipy.spatial import cKDTree
-
-    _, nearest = cKDTree(grown).query(points)
+    _, nearest = KDTree(grown).query(points)
     guess = original[nearest] + (points - grown[nearest])
     moved = np.linalg.norm(grown[nearest] - original[nearest], axis=1) > 1e-9
     target, x = points[moved], guess[moved]
@@ -343,21 +331,11 @@ def balanced(
 def unfolded(moved: np.ndarray, before: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The moved vertices, less the moves at triangles they would turn over."""
     vertices = moved.copy()
-    facing = _face_normals(before, faces)
+    facing = area_normals(before, faces)
     for _ in range(8):
-        turned = (_face_normals(vertices, faces) * facing).sum(1) < 0
+        turned = (area_normals(vertices, faces) * facing).sum(1) < 0
         if not turned.any():
             return vertices
         index = np.unique(faces[turned])
         vertices[index] = before[index]
     return before.copy()
-
-
-def _face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return np.cross(b - a, c - a)
-
-
-def slivers(mesh: Mesh, smallest: float = 1e-12) -> int:
-    """Triangles with practically no area (square metres)."""
-    return int((face_areas(mesh.vertices, mesh.faces) < smallest).sum())

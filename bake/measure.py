@@ -15,12 +15,15 @@ from avatar.texture import sample_texture
 from bake.cone import ViewCone, clamped_tangent, cone_direction, interpolated
 from bake.network import ColorFunction
 from bake.surface import Mesh, PointFunction, project_to_zero
+from train.mesh import face_areas, half_edges
 
 HEAD, LEFT_WRIST, RIGHT_WRIST = 15, 20, 21
 LEFT_MIDDLE, RIGHT_MIDDLE = 25, 40
 
 
 class View(NamedTuple):
+    """A pose and a camera to compare pictures from."""
+
     name: str
     axis_angle: Float[np.ndarray, "52 3"]
     root: Float[np.ndarray, "3"]
@@ -76,6 +79,8 @@ def test_views(joints: Float[np.ndarray, "52 3"], size: int = 512) -> list[View]
 
 
 class FieldImage(NamedTuple):
+    """The field drawn in a view."""
+
     paper: Float[np.ndarray, "height width 3"]  # [0, 1], field at d_bar
     cone: Float[np.ndarray, "height width 3"] | None  # field at d', where asked
     mask: Bool[np.ndarray, "height width"]
@@ -128,6 +133,8 @@ def scored_mask(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "hei
 
 
 class Score(NamedTuple):
+    """PSNR in decibels over the eroded masks; infinite where pictures are the same."""
+
     paper_db: float  # baked paper mode against the field at d_bar, pooled over all views
     view_db: dict[str, float]  # each mode against the cone field, pooled
     per_view: dict[str, float]  # paper mode, by view
@@ -196,7 +203,7 @@ def seam_steps(
     samples: int = 5,
 ) -> Float[np.ndarray, "steps"]:
     """Colour step (bytes, worst channel) between the two sides of every chart edge, at points along it."""
-    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    directed = half_edges(faces)
     ends = source[directed]
     count = int(source.max()) + 1
     key = np.sort(ends, axis=1)
@@ -234,8 +241,6 @@ def spread_over(
     mesh: Mesh, count: int, rng: np.random.Generator, importance: Float[np.ndarray, "faces"] | None = None
 ) -> tuple[Integer[np.ndarray, "count"], Float[np.ndarray, "count 3"]]:
     """Random points of a mesh, uniform in area (times importance): face and barycentric coordinates."""
-    from bake.surface import face_areas
-
     areas = face_areas(mesh.vertices, mesh.faces) * (1.0 if importance is None else importance)
     face = np.searchsorted(np.cumsum(areas), rng.random(count) * areas.sum()).clip(0, len(areas) - 1)
     root, along = np.sqrt(rng.random(count)), rng.random(count)

@@ -38,6 +38,8 @@ class SurfacePoints(NamedTuple):
 
 
 class Distilled(NamedTuple):
+    """How the file shows view dependence; parts that the default view does not need are None."""
+
     network: ViewNetwork | None
     linear: Float[np.ndarray, "4 3 3"] | None
     default_view: Literal["network", "linear", "off"]
@@ -162,7 +164,8 @@ def distil(
 
     torch.manual_seed(seed)
     encoder = FeatureEncoder()
-    layers = nn.Sequential(nn.Linear(8, 16), nn.ReLU(), nn.Linear(16, 3))
+    hidden, output = nn.Linear(8, 16), nn.Linear(16, 3)
+    layers = nn.Sequential(hidden, nn.ReLU(), output)
     matrices = nn.Parameter(torch.zeros(4, 3, 3))
     inputs = torch.from_numpy(_encoder_inputs(surface))
     tangents = torch.from_numpy(tangent.astype(np.float32))
@@ -194,10 +197,10 @@ def distil(
         return np.concatenate(encoded) if encoded else np.zeros((0, 4), np.uint8)
 
     network = ViewNetwork(
-        w1=layers[0].weight.detach().numpy().copy(),
-        b1=layers[0].bias.detach().numpy().copy(),
-        w2=layers[2].weight.detach().numpy().copy(),
-        b2=layers[2].bias.detach().numpy().copy(),
+        w1=hidden.weight.detach().numpy().copy(),
+        b1=hidden.bias.detach().numpy().copy(),
+        w2=output.weight.detach().numpy().copy(),
+        b2=output.bias.detach().numpy().copy(),
     )
     features = features_of(surface) / 255.0
     linear = fit_linear(features[~kept], tangent[~kept], residual[~kept])

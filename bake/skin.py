@@ -3,7 +3,8 @@
 import numpy as np
 from jaxtyping import Float, Integer, UInt8
 
-from bake.transfer import Match, fill_harmonic
+from bake.transfer import Match
+from train.harmonic import fill_harmonic
 
 
 def transferred_weights(

@@ -10,16 +10,21 @@ from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
 from avatar.errors import AssetError
+from train.mesh import component_labels, face_areas
 
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
 
 class Mesh(NamedTuple):
+    """Triangles, counter-clockwise from outside."""
+
     vertices: Float[np.ndarray, "vertices 3"]  # canonical, metres
     faces: Integer[np.ndarray, "faces 3"]
 
 
 class Extraction(NamedTuple):
+    """The zero set of a field, and how well it was found."""
+
     mesh: Mesh
     normals: Float[np.ndarray, "vertices 3"]  # unit gradient of the field
     queries: int  # distance queries spent on the grid
@@ -103,20 +108,6 @@ def sample_near_surface(
         corners = half * np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), -1).reshape(-1, 3)
         origins = (origins[near][:, None] + corners).reshape(-1, 3)
         stride = half
-
-
-def component_labels(faces: Integer[np.ndarray, "faces 3"], count: int) -> Integer[np.ndarray, "vertices"]:
-    """Connected component of every vertex."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
-    graph = coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    return connected_components(graph, directed=False)[1]
-
-
-def face_areas(
-    vertices: Float[np.ndarray, "vertices 3"], faces: Integer[np.ndarray, "faces 3"]
-) -> np.ndarray:
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def enclosed_volume(mesh: Mesh) -> float:
@@ -246,7 +237,8 @@ def extract(
         )
     projected, residual = project_to_zero(distance, normal, mesh.vertices, reach=coarse_step)
     mesh = Mesh(projected, mesh.faces)
-    return Extraction(mesh, normal(projected), queries, islands, island_area, float(np.quantile(residual, 0.999)))
+    exceeded = float(np.quantile(residual, 0.999))
+    return Extraction(mesh, normal(projected), queries, islands, island_area, exceeded)
 
 
 def _clusters(points: Float[np.ndarray, "n 3"], cell: float = 0.03) -> Integer[np.ndarray, "n"]:

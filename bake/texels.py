@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer, UInt8
-from scipy.ndimage import distance_transform_edt
+
+from train.cells import nearest_marked
 
 # where in a texel the colour is sampled: its centre, then three places around it
 JITTER = np.array([[0.0, 0.0], [-0.1, -0.37], [0.37, 0.1], [-0.27, 0.27]])
@@ -24,6 +25,7 @@ class TexelMap(NamedTuple):
     size: int
 
     def rows(self, chosen: Integer[np.ndarray, "rows"]) -> "TexelMap":
+        """Some of the texels."""
         return TexelMap(self.index[chosen], self.face[chosen], self.inside[chosen], self.size)
 
 
@@ -134,8 +136,7 @@ def spread(values: Float[np.ndarray, "texels channels"], texels: TexelMap, rest:
     if not covered.any():
         return image
     covered = covered.reshape(texels.size, texels.size)
-    rows, columns = distance_transform_edt(~covered, return_distances=False, return_indices=True)
-    return image[rows, columns]
+    return image[nearest_marked(covered)]
 
 
 def bytes_from_unit(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
@@ -162,8 +163,10 @@ def sample_texels(
     busy = np.zeros((texels.size, texels.size), bool)
     across = np.abs(np.diff(grid, axis=1)).max(-1) > contrast  # NaN compares False
     down = np.abs(np.diff(grid, axis=0)).max(-1) > contrast
-    for edge, step in ((np.s_[1:], down), (np.s_[:-1], down), (np.s_[:, 1:], across), (np.s_[:, :-1], across)):
-        busy[edge] |= step
+    busy[1:] |= down
+    busy[:-1] |= down
+    busy[:, 1:] |= across
+    busy[:, :-1] |= across
     rows = np.flatnonzero(busy.reshape(-1)[texels.index])
     if len(rows) == 0:
         return first

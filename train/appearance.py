@@ -26,7 +26,7 @@ def match_appearance(
     frames. The code starts at the mean of the part's trained codes and is pulled towards it: the colour network
     has only seen codes near there. Sets the part's reference code; returns the difference before and after.
     """
-    part = field.fields[index]
+    part = field.field(index)
     start = part.reference.clone()
     spread = part.appearance.weight.detach().std(0).clamp_min(1e-3)
     target = field.part_color(0, points, directions)

@@ -67,7 +67,9 @@ def read_capture(path: Path | str) -> Capture:
     facts = _read_json(path / "capture.json")
     if facts.get("format") != "selfscan-capture" or facts.get("version") != 1:
         found = f"{facts.get('format')!r} version {facts.get('version')!r}"
-        raise AssetError(f"{path / 'capture.json'}: expected format 'selfscan-capture' version 1, found {found}")
+        raise AssetError(
+            f"{path / 'capture.json'}: expected format 'selfscan-capture' version 1, found {found}"
+        )
     missing = [part for part in PARTS if part not in facts.get("parts", [])]
     if missing:
         raise AssetError(f"{path / 'capture.json'}: parts should hold {list(PARTS)}, lacks {missing}")
@@ -96,7 +98,9 @@ def read_subject(path: Path, name: str = "") -> Subject:
     total = weights.sum(1)
     if weights.min() < 0 or np.abs(total - 1).max() > 1e-3:
         row = int(np.abs(total - 1).argmax())
-        raise AssetError(f"{path}: skin_weights should be positive and sum to 1; row {row} sums to {total[row]:.4f}")
+        raise AssetError(
+            f"{path}: skin_weights should be positive and sum to 1; row {row} sums to {total[row]:.4f}"
+        )
     part = _field(path, fields, "part", (count,)).astype(np.int64)
     absent = [PARTS[i] for i in range(4) if not (part == i).any()]
     if absent or part.max() > 3:
@@ -111,13 +115,17 @@ def _read_video(path: Path, part: str, vertex_count: int) -> PartVideo:
     images = _read_frames(path / "images", "RGB")
     masks = _read_frames(path / "masks", "L") > 127
     if masks.shape != images.shape[:3]:
-        raise AssetError(f"{path / 'masks'}: should be like the images, {images.shape[:3]}, are {masks.shape}")
+        raise AssetError(
+            f"{path / 'masks'}: should be like the images, {images.shape[:3]}, are {masks.shape}"
+        )
     frames, height, width = masks.shape
     cameras = read_cameras(path / "cameras.npz")
     if len(cameras) not in (1, frames):
         raise AssetError(f"{path / 'cameras.npz'}: should hold 1 or {frames} cameras, holds {len(cameras)}")
     if cameras[0].size != (width, height):
-        raise AssetError(f"{path / 'cameras.npz'}: size should be {(width, height)} as the images, is {cameras[0].size}")
+        raise AssetError(
+            f"{path / 'cameras.npz'}: size should be {(width, height)} as the images, is {cameras[0].size}"
+        )
     cameras = tuple(cameras * frames if len(cameras) == 1 else cameras)
     if not masks.any():
         raise AssetError(f"{path / 'masks'}: no pixel of any frame shows the person")
@@ -173,7 +181,9 @@ def _read_json(path: Path) -> dict:
     try:
         content = json.loads(path.read_text("utf-8"))
     except FileNotFoundError:
-        raise AssetError(f"{path}: no such file; expected a capture folder made by `selfscan synth`") from None
+        raise AssetError(
+            f"{path}: no such file; expected a capture folder made by `selfscan synth`"
+        ) from None
     except (OSError, ValueError) as error:
         raise AssetError(f"{path}: expected JSON, found: {error}") from None
     if not isinstance(content, dict):

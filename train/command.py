@@ -18,19 +18,14 @@ from avatar.errors import AssetError
 from avatar.files import whole_folder
 from avatar.progress import Progress
 from train import run as run_folder
-from train.appearance import match_appearance
-from train.capture import PARTS, Capture, Subject, read_capture
-from train.field import PartField
-from train.fused import FusedField
+from train.capture import PARTS, Capture, read_capture
+from train.compose import compose
 from train.parts import part_boxes
 from train.preset import PRESETS, Preset
 from train.rays import part_rays
-from train.register import Registration, refine_by_surfaces, similarity_from_landmarks
-from train.skin import CanonicalSkin
-from train.surface import Surface, extract_surface, fill_from_neighbours
-from train.template import neck_height, surface_cloud, template_grid, vertex_normals, visible_faces
+from train.register import Registration, similarity_from_landmarks
+from train.template import neck_height, surface_cloud, template_grid, visible_faces
 from train.trainer import ray_tensors, set_threads, train_field
-from train.views import fused_statistics, part_views, statistics
 
 Array = np.ndarray
 
@@ -43,13 +38,25 @@ def main(argv: list[str]) -> int:
         "head and hands, fused into one. Writes a run folder, which `selfscan bake` turns into an avatar.",
         epilog="example: selfscan train out/capture -o out/run",
     )
-    parser.add_argument("capture", metavar="CAPTURE", help="folder made by `selfscan synth` or `selfscan import`")
-    parser.add_argument("-o", "--out", metavar="RUN", required=True, help="run folder to write, whole or not at all")
-    parser.add_argument("--preset", choices=sorted(PRESETS), default="demo", help="demo: minutes on two CPU cores")
-    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="where to compute (default: cpu)")
-    parser.add_argument("--resume", action="store_true", help="go on from the checkpoints of an interrupted training")
+    parser.add_argument(
+        "capture", metavar="CAPTURE", help="folder made by `selfscan synth` or `selfscan import`"
+    )
+    parser.add_argument(
+        "-o", "--out", metavar="RUN", required=True, help="run folder to write, whole or not at all"
+    )
+    parser.add_argument(
+        "--preset", choices=sorted(PRESETS), default="demo", help="demo: minutes on two CPU cores"
+    )
+    parser.add_argument(
+        "--device", choices=["cpu", "cuda"], default="cpu", help="where to compute (default: cpu)"
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="go on from the checkpoints of an interrupted training"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
-    parser.add_argument("--iterations", type=int, metavar="N", help="optimiser steps per part, instead of the preset's")
+    parser.add_argument(
+        "--iterations", type=int, metavar="N", help="optimiser steps per part, instead of the preset's"
+    )
     arguments = parser.parse_args(argv)
     if arguments.iterations is not None and arguments.iterations < 1:
         parser.error(f"--iterations should be at least 1, is {arguments.iterations}")
@@ -57,12 +64,17 @@ def main(argv: list[str]) -> int:
         raise AssetError("--device cuda: this machine has no CUDA device that torch can use")
     preset = PRESETS[arguments.preset]
     if arguments.iterations is not None:
-        preset = replace(preset, parts=tuple(replace(p, iterations=arguments.iterations) for p in preset.parts))
+        preset = replace(
+            preset, parts=tuple(replace(p, iterations=arguments.iterations) for p in preset.parts)
+        )
     try:
         train(arguments.capture, arguments.out, preset, device=arguments.device, seed=arguments.seed,
               resume=arguments.resume)  # fmt: skip
     except KeyboardInterrupt:
-        print(f"stopped; `selfscan train {arguments.capture} -o {arguments.out} --resume` goes on", file=sys.stderr)
+        print(
+            f"stopped; `selfscan train {arguments.capture} -o {arguments.out} --resume` goes on",
+            file=sys.stderr,
+        )
         return 130
     return 0
 
@@ -85,16 +97,10 @@ def train(
     seconds: dict[str, float] = {}
     began = time.monotonic()
 
-    video = capture.videos["head"]
-    landmarks = similarity_from_landmarks(video.landmarks, capture.subject.vertices[video.landmark_vertices])
-    _say(f"head frame by {len(video.landmarks)} landmarks (Eq. 6): residual {landmarks.residual * 1000:.1f} mm")
-    if landmarks.residual > 0.02:
-        raise AssetError(
-            f"{capture.path / 'head' / 'landmarks.json'}: landmarks should fit the template within 20 mm, "
-            f"are {landmarks.residual * 1000:.0f} mm off"
-        )
-
-    _say(f"stage 1: {len(PARTS)} parts by volume rendering of signed distance (Eq. 10-12), preset {preset.name}")
+    landmarks = _register_landmarks(capture)
+    _say(
+        f"stage 1: {len(PARTS)} parts by volume rendering of signed distance (Eq. 10-12), preset {preset.name}"
+    )
     facts = _train_parts(capture, preset, landmarks, partial, device, seed, resume)
     seconds |= {f"{name}": fact["seconds"] for name, fact in facts.items()}
     fields = [run_folder.read_part(partial / f"{name}.pt", capture.subject, i, preset.parts[i])
@@ -102,7 +108,7 @@ def train(
 
     set_threads(os.cpu_count() or 1)
     with whole_folder(out) as folder:
-        surface, tables, composition = _compose(capture, fields, preset, landmarks, seed, seconds)
+        surface, tables, composition = compose(capture, fields, preset, landmarks, seed, seconds, _say)
         for name, field in zip(PARTS, fields):
             run_folder.write_part(folder / f"{name}.pt", field)
             shutil.copyfile(partial / f"{name}.ckpt", folder / f"{name}.ckpt")
@@ -130,8 +136,30 @@ def train(
     return out
 
 
+def _register_landmarks(capture: Capture) -> Registration:
+    """Eq. 6: canonical_from_head, a similarity; AssetError where the landmarks do not fit the template."""
+    video = capture.videos["head"]
+    assert video.landmarks is not None and video.landmark_vertices is not None
+    landmarks = similarity_from_landmarks(video.landmarks, capture.subject.vertices[video.landmark_vertices])
+    _say(
+        f"head frame by {len(video.landmarks)} landmarks (Eq. 6): residual {landmarks.residual * 1000:.1f} mm"
+    )
+    if landmarks.residual > 0.02:
+        raise AssetError(
+            f"{capture.path / 'head' / 'landmarks.json'}: landmarks should fit the template within 20 mm, "
+            f"are {landmarks.residual * 1000:.0f} mm off"
+        )
+    return landmarks
+
+
 def _train_parts(
-    capture: Capture, preset: Preset, landmarks: Registration, partial: Path, device: str, seed: int, resume: bool
+    capture: Capture,
+    preset: Preset,
+    landmarks: Registration,
+    partial: Path,
+    device: str,
+    seed: int,
+    resume: bool,
 ) -> dict[str, dict]:
     """Stage 1 for every part; heavier parts first so that two workers end together."""
     jobs = [(str(capture.path), index, preset, landmarks.transform, str(partial), device, seed, resume)
@@ -207,103 +235,6 @@ def train_part(
         "seconds_preparing": round(prepared, 1),
         "cpu_seconds": round(time.process_time() - cpu, 1),
     }
-
-
-def _compose(
-    capture: Capture, fields: list[PartField], preset: Preset, landmarks: Registration, seed: int,
-    seconds: dict[str, float],
-) -> tuple[Surface, list, dict]:  # fmt: skip
-    """Registration of the head (Eq. 5), appearance (Eq. 8), one surface, view statistics (Eq. 14)."""
-    subject, parts = capture.subject, part_boxes(capture.subject)
-    began = time.monotonic()
-    correction = _register_head(subject, fields)
-    _say(f"head surface on the body's (Eq. 5): median {correction.residual * 1000:.2f} mm point to plane")
-    head_from_canonical = torch.tensor(np.linalg.inv(correction.transform), dtype=torch.float32)
-    fused = FusedField(fields, parts, head_from_canonical).eval().requires_grad_(False)
-    seconds["registration"] = time.monotonic() - began
-
-    began = time.monotonic()
-    body_cell, head_cell, hand_cell = preset.surface_cells
-    vertices, faces = extract_surface(fused, parts, body_cell=body_cell, head_cell=head_cell, hand_cell=hand_cell)
-    points = torch.as_tensor(vertices, dtype=torch.float32)
-    normals = fused.normal(points).numpy().astype(np.float64)
-    shares = fused.shares(points).numpy()
-    skin = CanonicalSkin(subject).of_mesh(vertices, faces, normals)
-    seconds["surface"] = time.monotonic() - began
-    _say(f"surface: {len(vertices)} vertices, {len(faces)} faces")
-
-    began = time.monotonic()
-    canonical_from_head = correction.transform @ landmarks.transform
-    sums = [
-        part_views(capture.videos[name], subject, vertices, normals, skin, shares[:, i] > 0,
-                   canonical_from_head if name == "head" else None)
-        for i, name in enumerate(PARTS)
-    ]  # fmt: skip
-    tables = [statistics(s) for s in sums]
-    fused_table = fused_statistics(sums, shares)
-    seen = fused_table.count > 0
-    filled = fill_from_neighbours(fused_table.mean, seen, faces)  # unseen vertices: their count stays 0
-    seconds["views"] = time.monotonic() - began
-    _say(f"view directions (Eq. 14): {float(seen.mean()):.1%} of the vertices seen")
-
-    began = time.monotonic()
-    matched = {}
-    for index in range(1, len(PARTS)):
-        overlap = (shares[:, index] > 0) & (shares[:, index] < 1)
-        overlap &= (tables[0].count > 0) & (tables[index].count > 0)
-        if overlap.sum() < 50:
-            _say(f"{PARTS[index]}: only {int(overlap.sum())} overlap vertices seen by both videos; code stays the mean")
-            continue
-        directions = tables[0].mean[overlap]
-        directions = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
-        before, after = match_appearance(fused, index, points[overlap], torch.as_tensor(directions).float(),
-                                         steps=preset.appearance_steps, seed=seed)  # fmt: skip
-        matched[PARTS[index]] = {"before": round(before, 4), "after": round(after, 4), "points": int(overlap.sum())}
-        _say(f"{PARTS[index]}: overlap colours (Eq. 8) {before:.3f} -> {after:.3f} of the body's")
-    seconds["appearance"] = time.monotonic() - began
-
-    surface = Surface(
-        vertices, faces, normals, shares.argmax(1), skin, fused_table.count, filled, fused_table.covariance
-    )
-    facts = {
-        "head_from_canonical": np.linalg.inv(canonical_from_head).tolist(),
-        "canonical_from_head_field": correction.transform.tolist(),
-        "registration": {
-            "landmarks_rms_mm": round(landmarks.residual * 1000, 3),
-            "surfaces_median_mm": round(correction.residual * 1000, 3),
-        },
-        "appearance": matched,
-    }
-    return surface, tables, facts
-
-
-def _register_head(subject: Subject, fields: list[PartField]) -> Registration:
-    """Eq. 5 on template points of the face and neck, projected onto each field's own zero level."""
-    chosen = (subject.part == 1) & ~subject.hair
-    seeds = subject.vertices[chosen]
-    normals = vertex_normals(subject.vertices, subject.faces)[chosen]
-    head, head_ok, _ = _project(fields[1], seeds, normals)
-    body, body_ok, body_normals = _project(fields[0], seeds, normals)
-    if head_ok.sum() < 100 or body_ok.sum() < 100:
-        raise ValueError("head registration: the head or body field has no surface near the template's head")
-    return refine_by_surfaces(head[head_ok], body[body_ok], body_normals[body_ok])
-
-
-def _project(field: PartField, points: Array, normals: Array) -> tuple[Array, Array, Array]:
-    """Points moved onto the zero level by four Newton steps; ok where they arrived within a millimetre and 2 cm."""
-    at = torch.as_tensor(points, dtype=torch.float32)
-    start = at.clone()
-    gradient = torch.as_tensor(normals, dtype=torch.float32)
-    sample = field(at)
-    for _ in range(4):
-        sample, gradient = field.with_gradient(at, create_graph=False)
-        slope = gradient.square().sum(-1, keepdim=True).clamp_min(0.1)
-        at = (at - (sample.distance[:, None] * gradient / slope).clamp(-0.01, 0.01)).detach()
-    with torch.no_grad():
-        left = field(at).distance.abs()
-    ok = (left < 1e-3) & ((at - start).norm(dim=1) < 0.02)
-    unit = torch.nn.functional.normalize(gradient.detach(), dim=1)
-    return at.numpy().astype(np.float64), ok.numpy(), unit.numpy().astype(np.float64)
 
 
 def _say(text: str) -> None:

@@ -95,6 +95,10 @@ class Displacement(nn.Module):
     adds at rendering time.
     """
 
+    code: nn.Embedding
+    trunk: nn.Sequential
+    mean_grid: Float[Tensor, "3 side side side"]  # axes x, y, z of the unit box; zero until `settle`
+
     def __init__(self, frames: int, *, code: int, width: int, frequencies: int, reach: float):
         super().__init__()
         self.reach, self.frequencies = reach, frequencies
@@ -116,6 +120,7 @@ class Displacement(nn.Module):
         """Mean over all frames' codes."""
         encoded = positional_encoding(unit, self.frequencies)
         first = self.trunk[0]
+        assert isinstance(first, nn.Linear)
         shared = encoded @ first.weight[:, : encoded.shape[1]].T + first.bias
         total = torch.zeros_like(unit)
         for row in self.code.weight:
@@ -135,5 +140,7 @@ class Displacement(nn.Module):
     def mean(self, unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Mean over all frames' codes, from the grid that `settle` stored; zero before."""
         at = unit.flip(-1)[None, :, None, None]  # grid_sample counts its last axis first
-        sampled = torch.nn.functional.grid_sample(self.mean_grid[None], at, padding_mode="border", align_corners=True)
+        sampled = torch.nn.functional.grid_sample(
+            self.mean_grid[None], at, padding_mode="border", align_corners=True
+        )
         return sampled[0, :, :, 0, 0].T

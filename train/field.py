@@ -44,6 +44,11 @@ class PartField(nn.Module):
 
     reach = 0.06
 
+    low: Float[Tensor, "3"]  # the part's box, metres
+    high: Float[Tensor, "3"]
+    appearance: nn.Embedding  # l_i, one row per frame
+    reference: Float[Tensor, "l"]  # the code that the fused person is shown with
+
     def __init__(
         self,
         template: TemplateGrid,
@@ -75,7 +80,7 @@ class PartField(nn.Module):
         nn.init.zeros_(self.correction.weight)
         nn.init.zeros_(self.correction.bias)
         self.color_planes = TriPlane(color_channels, color_size)
-        self.appearance = nn.Embedding(frames, appearance)  # l_i, one row per frame
+        self.appearance = nn.Embedding(frames, appearance)
         nn.init.normal_(self.appearance.weight, std=0.1)
         inputs = 39 + feature + 3 + 9 + appearance + 3 * color_channels
         self.color_network = nn.Sequential(
@@ -84,7 +89,7 @@ class PartField(nn.Module):
         self.displacement = Displacement(
             frames, code=displacement, width=width, frequencies=4, reach=displacement_reach
         )
-        self.register_buffer("reference", torch.zeros(appearance))  # the code that the fused person is shown with
+        self.register_buffer("reference", torch.zeros(appearance))
 
     def unit(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """The part's box scaled to [-1, 1]."""

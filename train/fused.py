@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from train.field import PartField, unit_normals
+from train.field import FieldSample, PartField, unit_normals
 from train.parts import Part, part_weight
 
 
@@ -18,6 +18,8 @@ class FusedField(nn.Module):
     Colours use each part's reference code.
     """
 
+    head_from_canonical: Float[Tensor, "4 4"]
+
     def __init__(
         self, fields: Sequence[PartField], parts: Sequence[Part], head_from_canonical: Float[Tensor, "4 4"]
     ):
@@ -26,10 +28,16 @@ class FusedField(nn.Module):
         self.parts = tuple(parts)
         self.register_buffer("head_from_canonical", head_from_canonical.float())
 
+    def field(self, index: int) -> PartField:
+        """The field of part `index` alone, in its own frame."""
+        field = self.fields[index]
+        assert isinstance(field, PartField)
+        return field
+
     def shares(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
         """Eq. 9: weight of each part at canonical points; rows sum to 1."""
         weights = [part_weight(points, part) for part in self.parts[1:]]
-        return torch.stack([1 - sum(weights), *weights], -1)
+        return torch.stack([1 - torch.stack(weights).sum(0), *weights], -1)
 
     def distance(self, points: Float[Tensor, "n 3"], *, grad: bool = False) -> Float[Tensor, "n"]:
         """Signed distance, metres."""
@@ -38,11 +46,12 @@ class FusedField(nn.Module):
             for piece in points.split(65536):
                 shares = self.shares(piece)
                 total = torch.zeros(len(piece), device=piece.device)
-                for index, field in enumerate(self.fields):
+                for index in range(len(self.fields)):
                     chosen = shares[:, index] > 0
                     if chosen.any():
                         local, _ = self._local(index, piece[chosen])
-                        total = total.index_put((chosen,), shares[chosen, index] * field(local).distance, True)
+                        own = shares[chosen, index] * self.field(index)(local).distance
+                        total = total.index_put((chosen,), own, True)
                 out.append(total)
         return torch.cat(out) if out else torch.zeros(0)
 
@@ -52,10 +61,10 @@ class FusedField(nn.Module):
         for piece in points.split(32768):
             shares = self.shares(piece)
             total = torch.zeros_like(piece)
-            for index, field in enumerate(self.fields):
+            for index in range(len(self.fields)):
                 chosen = shares[:, index] > 0
                 if chosen.any():
-                    _, gradient = self._part_gradient(index, field, piece[chosen])
+                    _, gradient = self._part_gradient(index, piece[chosen])
                     total[chosen] += shares[chosen, index, None] * gradient
             out.append(unit_normals(total))
         return torch.cat(out) if out else torch.zeros_like(points)
@@ -69,7 +78,8 @@ class FusedField(nn.Module):
             for index in range(len(self.fields)):
                 chosen = shares[:, index] > 0
                 if chosen.any():
-                    total[chosen] += shares[chosen, index, None] * self.part_color(index, piece[chosen], seen[chosen])
+                    color = self.part_color(index, piece[chosen], seen[chosen])
+                    total[chosen] += shares[chosen, index, None] * color
             out.append(total)
         return torch.cat(out) if out else torch.zeros_like(points)
 
@@ -81,8 +91,8 @@ class FusedField(nn.Module):
         code: Float[Tensor, "l"] | None = None,
     ) -> Float[Tensor, "n 3"]:
         """Colour of one part; `code` replaces its reference code and may carry a gradient (Eq. 8)."""
-        field = self.fields[index]
-        sample, gradient = self._part_gradient(index, field, points)
+        field = self.field(index)
+        sample, gradient = self._part_gradient(index, points)
         local, R = self._local(index, points)
         normals = unit_normals(gradient)
         if R is not None:
@@ -97,14 +107,14 @@ class FusedField(nn.Module):
         if self.parts[index].name == "head":
             R = self.head_from_canonical[:3, :3]
             points = points @ R.T + self.head_from_canonical[:3, 3]
-        field = self.fields[index]
+        field = self.field(index)
         return points + field.displacement.mean(field.unit(points)), R
 
-    def _part_gradient(self, index: int, field: PartField, points: Tensor):
+    def _part_gradient(self, index: int, points: Tensor) -> tuple[FieldSample, Tensor]:
         """F_s of a part and its gradient turned back into the canonical frame."""
         with torch.no_grad():
             local, R = self._local(index, points)
-        sample, gradient = field.with_gradient(local, create_graph=False)
-        sample = type(sample)(sample.distance.detach(), sample.feature.detach())
+        sample, gradient = self.field(index).with_gradient(local, create_graph=False)
+        sample = FieldSample(sample.distance.detach(), sample.feature.detach())
         gradient = gradient.detach()
         return sample, gradient if R is None else gradient @ R

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from train.capture import PARTS, Subject
@@ -19,10 +19,12 @@ class Box:
     low: Float[Array, "3"]
     high: Float[Array, "3"]
 
-    def contains(self, points: Float[Array, "n 3"]) -> Array:
-        return ((points >= self.low) & (points <= self.high)).all(-1)
+    def contains(self, points: Float[Array, "n 3"]) -> Bool[Array, "n"]:
+        """Which points lie in the box or on its border."""
+        return np.all((points >= self.low) & (points <= self.high), axis=-1)
 
     def padded(self, margin: float) -> "Box":
+        """The box grown by `margin` metres on every side."""
         return Box(self.low - margin, self.high + margin)
 
 
@@ -55,7 +57,8 @@ def part_boxes(subject: Subject) -> tuple[Part, ...]:
         overlap = 0.05 if name == "head" else 0.10
         low, high = covered.min(0).copy(), covered.max(0).copy()
         stand_off = overlap + 0.03
-        if name == "head":  # the neck below: Eq. 9 starts under the lowest skin of the head, hair hanging deeper or not
+        if name == "head":
+            # the neck below: Eq. 9 starts under the lowest skin of the head, hair hanging deeper or not
             low[1] = max(low[1], vertices[:, 1].min())
             speaks_low, speaks_high = low - stand_off, high + stand_off
             speaks_low[1] = low[1] - overlap + 0.02

@@ -41,7 +41,7 @@ class Preset:
     clip: float = 1.0  # gradient norm
     mask_weight: float = 0.1
     eikonal_weight: float = 0.1  # lambda_1 (supplement)
-    surface_cells: tuple[float, float, float] = (0.006, 0.0035, 0.0025)  # of the mesh: body, head, hands, metres
+    surface_cells: tuple[float, float, float] = (0.006, 0.0035, 0.0025)  # metres: body, head, hands
     appearance_steps: int = 200  # Eq. 8, per part
 
 

@@ -5,17 +5,18 @@ canonical map at every section end (Eq. 3, or the rigid motion of Eq. 4), the pi
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
-from scipy import ndimage
-from scipy.spatial import cKDTree
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 
 from avatar.camera import pixel_rays
 from avatar.rotation import quaternion_from_matrix
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_normals, skin_points
 from train.capture import PARTS, PartVideo, Subject
+from train.cells import distance_to
 from train.deform import apply_rows, canonical_from_posed, inverse_transforms
 from train.parts import Part
 from train.template import SurfaceCloud, sample_grid, signed
@@ -42,7 +43,7 @@ class TrainingRays:
     frame: Int[Array, "rays"]
     color: Float[Array, "rays 3"]  # sRGB in [0, 1], black outside the mask
     mask: Float[Array, "rays"]
-    bones: Float[Array, "frames 52 4"] | None  # posed_from_canonical quaternions; None: rigid, direction is canonical
+    bones: Float[Array, "frames 52 4"] | None  # posed_from_canonical, xyzw; None: rigid, canonical directions
     flagged: float  # share of rays left out because their map to the canonical pose did not settle
 
 
@@ -61,7 +62,7 @@ def march(
     Far from the surface a ray jumps by its distance less the band (sphere tracing); inside the band it walks in
     fixed steps until it is `inside` deep or out of the box. Steps come in order of ray, then t.
     """
-    tree = cKDTree(cloud_points)
+    tree = KDTree(cloud_points)
     low, high = cloud_points.min(0) - band.outside, cloud_points.max(0) + band.outside
     safe = np.where(np.abs(directions) > 1e-12, directions, 1e-12)
     t0, t1 = (low - origins) / safe, (high - origins) / safe
@@ -70,7 +71,7 @@ def march(
     active = np.flatnonzero(t < far)
     # far from the surface a search tree visits half its leaves: come near with a thinned cloud first
     thin = cloud_points[:: max(len(cloud_points) // 1500, 1)]
-    thin_tree = cKDTree(thin)
+    thin_tree = KDTree(thin)
     margin = float(thin_tree.query(cloud_points[::7])[0].max()) * 1.05
     found: list[tuple[Array, ...]] = []
     reach = 3 * band.outside
@@ -102,13 +103,32 @@ def march(
     return ray[order], at[order], distance[order], sample[order]
 
 
-def spread_ends(
-    counts: Int[Array, "n"], ends: int
-) -> tuple[Int[Array, "n ends"], Float[Array, "n ends"]]:
+def spread_ends(counts: Int[Array, "n"], ends: int) -> tuple[Int[Array, "n ends"], Float[Array, "n ends"]]:
     """Section ends spread evenly over the steps of each ray: index of the step, and how far into it."""
     place = np.linspace(0, 1, ends)[None, :] * counts[:, None]
     step = np.minimum(place.astype(int), counts[:, None] - 1)
     return step, place - step
+
+
+class PosedTemplate(NamedTuple):
+    """The template in one frame of a video, in the frame that its rays are marched in."""
+
+    points: Float[Array, "thin 3"]  # of the thinned samples
+    normals: Float[Array, "thin 3"]
+    inverse: (
+        Float[Array, "samples 3 4"] | None
+    )  # canonical_from_posed of every sample; None: rays are canonical
+    invertible: Bool[Array, "samples"] | None
+
+
+def posed_template(
+    cloud: SurfaceCloud, thin: Int[Array, "thin"], transforms: Float[Array, "52 4 4"]
+) -> PosedTemplate:
+    """The samples skinned to the world with their inverse maps (Eq. 3); points and normals of the `thin` ones."""
+    skin = SkinWeights(cloud.skin.joints[thin], cloud.skin.weights[thin])
+    inverse, invertible = inverse_transforms(cloud.skin, transforms)
+    points = skin_points(cloud.points[thin], skin, transforms)
+    return PosedTemplate(points, skin_normals(cloud.normals[thin], skin, transforms), inverse, invertible)
 
 
 def part_rays(
@@ -134,7 +154,6 @@ def part_rays(
     bones = []
     # the march needs the template to a few millimetres only: a quarter of the samples, twice as far apart
     thin = np.arange(0, len(cloud.points), 4)
-    thin_skin = SkinWeights(cloud.skin.joints[thin], cloud.skin.weights[thin])
     grid = sample_grid(cloud, part.extent.low - 0.02, part.extent.high + 0.02, cloud.spacing)
     settled = max(1e-4, 0.25 * cloud.spacing)  # neighbouring samples differ by this much near a joint
     tried = dropped = 0
@@ -143,16 +162,15 @@ def part_rays(
         camera, scale = video.cameras[frame], 1.0
         if canonical_from_head is not None:
             scale = float(np.cbrt(np.linalg.det(canonical_from_head[:3, :3])))
-            points, normals, inverse = cloud.points[thin], cloud.normals[thin], None
-            middle = np.linalg.solve(canonical_from_head, np.append(points[cloud.part[thin] == index].mean(0), 1))[:3]
+            posed = PosedTemplate(cloud.points[thin], cloud.normals[thin], None, None)
+            middle = posed.points[cloud.part[thin] == index].mean(0)
+            middle = np.linalg.solve(canonical_from_head, np.append(middle, 1))[:3]
         else:
             assert video.axis_angle is not None and video.root is not None
             B = skin_transforms(video.axis_angle[frame], subject.joints, video.root[frame])
-            points = skin_points(cloud.points[thin], thin_skin, B)
-            normals = skin_normals(cloud.normals[thin], thin_skin, B)
-            inverse, invertible = inverse_transforms(cloud.skin, B)
+            posed = posed_template(cloud, thin, B)
             bones.append(quaternion_from_matrix(B[:, :3, :3]))
-            middle = points[cloud.part[thin] == index].mean(0)
+            middle = posed.points[cloud.part[thin] == index].mean(0)
         # background pixels farther from the person than this see no band
         reach = camera.K[0, 0] * band.outside / scale / max(float(np.linalg.norm(middle - camera.eye)), 1e-9)
         pixels = _choose_pixels(mask, per_frame, background, reach, rng)
@@ -160,49 +178,45 @@ def part_rays(
         if canonical_from_head is not None:
             origins = origins @ canonical_from_head[:3, :3].T + canonical_from_head[:3, 3]
             directions = directions @ canonical_from_head[:3, :3].T / scale
-        ray, t, distance, sample = march(origins, directions, points, normals, 2 * cloud.gap[thin], band)
+        ray, t, distance, sample = march(
+            origins, directions, posed.points, posed.normals, 2 * cloud.gap[thin], band
+        )
         sample = thin[sample]
         if len(ray) == 0:
             continue
         at = origins[ray] + t[:, None] * directions[ray]
-        if inverse is None:
+        if posed.inverse is None or posed.invertible is None:
             row, ok, canonical = sample, np.ones(len(ray), bool), at
         else:
-            row, canonical, ok = canonical_from_posed(at, sample, inverse, grid.nearest, settled=settled)
-            ok &= invertible[row]
-
-        # the steps of each ray, cut to those inside the part's box
-        first = np.flatnonzero(np.r_[True, ray[1:] != ray[:-1]])
-        meets = _meeting_step(ray, first, distance)
-        trains = part.extent.contains(canonical[meets])
-        inside = part.extent.contains(canonical)
-        of_ray = np.repeat(np.arange(len(first)), np.diff(np.r_[first, len(ray)]))
-        doubtful = np.zeros(len(first), bool)
-        np.logical_or.at(doubtful, of_ray[~ok & inside & (np.abs(distance) < band.outside / 3)], True)
-        tried += int(trains.sum())
-        dropped += int((trains & doubtful).sum())
-        keep = (trains & ~doubtful)[of_ray] & inside
+            row, canonical, ok = canonical_from_posed(
+                at, sample, posed.inverse, grid.nearest, settled=settled
+            )
+            ok &= posed.invertible[row]
+        trains, doubtful, keep = _choose_steps(ray, distance, canonical, ok, part, band)
+        tried, dropped = tried + trains, dropped + doubtful
         if not keep.any():
             continue
-        of_ray, ray, t, row = of_ray[keep], ray[keep], t[keep], row[keep]
-        begin = np.flatnonzero(np.r_[True, of_ray[1:] != of_ray[:-1]])
-        counts = np.diff(np.r_[begin, len(of_ray)])
+        ray, t, row = ray[keep], t[keep], row[keep]
+        begin = _first_steps(ray)
+        counts = np.diff(np.r_[begin, len(ray)])
         step, into = spread_ends(counts, ends)
         at_step = begin[:, None] + step
         which = ray[begin]
-        posed = origins[which][:, None] + (t[at_step] + into * band.step)[..., None] * directions[which][:, None]
-        if inverse is not None:
-            posed = apply_rows(inverse, row[at_step].ravel(), posed.reshape(-1, 3)).reshape(posed.shape)
+        end = (
+            origins[which][:, None] + (t[at_step] + into * band.step)[..., None] * directions[which][:, None]
+        )
+        if posed.inverse is not None:
+            end = apply_rows(posed.inverse, row[at_step].ravel(), end.reshape(-1, 3)).reshape(end.shape)
         pixel = pixels[which]
         lit = mask[pixel[:, 0], pixel[:, 1]]
         color = video.images[frame][pixel[:, 0], pixel[:, 1]] / np.float32(255) * lit[:, None]
-        kept.append((posed.astype(np.float32), row[at_step].astype(np.int32), directions[which].astype(np.float32),
+        kept.append((end.astype(np.float32), row[at_step].astype(np.int32), directions[which].astype(np.float32),
                      np.full(len(which), frame, np.int32), color.astype(np.float32), lit.astype(np.float32)))  # fmt: skip
     if not kept:
         raise ValueError(f"no ray of the {video.part} video meets the template inside the {part.name} box")
-    columns = [np.concatenate([rows[i] for rows in kept]) for i in range(6)]
+    end, row, direction, of_frame, color, lit = (np.concatenate([rows[i] for rows in kept]) for i in range(6))
     quaternions = np.stack(bones).astype(np.float32) if bones else None
-    return TrainingRays(*columns, quaternions, dropped / max(tried, 1))
+    return TrainingRays(end, row, direction, of_frame, color, lit, quaternions, dropped / max(tried, 1))
 
 
 def _choose_pixels(
@@ -212,7 +226,7 @@ def _choose_pixels(
     inside = np.argwhere(mask)
     if len(inside) == 0:
         return np.zeros((0, 2), int)
-    away = ndimage.distance_transform_edt(~mask)
+    away = distance_to(mask)
     outside = np.argwhere((away > 0) & (away < max(reach, 2.0)))
     wanted = min(int(count * background), len(outside))
     return np.concatenate(
@@ -221,6 +235,36 @@ def _choose_pixels(
             rng.permutation(inside)[: count - wanted],
         ]
     )
+
+
+def _first_steps(ray: Int[Array, "steps"]) -> Int[Array, "rays"]:
+    """Where each ray's steps begin; steps are in order of ray."""
+    return np.flatnonzero(np.r_[True, ray[1:] != ray[:-1]])
+
+
+def _choose_steps(
+    ray: Int[Array, "steps"],
+    distance: Float[Array, "steps"],
+    canonical: Float[Array, "steps 3"],
+    ok: Bool[Array, "steps"],
+    part: Part,
+    band: Band,
+) -> tuple[int, int, Bool[Array, "steps"]]:
+    """Steps that train the part: inside its box, of rays that meet the template there.
+
+    Rays whose map to the canonical pose did not settle (`ok`) near the surface are left out whole.
+
+    Returns:
+        how many rays meet the template in the box, how many of them are left out, and the steps to keep.
+    """
+    first = _first_steps(ray)
+    of_ray = np.repeat(np.arange(len(first)), np.diff(np.r_[first, len(ray)]))
+    inside = part.extent.contains(canonical)
+    trains = part.extent.contains(canonical[_meeting_step(ray, first, distance)])
+    doubtful = np.zeros(len(first), bool)
+    np.logical_or.at(doubtful, of_ray[~ok & inside & (np.abs(distance) < band.outside / 3)], True)
+    keep = (trains & ~doubtful)[of_ray] & inside
+    return int(trains.sum()), int((trains & doubtful).sum()), keep
 
 
 def _meeting_step(ray: Array, first: Array, distance: Array) -> Array:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from avatar.rotation import matrix_from_axis_angle
 
@@ -34,7 +34,9 @@ def similarity_from_landmarks(source: Float[Array, "n 3"], target: Float[Array, 
     for name, points in (("source", a), ("target", b)):
         spread = np.linalg.svd(points, compute_uv=False)
         if not spread[0] > 0 or spread[1] < 1e-3 * spread[0]:
-            raise ValueError(f"landmarks: the {name} points lie on a line; the rotation about it is undetermined")
+            raise ValueError(
+                f"landmarks: the {name} points lie on a line; the rotation about it is undetermined"
+            )
     U, D, Vt = np.linalg.svd(b.T @ a)
     mirrored = np.linalg.det(U @ Vt) < 0
     if mirrored and D[2] > 0.05 * D[1]:
@@ -71,16 +73,18 @@ def refine_by_surfaces(
         ValueError: under a tenth of the points find a partner, or the answer moves points by more than `most`
             metres: the start was wrong, or the units are.
     """
-    tree = cKDTree(target)
+    tree = KDTree(target)
     transform = np.eye(4)
     residual = np.inf
     for step in range(steps):
         moved = source @ transform[:3, :3].T + transform[:3, 3]
         gap, row = tree.query(moved, distance_upper_bound=reach * max(0.25, 1 - step / steps), workers=-1)
-        near = np.isfinite(gap)
+        row, near = np.asarray(row), np.isfinite(gap)
         if near.sum() < max(6, 0.1 * len(source)):
             share = near.mean() if len(near) else 0.0
-            raise ValueError(f"head registration: {share:.0%} of the surface within {reach} m of the body's, under 10 %")
+            raise ValueError(
+                f"head registration: {share:.0%} of the surface within {reach} m of the body's, under 10 %"
+            )
         p, q, n = moved[near], target[row[near]], target_normals[row[near]]
         r = ((p - q) * n).sum(1)
         residual = float(np.median(np.abs(r)))
@@ -102,5 +106,7 @@ def refine_by_surfaces(
             break
     shift = np.linalg.norm(source @ transform[:3, :3].T + transform[:3, 3] - source, axis=1).max()
     if shift > most:
-        raise ValueError(f"head registration: moves the head by {shift:.3f} m, more than {most}; is Eq. 6's start right?")
+        raise ValueError(
+            f"head registration: moves the head by {shift:.3f} m, more than {most}; is Eq. 6's start right?"
+        )
     return Registration(transform, residual)

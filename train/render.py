@@ -13,7 +13,8 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-LOGISTIC_PER_BETA = 0.6  # a logistic of scale .6 beta has about the width of VolSDF's Laplace density of scale beta
+# a logistic of scale .6 beta has about the width of VolSDF's Laplace density of scale beta (Yariv et al. 2021)
+LOGISTIC_PER_BETA = 0.6
 
 
 class Weights(NamedTuple):

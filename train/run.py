@@ -13,7 +13,7 @@ from train.capture import PARTS, Subject, read_subject
 from train.field import PartField
 from train.fused import FusedField
 from train.parts import part_boxes
-from train.preset import PRESETS, PartPreset
+from train.preset import PRESETS, PartPreset, Preset
 from train.surface import Surface
 from train.template import TemplateGrid
 from train.views import ViewStatistics
@@ -32,7 +32,9 @@ class Run:
     provenance: dict  # all of run.json
 
 
-def build_field(subject: Subject, index: int, preset: PartPreset, template: TemplateGrid, frames: int) -> PartField:
+def build_field(
+    subject: Subject, index: int, preset: PartPreset, template: TemplateGrid, frames: int
+) -> PartField:
     """An untrained field of part `index`."""
     extent = part_boxes(subject)[index].extent
     low, high = (torch.tensor(edge, dtype=torch.float32) for edge in (extent.low, extent.high))
@@ -44,7 +46,10 @@ def build_field(subject: Subject, index: int, preset: PartPreset, template: Temp
 
 def write_part(path: Path, field: PartField) -> None:
     """One part's weights, readable with weights_only."""
-    torch.save({"state": field.state_dict(), "cell": field.template.cell, "frames": len(field.appearance.weight)}, path)
+    torch.save(
+        {"state": field.state_dict(), "cell": field.template.cell, "frames": len(field.appearance.weight)},
+        path,
+    )
 
 
 def read_part(path: Path, subject: Subject, index: int, preset: PartPreset) -> PartField:
@@ -62,7 +67,9 @@ def read_part(path: Path, subject: Subject, index: int, preset: PartPreset) -> P
     except FileNotFoundError:
         raise AssetError(f"{path}: no such file; expected a part of a run made by `selfscan train`") from None
     except Exception as error:  # torch.load raises whatever the broken pickle or zip leads to
-        raise AssetError(f"{path}: expected a trained part, found: {str(error).splitlines()[0][:200]}") from None
+        raise AssetError(
+            f"{path}: expected a trained part, found: {str(error).splitlines()[0][:200]}"
+        ) from None
     return field
 
 
@@ -117,6 +124,7 @@ def read_surface(path: Path) -> Surface:
 
 
 def write_json(path: Path, facts: dict) -> None:
+    """run.json: format, version and the facts."""
     path.write_text(json.dumps({"format": FORMAT, "version": VERSION, **facts}, indent=1), "utf-8")
 
 
@@ -130,13 +138,17 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
     try:
         facts = json.loads((path / "run.json").read_text("utf-8"))
     except FileNotFoundError:
-        raise AssetError(f"{path / 'run.json'}: no such file; expected a run folder made by `selfscan train`") from None
+        raise AssetError(
+            f"{path / 'run.json'}: no such file; expected a run folder made by `selfscan train`"
+        ) from None
     except (OSError, ValueError) as error:
         raise AssetError(f"{path / 'run.json'}: expected JSON, found: {error}") from None
     if not isinstance(facts, dict) or facts.get("format") != FORMAT or facts.get("version") != VERSION:
         raise AssetError(f"{path / 'run.json'}: expected format {FORMAT!r} version {VERSION}")
     if facts.get("preset") not in PRESETS:
-        raise AssetError(f"{path / 'run.json'}: preset should be one of {sorted(PRESETS)}, is {facts.get('preset')!r}")
+        raise AssetError(
+            f"{path / 'run.json'}: preset should be one of {sorted(PRESETS)}, is {facts.get('preset')!r}"
+        )
     subject = read_subject(path / "subject.npz", name=str(facts.get("subject", "")))
     preset = PRESETS[facts["preset"]]
     fields = [read_part(path / f"{name}.pt", subject, i, preset.parts[i]) for i, name in enumerate(PARTS)]
@@ -148,6 +160,6 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
     return Run(path, field, read_surface(path / "surface.npz"), subject, facts)
 
 
-def preset_facts(preset) -> dict:
+def preset_facts(preset: Preset) -> dict:
     """The preset's numbers, for the provenance."""
     return asdict(preset)

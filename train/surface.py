@@ -10,6 +10,7 @@ from skimage.measure import marching_cubes
 
 from avatar.skinning import SkinWeights
 from train.fused import FusedField
+from train.mesh import component_labels, half_edges
 from train.parts import Part
 
 Array = np.ndarray
@@ -41,8 +42,8 @@ def grid_axes(parts: tuple[Part, ...], body_cell: float, head_cell: float, hand_
         lines, at = [], float(whole.low[axis])
         while at < whole.high[axis]:
             lines.append(at)
-            here = [cells[p.name] for p in parts[1:] if p.extent.low[axis] - 0.01 <= at <= p.extent.high[axis] + 0.01]
-            at += min([body_cell, *here])
+            near = [p for p in parts[1:] if p.extent.low[axis] - 0.01 <= at <= p.extent.high[axis] + 0.01]
+            at += min([body_cell, *(cells[p.name] for p in near)])
         axes.append(np.array([*lines, at]))
     return axes
 
@@ -99,13 +100,9 @@ def largest_piece(
     vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]
 ) -> tuple[Float[Array, "w 3"], Int[Array, "g 3"]]:
     """The connected piece with the most faces."""
-    count = len(vertices)
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
-    graph = sparse.csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (count, count))
-    _, label = sparse.csgraph.connected_components(graph, directed=False)
-    of_face = label[faces[:, 0]]
+    of_face = component_labels(faces, len(vertices))[faces[:, 0]]
     keep = of_face == np.bincount(of_face).argmax()
-    used = np.zeros(count, bool)
+    used = np.zeros(len(vertices), bool)
     used[faces[keep]] = True
     return vertices[used], (np.cumsum(used) - 1)[faces[keep]]
 
@@ -114,7 +111,7 @@ def fill_from_neighbours(
     values: Float[Array, "v c"], known: Bool[Array, "v"], faces: Int[Array, "f 3"], rounds: int = 2000
 ) -> Float[Array, "v c"]:
     """Values of unknown vertices copied inwards from known ones, ring by ring over the edges (mean of the ring)."""
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = half_edges(faces)
     count = len(values)
     ones = np.ones(len(edges))
     graph = sparse.csr_matrix((ones, (edges[:, 0], edges[:, 1])), (count, count))
@@ -130,5 +127,3 @@ def fill_from_neighbours(
         out[ring] = total[ring] / number[ring, None]
         known |= ring
     return out
-
-

@@ -11,11 +11,13 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from train.capture import Subject
+from train.cells import connected_to, distance_to, nearest_marked
+from train.mesh import face_normals, vertex_normals
 
 Array = np.ndarray
 
@@ -28,7 +30,7 @@ class SurfaceCloud:
     normals: Float[Array, "samples 3"]  # unit, outward
     skin: SkinWeights
     part: Int[Array, "samples"]
-    tree: cKDTree
+    tree: KDTree
     spacing: float  # metres, of the finest part
     gap: Float[Array, "samples"]  # metres, of each sample's own face
 
@@ -72,17 +74,6 @@ def sample_faces(
     return np.concatenate(rows), np.concatenate(weights)
 
 
-def vertex_normals(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) -> Float[Array, "v 3"]:
-    """Unit normals, area weighted; a vertex without area gets (0, 1, 0)."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    face_normals = np.cross(b - a, c - a)
-    normals = np.zeros_like(vertices)
-    for i in range(3):
-        np.add.at(normals, faces[:, i], face_normals)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(length > 1e-20, normals / np.maximum(length, 1e-20), [0.0, 1.0, 0.0])
-
-
 def visible_faces(subject: Subject, cell: float = 0.003) -> Bool[Array, "f"]:
     """Faces of the template that the outside air reaches.
 
@@ -114,8 +105,7 @@ def air_reaches(
     Air is the flood fill of a voxel grid from its border with the surface two cells thick, which closes lips and
     eyelids; it then creeps back three cells through free cells, never through a wall.
     """
-    normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    normals = face_normals(vertices, faces)
     face, barycentric = sample_faces(vertices, faces, np.full(len(faces), 0.5 * cell))
     points = np.einsum("sk,skc->sc", barycentric, vertices[faces[face]])
     low = points.min(0) - 6 * cell
@@ -126,9 +116,8 @@ def air_reaches(
     height = low[1] + (np.arange(shape[1]) + 0.5) * cell
     closed = height < cut if above else height > cut
     occupied[:, closed] = True
-    label, _ = ndimage.label(~ndimage.binary_dilation(occupied, iterations=2))
-    corner = label[0, -1, 0] if above else label[0, 0, 0]
-    air = ndimage.binary_dilation(label == corner, iterations=3, mask=~occupied)
+    outside = _air_beyond(occupied, (0, -1 if above else 0, 0))
+    air = np.asarray(ndimage.binary_dilation(outside, iterations=3, mask=~occupied), bool)
     reached = np.zeros(len(faces), bool)
     middle = vertices[faces].mean(1)
     for step in (1.0, 1.75, 2.5):
@@ -136,6 +125,11 @@ def air_reaches(
         reached |= air[tuple(np.clip(at, 0, np.array(shape) - 1).T)]
     beyond = middle[:, 1] < cut + 4 * cell if above else middle[:, 1] > cut - 4 * cell
     return reached | beyond
+
+
+def _air_beyond(occupied: Bool[Array, "x y z"], start: tuple[int, int, int]) -> Bool[Array, "x y z"]:
+    """What the air at the cell `start` reaches when walls are two cells thicker on both sides."""
+    return connected_to(~np.asarray(ndimage.binary_dilation(occupied, iterations=2), bool), start)
 
 
 def surface_cloud(
@@ -152,7 +146,7 @@ def surface_cloud(
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     points = blend(subject.vertices)
     skin = blend_skin(subject.skin, corners, barycentric)
-    return SurfaceCloud(points, normals, skin, part[face], cKDTree(points), fine, gap[face])
+    return SurfaceCloud(points, normals, skin, part[face], KDTree(points), fine, gap[face])
 
 
 def blend_skin(
@@ -163,8 +157,8 @@ def blend_skin(
     out_joints, out_weights = [], []
     for start in range(0, len(corners), 65536):
         stop = start + 65536
-        mixed = sum(barycentric[start:stop, k, None] * dense[corners[start:stop, k]] for k in range(3))
-        joints, weights = strongest_four(mixed)
+        a, b, c = (barycentric[start:stop, k, None] * dense[corners[start:stop, k]] for k in range(3))
+        joints, weights = strongest_four(a + b + c)
         out_joints.append(joints)
         out_weights.append(weights)
     return SkinWeights(np.concatenate(out_joints), np.concatenate(out_weights))
@@ -175,6 +169,9 @@ class TemplateGrid(torch.nn.Module):
 
     Value and gradient come from the same interpolant. The gradient is a constant of the training.
     """
+
+    values: Float[Tensor, "x y z"]  # signed distance, metres
+    low: Float[Tensor, "3"]  # place of values[0, 0, 0], canonical
 
     def __init__(self, values: Float[Tensor, "x y z"], low: Float[Tensor, "3"], cell: float):
         super().__init__()
@@ -238,6 +235,7 @@ class SampleGrid:
     cell: float
 
     def nearest(self, points: Float[Array, "n 3"]) -> Int[Array, "n"]:
+        """Row of the nearest sample; -1 outside the box."""
         index = np.floor((points - self.low) / self.cell).astype(np.int64)
         inside = ((index >= 0) & (index < self.rows.shape)).all(1)
         index[~inside] = 0
@@ -253,8 +251,7 @@ def sample_grid(
     index = np.floor((cloud.points - low) / cell).astype(int)
     inside = np.flatnonzero(((index >= 0) & (index < shape)).all(1))
     rows[tuple(index[inside].T)] = inside
-    nearest = ndimage.distance_transform_edt(rows < 0, return_distances=False, return_indices=True)
-    return SampleGrid(rows[tuple(nearest)].astype(np.int32), low, cell)
+    return SampleGrid(rows[nearest_marked(rows >= 0)].astype(np.int32), low, cell)
 
 
 def template_grid(
@@ -275,21 +272,22 @@ def template_grid(
     index = np.round((cloud.points - low) / cell).astype(int)
     index = index[((index >= 0) & (index < shape)).all(1)]
     occupied[tuple(index.T)] = True
-    distance = ndimage.distance_transform_edt(~occupied) * cell
+    distance = distance_to(occupied) * cell
     near = np.argwhere(distance < 4 * cell)
     exact, _ = cloud.distance(np.stack([axes[i][near[:, i]] for i in range(3)], 1))
     # air is what the border reaches through cells clearly off the surface and not known to lie under it
     blocked = np.zeros(shape, bool)
     blocked[tuple(near.T)] = exact < 0.87 * cell
-    label, _ = ndimage.label(np.pad(~blocked, 1, constant_values=True))
-    air = (label == label[0, 0, 0])[1:-1, 1:-1, 1:-1]
+    air = connected_to(np.pad(~blocked, 1, constant_values=True), (0, 0, 0))[1:-1, 1:-1, 1:-1]
     distance = np.where(air, distance, -distance)
     deep = np.abs(exact) > 3 * cell
     exact = np.where(deep & ~air[tuple(near.T)], -np.abs(exact), exact)
     distance[tuple(near.T)] = exact
     if closed is not None:
         distance = close_cavities(distance, axes, cell, closed)
-    return TemplateGrid(torch.tensor(distance, dtype=torch.float32), torch.tensor(low, dtype=torch.float32), cell)
+    return TemplateGrid(
+        torch.tensor(distance, dtype=torch.float32), torch.tensor(low, dtype=torch.float32), cell
+    )
 
 
 def close_cavities(
@@ -312,12 +310,13 @@ def close_cavities(
     occupied = np.zeros(distance.shape, bool)
     occupied[tuple(index.T)] = True
     occupied[:, axes[1] < neck] = True
-    label, _ = ndimage.label(~ndimage.binary_dilation(occupied, iterations=2))
-    air = ndimage.binary_dilation(label == label[0, -1, 0], iterations=2)
-    volume = ndimage.distance_transform_edt(air) - ndimage.distance_transform_edt(~air)
+    outside = _air_beyond(occupied, (0, -1, 0))
+    air = np.asarray(ndimage.binary_dilation(outside, iterations=2), bool)
+    volume = distance_to(~air) - distance_to(air)
     volume = ndimage.gaussian_filter(volume * cell, 1.0)
     above = np.broadcast_to((axes[1] > neck + 3 * cell)[None, :, None], distance.shape)
     surface = above & (np.abs(distance) < 2 * cell)
-    volume += np.median((distance - volume)[surface])  # the flood stops at the outer side of the surface cells
+    # the flood stops at the outer side of the surface cells
+    volume += np.median((distance - volume)[surface])
     wrong = above & (np.abs(distance - volume) > 1.5 * cell)
     return ndimage.gaussian_filter(np.where(wrong, volume, distance), 0.6)

@@ -209,7 +209,9 @@ def train_field(
             else:
                 skipped += 1
                 if skipped > max(0.01 * part.iterations, 1):
-                    raise FloatingPointError(f"{skipped} of {iteration + 1} steps were not finite, more than 1 %")
+                    raise FloatingPointError(
+                        f"{skipped} of {iteration + 1} steps were not finite, more than 1 %"
+                    )
             iteration += 1
             if report is not None and (iteration % 50 == 0 or iteration == part.iterations):
                 report(iteration, describe())
@@ -263,7 +265,9 @@ def _load_checkpoint(path: Path, field, optimiser, generator) -> tuple[int, int]
         generator.set_state(state["generator"])
         return int(state["iteration"]), int(state["skipped"])
     except (OSError, KeyError, RuntimeError, ValueError, EOFError) as error:
-        raise AssetError(f"{path}: expected a checkpoint of this training, found: {str(error)[:200]}") from None
+        raise AssetError(
+            f"{path}: expected a checkpoint of this training, found: {str(error)[:200]}"
+        ) from None
 
 
 def set_threads(count: int) -> None:

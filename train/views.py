@@ -38,6 +38,7 @@ class ViewSums(NamedTuple):
 
 
 def no_views(vertices: int) -> ViewSums:
+    """The sums before the first observation."""
     return ViewSums(np.zeros(vertices), np.zeros((vertices, 3)), np.zeros((vertices, 6)))
 
 
@@ -126,7 +127,8 @@ def visible_vertices(
     of vertices has no gaps. `tolerance` is in metres for a body of metres and scales with its size.
     """
     pixels, depth = project(camera, points)
-    size = np.linalg.norm(points.max(0) - points.min(0)) / 2.5  # 1 for a person in metres; the head frame has its own unit
+    # 1 for a person in metres; the head frame has its own unit
+    size = np.linalg.norm(points.max(0) - points.min(0)) / 2.5
     d = points - camera.eye
     cosine = -(d * normals).sum(1) / np.maximum(np.linalg.norm(d, axis=1), 1e-12)
     width, height = camera.size
@@ -148,15 +150,14 @@ def visible_vertices(
     nearest = np.where(np.isfinite(nearest), nearest, around)
     r, c = (pixels[on, 1] / cell).astype(int) + 1, (pixels[on, 0] / cell).astype(int) + 1
     seen = np.zeros(len(points), bool)
-    slope = np.minimum(2 / np.maximum(cosine[on], facing), 8.0) * 0.003 * size  # a cell of a slanted sheet is deep
+    # a cell of a slanted sheet is deep
+    slope = np.minimum(2 / np.maximum(cosine[on], facing), 8.0) * 0.003 * size
     open_ = depth[on] <= nearest[r, c] + tolerance * size + slope
     seen[on] = open_ & (cosine[on] > facing) & mask[row, column]
     return seen
 
 
-def fused_statistics(
-    per_part: list[ViewSums], shares: Float[Array, "v 4"]
-) -> ViewStatistics:
+def fused_statistics(per_part: list[ViewSums], shares: Float[Array, "v 4"]) -> ViewStatistics:
     """Each vertex uses the part that colours it; in overlaps the parts' numbers are blended with Eq. 9's weights.
 
     A part that never saw the vertex has no say; if none did, all is zero.
@@ -164,9 +165,8 @@ def fused_statistics(
     each = [statistics(sums) for sums in per_part]
     weights = np.stack([shares[:, i] * (s.count > 0) for i, s in enumerate(each)], 1)
     weights = weights / np.maximum(weights.sum(1, keepdims=True), 1e-12)
-    blend = lambda arrays: sum(weights[:, i, None] * a for i, a in enumerate(arrays))
     return ViewStatistics(
-        sum(weights[:, i] * s.count for i, s in enumerate(each)),
-        blend([s.mean for s in each]),
-        blend([s.covariance for s in each]),
+        np.sum([weights[:, i] * s.count for i, s in enumerate(each)], axis=0),
+        np.sum([weights[:, i, None] * s.mean for i, s in enumerate(each)], axis=0),
+        np.sum([weights[:, i, None] * s.covariance for i, s in enumerate(each)], axis=0),
     )

@@ -75,7 +75,9 @@ def test_sheets_that_share_an_edge_are_parted_without_losing_volume(share):
     """Two tetrahedra glued along an edge; in the second case their other ends are one body, so that the edge's
     ends cannot be split and only a midpoint of its own parts the sheets."""
     if share == "edge":
-        vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1, 0.2], [0.5, 1, -0.2], [0.5, -1, 0.2], [0.5, -1, -0.2]])
+        vertices = np.array(
+            [[0, 0, 0], [1, 0, 0], [0.5, 1, 0.2], [0.5, 1, -0.2], [0.5, -1, 0.2], [0.5, -1, -0.2]]
+        )
         one = np.array([[0, 1, 2], [1, 0, 3], [0, 2, 3], [1, 3, 2]])
         other = np.array([[1, 0, 4], [0, 1, 5], [4, 0, 5], [1, 4, 5]])
         other, one = (f if _volume(vertices, f) > 0 else f[:, ::-1] for f in (other, one))

@@ -56,11 +56,18 @@ def test_nothing_is_shipped_where_nothing_was_seen():
 
 @pytest.mark.parametrize(
     "off, linear, network, mode",
-    [(30.0, 35.0, 35.29, "linear"), (30.0, 35.0, 35.31, "network"), (30.0, 30.2, 30.1, "off"), (30.0, 29.0, 36.0, "network")],
+    [
+        (30.0, 35.0, 35.29, "linear"),
+        (30.0, 35.0, 35.31, "network"),
+        (30.0, 30.2, 30.1, "off"),
+        (30.0, 29.0, 36.0, "network"),
+    ],
 )
 def test_simplest_mode_within_three_tenths_of_a_decibel_is_shipped(off, linear, network, mode):
     network_given = random_network()
-    found = choose({"off": off, "linear": linear, "network": network}, network_given, np.zeros((4, 3, 3)), lambda s: s)
+    found = choose(
+        {"off": off, "linear": linear, "network": network}, network_given, np.zeros((4, 3, 3)), lambda s: s
+    )
     assert found.default_view == mode
     assert (found.network is not None) == (mode == "network") and (found.linear is None) == (mode == "off")
 
@@ -109,5 +116,3 @@ def test_residual_is_bounded_by_the_tangent_whatever_the_weights():
     residual = network_residual(network, rng.random((100_000, 4)), tangent)
     assert (np.abs(residual) <= AMPLITUDE * np.linalg.norm(tangent, axis=1, keepdims=True)).all()
     assert (network_residual(network, np.ones((1, 4)), np.zeros((1, 3))) == 0).all()
-
-

@@ -33,13 +33,17 @@ def test_projection_reaches_the_zero_set_whatever_the_slope(slope):
     rng = np.random.default_rng(0)
     points = rng.normal(size=(500, 3))
     points *= (0.1 + rng.uniform(-0.003, 0.003, (500, 1))) / np.linalg.norm(points, axis=1, keepdims=True)
-    _, residual = project_to_zero(lambda p: slope * distance(p) + 30 * distance(p) ** 2, normal, points, reach=0.004)
+    _, residual = project_to_zero(
+        lambda p: slope * distance(p) + 30 * distance(p) ** 2, normal, points, reach=0.004
+    )
     assert residual.max() < 1e-4
 
 
 def test_point_without_a_zero_in_reach_stays_finite_and_says_so():
     distance, normal = sphere(0.1)
-    moved, residual = project_to_zero(distance, normal, np.array([[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]]), reach=0.004)
+    moved, residual = project_to_zero(
+        distance, normal, np.array([[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]]), reach=0.004
+    )
     assert np.isfinite(moved).all() and (residual > 0.09).all()
 
 

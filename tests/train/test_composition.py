@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 import torch
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights, blended_rotations
+from train.closest import closest_on_triangles
 from train.deform import canonical_directions, inverse_transforms
 from train.parts import Box, Part, part_weight
-from train.skin import closest_on_triangles, harmonic_fill
+from train.skin import harmonic_fill
 from train.surface import fill_from_neighbours, largest_piece
 from train.template import SurfaceCloud, TemplateGrid, sample_faces, template_grid
 
@@ -34,7 +35,9 @@ def _sphere_cloud() -> SurfaceCloud:
     d = np.random.default_rng(0).normal(size=(60000, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     skin = SkinWeights(np.zeros((len(d), 4), int), np.tile(np.float32([1, 0, 0, 0]), (len(d), 1)))
-    return SurfaceCloud(0.1 * d, d, skin, np.zeros(len(d), int), cKDTree(0.1 * d), 0.003, np.full(len(d), 0.003))
+    return SurfaceCloud(
+        0.1 * d, d, skin, np.zeros(len(d), int), KDTree(0.1 * d), 0.003, np.full(len(d), 0.003)
+    )
 
 
 def test_template_grid_of_a_sphere_is_its_distance():
@@ -67,7 +70,7 @@ def test_samples_of_a_face_are_its_own_and_evenly_spaced():
     face, barycentric = sample_faces(vertices, np.array([[0, 1, 2]]), np.array([0.1]))
     assert (barycentric >= 0).all() and np.allclose(barycentric.sum(1), 1)
     points = barycentric @ vertices
-    gap, _ = cKDTree(points).query(np.random.default_rng(0).dirichlet([1, 1, 1], 2000) @ vertices)
+    gap, _ = KDTree(points).query(np.random.default_rng(0).dirichlet([1, 1, 1], 2000) @ vertices)
     assert gap.max() < 0.1 and len(face) == 14**2
 
 
@@ -97,7 +100,9 @@ def test_canonical_directions_equal_the_numpy_rule():
     d = rng.normal(size=(200, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     expected = np.einsum("nij,ni->nj", blended_rotations(skin, transforms), d)
-    found = canonical_directions(torch.tensor(d), torch.tensor(weights).double(), torch.tensor(q)[torch.tensor(skin.joints)])
+    found = canonical_directions(
+        torch.tensor(d), torch.tensor(weights).double(), torch.tensor(q)[torch.tensor(skin.joints)]
+    )
     np.testing.assert_allclose(found.numpy(), expected, atol=1e-6)
 
 

@@ -110,7 +110,9 @@ def test_displaced_knots_cover_every_end(hand):
     with torch.no_grad():
         field.displacement.out.bias.copy_(torch.atanh(moved / field.displacement.reach))
     field.displacement.settle()
-    torch.testing.assert_close(field.displacement.mean(torch.rand(9, 3) * 2 - 1), moved.expand(9, 3), rtol=1e-4, atol=1e-7)
+    torch.testing.assert_close(
+        field.displacement.mean(torch.rand(9, 3) * 2 - 1), moved.expand(9, 3), rtol=1e-4, atol=1e-7
+    )
 
 
 def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):

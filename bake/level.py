@@ -1,0 +1,271 @@
+"""One level of detail: its mesh, charts, vertex data and base colour from the fine surface and the field."""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Integer
+
+from avatar.avatar_file import Level
+from avatar.skeleton import BIG_POSE, joint_transforms
+from bake import measure
+from bake.atlas import Unwrapped, unwrap
+from bake.cone import ViewCone, interpolated
+from bake.decimate import Enlargement, balanced, decimate
+from bake.field import NumpyField
+from bake.network import Distilled, SurfacePoints
+from bake.options import BakeOptions
+from bake.skin import quantised, transferred_weights
+from bake.surface import Extraction, Mesh, project_to_zero
+from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
+from bake.transfer import match_surface
+from train.capture import PARTS
+from train.mesh import face_areas
+
+
+class Charted(NamedTuple):
+    """What the texels of a level show: its surface by atlas vertex, float64."""
+
+    uv: Float[np.ndarray, "corners 2"]
+    faces: Integer[np.ndarray, "faces 3"]
+    points: Float[np.ndarray, "corners 3"]  # canonical, metres
+    normals: Float[np.ndarray, "corners 3"]  # unit, the field's
+    cone: ViewCone
+
+
+class BakedLevel(NamedTuple):
+    """A level as it goes into the file, the surface under its texels, and what is told of it."""
+
+    level: Level
+    charted: Charted
+    facts: dict[str, Any]
+
+
+class Origin(NamedTuple):
+    """The run's own surface, which carries what was learnt per vertex."""
+
+    vertices: Float[np.ndarray, "vertices 3"]
+    faces: Integer[np.ndarray, "faces 3"]
+    part: Integer[np.ndarray, "vertices"]
+    cone: ViewCone
+    weights: Float[np.ndarray, "vertices joints"]
+
+
+class Carried(NamedTuple):
+    """What the run's surface says of the vertices of another mesh."""
+
+    weights: Float[np.ndarray, "n joints"]
+    cone: ViewCone
+    part: Integer[np.ndarray, "n"]
+    filled: int  # rows of weights that found no source nearby facing the same way
+
+
+def carried(origin: Origin, mesh: Mesh, normals: Float[np.ndarray, "n 3"]) -> Carried:
+    """Skin weights, cone and part of another mesh of the same surface; `normals` are its vertices', unit."""
+    match = match_surface(mesh.vertices, normals, origin.vertices, origin.faces)
+    corners = origin.faces[match.face]
+    weights, filled = transferred_weights(match, mesh.faces, origin.faces, origin.weights)
+    nearest = np.take_along_axis(corners, match.barycentric.argmax(1)[:, None], 1)[:, 0]
+    return Carried(
+        weights, interpolated(origin.cone, corners, match.barycentric), origin.part[nearest], filled
+    )
+
+
+def enlargements(joints: Float[np.ndarray, "52 3"], options: BakeOptions) -> list[Enlargement]:
+    """Head and hands of the canonical pose, to keep more triangles than their size asks for."""
+    canonical = joint_transforms(np.asarray(BIG_POSE, np.float64), joints, np.zeros(3))[:, :3, 3]
+    result = [Enlargement(canonical[15], np.array([0.0, 1.0, 0.0]), 0.25, options.head_scale)]
+    for elbow, wrist in ((18, 20), (19, 21)):
+        axis = canonical[wrist] - canonical[elbow]
+        length = float(np.linalg.norm(axis))
+        if length > 0:
+            result.append(Enlargement(canonical[wrist], axis / length, 0.25, options.hand_scale))
+    return result
+
+
+def bake_level(
+    extraction: Extraction,
+    origin: Origin,
+    field: NumpyField,
+    count: int,
+    size: int,
+    parts: list[Enlargement],
+    options: BakeOptions,
+) -> BakedLevel:
+    """One level of about `count` triangles and `size` texels a side, still without its features."""
+    mesh = balanced(decimate(extraction.mesh, count, parts), field.distance, field.normal)
+    normals = field.normal(mesh.vertices)
+    data = carried(origin, mesh, normals)
+
+    # the middle one of three is the majority's, or between
+    face_part = np.sort(data.part[mesh.faces], axis=1)[:, 1]
+    density = np.array([1.0, options.head_density, options.hand_density, options.hand_density])
+    # a gutter of 8 texels at 2048 keeps three mips clean
+    padding = max(2, size // 256)
+    chart = unwrap(mesh.vertices, mesh.faces, face_part, density, size=size, padding=padding)
+    cone = ViewCone(*(value[chart.source] for value in data.cone))
+    joints, weights = quantised(data.weights[chart.source])
+    charted = Charted(chart.uv, chart.faces, mesh.vertices[chart.source], normals[chart.source], cone)
+
+    texels = rasterise_charts(chart.uv, chart.faces, size)
+    base = bytes_from_unit(spread(texel_colors(field, charted, texels), texels))
+    level = Level(
+        positions=charted.points.astype(np.float32),
+        normals=charted.normals.astype(np.float32),
+        uv=chart.uv.astype(np.float32),
+        faces=chart.faces.astype(np.uint32),
+        joints=joints,
+        weights=weights,
+        view_dir=cone.direction.astype(np.float32),
+        view_q=cone.metric.astype(np.float32),
+        view_seen=cone.seen.astype(np.float32),
+        base_color=base,
+        features=None,
+    )
+    facts = level_facts(level, mesh, face_part, chart, field)
+    return BakedLevel(level, charted, {**facts, "weights_filled": data.filled})
+
+
+def surface_at(
+    charted: Charted, texels: TexelMap, jitter: Float[np.ndarray, "2"]
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], ViewCone]:
+    """Point, unit normal and cone under each texel's centre moved by `jitter` texels.
+
+    On a chart's skirt the point is extrapolated in the triangle's plane; normal and cone stay the border's.
+    """
+    weight = barycentric(charted.uv, charted.faces, texels, jitter)
+    corners = charted.faces[texels.face]
+    points = (weight[:, :, None] * charted.points[corners]).sum(1)
+    near = np.clip(weight, 0, 1)
+    near /= near.sum(1, keepdims=True)
+    facing = (near[:, :, None] * charted.normals[corners]).sum(1)
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-20)
+    return points, facing, interpolated(charted.cone, corners, near)
+
+
+def texel_colors(field: NumpyField, charted: Charted, texels: TexelMap) -> Float[np.ndarray, "texels 3"]:
+    """Base colour of each texel, [0, 1] sRGB: the field on its zero set at the global view direction (Eq. 14)."""
+    lift = np.zeros(len(texels.index))  # metres along the normal from the triangle to the zero set
+
+    def color_at(rows: np.ndarray, jitter: np.ndarray) -> np.ndarray:
+        result = np.empty((len(rows), 3))
+        for start in range(0, len(rows), 1 << 18):
+            own = rows[start : start + (1 << 18)]
+            points, facing, local = surface_at(charted, texels.rows(own), jitter)
+            if jitter.any():
+                points += lift[own, None] * facing  # the centre's lift serves the whole texel
+            else:
+                points, lift[own] = lifted(field, points, facing)
+            result[start : start + (1 << 18)] = field.color(points, local.direction)
+        return result
+
+    return sample_texels(color_at, texels)
+
+
+def lifted(
+    field: NumpyField, points: Float[np.ndarray, "n 3"], facing: Float[np.ndarray, "n 3"]
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
+    """Points of the mesh moved along its normals onto the zero set, at most 4 mm, and how far."""
+    moved, _ = project_to_zero(
+        field.distance, field.normal, points, reach=0.004, steps=1, tolerance=1e-4, directions=facing
+    )
+    return moved, ((moved - points) * facing).sum(1)
+
+
+def level_facts(
+    level: Level, mesh: Mesh, face_part: Integer[np.ndarray, "faces"], chart: Unwrapped, field: NumpyField
+) -> dict[str, Any]:
+    """What the file's provenance tells of a level; `mesh` is its mesh before the atlas split vertices."""
+    size = len(level.base_color)
+    away = measure.field_to_mesh(field.distance, mesh)
+    seams = measure.seam_steps(chart.uv, chart.faces, chart.source, level.base_color)
+    return {
+        "faces": len(mesh.faces),
+        "vertices": len(level.positions),
+        "charts": chart.charts,
+        "texture": size,
+        "utilisation": rounded(chart.utilisation),
+        "field_to_mesh_mm": {"mean": rounded(away.mean() * 1e3), "max": rounded(away.max() * 1e3)},
+        "seam_step": {
+            "median": rounded(float(np.median(seams)) if len(seams) else 0.0),
+            "p99": rounded(float(np.quantile(seams, 0.99)) if len(seams) else 0.0),
+        },
+        "faces_by_part": {name: int((face_part == part).sum()) for part, name in enumerate(PARTS)},
+        "texel_mm_by_part": _texel_sizes(chart, mesh, face_part, size),
+    }
+
+
+def _texel_sizes(
+    chart: Unwrapped, mesh: Mesh, mesh_parts: Integer[np.ndarray, "faces"], size: int
+) -> dict[str, float | None]:
+    """Side of a texel on each part's surface, millimetres."""
+    a, b, c = (chart.uv[chart.faces[:, i]] * size for i in range(3))
+    covered = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    areas = face_areas(mesh.vertices, mesh.faces)
+    result = {}
+    for part in np.unique(mesh_parts):
+        texels, square = covered[chart.face_part == part].sum(), areas[mesh_parts == part].sum()
+        result[PARTS[int(part)]] = rounded(1e3 * float(np.sqrt(square / max(texels, 1e-9))))
+    return result
+
+
+def surface_points(field: NumpyField, level: Level, origin: Origin, options: BakeOptions) -> SurfacePoints:
+    """Points of the finest level for the network: head and hands count four times their area."""
+    rng = np.random.default_rng(options.seed + 1)
+    mesh = Mesh(level.positions.astype(np.float64), level.faces.astype(np.int64))
+    match = match_surface(mesh.vertices, level.normals.astype(np.float64), origin.vertices, origin.faces)
+    part = origin.part[origin.faces[match.face, 0]]
+    importance = np.where(part[mesh.faces[:, 0]] != PARTS.index("body"), 4.0, 1.0)
+    face, weight = measure.spread_over(mesh, options.samples, rng, importance)
+    corners = mesh.faces[face]
+    normals = (weight[:, :, None] * level.normals[corners]).sum(1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    points = (weight[:, :, None] * mesh.vertices[corners]).sum(1)
+    points, _ = project_to_zero(
+        field.distance, field.normal, points, reach=0.004, steps=2, directions=normals
+    )
+    cone = ViewCone(
+        level.view_dir.astype(np.float64), level.view_q.astype(np.float64), level.view_seen.astype(np.float64)
+    )
+    local = interpolated(cone, corners, weight)
+    return SurfacePoints(points, normals, field.color(points, local.direction), local)
+
+
+def with_features(baked: BakedLevel, distilled: Distilled, field: NumpyField) -> BakedLevel:
+    """The level with its feature texture, half as wide as the base colour's."""
+    if distilled.features is None:
+        return baked
+    level = baked.level
+    half = len(level.base_color) // 2
+    texels = rasterise_charts(level.uv.astype(np.float64), level.faces.astype(np.int64), half)
+    values = np.empty((len(texels.index), 4), np.uint8)
+    for start in range(0, len(values), 1 << 18):
+        piece = np.arange(start, min(start + (1 << 18), len(values)))
+        values[piece] = distilled.features(_shown_by(baked, field, texels.rows(piece)))
+    features = spread(values.astype(np.float64), texels).astype(np.uint8)
+    return baked._replace(level=replace(level, features=features))
+
+
+def _shown_by(baked: BakedLevel, field: NumpyField, texels: TexelMap) -> SurfacePoints:
+    """The surface under texels of a map that may be coarser than the base colour's."""
+    points, facing, local = surface_at(baked.charted, texels, np.zeros(2))
+    points, _ = lifted(field, points, facing)
+    size = len(baked.level.base_color)
+    scale = size // texels.size
+    row, column = texels.index // texels.size, texels.index % texels.size
+    base = baked.level.base_color[row * scale + scale // 2, column * scale + scale // 2] / 255.0
+    return SurfacePoints(points, facing, base, local)
+
+
+def level_line(number: int, facts: dict[str, Any]) -> str:
+    """One line of progress on a level."""
+    return (
+        f"level {number}: {facts['faces']} triangles, {facts['charts']} charts in {facts['texture']} px, "
+        f"{facts['field_to_mesh_mm']['mean']:.3f} mm from the field, chart edges step {facts['seam_step']['median']:.1f} "
+        f"(p99 {facts['seam_step']['p99']:.1f}) of 255"
+    )
+
+
+def rounded(value: float) -> float | None:
+    """Four significant digits; None for what is not finite, which JSON cannot say."""
+    return float(f"{value:.4g}") if np.isfinite(value) else None

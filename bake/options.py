@@ -1,0 +1,27 @@
+"""What a bake may be told."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class BakeOptions:
+    """Settings of a bake; `selfscan bake` offers the first two."""
+
+    faces: int = 30_000  # triangles of the finest level
+    texture: int = 2048  # its atlas, texels per side
+    body_step: float = 0.005  # grid step of the extraction, metres
+    fine_step: float = 0.0025  # the same along the spans of head and hands
+    head_density: float = 2.5  # texels per metre, relative to the body's
+    hand_density: float = 2.5
+    head_scale: float = 1.8  # blown up so much while triangles are collapsed
+    hand_scale: float = 2.4
+    samples: int = 160_000  # surface points for the network
+    steps: int = 1200  # of its training
+    image: int = 512  # pixels per side of the pictures that are compared
+    seed: int = 0
+
+    def __post_init__(self):
+        if self.faces < 200:
+            raise ValueError(f"--faces should be at least 200, is {self.faces}")
+        if self.texture < 64 or self.texture > 8192 or self.texture & (self.texture - 1):
+            raise ValueError(f"--texture should be a power of two from 64 to 8192, is {self.texture}")

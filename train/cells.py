@@ -1,0 +1,28 @@
+"""Cells of a regular grid, in any number of dimensions: the nearest marked one, and what hangs together."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+Array = np.ndarray
+
+
+def distance_to(marked: Bool[Array, "*cells"]) -> Float[Array, "*cells"]:
+    """Euclidean distance of every cell's centre to the nearest marked cell's, in cells; 0 in marked ones."""
+    distance = np.empty(marked.shape, np.float64)
+    ndimage.distance_transform_edt(~marked, distances=distance)
+    return distance
+
+
+def nearest_marked(marked: Bool[Array, "*cells"]) -> tuple[Int[Array, "..."], ...]:
+    """Index of the nearest marked cell, one array per axis."""
+    index = np.empty((marked.ndim, *marked.shape), np.int32)
+    ndimage.distance_transform_edt(~marked, return_distances=False, return_indices=True, indices=index)
+    return tuple(index[axis] for axis in range(marked.ndim))
+
+
+def connected_to(free: Bool[Array, "*cells"], start: tuple[int, ...]) -> Bool[Array, "*cells"]:
+    """The free cells that are reached from the cell `start` through faces of free cells (flood fill)."""
+    label = np.empty(free.shape, np.int32)
+    ndimage.label(free, output=label)
+    return label == label[start]
