@@ -9,7 +9,9 @@
     cone      per-vertex global view direction, tangent metric Q and visibility v (FRAMES, "View statistics")
     network   view-dependent residual inside that cone: 8 -> 16 -> 3, or linear, or none
     measure   what was lost: baked avatar against field, in images
-    bake      all of it in order; command is its command line
+    field     the run's field behind NumPy functions, solid deep inside the template
+    level     one level of detail out of the pieces above
+    bake      all of it in order; options says what it may be told, command is its command line
 
 Everything is in the canonical frame (the subject's big pose, pelvis at the origin, metres).
 """
