@@ -48,7 +48,9 @@ def within(record_property):
 
 
 def pytest_addoption(parser):
-    parser.addoption("--hard-cases-report", metavar="FILE", help="write what tests/hard_cases measured to FILE")
+    parser.addoption(
+        "--hard-cases-report", metavar="FILE", help="write what tests/hard_cases measured to FILE"
+    )
 
 
 class HardCases:

@@ -39,7 +39,16 @@ def box_glb(path: Path) -> Path:
         "asset": {"version": "2.0"},
         "buffers": [{"byteLength": 36}],
         "bufferViews": [{"buffer": 0, "byteLength": 36}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 1]}],
+        "accessors": [
+            {
+                "bufferView": 0,
+                "componentType": 5126,
+                "count": 3,
+                "type": "VEC3",
+                "min": [0, 0, 0],
+                "max": [1, 1, 1],
+            }
+        ],
         "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
         "nodes": [{"mesh": 0}],
         "scenes": [{"nodes": [0]}],
@@ -98,7 +107,9 @@ def test_a_file_that_is_no_gltf_is_refused(capsys, tmp_path):
     (tmp_path / "b.glb").write_bytes(b"")
     for name in ("a.glb", "b.glb"):
         refused(capsys, "synth", tmp_path / name, tmp_path / "cap", names=(name,))
-        refused(capsys, "render", tmp_path / name, "--motion", "counting", "-o", tmp_path / "a.png", names=(name,))
+        refused(
+            capsys, "render", tmp_path / name, "--motion", "counting", "-o", tmp_path / "a.png", names=(name,)
+        )
 
 
 def test_the_player_side_imports_neither_torch_nor_training():

@@ -1,0 +1,103 @@
+"""The whole path, small and real: film the built-in person, train, bake, render, evaluate. Minutes, not seconds."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from avatar.avatar_file import read_avatar
+from avatar.skeleton import JOINTS
+from selfscan.__main__ import main
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory) -> Path:
+    """A capture, a run and an avatar of the built-in person, made by the commands themselves."""
+    out = tmp_path_factory.mktemp("whole")
+    assert (
+        main(["synth", "builtin", str(out / "capture"), "--size", "128", "--frames", "16", "--seed", "1"])
+        == 0
+    )
+    assert main(["train", str(out / "capture"), "-o", str(out / "run"), "--iterations", "150"]) == 0
+    assert (
+        main(["bake", str(out / "run"), "-o", str(out / "a.glb"), "--faces", "12000", "--texture", "1024"])
+        == 0
+    )
+    return out
+
+
+def test_the_avatar_is_whole(out):
+    avatar = read_avatar(out / "a.glb")
+    assert avatar.joint_positions.shape == (len(JOINTS), 3)
+    assert len(avatar.levels[0].faces) <= 12_500
+    height = np.ptp(avatar.levels[0].positions[:, 1])
+    assert 1.4 < height < 2.0
+    colors = avatar.levels[0].base_color.reshape(-1, 3)
+    assert colors.std(0).min() > 10  # a person in clothes, not one colour
+
+
+def test_the_avatar_is_near_the_person_it_was_filmed_from(out):
+    """Held-out poses, few steps, 128 px: far from the demo's numbers, near enough that a broken stage shows."""
+    assert (
+        main(
+            ["eval", str(out / "run"), str(out / "capture"), "--poses", "4", "--json", str(out / "run.json")]
+        )
+        == 0
+    )
+    scores = json.loads((out / "run.json").read_text())["novel_pose"]
+    assert scores["total"]["p2s_cm"] < 0.8
+    assert scores["hands"]["p2s_cm"] < 0.5
+    assert scores["head"]["p2s_cm"] < 0.6
+    assert scores["total"]["psnr_db"] > 20
+    assert scores["head"]["psnr_db"] > 16
+
+
+def test_baking_kept_what_the_field_shows(out):
+    assert (
+        main(
+            [
+                "eval",
+                str(out / "a.glb"),
+                str(out / "capture"),
+                "--run",
+                str(out / "run"),
+                "--poses",
+                "4",
+                "--json",
+                str(out / "avatar.json"),
+            ]
+        )
+        == 0
+    )
+    scores = json.loads((out / "avatar.json").read_text())
+    assert scores["baked_vs_field"]["paper_db"] > 30
+    assert scores["novel_pose"]["total"]["psnr_db"] > 19.5
+
+
+def test_a_film_has_every_frame_and_moves(out):
+    av = pytest.importorskip("av")
+    film = out / "film.mp4"
+    assert (
+        main(
+            [
+                "render",
+                str(out / "a.glb"),
+                "--motion",
+                "counting",
+                "--frames",
+                "60:90",
+                "--size",
+                "320x320",
+                "-o",
+                str(film),
+            ]
+        )
+        == 0
+    )
+    with av.open(str(film)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == 30 and frames[0].shape == (320, 320, 3)
+    moved = np.abs(frames[0].astype(int) - frames[-1]).max(-1) > 40
+    assert 0.001 < moved.mean() < 0.3
+    assert (frames[0].max(-1) > 30).mean() > 0.04  # someone is in the picture
