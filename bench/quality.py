@@ -25,6 +25,7 @@ from bench.drawer import Drawer
 from bench.field_view import FieldView, one_thread
 from bench.geometry import triangle_index
 from bench.held_out import SETS, HeldOutView, TrueMesh, read_capture_facts, read_held_out, read_true_mesh
+from bench.machine import machine
 from bench.picture_scores import ImageScores, is_t_pose, score_images
 from bench.posed_geometry import (
     SAMPLES,
@@ -73,7 +74,7 @@ def evaluate(
         finally:
             drawer.release()
     source = {
-        "path": str(path),
+        "name": path.name,
         "kind": "avatar" if drawer.avatar is not None else "run",
         "provenance": drawer.provenance,
     }
@@ -81,6 +82,7 @@ def evaluate(
     return {
         "format": "selfscan-quality",
         "source": source,
+        "machine": machine(drawer.context.renderer, drawer.context.kind),
         "capture": {name: facts[name] for name in kept if name in facts},
         **result,
         "paper": PAPER,

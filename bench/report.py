@@ -6,8 +6,6 @@ frames by alternating rounds and compared with the best rung, and with the truth
 
 import argparse
 import json
-import os
-import platform
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +26,7 @@ from avatar.skinning import SkinWeights, skin_points
 from bench import metrics
 from bench.contact import save_sheet, sheet, spread_poses
 from bench.held_out import HeldOutView, read_held_out
+from bench.machine import machine
 from player.command import opened
 from player.context import Context
 from player.ladder import Rung, rungs_of, time_rungs
@@ -256,29 +255,6 @@ def mark_dominated(rows: list[dict[str, Any]]) -> None:
 
 
 # how it is told
-
-
-def machine(renderer: str, kind: str) -> dict[str, Any]:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {
-        "cpu": cpu_name(),
-        "cores": cores,
-        "renderer": renderer,
-        "context": kind,
-        "python": platform.python_version(),
-        "load_average": load,
-    }
-
-
-def cpu_name() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass  # not Linux: the platform module's word has to do
-    return platform.processor() or platform.machine()
 
 
 def number(value: float | None, digits: int) -> str:
