@@ -155,7 +155,8 @@ def test_a_comma_locale_changes_nothing(context, tmp_path):
     features, tangent = inputs(500)
     text, values = network_constants(net, A), glsl(context, net, features, tangent)
     try:
-        if not _set_comma_locale(tmp_path):
+        before = locale.setlocale(locale.LC_ALL)
+    if not _set_comma_locale(tmp_path):
             # no such locale can be had here; then the construction: str.format never asks the locale
             assert f"{0.5:.9g}" == "0.5" and "," not in literal(0.5)
             return
@@ -163,7 +164,7 @@ def test_a_comma_locale_changes_nothing(context, tmp_path):
         assert network_constants(net, A) == text
         assert np.array_equal(glsl(context, net, features, tangent), values)
     finally:
-        locale.setlocale(locale.LC_ALL, "C")
+        locale.setlocale(locale.LC_ALL, before)
 
 
 def _set_comma_locale(tmp_path) -> bool:

@@ -204,7 +204,7 @@ def test_a_longer_bvh_takes_no_more_memory(tmp_path, data, within):
 @pytest.mark.parametrize("frames", ["-1", "1e9", "999999999999", "9" * 5000, ""])
 def test_a_bvh_that_promises_impossible_frames_is_refused(tmp_path, data, frames):
     text = (data / "bvh" / "geno_stance.bvh").read_text()
-    (tmp_path / "a.bvh").write_text(text.replace("Frames: 2", f"Frames: {frames}"))
+    (tmp_path / "a.bvh").write_text(text.replace("Frames: 2", f"Frames: {frames}"), "utf-8")
     with pytest.raises(AssetError, match=r"a\.bvh: line \d+: .*[Ff]rames"):
         read_motion(tmp_path / "a.bvh")
 
@@ -296,7 +296,7 @@ def test_a_damaged_easymocap_frame_gives_an_error_or_finite_frames(tmp_path):
     "text", ["", "[]", "{}", "null", "3", "[" * 100_000, "[1]", '{"annots": 1}', "9" * 5000, "\xff"]
 )
 def test_a_frame_that_is_no_frame_is_refused(tmp_path, text):
-    (tmp_path / "000000.json").write_text(text)
+    (tmp_path / "000000.json").write_text(text, "utf-8")
     with pytest.raises(AssetError, match=r"000000\.json"):
         read_motion(tmp_path)
 
@@ -308,7 +308,7 @@ def test_a_longer_easymocap_folder_takes_hardly_more_memory(tmp_path, within):
         folder = tmp_path / str(len(peaks))
         folder.mkdir()
         for number in range(frames):
-            (folder / f"{number:06d}.json").write_text(text)
+            (folder / f"{number:06d}.json").write_text(text, "utf-8")
         tracemalloc.start()
         motion = read_motion(folder)
         motion.read(0, 10), motion.read(frames - 10, frames)
