@@ -154,9 +154,9 @@ def test_a_comma_locale_changes_nothing(context, tmp_path):
     net = network()
     features, tangent = inputs(500)
     text, values = network_constants(net, A), glsl(context, net, features, tangent)
+    before = locale.setlocale(locale.LC_ALL)
     try:
-        before = locale.setlocale(locale.LC_ALL)
-    if not _set_comma_locale(tmp_path):
+        if not _set_comma_locale(tmp_path):
             # no such locale can be had here; then the construction: str.format never asks the locale
             assert f"{0.5:.9g}" == "0.5" and "," not in literal(0.5)
             return
