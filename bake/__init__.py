@@ -9,7 +9,7 @@
     cone      per-vertex global view direction, tangent metric Q and visibility v (FRAMES, "View statistics")
     network   view-dependent residual inside that cone: 8 -> 16 -> 3, or linear, or none
     measure   what was lost: baked avatar against field, in images
-    field     the run's field behind NumPy functions, solid deep inside the template
+    field     the run's field behind NumPy functions
     level     one level of detail out of the pieces above
     bake      all of it in order; options says what it may be told, command is its command line
 

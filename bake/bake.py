@@ -16,7 +16,7 @@ from avatar.skeleton import BIG_POSE
 from avatar.skinning import dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
-from bake.field import NumpyField, numpy_field, solid_inside
+from bake.field import NumpyField, numpy_field
 from bake.level import (
     BakedLevel,
     Carried,
@@ -33,6 +33,7 @@ from bake.network import AMPLITUDE, Distilled, distil, write_onnx
 from bake.options import BakeOptions
 from bake.surface import Extraction, Mesh, enclosed_volume, extract
 from train.capture import PARTS
+from train.solid import solid_inside
 
 
 def bake(

@@ -47,7 +47,7 @@ def compose(
     began = time.monotonic()
     body_cell, head_cell, hand_cell = preset.surface_cells
     vertices, faces = extract_surface(
-        fused, parts, body_cell=body_cell, head_cell=head_cell, hand_cell=hand_cell
+        fused, parts, subject, body_cell=body_cell, head_cell=head_cell, hand_cell=hand_cell
     )
     points = torch.as_tensor(vertices, dtype=torch.float32)
     normals = fused.normal(points).numpy().astype(np.float64)

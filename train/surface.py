@@ -9,9 +9,11 @@ from scipy import sparse
 from skimage.measure import marching_cubes
 
 from avatar.skinning import SkinWeights
+from train.capture import Subject
 from train.fused import FusedField
 from train.mesh import component_labels, half_edges
 from train.parts import Part
+from train.solid import solid_inside
 
 Array = np.ndarray
 
@@ -51,6 +53,7 @@ def grid_axes(parts: tuple[Part, ...], body_cell: float, head_cell: float, hand_
 def extract_surface(
     field: FusedField,
     parts: tuple[Part, ...],
+    subject: Subject,
     *,
     body_cell: float,
     head_cell: float,
@@ -60,14 +63,16 @@ def extract_surface(
     """Marching cubes (Lewiner et al. 2003) on a rectilinear grid; the largest connected piece.
 
     The field is asked only at grid points within `near` of a coarse pass (every fourth line) that found the
-    surface near; all others take the coarse value. Neither floaters nor a second person survive.
+    surface near; all others take the coarse value. Neither floaters nor a second person survive, nor sheets deep
+    inside the subject's template, which may hang on the skin by a pinhole and be turned out by skinning.
 
     Raises:
         ValueError: the field has no zero crossing in the box.
     """
+    distance = solid_inside(lambda points: _ask(field, points), subject)
     axes = grid_axes(parts, body_cell, head_cell, hand_cell)
     thin = [np.unique(np.r_[axis[::4], axis[-1]]) for axis in axes]
-    coarse = _ask(field, np.stack(np.meshgrid(*thin, indexing="ij"), -1).reshape(-1, 3))
+    coarse = distance(np.stack(np.meshgrid(*thin, indexing="ij"), -1).reshape(-1, 3))
     coarse = coarse.reshape([len(axis) for axis in thin])
     # coarse values at the fine lines, by linear interpolation along each axis
     values = coarse.astype(np.float32)
@@ -76,7 +81,7 @@ def extract_surface(
     band = np.abs(values) < near + 0.5 * max(np.diff(a).max() for a in thin)
     index = np.argwhere(band)
     points = np.stack([axes[i][index[:, i]] for i in range(3)], 1)
-    values[tuple(index.T)] = _ask(field, points)
+    values[tuple(index.T)] = distance(points)
     if not (values.min() < 0 < values.max()):
         raise ValueError("the field has no zero crossing: nothing to extract")
     vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")

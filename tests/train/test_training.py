@@ -11,9 +11,11 @@ from avatar.errors import AssetError
 from train import run as run_folder
 from train.capture import read_capture
 from train.command import main
+from train.fused import FusedField
 from train.parts import part_boxes
 from train.preset import DEMO
 from train.rays import part_rays
+from train.surface import extract_surface
 from train.template import surface_cloud, template_grid, visible_faces
 from train.trainer import losses, ray_tensors, set_threads, train_field
 
@@ -137,6 +139,37 @@ def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
     (out / "hand_left.pt").write_bytes(b"not a part")
     with pytest.raises(AssetError, match=r"hand_left\.pt: expected a trained part"):
         run_folder.read_run(out)
+
+
+class Hollow(FusedField):
+    """The template, empty more than 2.5 cm under its skin, and with a hole 1.6 cm wide into the chest."""
+
+    def __init__(self, subject):
+        torch.nn.Module.__init__(self)  # no parts: one distance for everything
+        low, high = subject.vertices.min(0) - 0.08, subject.vertices.max(0) + 0.08
+        self.template = template_grid(
+            surface_cloud(subject, 0, visible_faces(subject), 0.01), low, high, 0.01
+        )
+        chest = subject.vertices[(np.abs(subject.vertices[:, :2] - [0, 0.3]) < 0.05).all(1), 2]
+        self.axis = torch.tensor([0, 0.3, (chest.min() + chest.max()) / 2], dtype=torch.float32)
+
+    def distance(self, points, *, grad=False):
+        skin = self.template(points)
+        hole = 0.008 - (points[:, :2] - self.axis[:2]).norm(dim=1)
+        hole = torch.where(points[:, 2] > self.axis[2], hole, -1.0)
+        return torch.maximum(skin, torch.maximum(-0.025 - skin, hole))
+
+
+def test_the_surface_is_the_skin_although_the_field_is_hollow_and_a_pinhole_leads_in(capture):
+    field = Hollow(capture.subject)
+    parts = part_boxes(capture.subject)
+    vertices, _ = extract_surface(
+        field, parts, capture.subject, body_cell=0.008, head_cell=0.008, hand_cell=0.008
+    )
+    depth = -field.template(torch.as_tensor(vertices, dtype=torch.float32)).numpy()
+    assert len(vertices) > 1000
+    # what is left are folds of the face; a third of all vertices when the hollow stays
+    assert (depth > 0.024).mean() < 0.002
 
 
 def test_a_capture_without_a_field_is_refused_by_name(capture, tmp_path):
