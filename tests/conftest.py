@@ -91,12 +91,13 @@ class HardCases:
         states = [state for state, _ in outcomes]
         state = next((s for s in ("failed", "skipped") if s in states), "passed")
         measured = [m for _, values in outcomes for m in values]
-        tightest: dict[str, tuple[float, float]] = {}  # one number per quantity: the one nearest to its bound
+        tightest: dict[str, tuple[float, float, float]] = {}  # one number per quantity: the one nearest to its bound
         for worst, bound, unit in measured:
-            if unit not in tightest or worst / bound > tightest[unit][0] / tightest[unit][1]:
-                tightest[unit] = (worst, bound)
-        worst = "; ".join(f"{value:.2g} {unit}".strip() for unit, (value, _) in tightest.items())
-        bound = "; ".join(f"{limit:.2g}" for _, limit in tightest.values())
+            nearness = worst / bound if bound else worst
+            if unit not in tightest or nearness > tightest[unit][0]:
+                tightest[unit] = (nearness, worst, bound)
+        worst = "; ".join(f"{value:.2g} {unit}".strip() for unit, (_, value, _) in tightest.items())
+        bound = "; ".join(f"{limit:.2g}" for _, _, limit in tightest.values())
         return f"| {name.removeprefix('test_').replace('_', ' ')} | {len(outcomes)} | {state} | {worst} | {bound} |"
 
 
