@@ -298,7 +298,7 @@ def plot(result: dict[str, Any], path: Path) -> None:
 
     matplotlib.use("Agg")
     from matplotlib.figure import Figure
-    from matplotlib.ticker import FormatStrFormatter
+    from matplotlib.ticker import FormatStrFormatter, NullFormatter
 
     rows = result["rungs"]
     finite = [row["psnr_db"] for row in rows if row["psnr_db"] is not None]
@@ -314,7 +314,10 @@ def plot(result: dict[str, Any], path: Path) -> None:
     axes.set_xscale("log")
     axes.margins(x=0.25, y=0.12)  # room for the names
     axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
-    axes.xaxis.set_minor_formatter(FormatStrFormatter("%g"))
+    few = 3 * min(x for x, _, _ in points) > max(
+        x for x, _, _ in points
+    )  # under a third of a decade: label all ticks
+    axes.xaxis.set_minor_formatter(FormatStrFormatter("%g") if few else NullFormatter())
     axes.set_xlabel("ms per frame (median)")
     axes.set_ylabel(f"PSNR dB against {result['best_rung']} (its own point is on top)", fontsize=8)
     axes.set_title(f"{result['avatar']} on {result['machine']['renderer']}", fontsize=9)
