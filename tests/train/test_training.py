@@ -12,12 +12,13 @@ from train import run as run_folder
 from train.capture import read_capture
 from train.command import main
 from train.fused import FusedField
+from train.objective import losses, ray_tensors
 from train.parts import part_boxes
 from train.preset import DEMO
 from train.rays import part_rays
 from train.surface import extract_surface
 from train.template import surface_cloud, template_grid, visible_faces
-from train.trainer import losses, ray_tensors, set_threads, train_field
+from train.trainer import set_threads, train_field
 
 TINY = replace(
     DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(0.03, 0.015, 0.008),
