@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from train.field import FieldSample, PartField, unit_normals
-from train.parts import Part, part_weight
+from train.parts import Part, eq9_shares
 
 
 class FusedField(nn.Module):
@@ -15,17 +15,25 @@ class FusedField(nn.Module):
 
     Everything is canonical, metres, float32. `head_from_canonical` is the rigid correction of Eq. 5: the head
     field lives where the landmarks (Eq. 6) put it, and points, directions and normals are moved there inside.
-    Colours use each part's reference code.
+    Colours use each part's reference code. One field alone (the body, or a single network) speaks everywhere.
+
+    With `switch` the colour does not blend: the part that speaks loudest is the only one (ablation of Eq. 9).
     """
 
     head_from_canonical: Float[Tensor, "4 4"]
 
     def __init__(
-        self, fields: Sequence[PartField], parts: Sequence[Part], head_from_canonical: Float[Tensor, "4 4"]
+        self,
+        fields: Sequence[PartField],
+        parts: Sequence[Part],
+        head_from_canonical: Float[Tensor, "4 4"],
+        *,
+        switch: bool = False,
     ):
         super().__init__()
         self.fields = nn.ModuleList(fields)
-        self.parts = tuple(parts)
+        self.parts = tuple(parts[: len(fields)])
+        self.switch = switch
         self.register_buffer("head_from_canonical", head_from_canonical.float())
 
     def field(self, index: int) -> PartField:
@@ -34,10 +42,16 @@ class FusedField(nn.Module):
         assert isinstance(field, PartField)
         return field
 
-    def shares(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 4"]:
+    def shares(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n p"]:
         """Eq. 9: weight of each part at canonical points; rows sum to 1."""
-        weights = [part_weight(points, part) for part in self.parts[1:]]
-        return torch.stack([1 - torch.stack(weights).sum(0), *weights], -1)
+        return eq9_shares(points, self.parts)
+
+    def color_shares(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n p"]:
+        """Each part's share of the colour: Eq. 9's, or with `switch` all for the loudest."""
+        shares = self.shares(points)
+        if not self.switch:
+            return shares
+        return torch.nn.functional.one_hot(shares.argmax(1), shares.shape[1]).to(shares.dtype)
 
     def distance(self, points: Float[Tensor, "n 3"], *, grad: bool = False) -> Float[Tensor, "n"]:
         """Signed distance, metres."""
@@ -49,7 +63,7 @@ class FusedField(nn.Module):
                 for index in range(len(self.fields)):
                     chosen = shares[:, index] > 0
                     if chosen.any():
-                        local, _ = self._local(index, piece[chosen])
+                        local, _ = self.local(index, piece[chosen])
                         own = shares[chosen, index] * self.field(index)(local).distance
                         total = total.index_put((chosen,), own, True)
                 out.append(total)
@@ -64,7 +78,7 @@ class FusedField(nn.Module):
             for index in range(len(self.fields)):
                 chosen = shares[:, index] > 0
                 if chosen.any():
-                    _, gradient = self._part_gradient(index, piece[chosen])
+                    _, gradient = self.part_gradient(index, piece[chosen])
                     total[chosen] += shares[chosen, index, None] * gradient
             out.append(unit_normals(total))
         return torch.cat(out) if out else torch.zeros_like(points)
@@ -73,7 +87,7 @@ class FusedField(nn.Module):
         """sRGB in [0, 1] of canonical points seen along unit directions (from the camera to the point)."""
         out = []
         for piece, seen in zip(points.split(32768), directions.split(32768)):
-            shares = self.shares(piece)
+            shares = self.color_shares(piece)
             total = torch.zeros_like(piece)
             for index in range(len(self.fields)):
                 chosen = shares[:, index] > 0
@@ -82,6 +96,11 @@ class FusedField(nn.Module):
                     total[chosen] += shares[chosen, index, None] * color
             out.append(total)
         return torch.cat(out) if out else torch.zeros_like(points)
+
+    def part_distance(self, index: int, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
+        """Signed distance of one part alone, metres, at canonical points."""
+        local, _ = self.local(index, points)
+        return self.field(index)(local).distance
 
     def part_color(
         self,
@@ -92,8 +111,8 @@ class FusedField(nn.Module):
     ) -> Float[Tensor, "n 3"]:
         """Colour of one part; `code` replaces its reference code and may carry a gradient (Eq. 8)."""
         field = self.field(index)
-        sample, gradient = self._part_gradient(index, points)
-        local, R = self._local(index, points)
+        sample, gradient = self.part_gradient(index, points)
+        local, R = self.local(index, points)
         normals = unit_normals(gradient)
         if R is not None:
             normals, directions = normals @ R.T, directions @ R.T
@@ -101,8 +120,11 @@ class FusedField(nn.Module):
         with torch.set_grad_enabled(code.requires_grad):
             return field.color(local, sample.feature, normals, directions, code.expand(len(points), -1))
 
-    def _local(self, index: int, points: Tensor) -> tuple[Tensor, Tensor | None]:
-        """Points in the part's own frame with the mean displacement added, and the rotation into that frame."""
+    def local(self, index: int, points: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Points in the part's own frame with the mean displacement added, and the rotation into that frame.
+
+        What the part's networks are asked at. None stands for no rotation.
+        """
         R = None
         if self.parts[index].name == "head":
             R = self.head_from_canonical[:3, :3]
@@ -110,10 +132,10 @@ class FusedField(nn.Module):
         field = self.field(index)
         return points + field.displacement.mean(field.unit(points)), R
 
-    def _part_gradient(self, index: int, points: Tensor) -> tuple[FieldSample, Tensor]:
+    def part_gradient(self, index: int, points: Tensor) -> tuple[FieldSample, Tensor]:
         """F_s of a part and its gradient turned back into the canonical frame."""
         with torch.no_grad():
-            local, R = self._local(index, points)
+            local, R = self.local(index, points)
         sample, gradient = self.field(index).with_gradient(local, create_graph=False)
         sample = FieldSample(sample.distance.detach(), sample.feature.detach())
         gradient = gradient.detach()

@@ -1,5 +1,6 @@
 """The four parts: their canonical boxes, and who speaks where two of them overlap (TotalSelfScan, 3.3, Eq. 9)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,12 +59,13 @@ def part_boxes(subject: Subject) -> tuple[Part, ...]:
         low, high = covered.min(0).copy(), covered.max(0).copy()
         stand_off = overlap + 0.03
         if name == "head":
+            stand_off = overlap + 0.02  # and the networks' box reaches as far: nobody speaks where it never learnt
             # the neck below: Eq. 9 starts under the lowest skin of the head, hair hanging deeper or not
             low[1] = max(low[1], vertices[:, 1].min())
             speaks_low, speaks_high = low - stand_off, high + stand_off
             speaks_low[1] = low[1] - overlap + 0.02
             low[1] = speaks_low[1] - 0.02
-            extent = Box(low - [0.05, 0.0, 0.05], high + 0.05)
+            extent = Box(low - [stand_off, 0.0, stand_off], high + stand_off)
         else:
             inner = 0 if name == "hand_left" else 1  # the left hand's wrist is its low x
             speaks_low, speaks_high = low - stand_off, high + stand_off
@@ -84,3 +86,12 @@ def part_weight(points: Float[Tensor, "n 3"], part: Part) -> Float[Tensor, "n"]:
     high = torch.as_tensor(part.speaks.high, dtype=points.dtype, device=points.device)
     depth = torch.minimum(points - low, high - points).amin(-1)
     return (depth / part.overlap).clamp(0, 1)
+
+
+def eq9_shares(points: Float[Tensor, "n 3"], parts: Sequence[Part]) -> Float[Tensor, "n p"]:
+    """Eq. 9: weight of each of the parts, the body first, at canonical points; rows sum to 1."""
+    weights = [part_weight(points, part) for part in parts[1:]]
+    rest = torch.ones(len(points), dtype=points.dtype, device=points.device)
+    for weight in weights:
+        rest = rest - weight
+    return torch.stack([rest, *weights], -1)
