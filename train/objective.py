@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -68,19 +69,36 @@ def directions_at(
 class StepReport:
     """Numbers of one step, for the log."""
 
-    loss: float
-    color: float  # mean absolute difference
+    loss: float  # the sum of the terms, weighted
+    color: float  # L_rgb, mean absolute difference
+    mask: float  # L_mask
+    eikonal: float  # L_E
+    displacement: float  # L_nr, mean |T_nr|, metres
+    extra: float  # the extra term (L_g, Eq. 7), with its weight
     psnr: float  # dB, of the rays on the person
     slope: float  # mean |grad F_s|
-    displacement: float  # mean |T_nr|, metres
     saturated: float  # share of shaded points whose correction is beyond 5 cm
 
 
-def losses(
+class Rendered(NamedTuple):
+    """A batch of rays drawn through the field, with what the losses ask of it."""
+
+    color: Float[Tensor, "b 3"]  # on black
+    log_transmittance: Float[Tensor, "b"]  # opacity = 1 - exp of it
+    share: Float[Tensor, "b k"]  # of each shaded section; sums to 1
+    ends: Float[Tensor, "b ends 3"]  # canonical, after T_nr
+    distance: Float[Tensor, "b ends"]  # F_s there
+    shaded: Float[Tensor, "n 3"]  # points that were given a colour, b k of them
+    shaded_distance: Float[Tensor, "n"]
+    gradient: Float[Tensor, "n 3"]  # grad F_s there
+    displacement: Float[Tensor, "m 3"]  # T_nr where it was evaluated
+
+
+def render_rays(
     field: PartField, rays: RayTensors, chosen: Int[Tensor, "b"], u: Float[Tensor, "b"], beta: float,
-    part: PartPreset, preset: Preset, *, extra: Extra | None = None,
-) -> tuple[Float[Tensor, ""], Callable[[], StepReport]]:  # fmt: skip
-    """Eq. 10 over a batch of rays; with `extra` (L_g, Eq. 7) it is Eq. 13.
+    preset: Preset, *, create_graph: bool = True,
+) -> Rendered:  # fmt: skip
+    """Volume rendering of the chosen rays (Eq. 1-4), u in [0, 1) the jitter of each.
 
     F_s is evaluated at all section ends (values only). Normal, Eikonal and colour are evaluated in the
     `shaded` sections with the largest weights; their colours are scaled to the opacity of the whole ray.
@@ -105,37 +123,48 @@ def losses(
     top, section = rendered.weights.topk(min(preset.shaded, count - 1), dim=1)
     places = crossing(distance.detach(), ends)
     points = places.gather(1, section[..., None].expand(-1, -1, 3)).reshape(-1, 3)
-    sample, gradient = field.with_gradient(points, create_graph=True)
+    sample, gradient = field.with_gradient(points, create_graph=create_graph)
     directions = directions_at(rays, chosen, rays.row[chosen].gather(1, section)).reshape(-1, 3)
     code = field.codes(frame.repeat_interleave(section.shape[1]))
     color = field.color(points, sample.feature, unit_normals(gradient), directions, code)
     color = color.view(batch, -1, 3)
     share = top / (top.sum(1, keepdim=True) + 1e-8)
     shown = (share[..., None] * color).sum(1) * opacity[:, None]
+    return Rendered(shown, rendered.log_transmittance, share, ends, distance, points, sample.distance, gradient,
+                    moved.reshape(-1, 3))  # fmt: skip
 
+
+def losses(
+    field: PartField, rays: RayTensors, chosen: Int[Tensor, "b"], u: Float[Tensor, "b"], beta: float,
+    part: PartPreset, preset: Preset, *, extra: Extra | None = None,
+) -> tuple[Float[Tensor, ""], Callable[[], StepReport]]:  # fmt: skip
+    """Eq. 10 over a batch of rays; with `extra` (L_g, Eq. 7) it is Eq. 13. Every term is a mean over the batch."""
+    drawn = render_rays(field, rays, chosen, u, beta, preset)
     observed, mask = rays.color[chosen], rays.mask[chosen]
-    L_rgb = color_loss(shown, observed)
-    L_nr = displacement_loss(moved.reshape(-1, 3))
-    loss = (
-        L_rgb
-        + preset.mask_weight * mask_loss(rendered.log_transmittance, mask)
-        + preset.eikonal_weight * eikonal_loss(gradient)
-        + part.displacement_weight * L_nr
-    )
-    if extra is not None:
-        loss = loss + extra(ends.reshape(-1, 3), distance.reshape(-1))
+    L_rgb = color_loss(drawn.color, observed)
+    L_mask = mask_loss(drawn.log_transmittance, mask)
+    L_E = eikonal_loss(drawn.gradient)
+    L_nr = displacement_loss(drawn.displacement)
+    loss = L_rgb + preset.mask_weight * L_mask + preset.eikonal_weight * L_E + part.displacement_weight * L_nr
+    L_extra = None if extra is None else extra(drawn.ends.reshape(-1, 3), drawn.distance.reshape(-1))
+    if L_extra is not None:
+        loss = loss + L_extra
 
     def report() -> StepReport:
         on = mask > 0.5
-        error = (shown - observed)[on].square().mean() if on.any() else torch.tensor(1.0)
-        far = (sample.distance - field.template.sample(points.detach())[0]).abs() > 0.05
+        error = (drawn.color - observed)[on].square().mean() if on.any() else torch.tensor(1.0)
+        template = field.template.sample(drawn.shaded.detach())[0]
+        far = (drawn.shaded_distance - template).abs() > 0.05
         return StepReport(
-            loss.item(),
-            L_rgb.item(),
-            -10 * math.log10(max(error.item(), 1e-10)),
-            gradient.norm(dim=-1).mean().item(),
-            L_nr.item(),
-            far.float().mean().item(),
+            loss=loss.item(),
+            color=L_rgb.item(),
+            mask=L_mask.item(),
+            eikonal=L_E.item(),
+            displacement=L_nr.item(),
+            extra=0.0 if L_extra is None else L_extra.item(),
+            psnr=-10 * math.log10(max(error.item(), 1e-10)),
+            slope=drawn.gradient.norm(dim=-1).mean().item(),
+            saturated=far.float().mean().item(),
         )
 
     return loss, report
