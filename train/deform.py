@@ -91,21 +91,21 @@ def canonical_directions(
 class Displacement(nn.Module):
     """T_nr(x, code): what skinning or the rigid motion leaves over, at most `reach` metres (Eq. 3, 4).
 
-    Its last layer starts at zero. `code` is one row per frame; the mean over the frames is what the fused query
+    The trunk turns the encoded point and the code, side by side, into `width` numbers; the last layer starts at
+    zero. `code` is one row per frame; the mean over the frames is what the fused query
     adds at rendering time.
     """
 
     code: nn.Embedding
-    trunk: nn.Sequential
     mean_grid: Float[Tensor, "3 side side side"]  # axes x, y, z of the unit box; zero until `settle`
 
-    def __init__(self, frames: int, *, code: int, width: int, frequencies: int, reach: float):
+    def __init__(
+        self, code: nn.Embedding, trunk: nn.Module, *, width: int, frequencies: int, reach: float
+    ):
         super().__init__()
         self.reach, self.frequencies = reach, frequencies
-        self.code = nn.Embedding(frames, code)
-        nn.init.normal_(self.code.weight, std=0.1)
-        inputs = 3 + 6 * frequencies + code
-        self.trunk = nn.Sequential(nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.code = code
+        self.trunk = trunk
         self.out = nn.Linear(width, 3)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
@@ -118,15 +118,10 @@ class Displacement(nn.Module):
 
     def exact_mean(self, unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Mean over all frames' codes."""
-        encoded = positional_encoding(unit, self.frequencies)
-        first = self.trunk[0]
-        assert isinstance(first, nn.Linear)
-        shared = encoded @ first.weight[:, : encoded.shape[1]].T + first.bias
         total = torch.zeros_like(unit)
-        for row in self.code.weight:
-            hidden = self.trunk[1:](shared + first.weight[:, encoded.shape[1] :] @ row)
-            total = total + torch.tanh(self.out(hidden))
-        return total * (self.reach / len(self.code.weight))
+        for frame in range(len(self.code.weight)):
+            total = total + self(unit, torch.full((len(unit),), frame, device=unit.device))
+        return total / len(self.code.weight)
 
     @torch.no_grad()
     def settle(self) -> None:

@@ -3,12 +3,10 @@
 from typing import NamedTuple
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from train.deform import Displacement
-from train.encoding import positional_encoding
+from train.networks import PartNetworks
 from train.template import TemplateGrid
 
 
@@ -19,30 +17,14 @@ class FieldSample(NamedTuple):
     feature: Float[Tensor, "n z"]  # geometry feature, read by the colour network
 
 
-class TriPlane(nn.Module):
-    """Features of a point: bilinear look-ups on three axis-aligned planes, side by side."""
-
-    def __init__(self, channels: int, size: int, *, start: float = 1e-2):
-        super().__init__()
-        self.planes = nn.Parameter(start * torch.randn(3, channels, size, size))
-
-    def forward(self, unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n d"]:
-        """`unit` is the part's box scaled to [-1, 1]; beyond it the border repeats."""
-        at = torch.stack([unit[:, [0, 1]], unit[:, [0, 2]], unit[:, [1, 2]]])[:, :, None]
-        sampled = F.grid_sample(self.planes, at, mode="bilinear", padding_mode="border", align_corners=True)
-        return sampled[..., 0].permute(2, 0, 1).flatten(1)
-
-
 class PartField(nn.Module):
-    """F_s = template distance + reach tanh(mlp), F_c = sigmoid(mlp), T_nr: the three networks of one part.
+    """F_s, F_c and T_nr of one part: three networks (train/networks) in the part's box.
 
-    The template distance is the registered body's, so an untrained part is that body and the first rendered
-    frame already shows a person; the correction's last layer starts at zero and reaches at most `reach` metres.
+    Where the geometry network works `over_template`, F_s is the registered body's distance plus the network's, so
+    an untrained part is that body and the first rendered frame already shows a person.
 
     Frame: canonical, metres. The head's is canonical too: its video is moved there by Eq. 6 before training.
     """
-
-    reach = 0.06
 
     low: Float[Tensor, "3"]  # the part's box, metres
     high: Float[Tensor, "3"]
@@ -54,42 +36,14 @@ class PartField(nn.Module):
         template: TemplateGrid,
         low: Float[Tensor, "3"],
         high: Float[Tensor, "3"],
-        frames: int,
-        *,
-        plane_channels: int = 8,
-        plane_size: int = 160,
-        color_channels: int = 8,
-        color_size: int = 256,
-        width: int = 64,
-        feature: int = 15,
-        appearance: int = 8,
-        displacement: int = 8,
-        displacement_reach: float = 0.03,
+        networks: PartNetworks,
     ):
         super().__init__()
         self.template = template
         self.register_buffer("low", low)
         self.register_buffer("high", high)
-        self.planes = TriPlane(plane_channels, plane_size)
-        inputs = 3 * plane_channels + 27
-        self.trunk = nn.Sequential(
-            nn.Linear(inputs, width), nn.Softplus(beta=100), nn.Linear(width, width), nn.Softplus(beta=100)
-        )
-        self.correction = nn.Linear(width, 1)
-        self.feature = nn.Linear(width, feature)
-        nn.init.zeros_(self.correction.weight)
-        nn.init.zeros_(self.correction.bias)
-        self.color_planes = TriPlane(color_channels, color_size)
-        self.appearance = nn.Embedding(frames, appearance)
-        nn.init.normal_(self.appearance.weight, std=0.1)
-        inputs = 39 + feature + 3 + 9 + appearance + 3 * color_channels
-        self.color_network = nn.Sequential(
-            nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 3)
-        )
-        self.displacement = Displacement(
-            frames, code=displacement, width=width, frequencies=4, reach=displacement_reach
-        )
-        self.register_buffer("reference", torch.zeros(appearance))
+        self.geometry, self.appearance, self.color_network, self.displacement = networks
+        self.register_buffer("reference", torch.zeros_like(self.appearance.weight[0]).detach())
 
     def unit(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """The part's box scaled to [-1, 1]."""
@@ -97,13 +51,10 @@ class PartField(nn.Module):
 
     def forward(self, points: Float[Tensor, "n 3"]) -> FieldSample:
         """F_s, Eq. 1."""
-        correction, feature = self._correction(points)
-        return FieldSample(self.template(points) + correction, feature)
-
-    def _correction(self, points: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n"], Float[Tensor, "n z"]]:
-        unit = self.unit(points)
-        hidden = self.trunk(torch.cat([self.planes(unit), positional_encoding(unit, 4)], -1))
-        return self.reach * torch.tanh(self.correction(hidden)[:, 0]), self.feature(hidden)
+        distance, feature = self.geometry(self.unit(points))
+        if self.geometry.over_template:
+            distance = self.template(points) + distance
+        return FieldSample(distance, feature)
 
     def with_gradient(
         self, points: Float[Tensor, "n 3"], *, create_graph: bool
@@ -114,10 +65,12 @@ class PartField(nn.Module):
         """
         with torch.enable_grad():
             points = points.detach().requires_grad_()
-            correction, feature = self._correction(points)
-            (residual,) = torch.autograd.grad(correction.sum(), points, create_graph=create_graph)
-        distance, gradient = self.template.sample(points.detach())
-        return FieldSample(distance + correction, feature), gradient + residual
+            distance, feature = self.geometry(self.unit(points))
+            (gradient,) = torch.autograd.grad(distance.sum(), points, create_graph=create_graph)
+        if self.geometry.over_template:
+            template, slope = self.template.sample(points.detach())
+            distance, gradient = template + distance, slope + gradient
+        return FieldSample(distance, feature), gradient
 
     def color(
         self,
@@ -128,16 +81,7 @@ class PartField(nn.Module):
         code: Float[Tensor, "n l"],
     ) -> Float[Tensor, "n 3"]:
         """F_c, Eq. 2: sRGB in [0, 1] seen along unit `directions` (away from the camera), all canonical."""
-        unit = self.unit(points)
-        inputs = [
-            positional_encoding(unit, 6),
-            feature,
-            normals,
-            positional_encoding(directions, 1),
-            code,
-            self.color_planes(unit),
-        ]
-        return torch.sigmoid(self.color_network(torch.cat(inputs, -1)))
+        return self.color_network(self.unit(points), feature, normals, directions, code)
 
     def codes(self, frame: Int[Tensor, "n"]) -> Float[Tensor, "n l"]:
         """Appearance codes of frames; frame -1 is the reference."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from train.networks.triplane import TriPlaneNetworks
 from train.rays import Band
 
 
@@ -16,8 +17,19 @@ class PartPreset:
     beta: tuple[float, float]  # width of the surface in rendering, first and last, metres
     displacement_reach: float  # |T_nr| at most, metres
     displacement_weight: float  # lambda_2, per metre of T_nr (supplement: .01, hands .001)
-    plane_size: int  # texels of a geometry plane's side
-    color_size: int  # texels of a colour plane's side
+    networks: TriPlaneNetworks
+
+
+@dataclass(frozen=True)
+class UnionPreset:
+    """Settings of stage 2, which trains the body alone."""
+
+    iterations: int = 200
+    rate: float = 0.1  # first learning rates, of stage 1's
+    last_rate: float = 0.2  # of these, reached exponentially
+    warm_up: int = 20  # steps
+    consistency: float = 3.0  # weight of L_g's first term, per metre
+    surface: float = 3.0  # of its second
 
 
 @dataclass(frozen=True)
@@ -32,7 +44,7 @@ class Preset:
     sections: int = 12  # per ray
     shaded: int = 3  # sections with the largest weights get normal and colour
     displaced_every: int = 4  # T_nr is evaluated at every n-th section end and linear between
-    plane_rate: float = 4e-3  # learning rate of the planes
+    grid_rate: float = 4e-3  # learning rate of planes or hash tables
     network_rate: float = 2e-3  # of the networks and codes
     displacement_rate: float = 3e-4  # of T_nr and its codes: geometry settles first
     warm_up: int = 100  # steps
@@ -42,16 +54,17 @@ class Preset:
     mask_weight: float = 0.1
     eikonal_weight: float = 0.1  # lambda_1 (supplement)
     surface_cells: tuple[float, float, float] = (0.006, 0.0035, 0.0025)  # metres: body, head, hands
+    union: UnionPreset = UnionPreset()
     appearance_steps: int = 200  # Eq. 8, per part
 
 
-_HAND = PartPreset(1000, 0.002, 0.002, Band(0.012, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, 160, 256)
+_HAND = PartPreset(1000, 0.002, 0.002, Band(0.012, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, TriPlaneNetworks())
 
 DEMO = Preset(
     "demo",
     (
-        PartPreset(900, 0.01, 0.01, Band(0.03, 0.02, 0.006), (0.008, 0.0015), 0.03, 0.01, 160, 256),
-        PartPreset(1500, 0.003, 0.003, Band(0.035, 0.02, 0.006), (0.008, 0.001), 0.03, 0.01, 160, 256),
+        PartPreset(900, 0.01, 0.01, Band(0.03, 0.02, 0.006), (0.008, 0.0015), 0.03, 0.01, TriPlaneNetworks()),
+        PartPreset(1500, 0.003, 0.003, Band(0.035, 0.02, 0.006), (0.008, 0.001), 0.03, 0.01, TriPlaneNetworks()),
         _HAND,
         _HAND,
     ),

@@ -12,6 +12,8 @@ from avatar.skinning import SkinWeights
 from train.capture import PARTS, Subject, read_subject
 from train.field import PartField
 from train.fused import FusedField
+from train.networks import triplane
+from train.networks.triplane import TriPlaneNetworks
 from train.parts import part_boxes
 from train.preset import PRESETS, PartPreset, Preset
 from train.surface import Surface
@@ -38,10 +40,11 @@ def build_field(
     """An untrained field of part `index`."""
     extent = part_boxes(subject)[index].extent
     low, high = (torch.tensor(edge, dtype=torch.float32) for edge in (extent.low, extent.high))
-    return PartField(
-        template, low, high, frames, plane_size=preset.plane_size, color_size=preset.color_size,
-        displacement_reach=preset.displacement_reach,
-    )  # fmt: skip
+    half = 0.5 * (high - low)
+    match preset.networks:
+        case TriPlaneNetworks():
+            networks = triplane.build(preset.networks, frames, half, preset.displacement_reach)
+    return PartField(template, low, high, networks)
 
 
 def write_part(path: Path, field: PartField) -> None:

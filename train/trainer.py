@@ -11,6 +11,7 @@ import torch
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from train.field import PartField
+from train.networks.triplane import TriPlane
 from train.objective import Extra, RayTensors, StepReport, beta_at, losses
 from train.preset import PartPreset, Preset
 
@@ -22,13 +23,13 @@ def rate_at(iteration: int, part: PartPreset, preset: Preset) -> float:
 
 
 def optimiser_of(field: PartField, preset: Preset) -> torch.optim.Adam:
-    """Adam, one rate each for planes, displacement and the rest; no weight decay, cells never seen stay as they are."""
-    planes = [field.planes.planes, field.color_planes.planes]
+    """Adam, one rate each for grids, displacement and the rest; no weight decay, cells never seen stay as they are."""
+    grids = [m.planes for m in field.modules() if isinstance(m, TriPlane)]
     moves = list(field.displacement.parameters())
-    taken = {id(p) for p in planes + moves}
+    taken = {id(p) for p in grids + moves}
     others = [p for p in field.parameters() if id(p) not in taken]
     groups = [
-        {"params": planes, "lr": preset.plane_rate},
+        {"params": grids, "lr": preset.grid_rate},
         {"params": moves, "lr": preset.displacement_rate},
         {"params": others, "lr": preset.network_rate},
     ]

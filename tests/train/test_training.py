@@ -12,6 +12,7 @@ from train import run as run_folder
 from train.capture import read_capture
 from train.command import main
 from train.fused import FusedField
+from train.networks.triplane import TriPlaneNetworks
 from train.objective import losses, ray_tensors
 from train.parts import part_boxes
 from train.preset import DEMO
@@ -22,7 +23,7 @@ from train.trainer import set_threads, train_field
 
 TINY = replace(
     DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(0.03, 0.015, 0.008),
-    parts=tuple(replace(p, iterations=6, plane_size=16, color_size=16, cell=max(p.cell, 0.006),
+    parts=tuple(replace(p, iterations=6, networks=TriPlaneNetworks(plane_size=16, color_size=16), cell=max(p.cell, 0.006),
                         spacing=max(p.spacing, 0.006)) for p in DEMO.parts),
 )  # fmt: skip
 
