@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from PIL import Image, UnidentifiedImageError
 
-from avatar.camera import Camera, read_cameras
+from avatar.camera import Camera, project, read_cameras
 from avatar.errors import AssetError
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
@@ -17,6 +17,8 @@ from avatar.skinning import SkinWeights, skin_points
 Array = np.ndarray
 
 PARTS = ("body", "head", "hand_left", "hand_right")  # the index is the part id everywhere
+HEIGHT = (0.4, 2.7)  # metres: from an infant to the tallest man measured
+FARTHEST = 60.0  # metres between camera and person; beyond it the unit is in doubt
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,15 @@ def read_capture(path: Path | str) -> Capture:
     missing = [part for part in PARTS if part not in facts.get("parts", [])]
     if missing:
         raise AssetError(f"{path / 'capture.json'}: parts should hold {list(PARTS)}, lacks {missing}")
+    absent = [part for part in PARTS if not (path / part).is_dir()]
+    if absent:
+        raise AssetError(
+            f"{path}: no folder {', '.join(absent)}; all four videos are needed: {', '.join(PARTS)}"
+        )
     subject = read_subject(path / "subject.npz", name=str(facts.get("subject", path.name)))
     videos = {part: _read_video(path / part, part, len(subject.rest)) for part in PARTS}
+    for part, video in videos.items():
+        _check_distance(path / part, video)
     return Capture(path, facts, subject, videos)
 
 
@@ -87,10 +96,23 @@ def read_subject(path: Path, name: str = "") -> Subject:
     fields = _read_npz(path)
     rest = _field(path, fields, "v_template", (None, 3)).astype(np.float64)
     count = len(rest)
+    height = float(np.ptp(rest[:, 1])) if count else 0.0
+    if not HEIGHT[0] <= height <= HEIGHT[1]:
+        raise AssetError(
+            f"{path}: v_template should be a standing person in metres, {HEIGHT[0]} to {HEIGHT[1]} m along y; "
+            f"is {height:.4g}{_other_unit(height)}"
+        )
     faces = _field(path, fields, "faces", (None, 3)).astype(np.int64)
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
         raise AssetError(f"{path}: faces should index {count} vertices")
     joints = _field(path, fields, "joints", (52, 3)).astype(np.float64)
+    astray = np.flatnonzero((joints < rest.min(0) - 0.1).any(1) | (joints > rest.max(0) + 0.1).any(1))
+    if len(astray):
+        row = int(astray[0])
+        raise AssetError(
+            f"{path}: joints should lie in the template, in metres; joint {row} is at "
+            f"{np.round(joints[row], 2).tolist()}"
+        )
     bones = _field(path, fields, "skin_joints", (count, 4)).astype(np.int64)
     weights = _field(path, fields, "skin_weights", (count, 4)).astype(np.float32)
     if bones.min() < 0 or bones.max() > 51:
@@ -112,12 +134,19 @@ def read_subject(path: Path, name: str = "") -> Subject:
 
 
 def _read_video(path: Path, part: str, vertex_count: int) -> PartVideo:
-    images = _read_frames(path / "images", "RGB")
-    masks = _read_frames(path / "masks", "L") > 127
-    if masks.shape != images.shape[:3]:
+    image_names, images = _read_frames(path / "images", "RGB")
+    mask_names, grey = _read_frames(path / "masks", "L")
+    masks = grey > 127
+    if image_names != mask_names:
+        name = sorted(set(image_names) ^ set(mask_names))[0]
+        place = "images" if name in image_names else "masks"
         raise AssetError(
-            f"{path / 'masks'}: should be like the images, {images.shape[:3]}, are {masks.shape}"
+            f"{path / 'masks'}: every image should have a mask of the same name, as {len(image_names)} images and "
+            f"{len(mask_names)} masks do not; {name} is in {place} alone"
         )
+    if masks.shape != images.shape[:3]:
+        size, expected = masks.shape[2:0:-1], images.shape[2:0:-1]
+        raise AssetError(f"{path / 'masks'}: should be {expected} pixels as the images, are {size}")
     frames, height, width = masks.shape
     cameras = read_cameras(path / "cameras.npz")
     if len(cameras) not in (1, frames):
@@ -133,10 +162,59 @@ def _read_video(path: Path, part: str, vertex_count: int) -> PartVideo:
     if part == "head":
         points, vertices = _read_landmarks(path / "landmarks.json", vertex_count)
         return PartVideo(part, images, masks, cameras, None, None, points, vertices)
-    fields = _read_npz(path / "poses.npz")
-    poses = _field(path / "poses.npz", fields, "poses", (frames, 156)).astype(np.float64)
-    trans = _field(path / "poses.npz", fields, "trans", (frames, 3)).astype(np.float64)
-    return PartVideo(part, images, masks, cameras, poses.reshape(frames, 52, 3), trans, None, None)
+    axis_angle, root = _read_poses(path / "poses.npz", frames)
+    return PartVideo(part, images, masks, cameras, axis_angle, root, None, None)
+
+
+def _read_poses(path: Path, frames: int) -> tuple[Float[Array, "frames 52 3"], Float[Array, "frames 3"]]:
+    fields = _read_npz(path)
+    for name, columns in (("poses", 156), ("trans", 3)):
+        if name in fields and fields[name].ndim == 2 and len(fields[name]) != frames:
+            raise AssetError(
+                f"{path}: {name} should hold one row for each of {frames} frames, holds {len(fields[name])}"
+            )
+        if name in fields and fields[name].shape == (frames, columns) and fields[name].dtype.kind == "f":
+            bad = np.argwhere(~np.isfinite(fields[name]))
+            if len(bad):
+                joint = f", joint {bad[0][1] // 3}" if name == "poses" else ""
+                raise AssetError(f"{path}: {name} should be finite, is not in frame {bad[0][0]}{joint}")
+    poses = _field(path, fields, "poses", (frames, 156)).astype(np.float64)
+    return poses.reshape(frames, 52, 3), _field(path, fields, "trans", (frames, 3)).astype(np.float64)
+
+
+def _check_distance(path: Path, video: PartVideo) -> None:
+    """Refuse a video whose cameras never have the person in front of them at a plausible distance.
+
+    The head's unit is free; its landmarks need only be before some camera.
+    """
+    if video.root is None:
+        assert video.landmarks is not None
+        before = [(project(camera, video.landmarks)[1] > 0).all() for camera in video.cameras]
+        if not any(before):
+            raise AssetError(
+                f"{path / 'landmarks.json'}: points should be in the frame of head/cameras.npz; they lie behind "
+                f"every camera"
+            )
+        return
+    depth = np.array([project(c, r[None])[1][0] for c, r in zip(video.cameras, video.root)])
+    away = float(np.median(np.abs(depth)))
+    if away > FARTHEST:
+        raise AssetError(
+            f"{path}: cameras.npz and poses.npz should be in metres of one world; the person is {away:.4g} m from "
+            f"the camera{_other_unit(away / 2)}"
+        )
+    if (depth <= 0).all() and video.part == "body":
+        raise AssetError(
+            f"{path / 'cameras.npz'}: the person should be in front of the camera, is behind it in all frames"
+        )
+
+
+def _other_unit(metres: float) -> str:
+    """What a length of a person that should be in metres seems to be in."""
+    for unit, scale in (("millimetres", 1000), ("centimetres", 100)):
+        if HEIGHT[0] * scale <= metres <= HEIGHT[1] * scale:
+            return f": {unit}?"
+    return ""
 
 
 def _read_landmarks(path: Path, vertex_count: int) -> tuple[Array, Array]:
@@ -160,7 +238,7 @@ def _read_landmarks(path: Path, vertex_count: int) -> tuple[Array, Array]:
     return positions, np.array([vertices[name] for name in names])
 
 
-def _read_frames(folder: Path, mode: str) -> Array:
+def _read_frames(folder: Path, mode: str) -> tuple[list[str], Array]:
     paths = sorted(folder.glob("*.png"))
     if not paths:
         raise AssetError(f"{folder}: expected frames 000000.png ..., found none")
@@ -174,7 +252,7 @@ def _read_frames(folder: Path, mode: str) -> Array:
         if frames[-1].shape != frames[0].shape:
             size, first = frames[-1].shape[1::-1], frames[0].shape[1::-1]
             raise AssetError(f"{path}: should be {first} pixels as the first frame, is {size}")
-    return np.stack(frames)
+    return [path.name for path in paths], np.stack(frames)
 
 
 def _read_json(path: Path) -> dict:
