@@ -9,11 +9,11 @@ from avatar.avatar_file import Avatar, Level, read_avatar
 from avatar.camera import Camera
 from avatar.skinning import SkinWeights
 from bench import metrics
-from bench.field_view import FieldView, Picture, PosableSurface, averaged
+from bench.field_view import Directions, FieldView, Picture, PosableSurface, averaged
 from player.command import opened
 from player.raster import Rasteriser
 from player.renderer import Renderer
-from train.run import read_run
+from train.run import Run, read_run
 
 
 def level_surface(avatar: Avatar, level: Level) -> PosableSurface:
@@ -31,17 +31,18 @@ def level_surface(avatar: Avatar, level: Level) -> PosableSurface:
 class Drawer:
     """Draws the field of a run (a folder) or a baked avatar (a file), and gives back what it made."""
 
-    def __init__(self, path: Path):
-        self.path = Path(path)
+    def __init__(self, source: Path | Run, directions: Directions = "global"):
+        self.path = source.path if isinstance(source, Run) else Path(source)
+        self.directions: Directions = directions  # of a field
         self.field: FieldView | None = None
         self.avatar: Avatar | None = None
-        if Path(path).is_dir():
-            run = read_run(Path(path))
+        if isinstance(source, Run) or self.path.is_dir():
+            run = source if isinstance(source, Run) else read_run(self.path)
             self.provenance = run.provenance
             self.field = FieldView(run)
             self.surface = self.field.surface
         else:
-            self.avatar = read_avatar(path)
+            self.avatar = read_avatar(self.path)
             self.provenance = self.avatar.provenance
             self.surface = level_surface(self.avatar, self.avatar.levels[0])
         self.context = opened("auto", None)
@@ -59,9 +60,12 @@ class Drawer:
         """One picture on black; `samples` squared rays for each pixel, averaged. A field is asked for colours only
         `where` they are looked at."""
         if self.field is not None and where is not None:
-            return drawn_where(self.field, self.raster, axis_angle, root, camera, samples, where)
+            pose = axis_angle, root
+            return drawn_where(self.field, self.raster, pose, camera, samples, where, self.directions)
         if self.field is not None:
-            return self.field.draw(self.raster, axis_angle, root, camera, samples=samples)
+            return self.field.draw(
+                self.raster, axis_angle, root, camera, samples=samples, directions=self.directions
+            )
         assert self.avatar is not None
         size = (samples * camera.size[0], samples * camera.size[1])
         if size not in self.renderers:
@@ -79,11 +83,11 @@ class Drawer:
 def drawn_where(
     field: FieldView,
     raster: Rasteriser,
-    axis_angle: Float[np.ndarray, "52 3"],
-    root: Float[np.ndarray, "3"],
+    pose: tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]],
     camera: Camera,
     samples: int,
     where: Bool[np.ndarray, "h w"],
+    directions: Directions = "global",
 ) -> Picture:
     """The field's picture, drawn only in the rectangle of `where`; nothing outside it."""
     height, width = where.shape
@@ -95,6 +99,6 @@ def drawn_where(
     K = camera.K.copy()
     K[:2, 2] -= columns.start, rows.start
     part = Camera(K, camera.camera_from_world, (columns.stop - columns.start, rows.stop - rows.start))
-    drawn = field.draw(raster, axis_angle, root, part, samples=samples, where=where[rectangle])
+    drawn = field.draw(raster, *pose, part, samples=samples, where=where[rectangle], directions=directions)
     whole.colour[rectangle], whole.mask[rectangle] = drawn.colour, drawn.mask
     return whole

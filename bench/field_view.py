@@ -1,14 +1,13 @@
 """Pictures of the trained field: its first surface crossing under a posed camera.
 
 The fine surface is moved onto the field's zero set, posed and rasterised, and each pixel's canonical point is
-asked for its colour there: at the global view direction d̄ (the paper, Eq. 14: colour depends on the point alone), or
-at the pixel's own direction pulled into the cone that training saw (d').
+asked for its colour there, at one of three view directions (Directions, below).
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -21,6 +20,13 @@ from bake.cone import clamped_tangent, cone_direction, interpolated, view_cone
 from player.raster import Rasteriser
 from train.fused import FusedField
 from train.run import Run
+
+# The direction that F_c (Eq. 2) is asked at:
+#   global  d_bar of Eq. 14, the non-rigid ray transformation: colour depends on the point alone
+#   own     the pixel's own ray turned into the canonical frame by the inverse skin of the point it hits, as the
+#           training rays were: section 3.5's "original view direction", the row "w/o ray transform" of Table 4
+#   cone    that direction pulled into the cone that training saw (d')
+Directions = Literal["global", "own", "cone"]
 
 CHUNK = 1 << 16  # field queries at once
 FARTHEST = 0.002  # metres: a vertex is not moved farther than this in one step onto the zero set
@@ -94,12 +100,12 @@ class FieldView:
         camera: Camera,
         *,
         samples: int = 1,
-        cone: bool = False,
+        directions: Directions = "global",
         surface: PosableSurface | None = None,
         where: Bool[np.ndarray, "h w"] | None = None,
     ) -> Picture:
-        """One picture on black, silhouettes smoothed by `samples` squared a pixel. `cone` asks the field at d'
-        instead of at d̄; `surface` is the same mesh with other skin weights; colours outside `where` stay black."""
+        """One picture on black, silhouettes smoothed by `samples` squared a pixel. `surface` is the same mesh with
+        other skin weights; colours outside `where` stay black."""
         own = surface is None
         surface = surface or self.surface
         posed = self.posed(axis_angle, root) if own else surface.posed(axis_angle, root)
@@ -115,13 +121,14 @@ class FieldView:
         points = (weight[:, :, None] * surface.vertices[corners]).sum(1)
         seen = interpolated(self.cone, corners, weight)
         direction = seen.direction
-        if cone:
+        if directions != "global":
             rotations = blended_rotations(surface.skin, surface.transforms(axis_angle, root))
             rows, columns = chosen
             rays = pixel_rays(camera, (np.stack([columns, rows], -1) + 0.5) / samples)[1]
             strongest = corners[np.arange(len(corners)), weight.argmax(1)]
-            in_canonical = np.einsum("nji,nj->ni", rotations[strongest], rays)
-            direction = cone_direction(clamped_tangent(in_canonical, seen), seen)
+            direction = np.einsum("nji,nj->ni", rotations[strongest], rays)
+            if directions == "cone":
+                direction = cone_direction(clamped_tangent(direction, seen), seen)
         return shaded(cover, chosen, self.colour(points, direction), samples)
 
     def posed(

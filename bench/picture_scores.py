@@ -5,7 +5,7 @@ scored on the body view; head and hands on their close-ups, both pictures blacke
 dilated by 5 px. Frames in the T-pose are kept apart.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -18,6 +18,8 @@ from avatar.progress import progress
 from bench import metrics
 from bench.field_view import Picture
 from bench.held_out import PART_ID, HeldOutView, TrueMesh
+
+Perceive = Callable[[Float[np.ndarray, "h w 3"], Float[np.ndarray, "_ _ 3"]], metrics.Score]  # LPIPS
 
 # pose, root, camera, squared samples a pixel, pixels that are looked at (others may be left black)
 Draw = Callable[
@@ -33,7 +35,6 @@ REGION_PART = {
 }
 BOX_MARGIN = 0.02  # metres round the posed true region
 SAMPLES = 2  # squared rays a pixel of ours; the truth is smoothed as well, by 3 x 3
-FLIP_EVERY = 4  # FLIP takes longer than all other scores together: each fourth picture of a region
 DILATION = 5  # pixels of the true part mask
 T_POSE = np.radians(5.0)  # a frame whose joints all turn less is a T-pose frame
 
@@ -46,6 +47,7 @@ class ImageScores:
     mask: metrics.PooledError = field(default_factory=metrics.PooledError)
     ssim: list[metrics.Score] = field(default_factory=list)
     flip: list[metrics.Score] = field(default_factory=list)
+    lpips: list[metrics.Score] = field(default_factory=list)
 
     def merged(self, other: "ImageScores") -> "ImageScores":
         return ImageScores(
@@ -53,6 +55,7 @@ class ImageScores:
             self.mask.merged(other.mask),
             self.ssim + other.ssim,
             self.flip + other.flip,
+            self.lpips + other.lpips,
         )
 
     def add(
@@ -61,6 +64,7 @@ class ImageScores:
         image: Float[np.ndarray, "h w 3"],
         box: Bool[np.ndarray, "h w"],
         mask: Bool[np.ndarray, "h w"],
+        perceive: Perceive | None = None,
     ) -> None:
         where = metrics.rectangle(box)
         if where is None:
@@ -68,8 +72,8 @@ class ImageScores:
         self.box.add(truth, image, box)
         self.mask.add(truth, image, mask)
         self.ssim.append(metrics.ssim(truth[where], image[where]))
-        if (len(self.ssim) - 1) % FLIP_EVERY == 0:
-            self.flip.append(metrics.flip(truth[where], image[where]))
+        self.flip.append(metrics.flip(truth[where], image[where]))
+        self.lpips.append((perceive or metrics.lpips)(truth[where], image[where]))
 
     def scores(self) -> dict[str, metrics.Score]:
         return {
@@ -77,7 +81,7 @@ class ImageScores:
             "psnr_mask_db": self.mask.psnr(),
             "ssim": metrics.mean_score(self.ssim),
             "flip": metrics.mean_score(self.flip),
-            "lpips": metrics.Score(None, metrics.LPIPS_REASON),
+            "lpips": metrics.mean_score(self.lpips),
         }
 
 
@@ -113,13 +117,23 @@ class SetScores(NamedTuple):
 
     scored: dict[str, ImageScores]
     t_pose: dict[str, ImageScores]
+    few: dict[str, ImageScores]  # those of `scored` that are of the few poses
 
 
 def score_images(
-    views: list[HeldOutView], mesh: TrueMesh, draw: Draw, label: str, *, t_pose_apart: bool
+    views: list[HeldOutView],
+    mesh: TrueMesh,
+    draw: Draw,
+    label: str,
+    *,
+    t_pose_apart: bool,
+    perceive: Perceive | None = None,
+    few: Set[int] = frozenset(),
 ) -> SetScores:
-    """Draw and score every picture of a set."""
-    scores = SetScores({region: ImageScores() for region in REGIONS}, {})
+    """Draw and score every picture of a set; those of the `few` pose indices are also gathered by themselves."""
+    scores = SetScores(
+        {region: ImageScores() for region in REGIONS}, {}, {region: ImageScores() for region in REGIONS}
+    )
     vertices_of = {region: np.flatnonzero(mesh.part == part) for region, part in REGION_PART.items()}
     vertices_of["total"] = np.unique(mesh.faces)
     posed: tuple[int, np.ndarray] = (-1, np.zeros((0, 3)))
@@ -136,11 +150,12 @@ def score_images(
             looked_at[where] = around[where]
         image = draw(view.axis_angle, view.root, view.camera, SAMPLES, looked_at).colour * around[..., None]
         truth = view.image() * around[..., None]
-        into = scores.scored
-        if t_pose_apart and is_t_pose(view):
-            into = scores.t_pose
-            into.setdefault(region, ImageScores())
-        into[region].add(truth, image, box, mask)
+        one = ImageScores()
+        one.add(truth, image, box, mask, perceive)
+        into = scores.t_pose if t_pose_apart and is_t_pose(view) else scores.scored
+        into[region] = into.get(region, ImageScores()).merged(one)
+        if into is scores.scored and view.pose_index in few:
+            scores.few[region] = scores.few[region].merged(one)
     return scores
 
 

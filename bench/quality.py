@@ -9,6 +9,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,8 @@ from bench.field_view import FieldView, one_thread
 from bench.geometry import triangle_index
 from bench.held_out import SETS, HeldOutView, TrueMesh, read_capture_facts, read_held_out, read_true_mesh
 from bench.machine import machine
-from bench.picture_scores import ImageScores, is_t_pose, score_images
+from bench.perceptual import read_perceptual
+from bench.picture_scores import Perceive, is_t_pose, score_images
 from bench.posed_geometry import (
     SAMPLES,
     Distances,
@@ -38,10 +40,12 @@ from bench.posed_geometry import (
     posed_pair,
 )
 from bench.quality_table import PAPER, markdown, print_table
+from bench.region_scores import gather, regions_of, rounded
 from bench.synth.surface import visible_faces
 from train.run import read_run
 
 FIELD_POSES = 5  # held-out poses on which an avatar is compared with its run's field
+CAPTURE_FACTS = ("subject", "light", "sheen", "pose_noise_deg", "seed", "size", "registration")
 BESIDE = 4  # rows beside the main ones take each 4th sample, in every pose
 
 
@@ -51,10 +55,19 @@ def tell(text: str) -> None:
 
 
 def evaluate(
-    path: Path, capture: Path, *, ceiling: bool = False, poses: int | None = None, run: Path | None = None
+    path: Path,
+    capture: Path,
+    *,
+    ceiling: bool = False,
+    poses: int | None = None,
+    few: int | None = None,
+    run: Path | None = None,
+    lpips: Sequence[Path] = (),
 ) -> dict[str, Any]:
-    """Every number of `selfscan eval` as one JSON-ready dictionary."""
+    """Every number of `selfscan eval` as one JSON-ready dictionary; with `few`, "few_poses" holds the novel poses'
+    scores over that many of them as well. `lpips` are the files of its weights."""
     start, cpu_start = time.perf_counter(), time.process_time()
+    perceive = read_perceptual(lpips).score if lpips else None
     tell(f"reading {path} and {capture}")
     facts = read_capture_facts(capture)
     truth = read_true_mesh(capture)
@@ -62,14 +75,14 @@ def evaluate(
     with one_thread():
         drawer = Drawer(path)
         try:
-            result = measured(drawer, truth, held_out)
+            result = measured(drawer, truth, held_out, few=few, perceive=perceive)
             if run is not None and drawer.avatar is not None:
                 result["baked_vs_field"]["on_held_out"] = compared_with_run(
                     drawer, run, some_poses(held_out["novel_pose"], FIELD_POSES)
                 )
             if ceiling:
                 result["beside"]["ceiling"] = measured_ceiling(
-                    drawer, capture, facts, truth, held_out["novel_pose"]
+                    drawer, capture, facts, truth, held_out["novel_pose"], perceive
                 )
         finally:
             drawer.release()
@@ -78,12 +91,11 @@ def evaluate(
         "kind": "avatar" if drawer.avatar is not None else "run",
         "provenance": drawer.provenance,
     }
-    kept = ("subject", "light", "sheen", "pose_noise_deg", "seed", "registration")
     return {
         "format": "selfscan-quality",
         "source": source,
         "machine": machine(drawer.context.renderer, drawer.context.kind),
-        "capture": {name: facts[name] for name in kept if name in facts},
+        "capture": {name: facts[name] for name in CAPTURE_FACTS if name in facts},
         **result,
         "paper": PAPER,
         "seconds": round(time.perf_counter() - start, 1),
@@ -91,16 +103,30 @@ def evaluate(
     }
 
 
-def measured(drawer: Drawer, truth: TrueMesh, held_out: dict[str, list[HeldOutView]]) -> dict[str, Any]:
+def seen_case(drawer: Drawer, truth: TrueMesh) -> GeometryCase:
+    """What is measured on both surfaces: what can be seen from outside in pose 0."""
+    surface = drawer.surface
+    tell(f"which of {len(surface.faces)} faces can be seen from outside")
+    posed = surface.posed(np.zeros((52, 3)), truth.joints[0])
+    visible = visible_faces(drawer.raster, posed, surface.faces)
+    try:
+        return geometry_case(truth, surface, visible)
+    except ValueError as error:  # other units, no faces: the file's fault, not the caller's
+        raise AssetError(f"{drawer.path}: {error}") from None
+
+
+def measured(
+    drawer: Drawer,
+    truth: TrueMesh,
+    held_out: dict[str, list[HeldOutView]],
+    *,
+    few: int | None,
+    perceive: Perceive | None,
+) -> dict[str, Any]:
     """Both sets of held-out pictures and poses, and what stands beside them."""
     surface = drawer.surface
     rest = np.zeros((52, 3)), truth.joints[0]
-    tell(f"which of {len(surface.faces)} faces can be seen from outside")
-    visible = visible_faces(drawer.raster, surface.posed(*rest), surface.faces)
-    try:
-        case = geometry_case(truth, surface, visible)
-    except ValueError as error:  # other units, no faces: the file's fault, not the caller's
-        raise AssetError(f"{drawer.path}: {error}") from None
+    case = seen_case(drawer, truth)
     own = own_weights_surface(truth, surface)
 
     out: dict[str, Any] = {}
@@ -112,14 +138,22 @@ def measured(drawer: Drawer, truth: TrueMesh, held_out: dict[str, list[HeldOutVi
         # novel views are of a standing T-pose by design; among novel poses a T-pose frame would flatter
         apart = name == "novel_pose"
         tell(f"{name.replace('_', ' ')}: {len(views)} pictures")
-        images = score_images(views, truth, drawer.draw, f"{name} pictures", t_pose_apart=apart)
+        chosen = {view.pose_index for view in some_poses(views, few)} if apart and few else frozenset()
+        images = score_images(
+            views, truth, drawer.draw, f"{name} pictures", t_pose_apart=apart, perceive=perceive, few=chosen
+        )
         distances = {kind: {region: Distances() for region in SAMPLES} for kind in ("ours", "own", "aligned")}
+        few_distances = {region: Distances() for region in SAMPLES}
         poses = distinct_poses([view for view in views if not (apart and is_t_pose(view))])
         tell(f"{name.replace('_', ' ')}: {len(poses)} posed surfaces")
         for view in progress(poses, f"{name} surfaces"):
             pose = view.axis_angle, view.root
             pair = posed_pair(case, truth.posed(*pose), surface.posed(*pose))
-            measure_pose(case, pair, distances["ours"])
+            here = {region: Distances() for region in SAMPLES}
+            measure_pose(case, pair, here)
+            gather(here, distances["ours"])
+            if view.pose_index in chosen:
+                gather(here, few_distances)
             if apart:
                 aligned = alignment(case, pair)
                 measure_pose(case, pair, distances["aligned"], every=BESIDE, truth_from_surface=aligned)
@@ -127,6 +161,8 @@ def measured(drawer: Drawer, truth: TrueMesh, held_out: dict[str, list[HeldOutVi
                 pair = pair._replace(surface=posed, index=triangle_index(posed, case.faces))
                 measure_pose(case, pair, distances["own"], every=BESIDE)
         out[name] = regions_of(distances["ours"], images.scored)
+        if apart and few:
+            out["few_poses"] = {"poses": len(chosen), **regions_of(few_distances, images.few)}
         if apart:
             beside["aligned"] = regions_of(distances["aligned"])
             beside["own_weights"] = regions_of(distances["own"])
@@ -139,12 +175,17 @@ def measured(drawer: Drawer, truth: TrueMesh, held_out: dict[str, list[HeldOutVi
 
 
 def measured_ceiling(
-    drawer: Drawer, capture: Path, facts: dict[str, Any], truth: TrueMesh, views: list[HeldOutView]
+    drawer: Drawer,
+    capture: Path,
+    facts: dict[str, Any],
+    truth: TrueMesh,
+    views: list[HeldOutView],
+    perceive: Perceive | None,
 ) -> dict[str, Any]:
     """Novel poses of the true mesh under our weights: pictures and distances."""
     tell(f"the ceiling: {len(views)} pictures and their poses")
     best = CeilingDrawer(drawer.raster, capture, facts, truth)
-    images = score_images(views, truth, best.draw, "ceiling pictures", t_pose_apart=True)
+    images = score_images(views, truth, best.draw, "ceiling pictures", t_pose_apart=True, perceive=perceive)
     case = geometry_case(truth, best.surface, truth.visible)
     distances = {region: Distances() for region in SAMPLES}
     for view in progress(distinct_poses([v for v in views if not is_t_pose(v)]), "ceiling surfaces"):
@@ -175,49 +216,6 @@ def measure_once(case: GeometryCase, axis_angle: np.ndarray, root: np.ndarray) -
     pair = posed_pair(case, case.truth.posed(axis_angle, root), case.surface.posed(axis_angle, root))
     measure_pose(case, pair, into, every=BESIDE)
     return into
-
-
-def regions_of(
-    distances: dict[str, Distances], images: dict[str, ImageScores] | None = None
-) -> dict[str, dict[str, Any]]:
-    """{"head": M, "left_hand": M, "right_hand": M, "hands": M, "total": M}; hands pool left and right."""
-    distances, images = dict(distances), dict(images or {})
-    if {"left_hand", "right_hand"} <= distances.keys():
-        distances["hands"] = distances["left_hand"].merged(distances["right_hand"])
-    if {"left_hand", "right_hand"} <= images.keys():
-        images["hands"] = images["left_hand"].merged(images["right_hand"])
-    return {
-        region: region_scores(distances.get(region), images.get(region))
-        for region in ("head", "left_hand", "right_hand", "hands", "total")
-    }
-
-
-def region_scores(distances: Distances | None, images: ImageScores | None) -> dict[str, Any]:
-    """M: {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}, null with its reason in "reasons"."""
-    out: dict[str, Any] = {}
-    reasons: dict[str, str] = {}
-    if distances is not None:
-        whole = distances.scores()
-        out |= {"p2s_cm": rounded(whole.p2s), "chamfer_cm": rounded(whole.chamfer)}
-        if whole.p2s is None:
-            reasons["p2s_cm"] = reasons["chamfer_cm"] = "the reconstruction has no surface in this region"
-        for name, hair in (("hair", True), ("without_hair", False)):
-            apart = distances.scores(hair=hair)
-            if distances.to_truth and any(h.any() for h in distances.hair_to_surface):
-                out[name] = {"p2s_cm": rounded(apart.p2s), "chamfer_cm": rounded(apart.chamfer)}
-    if images is not None:
-        out["pictures"], out["flip_pictures"] = len(images.ssim), len(images.flip)
-        for name, score in images.scores().items():
-            out[name] = rounded(score.value)
-            if score.value is None:
-                reasons[name] = score.reason
-    if reasons:
-        out["reasons"] = reasons
-    return out
-
-
-def rounded(value: float | None, digits: int = 4) -> float | None:
-    return None if value is None else round(value, digits)
 
 
 def baked_vs_field_of(drawer: Drawer) -> dict[str, Any]:
@@ -293,6 +291,15 @@ def eval_main(argv: list[str]) -> int:
     )
     parser.add_argument("--poses", type=int, metavar="N", help="a quick look: only N poses of each set")
     parser.add_argument(
+        "--lpips",
+        metavar="FILE",
+        type=Path,
+        nargs="+",
+        default=[],
+        help="LPIPS's weights, which are not shipped: one file of the whole network's state dictionary, or "
+        "torchvision's AlexNet and the lpips package's linear layers (bench/perceptual.py says how)",
+    )
+    parser.add_argument(
         "--run", type=Path, help="run the avatar was baked from: compares the two on held-out poses"
     )
     options = parser.parse_args(argv)
@@ -301,7 +308,12 @@ def eval_main(argv: list[str]) -> int:
     if not options.subject.exists():
         raise AssetError(f"{options.subject}: expected a run folder or an avatar file, found nothing")
     result = evaluate(
-        options.subject, options.capture, ceiling=options.ceiling, poses=options.poses, run=options.run
+        options.subject,
+        options.capture,
+        ceiling=options.ceiling,
+        poses=options.poses,
+        run=options.run,
+        lpips=options.lpips,
     )
     print_table(result)
     if options.json:

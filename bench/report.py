@@ -156,19 +156,23 @@ def rung_pictures(
 
 def field_rungs(context: Context, run: Path, frames: list[Frame]) -> list[tuple[str, np.ndarray, int, list]]:
     """The field drawn as its first surface crossing: paper mode, then inside the cone that was seen."""
-    from bench.field_view import FieldView
+    from bench.field_view import Directions, FieldView
     from train.run import read_run
 
     view = FieldView(read_run(run))
     raster = Rasteriser(context)
     rungs = []
     try:
-        for name, cone in (("field, paper mode", False), ("field, seen cone", True)):
+        modes: tuple[tuple[str, Directions], ...] = (
+            ("field, paper mode", "global"),
+            ("field, seen cone", "cone"),
+        )
+        for name, directions in modes:
             ms, drawn = [], []
             for number in progress(range(max(FIELD_ROUNDS, len(frames))), name):
                 frame = frames[number % len(frames)]
                 start = time.perf_counter()
-                picture = view.draw(raster, *frame.pose, frame.camera, cone=cone)
+                picture = view.draw(raster, *frame.pose, frame.camera, directions=directions)
                 ms.append(1e3 * (time.perf_counter() - start))
                 if number < len(frames):
                     drawn.append(picture.colour)

@@ -1,0 +1,99 @@
+"""Which direction the field is asked at for a pixel: the global one, the pixel's own, or that inside the cone."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from avatar.body import builtin_body
+from avatar.camera import orbit_camera, pixel_rays
+from avatar.rotation import matrix_from_axis_angle
+from avatar.skeleton import BIG_POSE, skin_transforms
+from avatar.skinning import skin_points
+from bench.field_view import FieldView
+from player.context import open_context
+from player.raster import Rasteriser
+from train.capture import Subject
+from train.fused import FusedField
+from train.run import Run
+from train.surface import Surface
+
+TURN = np.array([0.0, 0.8, 0.1])
+SIZE = (96, 96)
+
+
+class DirectionField(FusedField):
+    """A field whose colour is the direction it is asked at; every point is on its surface."""
+
+    def __init__(self):
+        torch.nn.Module.__init__(self)
+
+    def distance(self, points, *, grad=False):
+        return torch.zeros(len(points))
+
+    def color(self, points, directions):
+        return 0.5 + 0.5 * directions
+
+
+@pytest.fixture(scope="module")
+def view():
+    body = builtin_body("male")
+    transforms = skin_transforms(BIG_POSE, body.joints, body.joints[0], rest=np.zeros((52, 3)))
+    count = len(body.vertices)
+    canonical = skin_points(body.vertices, body.skin, transforms)
+    part, hair = np.zeros(count, np.int64), np.zeros(count, bool)
+    surface = Surface(
+        vertices=canonical,
+        faces=body.faces,
+        normals=np.tile([0.0, 0, 1], (count, 1)),
+        part=part,
+        skin=body.skin,
+        view_count=np.full(count, 40.0),
+        view_mean=np.tile([0.0, 0, -0.9], (count, 1)),
+        view_covariance=np.tile([0.01, 0, 0, 0.01, 0, 0], (count, 1)),
+    )
+    subject = Subject("body", body.vertices, canonical, body.faces, body.skin, body.joints, part, hair)
+    return FieldView(Run(Path("run"), DirectionField(), surface, subject, {}))
+
+
+@pytest.fixture(scope="module")
+def drawn(view):
+    """Directions asked for at covered pixels, by mode, and the pixels' rays; the whole person turned by TURN."""
+    context = open_context()
+    raster = Rasteriser(context)
+    pose = np.zeros((52, 3))
+    pose[0] = TURN
+    pose[[1, 2]] = BIG_POSE[[1, 2]]  # the canonical pose but for the turn: every bone turns alike
+    camera = orbit_camera((0, 0, 0), 3.2, 0.4, 0.1, SIZE)
+    try:
+        pictures = {
+            mode: view.draw(raster, pose, np.zeros(3), camera, directions=mode)
+            for mode in ("global", "own", "cone")
+        }
+    finally:
+        raster.release()
+        context.release()
+    mask = pictures["own"].mask
+    rays = pixel_rays(camera)[1].reshape(*SIZE, 3)[mask]
+    return {mode: 2 * picture.colour[mask] - 1 for mode, picture in pictures.items()}, rays
+
+
+def test_with_the_ray_transformation_every_pixel_asks_at_the_global_direction(drawn):
+    asked, _ = drawn
+    assert len(asked["global"]) > 300
+    np.testing.assert_allclose(asked["global"], np.tile([0, 0, -1], (len(asked["global"]), 1)), atol=1e-6)
+
+
+def test_without_it_a_pixel_asks_at_its_own_ray_turned_into_the_canonical_frame(drawn):
+    asked, rays = drawn
+    canonical = rays @ matrix_from_axis_angle(TURN)  # R^T d, row by row
+    np.testing.assert_allclose(asked["own"], canonical, atol=1e-5)
+
+
+def test_the_cone_lies_between_the_two(drawn):
+    asked, _ = drawn
+    to_axis = {mode: np.arccos(np.clip(-d[:, 2], -1, 1)) for mode, d in asked.items()}
+    assert to_axis["own"].max() > 0.5 and to_axis["own"].min() > 0.02
+    assert (to_axis["cone"] < to_axis["own"]).all() and (to_axis["cone"] > 0.01).all()
+    assert to_axis["cone"].max() < 0.2  # 1.6 deviations of .1: nowhere beyond what was seen
