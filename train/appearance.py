@@ -5,6 +5,33 @@ from jaxtyping import Float
 from torch import Tensor
 
 from train.fused import FusedField
+from train.objective import RayTensors, directions_at
+from train.render import crossing
+from train.union import in_overlap
+
+
+@torch.no_grad()
+def overlap_rays(
+    fused: FusedField, index: int, rays: RayTensors, *, most: int = 6000
+) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "n 3"]]:
+    """R of Eq. 8: where rays of the body's video, all frames, meet the surface in the body's overlap with a part.
+
+    Points and unit directions are canonical, each ray's direction turned by the skin where it meets the surface.
+    At most `most` rays are tried, spread evenly over the frames.
+    """
+    on = (rays.mask > 0.5).nonzero()[:, 0]
+    middle = rays.ends[on, rays.ends.shape[1] // 2]
+    # a ray's ends lie within centimetres of each other, the weight falls over at least 5: this misses few
+    on = on[in_overlap(fused.shares(middle), index)]
+    on = on[:: -(-len(on) // most) or 1]
+    ends = rays.ends[on]
+    distance = fused.distance(ends.reshape(-1, 3)).view(ends.shape[:2])
+    enters = (distance[:, :-1] > 0) & (distance[:, 1:] <= 0)
+    section = enters.int().argmax(1, keepdim=True)  # the first that enters
+    points = crossing(distance, ends).gather(1, section[..., None].expand(-1, -1, 3))[:, 0]
+    directions = directions_at(rays, on, rays.row[on].gather(1, section))[:, 0]
+    hit = enters.any(1) & in_overlap(fused.shares(points), index)
+    return points[hit], torch.nn.functional.normalize(directions[hit], dim=1)
 
 
 def match_appearance(
@@ -22,13 +49,13 @@ def match_appearance(
 
         min over l of |C_body(x, d, l_body) - C_part(x, d, l)|
 
-    `points` lie on the surface inside the overlap and `directions` are the ones they were seen from, over all
-    frames. The code starts at the mean of the part's trained codes and is pulled towards it: the colour network
+    `points` lie on the surface inside the overlap and `directions` are those that the body's video saw them from
+    (`overlap_rays`); there C is the colour, of the body with its mean code. The code starts at the mean of the part's trained codes and is pulled towards it: the colour network
     has only seen codes near there. Sets the part's reference code; returns the difference before and after.
     """
     part = field.field(index)
     start = part.reference.clone()
-    spread = part.appearance.weight.detach().std(0).clamp_min(1e-3)
+    spread = part.appearance.weight.detach().std(0, unbiased=False).clamp_min(1e-3)
     target = field.part_color(0, points, directions)
     code = start.clone().requires_grad_()
     optimiser = torch.optim.Adam([code], lr=rate)

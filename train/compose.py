@@ -1,26 +1,31 @@
-"""Stage 2 of TotalSelfScan (3.3): four trained parts become one person with one surface.
+"""The composition of four trained parts into one person with one surface (TotalSelfScan, 3.3).
 
-In order: the head's place on the body (Eq. 5), the fused field's zero set as a mesh, the directions it was seen
-from (Eq. 14), and the parts' appearance codes (Eq. 8).
+In order: the head's place on the body (Eq. 5), the body refined to meet the parts (stage 2, Eq. 7 and 13), the
+fused field's zero set as a mesh, the directions it was seen from (Eq. 14), and the parts' appearance codes (Eq. 8).
 """
 
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
+from scipy.spatial import KDTree
 
-from train.appearance import match_appearance
+from avatar.skinning import SkinWeights
+from train.appearance import match_appearance, overlap_rays
 from train.capture import PARTS, Capture, Subject
 from train.field import PartField
 from train.fused import FusedField
 from train.mesh import vertex_normals
-from train.parts import part_boxes
+from train.objective import RayTensors, StepReport
+from train.parts import eq9_shares, part_boxes
 from train.preset import Preset
 from train.register import Registration, refine_by_surfaces
 from train.skin import CanonicalSkin
 from train.surface import Surface, extract_surface, fill_from_neighbours
+from train.union import train_union, zero_level
 from train.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
 
 Array = np.ndarray
@@ -29,126 +34,136 @@ Say = Callable[[str], None]  # takes the lines that tell how far the work is
 
 def compose(
     capture: Capture, fields: list[PartField], preset: Preset, landmarks: Registration, seed: int,
-    seconds: dict[str, float], say: Say,
+    seconds: dict[str, float], say: Say, *, rays: RayTensors, checkpoint: Path | None = None,
+    resume: bool = False, report: Callable[[int, StepReport], None] | None = None,
 ) -> tuple[Surface, list[ViewStatistics], dict]:  # fmt: skip
     """The surface with its fused statistics, each part's own statistics, and what run.json says of all this.
 
-    `landmarks` is canonical_from_head of Eq. 6. Sets the parts' reference codes in place and adds the time of
-    each step to `seconds`.
+    `landmarks` is canonical_from_head of Eq. 6, `rays` are the body's. Refines the body (stage 2, with its
+    `checkpoint` and `report`) and sets the parts' reference codes in place; adds the time of each step to
+    `seconds`. A single field, which stands for everyone, has nothing to register, refine or match.
     """
     subject, parts = capture.subject, part_boxes(capture.subject)
+    facts: dict = {"registration": {"landmarks_rms_mm": round(landmarks.residual * 1000, 3)}}
     began = time.monotonic()
-    correction = register_head(subject, fields)
-    say(f"head surface on the body's (Eq. 5): median {correction.residual * 1000:.2f} mm point to plane")
+    correction = Registration(np.eye(4), 0.0)
+    if len(fields) > 1:
+        correction = register_head(subject, fields)
+        facts["registration"]["surfaces_median_mm"] = round(correction.residual * 1000, 3)
+        say(f"head surface on the body's (Eq. 5): median {correction.residual * 1000:.2f} mm point to plane")
     head_from_canonical = torch.tensor(np.linalg.inv(correction.transform), dtype=torch.float32)
     fused = FusedField(fields, parts, head_from_canonical).eval().requires_grad_(False)
+    canonical_from_head = correction.transform @ landmarks.transform
+    facts["head_from_canonical"] = np.linalg.inv(canonical_from_head).tolist()
+    facts["canonical_from_head_field"] = correction.transform.tolist()
     seconds["registration"] = time.monotonic() - began
 
+    if len(fields) > 1 and preset.union.iterations:
+        began = time.monotonic()
+        say(f"stage 2: the body meets the parts (Eq. 7, 13), {preset.union.iterations} steps")
+        facts["union"] = train_union(
+            fused, subject, rays, preset, seed=seed, checkpoint=checkpoint, resume=resume, report=report
+        )
+        seconds["union"] = time.monotonic() - began
+        for name, step in facts["union"]["step_mm_after"].items():
+            before = facts["union"]["step_mm_before"][name]
+            say(f"{name}: body {before:.2f} -> {step:.2f} mm from the part's surface in the overlap")
+
     began = time.monotonic()
-    body_cell, head_cell, hand_cell = preset.surface_cells
-    vertices, faces = extract_surface(
-        fused, parts, subject, body_cell=body_cell, head_cell=head_cell, hand_cell=hand_cell
-    )
-    points = torch.as_tensor(vertices, dtype=torch.float32)
-    normals = fused.normal(points).numpy().astype(np.float64)
-    shares = fused.shares(points).numpy()
-    skin = CanonicalSkin(subject).of_mesh(vertices, faces, normals)
+    vertices, faces, normals, skin = displayed_surface(fused, subject, preset.surface_cells)
     seconds["surface"] = time.monotonic() - began
     say(f"surface: {len(vertices)} vertices, {len(faces)} faces")
 
     began = time.monotonic()
-    canonical_from_head = correction.transform @ landmarks.transform
-    sums: list[ViewSums] = []
-    for index, name in enumerate(PARTS):
-        moved = canonical_from_head if name == "head" else None
-        sums.append(
-            part_views(capture.videos[name], subject, vertices, normals, skin, shares[:, index] > 0, moved)
-        )
+    points = torch.as_tensor(vertices, dtype=torch.float32)
+    shares = eq9_shares(points, parts).numpy()
+    sums = view_sums(capture, vertices, normals, skin, shares, canonical_from_head)
     tables = [statistics(s) for s in sums]
-    fused_table = fused_statistics(sums, shares)
-    seen = fused_table.count > 0
-    filled = fill_from_neighbours(fused_table.mean, seen, faces)  # unseen vertices: their count stays 0
+    surface = with_views(vertices, faces, normals, skin, shares, tables)
     seconds["views"] = time.monotonic() - began
-    say(f"view directions (Eq. 14): {float(seen.mean()):.1%} of the vertices seen")
+    say(f"view directions (Eq. 14): {float((surface.view_count > 0).mean()):.1%} of the vertices seen")
 
-    began = time.monotonic()
-    matched = match_appearances(fused, points, shares, tables, preset, seed, say)
-    seconds["appearance"] = time.monotonic() - began
-
-    surface = Surface(
-        vertices, faces, normals, shares.argmax(1), skin, fused_table.count, filled, fused_table.covariance
-    )
-    facts = {
-        "head_from_canonical": np.linalg.inv(canonical_from_head).tolist(),
-        "canonical_from_head_field": correction.transform.tolist(),
-        "registration": {
-            "landmarks_rms_mm": round(landmarks.residual * 1000, 3),
-            "surfaces_median_mm": round(correction.residual * 1000, 3),
-        },
-        "appearance": matched,
-    }
+    if len(fields) > 1:
+        began = time.monotonic()
+        facts["appearance"] = match_appearances(fused, rays, vertices, tables, preset, seed, say)
+        seconds["appearance"] = time.monotonic() - began
     return surface, tables, facts
 
 
-def match_appearances(
-    fused: FusedField, points: Float[torch.Tensor, "v 3"], shares: Float[Array, "v 4"],
-    tables: Sequence[ViewStatistics], preset: Preset, seed: int, say: Say,
-) -> dict[str, dict[str, float]]:  # fmt: skip
-    """Eq. 8 for head and hands: on the vertices of their overlap with the body that both videos saw.
+def displayed_surface(
+    fused: FusedField, subject: Subject, cells: Sequence[float]
+) -> tuple[Float[Array, "v 3"], Array, Float[Array, "v 3"], SkinWeights]:
+    """Vertices, faces, normals and skin weights of the fused zero level; `cells` of body, head and hands, metres."""
+    body, head, hand = cells
+    vertices, faces = extract_surface(
+        fused, part_boxes(subject), subject, body_cell=body, head_cell=head, hand_cell=hand
+    )
+    normals = fused.normal(torch.as_tensor(vertices, dtype=torch.float32)).numpy().astype(np.float64)
+    return vertices, faces, normals, CanonicalSkin(subject).of_mesh(vertices, faces, normals)
 
-    Each is asked at the mean direction that the body video saw it from. A part with fewer than 50 such vertices
-    keeps its mean code.
+
+def view_sums(
+    capture: Capture, vertices: Float[Array, "v 3"], normals: Float[Array, "v 3"], skin: SkinWeights,
+    shares: Float[Array, "v 4"], canonical_from_head: Float[Array, "4 4"],
+) -> list[ViewSums]:  # fmt: skip
+    """Of each part's video, the directions that the vertices with a share in that part were seen from."""
+    return [
+        part_views(capture.videos[name], capture.subject, vertices, normals, skin, shares[:, index] > 0,
+                   canonical_from_head if name == "head" else None)
+        for index, name in enumerate(PARTS)
+    ]  # fmt: skip
+
+
+def with_views(
+    vertices: Float[Array, "v 3"], faces: Array, normals: Float[Array, "v 3"], skin: SkinWeights,
+    shares: Float[Array, "v 4"], tables: Sequence[ViewStatistics],
+) -> Surface:  # fmt: skip
+    """The surface with the parts' statistics fused by their shares; unseen vertices copy their neighbours' mean."""
+    fused = fused_statistics(tables, shares)
+    filled = fill_from_neighbours(fused.mean, fused.count > 0, faces)  # their count stays 0
+    return Surface(vertices, faces, normals, shares.argmax(1), skin, fused.count, filled, fused.covariance)
+
+
+def match_appearances(
+    fused: FusedField, rays: RayTensors, vertices: Float[Array, "v 3"], tables: Sequence[ViewStatistics],
+    preset: Preset, seed: int, say: Say,
+) -> dict[str, dict[str, float]]:  # fmt: skip
+    """Eq. 8 for head and hands, over the body video's rays that meet the surface in their overlap with the body.
+
+    Only places that the part's own video saw count. A part with fewer than 50 such rays keeps its mean code.
     """
     matched = {}
     for index in range(1, len(PARTS)):
-        overlap = (shares[:, index] > 0) & (shares[:, index] < 1)
-        overlap &= (tables[0].count > 0) & (tables[index].count > 0)
-        count = int(overlap.sum())
-        if count < 50:
-            say(f"{PARTS[index]}: only {count} overlap vertices seen by both videos; code stays the mean")
+        points, directions = overlap_rays(fused, index, rays)
+        nearest = KDTree(vertices).query(points.numpy())[1]
+        seen = torch.as_tensor(tables[index].count[nearest] > 0)
+        points, directions = points[seen], directions[seen]
+        if len(points) < 50:
+            say(
+                f"{PARTS[index]}: only {len(points)} rays in the overlap that its video saw; code stays the mean"
+            )
             continue
-        directions = tables[0].mean[overlap]
-        directions = directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
         before, after = match_appearance(
-            fused, index, points[torch.as_tensor(overlap)], torch.as_tensor(directions).float(),
-            steps=preset.appearance_steps, seed=seed,
-        )  # fmt: skip
-        matched[PARTS[index]] = {"before": round(before, 4), "after": round(after, 4), "points": count}
-        say(f"{PARTS[index]}: overlap colours (Eq. 8) {before:.3f} -> {after:.3f} of the body's")
+            fused, index, points, directions, steps=preset.appearance_steps, seed=seed
+        )
+        matched[PARTS[index]] = {"before": round(before, 4), "after": round(after, 4), "rays": len(points)}
+        say(
+            f"{PARTS[index]}: overlap colours (Eq. 8) {before:.3f} -> {after:.3f} of the body's, {len(points)} rays"
+        )
     return matched
 
 
 def register_head(subject: Subject, fields: Sequence[PartField]) -> Registration:
-    """Eq. 5 on template points of the face and neck, projected onto each field's own zero level.
+    """Eq. 5 on template points of the face and neck, moved onto each part's own displayed surface.
 
     The transform is canonical_from_head_field: rigid, metres.
     """
     chosen = (subject.part == 1) & ~subject.hair
-    seeds = subject.vertices[chosen]
-    normals = vertex_normals(subject.vertices, subject.faces)[chosen]
-    head, head_ok, _ = projected(fields[1], seeds, normals)
-    body, body_ok, body_normals = projected(fields[0], seeds, normals)
-    if head_ok.sum() < 100 or body_ok.sum() < 100:
+    seeds, normals = subject.vertices[chosen], vertex_normals(subject.vertices, subject.faces)[chosen]
+    apart = FusedField(fields, part_boxes(subject), torch.eye(4))
+    head, body = zero_level(apart, 1, seeds, normals), zero_level(apart, 0, seeds, normals)
+    if head.arrived.sum() < 100 or body.arrived.sum() < 100:
         raise ValueError("head registration: the head or body field has no surface near the template's head")
-    return refine_by_surfaces(head[head_ok], body[body_ok], body_normals[body_ok])
-
-
-def projected(
-    field: PartField, points: Float[Array, "n 3"], normals: Float[Array, "n 3"]
-) -> tuple[Float[Array, "n 3"], Bool[Array, "n"], Float[Array, "n 3"]]:
-    """Points moved onto the zero level by four Newton steps, whether they arrived, and the unit normals there.
-
-    Arrived: within a millimetre of the level and 2 cm of where they began.
-    """
-    at = torch.as_tensor(points, dtype=torch.float32)
-    start = at.clone()
-    gradient = torch.as_tensor(normals, dtype=torch.float32)
-    for _ in range(4):
-        sample, gradient = field.with_gradient(at, create_graph=False)
-        slope = gradient.square().sum(-1, keepdim=True).clamp_min(0.1)
-        at = (at - (sample.distance[:, None] * gradient / slope).clamp(-0.01, 0.01)).detach()
-    with torch.no_grad():
-        left = field(at).distance.abs()
-    ok = (left < 1e-3) & ((at - start).norm(dim=1) < 0.02)
-    unit = torch.nn.functional.normalize(gradient.detach(), dim=1)
-    return at.numpy().astype(np.float64), ok.numpy(), unit.numpy().astype(np.float64)
+    return refine_by_surfaces(
+        head.points[head.arrived], body.points[body.arrived], body.normals[body.arrived]
+    )

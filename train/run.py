@@ -12,7 +12,9 @@ from avatar.skinning import SkinWeights
 from train.capture import PARTS, Subject, read_subject
 from train.field import PartField
 from train.fused import FusedField
-from train.networks import triplane
+from train.networks import hash, paper, triplane
+from train.networks.hash import HashNetworks
+from train.networks.paper import PaperNetworks
 from train.networks.triplane import TriPlaneNetworks
 from train.parts import part_boxes
 from train.preset import PRESETS, PartPreset, Preset
@@ -44,6 +46,10 @@ def build_field(
     match preset.networks:
         case TriPlaneNetworks():
             networks = triplane.build(preset.networks, frames, half, preset.displacement_reach)
+        case HashNetworks():
+            networks = hash.build(preset.networks, frames, half, preset.displacement_reach)
+        case PaperNetworks():
+            networks = paper.build(preset.networks, frames, half, preset.displacement_reach)
     return PartField(template, low, high, networks)
 
 
@@ -74,6 +80,15 @@ def read_part(path: Path, subject: Subject, index: int, preset: PartPreset) -> P
             f"{path}: expected a trained part, found: {str(error).splitlines()[0][:200]}"
         ) from None
     return field
+
+
+def write_codes(path: Path, fields: list[PartField]) -> None:
+    """codes.npz: of each part the mean of its trained appearance codes and the one matched to the body (Eq. 8)."""
+    codes = {}
+    for name, field in zip(PARTS, fields):
+        codes[f"{name}_mean"] = field.appearance.weight.detach().mean(0).numpy()
+        codes[f"{name}_matched"] = field.reference.numpy()
+    np.savez(path, **codes)
 
 
 def write_surface(path: Path, surface: Surface, per_part: list[ViewStatistics]) -> None:

@@ -24,6 +24,7 @@ from train.rays import part_rays
 from train.register import Registration, similarity_from_landmarks
 from train.template import neck_height, surface_cloud, template_grid, visible_faces
 from train.trainer import set_threads, train_field
+from train.union import read_rays, write_rays
 
 Array = np.ndarray
 
@@ -57,7 +58,14 @@ def train(
 
     set_threads(os.cpu_count() or 1)
     with whole_folder(out) as folder:
-        surface, tables, composition = compose(capture, fields, preset, landmarks, seed, seconds, _say)
+        rays = read_rays(partial / "body.rays", torch.device(device))
+        surface, tables, composition = compose(
+            capture, fields, preset, landmarks, seed, seconds, _say, rays=rays, checkpoint=partial / "union.ckpt",
+            resume=resume,
+        )  # fmt: skip
+        shutil.copyfile(partial / "body.pt", folder / "body_stage1.pt")
+        shutil.copyfile(partial / "union.ckpt", folder / "union.ckpt")
+        run_folder.write_codes(folder / "codes.npz", fields)
         for name, field in zip(PARTS, fields):
             run_folder.write_part(folder / f"{name}.pt", field)
             shutil.copyfile(partial / f"{name}.ckpt", folder / f"{name}.ckpt")
@@ -149,6 +157,9 @@ def train_part(
         background=preset.background, canonical_from_head=canonical_from_head if name == "head" else None,
         rng=np.random.default_rng([seed, index]),
     )  # fmt: skip
+    tensors = ray_tensors(rays, cloud, torch.device(device))
+    if name == "body":
+        write_rays(Path(partial) / "body.rays", tensors)  # for stage 2 and Eq. 8
     prepared = time.monotonic() - began
     _say(
         f"{name}: {len(rays.ends)} rays of {len(video.images)} frames, {rays.flagged:.1%} left out as ambiguous, "
@@ -167,7 +178,7 @@ def train_part(
 
     checkpoint = Path(partial) / f"{name}.ckpt"
     skipped = train_field(
-        field, ray_tensors(rays, cloud, torch.device(device)), part_preset, preset, seed=seed, checkpoint=checkpoint,
+        field, tensors, part_preset, preset, seed=seed, checkpoint=checkpoint,
         resume=resume, report=report,
     )  # fmt: skip
     run_folder.write_part(Path(partial) / f"{name}.pt", field.cpu())

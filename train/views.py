@@ -8,6 +8,7 @@ camera, and no other vertex of the posed surface hides it; each frame counts onc
 agree, whatever the pixel size.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -157,12 +158,11 @@ def visible_vertices(
     return seen
 
 
-def fused_statistics(per_part: list[ViewSums], shares: Float[Array, "v 4"]) -> ViewStatistics:
+def fused_statistics(each: Sequence[ViewStatistics], shares: Float[Array, "v 4"]) -> ViewStatistics:
     """Each vertex uses the part that colours it; in overlaps the parts' numbers are blended with Eq. 9's weights.
 
     A part that never saw the vertex has no say; if none did, all is zero.
     """
-    each = [statistics(sums) for sums in per_part]
     weights = np.stack([shares[:, i] * (s.count > 0) for i, s in enumerate(each)], 1)
     weights = weights / np.maximum(weights.sum(1, keepdims=True), 1e-12)
     return ViewStatistics(

@@ -85,6 +85,6 @@ def test_fusion_asks_only_parts_that_saw_the_vertex():
     add_views(body, np.array([0, 0, 1]), np.array([[0, 0, 1.0], [0, 0, 1.0], [0, 1.0, 0]]))
     add_views(head, np.array([1]), np.array([[1.0, 0, 0]]))
     shares = np.array([[0.0, 1, 0, 0], [0.5, 0.5, 0, 0], [1, 0, 0, 0]])
-    table = fused_statistics([body, head, no_views(3), no_views(3)], shares)
+    table = fused_statistics([statistics(s) for s in (body, head, no_views(3), no_views(3))], shares)
     assert table.count.tolist() == [0, 1, 0]  # vertex 0 belongs to the head, which never saw it
     np.testing.assert_allclose(table.mean[1], [0.5, 0.5, 0])

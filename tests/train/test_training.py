@@ -22,7 +22,7 @@ from train.template import surface_cloud, template_grid, visible_faces
 from train.trainer import set_threads, train_field
 
 TINY = replace(
-    DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(0.03, 0.015, 0.008),
+    DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, union=replace(DEMO.union, iterations=6), surface_cells=(0.03, 0.015, 0.008),
     parts=tuple(replace(p, iterations=6, networks=TriPlaneNetworks(plane_size=16, color_size=16), cell=max(p.cell, 0.006),
                         spacing=max(p.spacing, 0.006)) for p in DEMO.parts),
 )  # fmt: skip
