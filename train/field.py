@@ -57,14 +57,17 @@ class PartField(nn.Module):
         return FieldSample(distance, feature)
 
     def with_gradient(
-        self, points: Float[Tensor, "n 3"], *, create_graph: bool
+        self, points: Float[Tensor, "n 3"], *, create_graph: bool, attached: bool = False
     ) -> tuple[FieldSample, Float[Tensor, "n 3"]]:
-        """F_s and its spatial gradient at fixed points; the gradient carries a graph to the weights if asked.
+        """F_s and its spatial gradient; the gradient carries a graph to the weights if asked.
+
+        The points are fixed; `attached`, F_s keeps the graph that the points carry (to T_nr) as well.
 
         The template's part of the gradient is its interpolant's, a constant: Eikonal cannot change it.
         """
         with torch.enable_grad():
-            points = points.detach().requires_grad_()
+            if not (attached and points.requires_grad):
+                points = points.detach().requires_grad_()
             distance, feature = self.geometry(self.unit(points))
             (gradient,) = torch.autograd.grad(distance.sum(), points, create_graph=create_graph)
         if self.geometry.over_template:

@@ -21,6 +21,11 @@ def color_loss(rendered: Float[Tensor, "rays 3"], observed: Float[Tensor, "rays 
     return (rendered - observed).abs().mean()
 
 
+def color_norm_loss(rendered: Float[Tensor, "rays 3"], observed: Float[Tensor, "rays 3"]) -> Float[Tensor, ""]:
+    """L_rgb of Eq. 11 as printed: |C~ - C|_2 of each ray (not squared), the mean over rays for the sum."""
+    return ((rendered - observed).square().sum(-1) + 1e-12).sqrt().mean()
+
+
 def mask_loss(log_transmittance: Float[Tensor, "rays"], mask: Float[Tensor, "rays"]) -> Float[Tensor, ""]:
     """L_mask, Eq. 11: cross entropy of the rendered opacity, from its logarithm.
 

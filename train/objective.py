@@ -12,10 +12,17 @@ from torch import Tensor
 
 from train.deform import canonical_directions
 from train.field import PartField, unit_normals
-from train.loss import color_loss, displacement_loss, eikonal_loss, mask_loss
+from train.loss import (
+    color_loss,
+    color_norm_loss,
+    displacement_loss,
+    eikonal_loss,
+    mask_logit_loss,
+    mask_loss,
+)
 from train.preset import PartPreset, Preset
 from train.rays import TrainingRays
-from train.render import crossing, jittered, section_weights
+from train.render import crossing, density_weights, jittered, section_lengths, section_weights
 from train.template import SurfaceCloud
 
 # another term of the loss: takes canonical points (n, 3) and F_s there (n), the latter with its graph
@@ -51,6 +58,23 @@ def beta_at(iteration: int, part: PartPreset, preset: Preset) -> float:
     return part.beta[0] * (part.beta[1] / part.beta[0]) ** share
 
 
+def rho_at(iteration: int, part: PartPreset) -> float:
+    """rho of L_mask (Eq. 11): 50, doubled after every tenth of the steps, at most 1600 (the authors' ladder)."""
+    return 50.0 * 2 ** min(10 * iteration // part.iterations, 5)
+
+
+def choose_rays(
+    frame_counts: Int[Tensor, "frames"], preset: Preset, generator: torch.Generator
+) -> Int[Tensor, "b"]:
+    """Indices of a batch of rays; `frame_counts` says how many rays each frame has, which lie in order of frame."""
+    if not preset.one_frame:
+        return torch.randint(int(frame_counts.sum()), (preset.rays,), generator=generator)
+    filled = frame_counts.nonzero()[:, 0]
+    frame = filled[torch.randint(len(filled), (1,), generator=generator)]
+    first, count = int(frame_counts[:frame].sum()), int(frame_counts[frame])
+    return first + torch.randint(count, (preset.rays,), generator=generator)
+
+
 def directions_at(
     rays: RayTensors, chosen: Int[Tensor, "b"], row: Int[Tensor, "b k"]
 ) -> Float[Tensor, "b k 3"]:
@@ -70,7 +94,7 @@ class StepReport:
     """Numbers of one step, for the log."""
 
     loss: float  # the sum of the terms, weighted
-    color: float  # L_rgb, mean absolute difference
+    color: float  # L_rgb
     mask: float  # L_mask
     eikonal: float  # L_E
     displacement: float  # L_nr, mean |T_nr|, metres
@@ -100,7 +124,8 @@ def render_rays(
 ) -> Rendered:  # fmt: skip
     """Volume rendering of the chosen rays (Eq. 1-4), u in [0, 1) the jitter of each.
 
-    F_s is evaluated at all section ends (values only). Normal, Eikonal and colour are evaluated in the
+    With VolSDF's density F_s, normal and colour are evaluated once, where each section begins, and `beta` is the
+    geometry's own. With NeuS's, F_s is evaluated at all section ends (values only). Normal, Eikonal and colour are evaluated in the
     `shaded` sections with the largest weights; their colours are scaled to the opacity of the whole ray.
     """
     ends = jittered(rays.ends[chosen], u)
@@ -114,7 +139,10 @@ def render_rays(
     place = torch.arange(count, device=ends.device) / preset.displaced_every
     left = place.floor().long().clamp_max(max(len(knots) - 2, 0))
     right = (left + 1).clamp_max(len(knots) - 1)
+    lengths = section_lengths(ends)
     ends = ends + torch.lerp(moved[:, left], moved[:, right], (place - left)[None, :, None])
+    if preset.density == "volsdf":
+        return _render_density(field, rays, chosen, ends[:, :-1], lengths, moved, create_graph)
 
     distance = field(ends.reshape(-1, 3)).distance.view(batch, count)
     rendered = section_weights(distance, beta)
@@ -134,15 +162,37 @@ def render_rays(
                     moved.reshape(-1, 3))  # fmt: skip
 
 
+def _render_density(
+    field: PartField, rays: RayTensors, chosen: Int[Tensor, "b"], points: Float[Tensor, "b k 3"],
+    lengths: Float[Tensor, "b k"], moved: Float[Tensor, "b knots 3"], create_graph: bool,
+) -> Rendered:  # fmt: skip
+    """Volume rendering with VolSDF's density: all sections shaded, each where it begins; gradients reach T_nr."""
+    batch, count, _ = points.shape
+    flat = points.reshape(-1, 3)
+    sample, gradient = field.with_gradient(flat, create_graph=create_graph, attached=True)
+    distance = sample.distance.view(batch, count)
+    rendered = density_weights(distance, lengths, field.geometry.density_width())
+    directions = directions_at(rays, chosen, rays.row[chosen][:, :count]).reshape(-1, 3)
+    code = field.codes(rays.frame[chosen].repeat_interleave(count))
+    color = field.color(flat, sample.feature, unit_normals(gradient), directions, code).view(batch, count, 3)
+    shown = (rendered.weights[..., None] * color).sum(1)
+    share = rendered.weights / (rendered.weights.sum(1, keepdim=True) + 1e-8)
+    return Rendered(shown, rendered.log_transmittance, share, points, distance, flat, sample.distance, gradient,
+                    moved.reshape(-1, 3))  # fmt: skip
+
+
 def losses(
     field: PartField, rays: RayTensors, chosen: Int[Tensor, "b"], u: Float[Tensor, "b"], beta: float,
-    part: PartPreset, preset: Preset, *, extra: Extra | None = None,
+    part: PartPreset, preset: Preset, *, rho: float = 50.0, extra: Extra | None = None,
 ) -> tuple[Float[Tensor, ""], Callable[[], StepReport]]:  # fmt: skip
     """Eq. 10 over a batch of rays; with `extra` (L_g, Eq. 7) it is Eq. 13. Every term is a mean over the batch."""
     drawn = render_rays(field, rays, chosen, u, beta, preset)
     observed, mask = rays.color[chosen], rays.mask[chosen]
-    L_rgb = color_loss(drawn.color, observed)
-    L_mask = mask_loss(drawn.log_transmittance, mask)
+    L_rgb = (color_norm_loss if preset.color_loss == "norm" else color_loss)(drawn.color, observed)
+    if preset.mask_loss == "lowest":
+        L_mask = mask_logit_loss(drawn.distance.amin(1), mask, rho)
+    else:
+        L_mask = mask_loss(drawn.log_transmittance, mask)
     L_E = eikonal_loss(drawn.gradient)
     L_nr = displacement_loss(drawn.displacement)
     loss = L_rgb + preset.mask_weight * L_mask + preset.eikonal_weight * L_E + part.displacement_weight * L_nr

@@ -1,7 +1,10 @@
 """What a preset fixes: everything that a training run does not take from the capture."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
+from train.networks.hash import HashNetworks
+from train.networks.paper import PaperNetworks
 from train.networks.triplane import TriPlaneNetworks
 from train.rays import Band
 
@@ -14,10 +17,10 @@ class PartPreset:
     cell: float  # template distance grid, metres
     spacing: float  # template samples on this part, metres
     band: Band  # where surfaces are looked for
-    beta: tuple[float, float]  # width of the surface in rendering, first and last, metres
+    beta: tuple[float, float]  # width of the surface in rendering, first and last, metres; of NeuS alone
     displacement_reach: float  # |T_nr| at most, metres
     displacement_weight: float  # lambda_2, per metre of T_nr (supplement: .01, hands .001)
-    networks: TriPlaneNetworks
+    networks: TriPlaneNetworks | HashNetworks | PaperNetworks
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,11 @@ class Preset:
 
     name: str
     parts: tuple[PartPreset, ...]  # in the order of capture.PARTS
+    density: Literal["neus", "volsdf"] = "neus"  # train/render.py; VolSDF's width is learned
+    color_loss: Literal["absolute", "norm"] = "absolute"  # L_rgb: mean |difference|, or Eq. 11 as printed
+    mask_loss: Literal["opacity", "lowest"] = "opacity"  # L_mask: of what is drawn, or Eq. 11 as printed
     rays: int = 1024  # per step
+    one_frame: bool = False  # all rays of a step from one frame, or from any
     rays_per_frame: int = 4000  # cached of each frame
     background: float = 0.2  # share of cached rays that pass the person
     sections: int = 12  # per ray
@@ -53,9 +60,12 @@ class Preset:
     clip: float = 1.0  # gradient norm
     mask_weight: float = 0.1
     eikonal_weight: float = 0.1  # lambda_1 (supplement)
+    adam: tuple[float, float, float] = (0.9, 0.99, 1e-15)  # its two betas and epsilon
+    prefit: int = 0  # steps that fit F_s to the template before training, where it does not begin there
     surface_cells: tuple[float, float, float] = (0.006, 0.0035, 0.0025)  # metres: body, head, hands
     union: UnionPreset = UnionPreset()
     appearance_steps: int = 200  # Eq. 8, per part
+    appearance_rate: float = 1e-2  # its learning rate
 
 
 _HAND = PartPreset(1000, 0.002, 0.002, Band(0.012, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, TriPlaneNetworks())
@@ -70,4 +80,70 @@ DEMO = Preset(
     ),
 )
 
-PRESETS = {preset.name: preset for preset in (DEMO,)}
+# For one GPU: a hash grid instead of planes, more rays, finer in the end; bands and grids are the demo's
+FAST = Preset(
+    "fast",
+    tuple(
+        replace(part, iterations=3000, cell=cell, beta=beta, networks=HashNetworks(finest))
+        for part, cell, beta, finest in zip(
+            DEMO.parts,
+            (0.01, 0.004, 0.002, 0.002),
+            ((0.01, 0.001), (0.01, 0.001), (0.004, 0.0005), (0.004, 0.0005)),
+            (0.002, 0.0007, 0.0007, 0.0007),
+        )
+    ),
+    rays=4096,
+    rays_per_frame=20000,
+    sections=16,
+    shaded=8,
+    grid_rate=1e-2,
+    surface_cells=(0.005, 0.0025, 0.002),
+    appearance_steps=500,
+)
+
+_PAPER_HAND = PartPreset(
+    100_000, 0.002, 0.002, Band(0.1, 0.1, 0.01), (0.1, 0.1), 0.005, 0.001, PaperNetworks()
+)
+
+# The supplement's numbers; where it is silent, the authors' code's (bands, |T_nr| at most, rays of one frame)
+PAPER = Preset(
+    "paper",
+    (
+        PartPreset(100_000, 0.01, 0.01, Band(0.1, 0.1, 0.01), (0.1, 0.1), 0.05, 0.01, PaperNetworks()),
+        PartPreset(100_000, 0.003, 0.003, Band(0.04, 0.04, 0.005), (0.1, 0.1), 0.05, 0.01, PaperNetworks()),
+        _PAPER_HAND,
+        _PAPER_HAND,
+    ),
+    density="volsdf",
+    color_loss="norm",
+    mask_loss="lowest",
+    one_frame=True,
+    rays_per_frame=6000,
+    background=0.3,
+    sections=64,
+    shaded=64,
+    displaced_every=1,
+    network_rate=5e-4,
+    displacement_rate=5e-4,
+    warm_up=0,
+    last_rate=0.1,
+    clip=40.0,
+    mask_weight=1.0,
+    adam=(0.9, 0.999, 1e-8),
+    prefit=2000,
+    appearance_steps=15_000,
+    appearance_rate=5e-4,
+)
+
+PRESETS = {preset.name: preset for preset in (DEMO, FAST, PAPER)}
+
+
+def shortened(preset: Preset, iterations: int) -> Preset:
+    """The preset with `iterations` steps per part; fitting to the template, stage 2 and Eq. 8 get no more steps."""
+    return replace(
+        preset,
+        parts=tuple(replace(part, iterations=iterations) for part in preset.parts),
+        prefit=min(preset.prefit, max(iterations, 100)),
+        union=replace(preset.union, iterations=min(preset.union.iterations, iterations)),
+        appearance_steps=min(preset.appearance_steps, iterations),
+    )

@@ -1,9 +1,16 @@
-"""Volume rendering of a signed distance field (NeuS: Wang et al. 2021), in logarithms.
+"""Volume rendering of a signed distance field, in logarithms, with either of two densities.
+
+NeuS (Wang et al. 2021), presets demo and fast; opaque where the surface is, at any width b:
 
     alpha_i = max(0, 1 - Phi(s_{i+1}/b) / Phi(s_i/b))        Phi the logistic function, s signed distance
     log(1 - alpha_i) = min(0, log Phi(s_{i+1}/b) - log Phi(s_i/b))
 
 The logarithms are sums of softplus: no ratio of two numbers that both underflow, whatever b and s.
+
+VolSDF (Yariv et al. 2021, Eq. 2 and 3), preset paper:
+
+    sigma(x) = Psi_b(-s(x)) / b                                  Psi_b the cumulated Laplace distribution
+    log(1 - alpha_i) = -sigma(x_i) |x_{i+1} - x_i|
 """
 
 from typing import NamedTuple
@@ -37,6 +44,47 @@ def section_weights(
     passed = (log_phi[:, 1:] - log_phi[:, :-1]).clamp_max(0)
     if open_ is not None:
         passed = torch.where(open_, passed, 0.0)
+    return _accumulated(passed)
+
+
+def laplace_density(
+    distance: Float[Tensor, "*batch"], beta: float | Float[Tensor, ""]
+) -> Float[Tensor, "*batch"]:
+    """sigma, VolSDF's density, per metre: 1/beta deep inside, 1/(2 beta) on the surface, 0 far outside.
+
+    Each branch is clamped to its own side: `where` computes both, and the exponential of the other side would
+    overflow and turn the gradient into NaN.
+    """
+    outside = 0.5 * (-distance.clamp_min(0) / beta).exp()
+    inside = 1 - 0.5 * (distance.clamp_max(0) / beta).exp()
+    return torch.where(distance > 0, outside, inside) / beta
+
+
+def density_weights(
+    distance: Float[Tensor, "rays samples"],
+    lengths: Float[Tensor, "rays samples"],
+    beta: float | Float[Tensor, ""],
+) -> Weights:
+    """VolSDF weights of samples, each standing for the section of length `lengths` metres that begins there.
+
+    weights.sum() + exp(log_transmittance) = 1 by construction.
+    """
+    return _accumulated(-laplace_density(distance, beta) * lengths)
+
+
+def section_lengths(ends: Float[Tensor, "rays ends 3"]) -> Float[Tensor, "rays sections"]:
+    """Lengths of the sections between consecutive ends, metres.
+
+    The ends of a ray are evenly spaced but where it leaves the band round the template and comes back. A section
+    across such a gap counts as long as the ray's median one: the gap is known to be empty.
+    """
+    lengths = (ends[:, 1:] - ends[:, :-1]).norm(dim=-1)
+    median = lengths.median(1, keepdim=True).values
+    return torch.where(lengths > 2 * median, median, lengths)
+
+
+def _accumulated(passed: Float[Tensor, "rays sections"]) -> Weights:
+    """Weights from log(1 - alpha) of the sections: each is a difference of two transmittances."""
     log_t = torch.cumsum(passed, 1)
     before = F.pad(log_t[:, :-1], (1, 0))
     return Weights(before.exp() * -torch.expm1(passed), log_t[:, -1])
