@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from avatar.errors import AssetError
+from avatar.npz import read_npz
 from avatar.skinning import SkinWeights
 from train.capture import PARTS, Subject, read_subject
 from train.field import PartField
@@ -139,6 +140,20 @@ def read_surface(path: Path) -> Surface:
         fields["vertices"].astype(np.float64), fields["faces"].astype(np.int64), fields["normals"].astype(np.float64),
         fields["part"].astype(np.int64), skin, fields["view_count"], fields["view_mean"], fields["view_covariance"],
     )  # fmt: skip
+
+
+def read_view_tables(path: Path) -> list[ViewStatistics]:
+    """Each part's own view statistics in surface.npz, in the order of PARTS.
+
+    Raises:
+        AssetError: a table is absent.
+    """
+    fields = read_npz(
+        path, "surface", [f"{name}_view_{what}" for name in PARTS for what in ViewStatistics._fields]
+    )
+    return [
+        ViewStatistics(*(fields[f"{name}_view_{what}"] for what in ViewStatistics._fields)) for name in PARTS
+    ]
 
 
 def write_json(path: Path, facts: dict) -> None:
