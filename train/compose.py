@@ -144,7 +144,7 @@ def match_appearances(
             )
             continue
         before, after = match_appearance(
-            fused, index, points, directions, steps=preset.appearance_steps, seed=seed
+            fused, index, points, directions, steps=preset.appearance_steps, rate=preset.appearance_rate, seed=seed
         )
         matched[PARTS[index]] = {"before": round(before, 4), "after": round(after, 4), "rays": len(points)}
         say(

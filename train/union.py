@@ -132,15 +132,14 @@ def train_union(
     surfaces = [points.to(device) for points in overlap_surface(fused, subject)]
     body = fused.to(device).field(0)
     before = steps_apart(fused, surfaces)
-    first = preset.parts[0]
-    part = replace(first, iterations=union.iterations, beta=(first.beta[1], first.beta[1]))
+    part = replace(preset.parts[0], iterations=union.iterations)
     settings = replace(
         preset, grid_rate=preset.grid_rate * union.rate, network_rate=preset.network_rate * union.rate,
         displacement_rate=preset.displacement_rate * union.rate, warm_up=union.warm_up, last_rate=union.last_rate,
     )  # fmt: skip
     body.requires_grad_(True)
     try:
-        skipped = train_field(
+        position = train_field(
             body, rays, part, settings, seed=seed, checkpoint=checkpoint, resume=resume, report=report,
             extra=geometry_loss(fused, surfaces, preset.parts, preset),
         )  # fmt: skip
@@ -148,7 +147,7 @@ def train_union(
         body.requires_grad_(False)
     after = steps_apart(fused, surfaces)
     fused.cpu()
-    return {"steps": union.iterations, "skipped": skipped, "step_mm_before": before, "step_mm_after": after}
+    return {"steps": union.iterations, "skipped": position.skipped, "step_mm_before": before, "step_mm_after": after}
 
 
 def write_rays(path: Path, rays: RayTensors) -> None:
