@@ -139,7 +139,7 @@ def train_union(
     )  # fmt: skip
     body.requires_grad_(True)
     try:
-        position = train_field(
+        skipped = train_field(
             body, rays, part, settings, seed=seed, checkpoint=checkpoint, resume=resume, report=report,
             extra=geometry_loss(fused, surfaces, preset.parts, preset),
         )  # fmt: skip
@@ -147,7 +147,7 @@ def train_union(
         body.requires_grad_(False)
     after = steps_apart(fused, surfaces)
     fused.cpu()
-    return {"steps": union.iterations, "skipped": position.skipped, "step_mm_before": before, "step_mm_after": after}
+    return {"steps": union.iterations, "skipped": skipped, "step_mm_before": before, "step_mm_after": after}
 
 
 def write_rays(path: Path, rays: RayTensors) -> None:
