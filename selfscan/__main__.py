@@ -10,6 +10,7 @@ Turn four phone videos of a person into an avatar to pose, watch and film in rea
 
 make an avatar
   synth   SUBJECT OUT          four self-scan videos of a built-in or rigged person, with ground truth
+  check   CAPTURE [-o DIR]     is this capture usable? overlays, numbers, a verdict with what to do
   train   CAPTURE -o RUN       part fields (signed distance and colour) from a capture
   bake    RUN -o NAME.glb      one mesh, one atlas, skin weights and a tiny view network in one file
 
@@ -50,6 +51,8 @@ def _dispatch(name: str, rest: list[str]) -> int:
     try:
         if name == "synth":
             from bench.synth.command import main as run
+        elif name == "check":
+            from train.check.command import main as run
         elif name == "train":
             from train.command import main as run
         elif name == "bake":
@@ -86,6 +89,7 @@ def _dispatch(name: str, rest: list[str]) -> int:
 def _extra(name: str) -> str:
     extra = {
         "synth": "bench",
+        "check": "train",
         "train": "train",
         "bake": "bake",
         "eval": "bake,bench",

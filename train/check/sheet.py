@@ -1,13 +1,11 @@
 """Contact sheet: the outline of the posed template over frames of each video, to be looked at."""
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Int, UInt8
 from PIL import Image, ImageDraw
 from scipy import ndimage
 
-from avatar.rasterise import Fragments
-from train.capture import PARTS, PartVideo, Subject
-from train.check.silhouette import drawn_parts
+from train.capture import PARTS
 
 Array = np.ndarray
 
@@ -15,11 +13,16 @@ TEMPLATE = np.array([[255, 210, 0], [0, 220, 255], [80, 255, 80], [255, 90, 255]
 MASK = np.array([255, 40, 40], np.uint8)
 
 
-def overlay(video: PartVideo, frame: int, drawn: Fragments, subject: Subject) -> UInt8[Array, "h w 3"]:
-    """One frame, darkened outside the mask, with the mask's outline in red and the template's parts edged."""
-    picture, mask = video.images[frame].copy(), video.masks[frame]
-    picture[~mask] = picture[~mask] // 2
-    parts = drawn_parts(drawn, subject)
+def overlay(
+    image: UInt8[Array, "h w 3"], mask: Bool[Array, "h w"], parts: Int[Array, "y x"], step: int
+) -> UInt8[Array, "y x 3"]:
+    """One frame, darkened outside the mask, with the mask's outline in red and the template's parts edged.
+
+    `parts` holds the part at every `step`-th pixel, -1 where there is none; the picture is of that size.
+    """
+    begin = step // 2
+    picture, mask = (a[begin::step, begin::step][: parts.shape[0], : parts.shape[1]] for a in (image, mask))
+    picture = np.where(mask[..., None], picture, picture // 2)
     picture[mask & ~_eroded(mask)] = MASK
     for part in range(len(PARTS)):
         edge = (parts == part) & ~_eroded(parts == part)

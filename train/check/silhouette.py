@@ -1,11 +1,13 @@
 """The posed template drawn over the video frames: how far its outline is from that of the mask."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
+from avatar.camera import Camera
 from avatar.rasterise import Fragments, rasterise
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
@@ -15,49 +17,79 @@ from train.register import similarity_from_landmarks
 
 Array = np.ndarray
 
-# Mean outline error of the worst part beyond which poses are worth refining, pixels of an image 256 high.
-# Measured on four people: exact poses 0.3-0.4 in every part; 2 degrees of pose noise 2 on the body, 15-20 on hands.
+# Outline error of the worst posed part beyond which poses are worth refining, pixels of an image 256 high.
+# Measured on four people: exact poses 0.3-0.5; masks eroded by 3 px 0.5, dilated by 3 px 0.9; 2 degrees of pose noise
+# 2.2 on the body, 25-35 on the hands.
 MISALIGNED = 1.0
+ROWS = 540  # a larger frame is compared on every second, third ... pixel
+
+
+class Agreement(NamedTuple):
+    """How two outlines agree along one part; nan where either has none there. Pixels of the compared grid."""
+
+    edge: float  # mean distance between the outlines, both ways
+    offset: float  # median of that distance with sign: positive where the template is the larger
+    spread: (
+        float  # mean departure from the offset: what a wrong pose gives and a wrong mask threshold does not
+    )
+    iou: float  # intersection over union of the areas near the part
+    fill: float  # area of the mask over area of the template, near the part
 
 
 @dataclass(frozen=True)
 class Outline:
-    """One frame's template against its mask, where the template shows the part that the video is of."""
+    """The template drawn over one frame; pixels are the image's own."""
 
     frame: int
-    edge: float  # pixels, mean distance between the two outlines, both ways; nan where either has none
-    iou: float  # intersection over union of the two areas near the part; nan where neither shows it
+    agreement: Agreement
+    parts: Int[Array, "h w"]  # template part at each compared pixel, -1 where there is none
+    step: int  # pixels of the image between compared ones
 
 
 def misalignment(capture: Capture, frames: int = 4) -> float:
-    """Mean outline error of the worst posed part over a few frames of each, in pixels of an image 256 high.
+    """Outline error (`spread`) of the worst posed part over a few frames, in pixels of an image 256 high.
 
-    Beyond MISALIGNED the poses (or the template, or the masks) do not explain the silhouettes. The head has no
-    pose, and its outline is that of the hair, which no template has: it is left out.
+    Beyond MISALIGNED the poses (or the template) do not explain the silhouettes. The head has no pose, and its
+    outline is that of the hair, which no template has: it is left out.
     """
     return max(error for part, error in outline_errors(capture, frames).items() if part != "head")
 
 
 def outline_errors(capture: Capture, frames: int = 4) -> dict[str, float]:
-    """Mean outline error of each part over `frames` evenly chosen frames, in pixels of an image 256 high.
+    """Mean outline error (`spread`) of each part over `frames` even frames, in pixels of an image 256 high.
 
     A part whose outlines are never both in the image is infinitely far off.
     """
     errors = {}
     for part, video in capture.videos.items():
-        chosen = np.unique(np.linspace(0, len(video.masks), frames, endpoint=False).astype(int))
-        edges = [outline(capture, part, int(frame))[0].edge for frame in chosen]
-        finite = [edge for edge in edges if np.isfinite(edge)]
-        errors[part] = float(np.mean(finite)) * 256 / video.masks.shape[1] if finite else np.inf
+        spread = np.array(
+            [outline(capture, part, i).agreement.spread for i in even(len(video.masks), frames)]
+        )
+        seen = np.isfinite(spread)
+        errors[part] = float(spread[seen].mean()) * 256 / video.masks.shape[1] if seen.any() else np.inf
     return errors
 
 
-def outline(capture: Capture, part: str, frame: int) -> tuple[Outline, Fragments]:
-    """The template drawn in one frame, and how its outline agrees with the mask's."""
+def even(count: int, wanted: int) -> list[int]:
+    """At most `wanted` of `count` frames, evenly spread."""
+    return [int(i) for i in np.unique(np.linspace(0, count, wanted, endpoint=False).astype(int))]
+
+
+def outline(capture: Capture, part: str, frame: int) -> Outline:
+    """The template drawn over one frame, and how its outline agrees with the mask's along the video's part."""
     video = capture.videos[part]
-    drawn = rasterise(posed_template(capture, part, frame), capture.subject.faces, video.cameras[frame])
-    edge, iou = agreement(drawn_parts(drawn, capture.subject), video.masks[frame], PARTS.index(part))
-    return Outline(frame, edge, iou), drawn
+    mask, camera = video.masks[frame], video.cameras[frame]
+    step = -(-mask.shape[0] // ROWS)
+    if step > 1:
+        rows, columns = mask.shape[0] // step, mask.shape[1] // step
+        mask = mask[step // 2 :: step, step // 2 :: step][:rows, :columns]
+        whole = (columns * step, rows * step)  # what does not fill a step is cut off
+        camera = Camera(camera.K, camera.camera_from_world, whole, camera.distortion).resized((columns, rows))
+    drawn = rasterise(posed_template(capture, part, frame), capture.subject.faces, camera)
+    parts = drawn_parts(drawn, capture.subject)
+    found = agreement(parts, mask, PARTS.index(part))
+    pixels = found._replace(edge=step * found.edge, offset=step * found.offset, spread=step * found.spread)
+    return Outline(frame, pixels, parts, step)
 
 
 def posed_template(capture: Capture, part: str, frame: int) -> Float[Array, "v 3"]:
@@ -88,29 +120,38 @@ def drawn_parts(drawn: Fragments, subject: Subject) -> Int[Array, "h w"]:
     return np.where(drawn.face >= 0, of_face[drawn.face], -1)
 
 
-def agreement(parts: Int[Array, "h w"], mask: Bool[Array, "h w"], part: int) -> tuple[float, float]:
-    """Mean distance between the outlines of template and mask along one part, and the overlap of their areas.
+def agreement(parts: Int[Array, "h w"], mask: Bool[Array, "h w"], part: int) -> Agreement:
+    """Distance between the outlines of template and mask along one part, and the overlap of their areas.
 
-        edge = (mean over template outline of the part, of the distance to the mask's outline
-                + mean over the mask's outline nearest to the part, of the distance to the template's) / 2
-
-    Outlines do not run along the image border: there the picture ends, not the person. A pixel belongs to the
-    part when the nearest template pixel does; areas count within a tenth of the image height of the template.
+    Both outlines are measured against the other: the template's where it shows the part, the mask's where the
+    nearest pixel of the template's outline shows it. Outlines do not run along the image border: there the
+    picture ends, not the person. Areas count within a tenth of the image height of the template.
     """
     template = parts >= 0
     if not (parts == part).any() or not mask.any():
-        return np.nan, (0.0 if mask.any() or (parts == part).any() else np.nan)
-    away = distance_to(template)
+        empty = 0.0 if mask.any() or (parts == part).any() else np.nan
+        return Agreement(np.nan, np.nan, np.nan, empty, empty)
     own = parts[nearest_marked(template)] == part
-    near = own & (away < 0.1 * mask.shape[0])
-    union = (near & (template | mask)).sum()
-    iou = float((near & template & mask).sum() / union) if union else np.nan
+    near = own & (distance_to(template) < 0.1 * mask.shape[0])
+    both, either = (near & template & mask).sum(), (near & (template | mask)).sum()
+    iou, fill = float(both / either), float((near & mask).sum() / (near & template).sum())
     of_template, of_mask = _outline(template), _outline(mask)
-    if not (of_template & own).any() or not of_mask.any():
-        return np.nan, iou
-    there = distance_to(of_mask)[of_template & own]
-    back, facing = distance_to(of_template), of_mask & own[nearest_marked(of_template)]
-    return float(np.mean([there.mean(), back[facing].mean()] if facing.any() else there.mean())), iou
+    here = of_template & own
+    if not here.any() or not of_mask.any():
+        return Agreement(np.nan, np.nan, np.nan, iou, fill)
+    facing = of_mask & own[nearest_marked(of_template)]
+    to_mask, to_template = distance_to(of_mask), distance_to(of_template)
+    beyond = np.where(mask, -to_mask, to_mask)[here]
+    within = np.where(template, to_template, -to_template)[facing]
+    signed = np.concatenate([beyond, within])
+    offset = float(np.median(signed))
+    edge, spread = (float(_mean_of_both(np.abs(beyond - o), np.abs(within - o))) for o in (0.0, offset))
+    return Agreement(edge, offset, spread, iou, fill)
+
+
+def _mean_of_both(a: Array, b: Array) -> float:
+    """Each outline counts the same, however many pixels it has; the second may be empty."""
+    return 0.5 * (a.mean() + b.mean()) if len(b) else a.mean()
 
 
 def _outline(area: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
