@@ -1,8 +1,11 @@
 """Progress of long work: a bar on a terminal, plain lines elsewhere."""
 
+import heapq
+import shutil
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import TextIO, TypeVar
 
 T = TypeVar("T")
@@ -49,3 +52,162 @@ def progress(items: Iterable[T], label: str, total: int | None = None) -> Iterat
     for done, item in enumerate(items, 1):
         yield item
         report.update(done)
+
+
+@dataclass
+class _Job:
+    total: int
+    began: float | None = None  # when work on it began, preparation included
+    first: tuple[float, int] | None = None  # time and count of its first report: preparation is over
+    last: tuple[float, int] | None = None
+    ended: float | None = None
+    note: str = ""
+
+
+class ProgressBoard:
+    """Jobs that run side by side: one line each while at work, and one for all of them with the time left.
+
+    On a terminal the lines are redrawn in place; elsewhere they are printed about every ten seconds. The time
+    left assumes that jobs not yet begun are as fast per count as those seen, wait for one of `workers`, and
+    that what follows the jobs takes the share `after` of their time.
+    """
+
+    def __init__(
+        self, totals: Mapping[str, int], workers: int, *, after: float = 0.0, stream: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ):  # fmt: skip
+        self.stream = sys.stderr if stream is None else stream
+        self.live = self.stream.isatty()
+        self.clock, self.workers, self.after = clock, workers, after
+        self.jobs = {name: _Job(total) for name, total in totals.items()}
+        self.began = self.shown = clock()
+        self.drawn = 0  # lines on the terminal that the next drawing replaces
+
+    def begin(self, name: str) -> None:
+        self.jobs[name].began = self.clock()
+
+    def update(self, name: str, done: int, note: str = "") -> None:
+        job, now = self.jobs[name], self.clock()
+        if job.first is None:
+            job.first = (now, done)
+        job.last, job.note = (now, done), note
+        self.refresh()
+
+    def end(self, name: str) -> None:
+        job = self.jobs[name]
+        job.ended = self.clock()
+        job.began = job.ended if job.began is None else job.began
+
+    def say(self, text: str) -> None:
+        """A line that stays, above the others, on standard output."""
+        self._erase()
+        print(text, flush=True)
+
+    def refresh(self, *, now: bool = False) -> None:
+        """Show the lines if it is time to; call it often."""
+        if now or self.clock() - self.shown >= (0.2 if self.live else 10.0):
+            self.shown = self.clock()
+            self._erase()
+            lines = self.lines()
+            if self.live:
+                width = shutil.get_terminal_size().columns - 1
+                lines = [line[:width] for line in lines]
+                self.drawn = len(lines)
+            self.stream.write("".join(line + "\n" for line in lines))
+            self.stream.flush()
+
+    def close(self) -> None:
+        """No more lines; what is on the terminal is taken away."""
+        self._erase()
+
+    def lines(self) -> list[str]:
+        """What is shown now."""
+        out, width = [], max(len(name) for name in self.jobs)
+        for name, job in self.jobs.items():
+            if job.began is None or job.ended is not None:
+                continue
+            if job.last is None:
+                out.append(f"{name:<{width}}  preparing, {clock_time(self.clock() - job.began)}")
+                continue
+            left = self._left(job)
+            line = f"{name:<{width}}  {_bar(job.last[1] / max(job.total, 1))} {job.last[1]}/{job.total}"
+            out.append(f"{line}  {_left_text(left)}  {job.note}".rstrip())
+        share = self._share()
+        spent = clock_time(self.clock() - self.began)
+        out.append(
+            f"{'all':<{width}}  {_bar(share)} {share:4.0%}  {spent} so far, {_left_text(self.left())}"
+        )
+        return out
+
+    def left(self) -> float | None:
+        """Seconds until everything is done, or None before the first job has a speed."""
+        rates, preparations = [], []
+        for job in self.jobs.values():
+            rate = self._rate(job)
+            if rate is not None:
+                rates.append(rate)
+            if job.first is not None and job.began is not None:
+                preparations.append(job.first[0] - job.began)
+        if all(job.ended is not None for job in self.jobs.values()):
+            rates = rates or [0.0]
+        if not rates:
+            return None
+        rate = sum(rates) / len(rates)
+        preparation = sum(preparations) / max(len(preparations), 1)
+        waiting, free = [], []  # seconds of each job still to begin; when each worker is free
+        for job in self.jobs.values():
+            if job.ended is not None:
+                continue
+            if job.began is None:
+                waiting.append(preparation + job.total * rate)
+            elif job.last is None:
+                spent = self.clock() - job.began
+                free.append(max(preparation - spent, 0.0) + job.total * rate)
+            else:
+                own = self._left(job)
+                free.append((job.total - job.last[1]) * rate if own is None else own)
+        free = (free + [0.0] * self.workers)[: max(self.workers, len(free))]
+        heapq.heapify(free)
+        for seconds in waiting:
+            heapq.heapreplace(free, free[0] + seconds)
+        jobs = max(free)
+        return jobs + self.after * (jobs + self.clock() - self.began)
+
+    def _share(self) -> float:
+        left = self.left()
+        spent = self.clock() - self.began
+        return 0.0 if left is None else spent / max(spent + left, 1e-9)
+
+    def _rate(self, job: _Job) -> float | None:
+        """Seconds per count, or None before there are two reports."""
+        if job.first is None or job.last is None or job.last[1] <= job.first[1]:
+            return None
+        return (job.last[0] - job.first[0]) / (job.last[1] - job.first[1])
+
+    def _left(self, job: _Job) -> float | None:
+        rate = self._rate(job)
+        if rate is None or job.last is None:
+            return None
+        return max((job.total - job.last[1]) * rate - (self.clock() - job.last[0]), 0.0)
+
+    def _erase(self) -> None:
+        if self.drawn:
+            self.stream.write(f"\x1b[{self.drawn}A\x1b[J")
+            self.stream.flush()
+            self.drawn = 0
+
+
+def clock_time(seconds: float) -> str:
+    """Seconds as 0:07, 12:34 or 1:02:03."""
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
+
+
+def _left_text(seconds: float | None) -> str:
+    return "time left not known yet" if seconds is None else f"{clock_time(seconds)} left"
+
+
+def _bar(share: float) -> str:
+    filled = int(16 * share)
+    return f"[{'#' * filled}{'.' * (16 - filled)}]"

@@ -1,77 +1,136 @@
 """The stages of a training run (TotalSelfScan, 3.4): parts first, each from its own video; then one person."""
 
-import concurrent.futures
-import multiprocessing
+import io
+import json
 import os
 import platform
 import shutil
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from avatar.errors import AssetError
-from avatar.files import whole_folder
-from avatar.progress import Progress
+from avatar.files import whole_file, whole_folder
+from avatar.progress import Progress, ProgressBoard
 from train import run as run_folder
 from train.capture import PARTS, Capture, read_capture
+from train.checkpoint import Position
 from train.compose import compose
-from train.objective import ray_tensors
+from train.distributed import Ranks, join_ranks
+from train.interrupt import prompt_stop
+from train.log import TrainingLog, tensorboard_installed
+from train.objective import StepReport, ray_tensors
 from train.parts import part_boxes
+from train.prefit import fit_template
 from train.preset import Preset
+from train.preview import part_preview
 from train.rays import part_rays
 from train.register import Registration, similarity_from_landmarks
+from train.session import Session, capture_digest, digest_of, open_session
 from train.template import neck_height, surface_cloud, template_grid, visible_faces
-from train.trainer import set_threads, train_field
+from train.trainer import peak_memory, set_threads, train_field
 from train.union import read_rays, write_rays
+from train.workers import Tell, run_jobs
 
 Array = np.ndarray
+
+AFTER = 0.2  # time of what follows stage 1, as a share of it, for the time left; demo on two cores
+
+
+@dataclass(frozen=True)
+class PartJob:
+    """What the training of one part is told; a worker process gets it whole."""
+
+    capture: str
+    index: int  # into PARTS
+    preset: Preset
+    canonical_from_head: Array
+    folder: str  # RUN.partial
+    device: str
+    seed: int
+    resume: bool
+    threads: int
+    save_every: float  # seconds between checkpoints
+    preview_every: int  # steps between previews; 0: none
+    ranks: Ranks
 
 
 def train(
     capture_path: Path | str, out: Path | str, preset: Preset, *, device: str = "cpu", seed: int = 0,
-    resume: bool = False,
+    resume: bool = False, force: bool = False, save_every: float = 120.0, preview_every: int = 250,
 ) -> Path:  # fmt: skip
     """Train all parts, compose them, and write the run folder.
 
-    Parts learn independently (stage 1), two at a time on a CPU with two cores, each on its own thread. Their
-    checkpoints lie beside the run folder, in RUN.partial, until the run is complete.
+    Parts learn independently (stage 1), two at a time on a CPU with two cores, each on its own thread; under
+    torchrun one after the other, each on all ranks. Checkpoints, logs and previews lie beside the run folder, in
+    RUN.partial, until the run is complete. A signal raises `Stopped` once they are saved.
     """
-    out = Path(out)
-    capture = read_capture(capture_path)
-    partial = out.with_name(out.name + ".partial")
-    if not resume:
-        shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True, exist_ok=True)
-    seconds: dict[str, float] = {}
-    began = time.monotonic()
+    with prompt_stop():
+        ranks, device = join_ranks(device)
+        say: Callable[[str], None] = _say if ranks.writes else lambda text: None
+        capture, out = read_capture(capture_path), Path(out)
+        settings = {
+            "capture": capture_digest(capture.path),
+            "preset": preset.name,
+            "iterations": [part.iterations for part in preset.parts],
+            "seed": seed,
+            "numbers": digest_of(run_folder.preset_facts(preset)),
+        }
+        session = None
+        if ranks.writes:
+            session = open_session(out, settings, resume=resume, force=force, say=say)
+        session = ranks.tell(session)
+        if session is None:
+            return out
+        began = time.monotonic()
+        if ranks.writes and not tensorboard_installed():
+            say("logs: CSV only; `pip install tensorboard` adds events for TensorBoard")
 
-    landmarks = _register_landmarks(capture)
-    _say(
-        f"stage 1: {len(PARTS)} parts by volume rendering of signed distance (Eq. 10-12), preset {preset.name}"
-    )
-    facts = _train_parts(capture, preset, landmarks, partial, device, seed, resume)
-    seconds |= {f"{name}": fact["seconds"] for name, fact in facts.items()}
+        landmarks = _register_landmarks(capture, say)
+        say(
+            f"stage 1: {len(PARTS)} parts by volume rendering of signed distance (Eq. 10-12), preset {preset.name}"
+        )
+        say(f"logs, previews and checkpoints: {session.partial}")
+        facts = _train_parts(
+            capture, preset, landmarks, session, ranks, device, seed, save_every, preview_every
+        )
+        if ranks.writes:
+            _compose(capture, preset, landmarks, session, device, seed, facts, began)
+    return out
+
+
+def _compose(
+    capture: Capture, preset: Preset, landmarks: Registration, session: Session, device: str, seed: int,
+    facts: dict[str, dict], began: float,
+) -> None:  # fmt: skip
+    """From trained parts to the run folder; under torchrun the work of one rank."""
+    out, partial = session.out, session.partial
+    seconds = {name: fact["seconds"] for name, fact in facts.items()}
     fields = [run_folder.read_part(partial / f"{name}.pt", capture.subject, i, preset.parts[i])
               for i, name in enumerate(PARTS)]  # fmt: skip
-
     set_threads(os.cpu_count() or 1)
+    progress = Progress("body, stage 2", preset.union.iterations)
     with whole_folder(out) as folder:
         rays = read_rays(partial / "body.rays", torch.device(device))
         surface, tables, composition = compose(
             capture, fields, preset, landmarks, seed, seconds, _say, rays=rays, checkpoint=partial / "union.ckpt",
-            resume=resume,
+            resume=session.resumed, report=lambda step, report: progress.update(step, _note(report)),
         )  # fmt: skip
         shutil.copyfile(partial / "body.pt", folder / "body_stage1.pt")
-        shutil.copyfile(partial / "union.ckpt", folder / "union.ckpt")
         run_folder.write_codes(folder / "codes.npz", fields)
         for name, field in zip(PARTS, fields):
             run_folder.write_part(folder / f"{name}.pt", field)
-            shutil.copyfile(partial / f"{name}.ckpt", folder / f"{name}.ckpt")
+        for name in ("logs", "preview"):
+            if (partial / name).is_dir():
+                shutil.copytree(partial / name, folder / name)
         run_folder.write_surface(folder / "surface.npz", surface, tables)
         shutil.copyfile(capture.path / "subject.npz", folder / "subject.npz")
         seconds["all"] = time.monotonic() - began
+        memory = peak_memory(device)
         run_folder.write_json(
             folder / "run.json",
             {
@@ -82,23 +141,26 @@ def train(
                 "device": device,
                 "machine": f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}",
                 "capture": capture.facts,
+                "body_licence": capture.facts.get("body_licence", "not stated by the capture"),
+                "subject_licence": capture.facts.get("subject_licence", "not stated by the capture"),
                 "canonical_pose": "hips opened 30 degrees about z (avatar.skeleton.BIG_POSE)",
                 "seconds": {name: round(value, 1) for name, value in seconds.items()},
+                "peak_memory_mb": {name: fact["peak_memory_mb"] for name, fact in facts.items()}
+                | {"composition": _megabytes(memory)},
                 "parts": facts,
                 **composition,
             },
         )
     shutil.rmtree(partial, ignore_errors=True)
-    _say(f"{out}: {len(surface.vertices)} surface vertices, {seconds['all']:.0f} s")
-    return out
+    _say(f"{out}: {len(surface.vertices)} surface vertices, {seconds['all']:.0f} s, {_memory_text(memory)}")
 
 
-def _register_landmarks(capture: Capture) -> Registration:
+def _register_landmarks(capture: Capture, say: Callable[[str], None]) -> Registration:
     """Eq. 6: canonical_from_head, a similarity; AssetError where the landmarks do not fit the template."""
     video = capture.videos["head"]
     assert video.landmarks is not None and video.landmark_vertices is not None
     landmarks = similarity_from_landmarks(video.landmarks, capture.subject.vertices[video.landmark_vertices])
-    _say(
+    say(
         f"head frame by {len(video.landmarks)} landmarks (Eq. 6): residual {landmarks.residual * 1000:.1f} mm"
     )
     if landmarks.residual > 0.02:
@@ -110,91 +172,121 @@ def _register_landmarks(capture: Capture) -> Registration:
 
 
 def _train_parts(
-    capture: Capture,
-    preset: Preset,
-    landmarks: Registration,
-    partial: Path,
-    device: str,
-    seed: int,
-    resume: bool,
-) -> dict[str, dict]:
+    capture: Capture, preset: Preset, landmarks: Registration, session: Session, ranks: Ranks, device: str,
+    seed: int, save_every: float, preview_every: int,
+) -> dict[str, dict]:  # fmt: skip
     """Stage 1 for every part; heavier parts first so that two workers end together."""
-    jobs = [(str(capture.path), index, preset, landmarks.transform, str(partial), device, seed, resume)
-            for index in (1, 0, 2, 3)]  # fmt: skip
-    workers = min(2, os.cpu_count() or 1) if device == "cpu" else 1
-    if workers == 1:
-        facts = [train_part(*job, threads=os.cpu_count() or 1) for job in jobs]
-    else:
-        context = multiprocessing.get_context("spawn")  # a forked torch may hang
-        with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context) as pool:
-            pending = [pool.submit(train_part, *job) for job in jobs]
-            try:
-                facts = [future.result() for future in pending]
-            except BaseException:
-                pool.shutdown(wait=True, cancel_futures=True)
-                raise
-    return {PARTS[job[1]]: fact for job, fact in zip(jobs, facts)}
+    cores = os.cpu_count() or 1
+    workers = min(2, cores) if device == "cpu" and ranks.count == 1 else 1
+    threads = 1 if workers > 1 else max(cores // ranks.count, 1)
+    jobs = {
+        PARTS[index]: PartJob(
+            str(capture.path), index, preset, landmarks.transform, str(session.partial), device, seed,
+            session.resumed, threads, save_every, preview_every, ranks,
+        )
+        for index in (1, 0, 2, 3)
+    }  # fmt: skip
+    totals = {name: preset.parts[job.index].iterations for name, job in jobs.items()}
+    stream = None if ranks.writes else io.StringIO()
+    board = ProgressBoard(totals, workers, after=AFTER, stream=stream)
+    try:
+        return run_jobs(jobs, train_part, board, workers)
+    finally:
+        board.close()
 
 
-def train_part(
-    capture_path: str, index: int, preset: Preset, canonical_from_head: Array, partial: str, device: str,
-    seed: int, resume: bool, threads: int = 1,
-) -> dict:  # fmt: skip
-    """Train one part from its video and leave PART.pt and PART.ckpt in `partial`; returns what run.json says of it."""
-    set_threads(threads)
-    name, part_preset = PARTS[index], preset.parts[index]
+def train_part(job: PartJob, tell: Tell) -> dict:
+    """Train one part from its video and leave PART.pt and PART.ckpt; returns what run.json says of it."""
+    name, folder, device = PARTS[job.index], Path(job.folder), torch.device(job.device)
+    preset, part_preset = job.preset, job.preset.parts[job.index]
+    checkpoint, done = folder / f"{name}.ckpt", folder / f"{name}.json"
+    if job.resume and done.exists():
+        return json.loads(done.read_text("utf-8"))
+    set_threads(job.threads)
     began, cpu = time.monotonic(), time.process_time()
-    capture = read_capture(capture_path)
+    capture = read_capture(job.capture)
     subject, video = capture.subject, capture.videos[name]
-    part = part_boxes(subject)[index]
-    torch.manual_seed(seed * 4 + index)
-    cloud = surface_cloud(subject, index, visible_faces(subject), part_preset.spacing)
+    canonical_from_head = job.canonical_from_head if name == "head" else None
+    part = part_boxes(subject)[job.index]
+    torch.manual_seed(job.seed * 4 + job.index)
+    cloud = surface_cloud(subject, job.index, visible_faces(subject), part_preset.spacing)
     template = template_grid(cloud, part.extent.low, part.extent.high, part_preset.cell,
                              (subject, neck_height(subject)) if name == "head" else None)  # fmt: skip
-    field = run_folder.build_field(subject, index, part_preset, template, len(video.images)).to(device)
+    field = run_folder.build_field(subject, job.index, part_preset, template, len(video.images)).to(device)
+    if preset.prefit and not (job.resume and checkpoint.exists()):
+        off = fit_template(field, preset.prefit, seed=job.seed)
+        tell.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
     rays = part_rays(
         video, subject, cloud, part, part_preset.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame,
-        background=preset.background, canonical_from_head=canonical_from_head if name == "head" else None,
-        rng=np.random.default_rng([seed, index]),
+        background=preset.background, canonical_from_head=canonical_from_head,
+        rng=np.random.default_rng([job.seed, job.index]),
     )  # fmt: skip
-    tensors = ray_tensors(rays, cloud, torch.device(device))
-    if name == "body":
-        write_rays(Path(partial) / "body.rays", tensors)  # for stage 2 and Eq. 8
+    tensors = ray_tensors(rays, cloud, device)
+    preview = None
+    if job.preview_every and job.ranks.writes:
+        preview = part_preview(folder / "preview" / f"{name}.png", video, subject, cloud, part, part_preset.band,
+                               preset, canonical_from_head, device, job.preview_every)  # fmt: skip
+    if name == "body" and job.ranks.writes:
+        write_rays(folder / "body.rays", tensors)  # for stage 2 and Eq. 8
     prepared = time.monotonic() - began
-    _say(
+    tell.say(
         f"{name}: {len(rays.ends)} rays of {len(video.images)} frames, {rays.flagged:.1%} left out as ambiguous, "
         f"prepared in {prepared:.0f} s"
     )
-    progress = Progress(name, part_preset.iterations)
-    last = {}
+    last: dict[str, float] = {}
 
-    def report(iteration: int, step) -> None:
-        last.update(step.__dict__)
-        progress.update(
-            iteration,
-            f"loss {step.loss:.4f}  colour {step.color:.4f}  PSNR {step.psnr:.1f} dB  |grad| {step.slope:.2f}"
-            f"  T_nr {step.displacement * 1000:.1f} mm",
-        )
+    def report(iteration: int, step: StepReport) -> None:
+        last.update(vars(step))
+        tell.step(iteration, _note(step))
 
-    checkpoint = Path(partial) / f"{name}.ckpt"
-    skipped = train_field(
-        field, tensors, part_preset, preset, seed=seed, checkpoint=checkpoint,
-        resume=resume, report=report,
-    )  # fmt: skip
-    run_folder.write_part(Path(partial) / f"{name}.pt", field.cpu())
-    seconds = time.monotonic() - began
-    psnr = f"PSNR {last['psnr']:.1f} dB" if last else "already trained"
-    _say(f"{name}: {part_preset.iterations} steps, {psnr}, {skipped} skipped, {seconds:.0f} s")
-    return {
+    at = Position()
+    log = TrainingLog(folder / "logs", name) if job.ranks.writes else None
+    try:
+        train_field(
+            field, tensors, part_preset, preset, seed=job.seed, checkpoint=checkpoint,
+            resume=job.resume, save_every=job.save_every, report=report, log=log, preview=preview,
+            ranks=job.ranks, at=at,
+        )  # fmt: skip
+    finally:
+        if log is not None:
+            log.close()
+    memory = peak_memory(job.device)
+    facts = {
         "rays": len(rays.ends),
         "flagged": round(rays.flagged, 5),
         "steps": part_preset.iterations,
-        "skipped": skipped,
+        "skipped": at.skipped,
         "last": {key: round(value, 5) for key, value in last.items()},
-        "seconds": round(seconds, 1),
+        "seconds": round(prepared + at.seconds, 1),
         "seconds_preparing": round(prepared, 1),
-        "cpu_seconds": round(time.process_time() - cpu, 1),
+        "cpu_seconds": round(time.process_time() - cpu, 1),  # of the last sitting
+        "peak_memory_mb": _megabytes(memory),
     }
+    if job.ranks.writes:
+        run_folder.write_part(folder / f"{name}.pt", field.cpu())
+        with whole_file(done, "w") as file:  # from now on resuming passes this part by
+            json.dump(facts, file)
+    psnr = f"PSNR {last['psnr']:.1f} dB, " if last else ""
+    tell.say(
+        f"{name}: {part_preset.iterations} steps, {psnr}{at.skipped} skipped, {facts['seconds']:.0f} s, "
+        f"{_memory_text(memory)}"
+    )
+    return facts
+
+
+def _note(step: StepReport) -> str:
+    return (
+        f"loss {step.loss:.4f}  PSNR {step.psnr:.1f} dB  |grad| {step.slope:.2f}  "
+        f"T_nr {step.displacement * 1000:.1f} mm"
+    )
+
+
+def _megabytes(memory: int | None) -> int | None:
+    return None if memory is None else round(memory / 1e6)
+
+
+def _memory_text(memory: int | None) -> str:
+    return "peak memory unknown here" if memory is None else f"peak memory {memory / 1e9:.2f} GB"
 
 
 def _say(text: str) -> None:

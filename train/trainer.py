@@ -1,19 +1,26 @@
 """The loop of stage 1 (TotalSelfScan, section 3.4): one part learns its field from its video."""
 
-import os
 import signal
+import sys
 import time
 from collections.abc import Callable
+from dataclasses import astuple
 from pathlib import Path
 
 import torch
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
+from train.checkpoint import Position, load_checkpoint, save_checkpoint
+from train.distributed import ALONE, Ranks
 from train.field import PartField
+from train.interrupt import Stopped, deferred_stop
+from train.log import TrainingLog
+from train.networks.hash import HashGrid, open_levels
 from train.networks.triplane import TriPlane
-from train.objective import Extra, RayTensors, StepReport, beta_at, losses
+from train.objective import Extra, RayTensors, StepReport, beta_at, choose_rays, losses, rho_at
 from train.preset import PartPreset, Preset
+from train.preview import Preview
+
+REPORT_EVERY = 10  # steps between rows of the log
 
 
 def rate_at(iteration: int, part: PartPreset, preset: Preset) -> float:
@@ -24,7 +31,8 @@ def rate_at(iteration: int, part: PartPreset, preset: Preset) -> float:
 
 def optimiser_of(field: PartField, preset: Preset) -> torch.optim.Adam:
     """Adam, one rate each for grids, displacement and the rest; no weight decay, cells never seen stay as they are."""
-    grids = [m.planes for m in field.modules() if isinstance(m, TriPlane)]
+    grids = [table for module in field.modules() if isinstance(module, TriPlane | HashGrid)
+             for table in module.parameters(recurse=False)]  # fmt: skip
     moves = list(field.displacement.parameters())
     taken = {id(p) for p in grids + moves}
     others = [p for p in field.parameters() if id(p) not in taken]
@@ -33,7 +41,8 @@ def optimiser_of(field: PartField, preset: Preset) -> torch.optim.Adam:
         {"params": moves, "lr": preset.displacement_rate},
         {"params": others, "lr": preset.network_rate},
     ]
-    return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+    first, second, epsilon = preset.adam
+    return torch.optim.Adam(groups, betas=(first, second), eps=epsilon, fused=True)
 
 
 def train_field(
@@ -45,104 +54,93 @@ def train_field(
     seed: int,
     checkpoint: Path | None = None,
     resume: bool = False,
+    save_every: float = 120.0,
     stop_after: int | None = None,
     report: Callable[[int, StepReport], None] | None = None,
+    log: TrainingLog | None = None,
+    preview: Preview | None = None,
     extra: Extra | None = None,
+    ranks: Ranks = ALONE,
+    at: Position | None = None,
 ) -> int:
     """Train a field in place; returns the number of steps skipped because they were not finite.
 
     A step whose loss or gradient is not finite changes nothing and is counted; more than 1 % of such steps is
-    an error. Ctrl-C and `stop_after` write `checkpoint` (weights, optimiser, random state) and stop; resuming
-    from it equals never having stopped, bit for bit on one thread.
+    an error. `checkpoint` (weights, optimiser, random state) is written every `save_every` seconds, at the end,
+    after `stop_after` steps, and at Ctrl-C or SIGTERM, which then raise `Stopped`; resuming from it equals never
+    having stopped, bit for bit on one thread. `at` tells the caller how far it is.
     """
+    modules = {"field": field}
     optimiser = optimiser_of(field, preset)
     first_rates = [group["lr"] for group in optimiser.param_groups]
-    generator = torch.Generator(device="cpu").manual_seed(seed)
-    iteration = skipped = 0
-    if resume and checkpoint is not None and checkpoint.exists():
-        iteration, skipped = _load_checkpoint(checkpoint, field, optimiser, generator)
-
-    asked_to_stop = []
-    previous = _on_interrupt(lambda: asked_to_stop.append(True))
     parameters = [p for group in optimiser.param_groups for p in group["params"]]
-    device = rays.ends.device
-    try:
-        while iteration < part.iterations:
-            scale = rate_at(iteration, part, preset)
+    generator = torch.Generator(device="cpu").manual_seed(seed)
+    at = Position() if at is None else at
+    if resume and checkpoint is not None and checkpoint.exists():
+        load_checkpoint(checkpoint, modules, optimiser, generator, at)
+    if log is not None:
+        log.begin(at.iteration)
+    device, weight = rays.ends.device, ranks.weight(preset.rays)
+    frame_counts = torch.bincount(rays.frame).cpu()
+    began = time.monotonic() - at.seconds
+    saved = time.monotonic()
+
+    def save() -> None:
+        at.seconds = time.monotonic() - began
+        if checkpoint is not None and ranks.writes:
+            save_checkpoint(checkpoint, modules, optimiser, generator, at)
+
+    with deferred_stop() as stop:
+        while at.iteration < part.iterations:
+            rung = at.iteration if extra is None else part.iterations  # stage 2 stays where the ladders ended
+            scale, beta = rate_at(at.iteration, part, preset), beta_at(rung, part, preset)
             for group, rate in zip(optimiser.param_groups, first_rates):
                 group["lr"] = rate * scale
-            chosen = torch.randint(len(rays.ends), (preset.rays,), generator=generator).to(device)
-            u = torch.rand(preset.rays, generator=generator).to(device)
-            loss, describe = losses(
-                field, rays, chosen, u, beta_at(iteration, part, preset), part, preset, extra=extra
-            )
+            open_levels(field, rung / part.iterations)
+            chosen = choose_rays(frame_counts, preset, generator)
+            u = torch.rand(preset.rays, generator=generator)
+            chosen, u = ranks.share(chosen).to(device), ranks.share(u).to(device)
+            rho = rho_at(rung, part)
+            loss, describe = losses(field, rays, chosen, u, beta, part, preset, rho=rho, extra=extra)
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
+            loss, stopping = ranks.combine(parameters, weight, loss, stop.asked)
             norm = torch.nn.utils.clip_grad_norm_(parameters, preset.clip)
             if torch.isfinite(loss) and torch.isfinite(norm):
                 optimiser.step()
             else:
-                skipped += 1
-                if skipped > max(0.01 * part.iterations, 1):
+                at.skipped += 1
+                if at.skipped > max(0.01 * part.iterations, 1):
                     raise FloatingPointError(
-                        f"{skipped} of {iteration + 1} steps were not finite, more than 1 %"
+                        f"{at.skipped} of {at.iteration + 1} steps were not finite, more than 1 %"
                     )
-            iteration += 1
-            if report is not None and (iteration % 50 == 0 or iteration == part.iterations):
-                report(iteration, describe())
-            if asked_to_stop or iteration == stop_after:
-                if checkpoint is not None:
-                    _save_checkpoint(checkpoint, field, optimiser, generator, iteration, skipped)
-                if asked_to_stop:
-                    raise KeyboardInterrupt
-                return skipped
-    finally:
-        if previous is not None:
-            signal.signal(signal.SIGINT, previous)
-    with torch.no_grad():
-        field.reference.copy_(field.appearance.weight.mean(0))
-        field.displacement.settle()
-    if checkpoint is not None:
-        _save_checkpoint(checkpoint, field, optimiser, generator, iteration, skipped)
-    return skipped
-
-
-def _on_interrupt(act: Callable[[], None]):
-    """Run `act` at Ctrl-C instead of raising in the middle of a step; a second Ctrl-C raises."""
-
-    def handler(number, frame):
-        act()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    try:
-        return signal.signal(signal.SIGINT, handler)
-    except ValueError:  # not the main thread: the caller's handler stays
-        return None
-
-
-def _save_checkpoint(path: Path, field, optimiser, generator, iteration: int, skipped: int) -> None:
-    state = {
-        "field": field.state_dict(),
-        "optimiser": optimiser.state_dict(),
-        "generator": generator.get_state(),
-        "iteration": iteration,
-        "skipped": skipped,
-    }
-    with whole_file(path) as file:
-        torch.save(state, file)
-
-
-def _load_checkpoint(path: Path, field, optimiser, generator) -> tuple[int, int]:
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-        field.load_state_dict(state["field"])
-        optimiser.load_state_dict(state["optimiser"])
-        generator.set_state(state["generator"])
-        return int(state["iteration"]), int(state["skipped"])
-    except (OSError, KeyError, RuntimeError, ValueError, EOFError) as error:
-        raise AssetError(
-            f"{path}: expected a checkpoint of this training, found: {str(error)[:200]}"
-        ) from None
+            at.iteration += 1
+            last = at.iteration == part.iterations
+            if (log is not None or report is not None) and (at.iteration % REPORT_EVERY == 0 or last):
+                step = StepReport(*ranks.mean(astuple(describe()), weight, device))
+                if log is not None and ranks.writes:
+                    log.row(at.iteration, time.monotonic() - began, scale, vars(step))
+                if report is not None:
+                    report(at.iteration, step)
+            if preview is not None and (at.iteration % preview.every == 0 or last):
+                image = preview.draw(field, beta, preset)
+                if log is not None:
+                    log.image(at.iteration, image)
+            if stopping or at.iteration == stop_after:
+                save()
+                if stopping:
+                    raise Stopped(stop.number or signal.SIGTERM)
+                return at.skipped
+            if time.monotonic() - saved > save_every:
+                save()
+                saved = time.monotonic()
+        with torch.no_grad():
+            field.reference.copy_(field.appearance.weight.mean(0))
+            field.displacement.settle()
+        save()
+    if stop.number is not None:  # after the last step: all is saved, but the caller goes no further
+        raise Stopped(stop.number)
+    return at.skipped
 
 
 def set_threads(count: int) -> None:
@@ -151,7 +149,13 @@ def set_threads(count: int) -> None:
     torch.set_num_threads(count)
 
 
-def cpu_seconds() -> tuple[float, float]:
-    """Wall and process CPU seconds, for the time table."""
-    times = os.times()
-    return time.monotonic(), times.user + times.system
+def peak_memory(device: str) -> int | None:
+    """Most memory that this process (or, on CUDA, its tensors) ever held, bytes; None where it cannot be asked."""
+    if device.startswith("cuda"):
+        return torch.cuda.max_memory_allocated(device)
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit

@@ -1,0 +1,97 @@
+"""Ctrl-C and SIGTERM, taken at a moment of our choosing."""
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Stopped(KeyboardInterrupt):
+    """The user asked to stop. `number` is the signal; a shell expects the exit code 128 + number."""
+
+    def __init__(self, number: int = signal.SIGINT):
+        super().__init__()
+        self.number = number
+
+
+class StopRequest:
+    """What arrived inside a `deferred_stop` block."""
+
+    number: int | None = None  # the signal
+    at: float = 0.0
+
+    @property
+    def asked(self) -> bool:
+        return self.number is not None
+
+    def ask(self, number: int = signal.SIGTERM) -> None:
+        """Ask from within: a lost parent process counts as SIGTERM."""
+        if self.number is None:
+            self.number, self.at = number, time.monotonic()
+
+
+@contextmanager
+def prompt_stop() -> Iterator[None]:
+    """In this block either signal raises `Stopped` at once, so that `finally` and context managers run."""
+
+    def handler(number, frame):
+        raise Stopped(number)
+
+    with _handled(handler):
+        yield
+
+
+@contextmanager
+def deferred_stop() -> Iterator[StopRequest]:
+    """In this block a signal is only noted; the block looks at `.asked` where it can save and leave.
+
+    A second Ctrl-C, a second or more after the first, raises `Stopped` wherever the block is. Other repeats say
+    nothing new: `timeout` and torchrun send to a process and then to its group.
+    """
+    request = StopRequest()
+
+    def handler(number, frame):
+        if request.asked and number == signal.SIGINT and time.monotonic() - request.at > 1.0:
+            raise Stopped(number)
+        request.ask(number)
+
+    with _handled(handler):
+        yield request
+
+
+@contextmanager
+def _handled(handler) -> Iterator[None]:
+    try:
+        previous = [signal.signal(number, handler) for number in SIGNALS]
+    except ValueError:  # not the main thread: the program's own handlers stay
+        yield
+        return
+    try:
+        yield
+    finally:
+        for number, before in zip(SIGNALS, previous):
+            signal.signal(number, before)
+
+
+@contextmanager
+def signals_wait() -> Iterator[None]:
+    """Hold both signals back while a process is started; it inherits that, and takes them when it is ready.
+
+    Otherwise a Ctrl-C during a child's imports would end it with a traceback.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows has no signal mask
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def signals_arrive() -> None:
+    """In a process started inside `signals_wait`: from here on they are delivered."""
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)

@@ -1,0 +1,101 @@
+"""What lies at the place of a run already: nothing, a finished run, or an interrupted training to go on with."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from avatar.errors import AssetError
+from avatar.files import whole_file
+
+FILE = "session.json"
+
+
+@dataclass(frozen=True)
+class Session:
+    """One training, over all its sittings."""
+
+    out: Path  # the run folder, absent until it is complete
+    partial: Path  # checkpoints, logs and previews until then
+    resumed: bool
+
+
+def capture_digest(path: Path) -> str:
+    """SHA-256 of what training reads of a capture: the same capture may lie in another folder."""
+    digest = hashlib.sha256()
+    for file in sorted(path.rglob("*")):
+        name = file.relative_to(path).as_posix()
+        if file.is_file() and not name.startswith(("truth/", ".")):
+            digest.update(f"{name} {file.stat().st_size}\n".encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def digest_of(facts: dict[str, Any]) -> str:
+    """Tells one preset's numbers from another's."""
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def open_session(
+    out: Path, settings: dict[str, Any], *, resume: bool, force: bool, say: Callable[[str], None]
+) -> Session | None:
+    """The session of `settings` (what decides the result, JSON); None where `resume` finds the run finished.
+
+    Hours of work are never thrown away unasked: without `resume` or `force`, a finished run and an interrupted
+    training with checkpoints are refused.
+
+    Raises:
+        AssetError: one of these, or what is there was begun with other settings.
+    """
+    partial = out.with_name(out.name + ".partial")
+    settings = json.loads(json.dumps(settings))
+    if force:
+        shutil.rmtree(partial, ignore_errors=True)
+    interrupted = any(partial.glob("*.ckpt"))
+    finished = (out / "run.json").exists()
+    if resume and interrupted:
+        before = _read(partial / FILE)
+        other = [key for key in sorted({*before, *settings}) if before.get(key) != settings.get(key)]
+        if other:
+            raise AssetError(
+                f"{partial}: was begun with {_listed(before, other)}, not with {_listed(settings, other)}; "
+                "--resume needs the same, --force begins anew"
+            )
+        return Session(out, partial, True)
+    if resume and finished:
+        say(f"{out} is finished already; nothing to resume (--force trains it anew)")
+        return None
+    if interrupted:
+        raise AssetError(
+            f"{partial}: an interrupted training lies here; --resume goes on, --force begins anew"
+        )
+    if finished and not force:
+        raise AssetError(
+            f"{out}: a finished run lies here; --force replaces it once the new one is complete, "
+            "or choose another -o"
+        )
+    if resume:
+        say(f"{partial} holds no checkpoint: nothing to resume, training begins")
+    shutil.rmtree(partial, ignore_errors=True)
+    with whole_file(partial / FILE, "w") as file:
+        json.dump(settings, file, indent=1)
+    return Session(out, partial, False)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise AssetError(
+            f"{path}: expected the settings of an interrupted training, found: {error}"
+        ) from None
+    if not isinstance(content, dict):
+        raise AssetError(f"{path}: expected a JSON object, found {type(content).__name__}")
+    return content
+
+
+def _listed(settings: dict[str, Any], keys: list[str]) -> str:
+    return ", ".join(f"{key} {settings.get(key)}" for key in keys)
