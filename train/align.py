@@ -1,0 +1,364 @@
+"""Poses moved until the template's outline lies on the masks' outline: before any field is trained.
+
+The template is the registered person, so its outline is known from the start. Per frame, with increments d of the
+joints' rotations (R_j exp d_j) and of the root, least squares of
+
+    sum over outline pixels  (n . (q - p(d)))^2 / s^2          p on the template's outline, q on the mask's, n normal
+    + sum over samples       |I(p(d)) - mean colour|^2 / s_c^2  the same spot has one colour in all frames
+    + |d from the given pose|^2 / s_prior^2
+    + |second difference in time|^2 / s_smooth^2                people move smoothly; robust, jumps are let through
+
+is solved by Gauss-Newton for all frames at once: frames meet only in the last term, the system is banded.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage, signal
+from scipy.linalg import solveh_banded
+from scipy.spatial import KDTree
+
+from avatar.camera import Camera, project
+from avatar.rasterise import Fragments, rasterise
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from avatar.skeleton import PARENTS, joint_transforms, skin_transforms
+from avatar.skinning import SkinWeights, skin_points
+from train.capture import PARTS, PartVideo, Subject
+from train.mesh import vertex_normals
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class AlignSettings:
+    """Standard deviations that weigh the terms."""
+
+    outline: float = 3.0  # pixels of one outline pixel: neighbours err together, so more than a pixel
+    color: float = 0.15  # of one sample, sRGB
+    prior: float = 3.0  # degrees, of each joint about each axis
+    root: float = 0.01  # metres
+    smooth: float = 1.0  # degrees a frame a frame
+    rounds: int = 12
+    colored: int = 5  # of them, the last ones use colours too
+
+
+def descends() -> Bool[Array, "52 52"]:
+    """[k, j]: joint k is j or hangs from it."""
+    out = np.eye(52, dtype=bool)
+    for k in range(1, 52):
+        out[k] |= out[PARENTS[k]]
+    return out
+
+
+DESCENDS = descends()
+
+
+def moving_joints(subject: Subject, part: int, video: PartVideo, *, least: float = 20.0) -> Int[Array, "m"]:
+    """Joints whose turning shows in the video: some vertex of the part moves `least` pixels a radian or more."""
+    assert video.axis_angle is not None and video.root is not None
+    chosen = np.ones(len(subject.rest), bool) if part == 0 else subject.part == part
+    skin = SkinWeights(subject.skin.joints[chosen], subject.skin.weights[chosen])
+    share = np.zeros((int(chosen.sum()), 52))
+    np.put_along_axis(share, skin.joints, skin.weights, 1)
+    moves = share @ DESCENDS  # how much of a vertex follows joint j
+    away = np.linalg.norm(subject.rest[chosen][:, None] - subject.joints, axis=2)
+    camera = video.cameras[0]
+    depth = max(float((camera.camera_from_world[:3] @ np.append(video.root[0], 1))[2]), 0.1)
+    return np.flatnonzero((moves * away).max(0) * camera.K[0, 0] / depth >= least)
+
+
+def increments_moved(
+    subject: Subject, vertices: Int[Array, "n"], G: Float[Array, "52 4 4"], B: Float[Array, "52 4 4"],
+    g: Float[Array, "n 3"], moving: Int[Array, "m"],
+) -> Float[Array, "n p"]:  # fmt: skip
+    """Derivative of g . x, x skinned template vertices, to the increments of the moving joints and of the root.
+
+        dx / dd_j = sum_k w_k [k hangs from j] (G_j e) x (B_k x - position of j)
+    """
+    joints, weights, points = subject.skin.joints[vertices], subject.skin.weights[vertices], subject.vertices[vertices]
+    placed = np.einsum("nkij,nj->nki", B[joints, :3, :3], points) + B[joints, :3, 3]
+    hangs = DESCENDS[joints][:, :, moving] * weights[:, :, None]  # n 4 m
+    arm = np.einsum("nkm,nki->nmi", hangs, placed) - hangs.sum(1)[:, :, None] * G[moving, :3, 3]
+    turn = np.cross(arm, g[:, None])  # (w x a) . g = w . (a x g)
+    turned = np.einsum("nmi,mij->nmj", turn, G[moving, :3, :3])
+    return np.concatenate([turned.reshape(len(points), -1), g], 1)
+
+
+def project_derivative(camera: Camera, points: Float[Array, "n 3"]) -> Float[Array, "n 2 3"]:
+    """Derivative of the pixel position to the world point; lens distortion left out."""
+    R = camera.camera_from_world[:3, :3]
+    x, y, z = (points @ R.T + camera.camera_from_world[:3, 3]).T
+    o = np.zeros_like(z)
+    fx, fy, skew = camera.K[0, 0], camera.K[1, 1], camera.K[0, 1]
+    rows = np.stack([np.stack([fx / z, skew / z, -(fx * x + skew * y) / z**2], 1),
+                     np.stack([o, fy / z, -fy * y / z**2], 1)], 1)  # fmt: skip
+    return rows @ R
+
+
+class Outline:
+    """Outline pixels of an area with their outward normals."""
+
+    def __init__(self, area: Bool[Array, "h w"]):
+        edge = area & ~np.asarray(ndimage.binary_erosion(area, border_value=1), bool)
+        smooth = ndimage.gaussian_filter(area.astype(np.float32), 1.5, mode="nearest")
+        slope = np.stack(np.gradient(smooth)[::-1], -1)
+        self.pixels = np.argwhere(edge)
+        self.at = self.pixels[:, ::-1] + 0.5  # x, y
+        n = -slope[self.pixels[:, 0], self.pixels[:, 1]]
+        self.normals = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-6)
+
+    def nearest(self, other: "Outline", bend: float) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
+        """For each pixel of ours the nearest of `other` with a like normal, and how far it is in pixels."""
+        tree = KDTree(np.c_[other.at, bend * other.normals])
+        _, index = tree.query(np.c_[self.at, bend * self.normals])
+        return index, np.linalg.norm(other.at[index] - self.at, axis=1)
+
+
+def placement(
+    template: Bool[Array, "H W"], mask: Bool[Array, "h w"], centre: Float[Array, "2"], near: float
+) -> tuple[float, Float[Array, "2"]]:
+    """The turn (radians) about `centre` and the shift (x, y; pixels) that cover the mask best with a silhouette.
+
+    The template is drawn on a canvas three times the image, the image in its middle. Counted are template
+    pixels on the mask less those beside it within the image; shifts are taxed by their square over `near`,
+    turns alike over 10 degrees. Half resolution is enough: outlines are what is matched afterwards.
+    """
+    h, w = mask[::2, ::2].shape
+    half, vote_of = template[::2, ::2].astype(np.float32), (2.0 * mask[::2, ::2] - 1)[::-1, ::-1]
+    best: tuple[float, float, Array] = (-np.inf, 0.0, np.zeros(2))
+    for degrees in (-16.0, -8.0, 0.0, 8.0, 16.0):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        back = np.array([[c, -s], [s, c]])  # of (row, column): output to input
+        middle = centre[::-1] / 2
+        turned = ndimage.affine_transform(half, back, middle - back @ middle, order=0) if degrees else half
+        vote = signal.fftconvolve(turned, vote_of, mode="valid")
+        dy, dx = h - np.arange(vote.shape[0])[:, None], w - np.arange(vote.shape[1])[None, :]
+        tax = 0.02 * (4 * (dy**2 + dx**2) / near**2 + (degrees / 10) ** 2)
+        taxed = vote / max(float(mask.sum()) / 4, 1.0) - tax
+        i, j = np.unravel_index(taxed.argmax(), vote.shape)
+        if taxed[i, j] > best[0]:
+            best = taxed[i, j], np.radians(degrees), 2.0 * np.array([w - j, h - i])
+    return best[1], best[2]
+
+
+class Aligned(NamedTuple):
+    """Poses on the masks, and how well each frame's outline lies there."""
+
+    axis_angle: Float[Array, "frames 52 3"]
+    root: Float[Array, "frames 3"]
+    edge: Float[Array, "frames"]  # mean distance of the outlines, pixels of an image 256 high; inf: none in view
+
+
+class _View(NamedTuple):
+    """One frame's template: world, and drawn."""
+
+    G: Float[Array, "52 4 4"]
+    B: Float[Array, "52 4 4"]
+    posed: Float[Array, "v 3"]
+    drawn: Fragments
+    outline: Outline
+    came: Float[Array, "n 2"]  # how far the outline pixels were slid from where they are drawn
+
+
+def align(
+    video: PartVideo, subject: Subject, settings: AlignSettings = AlignSettings(),
+    each_round: Callable[[int, Float[Array, "frames 52 3"], Float[Array, "frames 3"]], None] | None = None,
+) -> Aligned:  # fmt: skip
+    """Poses of a posed video moved onto its masks (see the top of this file)."""
+    assert video.axis_angle is not None and video.root is not None
+    part = PARTS.index(video.part)
+    moving = moving_joints(subject, part, video)
+    near = _near_faces(subject, part)
+    given = matrix_from_axis_angle(video.axis_angle)
+    R, root = given.copy(), video.root.copy()
+    frames, params = len(root), 3 * len(moving) + 3
+    sigma = np.r_[np.full(params - 3, np.radians(settings.prior)), np.full(3, settings.root)]
+    scale = video.masks.shape[1] / 256
+    outlines = [Outline(mask) for mask in video.masks]
+    edge = np.zeros(frames)
+    cuts = scale * np.geomspace(40.0, 3.0, settings.rounds)
+    for number, cut in enumerate(cuts):
+        first, colored = number == 0, number >= settings.rounds - settings.colored
+        views = [_view(video, subject, f, R[f], root[f], near if first else None) for f in range(frames)]
+        H, b = np.zeros((frames, params, params)), np.zeros((frames, params))
+        for f, view in enumerate(views):
+            edge[f] = _add_outline(
+                H[f], b[f], view, video, f, subject, outlines[f], moving, cut, settings.outline * scale, near
+            )
+        if colored:
+            _add_colors(H, b, views, video, subject, part, moving, settings.color)
+        delta = axis_angle_from_matrix(np.swapaxes(given, -1, -2) @ R)[:, moving].reshape(frames, -1)
+        delta = np.c_[delta, root - video.root]
+        step = _solve(H + np.diag(1 / sigma**2), b - delta / sigma**2, R[:, moving], settings)
+        R[:, moving] = R[:, moving] @ matrix_from_axis_angle(step[:, :-3].reshape(frames, -1, 3))
+        root = root + step[:, -3:]
+        if each_round is not None:
+            each_round(number, axis_angle_from_matrix(R), root)
+    return Aligned(axis_angle_from_matrix(R), root, edge / scale)
+
+
+def _near_faces(subject: Subject, part: int) -> Bool[Array, "faces"]:
+    """Faces whose outline places the part: its own and those of the bone it hangs from; of the body all."""
+    if part == 0:
+        return np.ones(len(subject.faces), bool)
+    own = subject.part == part
+    heaviest = np.bincount(subject.skin.joints[own, 0], minlength=52).argmax()
+    top = heaviest  # the part's own joint nearest to the pelvis: the wrist of a hand
+    while own[subject.skin.joints[:, 0] == PARENTS[top]].mean() > 0.5:
+        top = PARENTS[top]
+    own |= ((subject.skin.joints == PARENTS[top]) & (subject.skin.weights > 0.5)).any(1)
+    return own[subject.faces].all(1)
+
+
+def _view(
+    video: PartVideo, subject: Subject, f: int, R: Array, root: Array, near: Bool[Array, "faces"] | None
+) -> _View:
+    """The template in frame f. With `near` its outline is first slid and turned as a whole onto the mask."""
+    axis_angle, camera = axis_angle_from_matrix(R), video.cameras[f]
+    B = skin_transforms(axis_angle, subject.joints, root)
+    posed = skin_points(subject.vertices, subject.skin, B)
+    G = joint_transforms(axis_angle, subject.joints, root)
+    if near is None:
+        drawn = rasterise(posed, subject.faces, camera)
+        outline = Outline(drawn.face >= 0)
+        return _View(G, B, posed, drawn, outline, np.zeros_like(outline.at))
+    size = np.array(camera.size)
+    K = camera.K.copy()
+    K[:2, 2] += size
+    drawn = rasterise(posed, subject.faces, replace(camera, K=K, size=(int(3 * size[0]), int(3 * size[1]))))
+    outline = Outline(drawn.face >= 0)
+    shown = (drawn.face >= 0) & near[drawn.face]
+    if not shown.any():
+        return _View(G, B, posed, drawn, outline, np.zeros_like(outline.at))
+    part = PARTS.index(video.part)
+    centre = project(camera, posed[subject.part == part] if part else posed)[0].mean(0) + size
+    turn, shift = placement(shown, video.masks[f], centre, 0.5 * size[0])
+    turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    moved = (outline.at - centre) @ turned + centre + shift
+    came = moved - outline.at
+    outline.normals, outline.at = outline.normals @ turned, moved - size
+    return _View(G, B, posed, drawn, outline, came)
+
+
+def _add_outline(
+    H: Array, b: Array, view: _View, video: PartVideo, f: int, subject: Subject, mask: Outline,
+    moving: Int[Array, "m"], cut: float, sigma: float, near: Bool[Array, "faces"],
+) -> float:  # fmt: skip
+    """Add the outline term of one frame; returns the mean distance of the outlines near the part."""
+    template, camera = view.outline, video.cameras[f]
+    if len(template.at) == 0 or len(mask.at) == 0:
+        return np.inf
+    there, d_there = template.nearest(mask, cut)
+    back, d_back = mask.nearest(template, cut)
+    inside = ((template.at > 0) & (template.at < camera.size)).all(1)
+    d_there = np.where(inside, d_there, np.inf)  # what the image does not show agrees with nothing
+    p = np.r_[np.arange(len(template.at)), back]
+    q = np.r_[there, np.arange(len(mask.at))]
+    length = np.r_[d_there, d_back]
+    face = view.drawn.face[template.pixels[p, 0], template.pixels[p, 1]]
+    n = mask.normals[q]
+    r = ((mask.at[q] - template.at[p] + view.came[p]) * n).sum(1)
+    weight = 1 / (1 + (length / cut) ** 2) ** 2 / sigma**2
+    if view.came.any():
+        weight = weight * near[face]
+    corner = subject.faces[face, 0]  # stands for the pixel: its derivative varies slowly over a face
+    g = np.einsum("ni,nij->nj", n, project_derivative(camera, view.posed[corner]))
+    J = increments_moved(subject, corner, view.G, view.B, g, moving)
+    H += (J * weight[:, None]).T @ J
+    b += (J * weight[:, None]).T @ r
+    close = near[face] & np.isfinite(length)
+    return float(length[close].mean()) if close.any() else np.inf
+
+
+def _seen(view: _View, video: PartVideo, f: int, subject: Subject, part: int) -> tuple[Array, Array]:
+    """Vertices of the part that frame f shows well, and their pixels."""
+    camera = video.cameras[f]
+    pixels, depth = project(camera, view.posed)
+    inside = (pixels > 1).all(1) & (pixels < np.array(camera.size) - 1).all(1) & (depth > 0)
+    if part:
+        inside &= subject.part == part
+    d = view.posed - camera.eye
+    facing = -(d * vertex_normals(view.posed, subject.faces)).sum(1) / np.linalg.norm(d, axis=1)
+    at = np.flatnonzero(inside & (facing > 0.35))
+    x, y = np.floor(pixels[at]).astype(int).T
+    open_ = depth[at] < view.drawn.depth[y, x] + 0.01
+    deep = np.asarray(ndimage.binary_erosion(video.masks[f], iterations=2), bool)
+    at = at[open_ & deep[y, x]]
+    return at, pixels[at]
+
+
+def _add_colors(
+    H: Array, b: Array, views: list[_View], video: PartVideo, subject: Subject, part: int,
+    moving: Int[Array, "m"], sigma: float,
+) -> None:  # fmt: skip
+    """Add the colour term of all frames: each vertex against its mean over the frames that see it, at least 4."""
+    total, number = np.zeros((len(subject.vertices), 3)), np.zeros(len(subject.vertices))
+    seen = []
+    for f, view in enumerate(views):
+        at, pixels = _seen(view, video, f, subject, part)
+        image = ndimage.gaussian_filter(video.images[f].astype(np.float32) / 255, (1.0, 1.0, 0))
+        color = _bilinear(image, pixels)
+        total[at] += color
+        number[at] += 1
+        seen.append((at, pixels, image, color))
+    mean = total / np.maximum(number, 1)[:, None]
+    for f, (at, pixels, image, color) in enumerate(seen):
+        keep = number[at] >= 4
+        at, pixels, r = at[keep], pixels[keep], (mean[at] - color)[keep]
+        if len(at) == 0:
+            continue
+        r = r - np.median(r, 0)  # exposure
+        weight = 1 / (1 + (r**2).sum(1) / sigma**2) ** 2 / sigma**2
+        jac = project_derivative(video.cameras[f], views[f].posed[at])
+        dy, dx = (_bilinear(slope, pixels) for slope in np.gradient(image, axis=(0, 1)))
+        for c in range(3):
+            g = np.einsum("ni,nij->nj", np.stack([dx[:, c], dy[:, c]], 1), jac)
+            J = increments_moved(subject, at, views[f].G, views[f].B, g, moving)
+            H[f] += (J * weight[:, None]).T @ J
+            b[f] += (J * weight[:, None]).T @ r[:, c]
+
+
+def _bilinear(image: Float[Array, "h w 3"], pixels: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
+    place = (pixels[:, ::-1] - 0.5).T
+    return np.stack([ndimage.map_coordinates(image[..., c], place, order=1) for c in range(3)], 1)
+
+
+def _solve(
+    H: Float[Array, "frames p p"], b: Float[Array, "frames p"], R: Float[Array, "frames m 3 3"],
+    settings: AlignSettings,
+) -> Float[Array, "frames p"]:  # fmt: skip
+    """One Gauss-Newton step of all frames, H and b theirs alone; the smoothness of neighbours is added here.
+
+    The second difference of a joint is a_f = v_f - v_(f-1), v_f = log(R_f^T R_(f+1)); an increment d_f turns
+    v_f by -R_(f,f+1)^T d_f and v_(f-1) by d_f.
+    """
+    frames, params = b.shape
+    m = R.shape[1]
+    b = b.copy()
+    blocks = [H.copy(), np.zeros_like(H), np.zeros_like(H)]  # of frame f with f, f + 1, f + 2
+    between = np.swapaxes(R[:-1], -1, -2) @ R[1:]
+    v = axis_angle_from_matrix(between)
+    eye = np.broadcast_to(np.eye(3), (m, 3, 3))
+    joint = 3 * np.arange(m)
+    for f in range(1, frames - 1):
+        a = v[f] - v[f - 1]
+        weight = 1 / (1 + (a**2).sum(1) / np.radians(12.0) ** 2) ** 2 / np.radians(settings.smooth) ** 2
+        turns = [np.swapaxes(between[f - 1], -1, -2), -np.swapaxes(between[f], -1, -2) - np.eye(3), eye]
+        for x in range(3):
+            b[f - 1 + x, :-3] -= (np.einsum("mji,mj->mi", turns[x], a) * weight[:, None]).ravel()
+            for y in range(x, 3):
+                product = np.einsum("mki,mkj->mij", turns[x], turns[y]) * weight[:, None, None]
+                for i in range(3):
+                    for j in range(3):
+                        blocks[y - x][f - 1 + x, joint + i, joint + j] += product[:, i, j]
+    band = np.zeros((3 * params, frames * params))  # upper form: [last row + row - column, column]
+    row, column = np.indices((params, params))
+    for apart in range(min(3, frames)):
+        for f in range(frames - apart):
+            r, c = f * params + row, (f + apart) * params + column
+            upper = r <= c
+            band[3 * params - 1 + (r - c)[upper], c[upper]] = blocks[apart][f][upper]
+    return solveh_banded(band, b.ravel()).reshape(frames, params)
