@@ -10,6 +10,7 @@ from avatar.errors import AssetError
 from train.distributed import leave_ranks
 from train.interrupt import Stopped
 from train.preset import PRESETS, shortened
+from train.refine import CHOICES
 from train.stages import train
 
 DESCRIPTION = """\
@@ -89,6 +90,12 @@ def main(argv: list[str]) -> int:
         metavar="STEPS",
         help="between previews, 0 for none (default: 250)",
     )
+    parser.add_argument(
+        "--refine-poses",
+        choices=CHOICES,
+        default="auto",
+        help="move noisy poses onto the masks first; auto: videos whose outlines do not meet (default: auto)",
+    )
     arguments = parser.parse_args(argv)
     if arguments.iterations is not None and arguments.iterations < 1:
         parser.error(f"--iterations should be at least 1, is {arguments.iterations}")
@@ -106,7 +113,7 @@ def main(argv: list[str]) -> int:
     try:
         train(arguments.capture, arguments.out, preset, device=arguments.device, seed=arguments.seed,
               resume=arguments.resume, force=arguments.force, save_every=arguments.save_every,
-              preview_every=arguments.preview)  # fmt: skip
+              preview_every=arguments.preview, refine_poses=arguments.refine_poses)  # fmt: skip
     except Stopped as stopped:
         options = [option for option in argv if option not in ("--resume", "--force")]
         again = shlex.join(["selfscan", "train", *options, "--resume"])

@@ -29,6 +29,7 @@ from train.prefit import fit_template
 from train.preset import Preset
 from train.preview import part_preview
 from train.rays import part_rays
+from train.refine import read_refined, refine_wanted, refined_path, refined_video, with_refined
 from train.register import Registration, similarity_from_landmarks
 from train.session import Session, capture_digest, digest_of, open_session
 from train.template import neck_height, surface_cloud, template_grid, visible_faces
@@ -56,12 +57,14 @@ class PartJob:
     threads: int
     save_every: float  # seconds between checkpoints
     preview_every: int  # steps between previews; 0: none
+    refine_poses: bool
     ranks: Ranks
 
 
 def train(
     capture_path: Path | str, out: Path | str, preset: Preset, *, device: str = "cpu", seed: int = 0,
     resume: bool = False, force: bool = False, save_every: float = 120.0, preview_every: int = 250,
+    refine_poses: str = "auto",
 ) -> Path:  # fmt: skip
     """Train all parts, compose them, and write the run folder.
 
@@ -79,6 +82,7 @@ def train(
             "iterations": [part.iterations for part in preset.parts],
             "seed": seed,
             "numbers": digest_of(run_folder.preset_facts(preset)),
+            "refine_poses": refine_poses,
         }
         session = None
         if ranks.writes:
@@ -95,8 +99,9 @@ def train(
             f"stage 1: {len(PARTS)} parts by volume rendering of signed distance (Eq. 10-12), preset {preset.name}"
         )
         say(f"logs, previews and checkpoints: {session.partial}")
+        refine = refine_wanted(capture, refine_poses, say)
         facts = _train_parts(
-            capture, preset, landmarks, session, ranks, device, seed, save_every, preview_every
+            capture, preset, landmarks, session, ranks, device, seed, save_every, preview_every, refine
         )
         if ranks.writes:
             _compose(capture, preset, landmarks, session, device, seed, facts, began)
@@ -109,6 +114,7 @@ def _compose(
 ) -> None:  # fmt: skip
     """From trained parts to the run folder; under torchrun the work of one rank."""
     out, partial = session.out, session.partial
+    capture = with_refined(capture, partial)
     seconds = {name: fact["seconds"] for name, fact in facts.items()}
     fields = [run_folder.read_part(partial / f"{name}.pt", capture.subject, i, preset.parts[i])
               for i, name in enumerate(PARTS)]  # fmt: skip
@@ -124,6 +130,8 @@ def _compose(
         run_folder.write_codes(folder / "codes.npz", fields)
         for name, field in zip(PARTS, fields):
             run_folder.write_part(folder / f"{name}.pt", field)
+        for path in partial.glob("refined_*.npz"):
+            shutil.copyfile(path, folder / path.name)
         for name in ("logs", "preview"):
             if (partial / name).is_dir():
                 shutil.copytree(partial / name, folder / name)
@@ -173,7 +181,7 @@ def _register_landmarks(capture: Capture, say: Callable[[str], None]) -> Registr
 
 def _train_parts(
     capture: Capture, preset: Preset, landmarks: Registration, session: Session, ranks: Ranks, device: str,
-    seed: int, save_every: float, preview_every: int,
+    seed: int, save_every: float, preview_every: int, refine: frozenset[str],
 ) -> dict[str, dict]:  # fmt: skip
     """Stage 1 for every part; heavier parts first so that two workers end together."""
     cores = os.cpu_count() or 1
@@ -182,7 +190,7 @@ def _train_parts(
     jobs = {
         PARTS[index]: PartJob(
             str(capture.path), index, preset, landmarks.transform, str(session.partial), device, seed,
-            session.resumed, threads, save_every, preview_every, ranks,
+            session.resumed, threads, save_every, preview_every, PARTS[index] in refine, ranks,
         )
         for index in (1, 0, 2, 3)
     }  # fmt: skip
@@ -207,6 +215,15 @@ def train_part(job: PartJob, tell: Tell) -> dict:
     capture = read_capture(job.capture)
     subject, video = capture.subject, capture.videos[name]
     canonical_from_head = job.canonical_from_head if name == "head" else None
+    refined = {}
+    if job.refine_poses:
+        path = refined_path(folder, name)
+        if job.resume and path.exists():
+            video = read_refined(path, video)
+        else:
+            video, refined = refined_video(video, subject, path)
+            tell.say(f"{name}: poses on the masks, outlines {refined['outline_px']:.2f} px apart, "
+                     f"{len(refined['frames_left_out'])} frames left out")  # fmt: skip
     part = part_boxes(subject)[job.index]
     torch.manual_seed(job.seed * 4 + job.index)
     cloud = surface_cloud(subject, job.index, visible_faces(subject), part_preset.spacing)
@@ -262,6 +279,8 @@ def train_part(job: PartJob, tell: Tell) -> dict:
         "cpu_seconds": round(time.process_time() - cpu, 1),  # of the last sitting
         "peak_memory_mb": _megabytes(memory),
     }
+    if refined:
+        facts["refined_poses"] = refined
     if job.ranks.writes:
         run_folder.write_part(folder / f"{name}.pt", field.cpu())
         with whole_file(done, "w") as file:  # from now on resuming passes this part by
