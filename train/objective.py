@@ -20,6 +20,7 @@ from train.loss import (
     mask_logit_loss,
     mask_loss,
 )
+from train.networks.paper import PaperGeometry
 from train.preset import PartPreset, Preset
 from train.rays import TrainingRays
 from train.render import crossing, density_weights, jittered, section_lengths, section_weights
@@ -142,7 +143,9 @@ def render_rays(
     lengths = section_lengths(ends)
     ends = ends + torch.lerp(moved[:, left], moved[:, right], (place - left)[None, :, None])
     if preset.density == "volsdf":
-        return _render_density(field, rays, chosen, ends[:, :-1], lengths, moved, create_graph)
+        assert isinstance(field.geometry, PaperGeometry)
+        width = field.geometry.density_width()
+        return _render_density(field, rays, chosen, ends[:, :-1], lengths, moved, width, create_graph)
 
     distance = field(ends.reshape(-1, 3)).distance.view(batch, count)
     rendered = section_weights(distance, beta)
@@ -164,14 +167,15 @@ def render_rays(
 
 def _render_density(
     field: PartField, rays: RayTensors, chosen: Int[Tensor, "b"], points: Float[Tensor, "b k 3"],
-    lengths: Float[Tensor, "b k"], moved: Float[Tensor, "b knots 3"], create_graph: bool,
+    lengths: Float[Tensor, "b k"], moved: Float[Tensor, "b knots 3"], beta: Float[Tensor, ""],
+    create_graph: bool,
 ) -> Rendered:  # fmt: skip
     """Volume rendering with VolSDF's density: all sections shaded, each where it begins; gradients reach T_nr."""
     batch, count, _ = points.shape
     flat = points.reshape(-1, 3)
     sample, gradient = field.with_gradient(flat, create_graph=create_graph, attached=True)
     distance = sample.distance.view(batch, count)
-    rendered = density_weights(distance, lengths, field.geometry.density_width())
+    rendered = density_weights(distance, lengths, beta)
     directions = directions_at(rays, chosen, rays.row[chosen][:, :count]).reshape(-1, 3)
     code = field.codes(rays.frame[chosen].repeat_interleave(count))
     color = field.color(flat, sample.feature, unit_normals(gradient), directions, code).view(batch, count, 3)

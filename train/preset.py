@@ -68,13 +68,17 @@ class Preset:
     appearance_rate: float = 1e-2  # its learning rate
 
 
-_HAND = PartPreset(1000, 0.002, 0.002, Band(0.012, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, TriPlaneNetworks())
+_HAND = PartPreset(
+    1000, 0.002, 0.002, Band(0.012, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, TriPlaneNetworks()
+)
 
 DEMO = Preset(
     "demo",
     (
         PartPreset(900, 0.01, 0.01, Band(0.03, 0.02, 0.006), (0.008, 0.0015), 0.03, 0.01, TriPlaneNetworks()),
-        PartPreset(1500, 0.003, 0.003, Band(0.035, 0.02, 0.006), (0.008, 0.001), 0.03, 0.01, TriPlaneNetworks()),
+        PartPreset(
+            1500, 0.003, 0.003, Band(0.035, 0.02, 0.006), (0.008, 0.001), 0.03, 0.01, TriPlaneNetworks()
+        ),
         _HAND,
         _HAND,
     ),
@@ -98,6 +102,7 @@ FAST = Preset(
     shaded=8,
     grid_rate=1e-2,
     surface_cells=(0.005, 0.0025, 0.002),
+    union=UnionPreset(iterations=500),
     appearance_steps=500,
 )
 
@@ -131,6 +136,7 @@ PAPER = Preset(
     mask_weight=1.0,
     adam=(0.9, 0.999, 1e-8),
     prefit=2000,
+    union=UnionPreset(100_000, rate=1.0, last_rate=0.1, warm_up=0, consistency=1.0, surface=1.0),
     appearance_steps=15_000,
     appearance_rate=5e-4,
 )

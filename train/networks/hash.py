@@ -50,7 +50,11 @@ def build(
         nn.Linear(width, width), nn.ReLU(),
     )  # fmt: skip
     displacement = Displacement(
-        frame_codes(frames, networks.displacement), trunk, width=width, frequencies=4, reach=displacement_reach
+        frame_codes(frames, networks.displacement),
+        trunk,
+        width=width,
+        frequencies=4,
+        reach=displacement_reach,
     )
     return PartNetworks(geometry, appearance, color, displacement)
 
@@ -120,7 +124,11 @@ class HashGrid(nn.Module):
         put("aspect", aspect.float(), False)
         put("resolution", torch.tensor(resolution, dtype=torch.float32), False)
         put("last_cell", points - 2, False)
-        put("strides", torch.stack([torch.ones_like(wanted), points[:, 0], points[:, 0] * points[:, 1]], 1), False)
+        put(
+            "strides",
+            torch.stack([torch.ones_like(wanted), points[:, 0], points[:, 0] * points[:, 1]], 1),
+            False,
+        )
         put("plain", (wanted <= networks.rows).long(), False)
         put("rows", rows, False)
         put("first_row", torch.cumsum(rows, 0) - rows, False)

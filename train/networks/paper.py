@@ -36,7 +36,7 @@ class PaperNetworks:
     appearance: int = 128  # of a frame's code l_i
     displacement: int = 128  # of a frame's code phi_i
     radius: float = 0.5  # of the sphere that F_s starts as, in longest half sides of the box
-    beta: float = 0.1  # width of the density at the start, metres (VolSDF); learned
+    beta: float = 0.01  # width of the density at the start, metres; learned. At VolSDF's .1 a hand is a mist
     lowest_beta: float = 1e-4
 
 
