@@ -172,7 +172,7 @@ def read_camera(path: Path | str) -> Camera:
     absent = {"size", "K", "camera_from_world"} - content.keys()
     if absent:
         raise AssetError(f"{path}: no {sorted(absent)}; the file has {sorted(content)}")
-    return _checked(
+    return checked_camera(
         str(path),
         content["K"],
         content["camera_from_world"],
@@ -206,11 +206,16 @@ def read_cameras(path: Path | str) -> list[Camera]:
         found = f"{len(K)}, {len(pose)}, {len(distortion)}"
         raise AssetError(f"{path}: K, camera_from_world and distortion should be equally many, are {found}")
     return [
-        _checked(f"{path}, camera {i}", K[i], pose[i], fields["size"], distortion[i]) for i in range(len(K))
+        checked_camera(f"{path}, camera {i}", K[i], pose[i], fields["size"], distortion[i]) for i in range(len(K))
     ]
 
 
-def _checked(place: str, K: object, pose: object, size: object, distortion: object) -> Camera:
+def checked_camera(place: str, K: object, pose: object, size: object, distortion: object) -> Camera:
+    """A camera of numbers from outside; `place` names file and camera in messages.
+
+    Raises:
+        AssetError: a number is absent or not finite, a focal length not positive, a rotation not one.
+    """
     arrays = {}
     for name, value, shape in [("K", K, (3, 3)), ("camera_from_world", pose, (4, 4)), ("distortion", distortion, (5,)),
                                ("size", size, (2,))]:  # fmt: skip

@@ -15,10 +15,13 @@ Newer files put the list under "annots". The files do not know their frame rate.
 import json
 import os
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from avatar.body import Body
 from avatar.errors import AssetError
@@ -33,6 +36,7 @@ from avatar.pose_vector import (
     readable,
 )
 from avatar.rotation import (
+    axis_angle_from_matrix,
     axis_angle_from_quaternion,
     matrix_from_axis_angle,
     matrix_from_quaternion,
@@ -67,28 +71,11 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
     if len(people) > 1:
         notes.append(f"people: {sorted(people)} in the first frame, {person} is read")
     first = people[person]
-    lengths = {
-        key: len(_numbers(name_of(0), first, key))
-        for key in ("poses", "Rh", "Th", "shapes", "handl", "handr")
-        if key in first or key in ("poses", "Rh", "Th")
-    }
+    lengths = _lengths(name_of(0), first)
     layout, apart = _layout(name_of(0), lengths, body, notes)
 
     def rows(start: int, stop: int) -> dict[str, Array]:
-        out = {key: np.zeros((stop - start, n)) for key, n in lengths.items()}
-        for frame in range(start, stop):
-            file = name_of(frame)
-            here = _people(file)
-            if person not in here:
-                raise AssetError(f"{file}: no person {person}; there are {sorted(here)}")
-            for key, n in lengths.items():
-                values = _numbers(file, here[person], key)
-                if len(values) != n:
-                    raise AssetError(
-                        f"{file}: {key} should have {n} numbers as in frame 0, has {len(values)}"
-                    )
-                out[key][frame - start] = values
-        return out
+        return _rows([name_of(frame) for frame in range(start, stop)], person, lengths)
 
     sample = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLED_FRAMES)).astype(int))
     seen = [(name_of(int(k)), _people(name_of(int(k)))) for k in sample]
@@ -104,16 +91,7 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
 
     def block(start: int, stop: int) -> tuple[Array, Array]:
         values = rows(start, stop)
-        pose = expanded(values["poses"], layout, body)
-        if apart:
-            for side, key in enumerate(("handl", "handr")):
-                hand = values[key]
-                if apart == 45:
-                    assert body is not None and body.hands is not None  # _layout saw to it
-                    hand = hand + body.hands.mean[side]
-                else:
-                    hand = hand_from_coefficients(hand, side, body)
-                pose[:, 22 + 15 * side : 37 + 15 * side] = hand.reshape(-1, 15, 3)
+        pose = _joint_poses(values, layout, apart, body)
         places = np.broadcast_to(J0, (stop - start, 3))
         if used and body is not None:  # the fit may shape every frame differently
             change = values["shapes"][:, :used] - shapes[:used]
@@ -127,6 +105,87 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
         return pose, pelvis @ W.T
 
     return Motion(path.name, frames, ASSUMED_RATE, tuple(notes), block, height)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """EasyMocap's fit of one person to chosen frames, in the world of its cameras."""
+
+    axis_angle: Float[Array, "frames 52 3"]  # the world's rotation in the root
+    Rh: Float[Array, "frames 3"]  # about the origin of the world
+    Th: Float[Array, "frames 3"]  # metres
+    shapes: Float[Array, "frames n"]
+    notes: tuple[str, ...]  # what was assumed
+
+
+def frame_numbers(path: Path) -> dict[int, Path]:
+    """The files of an EasyMocap folder by frame number; AssetError where there are none."""
+    name_of, count = _frames(path, [])
+    return {int(name_of(k).stem): name_of(k) for k in range(count)}
+
+
+def read_fit(files: Sequence[Path], *, body: Body) -> Fit:
+    """The frames in `files` as they are: nothing is turned to y-up; `body` expands the hands, and has their mean.
+
+    Raises:
+        AssetError: as `read_easymocap`.
+    """
+    people = _people(files[0])
+    person = min(people)
+    notes: list[str] = []
+    if len(people) > 1:
+        notes.append(f"people: {sorted(people)} in the first frame, {person} is read")
+    lengths = _lengths(files[0], people[person])
+    layout, apart = _layout(files[0], lengths, body, notes)
+    values = _rows(files, person, lengths)
+    pose = _joint_poses(values, layout, apart, body)
+    if pose[:, 0].any():
+        R = matrix_from_axis_angle(values["Rh"]) @ matrix_from_axis_angle(pose[:, 0])
+        pose[:, 0] = axis_angle_from_matrix(R)
+    else:
+        pose[:, 0] = values["Rh"]
+    return Fit(pose, values["Rh"], values["Th"], values.get("shapes", np.zeros((len(files), 0))), tuple(notes))
+
+
+def _lengths(path: Path, person: dict[str, Any]) -> dict[str, int]:
+    """How many numbers each field has."""
+    return {
+        key: len(_numbers(path, person, key))
+        for key in ("poses", "Rh", "Th", "shapes", "handl", "handr")
+        if key in person or key in ("poses", "Rh", "Th")
+    }
+
+
+def _rows(files: Sequence[Path], person: int, lengths: dict[str, int]) -> dict[str, Array]:
+    """The person's fields, a row a file."""
+    out = {key: np.zeros((len(files), n)) for key, n in lengths.items()}
+    for row, file in enumerate(files):
+        here = _people(file)
+        if person not in here:
+            raise AssetError(f"{file}: no person {person}; there are {sorted(here)}")
+        for key, n in lengths.items():
+            values = _numbers(file, here[person], key)
+            if len(values) != n:
+                raise AssetError(f"{file}: {key} should have {n} numbers as in frame 0, has {len(values)}")
+            out[key][row] = values
+    return out
+
+
+def _joint_poses(
+    values: dict[str, Array], layout: Layout, apart: int, body: Body | None
+) -> Float[Array, "frames 52 3"]:
+    """Axis-angle vectors of all joints; the hands' mean is added here, once."""
+    pose = expanded(values["poses"], layout, body)
+    if apart:
+        for side, key in enumerate(("handl", "handr")):
+            hand = values[key]
+            if apart == 45:
+                assert body is not None and body.hands is not None  # _layout saw to it
+                hand = hand + body.hands.mean[side]
+            else:
+                hand = hand_from_coefficients(hand, side, body)
+            pose[:, 22 + 15 * side : 37 + 15 * side] = hand.reshape(-1, 15, 3)
+    return pose
 
 
 def _frames(path: Path, notes: list[str]) -> tuple[Any, int]:

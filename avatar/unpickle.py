@@ -95,10 +95,15 @@ def read_pickle(path: Path | str, what: str) -> Any:
         data = path.read_bytes()
     except OSError as error:
         raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
+    return unpickled(data, path, f"{what} (.pkl)")
+
+
+def unpickled(data: bytes, path: Path, what: str) -> Any:
+    """What the pickle `data`, a part of the file at `path`, holds; AssetError as in `read_pickle`."""
     try:
         return Machine(data).run()
     except Refused as error:
-        raise AssetError(f"{path}: expected {what} (.pkl), found: {error}") from None
+        raise AssetError(f"{path}: expected {what}, found: {error}") from None
 
 
 class Machine:

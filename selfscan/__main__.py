@@ -10,6 +10,7 @@ Turn four phone videos of a person into an avatar to pose, watch and film in rea
 
 make an avatar
   synth   SUBJECT OUT          four self-scan videos of a built-in or rigged person, with ground truth
+  import  KIND SRC OUT         your own videos (easymocap) or the authors' data (totalselfscan) as a capture
   check   CAPTURE [-o DIR]     is this capture usable? overlays, numbers, a verdict with what to do
   train   CAPTURE -o RUN       part fields (signed distance and colour) from a capture
   bake    RUN -o NAME.glb      one mesh, one atlas, skin weights and a tiny view network in one file
@@ -51,6 +52,8 @@ def _dispatch(name: str, rest: list[str]) -> int:
     try:
         if name == "synth":
             from bench.synth.command import main as run
+        elif name == "import":
+            from train.imports.command import main as run
         elif name == "check":
             from train.check.command import main as run
         elif name == "train":
@@ -89,6 +92,7 @@ def _dispatch(name: str, rest: list[str]) -> int:
 def _extra(name: str) -> str:
     extra = {
         "synth": "bench",
+        "import": "train",
         "check": "train",
         "train": "train",
         "bake": "bake",
