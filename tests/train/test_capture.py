@@ -130,7 +130,7 @@ def test_a_bad_capture_is_refused_in_one_line_that_says_what_and_where(folder, c
     assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 400
 
 
-@pytest.mark.parametrize("command", ["train"])
+@pytest.mark.parametrize("command", ["train", "check"])
 def test_commands_print_that_line_and_leave_nothing(folder, tmp_path, capsys, command):
     shutil.rmtree(folder / "hand_right")
     assert main([command, str(folder), "-o", str(tmp_path / "out")]) == 1

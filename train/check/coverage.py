@@ -1,6 +1,6 @@
 """From where a part was seen: share of its surface, gaps of the turn, a histogram of directions."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -35,7 +35,10 @@ def coverage(capture: Capture, part: str, visible: Bool[Array, "f"]) -> Coverage
     transform = canonical_from_head(capture) if part == "head" else None
     own = (subject.part == index) & ~subject.hair
     normals = vertex_normals(subject.vertices, subject.faces)
-    sums = part_views(video, subject, subject.vertices, normals, subject.skin, own, transform)
+    # where the person was in view, whatever the outline of the mask: that is judged elsewhere
+    anywhere = np.broadcast_to(video.masks.any((1, 2), keepdims=True), video.masks.shape)
+    in_view = replace(video, masks=anywhere)
+    sums = part_views(in_view, subject, subject.vertices, normals, subject.skin, own, transform)
     area = _vertex_areas(subject.vertices, subject.faces[visible]) * own
     seen = float(area[sums.count >= ENOUGH].sum() / max(area.sum(), 1e-12))
     towards = camera_directions(capture, part)

@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from jaxtyping import Bool
 
 from avatar.camera import project
 from train.capture import PARTS, Capture
@@ -62,17 +63,20 @@ def examine(capture: Capture) -> CaptureReport:
     fit = similarity_from_landmarks(head.landmarks, subject.vertices[head.landmark_vertices])
     scale = float(np.cbrt(np.linalg.det(fit.transform[:3, :3])))
     visible = visible_faces(subject)
-    parts = {part: _examine_part(capture, part, scale, visible) for part in PARTS}
+    parts = {part: examine_part(capture, part, scale, visible) for part in PARTS}
     height = float(np.ptp(subject.rest[:, 1]))
     return CaptureReport(height, len(head.landmarks), fit.residual, scale, parts)
 
 
-def _examine_part(capture: Capture, part: str, head_scale: float, visible: Array) -> PartReport:
+def examine_part(
+    capture: Capture, part: str, head_scale: float, visible: Bool[Array, "f"]
+) -> PartReport:
+    """Measure one video; `head_scale` is metres per unit of the head frame, `visible` the template's outer faces."""
     video, index = capture.videos[part], PARTS.index(part)
     outlines = tuple(outline(capture, part, frame) for frame in even(len(video.masks), COMPARED))
     table = np.array([o.agreement for o in outlines])
     seen = np.isfinite(table[:, 0])
-    mean = Agreement(*(table[seen].mean(0) if seen.any() else [np.inf, np.nan, np.inf, 0.0, 0.0]))
+    mean = Agreement(*(table[seen].mean(0).tolist() if seen.any() else [np.inf, np.nan, np.inf, 0.0, 0.0]))
     error = np.where(seen, table[:, 2], np.inf)
     worst = tuple(outlines[i].frame for i in np.argsort(-error, kind="stable")[:3])
     fill = np.log(np.maximum(table[:, 4], 1e-3))

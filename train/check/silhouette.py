@@ -17,7 +17,7 @@ from train.register import similarity_from_landmarks
 
 Array = np.ndarray
 
-# Outline error of the worst posed part beyond which poses are worth refining, pixels of an image 256 high.
+# Outline error of the worst posed part beyond which poses are worth refining, in pixels as `common` counts them.
 # Measured on four people: exact poses 0.3-0.5; masks eroded by 3 px 0.5, dilated by 3 px 0.9; 2 degrees of pose noise
 # 2.2 on the body, 25-35 on the hands.
 MISALIGNED = 1.0
@@ -47,7 +47,7 @@ class Outline:
 
 
 def misalignment(capture: Capture, frames: int = 4) -> float:
-    """Outline error (`spread`) of the worst posed part over a few frames, in pixels of an image 256 high.
+    """Outline error (`spread`) of the worst posed part over a few frames, in `common` pixels.
 
     Beyond MISALIGNED the poses (or the template) do not explain the silhouettes. The head has no pose, and its
     outline is that of the hair, which no template has: it is left out.
@@ -56,7 +56,7 @@ def misalignment(capture: Capture, frames: int = 4) -> float:
 
 
 def outline_errors(capture: Capture, frames: int = 4) -> dict[str, float]:
-    """Mean outline error (`spread`) of each part over `frames` even frames, in pixels of an image 256 high.
+    """Mean outline error (`spread`) of each part over `frames` even frames, in `common` pixels.
 
     A part whose outlines are never both in the image is infinitely far off.
     """
@@ -66,8 +66,13 @@ def outline_errors(capture: Capture, frames: int = 4) -> dict[str, float]:
             [outline(capture, part, i).agreement.spread for i in even(len(video.masks), frames)]
         )
         seen = np.isfinite(spread)
-        errors[part] = float(spread[seen].mean()) * 256 / video.masks.shape[1] if seen.any() else np.inf
+        errors[part] = common(float(spread[seen].mean()), video.masks.shape[1]) if seen.any() else np.inf
     return errors
+
+
+def common(pixels: float, rows: int) -> float:
+    """Pixels of an image of so many rows as pixels of one 256 high; a smaller image is as coarse as it is."""
+    return pixels * 256 / max(rows, 256)
 
 
 def even(count: int, wanted: int) -> list[int]:

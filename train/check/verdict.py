@@ -7,17 +7,17 @@ degrees, masks eroded by 3 px, exchanged hands, one side never filmed); docs/dec
 from dataclasses import dataclass
 
 from train.check.report import CaptureReport, PartReport
-from train.check.silhouette import MISALIGNED
+from train.check.silhouette import MISALIGNED, common
 
 Frames = tuple[int, ...]
 
 ELSEWHERE = 0.15  # overlap of template and mask under which poses, cameras and masks are not of one video
 FOLLOWS = 0.6  # overlap above which the template follows the person and tells what the mask should show
-OFFSET = 1.2  # pixels at 256 rows: masks that much larger or smaller than the template all along
+OFFSET = 1.2  # common pixels: masks that much larger or smaller than the template all along
 LEFT_OUT = 0.05  # share of the template's head that the masks leave out
 RESIDUAL = (0.006, 0.02)  # metres of the landmarks: worth a look, refused by training
-SEEN = 0.85  # share of a part's surface that some frames should see
-GAP = (60.0, 150.0)  # degrees without a frame: blurred there, a side never filmed
+SEEN = (0.8, 0.6)  # share of a part's surface seen in a few frames: holes, a side never filmed
+GAP = 60.0  # degrees of the turn without a frame
 FEW = 16  # frames of a video
 SHARE = 0.2  # of the frames: so many bad ones are no accident
 CLIPPED = 0.02  # share of the person's pixels that are burnt out
@@ -115,7 +115,7 @@ def _of_masks(part: PartReport) -> list[Finding]:
                 part.part, False, f"cut by the image border in {share:.0%} of the frames", "film from farther"
             )
         )
-    shift = part.mean.offset * 256 / part.size[1]
+    shift = common(part.mean.offset, part.size[1])
     if part.part != "head" and abs(shift) > OFFSET and part.mean.spread < abs(part.mean.offset):
         size = "smaller" if shift > 0 else "larger"
         found.append(Finding(part.part, False, f"masks are {abs(part.mean.offset):.0f} px {size} than the template all along",
@@ -138,7 +138,7 @@ def _of_poses(part: PartReport) -> list[Finding]:
     if part.mean.iou < ELSEWHERE:
         return [Finding(part.part, True, f"template and masks overlap by {part.mean.iou:.0%} only",
                         "poses, cameras, masks and images should be of the same frames, in metres of one world")]  # fmt: skip
-    error = part.mean.spread * 256 / part.size[1]
+    error = common(part.mean.spread, part.size[1])
     if error > MISALIGNED:
         return [Finding(part.part, False, f"poses are {part.mean.spread:.1f} px off the masks, most in {listed(part.worst)}",
                         "train with --refine-poses on; look at overlays.png")]  # fmt: skip
@@ -147,13 +147,13 @@ def _of_poses(part: PartReport) -> list[Finding]:
 
 def _of_views(part: PartReport) -> list[Finding]:
     found = []
-    gap = part.coverage.gap
-    if gap > GAP[0]:
-        found.append(Finding(part.part, gap > GAP[1], f"{gap:.0f} degrees of the turn have no frame",
+    gap, seen = part.coverage.gap, part.coverage.seen
+    if gap > GAP:
+        found.append(Finding(part.part, False, f"{gap:.0f} degrees of the turn have no frame",
                              "film a whole turn, evenly"))  # fmt: skip
-    if part.coverage.seen < SEEN:
-        found.append(Finding(part.part, False, f"{part.coverage.seen:.0%} of the surface is seen in 3 frames or more",
-                             "film from above and below as well; what nobody saw stays the template"))  # fmt: skip
+    if seen < SEEN[0]:
+        found.append(Finding(part.part, seen < SEEN[1], f"{seen:.0%} of the surface is seen in 3 frames or more",
+                             "film every side, from above and below as well; what nobody saw stays the template"))  # fmt: skip
     return found
 
 
