@@ -3,6 +3,7 @@
 import argparse
 import shlex
 import sys
+from dataclasses import replace
 
 import torch
 
@@ -96,6 +97,11 @@ def main(argv: list[str]) -> int:
         default="auto",
         help="move noisy poses onto the masks first; auto: videos whose outlines do not meet (default: auto)",
     )
+    parser.add_argument(
+        "--single",
+        action="store_true",
+        help="one network with the four parts' parameters, rays and steps, for comparison",
+    )
     arguments = parser.parse_args(argv)
     if arguments.iterations is not None and arguments.iterations < 1:
         parser.error(f"--iterations should be at least 1, is {arguments.iterations}")
@@ -110,6 +116,7 @@ def main(argv: list[str]) -> int:
     preset = PRESETS[arguments.preset]
     if arguments.iterations is not None:
         preset = shortened(preset, arguments.iterations)
+    preset = replace(preset, single=arguments.single)
     try:
         train(arguments.capture, arguments.out, preset, device=arguments.device, seed=arguments.seed,
               resume=arguments.resume, force=arguments.force, save_every=arguments.save_every,

@@ -34,20 +34,21 @@ Say = Callable[[str], None]  # takes the lines that tell how far the work is
 
 def compose(
     capture: Capture, fields: list[PartField], preset: Preset, landmarks: Registration, seed: int,
-    seconds: dict[str, float], say: Say, *, rays: RayTensors, checkpoint: Path | None = None,
+    seconds: dict[str, float], say: Say, *, rays: RayTensors | None, checkpoint: Path | None = None,
     resume: bool = False, report: Callable[[int, StepReport], None] | None = None,
 ) -> tuple[Surface, list[ViewStatistics], dict]:  # fmt: skip
     """The surface with its fused statistics, each part's own statistics, and what run.json says of all this.
 
     `landmarks` is canonical_from_head of Eq. 6, `rays` are the body's. Refines the body (stage 2, with its
     `checkpoint` and `report`) and sets the parts' reference codes in place; adds the time of each step to
-    `seconds`. A single field, which stands for everyone, has nothing to register, refine or match.
+    `seconds`. A single field, which stands for everyone, has nothing to register, refine or match; its `rays`
+    are None.
     """
     subject, parts = capture.subject, part_boxes(capture.subject)
     facts: dict = {"registration": {"landmarks_rms_mm": round(landmarks.residual * 1000, 3)}}
     began = time.monotonic()
     correction = Registration(np.eye(4), 0.0)
-    if len(fields) > 1:
+    if rays is not None:
         correction = register_head(subject, fields)
         facts["registration"]["surfaces_median_mm"] = round(correction.residual * 1000, 3)
         say(f"head surface on the body's (Eq. 5): median {correction.residual * 1000:.2f} mm point to plane")
@@ -58,7 +59,7 @@ def compose(
     facts["canonical_from_head_field"] = correction.transform.tolist()
     seconds["registration"] = time.monotonic() - began
 
-    if len(fields) > 1 and preset.union.iterations:
+    if rays is not None and preset.union.iterations:
         began = time.monotonic()
         say(f"stage 2: the body meets the parts (Eq. 7, 13), {preset.union.iterations} steps")
         facts["union"] = train_union(
@@ -83,7 +84,7 @@ def compose(
     seconds["views"] = time.monotonic() - began
     say(f"view directions (Eq. 14): {float((surface.view_count > 0).mean()):.1%} of the vertices seen")
 
-    if len(fields) > 1:
+    if rays is not None:
         began = time.monotonic()
         facts["appearance"] = match_appearances(fused, rays, vertices, tables, preset, seed, say)
         seconds["appearance"] = time.monotonic() - began
@@ -144,7 +145,13 @@ def match_appearances(
             )
             continue
         before, after = match_appearance(
-            fused, index, points, directions, steps=preset.appearance_steps, rate=preset.appearance_rate, seed=seed
+            fused,
+            index,
+            points,
+            directions,
+            steps=preset.appearance_steps,
+            rate=preset.appearance_rate,
+            seed=seed,
         )
         matched[PARTS[index]] = {"before": round(before, 4), "after": round(after, 4), "rays": len(points)}
         say(

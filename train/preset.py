@@ -63,6 +63,7 @@ class Preset:
     adam: tuple[float, float, float] = (0.9, 0.99, 1e-15)  # its two betas and epsilon
     prefit: int = 0  # steps that fit F_s to the template before training, where it does not begin there
     surface_cells: tuple[float, float, float] = (0.006, 0.0035, 0.0025)  # metres: body, head, hands
+    single: bool = False  # one network for everyone (train/single.py), instead of four parts
     union: UnionPreset = UnionPreset()
     appearance_steps: int = 200  # Eq. 8, per part
     appearance_rate: float = 1e-2  # its learning rate

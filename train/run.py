@@ -1,14 +1,13 @@
 """The run folder: what training leaves for baking and measuring."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from avatar.errors import AssetError
-from avatar.npz import read_npz
 from avatar.skinning import SkinWeights
 from train.capture import PARTS, Subject, read_subject
 from train.field import PartField
@@ -19,6 +18,7 @@ from train.networks.paper import PaperNetworks
 from train.networks.triplane import TriPlaneNetworks
 from train.parts import part_boxes
 from train.preset import PRESETS, PartPreset, Preset
+from train.single import part_names, part_presets
 from train.surface import Surface
 from train.template import TemplateGrid
 from train.views import ViewStatistics
@@ -83,10 +83,10 @@ def read_part(path: Path, subject: Subject, index: int, preset: PartPreset) -> P
     return field
 
 
-def write_codes(path: Path, fields: list[PartField]) -> None:
+def write_codes(path: Path, fields: dict[str, PartField]) -> None:
     """codes.npz: of each part the mean of its trained appearance codes and the one matched to the body (Eq. 8)."""
     codes = {}
-    for name, field in zip(PARTS, fields):
+    for name, field in fields.items():
         codes[f"{name}_mean"] = field.appearance.weight.detach().mean(0).numpy()
         codes[f"{name}_matched"] = field.reference.numpy()
     np.savez(path, **codes)
@@ -142,20 +142,6 @@ def read_surface(path: Path) -> Surface:
     )  # fmt: skip
 
 
-def read_view_tables(path: Path) -> list[ViewStatistics]:
-    """Each part's own view statistics in surface.npz, in the order of PARTS.
-
-    Raises:
-        AssetError: a table is absent.
-    """
-    fields = read_npz(
-        path, "surface", [f"{name}_view_{what}" for name in PARTS for what in ViewStatistics._fields]
-    )
-    return [
-        ViewStatistics(*(fields[f"{name}_view_{what}"] for what in ViewStatistics._fields)) for name in PARTS
-    ]
-
-
 def write_json(path: Path, facts: dict) -> None:
     """run.json: format, version and the facts."""
     path.write_text(json.dumps({"format": FORMAT, "version": VERSION, **facts}, indent=1), "utf-8")
@@ -183,8 +169,11 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
             f"{path / 'run.json'}: preset should be one of {sorted(PRESETS)}, is {facts.get('preset')!r}"
         )
     subject = read_subject(path / "subject.npz", name=str(facts.get("subject", "")))
-    preset = PRESETS[facts["preset"]]
-    fields = [read_part(path / f"{name}.pt", subject, i, preset.parts[i]) for i, name in enumerate(PARTS)]
+    preset = replace(PRESETS[facts["preset"]], single=facts.get("settings", {}).get("single") is True)
+    parts = zip(part_names(preset), part_presets(preset), strict=True)
+    fields = [
+        read_part(path / f"{name}.pt", subject, i, settings) for i, (name, settings) in enumerate(parts)
+    ]
     correction = np.asarray(facts.get("canonical_from_head_field"), np.float64)
     if correction.shape != (4, 4) or not np.isfinite(correction).all():
         raise AssetError(f"{path / 'run.json'}: canonical_from_head_field should be a 4x4 matrix")

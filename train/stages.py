@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -17,22 +18,24 @@ from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 from avatar.progress import Progress, ProgressBoard
 from train import run as run_folder
-from train.capture import PARTS, Capture, read_capture
+from train.capture import PARTS, Capture, PartVideo, Subject, read_capture
 from train.checkpoint import Position
 from train.compose import compose
 from train.distributed import Ranks, join_ranks
+from train.field import PartField
 from train.interrupt import prompt_stop
 from train.log import TrainingLog, tensorboard_installed
-from train.objective import StepReport, ray_tensors
+from train.objective import RayTensors, StepReport, ray_tensors
 from train.parts import part_boxes
 from train.prefit import fit_template
-from train.preset import Preset
-from train.preview import part_preview
+from train.preset import PartPreset, Preset
+from train.preview import Preview, part_preview
 from train.rays import part_rays
 from train.refine import read_refined, refine_wanted, refined_path, refined_video, with_refined
 from train.register import Registration, similarity_from_landmarks
 from train.session import Session, capture_digest, digest_of, open_session
-from train.template import neck_height, surface_cloud, template_grid, visible_faces
+from train.single import part_names, part_presets, show_as_in_the_body_video, single_rays, single_template
+from train.template import SurfaceCloud, neck_height, surface_cloud, template_grid, visible_faces
 from train.trainer import peak_memory, set_threads, train_field
 from train.union import read_rays, write_rays
 from train.workers import Tell, run_jobs
@@ -57,8 +60,28 @@ class PartJob:
     threads: int
     save_every: float  # seconds between checkpoints
     preview_every: int  # steps between previews; 0: none
-    refine_poses: bool
+    refine: frozenset[str]  # the videos whose poses are moved onto the masks first
     ranks: Ranks
+
+    @property
+    def name(self) -> str:
+        """What files and reports call it."""
+        return part_names(self.preset)[self.index]
+
+    @property
+    def settings(self) -> PartPreset:
+        """The part's own numbers."""
+        return part_presets(self.preset)[self.index]
+
+
+class Ready(NamedTuple):
+    """A part before its first step."""
+
+    field: PartField
+    rays: RayTensors
+    flagged: float  # share of the rays left out as ambiguous
+    preview: Preview | None
+    refined: dict  # what pose refinement says, if it was wanted
 
 
 def train(
@@ -83,6 +106,7 @@ def train(
             "seed": seed,
             "numbers": digest_of(run_folder.preset_facts(preset)),
             "refine_poses": refine_poses,
+            "single": preset.single,
         }
         session = None
         if ranks.writes:
@@ -96,7 +120,8 @@ def train(
 
         landmarks = _register_landmarks(capture, say)
         say(
-            f"stage 1: {len(PARTS)} parts by volume rendering of signed distance (Eq. 10-12), preset {preset.name}"
+            f"stage 1: {', '.join(part_names(preset))} by volume rendering of signed distance (Eq. 10-12), "
+            f"preset {preset.name}"
         )
         say(f"logs, previews and checkpoints: {session.partial}")
         refine = refine_wanted(capture, refine_poses, say)
@@ -116,19 +141,21 @@ def _compose(
     out, partial = session.out, session.partial
     capture = with_refined(capture, partial)
     seconds = {name: fact["seconds"] for name, fact in facts.items()}
-    fields = [run_folder.read_part(partial / f"{name}.pt", capture.subject, i, preset.parts[i])
-              for i, name in enumerate(PARTS)]  # fmt: skip
+    names, settings = part_names(preset), part_presets(preset)
+    fields = [run_folder.read_part(partial / f"{name}.pt", capture.subject, i, settings[i])
+              for i, name in enumerate(names)]  # fmt: skip
     set_threads(os.cpu_count() or 1)
     progress = Progress("body, stage 2", preset.union.iterations)
     with whole_folder(out) as folder:
-        rays = read_rays(partial / "body.rays", torch.device(device))
+        rays = None if preset.single else read_rays(partial / "body.rays", torch.device(device))
         surface, tables, composition = compose(
             capture, fields, preset, landmarks, seed, seconds, _say, rays=rays, checkpoint=partial / "union.ckpt",
             resume=session.resumed, report=lambda step, report: progress.update(step, _note(report)),
         )  # fmt: skip
-        shutil.copyfile(partial / "body.pt", folder / "body_stage1.pt")
-        run_folder.write_codes(folder / "codes.npz", fields)
-        for name, field in zip(PARTS, fields):
+        if not preset.single:
+            shutil.copyfile(partial / "body.pt", folder / "body_stage1.pt")
+        run_folder.write_codes(folder / "codes.npz", dict(zip(names, fields)))
+        for name, field in zip(names, fields):
             run_folder.write_part(folder / f"{name}.pt", field)
         for path in partial.glob("refined_*.npz"):
             shutil.copyfile(path, folder / path.name)
@@ -185,16 +212,17 @@ def _train_parts(
 ) -> dict[str, dict]:  # fmt: skip
     """Stage 1 for every part; heavier parts first so that two workers end together."""
     cores = os.cpu_count() or 1
-    workers = min(2, cores) if device == "cpu" and ranks.count == 1 else 1
+    order = (0,) if preset.single else (1, 0, 2, 3)
+    workers = min(2, cores, len(order)) if device == "cpu" and ranks.count == 1 else 1
     threads = 1 if workers > 1 else max(cores // ranks.count, 1)
     jobs = {
-        PARTS[index]: PartJob(
+        part_names(preset)[index]: PartJob(
             str(capture.path), index, preset, landmarks.transform, str(session.partial), device, seed,
-            session.resumed, threads, save_every, preview_every, PARTS[index] in refine, ranks,
+            session.resumed, threads, save_every, preview_every, refine, ranks,
         )
-        for index in (1, 0, 2, 3)
+        for index in order
     }  # fmt: skip
-    totals = {name: preset.parts[job.index].iterations for name, job in jobs.items()}
+    totals = {name: job.settings.iterations for name, job in jobs.items()}
     stream = None if ranks.writes else io.StringIO()
     board = ProgressBoard(totals, workers, after=AFTER, stream=stream)
     try:
@@ -205,49 +233,24 @@ def _train_parts(
 
 def train_part(job: PartJob, tell: Tell) -> dict:
     """Train one part from its video and leave PART.pt and PART.ckpt; returns what run.json says of it."""
-    name, folder, device = PARTS[job.index], Path(job.folder), torch.device(job.device)
-    preset, part_preset = job.preset, job.preset.parts[job.index]
+    name, folder, preset, part_preset = job.name, Path(job.folder), job.preset, job.settings
     checkpoint, done = folder / f"{name}.ckpt", folder / f"{name}.json"
     if job.resume and done.exists():
         return json.loads(done.read_text("utf-8"))
     set_threads(job.threads)
     began, cpu = time.monotonic(), time.process_time()
     capture = read_capture(job.capture)
-    subject, video = capture.subject, capture.videos[name]
-    canonical_from_head = job.canonical_from_head if name == "head" else None
-    refined = {}
-    if job.refine_poses:
-        path = refined_path(folder, name)
-        if job.resume and path.exists():
-            video = read_refined(path, video)
-        else:
-            video, refined = refined_video(video, subject, path)
-            tell.say(f"{name}: poses on the masks, outlines {refined['outline_px']:.2f} px apart, "
-                     f"{len(refined['frames_left_out'])} frames left out")  # fmt: skip
-    part = part_boxes(subject)[job.index]
     torch.manual_seed(job.seed * 4 + job.index)
-    cloud = surface_cloud(subject, job.index, visible_faces(subject), part_preset.spacing)
-    template = template_grid(cloud, part.extent.low, part.extent.high, part_preset.cell,
-                             (subject, neck_height(subject)) if name == "head" else None)  # fmt: skip
-    field = run_folder.build_field(subject, job.index, part_preset, template, len(video.images)).to(device)
+    ready = (_single_ready if preset.single else _part_ready)(job, capture, tell)
+    field, rays, frames = ready.field, ready.rays, len(ready.field.appearance.weight)
     if preset.prefit and not (job.resume and checkpoint.exists()):
         off = fit_template(field, preset.prefit, seed=job.seed)
         tell.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
-    rays = part_rays(
-        video, subject, cloud, part, part_preset.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame,
-        background=preset.background, canonical_from_head=canonical_from_head,
-        rng=np.random.default_rng([job.seed, job.index]),
-    )  # fmt: skip
-    tensors = ray_tensors(rays, cloud, device)
-    preview = None
-    if job.preview_every and job.ranks.writes:
-        preview = part_preview(folder / "preview" / f"{name}.png", video, subject, cloud, part, part_preset.band,
-                               preset, canonical_from_head, device, job.preview_every)  # fmt: skip
     if name == "body" and job.ranks.writes:
-        write_rays(folder / "body.rays", tensors)  # for stage 2 and Eq. 8
+        write_rays(folder / "body.rays", rays)  # for stage 2 and Eq. 8
     prepared = time.monotonic() - began
     tell.say(
-        f"{name}: {len(rays.ends)} rays of {len(video.images)} frames, {rays.flagged:.1%} left out as ambiguous, "
+        f"{name}: {len(rays.ends)} rays of {frames} frames, {ready.flagged:.1%} left out as ambiguous, "
         f"prepared in {prepared:.0f} s"
     )
     last: dict[str, float] = {}
@@ -260,8 +263,8 @@ def train_part(job: PartJob, tell: Tell) -> dict:
     log = TrainingLog(folder / "logs", name) if job.ranks.writes else None
     try:
         train_field(
-            field, tensors, part_preset, preset, seed=job.seed, checkpoint=checkpoint,
-            resume=job.resume, save_every=job.save_every, report=report, log=log, preview=preview,
+            field, rays, part_preset, preset, seed=job.seed, checkpoint=checkpoint,
+            resume=job.resume, save_every=job.save_every, report=report, log=log, preview=ready.preview,
             ranks=job.ranks, at=at,
         )  # fmt: skip
     finally:
@@ -270,7 +273,7 @@ def train_part(job: PartJob, tell: Tell) -> dict:
     memory = peak_memory(job.device)
     facts = {
         "rays": len(rays.ends),
-        "flagged": round(rays.flagged, 5),
+        "flagged": round(ready.flagged, 5),
         "steps": part_preset.iterations,
         "skipped": at.skipped,
         "last": {key: round(value, 5) for key, value in last.items()},
@@ -279,8 +282,10 @@ def train_part(job: PartJob, tell: Tell) -> dict:
         "cpu_seconds": round(time.process_time() - cpu, 1),  # of the last sitting
         "peak_memory_mb": _megabytes(memory),
     }
-    if refined:
-        facts["refined_poses"] = refined
+    if ready.refined:
+        facts["refined_poses"] = ready.refined
+    if preset.single:
+        show_as_in_the_body_video(field, capture)
     if job.ranks.writes:
         run_folder.write_part(folder / f"{name}.pt", field.cpu())
         with whole_file(done, "w") as file:  # from now on resuming passes this part by
@@ -291,6 +296,62 @@ def train_part(job: PartJob, tell: Tell) -> dict:
         f"{_memory_text(memory)}"
     )
     return facts
+
+
+def _part_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
+    """A part's untrained field in its box, and the rays of its video."""
+    name, preset, settings, device = job.name, job.preset, job.settings, torch.device(job.device)
+    subject, part = capture.subject, part_boxes(capture.subject)[job.index]
+    canonical_from_head = job.canonical_from_head if name == "head" else None
+    video, refined = _with_poses(job, capture, name, tell)
+    cloud = surface_cloud(subject, job.index, visible_faces(subject), settings.spacing)
+    template = template_grid(cloud, part.extent.low, part.extent.high, settings.cell,
+                             (subject, neck_height(subject)) if name == "head" else None)  # fmt: skip
+    field = run_folder.build_field(subject, job.index, settings, template, len(video.images)).to(device)
+    rays = part_rays(
+        video, subject, cloud, part, settings.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame,
+        background=preset.background, canonical_from_head=canonical_from_head,
+        rng=np.random.default_rng([job.seed, job.index]),
+    )  # fmt: skip
+    preview = _preview(job, video, subject, cloud, canonical_from_head)
+    return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, preview, refined)
+
+
+def _single_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
+    """The single network (ablation), untrained, and the rays of all four videos; its preview is the body's."""
+    device = torch.device(job.device)
+    refined = {}
+    for name in PARTS:
+        capture.videos[name], refined[name] = _with_poses(job, capture, name, tell)
+    frames = sum(len(video.images) for video in capture.videos.values())
+    rays, cloud, flagged = single_rays(capture, job.preset, job.canonical_from_head, job.seed, device)
+    template = single_template(capture, cloud, job.settings.cell)
+    field = run_folder.build_field(capture.subject, 0, job.settings, template, frames).to(device)
+    preview = _preview(job, capture.videos["body"], capture.subject, cloud, None)
+    return Ready(field, rays, flagged, preview, {name: facts for name, facts in refined.items() if facts})
+
+
+def _with_poses(job: PartJob, capture: Capture, name: str, tell: Tell) -> tuple[PartVideo, dict]:
+    """The video with its poses on the masks where that is wanted, and what run.json says of it."""
+    video, path = capture.videos[name], refined_path(Path(job.folder), name)
+    if name not in job.refine:
+        return video, {}
+    if job.resume and path.exists():
+        return read_refined(path, video), {}
+    video, refined = refined_video(video, capture.subject, path)
+    tell.say(f"{name}: poses on the masks, outlines {refined['outline_px']:.2f} px apart, "
+             f"{len(refined['frames_left_out'])} frames left out")  # fmt: skip
+    return video, refined
+
+
+def _preview(
+    job: PartJob, video: PartVideo, subject: Subject, cloud: SurfaceCloud, canonical_from_head: Array | None
+) -> Preview | None:
+    if not (job.preview_every and job.ranks.writes):
+        return None
+    path = Path(job.folder) / "preview" / f"{job.name}.png"
+    return part_preview(path, video, subject, cloud, part_boxes(subject)[job.index], job.settings.band, job.preset,
+                        canonical_from_head, torch.device(job.device), job.preview_every)  # fmt: skip
 
 
 def _note(step: StepReport) -> str:

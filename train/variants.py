@@ -29,8 +29,7 @@ from train.field import PartField
 from train.fused import FusedField
 from train.parts import eq9_shares, part_boxes
 from train.preset import PRESETS
-from train.run import Run, read_part, read_view_tables
-from train.surface import Surface
+from train.run import Run, read_part
 from train.union import in_overlap
 from train.views import statistics
 
@@ -57,7 +56,7 @@ def variant(run: Run, capture: Capture, name: str) -> Run:
         if name == "no_codes_no_fusion":
             fields = [_with_mean_code(field) for field in fields]
         field = _fused(run, fields, run.field.head_from_canonical, switch=True)
-        return replace(run, field=field, surface=_switched_surface(run), provenance=facts)
+        return replace(run, field=field, provenance=facts)
 
     head_from_canonical = run.field.head_from_canonical
     canonical_from_head = np.linalg.inv(np.asarray(facts["head_from_canonical"], np.float64))
@@ -92,16 +91,6 @@ def _with_mean_code(field: PartField) -> PartField:
     field = copy.deepcopy(field)
     field.reference.copy_(field.appearance.weight.detach().mean(0))
     return field
-
-
-def _switched_surface(run: Run) -> Surface:
-    """The same mesh; each vertex with the view statistics of the one part that colours it."""
-    surface = run.surface
-    points = torch.as_tensor(surface.vertices, dtype=torch.float32)
-    shares = eq9_shares(points, part_boxes(run.subject))
-    loudest = np.eye(len(PARTS), dtype=np.float32)[shares.argmax(1).numpy()]
-    tables = read_view_tables(run.path / "surface.npz")
-    return with_views(surface.vertices, surface.faces, surface.normals, surface.skin, loudest, tables)
 
 
 def seam_steps(run: Run) -> dict[str, dict[str, float]]:
