@@ -17,9 +17,11 @@ from train.objective import losses, ray_tensors
 from train.parts import part_boxes
 from train.preset import DEMO
 from train.rays import part_rays
+from train.single import single_part
 from train.surface import extract_surface
-from train.template import surface_cloud, template_grid, visible_faces
+from train.template import TemplateGrid, surface_cloud, template_grid, visible_faces
 from train.trainer import set_threads, train_field
+from train.variants import seam_steps
 
 TINY = replace(
     DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, union=replace(DEMO.union, iterations=6), surface_cells=(0.03, 0.015, 0.008),
@@ -179,3 +181,36 @@ def test_a_capture_without_a_field_is_refused_by_name(capture, tmp_path):
         read_capture(tmp_path)
     with pytest.raises(AssetError, match=r"run\.json: no such file"):
         run_folder.read_run(tmp_path)
+
+
+def test_a_single_network_has_the_parameters_rays_and_steps_of_the_four_parts(capture, tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("train.preset").preset.PRESETS, "demo", TINY)
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    out = tmp_path / "run"
+    threads = torch.get_num_threads()
+    try:
+        assert main([str(capture.path), "-o", str(out), "--single", "--preview", "0"]) == 0
+    finally:
+        set_threads(threads)
+    run = run_folder.read_run(out)
+    assert len(run.field.fields) == 1 and run.provenance["parts"]["single"]["steps"] == 4 * 6
+    field = run.field.field(0)
+    assert len(field.appearance.weight) == sum(len(video.images) for video in capture.videos.values())
+    body = field.appearance.weight[: len(capture.videos["body"].images)].mean(0)
+    torch.testing.assert_close(field.reference, body)
+    # the same vertices have hands and a head, with their own videos' view statistics
+    assert set(np.unique(run.surface.part)) == {0, 1, 2, 3}
+    assert all((run.surface.view_count[run.surface.part == part] > 0).mean() > 0.4 for part in range(4))
+    points = torch.as_tensor(run.surface.vertices, dtype=torch.float32)
+    assert run.field.distance(points).abs().quantile(0.95) < 0.003
+    assert seam_steps(run) == {}
+
+
+def test_the_demo_single_network_has_as_many_parameters_as_the_parts_together(capture):
+    template = TemplateGrid(torch.zeros(2, 2, 2), torch.zeros(3), 1.0)
+    count = lambda index, part, frames: sum(
+        p.numel() for p in run_folder.build_field(capture.subject, index, part, template, frames).parameters()
+    )
+    parts = sum(count(index, part, 40) for index, part in enumerate(DEMO.parts))
+    single = count(0, single_part(DEMO), 160)
+    assert abs(single / parts - 1) < 0.02
