@@ -12,33 +12,12 @@ from typing import Any, TextIO
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from bench.held_out import SETS
+from bench.paper_tables import PAPER_GEOMETRY, PAPER_IMAGE, REGIONS
 
-# TotalSelfScan (Dong et al. 2022), tables 1 and 2, SynTotalHuman; its crops are unknown: PSNR is context, no bar
-PAPER = {
-    "head": {
-        "p2s_cm": 0.59,
-        "chamfer_cm": 0.82,
-        "psnr_db": 22.23,
-        "ssim": 0.934,
-        "flip": None,
-        "lpips": 0.084,
-    },
-    "hands": {
-        "p2s_cm": 0.55,
-        "chamfer_cm": 0.52,
-        "psnr_db": 22.49,
-        "ssim": 0.941,
-        "flip": None,
-        "lpips": 0.076,
-    },
-    "total": {
-        "p2s_cm": 1.84,
-        "chamfer_cm": 1.89,
-        "psnr_db": 26.15,
-        "ssim": 0.921,
-        "flip": None,
-        "lpips": 0.114,
-    },
+# its crops are unknown: PSNR is context, no bar
+PAPER: dict[str, dict[str, float | None]] = {
+    region: {**PAPER_GEOMETRY["ours"][region], **PAPER_IMAGE["ours"][region], "flip": None}
+    for region in REGIONS
 }
 
 COLUMNS = (
@@ -94,7 +73,7 @@ def cells(scores: dict[str, Any], columns: tuple | list = COLUMNS) -> list[str]:
 def markdown(result: dict[str, Any]) -> str:
     """The table as Markdown, with what it was measured on."""
     facts = ", ".join(f"{k} {v}" for k, v in result["capture"].items() if k != "registration")
-    lines = [f"{result['source']['kind']} `{Path(result['source']['path']).name}`; {facts}", ""]
+    lines = [f"{result['source']['kind']} `{result['source']['name']}`; {facts}", ""]
     lines += ["| | " + " | ".join(c[0] for c in COLUMNS) + " |", "|-|" + "-|" * len(COLUMNS)]
     lines += ["| " + " | ".join(row) + " |" for row in table_rows(result)]
     baked = result["baked_vs_field"]
@@ -119,8 +98,18 @@ def print_table(result: dict[str, Any], file: TextIO | None = None) -> None:
         print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]), file=file or sys.stdout)
 
 
+def light_of_facts(facts: dict[str, Any]) -> str:
+    """What a capture was filmed in, and what spoils it: results of unlike ones are never averaged."""
+    out = f"{facts.get('light', '?')} light"
+    if facts.get("sheen"):
+        out += f", sheen {facts['sheen']:g}"
+    if facts.get("pose_noise_deg"):
+        out += f", pose noise {facts['pose_noise_deg']:g} degrees"
+    return out
+
+
 def people_table(results: list[dict[str, Any]]) -> str:
-    """Novel poses of many people, their mean, and the paper's row, by region; P2S and CD against the paper's bar."""
+    """Novel poses of many people and their mean, one section for each light, beside the paper's row."""
     lines = [
         "# Quality",
         "",
@@ -128,38 +117,42 @@ def people_table(results: list[dict[str, Any]]) -> str:
         "surface to the truth and Chamfer, both directions' mean, on the surface that can be seen from outside, without",
         "ICP; PSNR of the pooled error over the rays that meet the region's box, SSIM and FLIP on its rectangle, head",
         "and hands from close-ups. The head's distances include the hair. The paper's people and crops are others: its",
-        "distances are the bar, its PSNR and SSIM are context.",
+        "distances are the bar, its PSNR and SSIM are context. Lights are apart: a fixed one is baked into the person.",
         "",
     ]
-    keys = ("p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip")
-    names = [column for column in COLUMNS if column[1] in keys]
-    for region in ("head", "hands", "total"):
-        lines += [
-            f"## {region.capitalize()}, novel poses",
-            "",
-            "| | " + " | ".join(c[0] for c in names) + " |",
-        ]
-        lines += ["|-|" + "-|" * len(names)]
-        ours = [result["novel_pose"][region] for result in results]
-        labels = [f"{r['capture']['subject']}, {r['capture'].get('light', '?')}" for r in results]
-        mean = {}
-        for key in keys:
-            values = [scores[key] for scores in ours if scores.get(key) is not None]
-            mean[key] = sum(values) / len(values) if values else None
-        rows = [
-            *zip(labels, ours),
-            ("**mean**", mean),
-            ("paper (SynTotalHuman; crops unknown)", PAPER[region]),
-        ]
-        for label, scores in rows:
-            lines.append("| " + " | ".join([label, *cells(scores, names)]) + " |")
-        ceilings = [r["beside"]["ceiling"][region] for r in results if r["beside"].get("ceiling")]
-        for label, scores in zip(
-            [n for n, r in zip(labels, results) if r["beside"].get("ceiling")], ceilings
-        ):
-            lines.append("| " + " | ".join([f"ceiling: {label}", *cells(scores, names)]) + " |")
-        lines.append("")
+    lights = sorted({light_of_facts(result["capture"]) for result in results}, key=lights_order)
+    for light in lights:
+        those = [result for result in results if light_of_facts(result["capture"]) == light]
+        lines += [f"## {light[0].upper()}{light[1:]}", ""]
+        for region in ("head", "hands", "total"):
+            lines += region_table(those, region)
     return "\n".join(lines)
+
+
+def lights_order(light: str) -> tuple[int, str]:
+    """Even light first, as the easiest; then as the lights harden."""
+    names = ("even", "soft", "fixed", "varied")
+    name = light.split(" ")[0]
+    return (names.index(name) if name in names else len(names)), light
+
+
+def region_table(results: list[dict[str, Any]], region: str) -> list[str]:
+    """One region of people in one light: each, the mean, the paper, ceilings where they were measured."""
+    keys = ("p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips")
+    ours = [result["novel_pose"][region] for result in results]
+    shown = [c for c in COLUMNS if c[1] in keys and (c[1] != "lpips" or any(o.get("lpips") for o in ours))]
+    lines = [f"### {region.capitalize()}, novel poses", "", "| | " + " | ".join(c[0] for c in shown) + " |"]
+    lines += ["|-|" + "-|" * len(shown)]
+    labels = [str(result["capture"]["subject"]) for result in results]
+    mean = {}
+    for key in keys:
+        values = [scores[key] for scores in ours if scores.get(key) is not None]
+        mean[key] = sum(values) / len(values) if values else None
+    rows = [*zip(labels, ours), ("**mean**", mean), ("paper (SynTotalHuman; crops unknown)", PAPER[region])]
+    for label, result in zip(labels, results):
+        if result["beside"].get("ceiling"):
+            rows.append((f"ceiling: {label}", result["beside"]["ceiling"][region]))
+    return lines + ["| " + " | ".join([label, *cells(scores, shown)]) + " |" for label, scores in rows] + [""]
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -17,6 +17,7 @@ from bench.paper_tables import (
     QUOTED_IMAGE,
     REGIONS,
 )
+from bench.quality_table import light_of_facts, lights_order
 from bench.table_row import ROWS, SEAMS
 
 SHOWN = {"p2s_cm": ("P2S", 2), "chamfer_cm": ("CD", 2), "psnr_db": ("PSNR", 2), "ssim": ("SSIM", 3),
@@ -61,13 +62,7 @@ def mean_of(results: Iterable[dict[str, Any]], *keys: str) -> Mean | None:
 
 def light_of_result(result: dict[str, Any]) -> str:
     """The section a result belongs to."""
-    facts = result["capture"]
-    out = f"{facts.get('light', '?')} light"
-    if facts.get("sheen"):
-        out += f", sheen {facts['sheen']:g}"
-    if facts.get("pose_noise_deg"):
-        out += f", pose noise {facts['pose_noise_deg']:g} degrees"
-    return out
+    return light_of_facts(result["capture"])
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
@@ -278,7 +273,7 @@ def page(results: list[dict[str, Any]], quality: list[dict[str, Any]], absent: l
         f"Commit {', '.join(commits)}; {', '.join(machines)}.",
         "",
     ]
-    for light in sorted({light_of_result(r) for r in results}):
+    for light in sorted({light_of_result(r) for r in results}, key=lights_order):
         those = [r for r in results if light_of_result(r) == light]
         theirs = [q for q in quality if light_of_result(q) == light]
         people, seeds = sorted({r["name"] for r in those}), sorted({r["seed"] for r in those})

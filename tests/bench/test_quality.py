@@ -13,6 +13,7 @@ from bench.ceiling import ceiling_surface
 from bench.held_out import read_held_out, read_true_mesh
 from bench.picture_scores import box_pixels, is_t_pose, region_of
 from bench.quality import eval_main, evaluate
+from bench.quality_table import markdown, people_table
 
 KEYS = {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}
 
@@ -78,6 +79,27 @@ def test_the_command_prints_a_table_with_the_papers_row_and_writes_json(
     assert (
         json.loads((tmp_path / "q.json").read_text())["novel_pose"]["total"] == result["novel_pose"]["total"]
     )
+
+
+def test_the_markdown_of_one_evaluation_names_what_was_measured(result):
+    text = markdown(result)
+    assert text.startswith("avatar `oracle.glb`; subject striped, light even")
+    novel = result["novel_pose"]["head"]
+    assert f"| novel pose: head | {novel['p2s_cm']:.2f} |" in text and f"| {novel['flip']:.3f} |" in text
+
+
+def test_people_of_different_lights_are_in_sections_of_their_own_and_never_averaged(result):
+    def person(light, psnr, **facts):
+        scores = {region: {"p2s_cm": 0.1, "psnr_db": psnr} for region in ("head", "hands", "total")}
+        return {"capture": {"subject": light, "light": light, **facts}, "novel_pose": scores, "beside": {}}
+
+    text = people_table([person("fixed", 20.0), person("even", 30.0, sheen=0.5), person("even", 27.0),
+                         person("even", 28.0), person("even", 24.0, pose_noise_deg=2.0)])  # fmt: skip
+    titles = [line for line in text.splitlines() if line.startswith("## ")]
+    assert titles == ["## Even light", "## Even light, pose noise 2 degrees", "## Even light, sheen 0.5",
+                      "## Fixed light"]  # fmt: skip
+    means = [line for line in text.splitlines() if line.startswith("| **mean**")]
+    assert [float(line.split("|")[4]) for line in means[::3]] == [27.5, 24.0, 30.0, 20.0]
 
 
 def test_box_pixels_are_those_of_the_projected_box():
