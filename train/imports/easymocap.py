@@ -102,7 +102,8 @@ def import_easymocap(
         pose[:3, :3] = pose[:3, :3] @ turn.T
         turned = Camera(camera.K, pose, camera.size, camera.distortion)
         masked = tuple(_mask_of(masks / part, image) for image in images)
-        videos[part] = Video(images, masked, False, (turned,) * len(images), axis_angle, root)
+        place = f"{source / part / 'extri.yml'}: T and Th of {files[part][0][1].parent}"
+        videos[part] = Video(images, masked, False, (turned,) * len(images), axis_angle, root, place)
     content = _landmarks(landmarks, template, points, own_vertices, error, notes)
     facts = {"subject": source.resolve().name, "source": "easymocap", "light": "as filmed", "body": body.name,
              "body_licence": template.licence, "betas": [round(float(v), 6) for v in mean], "notes": notes}  # fmt: skip

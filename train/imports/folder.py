@@ -34,6 +34,7 @@ class Video:
     cameras: tuple[Camera, ...]  # one a frame
     axis_angle: Float[Array, "frames 52 3"] | None = None  # head: none
     root: Float[Array, "frames 3"] | None = None  # pelvis joint in the world
+    place: str = ""  # file and field that the cameras' translations came from
 
 
 def write_capture(out: Path, template: Template, videos: dict[str, Video], landmarks: dict, facts: dict) -> None:
@@ -181,12 +182,7 @@ def check_distance(part: str, video: Video) -> None:
     depth = np.array([project(c, r[None])[1][0] for c, r in zip(video.cameras, video.root)])
     middle = float(np.median(depth))
     if not NEAREST <= middle <= FARTHEST:
-        hint = ""
-        if middle > FARTHEST:
-            hint = "; are the camera's translations in millimetres?"
-        elif middle > 0:
-            hint = "; are the camera's translations in metres already, or the poses in another unit?"
         raise AssetError(
-            f"{part} video: the person should be {NEAREST} to {FARTHEST} m in front of the camera, is at "
-            f"{middle:.4g} m{hint}"
+            f"{video.place} should place the camera {NEAREST} to {FARTHEST} m from the person's pelvis ({part} video), "
+            f"places it at {middle:.4g} m: check millimetres and metres"
         )

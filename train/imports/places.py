@@ -8,7 +8,7 @@ Array = np.ndarray
 # metres from the tip of the nose; +x is the person's left, +z forward
 SPOTS = {
     "nose_tip": (0, 0, 0), "brow": (0, 0.055, -0.02), "forehead": (0, 0.085, -0.02), "chin": (0, -0.075, -0.02),
-    "left_eye": (0.045, 0.038, -0.03), "right_eye": (-0.045, 0.038, -0.03),
+    "left_eye": (0.036, 0.036, -0.025), "right_eye": (-0.036, 0.036, -0.025),
     "left_mouth": (0.027, -0.037, -0.02), "right_mouth": (-0.027, -0.037, -0.02),
     "left_ear": (0.085, 0.005, -0.11), "right_ear": (-0.085, 0.005, -0.11),
     "left_jaw": (0.06, -0.05, -0.07), "right_jaw": (-0.06, -0.05, -0.07),
@@ -35,13 +35,21 @@ def landmark_vertices(
     if not len(frontal):
         return {}
     nose = frontal[frontal[:, 2].argmax()]
+    axis = (points[:, 0].min() + points[:, 0].max()) / 2  # the plane that mirrors left and right
+    middle = nose - [0, 0, 0.1]
     found = {}
     for name, offset in SPOTS.items():
+        if name.startswith("right_"):
+            continue
         spot = nose + offset
         # the outermost of the vertices round the spot, so that no landmark lies inside the mouth or an eye
         nearest = np.argsort(np.linalg.norm(points - spot, axis=1))[:8]
-        middle = nose - [0, 0, 0.1]
         outermost = nearest[np.linalg.norm(points[nearest] - middle, axis=1).argmax()]
-        if np.linalg.norm(points[outermost] - spot) < 0.035:
-            found[name] = int(candidates[outermost])
+        if np.linalg.norm(points[outermost] - spot) > 0.035:
+            continue
+        found[name] = int(candidates[outermost])
+        if name.startswith("left_"):  # the other side is its mirror image
+            other = np.linalg.norm(points - (points[outermost] * [-1, 1, 1] + [2 * axis, 0, 0]), axis=1)
+            if other.min() < 0.01:
+                found[name.replace("left_", "right_")] = int(candidates[other.argmin()])
     return found | (SMPLH_VERTICES if len(rest) == SMPLH_COUNT else {})

@@ -157,6 +157,8 @@ def _template(folder: Path, skeleton: _Skeleton, body: Body | None, notes: list[
     place = folder / "bigpose_vertices.npy"
     check_height(f"{place}: the body", skeleton.vertices)
     count = len(skeleton.vertices)
+    if body is not None and len(body.vertices) != count:
+        raise AssetError(f"{place}: expected {len(body.vertices)} vertices as {body.name}, found {count}")
     faces = _numbers(folder / "faces.npy", "faces", (None, 3)).astype(np.int64)
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
         raise AssetError(f"{folder / 'faces.npy'}: faces should index {count} vertices")
@@ -166,8 +168,6 @@ def _template(folder: Path, skeleton: _Skeleton, body: Body | None, notes: list[
             "skin weights: from the 25 mm grid lbs/bigpose_bw.npy, blurred between fingers; --body MODEL has them exactly"
         )
     else:
-        if len(body.vertices) != count:
-            raise AssetError(f"{place}: expected {len(body.vertices)} vertices as {body.name}, found {count}")
         skin = body.skin
         notes.append(f"skin weights: of {body.name}")
     B = skin_transforms(BIG_POSE, skeleton.joints, rest=np.zeros((52, 3)))
@@ -235,7 +235,9 @@ def _body_video(
     axis_angle, pelvis = np.stack([p[0] for p in poses]), np.stack([p[1] for p in poses])
     root = anchored(axis_angle, pelvis, skeleton.joints, template.joints, part)
     _check_surface(folder, PurePosixPath(names[0]).stem, axis_angle[0], root[0], template, skeleton)
-    return Video(images, tuple(_mask(folder, name) for name in names), True, (camera,) * len(images), axis_angle, root)
+    unit = "millimetres" if part == "body" else "metres"
+    masks = tuple(_mask(folder, name) for name in names)
+    return Video(images, masks, True, (camera,) * len(images), axis_angle, root, f"{path}: cams.T, in {unit},")
 
 
 def _image_names(path: Path, annots: dict[str, Any]) -> list[str]:
