@@ -11,6 +11,7 @@ from PIL import Image, UnidentifiedImageError
 
 from avatar.camera import Camera, project, read_cameras
 from avatar.errors import AssetError
+from avatar.files import whole_file
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 
@@ -47,6 +48,7 @@ class PartVideo:
     root: Float[Array, "frames 3"] | None  # pelvis joint in the world
     landmarks: Float[Array, "points 3"] | None  # head frame, its own unit
     landmark_vertices: Int[Array, "points"] | None  # template vertices of the same places
+    unsure: Bool[Array, "frames height width"] | None = None  # pixels whose mask is not to be believed
 
 
 @dataclass(frozen=True)
@@ -131,6 +133,16 @@ def read_subject(path: Path, name: str = "") -> Subject:
     skin = SkinWeights(bones, weights)
     canonical = skin_points(rest, skin, skin_transforms(BIG_POSE, joints, rest=np.zeros((52, 3))))
     return Subject(name, rest, canonical, faces, skin, joints, part, hair)
+
+
+def write_subject(path: Path, subject: Subject) -> None:
+    """Write the template so that `read_subject` gives it back."""
+    with whole_file(path) as file:
+        np.savez(
+            file, v_template=subject.rest, faces=subject.faces, joints=subject.joints,
+            skin_joints=subject.skin.joints.astype(np.uint8), skin_weights=subject.skin.weights,
+            part=subject.part.astype(np.uint8), hair=subject.hair,
+        )  # fmt: skip
 
 
 def _read_video(path: Path, part: str, vertex_count: int) -> PartVideo:

@@ -13,6 +13,7 @@ from train.template import visible_faces
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
 INSIDE = np.array([0.02, 0.015, 0.004, 0.004])  # metres, per part: so deep inside the template is no surface
+HAIR_INSIDE = 0.04  # metres, under hair: a hull carved from masks (train/hull.py) spans what is hollow
 
 
 def solid_inside(distance: PointFunction, subject: Subject) -> PointFunction:
@@ -28,7 +29,10 @@ def solid_inside(distance: PointFunction, subject: Subject) -> PointFunction:
     normals = vertex_normals(vertices, faces)[seen]
     places = vertices[seen]
     part = np.asarray(subject.part, np.int64)[seen]
-    tree, limit = KDTree(places), INSIDE[part]
+    limit = np.where(
+        np.asarray(subject.hair, bool)[seen], np.maximum(INSIDE[part], HAIR_INSIDE), INSIDE[part]
+    )
+    tree = KDTree(places)
     hands = places[part >= PARTS.index("hand_left")]
     if len(hands):  # the hands' fields speak up to 10 cm beyond the wrist, where the part is body
         limit = np.where(KDTree(hands).query(places)[0] < 0.12, np.minimum(limit, 0.006), limit)
