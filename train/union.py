@@ -121,7 +121,8 @@ def steps_apart(fused: FusedField, surfaces: list[Float[Tensor, "_ 3"]]) -> dict
 
 def train_union(
     fused: FusedField, subject: Subject, rays: RayTensors, preset: Preset, *, seed: int,
-    checkpoint: Path | None = None, resume: bool = False, report: Callable[[int, StepReport], None] | None = None,
+    checkpoint: Path | None = None, resume: bool = False, save_every: float = 120.0,
+    report: Callable[[int, StepReport], None] | None = None,
 ) -> dict:  # fmt: skip
     """Stage 2: train the body of `fused` in place from where it stands, the other parts fixed; says what it did.
 
@@ -140,7 +141,8 @@ def train_union(
     body.requires_grad_(True)
     try:
         skipped = train_field(
-            body, rays, part, settings, seed=seed, checkpoint=checkpoint, resume=resume, report=report,
+            body, rays, part, settings, seed=seed, checkpoint=checkpoint, resume=resume, save_every=save_every,
+            report=report,
             extra=geometry_loss(fused, surfaces, preset.parts, preset),
         )  # fmt: skip
     finally:

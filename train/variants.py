@@ -29,6 +29,7 @@ from train.field import PartField
 from train.fused import FusedField
 from train.parts import eq9_shares, part_boxes
 from train.preset import PRESETS
+from train.refine import with_refined
 from train.run import Run, read_part
 from train.union import in_overlap
 from train.views import statistics
@@ -48,6 +49,7 @@ def variant(run: Run, capture: Capture, name: str) -> Run:
         raise ValueError(f"variant should be one of {VARIANTS}, is {name!r}")
     if name == "ours":
         return run
+    capture = with_refined(capture, run.path)
     if len(run.field.fields) == 1:
         raise ValueError(f"variant {name}: the run is one network, it has no parts to compose")
     facts: dict = {**run.provenance, "variant": name}

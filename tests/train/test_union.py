@@ -1,0 +1,344 @@
+"""L_g (Eq. 7, 13), Eq. 8 and Eq. 9, and the variants of a run, on spheres and a small capture."""
+
+import copy
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from painted_capture import write_capture
+
+from avatar.errors import AssetError
+from train.appearance import match_appearance, overlap_rays
+from train.capture import read_capture
+from train.command import main
+from train.field import PartField
+from train.fused import FusedField
+from train.networks import triplane
+from train.networks.triplane import TriPlaneNetworks
+from train.objective import ray_tensors
+from train.parts import Box, Part, part_boxes
+from train.preset import DEMO
+from train.rays import part_rays
+from train.run import build_field, read_run
+from train.template import TemplateGrid, surface_cloud, template_grid, visible_faces
+from train.trainer import set_threads
+from train.union import geometry_loss, in_overlap, overlap_surface, train_union, zero_level
+from train.variants import VARIANTS, seam_steps, variant
+
+TINY = replace(
+    DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(0.03, 0.015, 0.008),
+    union=replace(DEMO.union, iterations=40, rate=0.3, consistency=30.0, surface=30.0),
+    parts=tuple(replace(p, iterations=6, cell=max(p.cell, 0.006), spacing=max(p.spacing, 0.006),
+                        networks=TriPlaneNetworks(plane_size=16, color_size=16)) for p in DEMO.parts),
+)  # fmt: skip
+
+WIDE = Box(np.full(3, -0.2), np.full(3, 0.2))
+# Eq. 9's overlap is the slab |x| < 5 cm, across both spheres
+SPHERES = (
+    Part("body", WIDE, None, 0.0),
+    Part("head", WIDE, Box(np.array([-0.05, -1, -1]), np.array([1.0, 1, 1])), 0.1),
+)
+SMALL = TriPlaneNetworks(plane_size=16, color_size=16, width=32)
+
+
+def _sphere_field(radius: float, moved: tuple[float, float, float], frames: int = 3) -> PartField:
+    """F_s = |x| - radius and T_nr = `moved` everywhere, metres."""
+    axis = torch.arange(-0.2, 0.2001, 0.01)
+    grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1)
+    template = TemplateGrid(grid.norm(dim=-1) - radius, torch.full((3,), -0.2), 0.01)
+    half = torch.full((3,), 0.2)
+    field = PartField(template, -half, half, triplane.build(SMALL, frames, half, 0.03))
+    with torch.no_grad():
+        field.displacement.out.bias.copy_(torch.atanh(torch.tensor(moved) / field.displacement.reach))
+    field.displacement.settle()
+    return field
+
+
+def _spheres() -> FusedField:
+    """A body sphere and a head sphere 5 mm larger, which Eq. 5 has moved by 2 mm along y."""
+    torch.manual_seed(0)
+    head_from_canonical = torch.eye(4)
+    head_from_canonical[1, 3] = -0.002
+    fields = [_sphere_field(0.1, (0.001, 0.0, 0.0)), _sphere_field(0.105, (0.0, 0.0, 0.003))]
+    return FusedField(fields, SPHERES, head_from_canonical).eval().requires_grad_(False)
+
+
+def _surface(fused: FusedField, index: int) -> torch.Tensor:
+    """Points of a part's displayed surface in the overlap."""
+    d = torch.nn.functional.normalize(torch.randn(2000, 3, generator=torch.Generator().manual_seed(1)), dim=1)
+    level = zero_level(fused, index, (0.1 * d).double().numpy(), d.double().numpy())
+    points = torch.as_tensor(level.points[level.arrived], dtype=torch.float32)
+    return points[in_overlap(fused.shares(points), index)]
+
+
+def test_the_zero_level_of_a_part_is_where_it_is_shown():
+    """|x - (0, 2 mm, 0) + (0, 0, 3 mm)| = 105 mm: Eq. 5 and the mean displacement both count."""
+    points = _surface(_spheres(), 1)
+    assert len(points) > 500
+    away = (points - torch.tensor([0, 0.002, -0.003])).norm(dim=1) - 0.105
+    assert away.abs().max() < 7e-4  # the template's cells are 1 cm
+
+
+@pytest.mark.parametrize("consistency, surface", [(1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])
+def test_each_term_of_L_g_pulls_the_body_sphere_onto_the_head_in_their_overlap_alone(consistency, surface):
+    fused = _spheres()
+    target = _surface(fused, 1)
+    head = copy.deepcopy(fused.field(1).state_dict())
+    assert fused.part_distance(0, target).mean() > 0.0045
+    preset = replace(DEMO, union=replace(DEMO.union, consistency=consistency, surface=surface))
+    L_g = geometry_loss(fused, [target], preset.parts, preset)
+    body = fused.field(0).requires_grad_(True)
+    parameters = [p for name, p in body.named_parameters() if name.startswith("geometry")]
+    optimiser = torch.optim.Adam(parameters, lr=3e-3)
+    generator = torch.Generator().manual_seed(2)
+    for _ in range(150):
+        d = torch.nn.functional.normalize(torch.randn(512, 3, generator=generator), dim=1)
+        shown = d * (0.09 + 0.03 * torch.rand(512, 1, generator=generator))
+        points = shown + torch.tensor([0.001, 0, 0])  # moved by the body's T_nr, as the batch's are
+        loss = L_g(points, body(points).distance)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    body.requires_grad_(False)
+    assert fused.part_distance(0, target).abs().mean() < 4e-4
+    assert fused.part_distance(0, target).mean().abs() < 2e-4
+    for name, value in fused.field(1).state_dict().items():
+        assert torch.equal(value, head[name]), name  # the other parts are fixed
+
+
+def test_L_g_asks_nothing_where_one_part_speaks_alone_or_the_part_never_learnt():
+    fused = _spheres()
+    L_g = geometry_loss(fused, [torch.zeros(0, 3)], DEMO.parts, DEMO)
+    alone = torch.tensor([[-0.1, 0, 0], [0.11, 0, 0]])
+    deep = torch.tensor([[0.0, 0.05, 0.0], [0.0, 0.16, 0.0]])  # in the slab, out of the head's band
+    both = torch.tensor([[0.0, 0.1, 0.0]])
+    asked = lambda points: float(L_g(points, torch.full((len(points),), 1.0)))
+    assert asked(alone) == 0 and asked(deep) == 0
+    # 1 m against the head's -7 mm there
+    assert asked(both) == pytest.approx(DEMO.union.consistency * (1 + 0.007), rel=2e-3)
+
+
+def _coloured_spheres(step: float) -> FusedField:
+    """The same sphere twice; the head's mean code differs from the body's, a planted change of its light."""
+    torch.manual_seed(3)
+    body = _sphere_field(0.1, (0, 0, 0), frames=20)
+    with torch.no_grad():
+        first = body.color_network.network[0]
+        code = slice(39 + SMALL.feature + 3 + 9, 39 + SMALL.feature + 3 + 9 + SMALL.appearance)
+        first.weight[:, code] *= 10  # an untrained network hardly reads its code
+        body.color_network.network[-1].weight *= 3
+        body.appearance.weight.copy_(0.5 * torch.randn(20, SMALL.appearance))
+    head = copy.deepcopy(body)
+    with torch.no_grad():
+        head.appearance.weight += step
+        for field in (body, head):
+            field.reference.copy_(field.appearance.weight.mean(0))
+    return FusedField([body, head], SPHERES, torch.eye(4)).eval().requires_grad_(False)
+
+
+def _seen_overlap(fused: FusedField) -> tuple[torch.Tensor, torch.Tensor]:
+    points = _surface(fused, 1)
+    noise = 0.3 * torch.randn(points.shape, generator=torch.Generator().manual_seed(4))
+    return points, torch.nn.functional.normalize(-points / 0.1 + noise, dim=1)
+
+
+def test_eq8_recovers_a_planted_colour_change_and_eq9_then_hides_it():
+    fused = _coloured_spheres(0.4)
+    points, directions = _seen_overlap(fused)
+    body = fused.part_color(0, points, directions)
+    assert (fused.part_color(1, points, directions) - body).abs().mean() > 0.02
+    before, after = match_appearance(fused, 1, points, directions, steps=300, seed=0)
+    assert before > 0.02 and after < 0.1 * before
+    assert (fused.part_color(1, points, directions) - body).abs().mean() == pytest.approx(after, rel=1e-4)
+    # the other direction of light and other points too: it is the code that was found, not the samples
+    others = torch.nn.functional.normalize(torch.randn(200, 3), dim=1) * 0.1
+    away = fused.part_color(1, others, -others / 0.1) - fused.part_color(0, others, -others / 0.1)
+    assert away.abs().mean() < 0.2 * before
+    assert torch.equal(fused.field(0).reference, fused.field(0).appearance.weight.mean(0))
+
+
+def test_eq9_blends_linearly_over_the_overlap_and_a_switch_jumps_in_its_middle():
+    fused = _coloured_spheres(0.4)
+    points, directions = _seen_overlap(fused)
+    body, head = (fused.part_color(i, points, directions) for i in (0, 1))
+    share = (points[:, :1] + 0.05) / 0.1
+    torch.testing.assert_close(fused.color(points, directions), body * (1 - share) + head * share)
+    fused.switch = True
+    torch.testing.assert_close(fused.color(points, directions), torch.where(share > 0.5, head, body))
+
+
+def test_eq8_with_a_single_frame_stays_finite():
+    fused = _coloured_spheres(0.4)
+    head = fused.field(1)
+    head.appearance.weight.data = head.appearance.weight.data[:1].clone()
+    points, directions = _seen_overlap(fused)
+    _, after = match_appearance(fused, 1, points, directions, steps=5)
+    assert np.isfinite(after) and torch.isfinite(head.reference).all()
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    return read_capture(write_capture(tmp_path_factory.mktemp("capture") / "test"))
+
+
+@pytest.fixture(scope="module")
+def untrained(capture):
+    """The template as all four parts, and the body's rays."""
+    parts, subject = part_boxes(capture.subject), capture.subject
+    visible = visible_faces(subject)
+    fields, rays = [], None
+    torch.manual_seed(7)
+    for index, part in enumerate(parts):
+        cloud = surface_cloud(subject, index, visible, 0.006)
+        template = template_grid(cloud, part.extent.low, part.extent.high, 0.006)
+        fields.append(build_field(subject, index, TINY.parts[index], template, 4))
+        if index == 0:
+            rays = part_rays(capture.videos["body"], subject, cloud, part, TINY.parts[0].band, ends=14,
+                             per_frame=3000, background=0.2, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
+            rays = ray_tensors(rays, cloud, torch.device("cpu"))
+    return FusedField(fields, parts, torch.eye(4)).eval().requires_grad_(False), rays
+
+
+@pytest.mark.parametrize("index", [1, 2, 3])
+def test_overlap_rays_hit_the_surface_from_outside_in_the_overlap_in_many_frames(untrained, index):
+    fused, rays = untrained
+    points, directions = overlap_rays(fused, index, rays)
+    assert len(points) >= 4  # the pictures are 48 pixels wide
+    assert in_overlap(fused.shares(points), index).all()
+    assert fused.distance(points).abs().max() < 3e-3
+    assert ((directions * fused.normal(points)).sum(1) < 0.2).float().mean() > 0.95
+    torch.testing.assert_close(directions.norm(dim=1), torch.ones(len(points)))
+
+
+def test_stage_2_interrupted_and_resumed_equals_stage_2_never_stopped(capture, untrained, tmp_path):
+    fused, rays = untrained
+    preset = replace(TINY, union=replace(TINY.union, iterations=20))
+    threads = torch.get_num_threads()
+    set_threads(1)
+
+    def stop(iteration, step):
+        raise KeyboardInterrupt
+
+    try:
+        whole, halves, again = (copy.deepcopy(fused) for _ in range(3))
+        train_union(whole, capture.subject, rays, preset, seed=3)
+        path = tmp_path / "union.ckpt"
+        with pytest.raises(KeyboardInterrupt):
+            train_union(
+                halves, capture.subject, rays, preset, seed=3, checkpoint=path, save_every=0.0, report=stop
+            )
+        train_union(again, capture.subject, rays, preset, seed=3, checkpoint=path, resume=True)
+    finally:
+        set_threads(threads)
+    for name, value in whole.state_dict().items():
+        assert torch.equal(value, again.state_dict()[name]), name
+    moved = [
+        name for name, value in whole.state_dict().items() if not torch.equal(value, fused.state_dict()[name])
+    ]
+    assert moved and all(name.startswith("fields.0.") for name in moved)
+
+
+def test_overlap_surfaces_lie_on_each_part_in_its_overlap(capture, untrained):
+    fused, _ = untrained
+    for index, points in enumerate(overlap_surface(fused, capture.subject), start=1):
+        assert 100 < len(points) <= 1500
+        assert fused.part_distance(index, points).abs().max() < 1e-3
+        assert in_overlap(fused.shares(points), index).all()
+
+
+@pytest.fixture(scope="module")
+def run(capture, tmp_path_factory):
+    out = tmp_path_factory.mktemp("run") / "run"
+    threads = torch.get_num_threads()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(__import__("train.preset").preset.PRESETS, "demo", TINY)
+        patch.setattr("os.cpu_count", lambda: 1)
+        try:
+            assert main([str(capture.path), "-o", str(out), "--preview", "0", "--refine-poses", "off"]) == 0
+            yield read_run(out)
+        finally:
+            set_threads(threads)
+
+
+def test_stage_2_brings_the_body_nearer_to_every_part_and_the_run_keeps_both_bodies(run):
+    union = json.loads((run.path / "run.json").read_text("utf-8"))["union"]
+    assert set(union["step_mm_after"]) == {"head", "hand_left", "hand_right"}
+    for name, after in union["step_mm_after"].items():
+        assert after < union["step_mm_before"][name], name
+    codes = np.load(run.path / "codes.npz")
+    for index, name in enumerate(("body", "head", "hand_left", "hand_right")):
+        field = run.field.field(index)
+        np.testing.assert_allclose(codes[f"{name}_mean"], field.appearance.weight.mean(0).numpy(), atol=1e-7)
+        np.testing.assert_array_equal(codes[f"{name}_matched"], field.reference.numpy())
+
+
+def test_variants_differ_from_the_run_in_what_they_name_and_leave_it_alone(capture, run):
+    before = {name: value.clone() for name, value in run.field.state_dict().items()}
+    got = {name: variant(run, capture, name) for name in VARIANTS}
+    for name, value in run.field.state_dict().items():
+        assert torch.equal(value, before[name]), name
+    assert got["ours"] is run
+
+    other = got["landmarks_only"]
+    assert torch.equal(other.field.head_from_canonical, torch.eye(4))
+    assert all(other.field.field(i) is run.field.field(i) for i in range(4))
+    assert other.provenance["registration"] == run.provenance["registration"]
+    ours = np.linalg.inv(np.array(run.provenance["head_from_canonical"]))
+    landmarks = np.linalg.inv(np.array(other.provenance["head_from_canonical"]))
+    np.testing.assert_allclose(
+        np.array(run.provenance["canonical_from_head_field"]) @ landmarks, ours, atol=1e-9
+    )
+
+    other = got["no_L_g"]
+    stage1 = torch.load(run.path / "body_stage1.pt", weights_only=True)["state"]
+    for name, value in other.field.field(0).state_dict().items():
+        assert torch.equal(value, stage1[name]), name
+    assert all(other.field.field(i) is run.field.field(i) for i in (1, 2, 3))
+    points = torch.as_tensor(other.surface.vertices, dtype=torch.float32)
+    assert other.field.distance(points).abs().quantile(0.95) < 0.003
+    assert len(other.surface.vertices) != len(run.surface.vertices)
+    assert (other.surface.view_count > 0).mean() > 0.4
+
+    points = torch.as_tensor(run.surface.vertices, dtype=torch.float32)
+    directions = -torch.as_tensor(run.surface.normals, dtype=torch.float32)
+    loudest = run.field.shares(points).argmax(1)
+    for name in ("no_fusion", "no_codes_no_fusion"):
+        other = got[name]
+        assert other.surface is run.surface
+        torch.testing.assert_close(other.field.distance(points), run.field.distance(points))
+        shown = other.field.color(points, directions)
+        for index in range(4):
+            own = loudest == index
+            expected = other.field.part_color(index, points[own], directions[own])
+            torch.testing.assert_close(shown[own], expected, atol=1e-6, rtol=0)
+            reference = other.field.field(index).reference
+            mean = run.field.field(index).appearance.weight.mean(0)
+            torch.testing.assert_close(
+                reference, mean if "codes" in name else run.field.field(index).reference
+            )
+    with pytest.raises(ValueError, match=r"should be one of .*is 'no_head'"):
+        variant(run, capture, "no_head")
+
+
+def test_a_run_without_its_stage_1_body_is_refused_by_name(capture, run, tmp_path):
+    with pytest.raises(AssetError, match=r"body_stage1\.pt: no such file"):
+        variant(replace(run, path=tmp_path), capture, "no_L_g")
+
+
+def test_seam_steps_are_what_they_say(run, capture):
+    steps = seam_steps(run)
+    assert set(steps) == {"neck", "wrist_left", "wrist_right"}
+    points = torch.as_tensor(run.surface.vertices, dtype=torch.float32)
+    seen = torch.as_tensor(run.surface.view_count > 0)
+    chosen = points[in_overlap(run.field.shares(points), 1) & seen]
+    apart = (run.field.part_distance(1, chosen) - run.field.part_distance(0, chosen)).abs().mean()
+    assert steps["neck"]["step_mm"] == pytest.approx(1000 * float(apart), abs=2e-3)
+    # the body with an offset of 4 mm is 4 mm off, give or take what it was
+    shifted = copy.deepcopy(run.field)
+    shifted.field(0).template.values += 0.004
+    far = seam_steps(replace(run, field=shifted))
+    for name, step in steps.items():
+        assert abs(far[name]["step_mm"] - 4) < 1.1 * step["step_mm"] + 0.01, name
+        assert far[name]["color_step"] == pytest.approx(step["color_step"], abs=2.0)
