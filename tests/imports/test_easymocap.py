@@ -123,6 +123,8 @@ def test_a_model_in_text_and_annots_and_rodrigues_are_read_alike(source, damaged
     head = write_colmap(source, tmp_path / "text", binary=False, model="OPENCV")
     for file in sorted((damaged.root / "body/smpl").iterdir()):
         file.write_text(json.dumps({"annots": json.loads(file.read_text())}))
+    (damaged.root / "hand_left/output/smpl").mkdir(parents=True)
+    (damaged.root / "hand_left/smpl").rename(damaged.root / "hand_left/output/smpl/smpl")
     lines = (damaged.root / "body/extri.yml").read_text().split("Rot_01:")
     rest = lines[1].split("T_01:")[1]
     (damaged.root / "body/extri.yml").write_text(f"{lines[0]}T_01:{rest}")
@@ -187,6 +189,9 @@ BAD = {
     "no results": (
         lambda o: (o.root / "body/smpl").rename(o.root / "body/fits"),
         r"body: expected EasyMocap's results in one of smpl/, .* found none"),
+    "results twice": (
+        lambda o: copied(o.root / "body/smpl", o.root / "body/output/smplfull"),
+        r"body: expected EasyMocap's results in one of smpl/, .* found \['output/smplfull', 'smpl'\]"),
     "zero focal length": (zero_focal, r"intri\.yml and extri\.yml, camera 01: focal length should be positive, is 0, 0"),
     "millimetres for metres": (
         metres_to_millimetres, r"hand_left/extri\.yml: T and Th of .*smpl should place the camera .* check millimetres"),

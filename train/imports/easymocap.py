@@ -152,12 +152,14 @@ def _image_folder(folder: Path) -> Path:
 
 
 def _result_folder(folder: Path) -> Path:
-    """The one folder of EasyMocap's results: smpl/ and its like, here or in output/."""
-    found = [folder / base / name for base in ("", "output") for name in RESULT_FOLDERS if (folder / base / name).is_dir()]
+    """The one folder of EasyMocap's results: smpl/ and its like, here, in output/ or in a folder of output/."""
+    places = [path for base in ("*", "output/*", "output/*/*") for path in folder.glob(base)]
+    found = [path for path in places if path.name in RESULT_FOLDERS and any(path.glob("[0-9]*.json"))]
     if len(found) != 1:
         names = ", ".join(f"{name}/" for name in RESULT_FOLDERS)
         raise AssetError(
-            f"{folder}: expected EasyMocap's results in one of {names}, found {[p.name for p in found] or 'none'}"
+            f"{folder}: expected EasyMocap's results in one of {names}, found "
+            f"{sorted(str(path.relative_to(folder)) for path in found) or 'none'}"
         )
     return found[0]
 
