@@ -140,7 +140,7 @@ def with_hair(subject: Subject, capture: Capture, canonical_from_head: Float[Arr
     hair = carve(views, template, neck)
     if hair is None:
         return subject
-    vertices, faces, _, _ = marching_cubes(np.pad(hair.share, 1), 0.5, gradient_direction="descent")
+    vertices, faces, _, _ = marching_cubes(np.pad(hair.share, 1), 0.5, gradient_direction="ascent")
     vertices, faces = (vertices - 1) * hair.cell + hair.low, faces.astype(np.int64)
     # what of the hair lies under the skin is no surface, and what of the skin lies under the hair neither
     under = template.sample(torch.as_tensor(vertices[faces].mean(1), dtype=torch.float32))[0].numpy()
