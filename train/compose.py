@@ -172,5 +172,6 @@ def register_head(subject: Subject, fields: Sequence[PartField]) -> Registration
     if head.arrived.sum() < 100 or body.arrived.sum() < 100:
         raise ValueError("head registration: the head or body field has no surface near the template's head")
     return refine_by_surfaces(
-        head.points[head.arrived], body.points[body.arrived], body.normals[body.arrived]
+        head.points[head.arrived], body.points[body.arrived], body.normals[body.arrived],
+        source_normals=head.normals[head.arrived],
     )

@@ -58,28 +58,38 @@ def refine_by_surfaces(
     target: Float[Array, "m 3"],
     target_normals: Float[Array, "m 3"],
     *,
+    source_normals: Float[Array, "n 3"] | None = None,
     reach: float = 0.02,
-    steps: int = 30,
+    steps: int = 40,
     most: float = 0.03,
 ) -> Registration:
     """Eq. 5: rigid target_from_source by point-to-plane ICP, robust to surface that only one side has.
 
-    Each step pairs source points with their nearest target points within `reach` (shrinking to a quarter),
-    weights them by Huber's rule at the median residual, and solves the linearised 6x6 system. A rotation that
-    the surfaces do not determine (a sphere, a plane) is left at zero by truncating the system's small
+        min over R, T of sum w_i (n_i . (R p_i + T - q_i))^2       q_i the target point nearest to R p_i + T
+
+    A pair is rejected when it is farther apart than `reach` (which shrinks to a quarter), when its normals are
+    more than 60 degrees apart, or when its residual r exceeds c = 7 medians of |r|; the others weigh (1 - (r/c)^2)^2
+    (Tukey's biweight), so that what does not belong ends with no say at all, not with a small one. A rotation
+    that the surfaces do not determine (a sphere, a plane) is left at zero by truncating the system's small
     eigenvalues.
 
     Raises:
-        ValueError: under a tenth of the points find a partner, or the answer moves points by more than `most`
-            metres: the start was wrong, or the units are.
+        ValueError: numbers are not finite, under a tenth of the points find a partner, the steps do not settle,
+            or the answer moves points by more than `most` metres: the start was wrong, or the units are.
     """
+    for name, array in (("source", source), ("target", target), ("normal", target_normals)):
+        if not np.isfinite(array).all():
+            raise ValueError(f"head registration: a {name} is not finite")
     tree = KDTree(target)
     transform = np.eye(4)
-    residual = np.inf
+    residual, moved_by = np.inf, np.inf
     for step in range(steps):
         moved = source @ transform[:3, :3].T + transform[:3, 3]
         gap, row = tree.query(moved, distance_upper_bound=reach * max(0.25, 1 - step / steps), workers=-1)
-        row, near = np.asarray(row), np.isfinite(gap)
+        near = np.isfinite(gap)
+        row = np.where(near, row, 0)
+        if source_normals is not None:
+            near &= ((source_normals @ transform[:3, :3].T) * target_normals[row]).sum(1) > 0.5
         if near.sum() < max(6, 0.1 * len(source)):
             share = near.mean() if len(near) else 0.0
             raise ValueError(
@@ -88,25 +98,35 @@ def refine_by_surfaces(
         p, q, n = moved[near], target[row[near]], target_normals[row[near]]
         r = ((p - q) * n).sum(1)
         residual = float(np.median(np.abs(r)))
-        w = 1 / np.maximum(np.abs(r) / max(residual, 1e-9), 1.0)
-        centre = p.mean(0)  # turning about the middle decouples rotation from translation
-        J = np.concatenate([np.cross(p - centre, n), n], 1)
-        size = np.abs(p - centre).max()
-        J[:, :3] /= size
-        H, g = (J * w[:, None]).T @ J, (J * w[:, None]).T @ r
-        values, vectors = np.linalg.eigh(H)
-        usable = values > 1e-3 * values[-1]
-        delta = -vectors[:, usable] @ ((vectors[:, usable].T @ g) / values[usable])
-        R = matrix_from_axis_angle(delta[:3] / size)
-        update = np.eye(4)
-        update[:3, :3] = R
-        update[:3, 3] = centre - R @ centre + delta[3:]
+        w = np.square(np.maximum(1 - np.square(r / max(7 * residual, 1e-9)), 0))
+        update, moved_by = _plane_step(p, n, r, w)
         transform = update @ transform
-        if np.abs(delta).max() < 1e-7:
+        if moved_by < 1e-9:
             break
+    if moved_by > 1e-3:
+        raise ValueError(f"head registration: the last of {steps} steps still moves by {moved_by:.4f} m")
     shift = np.linalg.norm(source @ transform[:3, :3].T + transform[:3, 3] - source, axis=1).max()
     if shift > most:
         raise ValueError(
             f"head registration: moves the head by {shift:.3f} m, more than {most}; is Eq. 6's start right?"
         )
     return Registration(transform, residual)
+
+
+def _plane_step(
+    points: Float[Array, "k 3"], normals: Float[Array, "k 3"], r: Float[Array, "k"], w: Float[Array, "k"]
+) -> tuple[Float[Array, "4 4"], float]:
+    """The rigid motion that lowers sum w r^2 the most when linearised, and the metres by which it moves points."""
+    centre = points.mean(0)  # turning about the middle decouples rotation from translation
+    J = np.concatenate([np.cross(points - centre, normals), normals], 1)
+    size = max(float(np.abs(points - centre).max()), 1e-12)
+    J[:, :3] /= size
+    H, g = (J * w[:, None]).T @ J, (J * w[:, None]).T @ r
+    values, vectors = np.linalg.eigh(H)
+    usable = values > 1e-3 * values[-1]
+    delta = -vectors[:, usable] @ ((vectors[:, usable].T @ g) / np.maximum(values[usable], 1e-300))
+    R = matrix_from_axis_angle(delta[:3] / size)
+    update = np.eye(4)
+    update[:3, :3] = R
+    update[:3, 3] = centre - R @ centre + delta[3:]
+    return update, float(np.abs(delta).max())
