@@ -140,13 +140,18 @@ def with_hair(subject: Subject, capture: Capture, canonical_from_head: Float[Arr
     hair = carve(views, template, neck)
     if hair is None:
         return subject
-    vertices, faces, _, _ = marching_cubes(np.pad(hair.share, 1), 0.5, gradient_direction="ascent")
-    vertices, faces = (vertices - 1) * hair.cell + hair.low, faces.astype(np.int64)
+    vertices, faces = hair_mesh(hair)
     # what of the hair lies under the skin is no surface, and what of the skin lies under the hair neither
     under = template.sample(torch.as_tensor(vertices[faces].mean(1), dtype=torch.float32))[0].numpy()
     faces = faces[under > -0.003]
     covered = hair.at(subject.vertices[subject.faces].mean(1)) > 0.75
     return joined(subject, subject.faces[~covered], vertices, faces, neck)
+
+
+def hair_mesh(hair: Hair) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"]]:
+    """The closed surface of a volume of hair, canonical, faces outwards."""
+    vertices, faces, _, _ = marching_cubes(np.pad(hair.share, 1), 0.5, gradient_direction="ascent")
+    return (vertices - 1) * hair.cell + hair.low, faces.astype(np.int64)
 
 
 def closed_grid(

@@ -6,7 +6,7 @@ import torch
 from scipy import ndimage
 
 from avatar.camera import orbit_camera, pixel_rays
-from train.hull import STANDS_OFF, View, background_share, carve
+from train.hull import STANDS_OFF, View, background_share, carve, hair_mesh
 from train.template import TemplateGrid
 
 RADIUS = 0.1  # metres, of the head, at the origin
@@ -111,3 +111,14 @@ def test_background_share_counts_only_pictures_that_hold_the_point():
     assert seen[0] == 30 and share[0] == 0.0
     assert seen[1] == 30 and share[1] == 1.0
     assert seen[2] < 30
+
+
+def test_the_mesh_of_hair_is_closed_faces_outwards_and_holds_its_volume():
+    hair = carve(filmed(hair=True), ball(), neck=-0.05)
+    assert hair is not None
+    vertices, faces = hair_mesh(hair)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    assert set(map(tuple, edges)) == set(map(tuple, edges[:, ::-1]))  # each edge once in each direction
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    volume = (a * np.cross(b, c)).sum() / 6
+    assert volume == pytest.approx(hair.share.sum() * CELL**3, rel=0.03)
