@@ -73,7 +73,7 @@ def _disturb(path: Path, degrees: float, rng: np.random.Generator) -> None:
     noise = np.radians(degrees) * rng.standard_normal(given.shape)
     noisy = matrix_from_axis_angle(given) @ matrix_from_axis_angle(noise)
     fields["poses"] = axis_angle_from_matrix(noisy).reshape(len(given), -1)
-    np.savez(path, **fields)
+    np.savez(path, allow_pickle=False, **fields)
 
 
 def _regrow(path: Path, grow: int) -> None:
@@ -83,7 +83,11 @@ def _regrow(path: Path, grow: int) -> None:
     r = abs(grow)
     y, x = np.mgrid[-r : r + 1, -r : r + 1]
     disc = x * x + y * y <= r * r
-    changed = ndimage.binary_dilation(mask, disc) if grow > 0 else ndimage.binary_erosion(mask, disc, border_value=1)
+    changed = (
+        ndimage.binary_dilation(mask, disc)
+        if grow > 0
+        else ndimage.binary_erosion(mask, disc, border_value=1)
+    )
     Image.fromarray(255 * np.asarray(changed, np.uint8)).save(path)
 
 
@@ -101,7 +105,9 @@ def run_rows(
                     noisy_capture(capture, given, noise, seed)
                 if not run.exists():
                     resume = ["--resume"] if run.with_name(run.name + ".partial").exists() else []
-                    _selfscan("train", given, "-o", run, "--refine-poses", choice, "--seed", seed, *extra, *resume)
+                    _selfscan(
+                        "train", given, "-o", run, "--refine-poses", choice, "--seed", seed, *extra, *resume
+                    )
                 few = [] if poses is None else ["--poses", poses]
                 _selfscan("eval", run, capture, "--json", score, *few)
             quality = json.loads(score.read_text("utf-8"))
@@ -159,10 +165,18 @@ def _selfscan(*arguments: object) -> None:
 
 def main(argv: list[str]) -> int:
     """The command line; see `python -m bench.noise --help`."""
-    parser = argparse.ArgumentParser(prog="python -m bench.noise", description=__doc__.split("\n\n")[0])
-    parser.add_argument("out", metavar="OUT", type=Path, help="folder for captures, runs and the page; resumed if there")
-    parser.add_argument("--capture", type=Path, required=True, help="capture folder with truth/ (selfscan synth)")
-    parser.add_argument("--noise", nargs="+", choices=[n.name for n in NOISES], default=[n.name for n in NOISES])
+    parser = argparse.ArgumentParser(
+        prog="python -m bench.noise", description=(__doc__ or "").split("\n\n")[0]
+    )
+    parser.add_argument(
+        "out", metavar="OUT", type=Path, help="folder for captures, runs and the page; resumed if there"
+    )
+    parser.add_argument(
+        "--capture", type=Path, required=True, help="capture folder with truth/ (selfscan synth)"
+    )
+    parser.add_argument(
+        "--noise", nargs="+", choices=[n.name for n in NOISES], default=[n.name for n in NOISES]
+    )
     parser.add_argument("--refine", nargs="+", choices=["off", "on", "auto"], default=["off", "auto"])
     parser.add_argument("--poses", type=int, help="score only that many poses of each held-out set")
     parser.add_argument("--iterations", type=int, help="steps per part, instead of the preset's")

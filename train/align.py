@@ -113,7 +113,7 @@ class Outline:
     def nearest(self, other: "Outline", bend: float) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
         """For each pixel of ours the nearest of `other` with a like normal, and how far it is in pixels."""
         tree = KDTree(np.c_[other.at, bend * other.normals])
-        _, index = tree.query(np.c_[self.at, bend * self.normals])
+        index = np.asarray(tree.query(np.c_[self.at, bend * self.normals])[1])
         return index, np.linalg.norm(other.at[index] - self.at, axis=1)
 
 
@@ -133,7 +133,7 @@ def placement(
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         back = np.array([[c, -s], [s, c]])  # of (row, column): output to input
         middle = centre[::-1] / 2
-        turned = ndimage.affine_transform(half, back, middle - back @ middle, order=0) if degrees else half
+        turned = ndimage.affine_transform(half, back, offset=tuple(middle - back @ middle), order=0)  # pyright: ignore if degrees else half
         vote = signal.fftconvolve(turned, vote_of, mode="valid")
         dy, dx = h - np.arange(vote.shape[0])[:, None], w - np.arange(vote.shape[1])[None, :]
         tax = 0.02 * (4 * (dy**2 + dx**2) / near**2 + (degrees / 10) ** 2)
@@ -178,16 +178,20 @@ def align(
     sigma = np.r_[np.full(params - 3, np.radians(settings.prior)), np.full(3, settings.root)]
     scale = video.masks.shape[1] / 256
     outlines = [Outline(mask) for mask in video.masks]
-    edge = np.zeros(frames)
+    edge, offset = np.zeros(frames), 0.0
     cuts = scale * np.geomspace(40.0, 3.0, settings.rounds)
     for number, cut in enumerate(cuts):
         first, colored = number == 0, number >= settings.rounds - settings.colored
         views = [_view(video, subject, f, R[f], root[f], near if first else None) for f in range(frames)]
         H, b = np.zeros((frames, params, params)), np.zeros((frames, params))
+        away = []
         for f, view in enumerate(views):
-            edge[f] = _add_outline(
-                H[f], b[f], view, video, f, subject, outlines[f], moving, cut, settings.outline * scale, near
+            edge[f], r = _add_outline(
+                H[f], b[f], view, video, f, subject, outlines[f], moving, cut, settings.outline * scale, near, offset
             )
+            away.append(r)
+        # masks all too large or small are no reason to come nearer or step back
+        offset = float(np.median(np.concatenate(away))) if cut < 15 * scale else 0.0
         if colored:
             _add_colors(H, b, views, video, subject, part, moving, settings.color)
         delta = axis_angle_from_matrix(np.swapaxes(given, -1, -2) @ R)[:, moving].reshape(frames, -1)
@@ -245,12 +249,15 @@ def _view(
 
 def _add_outline(
     H: Array, b: Array, view: _View, video: PartVideo, f: int, subject: Subject, mask: Outline,
-    moving: Int[Array, "m"], cut: float, sigma: float, near: Bool[Array, "faces"],
-) -> float:  # fmt: skip
-    """Add the outline term of one frame; returns the mean distance of the outlines near the part."""
+    moving: Int[Array, "m"], cut: float, sigma: float, near: Bool[Array, "faces"], offset: float,
+) -> tuple[float, Float[Array, "n"]]:  # fmt: skip
+    """Add the outline term of one frame, the mask `offset` pixels outside of the template.
+
+    Returns the mean distance of the outlines near the part, and how far outside the mask's pixels are.
+    """
     template, camera = view.outline, video.cameras[f]
     if len(template.at) == 0 or len(mask.at) == 0:
-        return np.inf
+        return np.inf, np.zeros(0)
     there, d_there = template.nearest(mask, cut)
     back, d_back = mask.nearest(template, cut)
     inside = ((template.at > 0) & (template.at < camera.size)).all(1)
@@ -261,6 +268,7 @@ def _add_outline(
     face = view.drawn.face[template.pixels[p, 0], template.pixels[p, 1]]
     n = mask.normals[q]
     r = ((mask.at[q] - template.at[p] + view.came[p]) * n).sum(1)
+    away, r = r, r - offset
     weight = 1 / (1 + (length / cut) ** 2) ** 2 / sigma**2
     if view.came.any():
         weight = weight * near[face]
@@ -270,7 +278,31 @@ def _add_outline(
     H += (J * weight[:, None]).T @ J
     b += (J * weight[:, None]).T @ r
     close = near[face] & np.isfinite(length)
-    return float(length[close].mean()) if close.any() else np.inf
+    if not close.any():
+        return np.inf, np.zeros(0)
+    return float(length[close].mean()), away[close & (length < cut)]
+
+
+def outline_offset(video: PartVideo, subject: Subject, frames: int = 8) -> float:
+    """How far outside the posed template's outline the masks' is, mean over a few frames, pixels of 256 a height.
+
+    Only outlines within 5 pixels of each other are compared, where the template shows the part.
+    """
+    assert video.axis_angle is not None and video.root is not None
+    scale = video.masks.shape[1] / 256
+    near = _near_faces(subject, PARTS.index(video.part))
+    found = []
+    for f in np.unique(np.linspace(0, len(video.masks), frames, endpoint=False).astype(int)):
+        view = _view(video, subject, int(f), matrix_from_axis_angle(video.axis_angle[f]), video.root[f], None)
+        template, mask = view.outline, Outline(video.masks[f])
+        if len(template.at) == 0 or len(mask.at) == 0:
+            continue
+        index, length = template.nearest(mask, 5.0 * scale)
+        face = view.drawn.face[template.pixels[:, 0], template.pixels[:, 1]]
+        away = ((mask.at[index] - template.at) * mask.normals[index]).sum(1)
+        found.append(away[near[face] & (length < 5 * scale)])
+    found = np.concatenate(found) if found else np.zeros(0)
+    return float(found.mean()) / scale if len(found) else 0.0
 
 
 def _seen(view: _View, video: PartVideo, f: int, subject: Subject, part: int) -> tuple[Array, Array]:

@@ -173,7 +173,8 @@ def part_rays(
             middle = posed.points[cloud.part[thin] == index].mean(0)
         # background pixels farther from the person than this see no band
         reach = camera.K[0, 0] * band.outside / scale / max(float(np.linalg.norm(middle - camera.eye)), 1e-9)
-        pixels = _choose_pixels(mask, per_frame, background, reach, rng)
+        unsure = None if video.unsure is None else video.unsure[frame]
+        pixels = _choose_pixels(mask, unsure, per_frame, background, reach, rng)
         origins, directions = pixel_rays(camera, pixels[:, ::-1] + 0.5)
         if canonical_from_head is not None:
             origins = origins @ canonical_from_head[:3, :3].T + canonical_from_head[:3, 3]
@@ -220,14 +221,15 @@ def part_rays(
 
 
 def _choose_pixels(
-    mask: Array, count: int, background: float, reach: float, rng: np.random.Generator
+    mask: Array, unsure: Array | None, count: int, background: float, reach: float, rng: np.random.Generator
 ) -> Array:
-    """Random pixels (row, column): a share of background near the person, the rest on the person."""
-    inside = np.argwhere(mask)
+    """Random pixels (row, column): a share of background near the person, the rest on the person; none unsure."""
+    sure = True if unsure is None else ~unsure
+    inside = np.argwhere(mask & sure)
     if len(inside) == 0:
         return np.zeros((0, 2), int)
     away = distance_to(mask)
-    outside = np.argwhere((away > 0) & (away < max(reach, 2.0)))
+    outside = np.argwhere((away > 0) & (away < max(reach, 2.0)) & sure)
     wanted = min(int(count * background), len(outside))
     return np.concatenate(
         [

@@ -6,8 +6,8 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,11 +18,12 @@ from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 from avatar.progress import Progress, ProgressBoard
 from train import run as run_folder
-from train.capture import PARTS, Capture, PartVideo, Subject, read_capture
+from train.capture import Capture, PartVideo, Subject, read_capture, read_subject, write_subject
 from train.checkpoint import Position
 from train.compose import compose
 from train.distributed import Ranks, join_ranks
 from train.field import PartField
+from train.hull import with_hair
 from train.interrupt import prompt_stop
 from train.log import TrainingLog, tensorboard_installed
 from train.objective import RayTensors, StepReport, ray_tensors
@@ -31,7 +32,7 @@ from train.prefit import fit_template
 from train.preset import PartPreset, Preset
 from train.preview import Preview, part_preview
 from train.rays import part_rays
-from train.refine import read_refined, refine_wanted, refined_path, refined_video, with_refined
+from train.refine import ROUNDS, RefineJob, refine_capture, with_refined
 from train.register import Registration, similarity_from_landmarks
 from train.session import Session, capture_digest, digest_of, open_session
 from train.single import part_names, part_presets, show_as_in_the_body_video, single_rays, single_template
@@ -60,7 +61,6 @@ class PartJob:
     threads: int
     save_every: float  # seconds between checkpoints
     preview_every: int  # steps between previews; 0: none
-    refine: frozenset[str]  # the videos whose poses are moved onto the masks first
     ranks: Ranks
 
     @property
@@ -81,7 +81,6 @@ class Ready(NamedTuple):
     rays: RayTensors
     flagged: float  # share of the rays left out as ambiguous
     preview: Preview | None
-    refined: dict  # what pose refinement says, if it was wanted
 
 
 def train(
@@ -124,18 +123,19 @@ def train(
             f"preset {preset.name}"
         )
         say(f"logs, previews and checkpoints: {session.partial}")
-        refine = refine_wanted(capture, refine_poses, say)
+        refined = _refine(capture, session, ranks, device, refine_poses, say)
+        capture = _join_hair(capture, landmarks, session, ranks, say)
         facts = _train_parts(
-            capture, preset, landmarks, session, ranks, device, seed, save_every, preview_every, refine
+            capture, preset, landmarks, session, ranks, device, seed, save_every, preview_every
         )
         if ranks.writes:
-            _compose(capture, preset, landmarks, session, device, seed, facts, began)
+            _compose(capture, preset, landmarks, session, device, seed, facts, refined, began)
     return out
 
 
 def _compose(
     capture: Capture, preset: Preset, landmarks: Registration, session: Session, device: str, seed: int,
-    facts: dict[str, dict], began: float,
+    facts: dict[str, dict], refined: dict, began: float,
 ) -> None:  # fmt: skip
     """From trained parts to the run folder; under torchrun the work of one rank."""
     out, partial = session.out, session.partial
@@ -163,7 +163,7 @@ def _compose(
             if (partial / name).is_dir():
                 shutil.copytree(partial / name, folder / name)
         run_folder.write_surface(folder / "surface.npz", surface, tables)
-        shutil.copyfile(capture.path / "subject.npz", folder / "subject.npz")
+        shutil.copyfile(partial / "subject.npz", folder / "subject.npz")
         seconds["all"] = time.monotonic() - began
         memory = peak_memory(device)
         run_folder.write_json(
@@ -183,6 +183,7 @@ def _compose(
                 "peak_memory_mb": {name: fact["peak_memory_mb"] for name, fact in facts.items()}
                 | {"composition": _megabytes(memory)},
                 "parts": facts,
+                "refined": refined,
                 **composition,
             },
         )
@@ -206,9 +207,42 @@ def _register_landmarks(capture: Capture, say: Callable[[str], None]) -> Registr
     return landmarks
 
 
+def _join_hair(
+    capture: Capture, landmarks: Registration, session: Session, ranks: Ranks, say: Callable[[str], None]
+) -> Capture:
+    """The capture with standing hair joined to its template (train/hull.py), written for workers and run folder."""
+    subject = with_hair(capture.subject, with_refined(capture, session.partial), landmarks.transform)
+    added = len(subject.rest) - len(capture.subject.rest)
+    if added:
+        say(f"hair stands off the template: {added} vertices carved from the masks join it")
+    if ranks.writes:
+        write_subject(session.partial / "subject.npz", subject)
+    ranks.tell(None)  # no rank reads it before it is written
+    return replace(capture, subject=subject)
+
+
+def _refine(
+    capture: Capture, session: Session, ranks: Ranks, device: str, choice: str, say: Callable[[str], None]
+) -> dict:
+    """Refined poses and masks into the session's folder, two videos at a time; what was found."""
+    found = None
+    if ranks.writes:
+        workers = min(2, os.cpu_count() or 1) if device == "cpu" and ranks.count == 1 else 1
+
+        def run(jobs: Mapping[str, RefineJob], work: Callable[[RefineJob, Tell], dict]) -> dict[str, dict]:
+            board = ProgressBoard(dict.fromkeys(jobs, ROUNDS), workers)
+            try:
+                return run_jobs(jobs, work, board, workers) if jobs else {}
+            finally:
+                board.close()
+
+        found = refine_capture(capture, session.partial, choice, say, run)
+    return ranks.tell(found) or {}
+
+
 def _train_parts(
     capture: Capture, preset: Preset, landmarks: Registration, session: Session, ranks: Ranks, device: str,
-    seed: int, save_every: float, preview_every: int, refine: frozenset[str],
+    seed: int, save_every: float, preview_every: int,
 ) -> dict[str, dict]:  # fmt: skip
     """Stage 1 for every part; heavier parts first so that two workers end together."""
     cores = os.cpu_count() or 1
@@ -218,7 +252,7 @@ def _train_parts(
     jobs = {
         part_names(preset)[index]: PartJob(
             str(capture.path), index, preset, landmarks.transform, str(session.partial), device, seed,
-            session.resumed, threads, save_every, preview_every, refine, ranks,
+            session.resumed, threads, save_every, preview_every, ranks,
         )
         for index in order
     }  # fmt: skip
@@ -239,7 +273,8 @@ def train_part(job: PartJob, tell: Tell) -> dict:
         return json.loads(done.read_text("utf-8"))
     set_threads(job.threads)
     began, cpu = time.monotonic(), time.process_time()
-    capture = read_capture(job.capture)
+    capture = with_refined(read_capture(job.capture), folder)
+    capture = replace(capture, subject=read_subject(folder / "subject.npz", capture.subject.name))
     torch.manual_seed(job.seed * 4 + job.index)
     ready = (_single_ready if preset.single else _part_ready)(job, capture, tell)
     field, rays, frames = ready.field, ready.rays, len(ready.field.appearance.weight)
@@ -282,8 +317,6 @@ def train_part(job: PartJob, tell: Tell) -> dict:
         "cpu_seconds": round(time.process_time() - cpu, 1),  # of the last sitting
         "peak_memory_mb": _megabytes(memory),
     }
-    if ready.refined:
-        facts["refined_poses"] = ready.refined
     if preset.single:
         show_as_in_the_body_video(field, capture)
     if job.ranks.writes:
@@ -303,7 +336,7 @@ def _part_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
     name, preset, settings, device = job.name, job.preset, job.settings, torch.device(job.device)
     subject, part = capture.subject, part_boxes(capture.subject)[job.index]
     canonical_from_head = job.canonical_from_head if name == "head" else None
-    video, refined = _with_poses(job, capture, name, tell)
+    video = capture.videos[name]
     cloud = surface_cloud(subject, job.index, visible_faces(subject), settings.spacing)
     template = template_grid(cloud, part.extent.low, part.extent.high, settings.cell,
                              (subject, neck_height(subject)) if name == "head" else None)  # fmt: skip
@@ -314,34 +347,18 @@ def _part_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
         rng=np.random.default_rng([job.seed, job.index]),
     )  # fmt: skip
     preview = _preview(job, video, subject, cloud, canonical_from_head)
-    return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, preview, refined)
+    return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, preview)
 
 
 def _single_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
     """The single network (ablation), untrained, and the rays of all four videos; its preview is the body's."""
     device = torch.device(job.device)
-    refined = {}
-    for name in PARTS:
-        capture.videos[name], refined[name] = _with_poses(job, capture, name, tell)
     frames = sum(len(video.images) for video in capture.videos.values())
     rays, cloud, flagged = single_rays(capture, job.preset, job.canonical_from_head, job.seed, device)
     template = single_template(capture, cloud, job.settings.cell)
     field = run_folder.build_field(capture.subject, 0, job.settings, template, frames).to(device)
     preview = _preview(job, capture.videos["body"], capture.subject, cloud, None)
-    return Ready(field, rays, flagged, preview, {name: facts for name, facts in refined.items() if facts})
-
-
-def _with_poses(job: PartJob, capture: Capture, name: str, tell: Tell) -> tuple[PartVideo, dict]:
-    """The video with its poses on the masks where that is wanted, and what run.json says of it."""
-    video, path = capture.videos[name], refined_path(Path(job.folder), name)
-    if name not in job.refine:
-        return video, {}
-    if job.resume and path.exists():
-        return read_refined(path, video), {}
-    video, refined = refined_video(video, capture.subject, path)
-    tell.say(f"{name}: poses on the masks, outlines {refined['outline_px']:.2f} px apart, "
-             f"{len(refined['frames_left_out'])} frames left out")  # fmt: skip
-    return video, refined
+    return Ready(field, rays, flagged, preview)
 
 
 def _preview(
