@@ -52,12 +52,13 @@ def laplace_density(
 ) -> Float[Tensor, "*batch"]:
     """sigma, VolSDF's density, per metre: 1/beta deep inside, 1/(2 beta) on the surface, 0 far outside.
 
-    Each branch is clamped to its own side: `where` computes both, and the exponential of the other side would
-    overflow and turn the gradient into NaN.
+    Each branch sees 0 on the other's side: `where` computes both, and an exponential that overflows where it is
+    not wanted would turn the gradient into NaN.
     """
-    outside = 0.5 * (-distance.clamp_min(0) / beta).exp()
-    inside = 1 - 0.5 * (distance.clamp_max(0) / beta).exp()
-    return torch.where(distance > 0, outside, inside) / beta
+    above = distance > 0
+    outside = 0.5 * (-torch.where(above, distance, 0.0) / beta).exp()
+    inside = 1 - 0.5 * (torch.where(above, 0.0, distance) / beta).exp()
+    return torch.where(above, outside, inside) / beta
 
 
 def density_weights(
@@ -87,7 +88,8 @@ def _accumulated(passed: Float[Tensor, "rays sections"]) -> Weights:
     """Weights from log(1 - alpha) of the sections: each is a difference of two transmittances."""
     log_t = torch.cumsum(passed, 1)
     before = F.pad(log_t[:, :-1], (1, 0))
-    return Weights(before.exp() * -torch.expm1(passed), log_t[:, -1])
+    total = log_t[:, -1] if passed.shape[1] else passed.sum(1)  # a ray of one end has no section
+    return Weights(before.exp() * -torch.expm1(passed), total)
 
 
 def crossing(
