@@ -61,7 +61,13 @@ def march(
 
     Far from the surface a ray jumps by its distance less the band (sphere tracing); inside the band it walks in
     fixed steps until it is `inside` deep or out of the box. Steps come in order of ray, then t.
+
+    Raises:
+        ValueError: a direction is not of unit length (zero, NaN), or an origin is not finite.
     """
+    bad = np.flatnonzero(~(np.abs((directions**2).sum(1) - 1) < 1e-3) | ~np.isfinite(origins).all(1))
+    if len(bad):
+        raise ValueError(f"ray {bad[0]}: expected a finite origin and a unit direction, is {directions[bad[0]]}")
     tree = KDTree(cloud_points)
     low, high = cloud_points.min(0) - band.outside, cloud_points.max(0) + band.outside
     safe = np.where(np.abs(directions) > 1e-12, directions, 1e-12)

@@ -1,0 +1,235 @@
+"""Training rays that miss, graze, begin inside or have no direction; masks with a pixel or none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from turning_capture import turning_capture, with_video
+
+from avatar.camera import Camera, look_at, pinhole, pixel_rays
+from train import run as run_folder
+from train.deform import canonical_directions
+from train.networks.triplane import TriPlaneNetworks
+from train.objective import losses, ray_tensors
+from train.parts import Box, part_boxes
+from train.preset import DEMO
+from train.rays import Band, march, part_rays
+from train.template import surface_cloud, template_grid
+from train.trainer import set_threads, train_field
+
+BAND = Band(0.03, 0.02, 0.005)
+RADIUS = 0.1
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """Points 3 mm apart on a sphere, with normals and spacing."""
+    i = np.arange(12000) + 0.5
+    polar, turn = np.arccos(1 - 2 * i / len(i)), np.pi * (1 + 5**0.5) * i
+    d = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], 1)
+    return RADIUS * d, d, np.full(len(d), 0.004)
+
+
+def _march(ball, origin, direction):
+    origins, directions = np.array([origin], float), np.array([direction], float)
+    return march(origins, directions, *ball, BAND), origins, directions
+
+
+@pytest.mark.parametrize(
+    "origin, direction",
+    [
+        ([0, 0, -1], [0, 0, -1]),  # away from it
+        ([0, 1, -1], [0, 0, 1]),  # past the box
+        ([0.14, 0.14, -1], [0, 0, 1]),  # past the box's edge
+        ([0.12, 0.12, -1], [0, 0, 1]),  # through the box, past the band
+        ([0, 0, 1e6], [0, 1, 0]),
+    ],
+)
+def test_a_ray_that_misses_has_no_steps(ball, origin, direction):
+    (ray, t, distance, sample), *_ = _march(ball, origin, direction)
+    assert len(ray) == len(t) == len(distance) == len(sample) == 0
+
+
+@pytest.mark.parametrize("origin", [[0, 0, -0.11], [0, 0, -0.1], [0, 0, -0.09], [0.02, -0.03, -0.09]])
+def test_a_ray_that_starts_inside_the_band_begins_where_it_is(ball, origin, within):
+    (ray, t, distance, _), origins, directions = _march(ball, origin, [0, 0, 1])
+    assert len(ray) > 0 and t[0] == 0 and (np.diff(t) > 0).all()
+    points = origins + t[:, None] * directions
+    within(distance - (np.linalg.norm(points, axis=1) - RADIUS), 1e-3, "m off the true distance")
+    assert (distance >= -BAND.inside - BAND.step).all() and (distance <= BAND.outside).all()
+
+
+def test_a_ray_that_starts_deep_inside_has_no_surface_before_it(ball):
+    (ray, *_), *_ = _march(ball, [0, 0, 0], [0, 0, 1])
+    assert len(ray) == 0
+
+
+@pytest.mark.parametrize("miss", [-1e-3, -1e-6, 0.0, 1e-6, 1e-3])
+@pytest.mark.parametrize("layer", [RADIUS, RADIUS + BAND.outside])
+def test_a_ray_that_grazes_surface_or_band_has_steps_in_the_band_or_none(ball, layer, miss, within):
+    (ray, t, distance, _), origins, directions = _march(ball, [layer + miss, 0, -1], [0, 0, 1])
+    assert np.isfinite(t).all() and np.isfinite(distance).all()
+    assert len(ray) > 0 or layer > RADIUS
+    points = origins + t[:, None] * directions if len(t) else np.zeros((0, 3))
+    within(distance - (np.linalg.norm(points, axis=1) - RADIUS), 1e-3, "m off the true distance")
+    assert (distance <= BAND.outside * 1.002).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_ray_in_a_face_of_the_box_is_finite(ball, axis, side, sign):
+    """It touches the band in one point at most."""
+    low, high = ball[0].min(0) - BAND.outside, ball[0].max(0) + BAND.outside
+    origin, direction = np.zeros(3), np.zeros(3)
+    origin[axis] = low[axis] if side < 0 else high[axis]
+    direction[(axis + 1) % 3] = sign
+    origin[(axis + 1) % 3] = -sign
+    (ray, t, distance, _), *_ = _march(ball, origin, direction)
+    assert np.isfinite(t).all() and (np.abs(distance) <= BAND.outside * 1.002).all() and len(ray) <= 12
+
+
+def test_points_in_a_face_of_a_part_box_belong_to_it():
+    box = Box(np.zeros(3), np.ones(3))
+    assert box.contains(np.array([[0, 0.5, 0.5], [1, 1, 1], [0, 0, 0]])).all()
+    assert not box.contains(np.array([[0.5, 0.5, 1 + 1e-12], [np.nan, 0.5, 0.5]])).any()
+
+
+@pytest.mark.parametrize("direction", [[0, 0, 0], [np.nan, 0, 1], [0, 0, np.inf], [0, 0, 2], [0, 0, 1e-30]])
+def test_a_ray_without_a_direction_is_refused_by_number(ball, direction):
+    origins, directions = np.tile([0, 0, -1.0], (3, 1)), np.tile([0, 0, 1.0], (3, 1))
+    directions[1] = direction
+    with pytest.raises(ValueError, match="ray 1: expected a finite origin and a unit direction"):
+        march(origins, directions, *ball, BAND)
+    with pytest.raises(ValueError, match="ray 0"):
+        march(np.full((1, 3), np.nan), np.array([[0, 0, 1.0]]), *ball, BAND)
+
+
+@pytest.mark.parametrize("fov", [1e-3, 0.6, 3.0])
+@pytest.mark.parametrize("distortion", [[0.0] * 5, [0.1, -0.05, 1e-3, -1e-3, 0.01]])
+def test_cameras_give_unit_directions_whatever_the_lens(fov, distortion, within):
+    """So no training ray is without a direction: cameras are checked where they are read."""
+    if fov > 2:
+        distortion = [0.0] * 5  # no such lens: the polynomial folds over
+    camera = Camera(pinhole((33, 17), fov), look_at([1, 2, 3], [0, 0, 0]), (33, 17), np.array(distortion))
+    origins, directions = pixel_rays(camera)
+    within(np.linalg.norm(directions, axis=1) - 1, 1e-12)
+    assert np.isfinite(origins).all()
+
+
+@pytest.mark.parametrize("direction", [[0.0, 0, 0], [0, 0, 1], [1e-30, 0, 0]])
+def test_directions_of_any_length_keep_it_in_the_canonical_frame(direction, within):
+    d = torch.tensor([direction], dtype=torch.double)
+    bones = torch.nn.functional.normalize(torch.randn(1, 4, 4, generator=torch.Generator().manual_seed(0)).double(), dim=-1)
+    turned = canonical_directions(d, torch.tensor([[0.4, 0.3, 0.2, 0.1]]).double(), bones)
+    within(turned.norm() - d.norm(), 1e-15)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    return turning_capture(tmp_path_factory.mktemp("rays") / "test")
+
+
+@pytest.fixture(scope="module")
+def cloud(capture):
+    return surface_cloud(capture.subject, 2, np.ones(len(capture.subject.faces), bool), 0.006)
+
+
+PRESET = replace(
+    DEMO, rays=64, warm_up=2,
+    parts=tuple(replace(p, iterations=6, networks=TriPlaneNetworks(plane_size=16, color_size=16)) for p in DEMO.parts),
+)  # fmt: skip
+
+
+def _rays(capture, cloud):
+    return part_rays(capture.videos["hand_left"], capture.subject, cloud, part_boxes(capture.subject)[2], PRESET.parts[2].band,
+                     ends=18, per_frame=60, background=0.2, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
+
+
+def _field(capture, cloud):
+    extent = part_boxes(capture.subject)[2].extent
+    torch.manual_seed(5)
+    template = template_grid(cloud, extent.low, extent.high, 0.006)
+    return run_folder.build_field(capture.subject, 2, PRESET.parts[2], template, len(capture.videos["hand_left"].masks))
+
+
+def _masked(capture, kind):
+    masks = capture.videos["hand_left"].masks.copy()
+    if kind == "a frame without a person":
+        masks[4] = False
+    elif kind == "one pixel":
+        keep = np.argwhere(masks[3])[40]
+        masks[:] = False
+        masks[3, keep[0], keep[1]] = True
+    elif kind == "only one frame":
+        masks[1:] = False
+    elif kind == "the whole picture":
+        masks[:] = True
+    return with_video(capture, "hand_left", masks=masks)
+
+
+@pytest.mark.parametrize("kind", ["a frame without a person", "one pixel", "only one frame", "the whole picture"])
+def test_odd_masks_train_to_finite_numbers(capture, cloud, kind):
+    rays = _rays(_masked(capture, kind), cloud)
+    assert np.isfinite(rays.ends).all() and np.isfinite(rays.color).all()
+    if kind == "a frame without a person":
+        assert 4 not in rays.frame and len(np.unique(rays.frame)) == 11
+    if kind == "one pixel":
+        assert rays.mask.sum() <= 1 and set(rays.frame) == {3}
+    _trains(_field(capture, cloud), ray_tensors(rays, cloud, torch.device("cpu")))
+
+
+def test_masks_without_a_person_are_refused_by_the_video(capture, cloud):
+    nobody = with_video(capture, "hand_left", masks=np.zeros_like(capture.videos["hand_left"].masks))
+    with pytest.raises(ValueError, match="no ray of the hand_left video meets the template inside the hand_left box"):
+        _rays(nobody, cloud)
+
+
+@pytest.mark.parametrize("level", [0, 128, 255])
+def test_constant_pictures_train_to_finite_numbers(capture, cloud, level):
+    flat = with_video(capture, "hand_left", images=np.full_like(capture.videos["hand_left"].images, level))
+    rays = _rays(flat, cloud)
+    assert set(np.unique(rays.color)) <= {np.float32(0), np.float32(level) / np.float32(255)}
+    _trains(_field(capture, cloud), ray_tensors(rays, cloud, torch.device("cpu")))
+
+
+@pytest.mark.parametrize("mask", [0.0, 1.0])
+def test_a_batch_of_background_or_person_alone_has_finite_gradients(capture, cloud, mask):
+    rays = ray_tensors(_rays(capture, cloud), cloud, torch.device("cpu"))
+    rays = replace(rays, mask=torch.full_like(rays.mask, mask), color=mask * rays.color)
+    field = _field(capture, cloud)
+    loss, report = losses(field, rays, torch.arange(32), torch.rand(32), 0.001, PRESET.parts[2], PRESET)
+    loss.backward()
+    gradients = [p.grad for p in field.parameters() if p.grad is not None]
+    assert torch.isfinite(loss) and np.isfinite(report().psnr) and len(gradients) > 4
+    assert all(torch.isfinite(g).all() for g in gradients)
+
+
+def _trains(field, rays) -> None:
+    """Six steps, none of them skipped, all parameters finite."""
+    threads = torch.get_num_threads()
+    set_threads(1)
+    try:
+        skipped = train_field(field, rays, PRESET.parts[2], PRESET, seed=3)
+    finally:
+        set_threads(threads)
+    assert skipped == 0 and all(torch.isfinite(p).all() for p in field.parameters())
+
+
+def test_training_resumed_equals_training_never_stopped_bit_for_bit(capture, cloud, tmp_path):
+    rays = ray_tensors(_rays(capture, cloud), cloud, torch.device("cpu"))
+    whole, halves, again = (_field(capture, cloud) for _ in range(3))
+    path, threads = tmp_path / "half.ckpt", torch.get_num_threads()
+    set_threads(1)
+    try:
+        train_field(whole, rays, PRESET.parts[2], PRESET, seed=3)
+        train_field(halves, rays, PRESET.parts[2], PRESET, seed=3, checkpoint=path, stop_after=2)
+        train_field(again, rays, PRESET.parts[2], PRESET, seed=3, checkpoint=path, resume=True)
+    finally:
+        set_threads(threads)
+    moved = 0
+    for (name, value), start in zip(whole.state_dict().items(), _field(capture, cloud).state_dict().values()):
+        assert torch.equal(value, again.state_dict()[name]), name
+        moved += not torch.equal(value, start)
+    assert moved > 5
