@@ -7,6 +7,7 @@ fused field's zero set as a mesh, the directions it was seen from (Eq. 14), and 
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -86,7 +87,12 @@ def compose(
 
     if rays is not None:
         began = time.monotonic()
-        facts["appearance"] = match_appearances(fused, rays, vertices, tables, preset, seed, say)
+        here: dict[str, Any] = {
+            name: value if value is None else value.cpu() for name, value in vars(rays).items()
+        }
+        facts["appearance"] = match_appearances(
+            fused, RayTensors(**here), vertices, tables, preset, seed, say
+        )
         seconds["appearance"] = time.monotonic() - began
     return surface, tables, facts
 
@@ -133,10 +139,10 @@ def match_appearances(
 
     Only places that the part's own video saw count. A part with fewer than 50 such rays keeps its mean code.
     """
-    matched = {}
+    matched, tree = {}, KDTree(vertices)
     for index in range(1, len(PARTS)):
         points, directions = overlap_rays(fused, index, rays)
-        nearest = KDTree(vertices).query(points.numpy())[1]
+        nearest = tree.query(points.numpy())[1]
         seen = torch.as_tensor(tables[index].count[nearest] > 0)
         points, directions = points[seen], directions[seen]
         if len(points) < 50:
@@ -172,6 +178,8 @@ def register_head(subject: Subject, fields: Sequence[PartField]) -> Registration
     if head.arrived.sum() < 100 or body.arrived.sum() < 100:
         raise ValueError("head registration: the head or body field has no surface near the template's head")
     return refine_by_surfaces(
-        head.points[head.arrived], body.points[body.arrived], body.normals[body.arrived],
+        head.points[head.arrived],
+        body.points[body.arrived],
+        body.normals[body.arrived],
         source_normals=head.normals[head.arrived],
     )

@@ -125,10 +125,13 @@ def _coloured_spheres(step: float) -> FusedField:
     torch.manual_seed(3)
     body = _sphere_field(0.1, (0, 0, 0), frames=20)
     with torch.no_grad():
-        first = body.color_network.network[0]
+        layers = body.color_network.network
+        assert isinstance(layers, torch.nn.Sequential)
+        first, last = layers[0], layers[-1]
+        assert isinstance(first, torch.nn.Linear) and isinstance(last, torch.nn.Linear)
         code = slice(39 + SMALL.feature + 3 + 9, 39 + SMALL.feature + 3 + 9 + SMALL.appearance)
         first.weight[:, code] *= 10  # an untrained network hardly reads its code
-        body.color_network.network[-1].weight *= 3
+        last.weight *= 3
         body.appearance.weight.copy_(0.5 * torch.randn(20, SMALL.appearance))
     head = copy.deepcopy(body)
     with torch.no_grad():
