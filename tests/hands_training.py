@@ -1,0 +1,42 @@
+"""`selfscan train` in a process of its own, small: two hands, few steps of few rays, nothing composed.
+
+usage: python tests/hands_training.py CAPTURE -o RUN [options of selfscan train], the project on PYTHONPATH
+"""
+
+import os
+import shutil
+import sys
+from dataclasses import replace
+
+from selfscan.__main__ import main
+from train import preset, stages
+from train.networks.triplane import TriPlaneNetworks
+
+HANDS = ("hand_left", "hand_right")
+SMALL = replace(
+    preset.DEMO, rays=64, rays_per_frame=300, warm_up=5,
+    parts=tuple(replace(p, iterations=240, cell=max(p.cell, 0.006), spacing=max(p.spacing, 0.006),
+                        networks=TriPlaneNetworks(plane_size=16, color_size=16)) for p in preset.DEMO.parts),
+)  # fmt: skip
+
+
+def two_hands() -> None:
+    """Leave the rest of a training out."""
+    preset.PRESETS["demo"] = SMALL
+    os.cpu_count = lambda: 2
+    run_jobs = stages.run_jobs
+    stages.run_jobs = lambda jobs, *rest: run_jobs({name: jobs[name] for name in HANDS}, *rest)
+
+    def copy_parts(capture, preset, landmarks, session, *rest):
+        session.out.mkdir(exist_ok=True)
+        for name in (*(f"{hand}.pt" for hand in HANDS), "logs", "preview"):
+            copy = shutil.copytree if (session.partial / name).is_dir() else shutil.copyfile
+            copy(session.partial / name, session.out / name)
+        shutil.rmtree(session.partial)
+
+    stages._compose = copy_parts
+
+
+if __name__ == "__main__":
+    two_hands()
+    sys.exit(main(["train", *sys.argv[1:]]))
