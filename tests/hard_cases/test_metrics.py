@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from bench.geometry import closest_points, mesh_distance, sample_surface, triangle_index
+from bench.geometry import closest_points, mesh_distance, rigid_alignment, sample_surface, triangle_index
 from bench.metrics import PooledError, flip, lpips, psnr, rectangle, ssim
 
 IMAGE = np.random.default_rng(0).random((32, 32, 3))
@@ -25,6 +25,41 @@ def test_constant_images_score_finite_numbers(level):
     other = np.full((16, 16, 3), 0.25)
     for score in (psnr(constant, other), ssim(constant, other), flip(constant, other)):
         assert np.isfinite(score.value)
+
+
+@pytest.mark.parametrize("a, b", [(0.0, 1.0), (0.0, 1e-9), (0.5, 0.5 + 1 / 255), (1.0, 0.25)])
+def test_constant_images_score_by_the_closed_form(a, b, within):
+    one, other = np.full((16, 16, 3), a), np.full((16, 16, 3), b)
+    within(psnr(one, other).value + 20 * np.log10(abs(a - b)), 1e-6, "dB")
+    C1 = 0.01**2  # without variance SSIM is its luminance term alone
+    within(ssim(one, other).value - (2 * a * b + C1) / (a * a + b * b + C1), 1e-9)
+
+
+def test_a_single_wrong_pixel_among_many_is_counted_exactly(within):
+    other = IMAGE.copy()
+    other[5, 7, 1] = 1 - other[5, 7, 1]
+    error = (other - IMAGE)[5, 7, 1] ** 2 / IMAGE.size
+    within(psnr(IMAGE, other).value + 10 * np.log10(error), 1e-9, "dB")
+    elsewhere = np.ones((32, 32), bool)
+    elsewhere[5, 7] = False
+    assert psnr(IMAGE, other, elsewhere).text() == "inf"
+    alone = psnr(IMAGE, other, ~elsewhere).value
+    within(alone + 10 * np.log10(error * IMAGE.size / 3), 1e-9, "dB")
+
+
+def test_pooling_is_the_psnr_of_all_pixels_together(within):
+    pooled, other = PooledError(), np.clip(IMAGE + 0.1, 0, 1)
+    pooled.add(IMAGE[:3], other[:3])
+    pooled.add(IMAGE[3:], other[3:])
+    pooled.add(IMAGE, other, np.zeros((32, 32), bool))  # an empty mask adds nothing
+    within(pooled.psnr().value - psnr(IMAGE, other).value, 1e-9, "dB")
+
+
+@pytest.mark.parametrize("shape", [(0, 8, 3), (8, 0, 3), (0, 0, 3)])
+def test_images_without_pixels_have_no_score_and_say_so(shape):
+    nothing = np.zeros(shape)
+    for score in (psnr(nothing, nothing), ssim(nothing, nothing), flip(nothing, nothing)):
+        assert score.value is None and score.reason
 
 
 def test_an_empty_mask_has_no_score_and_says_so():
@@ -79,8 +114,11 @@ def test_a_mesh_without_faces_is_refused():
         sample_surface(vertices, faces, 10, seed=0, keep=np.zeros(len(faces), bool))
 
 
-@pytest.mark.parametrize("truth, other", [(1.0, 100.0), (100.0, 1.0), (100.0, 100.0), (0.01, 0.01)])
-def test_centimetres_against_metres_are_refused(truth, other):
+@pytest.mark.parametrize(
+    "truth, other",
+    [(1.0, 100.0), (100.0, 1.0), (100.0, 100.0), (0.01, 0.01), (1.0, 1000.0), (1000.0, 1.0), (1000.0, 1000.0)],
+)
+def test_centimetres_and_millimetres_against_metres_are_refused(truth, other):
     with pytest.raises(ValueError, match="metres"):
         mesh_distance(box(truth), box(other))
 
@@ -100,3 +138,28 @@ def test_a_mesh_of_points_and_needles_still_has_a_distance():
     faces = np.array([[0, 0, 0], [0, 1, 2], [0, 1, 1]])
     found = closest_points(np.array([[0.3, 0.5, 0.4], [0, 2.0, 0]]), triangle_index(vertices, faces))
     np.testing.assert_allclose(found.distance, [0.5, 1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("r, R", [(0.5, 0.5), (0.5, 0.503), (0.6, 0.5)])
+def test_two_spheres_are_as_far_apart_as_their_radii(r, R, within):
+    inner, outer = (trimesh.creation.icosphere(5, radius) for radius in (r, R))
+    found = mesh_distance((np.asarray(outer.vertices), np.asarray(outer.faces)),
+                          (np.asarray(inner.vertices), np.asarray(inner.faces)), count=4000)  # fmt: skip
+    flat = 100 * max(r, R) * 2.5e-4  # the triangles' middles lie under the sphere
+    for value in found:
+        within(value - 100 * abs(R - r), flat, "cm")
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.05, 0.2])
+def test_alignment_finds_a_known_motion_and_never_a_mirror(turn, within):
+    vertices, faces = box()
+    middle = trimesh.Trimesh(vertices, faces).subdivide().subdivide().subdivide()
+    known = trimesh.transformations.rotation_matrix(turn, [0.2, 1.0, -0.3])
+    known[:3, 3] = [0.01, -0.02, 0.015]
+    source = (np.asarray(middle.vertices) - known[:3, 3]) @ known[:3, :3]
+    found = rigid_alignment(source, triangle_index(vertices, faces), rounds=200)
+    moved = source @ found[:3, :3].T + found[:3, 3]
+    within(moved - np.asarray(middle.vertices), 2e-3, "m")
+    assert np.linalg.det(found[:3, :3]) == pytest.approx(1)
+    mirrored = rigid_alignment(source * [-1, 1, 1] + [0.01, 0, 0], triangle_index(vertices, faces))
+    assert np.linalg.det(mirrored[:3, :3]) == pytest.approx(1)
