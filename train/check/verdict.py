@@ -119,7 +119,7 @@ def _of_masks(part: PartReport) -> list[Finding]:
     if part.part != "head" and abs(shift) > OFFSET and part.mean.spread < abs(part.mean.offset):
         size = "smaller" if shift > 0 else "larger"
         found.append(Finding(part.part, False, f"masks are {abs(part.mean.offset):.0f} px {size} than the template all along",
-                             "look at the masks' outlines; loose clothes also look so"))  # fmt: skip
+                             "look at their outlines: loose clothes also look so; --refine-poses on measures and corrects it"))  # fmt: skip
     if part.part == "head" and part.outside > LEFT_OUT:
         found.append(Finding(part.part, part.outside > 0.5, f"masks leave out {part.outside:.0%} of the head",
                              "landmarks, cameras and masks of the head video should be of one reconstruction"))  # fmt: skip
