@@ -12,10 +12,11 @@ from selfscan.__main__ import main
 from train import preset, stages
 from train.networks.triplane import TriPlaneNetworks
 
+STEPS = int(os.environ.get("SELFSCAN_TEST_STEPS", "240"))
 HANDS = ("hand_left", "hand_right")
 SMALL = replace(
     preset.DEMO, rays=64, rays_per_frame=300, warm_up=5,
-    parts=tuple(replace(p, iterations=240, cell=max(p.cell, 0.006), spacing=max(p.spacing, 0.006),
+    parts=tuple(replace(p, iterations=STEPS, cell=max(p.cell, 0.006), spacing=max(p.spacing, 0.006),
                         networks=TriPlaneNetworks(plane_size=16, color_size=16)) for p in preset.DEMO.parts),
 )  # fmt: skip
 

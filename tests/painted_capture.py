@@ -36,7 +36,8 @@ def write_capture(out: Path, *, size: int = 48, frames: int = 4) -> Path:
         for index, name in enumerate(PARTS):
             _write_video(folder / name, subject, cloud, index, size, frames)
         facts = {"format": "selfscan-capture", "version": 1, "subject": "test", "units": "metres",
-                 "parts": list(PARTS), "light": "even", "seed": 0, "size": size}  # fmt: skip
+                 "parts": list(PARTS), "light": "even", "seed": 0, "size": size,
+                 "body_licence": "a licence of the body's own"}  # fmt: skip
         (folder / "capture.json").write_text(json.dumps(facts))
     return out
 

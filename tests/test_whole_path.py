@@ -35,6 +35,10 @@ def test_the_avatar_is_whole(out):
     assert 1.4 < height < 2.0
     colors = avatar.levels[0].base_color.reshape(-1, 3)
     assert colors.std(0).min() > 10  # a person in clothes, not one colour
+    capture = json.loads((out / "capture" / "capture.json").read_text())
+    assert "CC0" in capture["body_licence"]
+    for name in ("body_licence", "subject_licence"):
+        assert avatar.provenance[name] == capture[name]
 
 
 def test_the_avatar_is_near_the_person_it_was_filmed_from(out):

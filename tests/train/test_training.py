@@ -1,5 +1,6 @@
 """The training from a capture folder to a run folder, small."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -97,6 +98,32 @@ def test_steps_that_are_not_finite_change_nothing_and_too_many_are_an_error(hand
         assert torch.equal(value, before[name]), name
 
 
+def planted(*steps):
+    """An extra term that is 0, or not a number at some steps (the first is 1)."""
+    taken = itertools.count(1)
+
+    def extra(points, distance):
+        return distance.sum() * (float("nan") if next(taken) in steps else 0.0)
+
+    return extra
+
+
+def test_one_step_that_is_not_finite_is_skipped_and_counted_and_training_goes_on(hand):
+    """The step after it begins from the weights before it: the same as stopping there, whatever it was."""
+    build, rays = hand
+    field, short = build(), build()
+    reports = []
+    report = lambda iteration, step: reports.append((iteration, step))
+    skipped = train_field(field, rays, TINY.parts[2], TINY, seed=0, extra=planted(6), report=report)
+    assert skipped == 1
+    assert np.isnan(reports[-1][1].loss) and np.isfinite(reports[-1][1].color)
+    train_field(short, rays, TINY.parts[2], TINY, seed=0, extra=planted(), stop_after=5)
+    for name, value in short.named_parameters():
+        assert torch.equal(value, dict(field.named_parameters())[name]), name
+    with pytest.raises(FloatingPointError, match="2 of 4 steps were not finite"):
+        train_field(build(), rays, TINY.parts[2], TINY, seed=0, extra=planted(2, 4))
+
+
 @pytest.mark.parametrize("mask", [0.0, 1.0])
 def test_a_batch_without_person_or_without_background_has_finite_gradients(hand, mask):
     build, rays = hand
@@ -139,6 +166,9 @@ def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
     assert (run.surface.view_count > 0).mean() > 0.5
     assert run.field.normal(torch.zeros(0, 3)).shape == (0, 3)
     assert not (tmp_path / "run.partial").exists()
+    assert run.provenance["body_licence"] == "a licence of the body's own"
+    assert run.provenance["subject_licence"] == "not stated by the capture"
+    assert (out / "preview" / "head.png").exists() and (out / "logs" / "hand_left.csv").exists()
 
     (out / "hand_left.pt").write_bytes(b"not a part")
     with pytest.raises(AssetError, match=r"hand_left\.pt: expected a trained part"):
