@@ -19,7 +19,6 @@ What differs from our capture folder, and is undone here:
 """
 
 import json
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -32,9 +31,11 @@ from avatar.camera import Camera, checked_camera
 from avatar.errors import AssetError
 from avatar.npz import read_npy
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import BIG_POSE, PARENTS, skin_transforms
-from avatar.skinning import SkinWeights, skin_points, strongest_four, unskin_points
+from avatar.skeleton import skin_transforms
+from avatar.skinning import skin_points
 from train.capture import PARTS
+from train.imports.authors_files import field, numbers, record
+from train.imports.authors_template import Skeleton, authors_template, read_skeleton
 from train.imports.folder import (
     Video,
     anchored,
@@ -44,7 +45,7 @@ from train.imports.folder import (
     write_capture,
 )
 from train.imports.places import landmark_vertices
-from train.imports.template import LICENSED, Template, check_height
+from train.imports.template import Template
 
 Array = np.ndarray
 
@@ -53,17 +54,7 @@ AUTHORS_FRAMES = {  # start, step, number: what the released configurations trai
     "body": (500, 10, 90), "head": (0, 5, 100), "hand_left": (500, 16, 125), "hand_right": (400, 16, 125),
 }  # fmt: skip
 MOST_FRAMES = 100  # of a video without a choice
-GRID_MARGIN, GRID_CELL = 0.05, 0.025  # metres: bigpose_bw reaches this far round the vertices, in such cells
 AGREE = 0.03  # metres between what two files of the folder say of one surface, median
-
-
-@dataclass(frozen=True)
-class _Skeleton:
-    """lbs/ of one folder: the surface in the big pose, and the joints, both with the pelvis at `origin`."""
-
-    vertices: Float[Array, "vertices 3"]
-    joints: Float[Array, "52 3"]  # minus origin
-    origin: Float[Array, "3"]
 
 
 def import_totalselfscan(
@@ -87,8 +78,8 @@ def import_totalselfscan(
         raise AssetError(f"{source}: expected four videos, found no {', '.join(absent)}")
     notes: list[str] = []
     chosen = dict(select or {})
-    skeletons = {part: _read_skeleton(source / FOLDERS[part] / "lbs") for part in PARTS if part != "head"}
-    template = _template(source / "lbs", skeletons["body"], body, notes)
+    skeletons = {part: read_skeleton(source / FOLDERS[part] / "lbs") for part in PARTS if part != "head"}
+    template = authors_template(source / "lbs", skeletons["body"], body, notes)
     videos: dict[str, Video] = {}
     for part in PARTS:
         folder = source / FOLDERS[part]
@@ -103,107 +94,6 @@ def import_totalselfscan(
     return notes
 
 
-def _numbers(path: Path, what: str, shape: tuple[int | None, ...]) -> Array:
-    """A numeric array file as float64 of the given shape (None: any)."""
-    array = read_npy(path, what)
-    if isinstance(array, list) or array.dtype.kind not in "fiu":
-        raise AssetError(f"{path}: expected {what}, numbers, found {'objects' if isinstance(array, list) else array.dtype}")
-    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape)):
-        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-        raise AssetError(f"{path}: {what} should be {expected}, is {array.shape}")
-    if not np.isfinite(array).all():
-        raise AssetError(f"{path}: {what} is not finite")
-    return array.astype(np.float64)
-
-
-def _record(path: Path, what: str) -> dict[str, Any]:
-    """The dict that np.save pickled."""
-    held = read_npy(path, what)
-    if not isinstance(held, list) or len(held) != 1 or not isinstance(held[0], dict):
-        raise AssetError(f"{path}: expected {what}, one dict saved with np.save")
-    return held[0]
-
-
-def _values(path: Path, record: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
-    """A field as numbers of a shape; leading and trailing axes of length 1 do not matter."""
-    if name not in record:
-        raise AssetError(f"{path}: no {name}; it has {sorted(map(str, record))[:12]}")
-    try:
-        array = np.asarray(record[name], np.float64)
-    except (TypeError, ValueError):
-        raise AssetError(f"{path}: {name} should be numbers {shape}, is {str(record[name])[:60]}") from None
-    if array.size != int(np.prod(shape)) or tuple(n for n in array.shape if n != 1) != tuple(n for n in shape if n != 1):
-        raise AssetError(f"{path}: {name} should be {shape}, is {array.shape}")
-    if not np.isfinite(array).all():
-        raise AssetError(f"{path}: {name} is not finite")
-    return array.reshape(shape)
-
-
-def _read_skeleton(folder: Path) -> _Skeleton:
-    joints = _numbers(folder / "joints.npy", "joints", (52, 3))
-    vertices = _numbers(folder / "bigpose_vertices.npy", "vertices in the big pose", (None, 3))
-    parents = _numbers(folder / "parents.npy", "parents", (52,)).astype(np.int64)
-    if (parents[1:] != PARENTS[1:]).any():
-        joint = int(np.argmax(parents[1:] != PARENTS[1:])) + 1
-        raise AssetError(
-            f"{folder / 'parents.npy'}: expected SMPL+H's 52 joints, parent of {joint} is {parents[joint]}, expected "
-            f"{PARENTS[joint]}"
-        )
-    return _Skeleton(vertices - joints[0], joints - joints[0], joints[0])
-
-
-def _template(folder: Path, skeleton: _Skeleton, body: Body | None, notes: list[str]) -> Template:
-    """The body folder's vertices, taken from the big pose to pose 0."""
-    place = folder / "bigpose_vertices.npy"
-    check_height(f"{place}: the body", skeleton.vertices)
-    count = len(skeleton.vertices)
-    if body is not None and len(body.vertices) != count:
-        raise AssetError(f"{place}: expected {len(body.vertices)} vertices as {body.name}, found {count}")
-    faces = _numbers(folder / "faces.npy", "faces", (None, 3)).astype(np.int64)
-    if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
-        raise AssetError(f"{folder / 'faces.npy'}: faces should index {count} vertices")
-    if body is None:
-        skin = _weights_of_grid(folder / "bigpose_bw.npy", skeleton.vertices)
-        notes.append(
-            "skin weights: from the 25 mm grid lbs/bigpose_bw.npy, blurred between fingers; --body MODEL has them exactly"
-        )
-    else:
-        skin = body.skin
-        notes.append(f"skin weights: of {body.name}")
-    B = skin_transforms(BIG_POSE, skeleton.joints, rest=np.zeros((52, 3)))
-    rest, ok = unskin_points(skeleton.vertices, skin, B)
-    assert ok.all(), "thirty degrees never flatten a blend"
-    name = "SMPL+H, TotalSelfScan's folder" if body is None else body.name
-    return Template(rest, faces, skin, skeleton.joints, LICENSED.format(name))
-
-
-def _weights_of_grid(path: Path, vertices: Float[Array, "vertices 3"]) -> SkinWeights:
-    """Weights at the vertices from the grid (x, y, z, 52 weights and a distance) round them, trilinear.
-
-    Grid point i lies at low + i * 25 mm, low = the vertices' least coordinates - 50 mm: the grid's shape tells
-    whether that margin is the one it was made with.
-    """
-    grid = _numbers(path, "grid of skin weights", (None, None, None, 53))[..., :52]
-    low = vertices.min(0) - GRID_MARGIN
-    expected = np.ceil((np.ptp(vertices, axis=0) + 2 * GRID_MARGIN) / GRID_CELL).astype(np.int64) + 1
-    if (np.abs(np.array(grid.shape[:3]) - expected) > 1).any():
-        raise AssetError(
-            f"{path}: expected about {tuple(expected.tolist())} points of {GRID_CELL * 1000:.0f} mm round the vertices, "
-            f"found {grid.shape[:3]}"
-        )
-    at = (vertices - low) / GRID_CELL
-    base = np.clip(np.floor(at).astype(np.int64), 0, np.array(grid.shape[:3]) - 2)
-    along = at - base
-    weights = np.zeros((len(vertices), 52))
-    for corner in np.ndindex(2, 2, 2):
-        share = np.prod(np.where(corner, along, 1 - along), axis=1)
-        weights += np.maximum(share, 0)[:, None] * grid[tuple((base + corner).T)]
-    try:
-        return strongest_four(weights)
-    except ValueError as error:
-        raise AssetError(f"{path}: {error}") from None
-
-
 def _frames_of(path: Path, count: int, part: str, most: int, given: tuple[int, int, int] | None, notes: list[str]) -> Array:
     """The frames to take: the user's choice, else the authors' where the video is as long as theirs."""
     start, step, number = AUTHORS_FRAMES[part]
@@ -215,11 +105,11 @@ def _frames_of(path: Path, count: int, part: str, most: int, given: tuple[int, i
 
 
 def _body_video(
-    folder: Path, part: str, skeleton: _Skeleton, template: Template, most: int,
+    folder: Path, part: str, skeleton: Skeleton, template: Template, most: int,
     given: tuple[int, int, int] | None, notes: list[str],
 ) -> Video:  # fmt: skip
     path = folder / "annots.npy"
-    annots = _record(path, "cameras and frames")
+    annots = record(path, "cameras and frames")
     relative = _image_names(path, annots)
     frames = _frames_of(path, len(relative), part, most, given, notes)
     removed = _removed(folder / "frame_remove.json")
@@ -280,10 +170,10 @@ def _camera(path: Path, annots: dict[str, Any], part: str, size: tuple[int, int]
         if not isinstance(values, (list, tuple, np.ndarray)) or not len(values):
             raise AssetError(f"{path}: cams.{name} should hold a camera, is {str(values)[:40]}")
         first[name] = values[0]
-    T = _values(path, first, "T", (3,)) / (1000 if part == "body" else 1)
+    T = field(path, first, "T", (3,)) / (1000 if part == "body" else 1)
     return _opencv_camera(
-        f"{path}, cams", _values(path, first, "K", (3, 3)), _values(path, first, "R", (3, 3)), T, size,
-        _values(path, first, "D", (5,)),
+        f"{path}, cams", field(path, first, "K", (3, 3)), field(path, first, "R", (3, 3)), T, size,
+        field(path, first, "D", (5,)),
     )  # fmt: skip
 
 
@@ -294,11 +184,11 @@ def _opencv_camera(place: str, K: Array, R: Array, T: Array, size: tuple[int, in
     return checked_camera(place, K + [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]], pose, size, D)
 
 
-def _pose(path: Path, skeleton: _Skeleton) -> tuple[Float[Array, "52 3"], Float[Array, "3"]]:
+def _pose(path: Path, skeleton: Skeleton) -> tuple[Float[Array, "52 3"], Float[Array, "3"]]:
     """Axis-angle vectors with the world's rotation in the root, and the pelvis joint in the world."""
-    params = _record(path, "pose parameters")
-    poses = _values(path, params, "poses", (156,)).reshape(52, 3).copy()
-    Rh, Th = _values(path, params, "Rh", (3,)), _values(path, params, "Th", (3,))
+    params = record(path, "pose parameters")
+    poses = field(path, params, "poses", (156,)).reshape(52, 3).copy()
+    Rh, Th = field(path, params, "Rh", (3,)), field(path, params, "Th", (3,))
     R = matrix_from_axis_angle(Rh)
     poses[0] = axis_angle_from_matrix(R @ matrix_from_axis_angle(poses[0])) if poses[0].any() else Rh
     return poses, Th + R @ skeleton.origin
@@ -315,11 +205,11 @@ def _mask(folder: Path, name: str) -> Path:
 
 
 def _check_surface(
-    folder: Path, stem: str, axis_angle: Array, root: Array, template: Template, skeleton: _Skeleton
+    folder: Path, stem: str, axis_angle: Array, root: Array, template: Template, skeleton: Skeleton
 ) -> None:
     """The template posed by params must lie where vertices/STEM.npy says: units, J0 and the centre of rotation."""
     path = folder / "vertices" / f"{stem}.npy"
-    vertices = _numbers(path, "posed vertices", (None, 3))
+    vertices = numbers(path, "posed vertices", (None, 3))
     posed = skin_points(template.vertices, template.skin, skin_transforms(axis_angle, template.joints, root, np.zeros((52, 3))))
     away = float(np.median(KDTree(posed).query(vertices)[0]))
     if away > AGREE:
@@ -384,7 +274,7 @@ def _landmarks(path: Path, template: Template, origin: Float[Array, "3"], notes:
 
     The registered FLAME mesh must agree with the template there.
     """
-    surface = _numbers(path, "registered face", (None, 3))
+    surface = numbers(path, "registered face", (None, 3))
     head = template.vertices[template.part == PARTS.index("head")] + origin
     away = float(np.median(KDTree(surface).query(head)[0]))
     if away > AGREE:
