@@ -78,7 +78,7 @@ DEMO = Preset(
     (
         PartPreset(900, 0.01, 0.01, Band(0.03, 0.02, 0.006), (0.008, 0.0015), 0.03, 0.01, TriPlaneNetworks()),
         PartPreset(
-            1500, 0.003, 0.003, Band(0.035, 0.02, 0.006), (0.008, 0.001), 0.03, 0.01, TriPlaneNetworks()
+            2200, 0.003, 0.003, Band(0.035, 0.02, 0.006), (0.008, 0.001), 0.03, 0.01, TriPlaneNetworks()
         ),
         _HAND,
         _HAND,
