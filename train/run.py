@@ -169,11 +169,12 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
             f"{path / 'run.json'}: preset should be one of {sorted(PRESETS)}, is {facts.get('preset')!r}"
         )
     subject = read_subject(path / "subject.npz", name=str(facts.get("subject", "")))
-    preset = replace(PRESETS[facts["preset"]], single=facts.get("settings", {}).get("single") is True)
+    settings = facts.get("settings")
+    if not isinstance(settings, dict):
+        raise AssetError(f"{path / 'run.json'}: settings should be an object, is {type(settings).__name__}")
+    preset = replace(PRESETS[facts["preset"]], single=settings.get("single") is True)
     parts = zip(part_names(preset), part_presets(preset), strict=True)
-    fields = [
-        read_part(path / f"{name}.pt", subject, i, settings) for i, (name, settings) in enumerate(parts)
-    ]
+    fields = [read_part(path / f"{name}.pt", subject, i, own) for i, (name, own) in enumerate(parts)]
     correction = np.asarray(facts.get("canonical_from_head_field"), np.float64)
     if correction.shape != (4, 4) or not np.isfinite(correction).all():
         raise AssetError(f"{path / 'run.json'}: canonical_from_head_field should be a 4x4 matrix")
