@@ -131,5 +131,5 @@ def lit_shape(
     R = camera.camera_from_world[:3, :3]
     light = np.array([-0.35, -0.75, -0.55]) @ R  # camera frame: right, down, forward
     image = np.zeros((*fragments.face.shape, 3), np.float64)
-    image[hit] = (60 + 180 * np.abs(normals @ light))[:, None]
+    image[hit] = (30 + 190 * np.abs(normals @ light))[:, None]
     return np.clip(image, 0, 255).astype(np.uint8)

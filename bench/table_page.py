@@ -20,8 +20,9 @@ from bench.paper_tables import (
 from bench.quality_table import light_of_facts, lights_order
 from bench.table_row import ROWS, SEAMS
 
-SHOWN = {"p2s_cm": ("P2S", 2), "chamfer_cm": ("CD", 2), "psnr_db": ("PSNR", 2), "ssim": ("SSIM", 3),
-         "flip": ("FLIP", 3), "lpips": ("LPIPS", 3)}  # fmt: skip
+# label, digits of ours, digits in the paper
+SHOWN = {"p2s_cm": ("P2S", 3, 2), "chamfer_cm": ("CD", 3, 2), "psnr_db": ("PSNR", 2, 2), "ssim": ("SSIM", 3, 3),
+         "flip": ("FLIP", 3, 3), "lpips": ("LPIPS", 3, 3)}  # fmt: skip
 OUR_IMAGE = ("psnr_db", "ssim", "flip", "lpips")
 SEAM_SHOWN = {"step_mm": ("mm", 2), "color_step": ("colour", 1), "shown_color_step": ("shown colour", 1)}
 
@@ -48,16 +49,20 @@ def number_of(result: dict[str, Any], keys: Sequence[str]) -> float | None:
 
 
 def mean_of(results: Iterable[dict[str, Any]], *keys: str) -> Mean | None:
-    """Mean over the people of each seed, then mean and deviation over seeds; people of every seed alike."""
-    by_seed: dict[int, list[float]] = {}
+    """Mean over people of each one's mean over seeds; the deviation, over the seeds that several people's results
+    (or one's) have in common, is that of the mean over those people."""
+    people: dict[str, dict[int, float]] = {}
     for result in results:
         value = number_of(result, keys)
         if value is not None:
-            by_seed.setdefault(result["seed"], []).append(value)
-    if not by_seed:
+            people.setdefault(result["name"], {})[result["seed"]] = value
+    if not people:
         return None
-    means = [float(np.mean(values)) for values in by_seed.values()]
-    return Mean(float(np.mean(means)), float(np.std(means, ddof=1)) if len(means) > 1 else None)
+    value = float(np.mean([np.mean(list(seeds.values())) for seeds in people.values()]))
+    several = [seeds for seeds in people.values() if len(seeds) > 1]
+    common = set.intersection(*(set(seeds) for seeds in several)) if several else set()
+    means = [float(np.mean([seeds[seed] for seeds in several])) for seed in sorted(common)]
+    return Mean(value, float(np.std(means, ddof=1)) if len(means) > 1 else None)
 
 
 def light_of_result(result: dict[str, Any]) -> str:
@@ -79,7 +84,7 @@ def paper_cells(scores: dict[str, dict[str, float]], metrics: Sequence[str]) -> 
     for region in REGIONS:
         for metric in metrics:
             value = scores[region].get(metric)
-            out.append("-" if value is None else f"{value:.{SHOWN[metric][1]}f}")
+            out.append("-" if value is None else f"{value:.{SHOWN[metric][2]}f}")
     return out
 
 
@@ -268,7 +273,7 @@ def page(results: list[dict[str, Any]], quality: list[dict[str, Any]], absent: l
         "mean |c_part - c_body| of 255, shown colour the change of what is displayed from 1 mm before to 1 mm behind the",
         "overlap's middle. The paper shows these four rows in pictures only: here a row is as in the paper where the seam",
         "it should spoil is worse than ours.",
-        "Means over people; with several seeds, mean ± deviation over seeds.",
+        "Means over people; ± is the deviation over training seeds of the people that have several.",
         "",
         f"Commit {', '.join(commits)}; {', '.join(machines)}.",
         "",

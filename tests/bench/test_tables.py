@@ -12,7 +12,7 @@ from painted_capture import write_capture
 import bench.table_row
 import bench.tables
 from avatar.errors import AssetError
-from bench.paper_tables import PAPER_IMAGE, QUOTED_GEOMETRY
+from bench.paper_tables import PAPER_GEOMETRY, PAPER_IMAGE, QUOTED_GEOMETRY
 from bench.table_page import as_in_paper, mean_of, page, seams_as_in_paper
 from bench.tables import collect, main
 
@@ -24,10 +24,10 @@ from train.preset import DEMO
 from train.stages import train
 parts = [replace(p, iterations=6, cell=max(p.cell, .006), spacing=max(p.spacing, .006)) for p in DEMO.parts]
 small = replace(DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(.03, .015, .008),
-                parts=tuple(parts))
+                parts=tuple(parts), single="--single" in sys.argv)
 train(sys.argv[1], sys.argv[2], small)
 """
-ROWS = ["ours", "landmarks_only", "no_L_g", "no_fusion", "no_ray_transform"]
+ROWS = ["ours", "landmarks_only", "no_L_g", "no_fusion", "single", "no_ray_transform"]
 
 
 def in_process(*words):
@@ -35,7 +35,9 @@ def in_process(*words):
     if words[0] == "bench.table_row":
         return lambda: bench.table_row.main([str(word) for word in words[1:]])
     assert words[:2] == ("selfscan", "train") and words[3] == "-o" and words[5:7] == ("--preset", "demo")
-    return lambda: subprocess.run([sys.executable, "-c", TRAIN, words[2], words[4]], check=False).returncode
+    single = [word for word in words if word == "--single"]
+    script = [sys.executable, "-c", TRAIN, words[2], words[4], *single]
+    return lambda: subprocess.run(script, check=False).returncode
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +63,12 @@ def test_every_row_has_its_numbers_its_seams_and_its_picture(people):
         assert row["novel_pose"]["head"]["psnr_db"] > 5 and row["cpu_seconds"] > 0
         assert (row.get("geometry") == "as ours") == (name in ("no_fusion", "no_ray_transform"))
         assert ("p2s_cm" in row["novel_pose"]["total"]) == (name not in ("no_fusion", "no_ray_transform"))
-        assert (row["seams"] is None) == (name == "no_ray_transform")
+        assert (row["seams"] is None) == (name in ("single", "no_ray_transform"))
     assert rows["landmarks_only"]["seams"]["neck"]["step_mm"] != rows["ours"]["seams"]["neck"]["step_mm"]
+    assert 0.97 < rows["single"]["parameters"] / rows["ours"]["parameters"] < 1.03
+    assert (
+        rows["single"]["novel_pose"]["head"]["chamfer_cm"] != rows["ours"]["novel_pose"]["head"]["chamfer_cm"]
+    )
     apart = [rows[name]["novel_pose"]["total"]["psnr_db"] for name in ("ours", "no_ray_transform")]
     assert apart[0] != apart[1]
 
@@ -111,7 +117,9 @@ def test_the_page_quotes_the_paper_and_says_where_the_order_differs(people):
     assert re.search(r"\| without ray transformation \(Eq\. 14\) \|.* \| (yes \(6 of 6\)|no: [^|]+) \|", text)
     assert re.search(r"\| without fusion \(Eq\. 9\) \| as ours \|", text)
     assert "[striped](striped/seed0/no_L_g.png)" in text
-    assert "single network, as many parameters" not in text.replace("the paper's: single", "")
+    paper = [f"{v:.2f}" for scores in PAPER_GEOMETRY["single"].values() for v in scores.values()]
+    assert f"| the paper's: single network, as many parameters | {' | '.join(paper)} |" in text
+    assert re.search(r"\n\| single network, as many parameters \|.* \| (yes \(6 of 6\)|no: [^|]+) \|", text)
 
 
 def result(row, seed=0, name="a", total=20.0, neck=1.0):
@@ -147,6 +155,10 @@ def test_seeds_give_mean_and_deviation_of_the_means_over_people():
                [(0, "a", 20.0), (0, "b", 22.0), (1, "a", 22.0), (1, "b", 24.0)]]  # fmt: skip
     mean = mean_of(results, "novel_pose", "total", "psnr_db")
     assert mean is not None and mean.text(2) == "22.00 ± 1.41"  # of 21 and 23
+    alone = mean_of([*results, result("ours", 0, "c", 28.0)], "novel_pose", "total", "psnr_db")
+    assert (
+        alone is not None and alone.text(2) == "24.00 ± 1.41"
+    )  # c has one seed: in the mean, not in the deviation
     text = page(results, [], ["c, seed 0: ours (training failed)"])
     assert "22.00 ± 1.41" in text and "## Varied light, sheen 0.5" in text
     assert "- c, seed 0: ours (training failed)" in text
