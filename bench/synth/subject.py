@@ -33,9 +33,10 @@ from avatar.gltf_scene import (
     world_from_node,
 )
 from avatar.rotation import axis_angle_from_matrix, rotation_between
-from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND, skin_transforms
+from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points, strongest_four
 from bench.synth.humanoid import find_joints
+from train.imports.template import part_of
 
 PARTS = ("body", "head", "hand_left", "hand_right")  # the numbers in Subject.part
 
@@ -261,16 +262,6 @@ def _is_hair(name: str, vertices: Float[np.ndarray, "V 3"], weights: Float[np.nd
     on_head = weights[:, JOINTS.index("head")].mean() > 0.9
     second_extent = np.sort(np.ptp(vertices, axis=0))[1]
     return bool(HAIR_NAME.search(name)) or bool(on_head and second_extent > HAIR_SIZE)
-
-
-def part_of(skin: SkinWeights) -> UInt8[np.ndarray, " V"]:
-    """The part of each vertex: that of the joint with most weight; wrist and fingers are hand, the neck is body."""
-    part_of_joint = np.zeros(len(JOINTS), np.uint8)
-    part_of_joint[JOINTS.index("head")] = PARTS.index("head")
-    part_of_joint[LEFT_HAND] = part_of_joint[JOINTS.index("left_wrist")] = PARTS.index("hand_left")
-    part_of_joint[RIGHT_HAND] = part_of_joint[JOINTS.index("right_wrist")] = PARTS.index("hand_right")
-    strongest = np.take_along_axis(skin.joints, skin.weights.argmax(1)[:, None], 1)[:, 0]
-    return part_of_joint[strongest]
 
 
 def _upright(path: Path, joints: Float[np.ndarray, "52 3"]) -> tuple[Float[np.ndarray, "3 3"], str]:
