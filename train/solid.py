@@ -13,7 +13,7 @@ from train.template import visible_faces
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
 INSIDE = np.array([0.02, 0.015, 0.004, 0.004])  # metres, per part: so deep inside the template is no surface
-HAIR_INSIDE = 0.04  # metres, under hair: a hull carved from masks (train/hull.py) spans what is hollow
+HAIR_INSIDE = 0.025  # metres, under hair: a hull (train/hull.py) spans hollows; the head's band ends at 2 cm
 
 
 def solid_inside(distance: PointFunction, subject: Subject) -> PointFunction:
