@@ -67,11 +67,10 @@ def refine_by_surfaces(
 
         min over R, T of sum w_i (n_i . (R p_i + T - q_i))^2       q_i the target point nearest to R p_i + T
 
-    A pair is rejected when it is farther apart than `reach` (which shrinks to a quarter), when its normals are
-    more than 60 degrees apart, or when its residual r exceeds c = 7 medians of |r|; the others weigh (1 - (r/c)^2)^2
-    (Tukey's biweight), so that what does not belong ends with no say at all, not with a small one. A rotation
-    that the surfaces do not determine (a sphere, a plane) is left at zero by truncating the system's small
-    eigenvalues.
+    A pair is rejected when it is farther apart than `reach` (which shrinks to a quarter) or when its normals are
+    more than 60 degrees apart; the others weigh by Huber's rule at the median residual. (Tukey's biweight, which
+    drops the rest altogether, can drop a whole side and with it what holds the rotation.) A rotation that the
+    surfaces do not determine (a sphere, a plane) is left at zero by truncating the system's small eigenvalues.
 
     Raises:
         ValueError: numbers are not finite, under a tenth of the points find a partner, the steps do not settle,
@@ -98,12 +97,12 @@ def refine_by_surfaces(
         p, q, n = moved[near], target[row[near]], target_normals[row[near]]
         r = ((p - q) * n).sum(1)
         residual = float(np.median(np.abs(r)))
-        w = np.square(np.maximum(1 - np.square(r / max(7 * residual, 1e-9)), 0))
+        w = 1 / np.maximum(np.abs(r) / max(residual, 1e-9), 1.0)
         update, moved_by = _plane_step(p, n, r, w)
         transform = update @ transform
         if moved_by < 1e-9:
             break
-    if moved_by > 1e-3:
+    if moved_by > 5e-3:  # a rotation hardly determined may swing by a few millimetres; that is no failure
         raise ValueError(f"head registration: the last of {steps} steps still moves by {moved_by:.4f} m")
     shift = np.linalg.norm(source @ transform[:3, :3].T + transform[:3, 3] - source, axis=1).max()
     if shift > most:
