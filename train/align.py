@@ -108,11 +108,12 @@ class Outline:
         self.pixels = np.argwhere(edge)
         self.at = self.pixels[:, ::-1] + 0.5  # x, y
         n = -slope[self.pixels[:, 0], self.pixels[:, 1]]
-        self.normals = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-6)
+        # rounded: a k-d tree of components near the smallest float splits for ever where denormals are flushed
+        self.normals = np.round(n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-6), 4)
 
     def nearest(self, other: "Outline", bend: float) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
         """For each pixel of ours the nearest of `other` with a like normal, and how far it is in pixels."""
-        tree = KDTree(np.c_[other.at, bend * other.normals])
+        tree = KDTree(np.round(np.c_[other.at, bend * other.normals], 3))
         index = np.asarray(tree.query(np.c_[self.at, bend * self.normals])[1])
         return index, np.linalg.norm(other.at[index] - self.at, axis=1)
 

@@ -1,0 +1,201 @@
+"""Refinement of poses and masks before training, on the tiny painted capture."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from painted_capture import write_capture
+
+from avatar.camera import project
+from avatar.errors import AssetError
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from avatar.skeleton import joint_transforms, skin_transforms
+from avatar.skinning import skin_points
+from train.align import align, increments_moved, moving_joints, outline_offset, placement
+from train.capture import read_capture
+from train.rays import _choose_pixels
+from train.refine import (
+    RefineJob,
+    believed_offset,
+    frames_on_the_mask,
+    refine_capture,
+    refine_part,
+    refined_path,
+    regrown,
+    signed_pixels,
+    with_refined,
+)
+from train.workers import Tell
+
+QUIET = Tell(lambda text: None, lambda done, note: None)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_capture(tmp_path_factory.mktemp("capture") / "test", size=96)
+
+
+@pytest.fixture(scope="module")
+def capture(folder):
+    return read_capture(folder)
+
+
+def _pixels_off(video, subject, axis_angle, root) -> float:
+    """Mean distance in the image between the template in given poses and in those of the video."""
+    off = []
+    for f, camera in enumerate(video.cameras):
+        places = [project(camera, skin_points(subject.vertices, subject.skin, skin_transforms(a, subject.joints, r)))[0]
+                  for a, r in ((video.axis_angle[f], video.root[f]), (axis_angle[f], root[f]))]  # fmt: skip
+        off.append(np.linalg.norm(places[0] - places[1], axis=1).mean())
+    return float(np.mean(off))
+
+
+@pytest.fixture(scope="module")
+def planted(capture):
+    """The body video in poses that are off by 3 degrees about each axis of each joint."""
+    video = capture.videos["body"]
+    noise = np.radians(3) * np.random.default_rng(2).standard_normal(video.axis_angle.shape)
+    turned = matrix_from_axis_angle(video.axis_angle) @ matrix_from_axis_angle(noise)
+    return replace(video, axis_angle=axis_angle_from_matrix(turned))
+
+
+def test_a_planted_pose_error_is_reduced_to_a_third(capture, planted):
+    video, subject = capture.videos["body"], capture.subject
+    before = _pixels_off(video, subject, planted.axis_angle, planted.root)
+    aligned = align(planted, subject)
+    after = _pixels_off(video, subject, aligned.axis_angle, aligned.root)
+    assert before > 2
+    assert after < before / 3
+    assert (aligned.edge < 1.5).all()
+
+
+def test_exact_poses_stay_where_they_are(capture):
+    video = capture.videos["body"]
+    aligned = align(video, capture.subject)
+    assert _pixels_off(video, capture.subject, aligned.axis_angle, aligned.root) < 0.5  # of a picture of 96
+
+
+def test_derivative_of_the_increments_is_that_of_the_kinematic_chain(capture):
+    subject = capture.subject
+    rng = np.random.default_rng(0)
+    axis_angle, root = 0.4 * rng.standard_normal((52, 3)), rng.standard_normal(3)
+    R = matrix_from_axis_angle(axis_angle)
+    vertices = rng.choice(len(subject.rest), 40, replace=False)
+    moving = np.array([0, 3, 13, 16, 18, 20, 22, 23])
+    g = rng.standard_normal((40, 3))
+
+    def moved(d):
+        turned = R.copy()
+        turned[moving] = turned[moving] @ matrix_from_axis_angle(d[:-3].reshape(-1, 3))
+        B = skin_transforms(axis_angle_from_matrix(turned), subject.joints, root + d[-3:])
+        return (g * skin_points(subject.vertices, subject.skin, B)[vertices]).sum(1)
+
+    J = increments_moved(
+        subject, vertices, joint_transforms(axis_angle, subject.joints, root),
+        skin_transforms(axis_angle, subject.joints, root), g, moving,
+    )  # fmt: skip
+    count = 3 * len(moving) + 3
+    numeric = np.stack([(moved(1e-6 * e) - moved(-1e-6 * e)) / 2e-6 for e in np.eye(count)], 1)
+    np.testing.assert_allclose(J, numeric, rtol=0, atol=1e-6)  # weights are float32
+
+
+def test_only_joints_that_show_are_moved(capture):
+    hand = moving_joints(capture.subject, 2, capture.videos["hand_left"], least=6.0)
+    assert {20, 22, 18, 16} <= set(hand)  # wrist, a finger, elbow, shoulder of the left arm
+    assert not {1, 4, 15, 17, 19, 21, 37} & set(hand)  # legs, head and the right arm
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (40, -20), (-60, 30)])
+@pytest.mark.parametrize("degrees", [0.0, 8.0])
+def test_a_silhouette_is_placed_where_it_was_taken_from(shift, degrees):
+    h = w = 96
+    y, x = np.mgrid[: 3 * h, : 3 * w] + 0.5
+    limb = lambda x, y: (abs(x - 144) < 8) & (abs(y - 150) < 30) | (abs(x - 155) < 15) & (abs(y - 130) < 6)
+    centre = np.array([144.0, 150.0])
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    back_x, back_y = x - centre[0] - shift[0], y - centre[1] - shift[1]
+    moved = limb(c * back_x + s * back_y + centre[0], -s * back_x + c * back_y + centre[1])
+    turn, found = placement(limb(x, y), moved[h : 2 * h, w : 2 * w], centre, 1000.0)
+    assert abs(np.degrees(turn) - degrees) < 1e-9
+    np.testing.assert_allclose(found, shift, atol=2)
+
+
+def test_frames_that_stay_off_are_left_out():
+    edge = np.array([0.3, 0.35, 0.4, 4.2, np.inf, 0.7])
+    assert frames_on_the_mask(edge).tolist() == [0, 1, 2, 5]
+
+
+@pytest.mark.parametrize("pixels", [-3.0, -1.4, 1.4, 3.0])
+def test_a_disc_regrown_is_a_disc_of_another_radius(pixels):
+    y, x = np.mgrid[:64, :64] + 0.5
+    away = np.hypot(x - 32, y - 32)
+    grown = regrown((away < 15)[None], pixels)[0]
+    assert (grown != (away < 15 + pixels))[abs(away - 15 - pixels) > 1].sum() == 0
+
+
+def test_masks_without_an_edge_have_no_distance():
+    assert (signed_pixels(np.ones((1, 4, 4), bool)) == -np.inf).all()
+    assert (signed_pixels(np.zeros((1, 4, 4), bool)) == np.inf).all()
+
+
+def test_clothes_on_the_body_alone_are_no_fault_of_the_masks():
+    assert believed_offset({"body": 4.0, "hand_left": 0.2, "hand_right": 0.3}) == 0
+    assert believed_offset({"body": -1.7, "hand_left": -1.5, "hand_right": -1.4}) == -1.5
+
+
+@pytest.mark.parametrize("pixels", [-1.0, 1.0])
+def test_masks_all_too_small_or_large_are_measured_and_mended(capture, tmp_path, pixels):
+    videos = {name: replace(video, masks=regrown(video.masks, pixels)) for name, video in capture.videos.items()}
+    off = replace(capture, videos=videos)
+    scale = 96 / 256
+    for name in ("hand_left", "hand_right"):
+        assert outline_offset(off.videos[name], capture.subject) * scale == pytest.approx(pixels, abs=0.35)
+    facts = refine_capture(off, tmp_path, "auto", lambda text: None, _in_turn)
+    assert facts["masks_off_px"] * scale == pytest.approx(pixels, abs=0.35)
+    mended = with_refined(off, tmp_path)
+    for name in ("head", "hand_left"):
+        true, video = capture.videos[name].masks, mended.videos[name]
+        assert (off.videos[name].masks != true).sum() > 5 * (video.masks != true).sum()
+        wrong = (video.masks != true) & ~video.unsure
+        assert wrong.sum() < 0.1 * (video.masks != true).sum() + 5
+
+
+def _in_turn(jobs, work):
+    return {name: work(job, QUIET) for name, job in jobs.items()}
+
+
+def test_unsure_pixels_supervise_nothing_and_none_unsure_changes_no_choice():
+    rng = lambda: np.random.default_rng(4)
+    mask = np.zeros((20, 20), bool)
+    mask[5:15, 5:15] = True
+    unsure = np.zeros((20, 20), bool)
+    unsure[4:8] = True
+    chosen = _choose_pixels(mask, unsure, 1000, 0.5, 5.0, rng())
+    assert len(chosen) and not unsure[tuple(chosen.T)].any()
+    plain, nothing = (_choose_pixels(mask, u, 40, 0.5, 5.0, rng()) for u in (None, np.zeros((20, 20), bool)))
+    assert np.array_equal(plain, nothing)
+
+
+def test_off_measures_nothing_and_leaves_the_capture_alone(capture, tmp_path):
+    assert refine_capture(capture, tmp_path, "off", print, _in_turn) == {}
+    assert list(tmp_path.iterdir()) == []
+    same = with_refined(capture, tmp_path)
+    assert all(same.videos[name] is video for name, video in capture.videos.items())
+
+
+def test_refined_poses_are_read_back_and_a_broken_file_is_refused(folder, capture, tmp_path):
+    facts = refine_capture(
+        capture, tmp_path, "on", lambda text: None,
+        lambda jobs, work: {"hand_left": refine_part(RefineJob(str(folder), "hand_left", str(tmp_path)), QUIET)},
+    )  # fmt: skip
+    assert facts["hand_left"]["outline_px"] < 2
+    again = refine_capture(capture, tmp_path, "on", lambda text: None, lambda jobs, work: pytest.fail("done before"))
+    assert again == facts
+    video = with_refined(capture, tmp_path).videos["hand_left"]
+    left_out = facts["hand_left"]["frames_left_out"]
+    assert len(video.images) == len(video.root) == 4 - len(left_out)
+    assert not np.array_equal(video.axis_angle[0], capture.videos["hand_left"].axis_angle[0])
+
+    np.savez(refined_path(tmp_path, "body"), frames=np.array([99]), masks_off=np.array(0.0))
+    with pytest.raises(AssetError, match=r"refined_body\.npz: frames should be of the video's 4"):
+        with_refined(capture, tmp_path)
