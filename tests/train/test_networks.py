@@ -208,6 +208,7 @@ def test_hash_features_equal_a_loop_over_corners_inside_on_the_border_and_beyond
     unit[8:12] = [[1.5, 0, 0], [0, -3, 0], [0, 0, 1 + 1e-6], [0, 0, 0]]
     features = grid(torch.tensor(unit)).detach().numpy()
     np.testing.assert_allclose(features, _reference(grid, unit), atol=1e-6)
+    assert grid(torch.zeros(0, 3, dtype=torch.double)).shape == (0, features.shape[1])
 
 
 def test_hash_derivatives_of_first_and_second_order_are_right(grid):

@@ -147,7 +147,7 @@ class HashGrid(nn.Module):
         into = (at - cell)[:, :, None]
         wx, wy, wz = torch.where(self.corners == 1, into, 1 - into).unbind(-1)
         index = self._rows(cell[:, :, None] + self.corners, levels)
-        features = take_rows(self.table, index.flatten()).view(*index.shape, -1)
+        features = take_rows(self.table, index.flatten()).view(*index.shape, self.table.shape[1])
         features = ((wx * wy * wz)[..., None] * features).sum(2).flatten(1)
         closed = len(self.resolution) - levels
         return torch.nn.functional.pad(features, (0, closed * self.table.shape[1]))
