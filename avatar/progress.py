@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from io import TextIOBase
 from typing import TextIO, TypeVar
 
 T = TypeVar("T")
@@ -73,7 +74,7 @@ class ProgressBoard:
     """
 
     def __init__(
-        self, totals: Mapping[str, int], workers: int, *, after: float = 0.0, stream: TextIO | None = None,
+        self, totals: Mapping[str, int], workers: int, *, after: float = 0.0, stream: TextIO | TextIOBase | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):  # fmt: skip
         self.stream = sys.stderr if stream is None else stream
@@ -134,9 +135,7 @@ class ProgressBoard:
             out.append(f"{line}  {_left_text(left)}  {job.note}".rstrip())
         share = self._share()
         spent = clock_time(self.clock() - self.began)
-        out.append(
-            f"{'all':<{width}}  {_bar(share)} {share:4.0%}  {spent} so far, {_left_text(self.left())}"
-        )
+        out.append(f"{'all':<{width}}  {_bar(share)} {share:4.0%}  {spent} so far, {_left_text(self.left())}")
         return out
 
     def left(self) -> float | None:
