@@ -69,7 +69,7 @@ def test_no_command_prints_usage_and_returns_2(capsys):
     assert "selfscan COMMAND" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["synth", "train", "bake", "eval", "bench", "render", "play", "doctor"])
+@pytest.mark.parametrize("name", ["synth", "check", "train", "bake", "eval", "bench", "render", "play", "doctor"])
 def test_help_teaches_and_an_unknown_option_is_wrong_usage(capsys, name):
     with pytest.raises(SystemExit) as stop:
         main([name, "--help"])
