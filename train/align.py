@@ -108,13 +108,15 @@ class Outline:
         self.pixels = np.argwhere(edge)
         self.at = self.pixels[:, ::-1] + 0.5  # x, y
         n = -slope[self.pixels[:, 0], self.pixels[:, 1]]
-        # rounded: a k-d tree of components near the smallest float splits for ever where denormals are flushed
-        self.normals = np.round(n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-6), 4)
+        self.normals = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-6)
 
     def nearest(self, other: "Outline", bend: float) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
         """For each pixel of ours the nearest of `other` with a like normal, and how far it is in pixels."""
-        tree = KDTree(np.round(np.c_[other.at, bend * other.normals], 3))
-        index = np.asarray(tree.query(np.c_[self.at, bend * self.normals])[1])
+        # a k-d tree moves a split beside equal points to the next float; next to 0 that is a denormal, and where
+        # those are flushed (train.trainer.set_threads) the tree would grow for ever: keep away from 0
+        far = 1e5
+        tree = KDTree(np.c_[other.at, bend * other.normals] + far)
+        index = np.asarray(tree.query(np.c_[self.at, bend * self.normals] + far)[1])
         return index, np.linalg.norm(other.at[index] - self.at, axis=1)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from painted_capture import write_capture
 
 from avatar.camera import project
@@ -11,7 +12,7 @@ from avatar.errors import AssetError
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import skin_points
-from train.align import align, increments_moved, moving_joints, outline_offset, placement
+from train.align import Outline, align, increments_moved, moving_joints, outline_offset, placement
 from train.capture import read_capture
 from train.rays import _choose_pixels
 from train.refine import (
@@ -118,6 +119,17 @@ def test_a_silhouette_is_placed_where_it_was_taken_from(shift, degrees):
     turn, found = placement(limb(x, y), moved[h : 2 * h, w : 2 * w], centre, 1000.0)
     assert abs(np.degrees(turn) - degrees) < 1e-9
     np.testing.assert_allclose(found, shift, atol=2)
+
+
+def test_outlines_with_normals_of_zero_are_matched_where_denormals_are_flushed():
+    square = np.zeros((200, 200), bool)
+    square[20:180, 20:180] = True
+    torch.set_flush_denormal(True)
+    try:
+        index, away = Outline(square).nearest(Outline(square), 40.0)
+    finally:
+        torch.set_flush_denormal(False)
+    assert np.array_equal(index, np.arange(len(index))) and (away == 0).all()
 
 
 def test_frames_that_stay_off_are_left_out():
