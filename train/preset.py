@@ -47,7 +47,6 @@ class Preset:
     rays: int = 1024  # per step
     one_frame: bool = False  # all rays of a step from one frame, or from any
     rays_per_frame: int = 4000  # cached of each frame
-    background: float = 0.2  # share of cached rays that pass the person
     sections: int = 12  # per ray
     shaded: int = 3  # sections with the largest weights get normal and colour
     displaced_every: int = 4  # T_nr is evaluated at every n-th section end and linear between
@@ -125,7 +124,6 @@ PAPER = Preset(
     mask_loss="lowest",
     one_frame=True,
     rays_per_frame=6000,
-    background=0.3,
     sections=64,
     shaded=64,
     displaced_every=1,

@@ -74,7 +74,7 @@ def part_preview(
     camera = small.cameras[0]
     everything = len(small.masks[0].ravel())
     rays = part_rays(
-        small, subject, cloud, part, band, ends=preset.sections + 2, per_frame=2 * everything, background=0.5,
+        small, subject, cloud, part, band, ends=preset.sections + 2, per_frame=2 * everything,
         canonical_from_head=canonical_from_head, rng=np.random.default_rng(0),
     )  # fmt: skip
     # a ray does not remember its pixel; its direction tells it

@@ -146,11 +146,10 @@ def part_rays(
     *,
     ends: int,
     per_frame: int,
-    background: float,
     canonical_from_head: Float[Array, "4 4"] | None,
     rng: np.random.Generator,
 ) -> TrainingRays:
-    """The rays of a video that train `part`, at most `per_frame` of each frame, a share of them background.
+    """The rays of a video that train `part`, at most `per_frame` of each frame.
 
     A pixel supervises a part when its ray first meets the template inside the part's box, or, for a ray that
     passes by, when its closest approach lies in the box (FRAMES.md). Sections never leave the box.
@@ -180,7 +179,7 @@ def part_rays(
         # background pixels farther from the person than this see no band
         reach = camera.K[0, 0] * band.outside / scale / max(float(np.linalg.norm(middle - camera.eye)), 1e-9)
         unsure = None if video.unsure is None else video.unsure[frame]
-        pixels = _choose_pixels(mask, unsure, per_frame, background, reach, rng)
+        pixels = _choose_pixels(mask, unsure, per_frame, reach, rng)
         origins, directions = pixel_rays(camera, pixels[:, ::-1] + 0.5)
         if canonical_from_head is not None:
             origins = origins @ canonical_from_head[:3, :3].T + canonical_from_head[:3, 3]
@@ -227,22 +226,18 @@ def part_rays(
 
 
 def _choose_pixels(
-    mask: Array, unsure: Array | None, count: int, background: float, reach: float, rng: np.random.Generator
+    mask: Array, unsure: Array | None, count: int, reach: float, rng: np.random.Generator
 ) -> Array:
-    """Random pixels (row, column): a share of background near the person, the rest on the person; none unsure."""
-    sure = True if unsure is None else ~unsure
-    inside = np.argwhere(mask & sure)
-    if len(inside) == 0:
+    """Random pixels (row, column) on the person and within `reach` pixels of it, all equally likely; none unsure.
+
+    Were the two sides of an outline drawn unequally often, their losses would balance beside it and not on it.
+    """
+    if not mask.any():
         return np.zeros((0, 2), int)
-    away = distance_to(mask)
-    outside = np.argwhere((away > 0) & (away < max(reach, 2.0)) & sure)
-    wanted = min(int(count * background), len(outside))
-    return np.concatenate(
-        [
-            rng.permutation(outside)[:wanted],
-            rng.permutation(inside)[: count - wanted],
-        ]
-    )
+    near = distance_to(mask) < max(reach, 2.0)
+    if unsure is not None:
+        near &= ~unsure
+    return rng.permutation(np.argwhere(near))[:count]
 
 
 def _first_steps(ray: Int[Array, "steps"]) -> Int[Array, "rays"]:

@@ -86,7 +86,7 @@ def single_rays(
         cloud = surface_cloud(subject, index, visible, settings.spacing)
         rays = part_rays(
             capture.videos[name], subject, cloud, part_boxes(subject)[index], settings.band,
-            ends=preset.sections + 2, per_frame=preset.rays_per_frame, background=preset.background,
+            ends=preset.sections + 2, per_frame=preset.rays_per_frame,
             canonical_from_head=canonical_from_head if name == "head" else None,
             rng=np.random.default_rng([seed, index]),
         )  # fmt: skip

@@ -144,7 +144,7 @@ PRESET = replace(
 
 def _rays(capture, cloud):
     return part_rays(capture.videos["hand_left"], capture.subject, cloud, part_boxes(capture.subject)[2], PRESET.parts[2].band,
-                     ends=18, per_frame=60, background=0.2, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
+                     ends=18, per_frame=60, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
 
 
 def _field(capture, cloud):

@@ -144,8 +144,7 @@ def test_a_frame_without_a_person_gives_no_rays_and_the_others_do(folder):
     capture = read_capture(folder)
     subject, part = capture.subject, part_boxes(capture.subject)[2]
     cloud = surface_cloud(subject, 2, visible_faces(subject), 0.006)
-    rays = part_rays(capture.videos["hand_left"], subject, cloud, part, DEMO.parts[2].band, ends=8, per_frame=200,
-                     background=0.2, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
+    rays = part_rays(capture.videos["hand_left"], subject, cloud, part, DEMO.parts[2].band, ends=8, per_frame=200, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
     assert set(np.unique(rays.frame)) == {0, 2}
     assert np.isfinite(rays.ends).all() and 0 < rays.mask.mean() < 1
 
@@ -161,5 +160,5 @@ def test_masks_of_a_pixel_or_two_give_finite_rays_or_none(folder, pixels):
     part = part_boxes(capture.subject)[2]
     cloud = surface_cloud(capture.subject, 2, visible_faces(capture.subject), 0.006)
     rays = part_rays(replace(video, masks=masks), capture.subject, cloud, part, DEMO.parts[2].band, ends=8,
-                     per_frame=200, background=0.2, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
+                     per_frame=200, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
     assert np.isfinite(rays.ends).all() and rays.mask.sum() <= 3 * pixels

@@ -42,7 +42,7 @@ def hand(capture):
     cloud = surface_cloud(capture.subject, 2, visible_faces(capture.subject), 0.006)
     template = template_grid(cloud, part.extent.low, part.extent.high, 0.006)
     rays = part_rays(capture.videos["hand_left"], capture.subject, cloud, part, TINY.parts[2].band, ends=18,
-                     per_frame=300, background=0.2, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
+                     per_frame=300, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
 
     def field():
         torch.manual_seed(5)

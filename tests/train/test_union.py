@@ -199,7 +199,7 @@ def untrained(capture):
         fields.append(build_field(subject, index, TINY.parts[index], template, 4))
         if index == 0:
             rays = part_rays(capture.videos["body"], subject, cloud, part, TINY.parts[0].band, ends=14,
-                             per_frame=3000, background=0.2, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
+                             per_frame=3000, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
             rays = ray_tensors(rays, cloud, torch.device("cpu"))
     return FusedField(fields, parts, torch.eye(4)).eval().requires_grad_(False), rays
 
