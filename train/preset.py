@@ -46,7 +46,7 @@ class Preset:
     mask_loss: Literal["opacity", "lowest"] = "opacity"  # L_mask: of what is drawn, or Eq. 11 as printed
     rays: int = 1024  # per step
     one_frame: bool = False  # all rays of a step from one frame, or from any
-    rays_per_frame: int = 4000  # cached of each frame
+    rays_per_frame: int = 8000  # cached of each frame; a texture between the pixels of fewer is never learnt
     sections: int = 12  # per ray
     shaded: int = 3  # sections with the largest weights get normal and colour
     displaced_every: int = 4  # T_nr is evaluated at every n-th section end and linear between
@@ -77,7 +77,14 @@ DEMO = Preset(
     (
         PartPreset(900, 0.01, 0.01, Band(0.03, 0.02, 0.006), (0.008, 0.0015), 0.03, 0.01, TriPlaneNetworks()),
         PartPreset(
-            2200, 0.003, 0.003, Band(0.035, 0.02, 0.006), (0.008, 0.001), 0.03, 0.01, TriPlaneNetworks()
+            2000,
+            0.003,
+            0.003,
+            Band(0.035, 0.02, 0.006),
+            (0.008, 0.001),
+            0.03,
+            0.01,
+            TriPlaneNetworks(color_size=320),
         ),
         _HAND,
         _HAND,

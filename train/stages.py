@@ -34,6 +34,7 @@ from train.preview import Preview, part_preview
 from train.rays import part_rays
 from train.refine import ROUNDS, RefineJob, refine_capture, with_refined
 from train.register import Registration, similarity_from_landmarks
+from train.rigid import with_rigid_head
 from train.session import Session, capture_digest, digest_of, open_session
 from train.single import part_names, part_presets, show_as_in_the_body_video, single_rays, single_template
 from train.template import SurfaceCloud, neck_height, surface_cloud, template_grid, visible_faces
@@ -124,7 +125,7 @@ def train(
         )
         say(f"logs, previews and checkpoints: {session.partial}")
         refined = _refine(capture, session, ranks, device, refine_poses, say)
-        capture = _join_hair(capture, landmarks, session, ranks, say)
+        capture = _own_template(capture, landmarks, session, ranks, say)
         facts = _train_parts(
             capture, preset, landmarks, session, ranks, device, seed, save_every, preview_every
         )
@@ -207,11 +208,11 @@ def _register_landmarks(capture: Capture, say: Callable[[str], None]) -> Registr
     return landmarks
 
 
-def _join_hair(
+def _own_template(
     capture: Capture, landmarks: Registration, session: Session, ranks: Ranks, say: Callable[[str], None]
 ) -> Capture:
-    """The capture with standing hair joined to its template (train/hull.py), written for workers and run folder."""
-    subject = with_hair(capture.subject, with_refined(capture, session.partial), landmarks.transform)
+    """The capture with a rigid head and with standing hair joined to its template, written for workers and run folder."""
+    subject = with_hair(with_rigid_head(capture.subject), with_refined(capture, session.partial), landmarks.transform)
     added = len(subject.rest) - len(capture.subject.rest)
     if added:
         say(f"hair stands off the template: {added} vertices carved from the masks join it")

@@ -1,0 +1,28 @@
+"""The head is rigid: its field is learnt from a video under one rigid motion a frame (TotalSelfScan, Eq. 4)."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from avatar.skeleton import JOINTS
+from avatar.skinning import dense_weights, strongest_four
+from train.capture import PARTS, Subject
+from train.parts import part_boxes, part_weight
+
+HEAD = JOINTS.index("head")
+
+
+def with_rigid_head(subject: Subject) -> Subject:
+    """The template whose vertices follow the head bone alone where the head's field speaks alone.
+
+    A body model's weights bend the jaw and the back of the head with the neck by a tenth or more; the head's
+    video, seen as rigid, contradicts that. Over the upper half of the overlap (Eq. 9) the weights blend.
+    """
+    head = part_boxes(subject)[PARTS.index("head")]
+    share = part_weight(torch.as_tensor(subject.vertices), head).numpy()
+    follows = np.clip(2 * share - 1, 0, 1)[:, None]
+    weights = dense_weights(subject.skin)
+    weights = weights * (1 - follows)
+    weights[:, HEAD] += follows[:, 0]
+    return replace(subject, skin=strongest_four(weights))
