@@ -32,7 +32,7 @@ from train.prefit import fit_template
 from train.preset import PRESETS, PartPreset, Preset
 from train.register import similarity_from_landmarks
 from train.stages import PartJob, _part_ready
-from train.trainer import peak_memory, set_threads, train_field
+from train.trainer import peak_memory, train_field
 from train.workers import Tell
 
 HELD_OUT = 8  # each so-many-th frame, from the fourth on
@@ -117,7 +117,7 @@ def one_preset(
         preview_every=0,
         ranks=ALONE,
     )
-    set_threads(threads)
+    torch.set_num_threads(threads)
     torch.manual_seed(seed * 4 + index)
     ready = _part_ready(job, capture, Tell(lambda text: None, lambda step, note: None))
     field = ready.field

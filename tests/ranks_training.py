@@ -14,7 +14,7 @@ from train.networks.triplane import TriPlaneNetworks, build
 from train.objective import RayTensors
 from train.preset import DEMO
 from train.template import TemplateGrid
-from train.trainer import set_threads, train_field
+from train.trainer import train_field
 
 STEPS, RAYS = 12, 63  # an odd batch: shares of 32 and 31
 
@@ -45,7 +45,7 @@ def small_rays() -> RayTensors:
 
 def main(out: str) -> None:
     torch.set_default_dtype(torch.float64)
-    set_threads(1)
+    torch.set_num_threads(1)
     ranks, _ = join_ranks("cpu")
     part = replace(DEMO.parts[0], iterations=STEPS)
     preset = replace(DEMO, rays=RAYS, warm_up=2)

@@ -113,7 +113,7 @@ class Outline:
     def nearest(self, other: "Outline", bend: float) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
         """For each pixel of ours the nearest of `other` with a like normal, and how far it is in pixels."""
         # a k-d tree moves a split beside equal points to the next float; next to 0 that is a denormal, and where
-        # those are flushed (train.trainer.set_threads) the tree would grow for ever: keep away from 0
+        # those are flushed (train.trainer.flushed_denormals) the tree would grow for ever: keep away from 0
         far = 1e5
         tree = KDTree(np.c_[other.at, bend * other.normals] + far)
         index = np.asarray(tree.query(np.c_[self.at, bend * self.normals] + far)[1])

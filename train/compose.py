@@ -23,7 +23,7 @@ from train.mesh import vertex_normals
 from train.objective import RayTensors, StepReport
 from train.parts import eq9_shares, part_boxes
 from train.preset import Preset
-from train.register import Registration, refine_by_surfaces
+from train.register import Anchors, Registration, refine_by_surfaces
 from train.skin import CanonicalSkin
 from train.surface import Surface, extract_surface, fill_from_neighbours
 from train.union import train_union, zero_level
@@ -50,7 +50,7 @@ def compose(
     began = time.monotonic()
     correction = Registration(np.eye(4), 0.0)
     if rays is not None:
-        correction = register_head(subject, fields)
+        correction = register_head(subject, fields, landmark_anchors(capture, landmarks))
         facts["registration"]["surfaces_median_mm"] = round(correction.residual * 1000, 3)
         say(f"head surface on the body's (Eq. 5): median {correction.residual * 1000:.2f} mm point to plane")
     head_from_canonical = torch.tensor(np.linalg.inv(correction.transform), dtype=torch.float32)
@@ -166,10 +166,19 @@ def match_appearances(
     return matched
 
 
-def register_head(subject: Subject, fields: Sequence[PartField]) -> Registration:
+def landmark_anchors(capture: Capture, landmarks: Registration) -> Anchors:
+    """The landmarks where Eq. 6 put them, the template's places, and how far apart the two are."""
+    video, moved = capture.videos["head"], landmarks.transform
+    assert video.landmarks is not None and video.landmark_vertices is not None
+    source = video.landmarks @ moved[:3, :3].T + moved[:3, 3]
+    spread = max(landmarks.residual / np.sqrt(3), 1e-4)
+    return Anchors(source, capture.subject.vertices[video.landmark_vertices], spread)
+
+
+def register_head(subject: Subject, fields: Sequence[PartField], anchors: Anchors) -> Registration:
     """Eq. 5 on template points of the face and neck, moved onto each part's own displayed surface.
 
-    The transform is canonical_from_head_field: rigid, metres.
+    The transform is canonical_from_head_field: a similarity near the identity, metres.
     """
     chosen = (subject.part == 1) & ~subject.hair
     seeds, normals = subject.vertices[chosen], vertex_normals(subject.vertices, subject.faces)[chosen]
@@ -182,4 +191,5 @@ def register_head(subject: Subject, fields: Sequence[PartField]) -> Registration
         body.points[body.arrived],
         body.normals[body.arrived],
         source_normals=head.normals[head.arrived],
+        anchors=anchors,
     )

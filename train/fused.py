@@ -13,8 +13,9 @@ from train.parts import Part, eq9_shares
 class FusedField(nn.Module):
     """F(x + mean over frames of T_nr(x, code)), distance and colour blended with Eq. 9's weights.
 
-    Everything is canonical, metres, float32. `head_from_canonical` is the rigid correction of Eq. 5: the head
-    field lives where the landmarks (Eq. 6) put it, and points, directions and normals are moved there inside.
+    Everything is canonical, metres, float32. `head_from_canonical` is the correction of Eq. 5, a similarity: the
+    head field lives where the landmarks (Eq. 6) put it; points, directions, normals and distances are moved there
+    and back inside.
     Colours use each part's reference code. One field alone (the body, or a single network) speaks everywhere.
 
     With `switch` the colour does not blend: the part that speaks loudest is the only one (ablation of Eq. 9).
@@ -63,8 +64,7 @@ class FusedField(nn.Module):
                 for index in range(len(self.fields)):
                     chosen = shares[:, index] > 0
                     if chosen.any():
-                        local, _ = self.local(index, piece[chosen])
-                        own = shares[chosen, index] * self.field(index)(local).distance
+                        own = shares[chosen, index] * self.part_distance(index, piece[chosen])
                         total = total.index_put((chosen,), own, True)
                 out.append(total)
         return torch.cat(out) if out else torch.zeros(0)
@@ -100,7 +100,13 @@ class FusedField(nn.Module):
     def part_distance(self, index: int, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
         """Signed distance of one part alone, metres, at canonical points."""
         local, _ = self.local(index, points)
-        return self.field(index)(local).distance
+        return self.field(index)(local).distance / self._scale(index)
+
+    def _scale(self, index: int) -> Float[Tensor, ""] | float:
+        """Units of the part's own frame a canonical metre."""
+        if self.parts[index].name != "head":
+            return 1.0
+        return torch.linalg.det(self.head_from_canonical[:3, :3]) ** (1 / 3)
 
     def part_color(
         self,
@@ -127,8 +133,9 @@ class FusedField(nn.Module):
         """
         R = None
         if self.parts[index].name == "head":
-            R = self.head_from_canonical[:3, :3]
-            points = points @ R.T + self.head_from_canonical[:3, 3]
+            A = self.head_from_canonical[:3, :3]
+            points = points @ A.T + self.head_from_canonical[:3, 3]
+            R = A / self._scale(index)
         field = self.field(index)
         return points + field.displacement.mean(field.unit(points)), R
 
@@ -137,6 +144,6 @@ class FusedField(nn.Module):
         with torch.no_grad():
             local, R = self.local(index, points)
         sample, gradient = self.field(index).with_gradient(local, create_graph=False)
-        sample = FieldSample(sample.distance.detach(), sample.feature.detach())
+        sample = FieldSample(sample.distance.detach() / self._scale(index), sample.feature.detach())
         gradient = gradient.detach()
         return sample, gradient if R is None else gradient @ R

@@ -38,7 +38,7 @@ from train.rigid import with_rigid_head
 from train.session import Session, capture_digest, digest_of, open_session
 from train.single import part_names, part_presets, show_as_in_the_body_video, single_rays, single_template
 from train.template import SurfaceCloud, neck_height, surface_cloud, template_grid, visible_faces
-from train.trainer import peak_memory, set_threads, train_field
+from train.trainer import peak_memory, train_field
 from train.union import read_rays, write_rays
 from train.workers import Tell, run_jobs
 
@@ -145,7 +145,7 @@ def _compose(
     names, settings = part_names(preset), part_presets(preset)
     fields = [run_folder.read_part(partial / f"{name}.pt", capture.subject, i, settings[i])
               for i, name in enumerate(names)]  # fmt: skip
-    set_threads(os.cpu_count() or 1)
+    torch.set_num_threads(os.cpu_count() or 1)
     progress = Progress("body, stage 2", preset.union.iterations)
     with whole_folder(out) as folder:
         rays = None if preset.single else read_rays(partial / "body.rays", torch.device(device))
@@ -272,7 +272,7 @@ def train_part(job: PartJob, tell: Tell) -> dict:
     checkpoint, done = folder / f"{name}.ckpt", folder / f"{name}.json"
     if job.resume and done.exists():
         return json.loads(done.read_text("utf-8"))
-    set_threads(job.threads)
+    torch.set_num_threads(job.threads)
     began, cpu = time.monotonic(), time.process_time()
     capture = with_refined(read_capture(job.capture), folder)
     capture = replace(capture, subject=read_subject(folder / "subject.npz", capture.subject.name))

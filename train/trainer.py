@@ -3,7 +3,8 @@
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import astuple
 from pathlib import Path
 
@@ -90,7 +91,7 @@ def train_field(
         if checkpoint is not None and ranks.writes:
             save_checkpoint(checkpoint, modules, optimiser, generator, at)
 
-    with deferred_stop() as stop:
+    with deferred_stop() as stop, flushed_denormals():
         while at.iteration < part.iterations:
             rung = at.iteration if extra is None else part.iterations  # stage 2 stays where the ladders ended
             scale, beta = rate_at(at.iteration, part, preset), beta_at(rung, part, preset)
@@ -143,10 +144,18 @@ def train_field(
     return at.skipped
 
 
-def set_threads(count: int) -> None:
-    """Threads of torch, and denormals flushed to zero: softplus(100 x) makes them by the million."""
+@contextmanager
+def flushed_denormals() -> Iterator[None]:
+    """Denormals are zero inside: softplus(100 x) makes them by the million, and each costs a hundred cycles.
+
+    Never outside: a k-d tree splits beside equal points at the next float, and beside 0 that is a denormal; flushed,
+    the tree never ends.
+    """
     torch.set_flush_denormal(True)
-    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)
 
 
 def peak_memory(device: str) -> int | None:

@@ -16,7 +16,7 @@ from train.parts import Box, part_boxes
 from train.preset import DEMO
 from train.rays import Band, march, part_rays
 from train.template import surface_cloud, template_grid
-from train.trainer import set_threads, train_field
+from train.trainer import train_field
 
 BAND = Band(0.03, 0.02, 0.005)
 RADIUS = 0.1
@@ -209,11 +209,11 @@ def test_a_batch_of_background_or_person_alone_has_finite_gradients(capture, clo
 def _trains(field, rays) -> None:
     """Six steps, none of them skipped, all parameters finite."""
     threads = torch.get_num_threads()
-    set_threads(1)
+    torch.set_num_threads(1)
     try:
         skipped = train_field(field, rays, PRESET.parts[2], PRESET, seed=3)
     finally:
-        set_threads(threads)
+        torch.set_num_threads(threads)
     assert skipped == 0 and all(torch.isfinite(p).all() for p in field.parameters())
 
 
@@ -221,13 +221,13 @@ def test_training_resumed_equals_training_never_stopped_bit_for_bit(capture, clo
     rays = ray_tensors(_rays(capture, cloud), cloud, torch.device("cpu"))
     whole, halves, again = (_field(capture, cloud) for _ in range(3))
     path, threads = tmp_path / "half.ckpt", torch.get_num_threads()
-    set_threads(1)
+    torch.set_num_threads(1)
     try:
         train_field(whole, rays, PRESET.parts[2], PRESET, seed=3)
         train_field(halves, rays, PRESET.parts[2], PRESET, seed=3, checkpoint=path, stop_after=2)
         train_field(again, rays, PRESET.parts[2], PRESET, seed=3, checkpoint=path, resume=True)
     finally:
-        set_threads(threads)
+        torch.set_num_threads(threads)
     moved = 0
     for (name, value), start in zip(whole.state_dict().items(), _field(capture, cloud).state_dict().values()):
         assert torch.equal(value, again.state_dict()[name]), name

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from avatar.rotation import matrix_from_axis_angle
-from train.register import refine_by_surfaces, similarity_from_landmarks
+from train.register import Anchors, refine_by_surfaces, similarity_from_landmarks
 
 
 def _landmarks(count: int = 8, seed: int = 0) -> np.ndarray:
@@ -97,3 +97,26 @@ def test_surfaces_that_do_not_overlap_or_have_other_units_are_refused():
         refine_by_surfaces(target + 1.0, target, normals)
     with pytest.raises(ValueError, match="under 10 %"):
         refine_by_surfaces(target * 1000, target, normals)
+
+
+def test_landmarks_hold_what_the_surfaces_do_not_and_the_scale_is_found():
+    """On a sphere the surfaces say nothing of the rotation; Eq. 6's scale is 1 % off and both sides say so."""
+    rng = np.random.default_rng(5)
+    d = rng.standard_normal((3000, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    places = 0.1 * d[:14]
+    spread = 0.002
+    anchors = Anchors(1.01 * places, places, spread)
+    found = refine_by_surfaces(1.01 * 0.1 * d[::2], 0.1 * d, d, source_normals=d[::2], anchors=anchors).transform
+    np.testing.assert_allclose(found, np.diag([1 / 1.01] * 3 + [1.0]), atol=1e-4)
+
+
+def test_noisy_landmarks_give_way_to_surfaces_that_determine_the_place():
+    rng = np.random.default_rng(6)
+    target, normals = _egg(8000)
+    places = target[rng.choice(len(target), 14)]
+    wrong = places + [0.004, 0, 0]  # all landmarks 4 mm to one side, believed to 2 mm
+    free = refine_by_surfaces(target[::2], target, normals, anchors=Anchors(places, places, 0.002)).transform
+    np.testing.assert_allclose(free, np.eye(4), atol=1e-6)
+    pulled = refine_by_surfaces(target[::2], target, normals, anchors=Anchors(places, wrong, 0.002)).transform
+    assert np.linalg.norm(pulled[:3, 3]) < 0.0015

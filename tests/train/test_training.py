@@ -21,7 +21,7 @@ from train.rays import part_rays
 from train.single import single_part
 from train.surface import extract_surface
 from train.template import TemplateGrid, surface_cloud, template_grid, visible_faces
-from train.trainer import set_threads, train_field
+from train.trainer import train_field
 from train.variants import seam_steps
 
 TINY = replace(
@@ -65,7 +65,7 @@ def test_cached_sections_begin_outside_the_template_and_the_hits_lie_on_it(captu
 def test_resumed_training_equals_training_never_stopped(hand, tmp_path):
     build, rays = hand
     threads = torch.get_num_threads()
-    set_threads(1)
+    torch.set_num_threads(1)
     try:
         whole, halves, again = build(), build(), build()
         train_field(whole, rays, TINY.parts[2], TINY, seed=3)
@@ -73,9 +73,19 @@ def test_resumed_training_equals_training_never_stopped(hand, tmp_path):
         train_field(halves, rays, TINY.parts[2], TINY, seed=3, checkpoint=path, stop_after=3)
         train_field(again, rays, TINY.parts[2], TINY, seed=3, checkpoint=path, resume=True)
     finally:
-        set_threads(threads)
+        torch.set_num_threads(threads)
     for name, value in whole.state_dict().items():
         assert torch.equal(value, again.state_dict()[name]), name
+
+
+def test_denormals_are_flushed_while_training_and_never_after(hand):
+    """A k-d tree built with flushed denormals never ends: it split beside equal points and the process crashed."""
+    build, rays = hand
+    tiny = lambda: float(torch.tensor([1e-310], dtype=torch.float64).mul(1.0)[0])
+    seen = []
+    train_field(build(), rays, TINY.parts[2], TINY, seed=3, report=lambda *_: seen.append(tiny()))
+    assert seen and max(seen) == 0.0
+    assert tiny() > 0
 
 
 def test_a_checkpoint_cut_in_half_is_refused_by_name(hand, tmp_path):
@@ -156,7 +166,7 @@ def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
     try:
         assert main([str(capture.path), "-o", str(out), "--seed", "1"]) == 0
     finally:
-        set_threads(threads)
+        torch.set_num_threads(threads)
     run = run_folder.read_run(out)
     points = torch.as_tensor(run.surface.vertices, dtype=torch.float32)
     assert run.field.distance(points).abs().quantile(0.95) < 0.003
@@ -221,7 +231,7 @@ def test_a_single_network_has_the_parameters_rays_and_steps_of_the_four_parts(ca
     try:
         assert main([str(capture.path), "-o", str(out), "--single", "--preview", "0"]) == 0
     finally:
-        set_threads(threads)
+        torch.set_num_threads(threads)
     run = run_folder.read_run(out)
     assert len(run.field.fields) == 1 and run.provenance["parts"]["single"]["steps"] == 4 * 6
     field = run.field.field(0)

@@ -23,7 +23,6 @@ from train.preset import DEMO
 from train.rays import part_rays
 from train.run import build_field, read_run
 from train.template import TemplateGrid, surface_cloud, template_grid, visible_faces
-from train.trainer import set_threads
 from train.union import geometry_loss, in_overlap, overlap_surface, train_union, zero_level
 from train.variants import VARIANTS, seam_steps, variant
 
@@ -79,6 +78,24 @@ def test_the_zero_level_of_a_part_is_where_it_is_shown():
     assert len(points) > 500
     away = (points - torch.tensor([0, 0.002, -0.003])).norm(dim=1) - 0.105
     assert away.abs().max() < 7e-4  # the template's cells are 1 cm
+
+
+def test_a_head_that_eq5_scales_shows_distances_in_metres_and_unit_normals():
+    """A sphere of 105 mm in a head frame 2 % too large is one of 105 / 1.02 mm, its distance a distance."""
+    c, s = 0.8, 0.6
+    head_from_canonical = torch.eye(4)
+    head_from_canonical[:3, :3] = 1.02 * torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    field = _sphere_field(0.105, (0.0, 0.0, 0.0))
+    fused = FusedField([_sphere_field(0.1, (0.0, 0.0, 0.0)), field], SPHERES, head_from_canonical).eval()
+    fused.requires_grad_(False)
+    d = torch.nn.functional.normalize(torch.randn(500, 3, generator=torch.Generator().manual_seed(3)), dim=1)
+    away = torch.linspace(-0.01, 0.01, 500)
+    points = d * (0.105 / 1.02 + away)[:, None]
+    assert (fused.part_distance(1, points) - away).abs().max() < 7e-4  # the template's cells are 1 cm
+    sample, gradient = fused.part_gradient(1, points)
+    torch.testing.assert_close(sample.distance, fused.part_distance(1, points))
+    assert (torch.nn.functional.normalize(gradient, dim=1) - d).norm(dim=1).max() < 0.05
+    assert (gradient.norm(dim=1) - 1).abs().max() < 0.05
 
 
 @pytest.mark.parametrize("consistency, surface", [(1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])
@@ -219,7 +236,7 @@ def test_stage_2_interrupted_and_resumed_equals_stage_2_never_stopped(capture, u
     fused, rays = untrained
     preset = replace(TINY, union=replace(TINY.union, iterations=20))
     threads = torch.get_num_threads()
-    set_threads(1)
+    torch.set_num_threads(1)
 
     def stop(iteration, step):
         raise KeyboardInterrupt
@@ -234,7 +251,7 @@ def test_stage_2_interrupted_and_resumed_equals_stage_2_never_stopped(capture, u
             )
         train_union(again, capture.subject, rays, preset, seed=3, checkpoint=path, resume=True)
     finally:
-        set_threads(threads)
+        torch.set_num_threads(threads)
     for name, value in whole.state_dict().items():
         assert torch.equal(value, again.state_dict()[name]), name
     moved = [
@@ -262,7 +279,7 @@ def run(capture, tmp_path_factory):
             assert main([str(capture.path), "-o", str(out), "--preview", "0", "--refine-poses", "off"]) == 0
             yield read_run(out)
         finally:
-            set_threads(threads)
+            torch.set_num_threads(threads)
 
 
 def test_stage_2_brings_the_body_nearer_to_every_part_and_the_run_keeps_both_bodies(run):
