@@ -94,8 +94,8 @@ def test_a_head_that_eq5_scales_shows_distances_in_metres_and_unit_normals():
     assert (fused.part_distance(1, points) - away).abs().max() < 7e-4  # the template's cells are 1 cm
     sample, gradient = fused.part_gradient(1, points)
     torch.testing.assert_close(sample.distance, fused.part_distance(1, points))
-    assert (torch.nn.functional.normalize(gradient, dim=1) - d).norm(dim=1).max() < 0.05
-    assert (gradient.norm(dim=1) - 1).abs().max() < 0.05
+    assert (torch.nn.functional.normalize(gradient, dim=1) - d).norm(dim=1).max() < 0.12  # a wrong turn: .63
+    assert (gradient.norm(dim=1) - 1).abs().max() < 0.07
 
 
 @pytest.mark.parametrize("consistency, surface", [(1.0, 1.0), (1.0, 0.0), (0.0, 1.0)])
