@@ -21,6 +21,7 @@ class PartPreset:
     displacement_reach: float  # |T_nr| at most, metres
     displacement_weight: float  # lambda_2, per metre of T_nr (supplement: .01, hands .001)
     networks: TriPlaneNetworks | HashNetworks | PaperNetworks
+    background: float = 1.0  # share of the cached pixels that may lie beside the person, at most
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,8 @@ class Preset:
 
 
 _HAND = PartPreset(
-    1000, 0.002, 0.002, Band(0.012, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, TriPlaneNetworks()
-)
+    1000, 0.002, 0.002, Band(0.012, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, TriPlaneNetworks(), 0.2
+)  # rays between fingers may follow the wrong one: few of them, or they carve the fingers' sides
 
 DEMO = Preset(
     "demo",
@@ -114,15 +115,17 @@ FAST = Preset(
 )
 
 _PAPER_HAND = PartPreset(
-    100_000, 0.002, 0.002, Band(0.1, 0.1, 0.01), (0.1, 0.1), 0.005, 0.001, PaperNetworks()
+    100_000, 0.002, 0.002, Band(0.1, 0.1, 0.01), (0.1, 0.1), 0.005, 0.001, PaperNetworks(), 0.3
 )
 
 # The supplement's numbers; where it is silent, the authors' code's (bands, |T_nr| at most, rays of one frame)
 PAPER = Preset(
     "paper",
     (
-        PartPreset(100_000, 0.01, 0.01, Band(0.1, 0.1, 0.01), (0.1, 0.1), 0.05, 0.01, PaperNetworks()),
-        PartPreset(100_000, 0.003, 0.003, Band(0.04, 0.04, 0.005), (0.1, 0.1), 0.05, 0.01, PaperNetworks()),
+        PartPreset(100_000, 0.01, 0.01, Band(0.1, 0.1, 0.01), (0.1, 0.1), 0.05, 0.01, PaperNetworks(), 0.3),
+        PartPreset(
+            100_000, 0.003, 0.003, Band(0.04, 0.04, 0.005), (0.1, 0.1), 0.05, 0.01, PaperNetworks(), 0.3
+        ),
         _PAPER_HAND,
         _PAPER_HAND,
     ),

@@ -148,8 +148,11 @@ def part_rays(
     per_frame: int,
     canonical_from_head: Float[Array, "4 4"] | None,
     rng: np.random.Generator,
+    background: float = 1.0,
 ) -> TrainingRays:
     """The rays of a video that train `part`, at most `per_frame` of each frame.
+
+    Of these at most the share `background` lies beside the person.
 
     A pixel supervises a part when its ray first meets the template inside the part's box, or, for a ray that
     passes by, when its closest approach lies in the box (FRAMES.md). Sections never leave the box.
@@ -179,7 +182,7 @@ def part_rays(
         # background pixels farther from the person than this see no band
         reach = camera.K[0, 0] * band.outside / scale / max(float(np.linalg.norm(middle - camera.eye)), 1e-9)
         unsure = None if video.unsure is None else video.unsure[frame]
-        pixels = _choose_pixels(mask, unsure, per_frame, reach, rng)
+        pixels = _choose_pixels(mask, unsure, per_frame, background, reach, rng)
         origins, directions = pixel_rays(camera, pixels[:, ::-1] + 0.5)
         if canonical_from_head is not None:
             origins = origins @ canonical_from_head[:3, :3].T + canonical_from_head[:3, 3]
@@ -226,18 +229,25 @@ def part_rays(
 
 
 def _choose_pixels(
-    mask: Array, unsure: Array | None, count: int, reach: float, rng: np.random.Generator
+    mask: Array, unsure: Array | None, count: int, background: float, reach: float, rng: np.random.Generator
 ) -> Array:
     """Random pixels (row, column) on the person and within `reach` pixels of it, all equally likely; none unsure.
 
     Were the two sides of an outline drawn unequally often, their losses would balance beside it and not on it.
+    At most the share `background` lies beside the person all the same.
     """
     if not mask.any():
         return np.zeros((0, 2), int)
-    near = distance_to(mask) < max(reach, 2.0)
+    away = distance_to(mask)
+    near = away < max(reach, 2.0)
     if unsure is not None:
         near &= ~unsure
-    return rng.permutation(np.argwhere(near))[:count]
+    chosen = rng.permutation(np.argwhere(near))
+    beside = away[tuple(chosen.T)] > 0
+    share = min(float(beside.mean()), background) if len(chosen) else 0.0
+    outside = int(count * share)
+    chosen = np.concatenate([chosen[beside][:outside], chosen[~beside][: count - outside]])
+    return chosen[:count]
 
 
 def _first_steps(ray: Int[Array, "steps"]) -> Int[Array, "rays"]:

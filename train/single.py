@@ -55,8 +55,14 @@ def single_part(preset: Preset) -> PartPreset:
     networks = body.networks
     match networks:
         case TriPlaneNetworks():
-            sides = {"plane_size": 2 * networks.plane_size, "color_size": 2 * networks.color_size}
-            networks = replace(networks, **sides, width=2 * networks.width)
+            each = [p.networks for p in preset.parts if isinstance(p.networks, TriPlaneNetworks)]
+            plane_size, color_size = (
+                round(sum(getattr(n, side) ** 2 for n in each) ** 0.5)
+                for side in ("plane_size", "color_size")
+            )
+            networks = replace(
+                networks, plane_size=plane_size, color_size=color_size, width=2 * networks.width
+            )
         case HashNetworks():
             finest = min(
                 part.networks.cell for part in preset.parts if isinstance(part.networks, HashNetworks)
@@ -88,7 +94,7 @@ def single_rays(
             capture.videos[name], subject, cloud, part_boxes(subject)[index], settings.band,
             ends=preset.sections + 2, per_frame=preset.rays_per_frame,
             canonical_from_head=canonical_from_head if name == "head" else None,
-            rng=np.random.default_rng([seed, index]),
+            rng=np.random.default_rng([seed, index]), background=settings.background,
         )  # fmt: skip
         each.append(ray_tensors(rays, cloud, device))
         flagged.append(rays.flagged * len(rays.ends))

@@ -345,6 +345,7 @@ def _part_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
     rays = part_rays(
         video, subject, cloud, part, settings.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame,
         canonical_from_head=canonical_from_head, rng=np.random.default_rng([job.seed, job.index]),
+        background=settings.background,
     )  # fmt: skip
     preview = _preview(job, video, subject, cloud, canonical_from_head)
     return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, preview)

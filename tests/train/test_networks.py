@@ -298,7 +298,8 @@ def hand(tmp_path_factory):
         preset = SMALL[name]
         own = replace(preset.parts[2], iterations=60, networks=SIZES[name], cell=0.006, spacing=0.006)
         rays = part_rays(capture.videos["hand_left"], capture.subject, cloud, part, own.band, ends=preset.sections + 2,
-                         per_frame=300, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
+                         per_frame=300, canonical_from_head=None, rng=np.random.default_rng(0),
+                         background=own.background)  # fmt: skip
         torch.manual_seed(5)
         field = run_folder.build_field(capture.subject, 2, own, template, 4)
         return preset, own, field, ray_tensors(rays, cloud, torch.device("cpu"))

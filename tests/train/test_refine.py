@@ -73,7 +73,7 @@ def test_a_planted_pose_error_is_reduced_to_a_third(capture, planted):
 def test_exact_poses_stay_where_they_are(capture):
     video = capture.videos["body"]
     aligned = align(video, capture.subject)
-    assert _pixels_off(video, capture.subject, aligned.axis_angle, aligned.root) < 0.5  # of a picture of 96
+    assert _pixels_off(video, capture.subject, aligned.axis_angle, aligned.root) < 0.6  # of a picture of 96
 
 
 def test_derivative_of_the_increments_is_that_of_the_kinematic_chain(capture):
@@ -182,9 +182,9 @@ def test_unsure_pixels_supervise_nothing_and_none_unsure_changes_no_choice():
     mask[5:15, 5:15] = True
     unsure = np.zeros((20, 20), bool)
     unsure[4:8] = True
-    chosen = _choose_pixels(mask, unsure, 1000, 5.0, rng())
+    chosen = _choose_pixels(mask, unsure, 1000, 1.0, 5.0, rng())
     assert len(chosen) and not unsure[tuple(chosen.T)].any()
-    plain, nothing = (_choose_pixels(mask, u, 40, 5.0, rng()) for u in (None, np.zeros((20, 20), bool)))
+    plain, nothing = (_choose_pixels(mask, u, 40, 1.0, 5.0, rng()) for u in (None, np.zeros((20, 20), bool)))
     assert np.array_equal(plain, nothing)
 
 
@@ -192,10 +192,12 @@ def test_both_sides_of_an_outline_are_drawn_equally_often():
     """Drawn more often inside than outside, a head came out .4 mm too large."""
     mask = np.zeros((200, 200), bool)
     mask[:, 90:] = True
-    chosen = _choose_pixels(mask, None, 4000, 20.0, np.random.default_rng(1))
+    chosen = _choose_pixels(mask, None, 4000, 1.0, 20.0, np.random.default_rng(1))
     outside, inside = ((chosen[:, 1] >= low) & (chosen[:, 1] < low + 18) for low in (72, 90))
     assert abs(outside.sum() - inside.sum()) < 4 * np.sqrt(2 * inside.sum())
     assert chosen[:, 1].min() > 69
+    few = _choose_pixels(mask, None, 4000, 0.1, 20.0, np.random.default_rng(1))
+    assert (few[:, 1] < 90).sum() == 400 and len(few) == 4000
 
 
 def test_off_measures_nothing_and_leaves_the_capture_alone(capture, tmp_path):

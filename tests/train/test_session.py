@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -38,6 +39,14 @@ def finish(process: subprocess.Popen, code: int) -> str:
     said, _ = process.communicate(timeout=120)
     assert process.returncode == code, said
     return said
+
+
+def kill(process: subprocess.Popen, act: Callable[[], None]) -> None:
+    """Kill without a word; what it said is not read (its workers may still hold the other end)."""
+    act()
+    process.wait()
+    assert process.stdout is not None
+    process.stdout.close()
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -104,8 +113,7 @@ def test_a_training_whose_parent_was_killed_saves_itself_and_goes_on(capture, ne
     out = tmp_path / "run"
     process = start(capture, out, "--save-every", "3600")
     until_learning(process, out)
-    process.kill()
-    process.wait()
+    kill(process, process.kill)
     checkpoints = [tmp_path / f"run.partial/{name}.ckpt" for name in HANDS]
     for _ in range(600):
         if all(path.exists() for path in checkpoints):
@@ -124,8 +132,7 @@ def test_after_a_power_loss_a_periodic_checkpoint_goes_on(capture, never_stopped
     while not all(path.exists() for path in checkpoints):
         assert process.poll() is None
         time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    kill(process, lambda: os.killpg(process.pid, signal.SIGKILL))
     log = tmp_path / "run.partial/logs/hand_left.csv"
     log.write_text(log.read_text() + "230,1.0")  # a row that the power loss cut short
     finish(start(capture, out, "--resume", "--save-every", "0.2"), 0)
