@@ -1,0 +1,27 @@
+"""The head of the template follows the head bone alone where its field speaks alone (Eq. 4)."""
+
+import numpy as np
+import pytest
+import torch
+from painted_capture import write_capture
+
+from avatar.skinning import dense_weights
+from train.capture import read_capture
+from train.parts import part_boxes, part_weight
+from train.rigid import HEAD, with_rigid_head
+
+
+@pytest.fixture(scope="module")
+def subject(tmp_path_factory):
+    return read_capture(write_capture(tmp_path_factory.mktemp("capture") / "test")).subject
+
+
+def test_the_head_is_rigid_where_it_speaks_alone_and_nothing_changes_below_the_overlap(subject):
+    share = part_weight(torch.as_tensor(subject.vertices), part_boxes(subject)[1]).numpy()
+    before, after = dense_weights(subject.skin), dense_weights(with_rigid_head(subject).skin)
+    alone, below = share == 1, share <= 0.5
+    assert alone.sum() > 100 and below.sum() > 100
+    assert np.abs(after[alone, HEAD] - 1).max() < 1e-6
+    np.testing.assert_allclose(after[below], before[below], atol=1e-6)
+    np.testing.assert_allclose(after.sum(1), 1, atol=1e-6)
+    assert (before[alone, HEAD] < 0.99).any()  # the body model's own weights bend it
