@@ -10,7 +10,7 @@ from avatar.camera import Camera
 from avatar.skinning import SkinWeights
 from bench import metrics
 from bench.field_view import Directions, FieldView, Picture, PosableSurface, averaged
-from player.command import opened
+from player.context import opened
 from player.raster import Rasteriser
 from player.renderer import Renderer
 from train.run import Run, read_run

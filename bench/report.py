@@ -27,8 +27,7 @@ from bench import metrics
 from bench.contact import save_sheet, sheet, spread_poses
 from bench.held_out import HeldOutView, read_held_out
 from bench.machine import machine
-from player.command import opened
-from player.context import Context
+from player.context import Context, opened
 from player.ladder import Rung, rungs_of, time_rungs
 from player.raster import Rasteriser
 from player.renderer import Pose, Renderer

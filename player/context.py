@@ -1,6 +1,7 @@
 """OpenGL 3.3 core contexts without a display: EGL device, EGL surfaceless, OSMesa, each tried in turn.
 
 Drivers are reached with ctypes and their functions handed to moderngl, so that no environment variable, no
+from avatar.errors import AssetError
 import order and no display decides what a machine renders with. What was tried, what won and why the others
 lost stays in `Context.attempts`. A window program passes the functions of its own window (`wrap_context`).
 """
@@ -15,6 +16,7 @@ from typing import Any
 
 import moderngl
 
+from avatar.errors import AssetError
 from player.counting import Counts
 
 log = logging.getLogger("selfscan.context")
@@ -362,3 +364,11 @@ def osmesa_driver() -> Driver:
         return lib.OSMesaGetProcAddress(function.encode()) or 0
 
     return Driver("OSMesa", address, make_current, let_go, destroy, [canvas])
+
+
+def opened(kind: str, gpu: int | None) -> Context:
+    """A context, or one line about why there is none."""
+    try:
+        return open_context(kind, gpu)
+    except NoContextError as error:
+        raise AssetError(str(error)) from None

@@ -65,13 +65,13 @@ def _dispatch(name: str, rest: list[str]) -> int:
         elif name == "bench":
             from bench.report import bench_main as run
         elif name == "render":
-            from player.command import render_main as run
+            from player.render_command import render_main as run
         elif name == "play":
-            from player.command import play_main as run
+            from player.play_command import play_main as run
         elif name == "stream":
             from player.live.command import stream_main as run
         elif name == "doctor":
-            from player.command import doctor_main as run
+            from player.doctor_command import doctor_main as run
         else:
             print(f"selfscan: no command {name!r}; `selfscan --help` lists them", file=sys.stderr)
             return 2

@@ -13,7 +13,8 @@ from avatar.clips import relaxed_hands
 from avatar.errors import AssetError
 from avatar.hands import HANDS, with_hands
 from avatar.motion import builtin_motion
-from player.command import opened_motion, render_main
+from player.motions import opened_motion
+from player.render_command import render_main
 
 
 def test_file_leaves_the_motion_as_it_is():

@@ -7,8 +7,9 @@ from PIL import Image
 from avatar.avatar_file import write_avatar
 from avatar.camera import orbit_camera, write_camera
 from avatar.errors import AssetError
-from player.command import doctor_main, render_main
+from player.doctor_command import doctor_main
 from player.framing import extent, facing, fitted_camera, orbit, outermost, pelvis_height
+from player.render_command import render_main
 
 
 def pixels(path):

@@ -9,9 +9,10 @@ from PIL import Image
 
 from avatar.avatar_file import write_avatar
 from avatar.errors import AssetError
-from player.command import opened_motion, play_main, retargeted
 from player.context import open_context
 from player.framing import extent, facing, fitted_camera
+from player.motions import opened_motion, retargeted
+from player.play_command import play_main
 from player.renderer import Renderer
 from player.window import Orbit, Playback, check_script
 
@@ -81,7 +82,7 @@ def test_a_window_minimised_to_nothing_comes_back(avatar_path, tmp_path):
     code = (
         "import glfw, sys; import player.window as w; real = glfw.get_framebuffer_size; n = [0]\n"
         "def size(handle):\n    n[0] += 1\n    return (0, 0) if 4 < n[0] < 12 else real(handle)\n"
-        "glfw.get_framebuffer_size = size\nfrom player.command import play_main\nsys.exit(play_main(sys.argv[1:]))"
+        "glfw.get_framebuffer_size = size\nfrom player.play_command import play_main\nsys.exit(play_main(sys.argv[1:]))"
     )
     out = str(tmp_path / "a.png")
     arguments = [

@@ -19,7 +19,6 @@ from avatar.body import builtin_body
 from avatar.errors import AssetError
 from avatar.motion import Clip, builtin_motion, read_motion
 from avatar.rotation import matrix_from_axis_angle
-from player.command import play_main
 from player.live.address import Address, parse_address
 from player.live.command import connected, encoder, send, stream_main, timed_poses
 from player.live.frame import LivePose
@@ -28,6 +27,7 @@ from player.live.json_pose import build_pose
 from player.live.playback import LivePlayback
 from player.live.receiver import UdpListener, listen
 from player.live.take import Take
+from player.play_command import play_main
 
 
 def worst_angle(a, b):
@@ -354,6 +354,6 @@ def test_stream_sends_the_motion_and_says_so(moving, capsys):
 
 
 def test_the_player_imports_no_live_package_until_asked():
-    code = "import sys, json, player.command; print(json.dumps([m for m in sys.modules if m.startswith(('websockets', 'pythonosc'))]))"
+    code = "import sys, json, player.play_command; print(json.dumps([m for m in sys.modules if m.startswith(('websockets', 'pythonosc'))]))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout) == []

@@ -1,0 +1,52 @@
+"""Arguments that several commands share: sizes, frame ranges, colours, hands."""
+
+import argparse
+
+from avatar.hands import HANDS
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """WxH in pixels."""
+    try:
+        width, height = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected WIDTHxHEIGHT, as 640x640, found {text!r}") from None
+    if not (1 <= width <= 16384 and 1 <= height <= 16384):
+        raise argparse.ArgumentTypeError(f"expected 1 to 16384 pixels a side, found {text}")
+    return width, height
+
+
+def parse_frames(text: str) -> tuple[int | None, int | None]:
+    """A:B, either end may be left out; B is not drawn."""
+    parts = text.split(":")
+    try:
+        start, stop = (int(part) if part else None for part in parts)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected FIRST:END, as 0:120, found {text!r}") from None
+    if (start or 0) < 0 or (stop is not None and stop <= (start or 0)):
+        raise argparse.ArgumentTypeError(f"expected a first frame before the end, found {text!r}")
+    return start, stop
+
+
+def parse_color(text: str) -> tuple[float, float, float, float]:
+    """#rrggbb or "transparent", as premultiplied RGBA."""
+    if text == "transparent":
+        return (0.0, 0.0, 0.0, 0.0)
+    digits = text.removeprefix("#")
+    if len(digits) != 6 or any(digit not in "0123456789abcdefABCDEF" for digit in digits):
+        raise argparse.ArgumentTypeError(f"expected #rrggbb or transparent, found {text!r}")
+    red, green, blue = (int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4))
+    return (red, green, blue, 1.0)
+
+
+def frame_number(text: str) -> int:
+    if not text.isdigit():
+        raise argparse.ArgumentTypeError(f"expected a frame number from 0, found {text!r}")
+    return int(text)
+
+
+def add_hands(parser: argparse.ArgumentParser) -> None:
+    """The option --hands."""
+    parser.add_argument("--hands", choices=HANDS, default="file",
+                        help="the motion's hands: file as they are (flat where there are none), flat, relaxed, or "
+                        "mean, the mean hands of --body")  # fmt: skip
