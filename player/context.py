@@ -1,7 +1,6 @@
 """OpenGL 3.3 core contexts without a display: EGL device, EGL surfaceless, OSMesa, each tried in turn.
 
 Drivers are reached with ctypes and their functions handed to moderngl, so that no environment variable, no
-from avatar.errors import AssetError
 import order and no display decides what a machine renders with. What was tried, what won and why the others
 lost stays in `Context.attempts`. A window program passes the functions of its own window (`wrap_context`).
 """
