@@ -31,7 +31,7 @@ from train.objective import RayTensors, beta_at, render_rays
 from train.prefit import fit_template
 from train.preset import PRESETS, PartPreset, Preset
 from train.register import similarity_from_landmarks
-from train.stages import PartJob, _part_ready
+from train.stages import PartJob, part_ready
 from train.trainer import peak_memory, train_field
 from train.workers import Tell
 
@@ -119,7 +119,7 @@ def one_preset(
     )
     torch.set_num_threads(threads)
     torch.manual_seed(seed * 4 + index)
-    ready = _part_ready(job, capture, Tell(lambda text: None, lambda step, note: None))
+    ready = part_ready(job, capture, Tell(lambda text: None, lambda step, note: None))
     field = ready.field
     fitted = time.monotonic()
     if preset.prefit:

@@ -277,7 +277,7 @@ def train_part(job: PartJob, tell: Tell) -> dict:
     capture = with_refined(read_capture(job.capture), folder)
     capture = replace(capture, subject=read_subject(folder / "subject.npz", capture.subject.name))
     torch.manual_seed(job.seed * 4 + job.index)
-    ready = (_single_ready if preset.single else _part_ready)(job, capture, tell)
+    ready = (single_ready if preset.single else part_ready)(job, capture, tell)
     field, rays, frames = ready.field, ready.rays, len(ready.field.appearance.weight)
     if preset.prefit and not (job.resume and checkpoint.exists()):
         off = fit_template(field, preset.prefit, seed=job.seed)
@@ -332,7 +332,7 @@ def train_part(job: PartJob, tell: Tell) -> dict:
     return facts
 
 
-def _part_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
+def part_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
     """A part's untrained field in its box, and the rays of its video."""
     name, preset, settings, device = job.name, job.preset, job.settings, torch.device(job.device)
     subject, part = capture.subject, part_boxes(capture.subject)[job.index]
@@ -351,7 +351,7 @@ def _part_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
     return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, preview)
 
 
-def _single_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
+def single_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
     """The single network (ablation), untrained, and the rays of all four videos; its preview is the body's."""
     device = torch.device(job.device)
     frames = sum(len(video.images) for video in capture.videos.values())

@@ -60,7 +60,7 @@ def extract_surface(
     hand_cell: float,
     near: float = 0.02,
 ) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"]]:
-    """Marching cubes (Lewiner et al. 2003) on a rectilinear grid; the largest connected piece.
+    """Marching cubes (Lewiner et al. 2003) on a rectilinear grid; the largest connected piece, facing outwards.
 
     The field is asked only at grid points within `near` of a coarse pass (every fourth line) that found the
     surface near; all others take the coarse value. Neither floaters nor a second person survive, nor sheets deep
@@ -84,7 +84,7 @@ def extract_surface(
     values[tuple(index.T)] = distance(points)
     if not (values.min() < 0 < values.max()):
         raise ValueError("the field has no zero crossing: nothing to extract")
-    vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="ascent")
+    vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="descent")
     for axis in range(3):
         vertices[:, axis] = np.interp(vertices[:, axis], np.arange(len(axes[axis])), axes[axis])
     return largest_piece(vertices.astype(np.float64), faces.astype(np.int64))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 from painted_capture import write_capture
 
 from avatar.errors import AssetError
@@ -207,13 +208,14 @@ class Hollow(FusedField):
 def test_the_surface_is_the_skin_although_the_field_is_hollow_and_a_pinhole_leads_in(capture):
     field = Hollow(capture.subject)
     parts = part_boxes(capture.subject)
-    vertices, _ = extract_surface(
+    vertices, faces = extract_surface(
         field, parts, capture.subject, body_cell=0.008, head_cell=0.008, hand_cell=0.008
     )
     depth = -field.template(torch.as_tensor(vertices, dtype=torch.float32)).numpy()
     assert len(vertices) > 1000
     # what is left are folds of the face; a third of all vertices when the hollow stays
     assert (depth > 0.024).mean() < 0.002
+    assert trimesh.Trimesh(vertices, faces, process=False).volume > 0.03  # m³; negative where triangles face inwards
 
 
 def test_a_capture_without_a_field_is_refused_by_name(capture, tmp_path):
