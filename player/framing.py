@@ -66,8 +66,8 @@ def fitted_camera(
 ) -> Camera:
     """The nearest camera from that side that sees every point, its target the middle of their box."""
     target = 0.5 * (points.min(0) + points.max(0))
-    return _at_distance(
-        target, _needed_distance(points, target, azimuth, elevation, size), azimuth, elevation, size
+    return at_distance(
+        target, needed_distance(points, target, azimuth, elevation, size), azimuth, elevation, size
     )
 
 
@@ -80,11 +80,11 @@ def orbit(
     """
     target = 0.5 * (points.min(0) + points.max(0))
     sides = start + np.linspace(0, 2 * np.pi, 16, endpoint=False)
-    distance = max(_needed_distance(points, target, side, ELEVATION, size) for side in sides)
+    distance = max(needed_distance(points, target, side, ELEVATION, size) for side in sides)
 
     def camera_at(turn: float, root: Float[Array, "3"]) -> Camera:
         here = target + root * [1.0, 0.0, 1.0]
-        return _at_distance(here, distance, start + 2 * np.pi * turn, ELEVATION, size)
+        return at_distance(here, distance, start + 2 * np.pi * turn, ELEVATION, size)
 
     return camera_at
 
@@ -94,7 +94,7 @@ def _direction(azimuth: float, elevation: float) -> Float[Array, "3"]:
     return np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
 
 
-def _needed_distance(
+def needed_distance(
     points: Float[Array, "points 3"], target: Sequence[float] | Array, azimuth: float, elevation: float,
     size: tuple[int, int],
 ) -> float:  # fmt: skip
@@ -106,6 +106,6 @@ def _needed_distance(
     return max(float(needed.max()), 0.1)
 
 
-def _at_distance(target, distance: float, azimuth: float, elevation: float, size: tuple[int, int]) -> Camera:
+def at_distance(target, distance: float, azimuth: float, elevation: float, size: tuple[int, int]) -> Camera:
     eye = target + distance * _direction(azimuth, elevation)
     return Camera(pinhole(size, FOV), look_at(eye, target), size)

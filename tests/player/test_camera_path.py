@@ -1,0 +1,148 @@
+import json
+
+import numpy as np
+import pytest
+
+from avatar.camera import Camera, look_at, orbit_camera, pinhole, project
+from avatar.errors import AssetError
+from player.camera_path import CameraPath, is_path, turntable
+
+SIZE = (320, 240)
+KEYS = [
+    {"t": 0.0, "eye": [0, 1, 3], "target": [0, 1, 0]},
+    {"t": 1.0, "eye": [2, 1.5, 2], "target": [0.2, 1, 0], "fov_deg": 20},
+    {"t": 3.5, "eye": [3, 1, 0], "target": [0, 1.2, 0.1], "fov_deg": 60},
+]
+
+
+def written(tmp_path, keys):
+    path = tmp_path / "path.json"
+    path.write_text(json.dumps({"keys": keys}))
+    return path
+
+
+@pytest.fixture
+def path(tmp_path):
+    return CameraPath.read(written(tmp_path, KEYS))
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_the_path_passes_through_its_keys(path, number):
+    key = KEYS[number]
+    camera = path.camera(key["t"], SIZE)
+    expected = look_at(key["eye"], key["target"])
+    assert np.abs(camera.camera_from_world - expected).max() < 1e-12
+    assert np.abs(camera.K - pinhole(SIZE, np.radians(key.get("fov_deg", 35)))).max() < 1e-9
+
+
+def test_the_path_is_smooth_in_place_direction_and_lens(path):
+    """Second differences over a step h fall as h^2 (no kink), and first ones as h (no jump)."""
+    for time in (1.0, 0.4, 2.0):
+        rows = []
+        for h in (1e-3, 5e-4):
+            cameras = [path.camera(time + k * h, SIZE) for k in (-1, 0, 1)]
+            flat = [np.concatenate([c.K.ravel(), c.camera_from_world.ravel()]) for c in cameras]
+            rows.append((flat[2] - flat[0], flat[2] - 2 * flat[1] + flat[0]))
+        assert np.allclose(rows[0][0], 2 * rows[1][0], rtol=0.05, atol=1e-4)
+        assert np.abs(rows[1][1]).max() <= 0.6 * np.abs(rows[0][1]).max() + 1e-9
+
+
+def test_before_the_first_key_and_after_the_last_it_stands_still(path):
+    for time, key in ((-5.0, 0), (99.0, 2)):
+        assert np.allclose(path.camera(time, SIZE).eye, KEYS[key]["eye"], atol=1e-12)
+    assert path.duration == 3.5
+
+
+def test_a_straight_run_at_even_pace_stays_straight_and_even():
+    cameras = [Camera(pinhole(SIZE, 0.6), look_at((x, 1, 4), (x, 1, 0)), SIZE) for x in (0.0, 0.5, 2.0)]
+    run = CameraPath.through([0.0, 1.0, 4.0], cameras, 4.0)
+    for time in np.linspace(0, 4, 9):
+        assert np.abs(run.camera(time, SIZE).eye - (0.5 * time, 1, 4)).max() < 1e-12
+
+
+def test_camera_files_are_keys_and_any_size_shows_the_same_height(tmp_path):
+    K = np.array([[900.0, 1.5, 300], [0, 880, 260], [0, 0, 1]])
+    held = Camera(K, look_at((1, 2, 3), (0, 1, 0), (0.3, 1, 0)), (640, 480))
+    key = {
+        "t": 2.0,
+        "size": [640, 480],
+        "K": K.tolist(),
+        "camera_from_world": held.camera_from_world.tolist(),
+    }
+    path = CameraPath.read(written(tmp_path, [KEYS[0], key]))
+    same = path.camera(2.0, (640, 480))
+    assert np.abs(same.K - K).max() < 1e-9
+    assert np.abs(same.camera_from_world - held.camera_from_world).max() < 1e-12
+    wide = path.camera(2.0, (1280, 480))  # more to the sides, the same from top to bottom
+    points = np.random.default_rng(0).normal(size=(20, 3)) * 0.3 + [0, 1, 0]
+    (a, _), (b, _) = project(same, points), project(wide, points)
+    assert np.abs(b - a - (320, 0)).max() < 1e-6
+
+
+def test_what_is_written_is_read_again(path, tmp_path):
+    tilted = Camera(
+        np.array([[90.0, 0, 30], [0, 88, 26], [0, 0, 1]]), look_at((1, 2, 3), (0, 1, 0), (1, 1, 0)), (64, 48)
+    )
+    for kept in (path, CameraPath.through([0.0, 2.0], [tilted, orbit_camera((0, 1, 0), 2, 1, 0, SIZE)])):
+        kept.write(tmp_path / "again.json")
+        again = CameraPath.read(tmp_path / "again.json")
+        for time in kept.seconds:
+            a, b = kept.camera(time, SIZE), again.camera(time, SIZE)
+            assert np.abs(a.K - b.K).max() < 1e-9
+            assert np.abs(a.camera_from_world - b.camera_from_world).max() < 1e-12
+    assert is_path(tmp_path / "again.json")
+
+
+def test_eye_and_target_that_meet_on_the_way_keep_a_direction(tmp_path):
+    keys = [
+        {"t": 0, "eye": [0, 1, 1], "target": [0, 1, 0]},
+        {"t": 1, "eye": [0, 1, -1], "target": [0, 1, 0]},
+    ]
+    path = CameraPath.read(written(tmp_path, keys))
+    for time in np.linspace(0, 1, 101):
+        assert np.isfinite(path.camera(time, SIZE).camera_from_world).all()
+    assert np.allclose(path.camera(0.5, SIZE).camera_from_world[2, :3], (0, 0, -1))
+
+
+def test_a_turntable_sees_everything_from_all_sides_and_joins():
+    points = np.random.default_rng(1).normal(size=(300, 3)) * (0.3, 0.9, 0.2) + (5, 1, 2)
+    camera = turntable(points, 0.4, SIZE, 4.0)
+    for time in np.linspace(0, 4, 13):
+        pixels, depth = project(camera(time), points)
+        assert (depth > 0).all() and (pixels > 0).all() and (pixels < SIZE).all()
+    assert np.abs(camera(4.0).camera_from_world - camera(0.0).camera_from_world).max() < 1e-12
+    away = camera(1.0).eye - camera(3.0).eye  # a quarter and three quarters: opposite sides
+    middle = 0.5 * (points.min(0) + points.max(0))
+    assert np.abs(0.5 * (camera(1.0).eye + camera(3.0).eye) - middle)[[0, 2]].max() < 1e-9
+    assert np.linalg.norm(away) > 2
+    with pytest.raises(ValueError, match="positive number of seconds"):
+        turntable(points, 0.0, SIZE, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ([], "at least one key"),
+        ([KEYS[1], KEYS[0]], "key 1: t should be after 1, is 0"),
+        ([KEYS[0], KEYS[0]], "key 1: t should be after 0"),
+        ([{"t": "now", "eye": [0, 0, 1], "target": [0, 0, 0]}], "key 0: t should be a number, is now"),
+        ([{"t": 0, "eye": [0, 0], "target": [0, 0, 0]}], "eye should be three numbers"),
+        ([{"t": 0, "eye": [0, 0, 1], "target": [0, 0, 1]}], "coincide"),
+        ([{"t": 0, "eye": [0, 0, 1], "target": [0, 0, 0], "fov_deg": 180}], "fov_deg should be"),
+        ([{"t": 0, "eye": [0, 0, 1], "target": [0, 0, 0], "fov": 30}], r"\['fov'\] is unknown"),
+        ([{"t": 0, "eye": [0, 0, 1], "target": [0, 0, 0], "up": [0, 0, 0]}], "up should be a direction"),
+        ([{"t": 0, "K": [[1]]}], "no .*camera_from_world"),
+        ([5], "key 0: expected an object"),
+    ],
+)
+def test_a_wrong_path_names_key_and_field(tmp_path, keys, message):
+    with pytest.raises(AssetError, match=message):
+        CameraPath.read(written(tmp_path, keys))
+
+
+def test_what_is_no_json_is_refused(tmp_path):
+    (tmp_path / "x.json").write_text("[" * 10)
+    with pytest.raises(AssetError, match="camera path"):
+        is_path(tmp_path / "x.json")
+    with pytest.raises(AssetError, match=r"none\.json"):
+        CameraPath.read(tmp_path / "none.json")
