@@ -15,7 +15,7 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from player.context import Context
-from player.plan import VIEWS
+from player.effects import VIEWS
 from player.renderer import Pose, Renderer
 
 VIEW_NAMES = {"network": "network per pixel", "linear": "linear", "vertex": "per vertex", "off": "paper mode"}

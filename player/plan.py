@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from avatar.baked_avatar import Avatar
 from player.blocks import BONES, FRAME, TURNS
+from player.effects import VIEWS
 
-VIEWS = ("off", "vertex", "linear", "network")
 STAGE = {"off": 0, "vertex": 1, "linear": 2, "network": 2}
 MIN_HEIGHT = 40  # pixels; view dependence of a smaller avatar cannot be seen
 

@@ -8,9 +8,9 @@ from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from player.arguments import add_hands, parse_color, parse_size
 from player.context import NoContextError
+from player.effects import VIEWS
 from player.live.command import add_live_options
 from player.motions import beside, notes, opened_motion, retargeted, standing
-from player.plan import VIEWS
 
 
 def play_main(argv: list[str]) -> int:

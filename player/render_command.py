@@ -17,10 +17,10 @@ from avatar.motion import Clip
 from avatar.progress import progress
 from player.arguments import add_hands, frame_number, parse_color, parse_frames, parse_size
 from player.context import opened
+from player.effects import VIEWS
 from player.film import Film, film_kind
 from player.framing import extent, facing, fitted_camera, orbit, outermost
 from player.motions import BLOCK, beside, frame_range, notes, opened_motion, posed_frames, retargeted
-from player.plan import VIEWS
 from player.renderer import Renderer
 
 RENDER_EXAMPLES = """examples

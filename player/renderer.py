@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import moderngl
@@ -14,6 +14,7 @@ from avatar.camera import Camera, clip_from_view
 from player.blocks import BONES, FRAME, TURNS, bind_block
 from player.constants import avatar_constants
 from player.context import Context
+from player.effects import PLAIN, Background, Effects
 from player.mesh import draw_order, interleaved, view_interleaved
 from player.plan import MIN_HEIGHT, Pass, Plan, Variant, mip_levels, resolve
 from player.posing import PosedBones, Poser, quaternions, reach
@@ -52,12 +53,16 @@ class Renderer:
         avatars: Sequence[Avatar],
         size: tuple[int, int] | None,
         *,
-        view: str = "auto",
+        effects: Effects = PLAIN,
+        background: Background | Sequence[float] = (0.0, 0.0, 0.0, 0.0),
         level: int = 0,
-        background: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
         view_amount: float = 1.0,
+        view: str | None = None,
     ):
         self.context, self.avatars = context, tuple(avatars)
+        effects = effects if view is None else replace(effects, view=view)
+        background = background.color if isinstance(background, Background) else background
+        self.effects, view = effects, effects.view
         self.view, self.level, self.view_amount = view, level, view_amount
         red, green, blue, alpha = background
         self.background = (float(red), float(green), float(blue), float(alpha))
