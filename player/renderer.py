@@ -82,8 +82,15 @@ class Renderer:
         self.drawn: list[Drawn] = []
         self.last: tuple[moderngl.Framebuffer, list[Pose], Camera, bool] | None = None
 
-    def draw(self, poses: Sequence[Pose], camera: Camera) -> UInt8[np.ndarray, "height width 4"]:
+    def draw(
+        self,
+        poses: Sequence[Pose],
+        camera: Camera,
+        out: UInt8[np.ndarray, "height width 4"] | None = None,
+    ) -> UInt8[np.ndarray, "height width 4"]:
         """The image, row 0 on top, premultiplied alpha, sRGB. One pose per avatar; the camera is fitted to size.
+
+        `out` is an array to read into, so that a film needs no new memory for each frame.
 
         Raises:
             ValueError: not one pose per avatar, or a pose with a number that is not finite.
@@ -94,7 +101,7 @@ class Renderer:
         if camera.size != (width, height):
             camera = camera.resized((width, height))
         self._frame(self.target, poses, camera, flipped=True)
-        image = np.empty((height, width, 4), np.uint8)
+        image = np.empty((height, width, 4), np.uint8) if out is None else out
         self.target.read_into(image, components=4)
         return image
 
