@@ -13,6 +13,7 @@ import numpy as np
 
 from avatar.avatar_write import ATTRIBUTES, EXTENSION, VERSION, rigid_inverse, write_avatar
 from avatar.baked_avatar import (
+    FEATURES,
     NETWORK_ARRAYS,
     VIEW_MODES,
     Avatar,
@@ -68,7 +69,7 @@ def read_avatar(path: str | Path) -> Avatar:
         raise gltf.error(f"{where}.amplitude", "a number", amplitude)
     linear = None
     if "linear" in extension:
-        linear = gltf.numbers(extension, "linear", where, (4, 3, 3)).astype(np.float32)
+        linear = gltf.numbers(extension, "linear", where, (_matrices(extension), 3, 3)).astype(np.float32)
     try:
         avatar = Avatar(
             name=extension["name"],
@@ -94,12 +95,21 @@ def _read_network(gltf: Gltf, extension: dict[str, Any]) -> ViewNetwork | None:
         return None
     if not isinstance(network, dict):
         raise gltf.error(where, "an object", network)
+    shapes = NETWORK_ARRAYS[8 if "w3" in network else 4]
     arrays = {
-        name: gltf.numbers(network, name, where, shape).astype(np.float32)
-        for name, (_, shape) in NETWORK_ARRAYS.items()
+        name: gltf.numbers(network, name, where, shape).astype(np.float32) for name, shape in shapes.items()
     }
+    unknown = sorted(set(network) - set(arrays))
+    if unknown:
+        raise gltf.error(where, f"of {', '.join(arrays)} alone", unknown)
     check_network(arrays, where)
     return ViewNetwork(**arrays)
+
+
+def _matrices(extension: dict[str, Any]) -> int:
+    """How many 3 x 3 matrices `linear` holds: 8 when it has as many numbers, else 4 are expected."""
+    values = extension["linear"]
+    return FEATURES[1] if isinstance(values, list) and len(values) == 9 * FEATURES[1] else FEATURES[0]
 
 
 def _read_levels(gltf: Gltf, extension: dict[str, Any]) -> tuple[Level, ...]:
@@ -110,7 +120,7 @@ def _read_levels(gltf: Gltf, extension: dict[str, Any]) -> tuple[Level, ...]:
     sources = [_level_source(gltf, item, f"{where}[{i}]") for i, item in enumerate(items)]
     # The same mesh or image again would multiply what a small file costs to decode.
     meshes = [source.mesh for source in sources]
-    images = [image for source in sources for image in source[1:] if image is not None]
+    images = [image for source in sources for image in (source.base_color, *source.features)]
     for name, used in (("mesh", meshes), ("image", images)):
         if len(set(used)) != len(used):
             raise gltf.error(where, f"with a {name} of their own each", used)
@@ -119,17 +129,14 @@ def _read_levels(gltf: Gltf, extension: dict[str, Any]) -> tuple[Level, ...]:
         raise gltf.error("images", f"at most {MAX_PIXELS} pixels together", pixels)
 
     levels = []
-    for i, (mesh, base_color, feature_image) in enumerate(sources):
+    for i, (mesh, base_color, feature_images) in enumerate(sources):
         arrays = _read_surface(gltf, mesh)
         arrays["base_color"] = _of_image(gltf, base_color, decode_png, "RGB")
-        features = None
-        if feature_image is not None:
-            planes = _of_image(gltf, feature_image, decode_png, "L")
-            if len(planes) % 4:
-                raise gltf.error(f"images[{feature_image}] height", "four planes", len(planes))
-            planes = planes.reshape(4, -1, planes.shape[1])
-            features = np.ascontiguousarray(np.moveaxis(planes, 0, -1))
-        fields = {**arrays, "features": features}
+        fours = [_four_features(gltf, image) for image in feature_images]
+        if len({four.shape for four in fours}) > 1:
+            found = [four.shape[:2] for four in fours]
+            raise gltf.error(f"images[{feature_images[1]}]", f"of the size of images[{feature_images[0]}]", found)
+        fields = {**arrays, "features": np.concatenate(fours, axis=2) if fours else None}
         check_level(fields, f"levels[{i}]")
         levels.append(Level(**fields))
     return tuple(levels)
@@ -140,7 +147,15 @@ class _Source(NamedTuple):
 
     mesh: int
     base_color: int  # image
-    features: int | None  # image
+    features: tuple[int, ...]  # images of four features each: none, one or two
+
+
+def _four_features(gltf: Gltf, image: int) -> np.ndarray:
+    """Four features a texel, from their planes one below the other."""
+    planes = _of_image(gltf, image, decode_png, "L")
+    if len(planes) % 4:
+        raise gltf.error(f"images[{image}] height", "four planes", len(planes))
+    return np.ascontiguousarray(np.moveaxis(planes.reshape(4, -1, planes.shape[1]), 0, -1))
 
 
 def _level_source(gltf: Gltf, item: object, where: str) -> _Source:
@@ -154,9 +169,10 @@ def _level_source(gltf: Gltf, item: object, where: str) -> _Source:
     base_color = base_color_image(gltf, material)
     if base_color is None:
         raise gltf.error(f"materials[{material}]", "with a base colour texture", None)
-    features = item.get("featureImage")
-    if features is not None:
-        features = gltf.index("images", features, f"{where}.featureImage")
+    keys = [key for key in ("featureImage", "featureImage2") if item.get(key) is not None]
+    if keys == ["featureImage2"]:
+        raise gltf.error(f"{where}.featureImage", "there, as featureImage2 is", None)
+    features = tuple(gltf.index("images", item[key], f"{where}.{key}") for key in keys)
     return _Source(mesh, base_color, features)
 
 

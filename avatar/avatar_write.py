@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from avatar.baked_avatar import NETWORK_ARRAYS, Avatar, Level, check_avatar
+from avatar.baked_avatar import Avatar, Level, check_avatar
 from avatar.files import whole_file
 from avatar.gltf_write import INDICES, VERTICES, GltfBuilder
 from avatar.png import encode_png
@@ -68,8 +68,10 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         meshes.append({"name": name, "primitives": [primitive]})
         levels.append({"mesh": i})
         if level.features is not None:
-            planes = np.concatenate(np.moveaxis(level.features, -1, 0))  # (4 h, w)
-            levels[i]["featureImage"] = builder.add_image(encode_png(planes), f"{name} features")
+            for key, first in (("featureImage", 0), ("featureImage2", 4))[: level.features.shape[2] // 4]:
+                planes = np.concatenate(np.moveaxis(level.features[..., first : first + 4], -1, 0))  # (4 h, w)
+                title = f"{name} features" + (f" {first} to {first + 3}" if first else "")
+                levels[i][key] = builder.add_image(encode_png(planes), title)
 
     nodes: list[dict[str, Any]] = []
     for joint, name in enumerate(JOINTS):
@@ -91,7 +93,8 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         "provenance": avatar.provenance,
     }
     if avatar.network is not None:
-        extension["network"] = {name: _flat(getattr(avatar.network, name)) for name in NETWORK_ARRAYS}
+        arrays = {name: values for name, values in vars(avatar.network).items() if values is not None}
+        extension["network"] = {name: _flat(values) for name, values in arrays.items()}
     if avatar.linear is not None:
         extension["linear"] = _flat(avatar.linear)
     return builder.to_bytes(

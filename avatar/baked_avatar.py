@@ -32,17 +32,34 @@ class Level:
     view_q: Float32[np.ndarray, "vertices 6"]  # Q as xx, xy, xz, yy, yz, zz; positive semi-definite
     view_seen: Float32[np.ndarray, " vertices"]  # v in [0, 1], 0 where no camera looked
     base_color: UInt8[np.ndarray, "height width 3"]  # sRGB
-    features: UInt8[np.ndarray, "feature_height feature_width 4"] | None  # linear, f = value / 255
+    features: UInt8[np.ndarray, "feature_height feature_width planes"] | None  # 4 or 8, linear, f = value / 255
 
 
 @dataclass(frozen=True)
 class ViewNetwork:
-    """The view network: y = w2 relu(w1 x + b1) + b2 with x = [f (4), t' (3), |t'|]."""
+    """The view network, y of x = [f, t' (3), |t'|], in one of two sizes.
 
-    w1: Float32[np.ndarray, "16 8"]
+    4 features: y = w2 relu(w1 x + b1) + b2, 8 -> 16 -> 3.
+    8 features: y = w3 relu(w2 relu(w1 x + b1) + b2) + b3, 12 -> 16 -> 16 -> 3.
+    """
+
+    w1: Float32[np.ndarray, "16 inputs"]
     b1: Float32[np.ndarray, "16"]
-    w2: Float32[np.ndarray, "3 16"]
-    b2: Float32[np.ndarray, "3"]
+    w2: Float32[np.ndarray, "outputs 16"]
+    b2: Float32[np.ndarray, " outputs"]
+    w3: Float32[np.ndarray, "3 16"] | None = None
+    b3: Float32[np.ndarray, "3"] | None = None
+
+    @property
+    def features(self) -> int:
+        """How many features of the surface point it reads."""
+        return 4 if self.w3 is None else 8
+
+    @property
+    def layers(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """Weights and biases, first layer first."""
+        first = ((self.w1, self.b1), (self.w2, self.b2))
+        return first if self.w3 is None or self.b3 is None else (*first, (self.w3, self.b3))
 
 
 @dataclass(frozen=True)
@@ -54,7 +71,7 @@ class Avatar:
     canonical_pose: Float[np.ndarray, "52 3"]  # axis-angle, the pose that the levels are stored in
     levels: tuple[Level, ...]  # finest first
     network: ViewNetwork | None  # colour = clamp(base + A |t'| y / (1 + |y|))
-    linear: Float32[np.ndarray, "4 3 3"] | None  # colour = clamp(base + (sum_i f_i M_i) t')
+    linear: Float32[np.ndarray, "features 3 3"] | None  # colour = clamp(base + (sum_i f_i M_i) t')
     amplitude: float  # A, the largest change of colour per unit of |t'|
     default_view: Literal["network", "linear", "off"]
     provenance: dict[str, Any]  # preset, data, body licence, measured accuracy ...: anything JSON holds
@@ -71,13 +88,12 @@ LEVEL_ARRAYS = {  # field: dtype and shape, -1 for any size
     "view_q": ("float32", (-1, 6)),
     "view_seen": ("float32", (-1,)),
     "base_color": ("uint8", (-1, -1, 3)),
-    "features": ("uint8", (-1, -1, 4)),
+    "features": ("uint8", (-1, -1, -1)),
 }
-NETWORK_ARRAYS = {
-    "w1": ("float32", (16, 8)),
-    "b1": ("float32", (16,)),
-    "w2": ("float32", (3, 16)),
-    "b2": ("float32", (3,)),
+FEATURES = (4, 8)  # a texel may hold
+NETWORK_ARRAYS = {  # number of features: the network's arrays
+    4: {"w1": (16, 8), "b1": (16,), "w2": (3, 16), "b2": (3,)},
+    8: {"w1": (16, 12), "b1": (16,), "w2": (16, 16), "b2": (16,), "w3": (3, 16), "b3": (3,)},
 }
 
 
@@ -87,6 +103,9 @@ def check_level(level: Mapping[str, Any], where: str) -> None:
         if name == "features" and level[name] is None:
             continue
         _check_array(level[name], f"{where}.{name}", dtype, shape)
+    features = level["features"]
+    if features is not None and features.shape[2] not in FEATURES:
+        raise ValueError(f"{where}.features should be 4 or 8 a texel, are {features.shape[2]}")
     count = len(level["positions"])
     for name in ("normals", "uv", "joints", "weights", "view_dir", "view_q", "view_seen"):
         if len(level[name]) != count:
@@ -112,9 +131,12 @@ def check_level(level: Mapping[str, Any], where: str) -> None:
 
 
 def check_network(network: Mapping[str, Any], where: str = "network") -> None:
-    """Refuse weights of a view network that have another shape or are not finite."""
-    for name, (dtype, shape) in NETWORK_ARRAYS.items():
-        _check_array(network[name], f"{where}.{name}", dtype, shape)
+    """Refuse weights of a view network that have another shape than one of its two sizes, or are not finite."""
+    arrays = NETWORK_ARRAYS[4 if network.get("w3") is None else 8]
+    for name, shape in arrays.items():
+        _check_array(network[name], f"{where}.{name}", "float32", shape)
+    if network.get("b3") is not None and "b3" not in arrays:
+        raise ValueError(f"{where}.b3 should be absent where w3 is, is not")
 
 
 def check_avatar(avatar: Avatar) -> None:
@@ -136,10 +158,18 @@ def check_avatar(avatar: Avatar) -> None:
     sizes = [len(level.faces) for level in avatar.levels]
     if sizes != sorted(sizes, reverse=True):
         raise ValueError(f"levels should go from finest to coarsest, have {sizes} faces")
+    read = {f"levels[{i}].features": level.features.shape[2] for i, level in enumerate(avatar.levels)
+            if level.features is not None}  # fmt: skip
     if avatar.network is not None:
         check_network(vars(avatar.network))
+        read["network"] = avatar.network.features
     if avatar.linear is not None:
-        _check_array(avatar.linear, "linear", "float32", (4, 3, 3))
+        if len(avatar.linear) not in FEATURES:
+            raise ValueError(f"linear should be 4 or 8 matrices, is {avatar.linear.shape}")
+        _check_array(avatar.linear, "linear", "float32", (len(avatar.linear), 3, 3))
+        read["linear"] = len(avatar.linear)
+    if len(set(read.values())) > 1:
+        raise ValueError(f"features should be as many everywhere, are {read}")
     if not (np.isfinite(avatar.amplitude) and 0 <= avatar.amplitude <= 1):
         raise ValueError(f"amplitude should be from 0 to 1, is {avatar.amplitude}")
     try:

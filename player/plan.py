@@ -100,8 +100,9 @@ def resolve(
         resources[name] = Resource(name, kind, count)
         return name
 
-    def program(stage: int, network: bool, avatar: int | None) -> Variant:
-        defines = (("VIEW_MODEL", int(network)), ("VIEW_STAGE", stage))
+    def program(stage: int, network: bool, avatar: int | None, features: int = 0) -> Variant:
+        defines = (("VIEW_FEATURES", features), ("VIEW_MODEL", int(network))) if stage else ()
+        defines = (*defines, ("VIEW_STAGE", stage))
         variant = Variant("avatar.vert", "avatar.frag", defines, avatar)
         if variant not in variants:
             variants.append(variant)
@@ -142,8 +143,10 @@ def resolve(
             need(f"{tag} turns", "buffer", TURNS.itemsize),
             need(f"{tag} features", "texture", _mipmapped(mesh.features.shape)),
         )
+        if mesh.features.shape[2] == 8:
+            extra += (need(f"{tag} more features", "texture", _mipmapped(mesh.features.shape)),)
         passes.append(
-            Pass(f"{tag}: view {mode}", why, index, program(STAGE[mode], network, index), (*base, *extra))
+            Pass(f"{tag}: view {mode}", why, index, program(STAGE[mode], network, index, mesh.features.shape[2]), (*base, *extra))
         )
     return Plan(tuple(passes), resources, tuple(variants))
 

@@ -25,7 +25,7 @@ Pose = tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]]  # axis-angle, p
 
 BASE = ("3f4 2f4 4u1 4f1", "position", "uv", "joints", "weights")
 VIEW = ("3f4 3f4 3f4 1f4", "view_mean", "view_q0", "view_q1", "view_seen")
-UNITS = {"base_color": 0, "features": 1}
+UNITS = {"base_color": 0, "features": 1, "more_features": 2}
 
 
 @dataclass
@@ -247,6 +247,8 @@ class Renderer:
         self.textures[f"{tag} base color"].use(UNITS["base_color"])
         if variant is not None and variant.avatar is not None:
             self.textures[f"{tag} features"].use(UNITS["features"])
+            if f"{tag} more features" in self.textures:
+                self.textures[f"{tag} more features"].use(UNITS["more_features"])
 
     # -- making what the plan holds
 
@@ -264,7 +266,9 @@ class Renderer:
                 assert level.features is not None
                 self.buffers[f"{tag} view vertices"] = gl.buffer(view_interleaved(level)[order].tobytes())
                 self.buffers[f"{tag} turns"] = gl.buffer(reserve=TURNS.itemsize, dynamic=True)
-                self.textures[f"{tag} features"] = self._texture(level.features)
+                self.textures[f"{tag} features"] = self._texture(level.features[..., :4])
+                if f"{tag} more features" in self.plan.resources:
+                    self.textures[f"{tag} more features"] = self._texture(level.features[..., 4:])
         for variant in self.plan.variants:
             self.programs[variant] = self._program(variant)
         for item in self.plan.passes:

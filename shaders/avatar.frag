@@ -4,13 +4,7 @@
 #include "frame.glsl"
 #include "directions.glsl"
 #include "view_cone.glsl"
-#if VIEW_MODEL == 1
-#include "view_network.glsl"
-#else
-#include "view_linear.glsl"
-#endif
-
-uniform sampler2D features;
+#include "view_model.glsl"
 
 in vec3 direction;
 in vec3 mean;
@@ -36,7 +30,7 @@ void main() {
 #endif
 #if VIEW_STAGE == 2
     vec3 tangent = cone_tangent(unit(direction), unit(mean), cone_q0, cone_q1, seen);
-    base = clamp(base + view_residual(texture(features, surface_uv), tangent), 0.0, 1.0);
+    base = clamp(base + view_residual_at(surface_uv, tangent), 0.0, 1.0);
 #endif
     color = vec4(base, 1.0);
 }

@@ -1,6 +1,6 @@
 #version 330
 // A posed avatar. VIEW_STAGE: 0 paper mode, 1 view dependence per vertex, 2 per pixel.
-// VIEW_MODEL: 0 linear, 1 network (asked only when VIEW_STAGE is not 0).
+// VIEW_MODEL and VIEW_FEATURES: see view_model.glsl (asked only when VIEW_STAGE is not 0).
 #include "frame.glsl"
 #include "skinning.glsl"
 
@@ -22,13 +22,7 @@ in float view_seen; // 0 = never seen
 
 #if VIEW_STAGE == 1
 #include "view_cone.glsl"
-#if VIEW_MODEL == 1
-#include "view_network.glsl"
-#else
-#include "view_linear.glsl"
-#endif
-
-uniform sampler2D features;
+#include "view_model.glsl"
 
 out vec3 residual;
 #endif
@@ -50,7 +44,7 @@ void main() {
 #endif
 #if VIEW_STAGE == 1
     vec3 tangent = cone_tangent(direction_canonical, view_mean, view_q0, view_q1, view_seen);
-    residual = view_residual(textureLod(features, uv, 0.0), tangent);
+    residual = view_residual_at(uv, tangent);
 #endif
 #if VIEW_STAGE == 2
     direction = direction_canonical;

@@ -1,4 +1,4 @@
-// View dependence by the avatar's network, 8 -> 16 -> 3:
+// View dependence by the avatar's network of four features, 8 -> 16 -> 3:
 //
 //     x = [features, t', |t'|]    h = max(W1 x + b1, 0)    y = W2 h + b2    residual = A |t'| y / (1 + |y|)
 //
@@ -14,6 +14,6 @@ vec3 view_residual(vec4 features, vec3 tangent) {
     vec4 h1 = max(W1_F1 * features + W1_T1 * x + B1_1, 0.0);
     vec4 h2 = max(W1_F2 * features + W1_T2 * x + B1_2, 0.0);
     vec4 h3 = max(W1_F3 * features + W1_T3 * x + B1_3, 0.0);
-    vec3 y = W2_0 * h0 + W2_1 * h1 + W2_2 * h2 + W2_3 * h3 + B2;
+    vec3 y = WY_0 * h0 + WY_1 * h1 + WY_2 * h2 + WY_3 * h3 + BY;
     return AMPLITUDE * far * y / (1.0 + abs(y));
 }
