@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar, Level
-from avatar.camera import Camera, view_from_world
-from avatar.rotation import quaternion_from_matrix
+from avatar.camera import Camera
 from avatar.skeleton import joint_transforms, rigid_inverse
+from player import kinematics
 
 
 class PosedBones(NamedTuple):
@@ -43,6 +43,7 @@ class Poser:
         self.joints = avatar.joint_positions.astype(np.float64)
         canonical = joint_transforms(avatar.canonical_pose.astype(np.float64), self.joints)
         self.joint_from_canonical = rigid_inverse(canonical)
+        self.chain = kinematics.Chain(self.joints)
         self.radii = np.full(52, -1.0)
         for slot in range(4):
             moved = level.weights[:, slot] > 0
@@ -60,30 +61,34 @@ class Poser:
         """
         if not (np.isfinite(axis_angle).all() and np.isfinite(root).all()):
             raise ValueError("the pose holds a number that is not finite")
-        view_from_joint = view_from_world(camera) @ joint_transforms(axis_angle, self.joints, root)
+        view_from_world = camera.camera_from_world * _VIEW_FROM_CAMERA
+        view_from_joint = self.chain.transforms(axis_angle, root, view_from_world)
         return PosedBones(view_from_joint @ self.joint_from_canonical, view_from_joint[:, :3, 3], self.radii)
 
 
 def quaternions(bones: PosedBones) -> Float[np.ndarray, "52 4"]:
     """view_from_canonical rotations, xyzw, for the direction rule (shaders/directions.glsl)."""
-    return quaternion_from_matrix(bones.view_from_canonical[:, :3, :3])
+    return kinematics.quaternions(bones.view_from_canonical[:, :3, :3])
 
 
 def reach(bones: PosedBones, camera: Camera) -> Reach:
     """Depths and image box that the avatar cannot leave."""
-    used = bones.radii >= 0
+    used = np.flatnonzero(bones.radii >= 0)
     centers, radii = bones.centers[used], bones.radii[used]
-    depth = -centers[:, 2]
-    bounds = np.array([(depth - radii).min(), (depth + radii).max()])
+    ends = np.empty((2, len(used)))  # depth of each sphere's nearer and farther end
+    ends[0], ends[1] = -centers[:, 2] - radii, radii - centers[:, 2]
+    bounds = np.array([ends[0].min(), ends[1].max()])
     if bounds[0] <= 0:
         return Reach(bounds, np.array([-np.inf, -np.inf, np.inf, np.inf]))
     # a sphere's image lies between the slopes (c -+ r) / depth taken at its nearer or farther end
-    near, far = (depth - radii)[:, None], (depth + radii)[:, None]
-    flat = np.stack([centers[:, 0], -centers[:, 1]], 1)
-    low, high = flat - radii[:, None], flat + radii[:, None]
-    low = np.where(low < 0, low / near, low / far).min(0)
-    high = np.where(high > 0, high / near, high / far).max(0)
-    (fx, skew, cx), (_, fy, cy), _ = camera.K
-    slant = sorted((skew * low[1], skew * high[1]))
-    box = [fx * low[0] + cx + slant[0], fy * low[1] + cy, fx * high[0] + cx + slant[1], fy * high[1] + cy]
+    flat = (centers[:, :2] * (1.0, -1.0)).T
+    slopes = np.stack([flat - radii, flat + radii])[:, :, None] / ends
+    low, high = slopes[0].min((1, 2)), slopes[1].max((1, 2))
+    (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
+    (left, top), (right, bottom) = low.tolist(), high.tolist()
+    slant = sorted((skew * top, skew * bottom))
+    box = [fx * left + cx + slant[0], fy * top + cy, fx * right + cx + slant[1], fy * bottom + cy]
     return Reach(bounds, np.array(box))
+
+
+_VIEW_FROM_CAMERA = np.array([[1.0], [-1.0], [-1.0], [1.0]])  # OpenGL looks down -z with +y up
