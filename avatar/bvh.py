@@ -21,6 +21,8 @@ Array = np.ndarray
 INDEX_STEP = 64  # a place in the file is remembered every so many frames
 MOST_JOINTS = 10_000
 LONGEST_LINE = 1 << 20  # bytes
+UNITS = {1.0: "metre", 0.01: "centimetre", 0.001: "millimetre"}
+LEGS = (0.3, 1.4)  # metres of thigh and shin, a child's to a giant's
 
 
 @dataclass(frozen=True)
@@ -294,7 +296,17 @@ def _index(reader: _Lines, frames: int, width: int) -> tuple[tuple[int, int], ..
 
 
 def read_bvh(path: Path | str) -> Motion:
-    """Open a BVH file as a motion of our skeleton (avatar/retarget.py)."""
-    from avatar.retarget import retarget  # retarget imports Bvh from here
+    """Open a BVH file as a motion of our skeleton: exactly where its rig is ours, else by avatar/retarget.py."""
+    from avatar.retarget import retarget  # both import what is here
+    from avatar.smplh_rig import is_smplh, leg_length, read_exactly
 
-    return retarget(open_bvh(path))
+    bvh = open_bvh(path)
+    if not is_smplh(bvh):
+        return retarget(bvh)
+    leg = leg_length(bvh.rest_positions(), {name: k for k, name in enumerate(bvh.names)})
+    unit = next((unit for unit in UNITS if LEGS[0] < leg * unit < LEGS[1]), None)
+    if unit is None:
+        return retarget(bvh)
+    height = float(bvh.offsets[0, 1])  # where the skeleton rests on the ground, as avatar/bvh_write.py has it
+    notes = [f"unit: {UNITS[unit]}, by the length of the legs, {leg:.4g}"]
+    return read_exactly(bvh, notes, unit, unit * height if leg < height < 1.5 * leg else None)

@@ -17,21 +17,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from avatar.body import builtin_body
 from avatar.errors import AssetError
 from avatar.gltf import Gltf, read_gltf
 from avatar.gltf_scene import node_parents, parents_first, read_skin
 from avatar.humanoid import Naming, find_naming
 from avatar.motion import Motion
-from avatar.retarget import REQUIRED, retarget
+from avatar.retarget import retarget
 from avatar.rotation import (
-    axis_angle_from_matrix,
     matrix_from_quaternion,
     normalised_quaternion,
     quaternion_from_matrix,
     slerp,
 )
-from avatar.skeleton import JOINTS, PARENTS
+from avatar.skeleton import JOINTS
+from avatar.smplh_rig import LIMBS, is_smplh, off_t_pose, read_exactly
 
 Array = np.ndarray
 
@@ -149,9 +148,19 @@ def read_gltf_motion(path: Path | str) -> Motion:
     notes: list[str] = []
     naming = find_naming(gltf.path, gltf.json)
     rig = _rig(gltf, naming, notes)
-    if naming.name == "SMPL+H" and _like_ours(rig):
-        return _exactly(rig, notes)
+    unturned = np.abs(rig.rest[[name in J for name in rig.names]] - np.eye(3)).max(initial=0) < 1e-4
+    if naming.name == "SMPL+H" and unturned and is_smplh(rig):
+        return read_exactly(rig, notes, pelvis_height=_pelvis_height(gltf))
     return retarget(rig, up_known=True, assumed=tuple(notes))
+
+
+def _pelvis_height(gltf: Gltf) -> float | None:
+    """The height of the pelvis that avatar/gltf_animation.py leaves in the animation's extras."""
+    extras = gltf.items("animations")[0].get("extras")
+    height = extras.get("pelvisHeight") if isinstance(extras, dict) else None
+    if isinstance(height, int | float) and 0.01 < height < 100:
+        return float(height)
+    return None
 
 
 def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
@@ -321,14 +330,13 @@ def _rest(
 ) -> tuple[Float[Array, "nodes 3 3"], Float[Array, "nodes 3"]]:
     """The rest pose: default nodes, or the bind pose of a skin that holds the limbs and is nearer to a T-pose."""
     place = {joint: order.index(node) for joint, node in naming.nodes.items() if node in order}
-    limbs = [f"{side}_{name}" for side in ("left", "right") for name in REQUIRED] + ["head"]
-    if not all(joint in place for joint in limbs) or naming.name.startswith("VRM"):
+    if not all(joint in place for joint in LIMBS) or naming.name.startswith("VRM"):
         return R, at  # VRM rests in T-pose by its specification
-    best = _off_t_pose(at, place)
+    best = off_t_pose(at, place)
     for number in range(min(len(gltf.items("skins")), 64)):
         skin = read_skin(gltf, number)
         if "inverseBindMatrices" not in gltf.items("skins")[number] or not all(
-            naming.nodes[joint] in skin.nodes for joint in limbs
+            naming.nodes[joint] in skin.nodes for joint in LIMBS
         ):
             continue
         frames = {}
@@ -348,7 +356,7 @@ def _rest(
         for k, frame in frames.items():
             bound_R[k] = _rotation(frame[:3, :3])
             bound_at[k] = frame[:3, 3] * unit
-        off = _off_t_pose(bound_at, place)
+        off = off_t_pose(bound_at, place)
         if off < best - BIND_CLOSER:
             notes.append(
                 f"rest pose: the skin's bind pose ({off:.0f} degrees off a T-pose, the nodes {best:.0f})"
@@ -361,65 +369,3 @@ def _rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     """The rotation nearest to a matrix with positive determinant."""
     u, _, vt = np.linalg.svd(matrix)
     return u @ vt
-
-
-def _off_t_pose(at: Float[Array, "nodes 3"], place: dict[str, int]) -> float:
-    """Mean angle, degrees, of upper arms and thighs to a T-pose's, in the frame of hips and head."""
-    hips = (at[place["left_hip"]] + at[place["right_hip"]]) / 2
-    up, left = at[place["head"]] - hips, at[place["left_hip"]] - at[place["right_hip"]]
-    pairs = []
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        pairs.append((at[place[f"{side}_knee"]] - at[place[f"{side}_hip"]], -up))
-        pairs.append((at[place[f"{side}_elbow"]] - at[place[f"{side}_shoulder"]], sign * left))
-    total = 0.0
-    for a, b in pairs:
-        length = np.linalg.norm(a) * np.linalg.norm(b)
-        total += float(np.degrees(np.arccos(np.clip(a @ b / length, -1, 1)))) if length > 0 else 180.0
-    return total / 4
-
-
-def _like_ours(rig: GltfRig) -> bool:
-    """Whether all joints of the body are there as in SMPL+H: our tree, bones unturned at rest, T-pose facing +z."""
-    place = {name: k for k, name in enumerate(rig.names) if name in J}
-    if not all(name in place for name in JOINTS[:22]):
-        return False
-    if any(np.abs(rig.rest[k] - np.eye(3)).max() > 1e-4 for k in place.values()):
-        return False
-    for name, k in place.items():
-        above = rig.parents[k]
-        while above >= 0 and rig.names[above] not in J:
-            above = rig.parents[above]
-        if (rig.names[above] if above >= 0 else "") != (JOINTS[PARENTS[J[name]]] if J[name] else ""):
-            return False
-    at = rig.rest_places
-    left = at[place["left_shoulder"]] - at[place["right_shoulder"]]
-    return bool(_off_t_pose(at, place) < 20 and left[0] > 0.9 * np.linalg.norm(left))
-
-
-def _exactly(rig: GltfRig, notes: list[str]) -> Motion:
-    """The motion of a rig that is SMPL+H's: its own rotations, joint by joint."""
-    place = {name: k for k, name in enumerate(rig.names) if name in J}
-    notes.append("joints: SMPL+H in T-pose, rotations read as they are")
-    if "left_index1" not in place:
-        notes.append("hands: none in the file, flat")
-    own = [place.get(name, -1) for name in JOINTS]
-
-    def block(start: int, stop: int) -> tuple[Array, Array]:
-        G, at = rig.transforms(rig.values(start, stop))
-        pose = np.zeros((stop - start, 52, 3))
-        for joint, k in enumerate(own):
-            if k >= 0:
-                parent = own[PARENTS[joint]] if joint else -1
-                local = np.swapaxes(G[:, parent], -1, -2) @ G[:, k] if joint else G[:, k]
-                pose[:, joint] = axis_angle_from_matrix(local)
-        return pose, at[:, own[0]]
-
-    # pelvis above the soles: as the built-in body's, in the ratio of the legs
-    body = builtin_body("male")
-
-    def leg(at: Array, index: dict[str, int]) -> float:
-        chain = [index[f"left_{name}"] for name in ("hip", "knee", "ankle")]
-        return float(sum(np.linalg.norm(at[b] - at[a]) for a, b in zip(chain, chain[1:], strict=False)))
-
-    height = float(-body.vertices[:, 1].min()) * leg(rig.rest_places, place) / leg(body.joints, J)
-    return Motion(rig.path.name, rig.frames, rig.rate, tuple(notes), block, height if height > 0 else None)

@@ -1,0 +1,239 @@
+"""Motion written for other programs: BVH, animated GLB and AMASS npz, each read back."""
+
+import numpy as np
+import pytest
+from node_packages import package_folder, run_node
+from tiny_avatar import join_glb, same, split_glb, tiny_avatar
+
+from avatar.avatar_file import read_avatar, write_avatar
+from avatar.bvh import open_bvh
+from avatar.bvh_write import euler_zxy, write_bvh
+from avatar.errors import AssetError
+from avatar.gltf_animation import rotation_keys, write_animated
+from avatar.motion import Clip, Motion, read_motion
+from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
+from avatar.skeleton import BIG_POSE, JOINTS, PARENTS, joint_transforms, rigid_inverse
+from player.export_command import export_main
+from player.framing import pelvis_height
+
+
+def wild_clip(frames=40, seed=3) -> Clip:
+    """Every joint anywhere: half turns, no turn at all, and a joint that never moves."""
+    rng = np.random.default_rng(seed)
+    axis_angle = np.cumsum(rng.normal(size=(frames, 52, 3)) * 0.4, axis=0)
+    axis_angle /= np.maximum(np.linalg.norm(axis_angle, axis=-1, keepdims=True) / np.pi, 1)
+    axis_angle[:, 15] = [0.1, 0.2, 0.3]
+    axis_angle[:5, 18] = 0
+    axis_angle[7, 16] = [np.pi / 2, 0, 0]  # where Z and Y of Z X Y turn about one axis
+    axis_angle[8, 16] = [-np.pi / 2, 0, 0]
+    return Clip(axis_angle, rng.normal(size=(frames, 3)), 30.0, (), 0.98)
+
+
+def angle_between(a, b):
+    """Degrees between axis-angle rotations; exact for small ones."""
+    q, p = quaternion_from_axis_angle(a), quaternion_from_axis_angle(b)
+    sign = np.where((q * p).sum(-1, keepdims=True) < 0, -1, 1)
+    return np.degrees(4 * np.arcsin(np.clip(np.linalg.norm(q - sign * p, axis=-1) / 2, 0, 1)))
+
+
+@pytest.fixture
+def avatar_path(tmp_path):
+    path = tmp_path / "tiny.glb"
+    write_avatar(path, tiny_avatar())
+    return path
+
+
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+def test_bvh_comes_back_within_a_thousandth_of_a_degree(tmp_path, unit):
+    joints = tiny_avatar().joint_positions * 1.07  # another body than the built-in one
+    clip = wild_clip()
+    write_bvh(tmp_path / "wild.bvh", clip, joints, unit=unit)
+    motion = read_motion(tmp_path / "wild.bvh")
+    back = motion.read()
+    assert motion.frames == 40 and motion.rate == pytest.approx(30, rel=1e-12)
+    assert angle_between(back.axis_angle, clip.axis_angle).max() < 1e-3
+    np.testing.assert_allclose(back.root, clip.root, atol=1e-6)
+    assert back.pelvis_height == pytest.approx(clip.pelvis_height, abs=1e-7)
+
+
+def test_bvh_holds_the_skeleton_in_t_pose_on_the_ground(tmp_path):
+    avatar = tiny_avatar()
+    write_bvh(tmp_path / "wild.bvh", wild_clip(), avatar.joint_positions)
+    bvh = open_bvh(tmp_path / "wild.bvh")
+    order = [bvh.names.index(name) for name in JOINTS]
+    np.testing.assert_allclose(bvh.rest_positions()[order], avatar.joint_positions + [0, 0.98, 0], atol=1e-7)
+    rotations, places = bvh.transforms(bvh.values(5, 6))
+    clip = wild_clip()
+    expected = joint_transforms(clip.axis_angle[5], avatar.joint_positions, clip.root[5])
+    np.testing.assert_allclose(rotations[0, order], expected[:, :3, :3], atol=1e-6)
+    np.testing.assert_allclose(places[0, order], expected[:, :3, 3], atol=1e-6)
+
+
+def test_a_long_motion_gives_the_same_bvh_as_the_clip_of_it(tmp_path):
+    clip = wild_clip(600)
+
+    def block(start, stop):
+        return clip.axis_angle[start:stop], clip.root[start:stop]
+
+    joints = tiny_avatar().joint_positions
+    write_bvh(tmp_path / "clip.bvh", clip, joints)
+    write_bvh(tmp_path / "motion.bvh", Motion("long", 600, 30.0, (), block, 0.98), joints)
+    assert (tmp_path / "clip.bvh").read_bytes() == (tmp_path / "motion.bvh").read_bytes()
+
+
+def test_euler_angles_do_not_jump_where_the_rotation_does_not():
+    t = np.linspace(0, 6 * np.pi, 721)  # three full turns about an axis, and through both gimbal locks
+    turning = np.stack([np.zeros_like(t), np.zeros_like(t), t], -1)
+    nodding = np.stack([t, np.zeros_like(t), np.zeros_like(t)], -1)
+    R = matrix_from_axis_angle(np.stack([turning, nodding], 1))
+    angles = euler_zxy(R, np.zeros((2, 3)))
+    np.testing.assert_allclose(angles[:, 0, 0], t, atol=1e-9)
+    assert np.abs(np.diff(angles, axis=0)).max() < 0.03  # the step of t is 0.026
+
+
+def test_the_animated_avatar_is_read_back_as_motion_and_as_the_same_avatar(avatar_path, tmp_path):
+    clip = wild_clip()
+    out = tmp_path / "moving.glb"
+    write_animated(out, avatar_path, clip)
+    motion = read_motion(out)
+    back = motion.read()
+    assert (motion.frames, motion.rate, back.pelvis_height) == (40, 30.0, 0.98)
+    assert np.radians(angle_between(back.axis_angle, clip.axis_angle)).max() < 1e-4
+    # a metre a frame; float32 seconds put a key up to 4e-6 of a frame beside its time
+    np.testing.assert_allclose(back.root, clip.root, atol=1e-5)
+    assert same(read_avatar(out), read_avatar(avatar_path))
+    before, after = split_glb(avatar_path.read_bytes())[1], split_glb(out.read_bytes())[1]
+    assert after[: len(before) - 3] == before[: len(before) - 3]  # less its padding
+
+
+def test_a_second_motion_takes_the_place_of_the_first(avatar_path, tmp_path):
+    write_animated(tmp_path / "first.glb", avatar_path, wild_clip(seed=1))
+    write_animated(tmp_path / "second.glb", tmp_path / "first.glb", wild_clip(seed=2))
+    write_animated(tmp_path / "direct.glb", avatar_path, wild_clip(seed=2))
+    assert (tmp_path / "second.glb").read_bytes() == (tmp_path / "direct.glb").read_bytes()
+
+
+def test_keys_take_the_shorter_arc_and_a_still_joint_has_one(avatar_path, tmp_path):
+    clip = wild_clip()
+    keys = rotation_keys(clip.axis_angle)
+    assert ((keys[1:] * keys[:-1]).sum(-1) >= 0).all() and (keys[0, :, 3] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(keys.astype(float), axis=-1), 1, atol=1e-6)
+    write_animated(tmp_path / "moving.glb", avatar_path, clip)
+    document, _ = split_glb((tmp_path / "moving.glb").read_bytes())
+    (animation,) = document["animations"]
+    counts = {}
+    for channel in animation["channels"]:
+        sampler = animation["samplers"][channel["sampler"]]
+        assert sampler["interpolation"] == "LINEAR"
+        target = document["nodes"][channel["target"]["node"]]["name"], channel["target"]["path"]
+        counts[target] = document["accessors"][sampler["output"]]["count"]
+    assert counts.pop(("head", "rotation")) == 1
+    assert set(counts.values()) == {40} and len(counts) == 52
+    assert sum(path == "translation" for _, path in counts) == 1
+
+
+def test_more_frames_than_seconds_in_float32_are_refused_and_nothing_is_written(avatar_path, tmp_path):
+    clip = Clip(np.zeros((3, 52, 3)), np.zeros((3, 3)), 1e46)  # frames per second
+    with pytest.raises(ValueError, match="3 frames at 1e\\+46 per second are more than float32"):
+        write_animated(tmp_path / "fast.glb", avatar_path, clip)
+    assert not (tmp_path / "fast.glb").exists()
+
+
+def test_the_khronos_validator_finds_nothing_in_the_animated_avatar(avatar_path, tmp_path):
+    folder = package_folder("gltf-validator")
+    write_animated(tmp_path / "moving.glb", avatar_path, wild_clip())
+    issues = run_node("validate_gltf.mjs", tmp_path / "moving.glb", folder)["issues"]
+    assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), issues["messages"]
+
+
+def test_three_js_plays_the_motion_that_was_written(avatar_path, tmp_path):
+    """Pose -> GLB animation -> three.js' AnimationMixer -> pose, and the joints' places in the world."""
+    folder = package_folder("three")
+    avatar, clip = tiny_avatar(), wild_clip()
+    write_animated(tmp_path / "moving.glb", avatar_path, clip)
+    frames = [0, 1, 7, 8, 23, 39]
+    found = run_node(
+        "interchange/three_joints.mjs", tmp_path / "moving.glb", folder, *(k / 30 for k in frames)
+    )
+    quaternions = np.array([frame["quaternions"] for frame in found["frames"]])
+    expected = quaternion_from_axis_angle(clip.axis_angle[frames])
+    expected *= np.where((expected * quaternions).sum(-1, keepdims=True) < 0, -1, 1)
+    assert 2 * np.linalg.norm(quaternions - expected, axis=-1).max() < 1e-4  # radians
+    world = np.array([frame["world"] for frame in found["frames"]]).reshape(len(frames), 52, 4, 4)
+    G = joint_transforms(clip.axis_angle[frames], avatar.joint_positions, clip.root[frames])
+    np.testing.assert_allclose(np.swapaxes(world, -1, -2), G, atol=1e-4)  # metres
+
+
+def test_other_programs_find_the_skeleton_that_blender_expects(avatar_path):
+    """Names, order, tree, T-pose at rest without turned nodes, inverse binds of the pose the mesh is stored in."""
+    found = run_node("interchange/three_joints.mjs", avatar_path, package_folder("three"))
+    avatar = tiny_avatar()
+    assert found["joints"] == list(JOINTS)
+    assert found["parents"] == [None, *(JOINTS[parent] for parent in PARENTS[1:])]
+    rest = np.swapaxes(np.array(found["rest"]).reshape(52, 4, 4), -1, -2)
+    np.testing.assert_allclose(rest[:, :3, 3], avatar.joint_positions, atol=1e-6)
+    np.testing.assert_array_equal(rest[:, :3, :3], np.tile(np.eye(3), (52, 1, 1)))
+    bound = rigid_inverse(joint_transforms(BIG_POSE, avatar.joint_positions))
+    inverse = np.swapaxes(np.array(found["inverse"]).reshape(52, 4, 4), -1, -2)
+    np.testing.assert_allclose(inverse, bound, atol=1e-6)
+
+
+def export(*arguments):
+    return export_main([str(a) for a in arguments])
+
+
+def test_npz_out_and_in_is_exact_and_exporting_again_changes_nothing(avatar_path, tmp_path, capsys):
+    source = read_motion("counting").read(20, 60)
+    assert export(avatar_path, "--motion", "counting", "--frames", "20:60", "-o", tmp_path / "a.npz") == 0
+    back = read_motion(tmp_path / "a.npz").read()
+    np.testing.assert_array_equal(back.axis_angle[:, 1:], source.axis_angle[:, 1:])
+    np.testing.assert_allclose(back.axis_angle[:, 0], source.axis_angle[:, 0], atol=1e-15)
+    height = pelvis_height(read_avatar(avatar_path))
+    assert back.pelvis_height == height
+    np.testing.assert_allclose(back.root, source.root * (height / source.pelvis_height), atol=1e-15)
+    assert export(avatar_path, "--motion", tmp_path / "a.npz", "-o", tmp_path / "b.npz") == 0
+    again = read_motion(tmp_path / "b.npz").read()
+    np.testing.assert_array_equal(again.axis_angle[:, 1:], back.axis_angle[:, 1:])
+    np.testing.assert_allclose(again.root, back.root, atol=1e-15)
+    assert "40 frames at 30 per second (1.3 s)" in capsys.readouterr().out
+
+
+def test_every_kind_says_the_same_and_fits_the_avatar_it_was_made_for(avatar_path, tmp_path, capsys):
+    clips = {}
+    for kind in ("npz", "bvh", "glb"):
+        out = tmp_path / f"out.{kind}"
+        assert (
+            export(avatar_path, "--motion", "walking", "--frames", ":30", "--hands", "relaxed", "-o", out)
+            == 0
+        )
+        clips[kind] = read_motion(out).read()
+    for kind in ("bvh", "glb"):
+        assert angle_between(clips[kind].axis_angle, clips["npz"].axis_angle).max() < 1e-3
+        np.testing.assert_allclose(clips[kind].root, clips["npz"].root, atol=1e-6)
+        assert clips[kind].pelvis_height == pytest.approx(clips["npz"].pelvis_height, abs=1e-7)
+    # fitted again to the same avatar nothing is scaled
+    capsys.readouterr()
+    assert export(avatar_path, "--motion", tmp_path / "out.bvh", "-o", tmp_path / "again.glb") == 0
+    assert "root: scaled by 1.000" in capsys.readouterr().out
+
+
+def test_wrong_usage_and_bad_input_are_one_line_each(avatar_path, tmp_path, capsys):
+    for arguments, message in (
+        (["-o", str(tmp_path / "out.fbx")], "expected a name that ends in .bvh, .glb, .npz, found"),
+        (["-o", str(tmp_path / "out.npz"), "--unit", "cm"], "--unit is for .bvh"),
+    ):
+        with pytest.raises(SystemExit) as stop:
+            export(avatar_path, "--motion", "counting", *arguments)
+        assert stop.value.code == 2 and message in capsys.readouterr().err
+    with pytest.raises(AssetError, match=r"frames 10:400 asked for, it has 300"):
+        export(avatar_path, "--motion", "counting", "--frames", "10:400", "-o", tmp_path / "out.npz")
+    with pytest.raises(AssetError, match="an avatar comes from `selfscan bake`"):
+        (tmp_path / "not.glb").write_bytes(_without_extension(avatar_path))
+        write_animated(tmp_path / "out.glb", tmp_path / "not.glb", wild_clip())
+    assert not list(tmp_path.glob("out.*"))
+
+
+def _without_extension(path):
+    document, binary = split_glb(path.read_bytes())
+    del document["extensions"]
+    return join_glb(document, binary)
