@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -32,6 +32,7 @@ from bake.level import (
 from bake.network import AMPLITUDE, Distilled, distil, write_onnx
 from bake.options import BakeOptions
 from bake.surface import Extraction, Mesh, enclosed_volume, extract
+from bake.truth import Mode, TrueViews, measured_default, read_true_views
 from train.capture import PARTS
 from train.solid import solid_inside
 
@@ -42,16 +43,29 @@ def bake(
     faces: int = 30_000,
     texture: int = 2048,
     progress: Callable[[str], None] = print,
+    *,
+    quality: Literal["normal", "high"] = "normal",
+    capture: Path | str | None = None,
 ) -> Avatar:
-    """Bake a run folder into NAME.glb (and NAME.onnx where a network is shipped)."""
+    """Bake a run folder into NAME.glb (and NAME.onnx where a network is shipped).
+
+    With `capture`, its true pictures decide which view mode is the file's default.
+    """
     from train.run import read_run
 
-    options = BakeOptions(faces=faces, texture=texture)
+    options = BakeOptions(faces=faces, texture=texture, quality=quality)
+    true = None if capture is None else read_true_views(Path(capture), options.truth_poses)
     run = read_run(Path(run_path))
-    return bake_run(run, Path(out), options, progress)
+    return bake_run(run, Path(out), options, progress, true)
 
 
-def bake_run(run: Any, out: Path, options: BakeOptions, report: Callable[[str], None] = print) -> Avatar:
+def bake_run(
+    run: Any,
+    out: Path,
+    options: BakeOptions,
+    report: Callable[[str], None] = print,
+    true: TrueViews | None = None,
+) -> Avatar:
     """As `bake`, for a run already read: .field, .surface, .subject.joints, .provenance."""
     clock = _Clock(report)
     field = numpy_field(run.field)
@@ -80,6 +94,7 @@ def bake_run(run: Any, out: Path, options: BakeOptions, report: Callable[[str], 
     facts: dict[str, Any] = {
         "faces": options.faces,
         "texture": options.texture,
+        "quality": options.quality,
         "seed": options.seed,
         "surface": {
             "triangles": len(extraction.mesh.faces),
@@ -103,13 +118,27 @@ def bake_run(run: Any, out: Path, options: BakeOptions, report: Callable[[str], 
         provenance={**run.provenance, "baked": facts},
     )
     facts["against_field"] = measured(avatar, extraction, fine, field, options, clock)
-    avatar = replace(avatar, provenance={**run.provenance, "baked": facts})
+    view, facts["default_view"] = chosen_view(avatar, distilled, true)
+    clock(f"default view: {view} ({facts['default_view']['reason']})")
+    avatar = replace(avatar, default_view=view, provenance={**run.provenance, "baked": facts})
     out.parent.mkdir(parents=True, exist_ok=True)
     write_avatar(out, avatar)
     if distilled.network is not None:
         write_onnx(out.with_suffix(".onnx"), distilled.network)
     clock(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
     return avatar
+
+
+def chosen_view(avatar: Avatar, distilled: Distilled, true: TrueViews | None) -> tuple[Mode, dict[str, Any]]:
+    """The default view mode, and what the file says about it: by the truth where it is known, else the field."""
+    if true is None:
+        return distilled.default_view, {
+            "mode": distilled.default_view,
+            "by": "field",
+            "reason": distilled.reason,
+        }
+    mode, facts = measured_default(avatar, true)
+    return mode, {"mode": mode, **facts, "richest": distilled.reason}
 
 
 def run_surface(surface: Any, joint_count: int) -> Origin:
@@ -169,9 +198,14 @@ def bake_levels(
             points = surface_points(field, baked.level, origin, options)
             clock(level_line(number, baked.facts))
             distilled = distil(
-                field.color, points, seed=options.seed, steps=options.steps, report=clock.report
+                field.color,
+                points,
+                high=options.quality == "high",
+                seed=options.seed,
+                steps=options.steps,
+                report=clock.report,
             )
-            clock(f"view dependence: default view is {distilled.default_view}")
+            clock(f"view dependence: the richest mode worth its place is {distilled.default_view}")
         baked = with_features(baked, distilled, field)
         if number:
             clock(level_line(number, baked.facts))

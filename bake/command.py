@@ -9,7 +9,11 @@ HELP = """Bake a trained run into one avatar file.
 
 The fused field becomes one closed mesh (30k triangles, with 10k and 3k beside it), one texture atlas per
 level, skin weights for the 52 joints, and, where the person's look really depends on the view, a tiny network.
-The file is a plain glTF binary that any viewer opens. What baking lost is measured and written into the file."""
+The file is a plain glTF binary that any viewer opens. What baking lost is measured and written into the file.
+
+With --capture (a capture that holds the truth, as `selfscan synth` writes it) every view mode of the file is
+compared with true pictures that training never saw, and the best becomes the file's default; the file says so.
+The drawing without torch, RUN/fields.onnx, is written beside the run when it is not there yet."""
 
 
 def main(argv: list[str]) -> int:
@@ -25,6 +29,15 @@ def main(argv: list[str]) -> int:
         "--faces", type=int, default=30_000, help="triangles of the finest level (%(default)s)"
     )
     parser.add_argument("--texture", type=int, default=2048, help="its atlas, texels per side (%(default)s)")
+    parser.add_argument(
+        "--quality",
+        choices=("normal", "high"),
+        default="normal",
+        help="view network: normal (4 features, 8-16-3) or high (8 features, 12-16-16-3: twice the feature images)",
+    )
+    parser.add_argument(
+        "--capture", type=Path, metavar="CAPTURE", help="choose the default view mode by this capture's truth"
+    )
     arguments = parser.parse_args(argv)
     if arguments.out.suffix.lower() != ".glb":
         parser.error(f"-o should name a .glb file, is {arguments.out}")
@@ -40,5 +53,12 @@ def main(argv: list[str]) -> int:
 
     from bake.bake import bake
 
-    bake(arguments.run, arguments.out, arguments.faces, size)
+    bake(
+        arguments.run,
+        arguments.out,
+        arguments.faces,
+        size,
+        quality=arguments.quality,
+        capture=arguments.capture,
+    )
     return 0

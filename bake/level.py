@@ -238,11 +238,10 @@ def with_features(baked: BakedLevel, distilled: Distilled, field: NumpyField) ->
     level = baked.level
     half = len(level.base_color) // 2
     texels = rasterise_charts(level.uv.astype(np.float64), level.faces.astype(np.int64), half)
-    values = np.empty((len(texels.index), 4), np.uint8)
-    for start in range(0, len(values), 1 << 18):
-        piece = np.arange(start, min(start + (1 << 18), len(values)))
-        values[piece] = distilled.features(_shown_by(baked, field, texels.rows(piece)))
-    features = spread(values.astype(np.float64), texels).astype(np.uint8)
+    count = len(texels.index)
+    pieces = [np.arange(start, min(start + (1 << 18), count)) for start in range(0, count, 1 << 18)]
+    values = [distilled.features(_shown_by(baked, field, texels.rows(piece))) for piece in pieces]
+    features = spread(np.concatenate(values).astype(np.float64), texels).astype(np.uint8)
     return baked._replace(level=replace(level, features=features))
 
 

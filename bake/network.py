@@ -2,12 +2,13 @@
 
     colour = clamp(base + A |t'| y / (1 + |y|)),   y = W2 relu(W1 x + b1) + b2,   x = [f (4), t' (3), |t'|]
 
-f are four 8-bit features of the surface point. The teacher's residual is C(x, d') - C(x, d_bar), so at
+f are four 8-bit features of the surface point (eight, and a second hidden layer, in high quality). The teacher's residual is C(x, d') - C(x, d_bar), so at
 d = d_bar the result is the paper's colour whatever the weights. A linear residual (sum f_i M_i) t' over the
 same features is always fitted as well, and ships alone where the network gains less than 0.3 dB over it.
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -41,21 +42,22 @@ class Distilled(NamedTuple):
     """How the file shows view dependence; parts that the default view does not need are None."""
 
     network: ViewNetwork | None
-    linear: Float[np.ndarray, "4 3 3"] | None
+    linear: Float[np.ndarray, "f 3 3"] | None
     default_view: Literal["network", "linear", "off"]
-    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n 4"]] | None
+    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n f"]] | None
     decibels: dict[str, float]  # of each mode against the cone field, on samples kept out of training
+    reason: str = ""  # why this is the default
 
 
 class FeatureEncoder(nn.Module):
-    """Surface point -> four features in [0, 1], rounded to 1/255 with the gradient passed straight through.
+    """Surface point -> four or eight features in [0, 1], rounded to 1/255 with the gradient passed straight through.
 
     The encoder ties texels together, so that a few hundred thousand teacher colours are enough for a million
     texels; it is thrown away after its output is stored. Position enters as sines of up to 2^5 periods per
     2 m (about 6 cm): a residual of the view varies no faster.
     """
 
-    def __init__(self, *, width: int = 48, octaves: int = 6):
+    def __init__(self, features: int = 4, *, width: int = 48, octaves: int = 6):
         super().__init__()
         self.octaves = octaves
         self.layers = nn.Sequential(
@@ -63,10 +65,10 @@ class FeatureEncoder(nn.Module):
             nn.ReLU(),
             nn.Linear(width, width),
             nn.ReLU(),
-            nn.Linear(width, 4),
+            nn.Linear(width, features),
         )
 
-    def forward(self, surface: Float[torch.Tensor, "n 12"]) -> Float[torch.Tensor, "n 4"]:
+    def forward(self, surface: Float[torch.Tensor, "n 12"]) -> Float[torch.Tensor, "n f"]:
         position = surface[:, :3]
         waves = [f(position * (torch.pi * 2**k)) for k in range(self.octaves) for f in (torch.sin, torch.cos)]
         value = torch.sigmoid(self.layers(torch.cat([surface, *waves], 1)))
@@ -92,24 +94,25 @@ def sampled_directions(cone: ViewCone, rng: np.random.Generator, *, seen_share: 
 
 
 def network_inputs(
-    features: Float[np.ndarray, "n 4"], tangent: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "n 8"]:
+    features: Float[np.ndarray, "n f"], tangent: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n inputs"]:
     """x = [features / 255, t', |t'|] from features in [0, 1]."""
     return np.concatenate([features, tangent, np.linalg.norm(tangent, axis=1, keepdims=True)], 1)
 
 
 def network_residual(
-    network: ViewNetwork, features: Float[np.ndarray, "n 4"], tangent: Float[np.ndarray, "n 3"]
+    network: ViewNetwork, features: Float[np.ndarray, "n f"], tangent: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """A |t'| y / (1 + |y|) in float64: the reference of the shader."""
     x = network_inputs(features, tangent)
-    hidden = np.maximum(x @ np.asarray(network.w1, np.float64).T + network.b1, 0)
-    y = hidden @ np.asarray(network.w2, np.float64).T + network.b2
-    return AMPLITUDE * x[:, 7:8] * y / (1 + np.abs(y))
+    y = x
+    for number, (weights, bias) in enumerate(network.layers):
+        y = (np.maximum(y, 0) if number else y) @ np.asarray(weights, np.float64).T + bias
+    return AMPLITUDE * x[:, -1:] * y / (1 + np.abs(y))
 
 
 def linear_residual(
-    linear: Float[np.ndarray, "4 3 3"], features: Float[np.ndarray, "n 4"], tangent: Float[np.ndarray, "n 3"]
+    linear: Float[np.ndarray, "f 3 3"], features: Float[np.ndarray, "n f"], tangent: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
     return np.einsum("nf,fij,nj->ni", features, linear, tangent)
 
@@ -121,25 +124,27 @@ def decibels(error: Float[np.ndarray, "*n"]) -> float:
 
 
 def fit_linear(
-    features: Float[np.ndarray, "n 4"], tangent: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "4 3 3"]:
+    features: Float[np.ndarray, "n f"], tangent: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "f 3 3"]:
     """Least squares of residual = (sum f_i M_i) t', lightly damped: features may be nearly equal."""
-    design = (features[:, :, None] * tangent[:, None, :]).reshape(len(features), 12)
+    size = 3 * features.shape[1]
+    design = (features[:, :, None] * tangent[:, None, :]).reshape(len(features), size)
     gram = design.T @ design
-    solution = np.linalg.solve(gram + (1e-6 * np.trace(gram) + 1e-12) * np.eye(12), design.T @ residual)
-    return solution.reshape(4, 3, 3).transpose(0, 2, 1)
+    solution = np.linalg.solve(gram + (1e-6 * np.trace(gram) + 1e-12) * np.eye(size), design.T @ residual)
+    return solution.reshape(-1, 3, 3).transpose(0, 2, 1)
 
 
 def distil(
     color: ColorFunction,
     surface: SurfacePoints,
     *,
+    high: bool = False,
     seed: int = 0,
     steps: int = 1200,
     batch: int = 8192,
     report: Callable[[str], None] = lambda line: None,
 ) -> Distilled:
-    """Features, network and linear residual for the cone field color(points, directions).
+    """Features, network and linear residual for the cone field color(points, directions); `high`, the large ones.
 
     One eighth of the surface points is kept out and scores the modes. When the field's own view dependence
     inside the cone is below what can be seen, or nothing beats the paper's colour, nothing is shipped and the
@@ -148,7 +153,9 @@ def distil(
     rng = np.random.default_rng(seed)
     usable = np.flatnonzero(surface.cone.seen > 0.02)
     if len(usable) < 64:
-        return Distilled(None, None, "off", None, {"off": float("inf")})
+        return Distilled(
+            None, None, "off", None, {"off": float("inf")}, "no camera saw the surface often enough"
+        )
     surface = SurfacePoints(
         surface.points[usable], surface.normals[usable], surface.base[usable], _rows(surface.cone, usable)
     )
@@ -160,13 +167,18 @@ def distil(
     scores = {"off": decibels(residual[kept])}
     report(f"cone field against its paper mode: {scores['off']:.1f} dB")
     if scores["off"] >= INVISIBLE_DB:
-        return Distilled(None, None, "off", None, scores)
+        reason = (
+            f"within the cone the field is {scores['off']:.1f} dB near its own paper mode: nothing to be seen"
+        )
+        return Distilled(None, None, "off", None, scores, reason)
 
     torch.manual_seed(seed)
-    encoder = FeatureEncoder()
-    hidden, output = nn.Linear(8, 16), nn.Linear(16, 3)
-    layers = nn.Sequential(hidden, nn.ReLU(), output)
-    matrices = nn.Parameter(torch.zeros(4, 3, 3))
+    count = 8 if high else 4
+    encoder = FeatureEncoder(count)
+    sizes = (count + 4, 16, 16, 3) if high else (count + 4, 16, 3)
+    linears = [nn.Linear(*pair) for pair in pairwise(sizes)]
+    layers = nn.Sequential(*[stage for linear in linears for stage in (linear, nn.ReLU())][:-1])
+    matrices = nn.Parameter(torch.zeros(count, 3, 3))
     inputs = torch.from_numpy(_encoder_inputs(surface))
     tangents = torch.from_numpy(tangent.astype(np.float32))
     targets = torch.from_numpy(residual.astype(np.float32))
@@ -189,19 +201,14 @@ def distil(
         optimiser.step()
         schedule.step()
 
-    def features_of(points: SurfacePoints) -> UInt8[np.ndarray, "n 4"]:
+    def features_of(points: SurfacePoints) -> UInt8[np.ndarray, "n f"]:
         encoded = []
         with torch.no_grad():
             for chunk in torch.from_numpy(_encoder_inputs(points)).split(1 << 16):
                 encoded.append(torch.round(encoder(chunk) * 255).to(torch.uint8).numpy())
-        return np.concatenate(encoded) if encoded else np.zeros((0, 4), np.uint8)
+        return np.concatenate(encoded) if encoded else np.zeros((0, count), np.uint8)
 
-    network = ViewNetwork(
-        w1=hidden.weight.detach().numpy().copy(),
-        b1=hidden.bias.detach().numpy().copy(),
-        w2=output.weight.detach().numpy().copy(),
-        b2=output.bias.detach().numpy().copy(),
-    )
+    network = ViewNetwork(*(p.detach().numpy().copy() for one in linears for p in (one.weight, one.bias)))
     features = features_of(surface) / 255.0
     linear = fit_linear(features[~kept], tangent[~kept], residual[~kept])
     held = features[kept], tangent[kept]
@@ -214,15 +221,17 @@ def distil(
 def choose(
     scores: dict[str, float],
     network: ViewNetwork,
-    linear: Float[np.ndarray, "4 3 3"],
-    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n 4"]],
+    linear: Float[np.ndarray, "f 3 3"],
+    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n f"]],
 ) -> Distilled:
     """The simplest mode that is not GAIN_DB worse than a richer one; what is not worth it is not in the file."""
+    told = ", ".join(f"{mode} {scores[mode]:.1f} dB" for mode in ("network", "linear", "off"))
+    reason = f"against the cone field on samples kept out: {told}; a richer mode must gain {GAIN_DB} dB"
     if scores["network"] >= max(scores["linear"], scores["off"]) + GAIN_DB:
-        return Distilled(network, linear.astype(np.float32), "network", features, scores)
+        return Distilled(network, linear.astype(np.float32), "network", features, scores, reason)
     if scores["linear"] >= scores["off"] + GAIN_DB:
-        return Distilled(None, linear.astype(np.float32), "linear", features, scores)
-    return Distilled(None, None, "off", None, scores)
+        return Distilled(None, linear.astype(np.float32), "linear", features, scores, reason)
+    return Distilled(None, None, "off", None, scores, reason)
 
 
 def _rows(cone: ViewCone, index: Integer[np.ndarray, "n"]) -> ViewCone:
@@ -236,19 +245,24 @@ def _encoder_inputs(surface: SurfacePoints) -> Float[np.ndarray, "n 12"]:
 
 
 def write_onnx(path: Path, network: ViewNetwork) -> None:
-    """The network alone, x (n, 8) -> y (n, 3), for ONNX Runtime: the reference the shader is tested against."""
+    """The network alone, x (n, 8) -> y (n, 3), for ONNX Runtime: the reference the shader is tested against.
+
+    The large network's x is (n, 12).
+    """
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
-    weights = {"w1": network.w1, "b1": network.b1, "w2": network.w2, "b2": network.b2}
+    weights, nodes, last = {}, [], len(network.layers)
+    for number, (weight, bias) in enumerate(network.layers, 1):
+        weights |= {f"w{number}": weight, f"b{number}": bias}
+        names = ["x" if number == 1 else f"h{number - 1}", f"w{number}", f"b{number}"]
+        nodes.append(helper.make_node("Gemm", names, ["y" if number == last else f"z{number}"], transB=1))
+        if number < last:
+            nodes.append(helper.make_node("Relu", [f"z{number}"], [f"h{number}"]))
     graph = helper.make_graph(
-        [
-            helper.make_node("Gemm", ["x", "w1", "b1"], ["z"], transB=1),
-            helper.make_node("Relu", ["z"], ["h"]),
-            helper.make_node("Gemm", ["h", "w2", "b2"], ["y"], transB=1),
-        ],
+        nodes,
         "view_network",
-        [helper.make_tensor_value_info("x", TensorProto.FLOAT, ["n", 8])],
+        [helper.make_tensor_value_info("x", TensorProto.FLOAT, ["n", network.features + 4])],
         [helper.make_tensor_value_info("y", TensorProto.FLOAT, ["n", 3])],
         [numpy_helper.from_array(np.asarray(value, np.float32), name) for name, value in weights.items()],
     )

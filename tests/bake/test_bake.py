@@ -46,7 +46,7 @@ def test_file_holds_what_was_promised(baked, run):
 
 def test_progress_says_what_was_measured(baked):
     text = "\n".join(baked[1])
-    for word in ("surface:", "level 0:", "default view is off", "against the field:", "MB"):
+    for word in ("surface:", "level 0:", "default view: off", "against the field:", "MB"):
         assert word in text
 
 

@@ -1,0 +1,173 @@
+"""Which view mode shows the person best: every mode drawn beside true pictures that training never saw.
+
+One fixed light ties what is seen to where it is seen from: a residual learnt from one turning person can be wrong
+under a camera that moves. So where the truth is known it decides, not the distance to the field.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from scipy.ndimage import binary_erosion
+
+from avatar.baked_avatar import Avatar
+from avatar.errors import AssetError
+from bake.held_out import PART_ID, SETS, HeldOutView, read_capture_facts, read_held_out
+from player.context import Context, open_context
+from player.renderer import Renderer
+
+Mode = Literal["off", "linear", "network"]
+MODES: tuple[Mode, ...] = ("off", "linear", "network")  # simplest first
+REGIONS = {
+    "total": "body",
+    "head": "head",
+    "left_hand": "hand_left",
+    "right_hand": "hand_right",
+}  # view of each
+TIE_DB = 0.005  # less than the third digit after the point that is told: the simpler mode stands
+
+
+class TrueViews(NamedTuple):
+    """Held-out pictures of a capture and what is told of it."""
+
+    facts: dict[str, Any]
+    sets: dict[str, list[HeldOutView]]  # novel_pose, novel_view
+
+
+def read_true_views(capture: Path, poses: int | None = None) -> TrueViews:
+    """The held-out pictures of a capture, of `poses` poses spread evenly over each set.
+
+    Raises:
+        AssetError: the capture has no ground truth.
+    """
+    facts = read_capture_facts(capture)
+    if not (Path(capture) / "truth").is_dir():
+        raise AssetError(
+            f"{capture}: expected truth/ with held-out pictures (selfscan synth), found none: bake without --capture"
+        )
+    sets = {name: some_poses(read_held_out(capture, name), poses) for name in SETS}
+    known = {k: facts[k] for k in ("subject", "light", "sheen", "seed") if k in facts}
+    return TrueViews(known, sets)
+
+
+def some_poses(views: list[HeldOutView], count: int | None) -> list[HeldOutView]:
+    """The views of `count` poses spread evenly over the set; all of them for None."""
+    numbers = sorted({view.pose_index for view in views})
+    if count is None or count >= len(numbers):
+        return views
+    kept = {numbers[i] for i in np.linspace(0, len(numbers) - 1, count).round().astype(int)}
+    return [view for view in views if view.pose_index in kept]
+
+
+def modes_of(avatar: Avatar) -> list[str]:
+    """View modes that the file holds, simplest first; `vertex` is the richest of them, asked at vertices."""
+    held = [mode for mode in MODES if mode == "off" or getattr(avatar, mode) is not None]
+    return held if len(held) == 1 else [held[0], "vertex", *held[1:]]
+
+
+class Errors(NamedTuple):
+    """Sum of squares and count of errors in [0, 1] units, over pixels and channels."""
+
+    square: float = 0.0
+    count: int = 0
+
+    def plus(self, other: "Errors") -> "Errors":
+        return Errors(self.square + other.square, self.count + other.count)
+
+    @property
+    def db(self) -> float | None:
+        """PSNR of the pooled error; None of nothing, or of no error at all."""
+        if self.count == 0 or self.square == 0:
+            return None
+        return round(-10 * float(np.log10(self.square / self.count)), 3)
+
+
+def mode_errors(
+    context: Context, avatar: Avatar, views: Sequence[HeldOutView], modes: Sequence[str]
+) -> dict[str, dict[str, Errors]]:
+    """Colour errors by mode and region against true pictures, the same pixels for every mode.
+
+    Pixels: those of the region's true part (the whole person on the body view), one pixel off its outline, that
+    the avatar covers: silhouettes are geometry, which no view mode changes.
+    """
+    found = {mode: dict.fromkeys(REGIONS, Errors()) for mode in modes}
+    by_size: dict[tuple[int, int], list[HeldOutView]] = {}
+    for view in views:
+        by_size.setdefault(view.camera.size, []).append(view)
+    for size, group in by_size.items():
+        renderers = {mode: Renderer(context, [avatar], size, view=mode) for mode in modes}
+        try:
+            for view in group:
+                region = next(name for name, shown in REGIONS.items() if shown == view.view)
+                mask = view.mask() if region == "total" else view.parts() == PART_ID[view.view] + 1
+                inside = binary_erosion(mask, np.ones((3, 3), bool), border_value=0)
+                truth = view.image()
+                for mode, renderer in renderers.items():
+                    image = renderer.draw([(view.axis_angle, view.root)], view.camera)
+                    scored = inside & (image[..., 3] == 255)
+                    error = image[..., :3][scored] / np.float64(255) - truth[scored]
+                    one = Errors(float(np.square(error).sum()), error.size)
+                    found[mode][region] = found[mode][region].plus(one)
+        finally:
+            for renderer in renderers.values():
+                renderer.release()
+    return found
+
+
+def pooled(errors: dict[str, Errors]) -> Errors:
+    """All regions' pictures together."""
+    total = Errors()
+    for one in errors.values():
+        total = total.plus(one)
+    return total
+
+
+def told(errors: dict[str, Errors]) -> dict[str, float | None]:
+    """Decibels by region, hands together, and of all pictures."""
+    hands = errors["left_hand"].plus(errors["right_hand"])
+    by_region = {"total": errors["total"], "head": errors["head"], "hands": hands, "all": pooled(errors)}
+    return {name: one.db for name, one in by_region.items()}
+
+
+def scores_by_mode(
+    context: Context, avatar: Avatar, sets: dict[str, list[HeldOutView]], modes: Sequence[str] | None = None
+) -> dict[str, Any]:
+    """{set: {mode: {total, head, hands, all}}} in decibels, and the pooled {mode: db} over both sets as `all`."""
+    modes = modes_of(avatar) if modes is None else modes
+    errors = {name: mode_errors(context, avatar, views, modes) for name, views in sets.items()}
+    out: dict[str, Any] = {name: {m: told(errors[name][m]) for m in modes} for name in sets}
+    together = {m: Errors() for m in modes}
+    for name in sets:
+        together = {m: together[m].plus(pooled(errors[name][m])) for m in modes}
+    return out | {"all": {m: one.db for m, one in together.items()}}
+
+
+def better_mode(scores: dict[str, float | None]) -> tuple[Mode, str]:
+    """The mode nearest to the truth (a simpler one within TIE_DB), and the reason as a sentence."""
+    known: dict[Mode, float] = {}
+    for mode in MODES:
+        db = scores.get(mode)
+        if db is not None:
+            known[mode] = db
+    if not known:
+        return "off", "the true pictures show nobody, so nothing could be measured"
+    best = max(known.values())
+    nearest: list[Mode] = [mode for mode in known if known[mode] >= best - TIE_DB]
+    told_scores = ", ".join(f"{mode} {db:.3f} dB" for mode, db in known.items())
+    return nearest[0], f"nearest to the true pictures: {told_scores}"
+
+
+def measured_default(avatar: Avatar, true: TrueViews) -> tuple[Mode, dict[str, Any]]:
+    """The view mode that the truth prefers among those in the file, with numbers and reason for its provenance."""
+    modes = [mode for mode in modes_of(avatar) if mode != "vertex"]
+    context = open_context()
+    try:
+        scores = scores_by_mode(context, avatar, true.sets, modes)
+    finally:
+        context.release()
+    mode, reason = better_mode(scores["all"])
+    if len(modes) == 1:
+        reason = f"the only mode of this file: {reason}"
+    pictures = {name: len(views) for name, views in true.sets.items()}
+    return mode, {"by": "truth", "reason": reason, "psnr_db": scores, "pictures": pictures, **true.facts}
