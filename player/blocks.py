@@ -29,7 +29,8 @@ def std140(**fields: str) -> np.dtype:
 FRAME = std140(clip_from_view="mat4", view_amount="float")
 BONES = std140(view_from_canonical="mat4x3[52]")
 TURNS = std140(view_from_canonical_q="vec4[52]")
-BINDING = {"Frame": (FRAME, 0), "Bones": (BONES, 1), "Turns": (TURNS, 2)}
+DUALS = std140(view_from_canonical_d="vec4[52]")
+BINDING = {"Frame": (FRAME, 0), "Bones": (BONES, 1), "Turns": (TURNS, 2), "Duals": (DUALS, 3)}
 
 
 def bind_block(program: moderngl.Program, name: str) -> None:

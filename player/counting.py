@@ -101,6 +101,10 @@ class Counts:
             return self._thunk(address, None, (c_uint,), self._mipmaps)
         if name == "glRenderbufferStorage":
             return self._thunk(address, None, (c_uint, c_uint, c_int, c_int), self._renderbuffer)
+        if name == "glRenderbufferStorageMultisample":
+            return self._thunk(
+                address, None, (c_uint, c_int, c_uint, c_int, c_int), self._renderbuffer_samples
+            )
         return address
 
     def _thunk(self, address: int, result, argument_types: tuple, after: Callable[..., object]) -> int:
@@ -206,3 +210,6 @@ class Counts:
 
     def _renderbuffer(self, target, _internal, width, height):
         self._allocate("renderbuffer", target, 0, width * height * 4)
+
+    def _renderbuffer_samples(self, target, samples, _internal, width, height):
+        self._allocate("renderbuffer", target, 0, width * height * 4 * max(samples, 1))

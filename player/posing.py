@@ -71,6 +71,15 @@ def quaternions(bones: PosedBones) -> Float[np.ndarray, "52 4"]:
     return kinematics.quaternions(bones.view_from_canonical[:, :3, :3])
 
 
+def dual_parts(bones: PosedBones, real: Float[np.ndarray, "52 4"]) -> Float[np.ndarray, "52 4"]:
+    """t q / 2 of each bone, t its translation and q its rotation `real`, for shaders/skinning_dual.glsl."""
+    t, u, w = bones.view_from_canonical[:, :3, 3], real[:, :3], real[:, 3:]
+    out = np.empty((52, 4))
+    out[:, :3] = 0.5 * (w * t + np.cross(t, u))
+    out[:, 3] = -0.5 * np.einsum("ni,ni->n", t, u)
+    return out
+
+
 def reach(bones: PosedBones, camera: Camera) -> Reach:
     """Depths and image box that the avatar cannot leave."""
     used = np.flatnonzero(bones.radii >= 0)

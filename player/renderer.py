@@ -9,23 +9,27 @@ import moderngl
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from avatar.baked_avatar import Avatar, Level
+from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, clip_from_view
-from player.blocks import BONES, FRAME, TURNS, bind_block
-from player.constants import avatar_constants
+from player.backdrop import Backdrop
+from player.blit import Blit, Box
+from player.blocks import FRAME
 from player.context import Context
 from player.effects import PLAIN, Background, Effects
-from player.mesh import draw_order, interleaved, view_interleaved
-from player.plan import MIN_HEIGHT, Pass, Plan, Variant, mip_levels, resolve
-from player.posing import PosedBones, Poser, quaternions, reach
+from player.plan import MIN_HEIGHT, Canvas, Pass, Plan, resolve
+from player.posing import PosedBones, Poser, Reach, dual_parts, quaternions, reach
 from player.raster import clip_planes
-from player.shader import compile_program, uniform
+from player.realise import UNITS, Realised
+from player.shader import uniform
+from player.tiles import Patches, covered, rectangles
 
 Pose = tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]]  # axis-angle, pelvis joint in world
 
-BASE = ("3f4 2f4 4u1 4f1", "position", "uv", "joints", "weights")
-VIEW = ("3f4 3f4 3f4 1f4", "view_mean", "view_q0", "view_q1", "view_seen")
-UNITS = {"base_color": 0, "features": 1, "more_features": 2}
+MARGIN = 2  # pixels round an avatar that antialiasing can change
+TAPS = 6  # pixels round a tile that FXAA looks at
+BULGE = (
+    1.5  # dual quaternions leave the hull of the bones' spheres: by less than half of what the bones disagree
+)
 
 
 @dataclass
@@ -36,15 +40,36 @@ class Drawn:
     runs: bool
     why: str
 
+    @property
+    def state(self) -> str:
+        """runs, kept (its last result still holds), skipped (cannot show in this frame), or not asked for."""
+        if not self.item.asked:
+            return "not asked for"
+        return "runs" if self.runs else "kept" if self.why.startswith("kept") else "skipped"
+
+
+@dataclass
+class Moment:
+    """A frame that was drawn: what explaining it draws again."""
+
+    framebuffer: moderngl.Framebuffer
+    poses: list[Pose]
+    camera: Camera
+    flipped: bool
+    seconds: float
+
 
 class Renderer:
     """Draws avatars on one size of image. What is asked for is made here, once; drawing makes nothing.
 
-    size None makes no image of its own: only `draw_into` a window works. view is "auto", "off", "vertex", "linear" or "network"; level picks a level of detail (the coarsest if there
-    are fewer); background is premultiplied RGBA in [0,1]; view_amount is u_view, 0 for the paper's colours.
+    size None makes no image of its own: only `draw_into` a window works, and what depends on its size is made with
+    its first frame. `effects` and `background` say what is asked for; level picks a level of detail (the coarsest
+    if there are fewer); view_amount is u_view, 0 for the paper's colours. view is short for Effects(view=view), an
+    RGBA tuple (premultiplied, [0,1]) for a Background of one colour.
 
     Raises:
-        ValueError: the view mode is unknown or not in an avatar, a texture or the image exceeds the device.
+        ValueError: the view mode is not in an avatar, a texture or the image exceeds the device.
+        AssetError: the background's file cannot be read.
     """
 
     def __init__(
@@ -60,83 +85,144 @@ class Renderer:
         view: str | None = None,
     ):
         self.context, self.avatars = context, tuple(avatars)
-        effects = effects if view is None else replace(effects, view=view)
-        background = background.color if isinstance(background, Background) else background
-        self.effects, view = effects, effects.view
-        self.view, self.level, self.view_amount = view, level, view_amount
-        red, green, blue, alpha = background
-        self.background = (float(red), float(green), float(blue), float(alpha))
-        self.plan: Plan = resolve(self.avatars, size, view, context.software, level)
-        limit = context.gl.info["GL_MAX_TEXTURE_SIZE"]
-        largest = max(*(size or (1, 1)), *(max(self._level(a).base_color.shape) for a in self.avatars))
-        if largest > limit:
-            raise ValueError(f"{largest} pixels across; {context.renderer} holds at most {limit}")
+        self.level, self.view_amount = level, view_amount
+        self.effects = effects if view is None else replace(effects, view=view)
+        self.background = _as_background(background)
+        self.size, self.own_image = size, size is not None
         context.make_current()
-        self.buffers: dict[str, moderngl.Buffer] = {}
-        self.textures: dict[str, moderngl.Texture] = {}
-        self.programs: dict[Variant, moderngl.Program] = {}
-        self.arrays: dict[str, moderngl.VertexArray] = {}
-        self.posers = [Poser(avatar, self._level(avatar)) for avatar in self.avatars]
-        self.target = self._new_target(size) if size else None
-        self._realise()
+        self.backdrop = Backdrop(self.background)
+        self.made = Realised(context, self.avatars, level)
+        self.blit = Blit(context)
+        self.posers = [Poser(avatar, self.made.level_of(avatar)) for avatar in self.avatars]
+        self.patches: list[Patches] | None = None
         self.drawn: list[Drawn] = []
-        self.last: tuple[moderngl.Framebuffer, list[Pose], Camera, bool] | None = None
+        self.last: Moment | None = None
+        self._become()
+
+    @property
+    def plan(self) -> Plan:
+        return self.made.plan
+
+    @property
+    def target(self) -> moderngl.Framebuffer | None:
+        """The renderer's own image; None when it draws into a window."""
+        return self.made.framebuffers.get("image") if self.own_image else None
+
+    @property
+    def transparent(self) -> bool:
+        """Whether pictures may have pixels that are not opaque."""
+        return self.backdrop.transparent
+
+    @property
+    def has_view(self) -> bool:
+        """Whether any avatar is drawn with view dependence."""
+        return any(item.kind == "view" and item.asked for item in self.plan.passes)
+
+    def change(
+        self,
+        *,
+        size: tuple[int, int] | None = None,
+        effects: Effects | None = None,
+        background: Background | Sequence[float] | None = None,
+    ) -> None:
+        """Another size, other effects, another background. Only what is new is made or compiled; what is no longer
+        asked for is freed.
+
+        Raises:
+            ValueError, AssetError: as when it was made; the renderer then stays as it was.
+        """
+        before = self.size, self.effects, self.background, self.backdrop
+        self.size = size or self.size
+        self.effects = effects or self.effects
+        if background is not None:
+            self.background = _as_background(background)
+            self.backdrop = Backdrop(self.background)
+        try:
+            self._become()
+        except ValueError:
+            self.size, self.effects, self.background, self.backdrop = before
+            raise
+        if self.backdrop is not before[3]:
+            before[3].close()
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Another number of pixels: images are made anew, programs and meshes stay."""
+        if size != self.size:
+            self.change(size=size)
 
     def draw(
         self,
         poses: Sequence[Pose],
         camera: Camera,
         out: UInt8[np.ndarray, "height width 4"] | None = None,
+        *,
+        seconds: float = 0.0,
     ) -> UInt8[np.ndarray, "height width 4"]:
         """The image, row 0 on top, premultiplied alpha, sRGB. One pose per avatar; the camera is fitted to size.
 
-        `out` is an array to read into, so that a film needs no new memory for each frame.
+        `out` is an array to read into, so that a film needs no new memory for each frame; `seconds` is the time in
+        a background that moves.
 
         Raises:
             ValueError: not one pose per avatar, or a pose with a number that is not finite.
         """
-        assert self.target is not None, "made without an image: use draw_into"
+        target = self.target
+        assert target is not None, "made without an image: use draw_into"
         self.context.make_current()
-        width, height = self.target.size
+        width, height = target.size
         if camera.size != (width, height):
             camera = camera.resized((width, height))
-        self._frame(self.target, poses, camera, flipped=True)
+        self._frame(Moment(target, list(poses), camera, True, seconds))
         image = np.empty((height, width, 4), np.uint8) if out is None else out
-        self.target.read_into(image, components=4)
+        target.read_into(image, components=4)
         return image
 
-    def draw_into(self, framebuffer: moderngl.Framebuffer, poses: Sequence[Pose], camera: Camera) -> None:
+    def draw_into(
+        self,
+        framebuffer: moderngl.Framebuffer,
+        poses: Sequence[Pose],
+        camera: Camera,
+        *,
+        seconds: float = 0.0,
+    ) -> None:
         """The same into another framebuffer, whose rows count from the bottom; nothing is read back.
 
-        A window (which has no size of its own that GL knows) is drawn on the camera's pixels.
+        A window (which has no size of its own that GL knows) is drawn on the camera's pixels. When its size
+        changes, what depends on it is made anew, as by `resize`.
         """
         self.context.make_current()
         if framebuffer.glo != 0 and camera.size != framebuffer.size:
             camera = camera.resized(framebuffer.size)
-        self._frame(framebuffer, poses, camera, flipped=False)
+        if not self.own_image:
+            self.resize(camera.size)
+        elif self.size != camera.size and (self.backdrop.sized or self.effects.antialiasing != "none"):
+            raise ValueError(f"made for {self.size} pixels, drawn into {camera.size}: call resize")
+        self._frame(Moment(framebuffer, list(poses), camera, False, seconds))
 
     def explain(self, repeats: int = 5) -> list[dict[str, Any]]:
-        """Every pass of the plan: whether it ran in the last frame, why, what it costs in ms (median), its bytes.
+        """Every pass: whether it ran in the last frame, why, what it costs in ms (median), its bytes.
 
-        A pass that did not run costs nothing and says 0. Times include its share of posing and end when the
-        device is done; no readback.
+        A pass that did not run costs nothing and says 0. Times of avatars include their share of posing; all end
+        when the device is done; no readback.
         """
         if self.last is None:
             raise ValueError("nothing was drawn yet: there is no frame to explain")
-        framebuffer, poses, camera, flipped = self.last
         out = []
         for drawn in list(self.drawn):
             times = []
             for _ in range(repeats if drawn.runs else 0):
+                if drawn.item.kind == "antialiasing":
+                    self._frame(self.last)  # it filters a whole picture
                 self.context.gl.finish()
                 start = time.perf_counter()
-                self._frame(framebuffer, poses, camera, flipped=flipped, only=drawn.item)
+                self._frame(self.last, only=drawn.item)
                 self.context.gl.finish()
                 times.append(1e3 * (time.perf_counter() - start))
             out.append(
                 {
                     "name": drawn.item.name,
                     "runs": drawn.runs,
+                    "state": drawn.state,
                     "why": drawn.why,
                     "ms": round(float(np.median(times)), 3) if times else 0.0,
                     "bytes": self.plan.bytes(drawn.item),
@@ -148,79 +234,133 @@ class Renderer:
         """Free everything this renderer made."""
         self.context.make_current()
         self.context.leave_framebuffer()
-        things = [
-            *self.arrays.values(),
-            *self.programs.values(),
-            *self.buffers.values(),
-            *self.textures.values(),
-        ]
-        for thing in things:
-            thing.release()
-        self.arrays, self.programs, self.buffers, self.textures = {}, {}, {}, {}
-        if self.target is not None:
-            attachments = [*self.target.color_attachments, self.target.depth_attachment]
-            self.target.release()  # leaves its attachments alive
-            for attachment in attachments:
-                attachment.release()
-            self.target = None
+        self.made.release()
+        self.backdrop.close()
 
     # -- one frame
 
-    def _frame(
-        self,
-        framebuffer: moderngl.Framebuffer,
-        poses: Sequence[Pose],
-        camera: Camera,
-        *,
-        flipped: bool,
-        only: Pass | None = None,
-    ) -> None:
+    def _frame(self, moment: Moment, *, only: Pass | None = None) -> None:
+        """Execute the plan, or one pass of it (explain)."""
+        poses, camera = moment.poses, moment.camera
         if len(poses) != len(self.avatars):
             raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(poses)}")
-        width, height = camera.size
         bones = [poser.posed(*pose, camera) for poser, pose in zip(self.posers, poses, strict=True)]
-        reaches = [reach(one, camera) for one in bones]
+        reaches = [reach(self._bulging(one), camera) for one in bones]
         shown = [r.shows(camera) for r in reaches]
+        tall = [bool(r.box[3] - r.box[1] >= MIN_HEIGHT) for r in reaches]
         planes = clip_planes(
             np.array([r.depth for r, seen in zip(reaches, shown, strict=True) if seen]).ravel()
         )
-
-        gl = self.context.gl
-        framebuffer.viewport = (0, 0, width, height)
-        framebuffer.use()
-        framebuffer.clear(color=self.background)
-        gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-        if planes is not None:
-            self._write_frame(camera, planes, flipped)
-        tall = [bool(r.box[3] - r.box[1] >= MIN_HEIGHT) for r in reaches]
+        if only is None or only.kind != "antialiasing":  # that one filters what is there
+            moment.framebuffer.viewport = (0, 0, *camera.size)
+            moment.framebuffer.use()
+            moment.framebuffer.clear(color=self.background.color)
+        drawn: list[Drawn] = []
         posed: set[int] = set()
-        drawn = []
         for item in self.plan.passes:
-            runs, why = self._decision(item, shown, tall)
+            runs, why = self._decision(item, moment, shown, tall)
             drawn.append(Drawn(item, runs, why))
-            if runs and (only is None or item is only):
+            if (only is None and not runs) or (only is not None and item is not only):
+                continue
+            if item.kind == "background":
+                self._draw_background(item, moment)
+            elif item.kind == "antialiasing":
+                self._antialias(item, moment, bones, reaches, shown)
+            else:
+                if not posed:
+                    assert planes is not None
+                    self._begin_avatars(moment, planes, reaches, shown)
                 if item.avatar not in posed:
                     self._write_bones(item.avatar, bones[item.avatar], self._viewed(item.avatar, tall))
                     posed.add(item.avatar)
-                self._bind_textures(item.avatar, item.variant)
-                self.arrays[item.name].render()
-        self.drawn, self.last = drawn, (framebuffer, list(poses), camera, flipped)
+                self._bind_textures(item)
+                self.made.arrays[item.name].render()
+        self.drawn, self.last = drawn, moment
 
-    def _viewed(self, avatar: int, tall: list[bool]) -> bool:
-        return f"{self._tag(avatar)} turns" in self.buffers and bool(tall[avatar])
+    def _bulging(self, bones: PosedBones) -> PosedBones:
+        """The bones with spheres that hold what they move, in the skinning asked for."""
+        if self.effects.skinning == "lbs":
+            return bones
+        return bones._replace(radii=BULGE * bones.radii)  # -1, a bone that moves nothing, stays negative
 
-    def _decision(self, item: Pass, shown: list[bool], tall: list[bool]) -> tuple[bool, str]:
-        if item.variant is None:
+    def _decision(self, item: Pass, moment: Moment, shown: list[bool], tall: list[bool]) -> tuple[bool, str]:
+        """Whether a pass runs in this frame, and why or why not."""
+        if not item.asked:
             return False, item.why
+        if item.kind == "background":
+            if item.name == "background":
+                return True, item.why
+            content = self.backdrop.content(self.made, moment.camera, moment.flipped, moment.seconds)
+            still = "the camera has not turned" if self.background.kind == "hdr" else "the same frame"
+            return (False, f"kept: {still}") if self.backdrop.fresh(content) else (True, item.why)
+        if item.kind == "antialiasing":
+            return (True, item.why) if any(shown) else (False, "no avatar in view")
         if not shown[item.avatar]:
             return False, "out of view"
-        is_view = dict(item.variant.defines)["VIEW_STAGE"] != 0
-        if is_view:
+        if item.kind == "view":
             small = f"the avatar is less than {MIN_HEIGHT} pixels tall"
             return (True, item.why) if tall[item.avatar] else (False, small)
         if self._viewed(item.avatar, tall):
             return False, "the view pass draws this avatar"
         return True, item.why
+
+    def _viewed(self, avatar: int, tall: list[bool]) -> bool:
+        return f"{self.made.tag(avatar)} view vertices" in self.made.buffers and tall[avatar]
+
+    def _draw_background(self, item: Pass, moment: Moment) -> None:
+        """Bring its texture up to date, or copy it into the picture."""
+        here = self.made, moment.camera, moment.flipped, moment.seconds
+        if item.name != "background" or not self.backdrop.fresh(self.backdrop.content(*here)):
+            self.backdrop.fill(*here)
+        if item.name == "background":
+            self.blit(self.made.framebuffers["background"], moment.framebuffer, (0, 0, *moment.camera.size))
+        moment.framebuffer.use()
+
+    def _begin_avatars(
+        self, moment: Moment, planes: tuple[float, float], reaches: list[Reach], shown: list[bool]
+    ) -> None:
+        """What all avatars share. With MSAA they are drawn on an image of their own, over the same background."""
+        samples = self.made.framebuffers.get("samples")
+        if samples is not None:
+            samples.viewport = (0, 0, *moment.camera.size)
+            samples.use()
+            samples.clear(color=self.background.color)
+            if self.backdrop.sized:
+                box = _box(reaches, shown, moment)
+                self.blit(self.made.framebuffers["background"], samples, box)
+                samples.use()
+        self.context.gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+        self._write_frame(moment.camera, planes, moment.flipped)
+
+    def _antialias(
+        self, item: Pass, moment: Moment, bones: list[PosedBones], reaches: list[Reach], shown: list[bool]
+    ) -> None:
+        made, target = self.made, moment.framebuffer
+        if item.variant is None:  # MSAA: the mean of the samples, where avatars are
+            image, box = made.framebuffers["image"], _box(reaches, shown, moment)
+            self.blit(made.framebuffers["samples"], image, box)
+            if target is not image:  # a window may have another format, which only a plain copy allows
+                self.blit(image, target, box)
+            target.use()
+            return
+        assert self.patches is not None
+        dual = self.effects.skinning == "dual_quaternion"
+        boxes = [
+            patches.boxes(one.view_from_canonical, moment.camera, dual=dual)
+            for patches, one, seen in zip(self.patches, bones, shown, strict=True)
+            if seen
+        ]
+        size = moment.camera.size
+        tiles = rectangles(covered(np.concatenate(boxes), size, MARGIN), size, flipped=moment.flipped)
+        if len(tiles):
+            left, low = np.maximum(tiles[:, :2].min(0).astype(int) - TAPS, 0).tolist()
+            right, high = np.minimum(tiles[:, 2:].max(0).astype(int) + TAPS, size).tolist()
+            self.blit(target, made.framebuffers["fxaa"], (left, low, right, high))
+            target.use()
+            self.context.gl.enable_only(moderngl.NOTHING)
+            made.buffers["fxaa tiles"].write(np.ascontiguousarray(tiles))
+            made.textures["fxaa color"].use(UNITS["picture"])
+            made.arrays[item.name].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=len(tiles))
 
     def _write_frame(self, camera: Camera, planes: tuple[float, float], flipped: bool) -> None:
         clip = clip_from_view(camera, *planes)
@@ -230,109 +370,103 @@ class Renderer:
         frame = np.zeros((), FRAME)
         frame["clip_from_view"] = clip.T
         frame["view_amount"] = self.view_amount
-        self.buffers["frame"].write(frame.tobytes())
-        self.buffers["frame"].bind_to_uniform_block(0)
+        self.made.buffers["frame"].write(frame.tobytes())
+        self.made.buffers["frame"].bind_to_uniform_block(0)
 
     def _write_bones(self, avatar: int, bones: PosedBones, viewed: bool) -> None:
-        tag = self._tag(avatar)
-        palette = np.ascontiguousarray(bones.view_from_canonical[:, :3], np.float32)
-        self.buffers[f"{tag} bones"].write(palette)
-        self.buffers[f"{tag} bones"].bind_to_uniform_block(1)
-        if viewed:
-            self.buffers[f"{tag} turns"].write(np.ascontiguousarray(quaternions(bones), np.float32))
-            self.buffers[f"{tag} turns"].bind_to_uniform_block(2)
+        tag, buffers = self.made.tag(avatar), self.made.buffers
+        dual = self.effects.skinning == "dual_quaternion"
+        if dual or viewed:
+            turns = quaternions(bones)
+            buffers[f"{tag} turns"].write(np.ascontiguousarray(turns, np.float32))
+            buffers[f"{tag} turns"].bind_to_uniform_block(2)
+            if dual:
+                buffers[f"{tag} duals"].write(dual_parts(bones, turns).astype(np.float32))
+                buffers[f"{tag} duals"].bind_to_uniform_block(3)
+        if not dual:
+            palette = np.ascontiguousarray(bones.view_from_canonical[:, :3], np.float32)
+            buffers[f"{tag} bones"].write(palette)
+            buffers[f"{tag} bones"].bind_to_uniform_block(1)
 
-    def _bind_textures(self, avatar: int, variant: Variant | None) -> None:
-        tag = self._tag(avatar)
-        self.textures[f"{tag} base color"].use(UNITS["base_color"])
-        if variant is not None and variant.avatar is not None:
-            self.textures[f"{tag} features"].use(UNITS["features"])
-            if f"{tag} more features" in self.textures:
-                self.textures[f"{tag} more features"].use(UNITS["more_features"])
+    def _bind_textures(self, item: Pass) -> None:
+        tag, textures = self.made.tag(item.avatar), self.made.textures
+        textures[f"{tag} base color"].use(UNITS["base_color"])
+        if item.kind == "view":
+            textures[f"{tag} features"].use(UNITS["features"])
+            if f"{tag} more features" in textures:
+                textures[f"{tag} more features"].use(UNITS["more_features"])
 
-    # -- making what the plan holds
+    # -- when the plan changes
 
-    def _realise(self) -> None:
-        gl = self.context.gl
-        self.buffers["frame"] = gl.buffer(reserve=FRAME.itemsize, dynamic=True)
-        for index, avatar in enumerate(self.avatars):
-            tag, level = self._tag(index), self._level(avatar)
-            order, faces = draw_order(level.positions, level.faces)
-            self.buffers[f"{tag} vertices"] = gl.buffer(interleaved(level)[order].tobytes())
-            self.buffers[f"{tag} faces"] = gl.buffer(faces.tobytes())
-            self.buffers[f"{tag} bones"] = gl.buffer(reserve=BONES.itemsize, dynamic=True)
-            self.textures[f"{tag} base color"] = self._texture(level.base_color)
-            if f"{tag} turns" in self.plan.resources:
-                assert level.features is not None
-                self.buffers[f"{tag} view vertices"] = gl.buffer(view_interleaved(level)[order].tobytes())
-                self.buffers[f"{tag} turns"] = gl.buffer(reserve=TURNS.itemsize, dynamic=True)
-                self.textures[f"{tag} features"] = self._texture(level.features[..., :4])
-                if f"{tag} more features" in self.plan.resources:
-                    self.textures[f"{tag} more features"] = self._texture(level.features[..., 4:])
-        for variant in self.plan.variants:
-            self.programs[variant] = self._program(variant)
-        for item in self.plan.passes:
-            if item.variant is not None:
-                self.arrays[item.name] = self._vertex_array(item, item.variant)
-                self._warm(item)
-
-    def _program(self, variant: Variant) -> moderngl.Program:
-        generated = avatar_constants(self.avatars[variant.avatar]) if variant.avatar is not None else {}
-        defines = dict(variant.defines)
-        program = compile_program(self.context.gl, variant.vertex, variant.fragment, defines, generated)
-        for block in ("Frame", "Bones", "Turns"):
-            bind_block(program, block)
-        for sampler, unit in UNITS.items():
-            if sampler in program:
-                uniform(program, sampler).value = unit
-        return program
-
-    def _vertex_array(self, item: Pass, variant: Variant) -> moderngl.VertexArray:
-        tag, program = self._tag(item.avatar), self.programs[variant]
-        content: list[tuple[object, ...]] = [(self.buffers[f"{tag} vertices"], *BASE)]
-        if f"{tag} view vertices" in item.reads:
-            content.append((self.buffers[f"{tag} view vertices"], *VIEW))
-        return self.context.gl.vertex_array(program, content, self.buffers[f"{tag} faces"])
+    def _become(self) -> None:
+        info = self.context.gl.info
+        largest = max(
+            *(self.size or (1, 1)), *(max(self.made.level_of(a).base_color.shape) for a in self.avatars)
+        )
+        if largest > info["GL_MAX_TEXTURE_SIZE"]:
+            raise ValueError(
+                f"{largest} pixels across; {self.context.renderer} holds at most {info['GL_MAX_TEXTURE_SIZE']}"
+            )
+        canvas = Canvas(self.size, self.own_image, self.context.software, self.context.gl.max_samples,
+                      self.backdrop.panorama_size)  # fmt: skip
+        plan = resolve(self.avatars, canvas, self.effects, self.background, self.level)
+        self.context.make_current()
+        new = self.made.become(plan, self.backdrop.panorama)
+        if plan.resources.get("panorama") is not None:
+            self.backdrop.panorama = None  # the texture holds it
+        self.patches = None
+        if self.effects.antialiasing == "fxaa" and self.size is not None:
+            self.patches = [Patches(self.made.level_of(avatar)) for avatar in self.avatars]
+        for item in new:
+            self._warm(item)
 
     def _warm(self, item: Pass) -> None:
         """Draw one triangle with the real state: drivers compile at the first draw, some 90 ms in software."""
-        if self.target is not None:
-            self.target.use()
+        made, gl = self.made, self.context.gl
+        on = made.framebuffers.get("samples") or made.framebuffers.get("image")
+        if item.kind == "background":
+            on = made.framebuffers["background"]
+        if on is not None:
+            on.use()
         else:
             self.context.leave_framebuffer()
-        self.context.gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-        self._write_frame(_ANY_CAMERA, (1.0, 2.0), flipped=True)
-        tag = self._tag(item.avatar)
-        for name, binding in ((f"{tag} bones", 1), (f"{tag} turns", 2)):
-            if name in self.buffers:
-                self.buffers[name].write(bytes(self.buffers[name].size))
-                self.buffers[name].bind_to_uniform_block(binding)
-        self._bind_textures(item.avatar, item.variant)
-        self.arrays[item.name].render(vertices=3)
+        if item.kind in ("avatar", "view"):
+            gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
+            self._write_frame(_ANY_CAMERA, (1.0, 2.0), flipped=True)
+            for name, binding in (("bones", 1), ("turns", 2), ("duals", 3)):
+                buffer = made.buffers.get(f"{made.tag(item.avatar)} {name}")
+                if buffer is not None:
+                    buffer.write(bytes(buffer.size))
+                    buffer.bind_to_uniform_block(binding)
+            self._bind_textures(item)
+            made.arrays[item.name].render(vertices=3)
+            return
+        gl.enable_only(moderngl.NOTHING)
+        if item.kind == "background":
+            made.textures["panorama"].use(UNITS["panorama"])
+            made.arrays[item.name].render(vertices=3)
+        else:
+            assert item.variant is not None and self.size is not None
+            uniform(made.programs[item.variant], "image_size").value = self.size
+            made.buffers["fxaa tiles"].write(np.array([0, 0, 1, 1], np.uint16))
+            made.textures["fxaa color"].use(UNITS["picture"])
+            made.arrays[item.name].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=1)
 
-    def _texture(self, image: UInt8[np.ndarray, "height width channels"]) -> moderngl.Texture:
-        gl = self.context.gl
-        height, width, channels = image.shape
-        if channels == 3:  # three bytes a texel are slow to fetch everywhere
-            image = np.dstack([image, np.full((height, width), 255, np.uint8)])
-        texture = gl.texture((width, height), 4, np.ascontiguousarray(image).tobytes())
-        texture.build_mipmaps(0, mip_levels(image.shape) - 1)
-        # nearest mip on software: trilinear fetches cost 1.3-2.5 times as much there (notes: 9-27 against 7-11 ns)
-        minify = moderngl.LINEAR_MIPMAP_NEAREST if self.context.software else moderngl.LINEAR_MIPMAP_LINEAR
-        texture.filter = (minify, moderngl.LINEAR)
-        if not self.context.software:
-            texture.anisotropy = 8.0
-        return texture
 
-    def _new_target(self, size: tuple[int, int]) -> moderngl.Framebuffer:
-        gl = self.context.gl
-        return gl.framebuffer([gl.renderbuffer(size, 4)], gl.depth_renderbuffer(size))
+def _as_background(background: Background | Sequence[float]) -> Background:
+    if isinstance(background, Background):
+        return background
+    red, green, blue, alpha = background
+    return Background("color", (float(red), float(green), float(blue), float(alpha)))
 
-    def _tag(self, avatar: int) -> str:
-        return f"avatar {avatar}" if len(self.avatars) > 1 else "avatar"
 
-    def _level(self, avatar: Avatar) -> Level:
-        return avatar.levels[min(self.level, len(avatar.levels) - 1)]
+def _box(reaches: Sequence[Reach], shown: Sequence[bool], moment: Moment) -> Box:
+    """The box that holds all avatars in view, in rows as GL counts them."""
+    width, height = moment.camera.size
+    boxes = np.array([r.box for r, seen in zip(reaches, shown, strict=True) if seen])
+    left, top = np.clip(boxes[:, :2].min(0) - MARGIN, 0, (width, height)).astype(int).tolist()
+    right, bottom = np.ceil(np.clip(boxes[:, 2:].max(0) + MARGIN, 0, (width, height))).astype(int).tolist()
+    return (left, top, right, bottom) if moment.flipped else (left, height - bottom, right, height - top)
 
 
 _ANY_CAMERA = Camera(np.eye(3), np.eye(4), (1, 1))

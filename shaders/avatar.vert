@@ -1,8 +1,13 @@
 #version 330
-// A posed avatar. VIEW_STAGE: 0 paper mode, 1 view dependence per vertex, 2 per pixel.
+// A posed avatar. SKINNING: 0 linear blend, 1 dual quaternions.
+// VIEW_STAGE: 0 paper mode, 1 view dependence per vertex, 2 per pixel.
 // VIEW_MODEL and VIEW_FEATURES: see view_model.glsl (asked only when VIEW_STAGE is not 0).
 #include "frame.glsl"
+#if SKINNING == 0
 #include "skinning.glsl"
+#else
+#include "skinning_dual.glsl"
+#endif
 
 in vec3 position;   // canonical (big pose), metres
 in vec2 uv;         // v down

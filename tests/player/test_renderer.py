@@ -9,7 +9,8 @@ from avatar.skinning import SkinWeights, skin_points
 from avatar.texture import sample_texture
 from player.context import open_context
 from player.doctor import difference
-from player.plan import resolve
+from player.effects import Effects
+from player.plan import Canvas, resolve
 from player.posing import Poser, reach
 from player.raster import Rasteriser
 from player.renderer import Renderer
@@ -17,6 +18,10 @@ from player.renderer import Renderer
 SIZE = (200, 240)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)
 VIEWS = ["off", "vertex", "linear", "network"]
+
+
+def planned(avatar, view, software=True):
+    return resolve([avatar], Canvas(SIZE, software=software), Effects(view=view))
 
 
 @pytest.fixture
@@ -111,7 +116,7 @@ def test_drawing_makes_nothing(context, render, avatar, pose, view):
 
 
 def test_what_is_not_asked_for_is_not_compiled_nor_allocated(avatar):
-    off, vertex = (resolve([avatar], SIZE, view, True) for view in ("off", "vertex"))
+    off, vertex = (planned(avatar, view) for view in ("off", "vertex"))
     assert len(off.variants) == 1 and dict(off.variants[0].defines)["VIEW_STAGE"] == 0
     assert not [name for name in off.resources if "view" in name or "turns" in name or "features" in name]
     assert {"avatar view vertices", "avatar turns", "avatar features"} <= set(vertex.resources)
@@ -126,17 +131,17 @@ def test_auto_is_per_vertex_on_software_and_the_files_own_on_a_gpu(avatar):
     def modes(plan):
         return [item.name for item in plan.passes if item.variant]
 
-    assert modes(resolve([avatar], SIZE, "auto", True)) == ["avatar: paper", "avatar: view vertex"]
-    assert modes(resolve([avatar], SIZE, "auto", False)) == ["avatar: paper", "avatar: view network"]
+    assert modes(planned(avatar, "auto")) == ["avatar: paper", "avatar: view vertex"]
+    assert modes(planned(avatar, "auto", software=False)) == ["avatar: paper", "avatar: view network"]
     plain = replace(avatar, default_view="off")
-    assert modes(resolve([plain], SIZE, "auto", False)) == ["avatar: paper"]
+    assert modes(planned(plain, "auto", software=False)) == ["avatar: paper"]
 
 
 def test_a_view_mode_the_avatar_lacks_is_refused(avatar):
     with pytest.raises(ValueError, match="view network is not in avatar mannequin male; it has off, linear"):
-        resolve([replace(avatar, network=None)], SIZE, "network", True)
+        planned(replace(avatar, network=None), "network")
     with pytest.raises(ValueError, match="'shiny'"):
-        resolve([avatar], SIZE, "shiny", True)
+        planned(avatar, "shiny")
 
 
 def test_view_dependence_of_a_tiny_avatar_is_skipped_and_equals_paper_mode(context, render, avatar, pose):
@@ -157,7 +162,8 @@ def test_an_avatar_out_of_view_is_not_drawn(context, render, avatar, pose):
     image = renderer.draw([pose], away)
     assert context.counts.calls["draw"] == draws
     assert (image == (51, 102, 153, 255)).all()
-    assert renderer.explain()[0]["why"] == "out of view" and renderer.explain()[0]["ms"] == 0
+    paper = next(row for row in renderer.explain() if row["name"] == "avatar: paper")
+    assert paper["why"] == "out of view" and paper["state"] == "skipped" and paper["ms"] == 0
 
 
 def test_explain_lists_every_pass_with_why_time_and_bytes(render, avatar, pose):
@@ -166,9 +172,12 @@ def test_explain_lists_every_pass_with_why_time_and_bytes(render, avatar, pose):
         renderer.explain()
     renderer.draw([pose], CAMERA)
     rows = renderer.explain(2)
-    assert [row["name"] for row in rows] == ["avatar: paper", "avatar: view linear"]
-    assert [row["runs"] for row in rows] == [False, True]
-    assert rows[1]["ms"] > 0 and rows[1]["bytes"] > rows[0]["bytes"] > 0 and rows[1]["why"] == "asked for"
+    names = ["background", "avatar: paper", "avatar: view linear", "antialiasing"]
+    assert [row["name"] for row in rows] == names
+    assert [row["state"] for row in rows] == ["not asked for", "skipped", "runs", "not asked for"]
+    assert [row["runs"] for row in rows] == [False, False, True, False]
+    _, paper, view, _ = rows
+    assert view["ms"] > 0 and view["bytes"] > paper["bytes"] > 0 and view["why"] == "asked for"
 
 
 def test_the_reach_holds_every_vertex(avatar, pose):

@@ -1,0 +1,229 @@
+"""Pixels behind the avatars: a picture, a film or a panorama, made ready at the size of the image.
+
+Arrays are sRGB, premultiplied, row 0 on top. Nothing here touches OpenGL.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from avatar.errors import AssetError
+from player.effects import RGBA, Background
+from player.radiance import read_radiance
+
+Pixels = UInt8[np.ndarray, "height width 4"]
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+PANORAMA_WIDTH = 4096  # texels at most: a view of 60 degrees then still has 680 of them across
+FAR = 2.0  # seconds; to go further ahead in a film, seek instead of decoding what lies between
+
+
+def placed(size: tuple[int, int], into: tuple[int, int], fit: str) -> tuple[int, int, int, int]:
+    """Where a picture of `size` lies in an image `into`: left, top, width, height, pixels; may stick out.
+
+    cover fills the image, contain shows the whole picture, stretch does both and distorts.
+    """
+    (w, h), (W, H) = size, into
+    if fit == "stretch":
+        return 0, 0, W, H
+    scale = (max if fit == "cover" else min)(W / w, H / h)
+    width, height = max(1, round(w * scale)), max(1, round(h * scale))
+    return (W - width) // 2, (H - height) // 2, width, height
+
+
+def fitted(picture: Pixels, into: tuple[int, int], fit: str, color: RGBA) -> Pixels:
+    """A picture (straight alpha) scaled and laid over a colour."""
+    left, top, width, height = placed((picture.shape[1], picture.shape[0]), into, fit)
+    scaled = picture
+    if (width, height) != (picture.shape[1], picture.shape[0]):
+        filter = Image.Resampling.LANCZOS if width < picture.shape[1] else Image.Resampling.BICUBIC
+        scaled = np.asarray(Image.fromarray(picture).resize((width, height), filter))
+    return laid(scaled, left, top, into, color)
+
+
+def laid(picture: Pixels, left: int, top: int, into: tuple[int, int], color: RGBA) -> Pixels:
+    """A picture (straight alpha) at its place on an image of one colour; what sticks out is cut off."""
+    width, height = into
+    out = np.empty((height, width, 4), np.uint8)
+    out[:] = np.round(255 * np.array(color))
+    x, y = max(left, 0), max(top, 0)
+    part = picture[y - top : height - top, x - left : width - left]
+    window = out[y : y + part.shape[0], x : x + part.shape[1]]
+    if part[..., 3].min(initial=255) == 255:
+        window[:] = part
+    else:
+        alpha = part[..., 3:].astype(np.float32) / 255
+        straight = part.astype(np.float32)
+        straight[..., 3] = 255
+        window[:] = np.round(straight * alpha + window * (1 - alpha))
+    return out
+
+
+def read_picture(path: Path | str) -> Pixels:
+    """A picture file as sRGB with straight alpha, turned as its camera was held.
+
+    Raises:
+        AssetError: the file is absent or no picture.
+    """
+    try:
+        with Image.open(path) as image:
+            return np.asarray(ImageOps.exif_transpose(image).convert("RGBA"))
+    except FileNotFoundError:
+        raise AssetError(f"{path}: no such file") from None
+    except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
+        raise AssetError(f"{path}: cannot be read as a picture: {error}") from None
+
+
+def read_panorama(path: Path | str) -> Float32[np.ndarray, "height width 3"]:
+    """Linear light from all directions (equirectangular), halved until it is at most PANORAMA_WIDTH wide.
+
+    Raises:
+        AssetError: no Radiance picture, or not twice as wide as high.
+    """
+    image = read_radiance(path)
+    height, width = image.shape[:2]
+    if width != 2 * height:
+        raise AssetError(f"{path}: a panorama should be twice as wide as high, is {width}x{height}")
+    while image.shape[1] > PANORAMA_WIDTH:
+        if image.shape[0] % 2:
+            image = image[:-1, :-2]
+        image = image.reshape(image.shape[0] // 2, 2, -1, 2, 3).mean((1, 3))
+    return image
+
+
+class Picture:
+    """One picture, the same at all times."""
+
+    def __init__(self, background: Background):
+        assert background.path is not None
+        self.background, self.picture = background, read_picture(background.path)
+        self.opaque = background.fit != "contain" and bool(self.picture[..., 3].min() == 255)
+
+    def number(self, seconds: float) -> int:
+        return 0
+
+    def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
+        return fitted(self.picture, size, self.background.fit, self.background.color)
+
+    def close(self) -> None:
+        pass
+
+
+class Frames:
+    """A folder of pictures, in the order of their names, at a stated rate. The last one stays."""
+
+    opaque = False  # not known before all are read
+
+    def __init__(self, background: Background):
+        assert background.path is not None
+        self.background = background
+        self.files = sorted(f for f in Path(background.path).iterdir() if f.suffix.lower() in PICTURES)
+        if not self.files:
+            raise AssetError(f"{background.path}: expected pictures ({', '.join(PICTURES)}), found none")
+
+    def number(self, seconds: float) -> int:
+        return min(max(int(seconds * self.background.rate + 1e-6), 0), len(self.files) - 1)
+
+    def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
+        picture = read_picture(self.files[self.number(seconds)])
+        return fitted(picture, size, self.background.fit, self.background.color)
+
+    def close(self) -> None:
+        pass
+
+
+class Video:
+    """A film, one decoded frame in memory. The last frame stays. Only opening it imports the decoder."""
+
+    def __init__(self, background: Background):
+        import av
+        import av.error
+
+        assert background.path is not None
+        self.background, self.path = background, background.path
+        self.opaque = background.fit != "contain"
+        try:
+            self.container = av.open(self.path)
+        except (OSError, av.error.FFmpegError) as error:
+            raise AssetError(f"{self.path}: cannot be read as a film: {error}") from None
+        if not self.container.streams.video:
+            raise AssetError(f"{self.path}: holds no video")
+        self.stream = self.container.streams.video[0]
+        self.stream.thread_type = "AUTO"
+        self._start()
+
+    def _start(self, seconds: float = 0.0) -> None:
+        tick = self.stream.time_base
+        origin = self.stream.start_time or 0
+        assert tick is not None
+        self.container.seek(origin + max(int(seconds / tick), 0), stream=self.stream)
+        self.frames: Iterator = self._decoded()
+        self.shown, self.coming = None, next(self.frames, None)
+        if self.coming is None and seconds > 0:  # beyond the end: from the start, to the last frame
+            self._start()
+        if self.coming is None:
+            raise AssetError(f"{self.path}: holds no frame")
+
+    def _decoded(self) -> Iterator:
+        import av.error
+
+        try:
+            yield from self.container.decode(self.stream)
+        except av.error.FFmpegError as error:
+            raise AssetError(f"{self.path}: {error}") from None
+
+    def _time(self, frame) -> float:
+        return float((frame.pts - (self.stream.start_time or 0)) * self.stream.time_base)
+
+    def _seek(self, seconds: float) -> None:
+        """Decode until the frame that is shown at this time; a tick early is soon enough."""
+        seconds = max(seconds, 0.0) + 1e-4
+        if self.shown is not None and not (self._time(self.shown) <= seconds):
+            self._start(seconds)
+        elif self.coming is not None and self._time(self.coming) + FAR < seconds:
+            self._start(seconds)
+            if self.shown is None and self.coming is not None and self._time(self.coming) > seconds:
+                self._start()
+        while self.shown is None or (self.coming is not None and self._time(self.coming) <= seconds):
+            self.shown, self.coming = self.coming, next(self.frames, None)
+
+    def number(self, seconds: float) -> int:
+        self._seek(seconds)
+        assert self.shown is not None
+        return self.shown.pts
+
+    def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
+        self._seek(seconds)
+        assert self.shown is not None
+        turned = self.shown.rotation % 180 != 0
+        source = (self.shown.width, self.shown.height)
+        left, top, width, height = placed(source[::-1] if turned else source, size, self.background.fit)
+        across = (height, width) if turned else (width, height)
+        image = self.shown.reformat(width=across[0], height=across[1], format="rgba").to_ndarray()
+        image = np.rot90(image, self.shown.rotation // 90 % 4)
+        return laid(image, left, top, size, self.background.color)
+
+    def close(self) -> None:
+        self.container.close()
+
+
+Source = Picture | Frames | Video
+
+
+def opened_source(background: Background) -> Source | None:
+    """What an image or video background is drawn from; None for the kinds that need none.
+
+    Raises:
+        AssetError: the file is absent, or is not what its kind says.
+    """
+    if background.kind == "image":
+        return Picture(background)
+    if background.kind != "video":
+        return None
+    assert background.path is not None
+    path = Path(background.path)
+    if not path.exists():
+        raise AssetError(f"{path}: no such file")
+    return Frames(background) if path.is_dir() else Video(background)

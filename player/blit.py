@@ -1,0 +1,37 @@
+"""Copies a box of pixels between framebuffers: the cheapest way to move pixels, on software and GPU alike.
+
+moderngl's own copy takes whole framebuffers with their depth, which fails into a window whose depth has another
+format, and costs what we do not need.
+"""
+
+import ctypes
+from ctypes import c_int, c_uint
+
+import moderngl
+
+from player.context import Context
+
+READ_FRAMEBUFFER, DRAW_FRAMEBUFFER = 0x8CA8, 0x8CA9
+COLOR_BUFFER_BIT, NEAREST = 0x4000, 0x2600
+Box = tuple[int, int, int, int]  # left, first row, right, end row, in rows as GL counts them
+
+
+class Blit:
+    """glBlitFramebuffer of one context, counted like all its calls."""
+
+    def __init__(self, context: Context):
+        def function(name: str, *arguments: type) -> "ctypes._CFunctionType":
+            address = context.counts.wrap(name, context.driver.address(name))
+            return ctypes.CFUNCTYPE(None, *arguments)(address)
+
+        self._bind = function("glBindFramebuffer", c_uint, c_uint)
+        self._blit = function("glBlitFramebuffer", *(c_int,) * 8, c_uint, c_uint)
+
+    def __call__(self, source: moderngl.Framebuffer, target: moderngl.Framebuffer, box: Box) -> None:
+        """Copy the colours of a box, to the same place. Several samples become one, one becomes several.
+
+        Neither framebuffer is in use afterwards: call `use` on the next one.
+        """
+        self._bind(READ_FRAMEBUFFER, source.glo)
+        self._bind(DRAW_FRAMEBUFFER, target.glo)
+        self._blit(*box, *box, COLOR_BUFFER_BIT, NEAREST)
