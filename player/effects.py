@@ -1,9 +1,13 @@
 """What a scene asks of the renderer beyond the avatars themselves. Nothing here touches OpenGL.
 
-player/plan.py turns it into passes; what is not asked for is in no plan and costs nothing.
+player/plan.py turns it into passes; what is not asked for is in no plan and costs nothing. The notes on each field
+are its documentation in docs/scenes.md and in the JSON schema.
 """
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from player.checked import Above, Color, OneOf, check
 
 VIEWS = ("off", "vertex", "linear", "network")
 SKINNINGS = ("lbs", "dual_quaternion")
@@ -14,11 +18,6 @@ FITS = ("cover", "contain", "stretch")
 RGBA = tuple[float, float, float, float]
 
 
-def _one_of(what: str, value: str, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ValueError(f"{what} should be one of {', '.join(known)}, is {value!r}")
-
-
 @dataclass(frozen=True)
 class Effects:
     """How avatars are drawn.
@@ -27,14 +26,20 @@ class Effects:
         ValueError: a value that is not known.
     """
 
-    view: str = "auto"  # view dependence: off is the paper; auto picks by avatar and device
-    skinning: str = "lbs"  # linear blend, or dual quaternions, which keep volume where joints twist
-    antialiasing: str = "none"  # fxaa: a filter on the avatars' part of the finished picture; msaa: 4 samples
+    view: Annotated[
+        str, OneOf(("auto", *VIEWS)), "view dependence: off is the paper; auto picks by avatar and device"
+    ] = "auto"
+    skinning: Annotated[
+        str, OneOf(SKINNINGS), "linear blend, or dual quaternions, which keep volume where joints twist"
+    ] = "lbs"
+    antialiasing: Annotated[
+        str,
+        OneOf(ANTIALIASINGS),
+        "fxaa filters the finished picture where avatars are; msaa takes 4 samples a pixel",
+    ] = "none"
 
     def __post_init__(self):
-        _one_of("view", self.view, ("auto", *VIEWS))
-        _one_of("skinning", self.skinning, SKINNINGS)
-        _one_of("antialiasing", self.antialiasing, ANTIALIASINGS)
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -45,30 +50,36 @@ class Background:
         ValueError: a value that is not known, a kind without the file it needs, or a file for a kind that has none.
     """
 
-    kind: str = "color"
-    color: RGBA = (0.0, 0.0, 0.0, 0.0)  # premultiplied, sRGB; also where an image does not reach
-    path: str | None = (
-        None  # of image, video (a film, or a folder of frames), hdr (Radiance .hdr, equirectangular)
-    )
-    fit: str = "cover"  # image, video: cover crops, contain leaves bars of `color`, stretch distorts
-    rate: float = 30.0  # frames per second, for a folder of frames; films know theirs
-    exposure: float = 0.0  # hdr: stops; +1 is twice as bright
-    turn_deg: float = 0.0  # hdr: about the vertical; at 0 the front camera sees the middle of the picture
+    kind: Annotated[str, OneOf(BACKGROUNDS), "what it is; image, video and hdr need a path"] = "color"
+    color: Annotated[
+        RGBA,
+        Color(),
+        "of kind color, and where an image or a video does not reach (premultiplied sRGB in memory)",
+    ] = (0.0, 0.0, 0.0, 0.0)
+    path: Annotated[
+        str | None, "picture; film or folder of frames; panorama (Radiance .hdr, twice as wide as high)"
+    ] = None
+    fit: Annotated[
+        str, OneOf(FITS), "of image and video: cover crops, contain leaves bars of `color`, stretch distorts"
+    ] = "cover"
+    rate: Annotated[float, Above(0), "frames per second of a folder of frames; films know theirs"] = 30.0
+    exposure: Annotated[float, "of hdr, stops: +1 is twice as bright"] = 0.0
+    turn_deg: Annotated[
+        float, "of hdr, about the vertical: at 0 a camera in front sees the middle of the panorama"
+    ] = 0.0
 
     def __post_init__(self):
-        _one_of("background", self.kind, BACKGROUNDS)
-        _one_of("fit", self.fit, FITS)
+        check(self)
         needs_file = self.kind in ("image", "video", "hdr")
         if needs_file != (self.path is not None):
             need = "needs a path" if needs_file else f"takes no path, has {self.path!r}"
             raise ValueError(f"background {self.kind} {need}")
-        if not self.rate > 0:
-            raise ValueError(f"background rate should be positive frames per second, is {self.rate}")
 
     @property
     def transparent(self) -> bool:
-        """Whether a picture may have pixels that are not opaque, so that its file should hold alpha."""
+        """Whether the kind and colour alone leave pixels that are not opaque."""
         return self.kind == "transparent" or (self.kind == "color" and self.color[3] < 1)
 
 
 PLAIN = Effects()
+STUDIO = Background("color", (43 / 255, 45 / 255, 51 / 255, 1.0))  # where a scene says nothing

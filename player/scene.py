@@ -1,47 +1,89 @@
 """A scene: avatars with their motions, cameras, background and effects. Read from scene.toml, or made of options.
 
-docs/scenes.md documents the file. Fields here are keys there.
+docs/scenes.md documents the file. Fields here are keys there, `avatars` as [[avatar]], `cameras` as [[camera]].
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Annotated
 
-from player.effects import Background, Effects
+from avatar.hands import HANDS
+from avatar.motion import BUILTIN_MOTIONS
+from player.checked import Above, AtLeast, OneOf, Place, check
+from player.effects import PLAIN, STUDIO, Background, Effects
 
 CAMERAS = ("front", "orbit", "turntable", "file", "path", "capture")
+MANNEQUINS = ("mannequin", "mannequin:female")
 
 
 @dataclass(frozen=True)
 class SceneAvatar:
     """One avatar on stage."""
 
-    path: str  # avatar file (.glb), or mannequin, mannequin:female: the built-in body
-    motion: str | None = None  # pose file, EasyMocap folder, counting or walking; none: T-pose
-    live: str | None = None  # vmc:PORT, udp:PORT or ws:PORT, instead of a motion
-    at: tuple[float, float, float] = (0.0, 0.0, 0.0)  # metres, added to where the motion puts it
-    turn_deg: float = 0.0  # about the vertical through the world's origin, before `at`
-    hands: str = "file"  # the motion's hands: file, flat, relaxed or mean
-    body: str | None = None  # SMPL+H model that the pose file was made for
-    start: float = 0.0  # seconds into the motion at which the scene begins
+    path: Annotated[
+        str, Place(MANNEQUINS), "avatar file (.glb), or mannequin, mannequin:female: the built-in body"
+    ]
+    motion: Annotated[
+        str | None, Place(BUILTIN_MOTIONS), "pose file, EasyMocap folder, counting or walking; none: T-pose"
+    ] = None
+    live: Annotated[str | None, "vmc:PORT, udp:PORT or ws:PORT, instead of a motion (play only)"] = None
+    at: Annotated[tuple[float, float, float], "metres, added to where the motion puts it"] = (0.0, 0.0, 0.0)
+    turn_deg: Annotated[float, "about the vertical through the world's origin, before `at`"] = 0.0
+    hands: Annotated[str, OneOf(HANDS), "the motion's hands; mean needs `body`"] = "file"
+    body: Annotated[str | None, Place(), "SMPL+H model (.npz, .pkl) that the pose file was made for"] = None
+    start: Annotated[float, AtLeast(0), "seconds into the motion at which the scene begins"] = 0.0
+
+    def __post_init__(self):
+        check(self)
+        if self.motion is not None and self.live is not None:
+            raise ValueError("motion and live: expected one of them, found both")
 
 
 @dataclass(frozen=True)
 class SceneCamera:
     """One camera. Render uses the first, play switches between them."""
 
-    kind: str = "front"  # front and orbit are fitted to the avatars; turntable, file, path, capture
-    path: str | None = None  # camera file, camera path (JSON) or capture folder
-    name: str | None = None  # shown in the window; of a capture: body, head, hand_left or hand_right
-    seconds: float | None = None  # one turn of orbit and turntable; none: the length of the motion
-    fov_deg: float | None = None  # vertical field of view of fitted cameras
+    kind: Annotated[
+        str, OneOf(CAMERAS), "front, orbit and turntable are fitted to the avatars; the others need a path"
+    ] = "front"
+    path: Annotated[
+        str | None, Place(), "of file: a camera; of path: keys of a camera path; of capture: its folder"
+    ] = None
+    name: Annotated[
+        str | None, "what the window calls it; of capture, the part: body, head, hand_left, hand_right"
+    ] = None
+    seconds: Annotated[
+        float | None, Above(0), "of orbit and turntable: one round; none: the length of the motion"
+    ] = None
+    fov_deg: Annotated[float | None, Above(0), "of the fitted cameras: vertical field of view; none: 35"] = (
+        None
+    )
+
+    def __post_init__(self):
+        check(self)
+        needs_file = self.kind in ("file", "path", "capture")
+        if needs_file != (self.path is not None):
+            need = "needs a path" if needs_file else f"takes no path, has {self.path!r}"
+            raise ValueError(f"camera {self.kind} {need}")
+        if self.fov_deg is not None and not self.fov_deg < 180:
+            raise ValueError(f"fov_deg: expected less than 180, found {self.fov_deg:g}")
 
 
 @dataclass(frozen=True)
 class Scene:
     """Everything that render and play show."""
 
-    avatars: tuple[SceneAvatar, ...]
-    cameras: tuple[SceneCamera, ...] = (SceneCamera(),)
-    background: Background = field(default_factory=Background)
-    effects: Effects = field(default_factory=Effects)
-    size: tuple[int, int] | None = None  # pixels; none: the camera file's, else 640 x 640
-    rate: float | None = None  # frames per second; none: the first motion's
+    avatars: Annotated[tuple[SceneAvatar, ...], "who is on stage, one [[avatar]] each"]
+    cameras: Annotated[tuple[SceneCamera, ...], "where from, one [[camera]] each; none: front"] = (
+        SceneCamera(),
+    )
+    background: Annotated[Background, "what is behind them"] = STUDIO
+    effects: Annotated[Effects, "how they are drawn"] = PLAIN
+    size: Annotated[
+        tuple[int, int] | None,
+        AtLeast(1),
+        "width and height, pixels; none: the camera file's, else 640 x 640",
+    ] = None
+    rate: Annotated[float | None, Above(0), "frames per second; none: the first motion's"] = None
+
+    def __post_init__(self):
+        check(self)
