@@ -1,5 +1,6 @@
 """Run folder -> avatar file, in order: surface, decimation, atlas, skin, cone, colour, network, measurement."""
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,6 +18,7 @@ from avatar.skinning import dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
 from bake.field import NumpyField, numpy_field
+from bake.field_onnx import is_exportable, write_field
 from bake.level import (
     BakedLevel,
     Carried,
@@ -56,7 +58,23 @@ def bake(
     options = BakeOptions(faces=faces, texture=texture, quality=quality)
     true = None if capture is None else read_true_views(Path(capture), options.truth_poses)
     run = read_run(Path(run_path))
-    return bake_run(run, Path(out), options, progress, true)
+    avatar = bake_run(run, Path(out), options, progress, true)
+    write_field_beside(run, progress)
+    return avatar
+
+
+def write_field_beside(run: Any, report: Callable[[str], None]) -> None:
+    """RUN/fields.onnx, where it is not there yet and the run's networks are known to the export."""
+    path = Path(run.path) / "fields.onnx"
+    if path.exists():
+        return
+    if not is_exportable(run.field):
+        report(f"{path}: not written, only the networks of preset demo can be exported")
+    elif not os.access(run.path, os.W_OK):
+        report(f"{path}: not written, the run folder is read-only")
+    else:
+        write_field(path, run.field)
+        report(f"{path}: {path.stat().st_size / 1e6:.0f} MB, the field for ONNX Runtime")
 
 
 def bake_run(

@@ -13,7 +13,7 @@ The file is a plain glTF binary that any viewer opens. What baking lost is measu
 
 With --capture (a capture that holds the truth, as `selfscan synth` writes it) every view mode of the file is
 compared with true pictures that training never saw, and the best becomes the file's default; the file says so.
-The drawing without torch, RUN/fields.onnx, is written beside the run when it is not there yet."""
+RUN/fields.onnx, the field itself for ONNX Runtime, is written into the run folder when it is not there yet."""
 
 
 def main(argv: list[str]) -> int:
