@@ -304,13 +304,13 @@ def shrunk(
 
 
 def balanced(
-    mesh: Mesh, distance: PointFunction, normal: PointFunction, *, rounds: int = 2, reach: float = 0.02
+    mesh: Mesh, distance: PointFunction, normal: PointFunction, *, rounds: int = 2, reach: float = 0.006
 ) -> Mesh:
     """Vertices moved along the field's normal until the triangles around each lie half inside, half outside.
 
     With its vertices on the zero set a mesh lies inside every convex part; balanced, its mean distance to the
     surface is less than half (measured: .117 -> .053 mm at 30k triangles). A move that would turn a triangle
-    over is not made.
+    over is not made, nor one longer than `reach` (metres).
     """
     vertices, faces = mesh.vertices, mesh.faces
     for _ in range(rounds):
@@ -323,7 +323,9 @@ def balanced(
             total += np.bincount(faces[:, corner], areas * (middle + beside) / 3, len(vertices))
             weight += np.bincount(faces[:, corner], areas, len(vertices))
         error = 0.75 * total / np.maximum(weight, 1e-20) + 0.25 * distance(vertices)
-        moved = vertices - np.clip(error, -reach, reach)[:, None] * normal(vertices)
+        # farther from the surface than triangles of a level can be, the distance is not the surface's
+        error = np.where(np.abs(error) > reach, 0.0, error)
+        moved = vertices - error[:, None] * normal(vertices)
         vertices = unfolded(moved, vertices, faces)
     return Mesh(vertices, faces)
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
+from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, label
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
@@ -31,6 +32,7 @@ class Extraction(NamedTuple):
     islands: int  # components dropped
     island_area: float  # their share of the whole area
     residual: float  # metres, |distance| that one vertex in a thousand exceeds
+    slits: int  # grid samples of air that were filled
 
 
 def graded_axis(
@@ -108,6 +110,44 @@ def sample_near_surface(
         corners = half * np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), -1).reshape(-1, 3)
         origins = (origins[near][:, None] + corners).reshape(-1, 3)
         stride = half
+
+
+def slits_filled(
+    volume: Float[np.ndarray, "x y z"], axes: tuple[np.ndarray, ...], *, reach: float = 2.5
+) -> tuple[Float[np.ndarray, "x y z"], int]:
+    """Slits of air that end where the field was made solid (train/solid.py), filled; and how many samples.
+
+    A sheet inside the body that is joined to the skin is no component of its own. Its air is at most
+    2 `reach` samples wide and ends in a jump: there the distance changes sign by far more than the samples are
+    apart. Gaps between fingers, armpits and pits of the skin have no such end and stay as they are.
+    """
+    air = volume > 0
+    ends = np.zeros(volume.shape, bool)
+    for axis in range(3):
+        one, other = np.moveaxis(volume, axis, 0)[:-1], np.moveaxis(volume, axis, 0)[1:]
+        apart = np.diff(axes[axis]).astype(np.float32)[:, None, None]
+        jump = ((one > 0) != (other > 0)) & (np.abs(one - other) > 4 * apart)
+        marked = np.moveaxis(ends, axis, 0)
+        marked[:-1] |= jump & (one > 0)
+        marked[1:] |= jump & (other > 0)
+    if not ends.any():
+        return volume, 0
+    filled = volume.copy()
+    count = 0
+    groups, _ = label(binary_dilation(ends, iterations=4))
+    pad = int(4 * reach) + 8
+    for box in find_objects(groups):
+        box = tuple(slice(max(s.start - pad, 0), s.stop + pad) for s in box)
+        here = air[box]
+        # air that a ball of `reach` samples fills when it rolls in from where there is room
+        room = distance_transform_edt(here) > reach
+        wide = distance_transform_edt(~room) <= reach if room.any() else np.zeros_like(here)
+        pieces, _ = label(here & ~wide, np.ones((3, 3, 3), int))
+        slit = np.isin(pieces, np.setdiff1d(np.unique(pieces[ends[box]]), [0]))
+        step = min(float(np.diff(axis).min()) for axis in axes)
+        count += int((slit & (filled[box] > 0)).sum())
+        filled[box][slit] = -0.5 * step
+    return filled, count
 
 
 def enclosed_volume(mesh: Mesh) -> float:
@@ -226,6 +266,7 @@ def extract(
         raise AssetError(
             f"fused field: distance should be positive {margin * 100:.0f} cm outside the template, is {border:.4f} m"
         )
+    volume, slits = slits_filled(volume, axes)
     volume[volume == 0] = 1e-9  # a sample exactly on the surface would make triangles without area
     # "descent" turns triangles outwards for distances that grow outwards (skimage names it for densities)
     vertices, faces, _, _ = marching_cubes(volume, 0.0, gradient_direction="descent")
@@ -238,7 +279,7 @@ def extract(
     projected, residual = project_to_zero(distance, normal, mesh.vertices, reach=coarse_step)
     mesh = Mesh(projected, mesh.faces)
     exceeded = float(np.quantile(residual, 0.999))
-    return Extraction(mesh, normal(projected), queries, islands, island_area, exceeded)
+    return Extraction(mesh, normal(projected), queries, islands, island_area, exceeded, slits)
 
 
 def _clusters(points: Float[np.ndarray, "n 3"], cell: float = 0.03) -> Integer[np.ndarray, "n"]:
