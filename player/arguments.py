@@ -1,8 +1,12 @@
 """Arguments that several commands share: sizes, frame ranges, colours, hands."""
 
 import argparse
+from pathlib import Path
 
 from avatar.hands import HANDS
+from player.effects import Background
+
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -37,6 +41,42 @@ def parse_color(text: str) -> tuple[float, float, float, float]:
         raise argparse.ArgumentTypeError(f"expected #rrggbb or transparent, found {text!r}")
     red, green, blue = (int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4))
     return (red, green, blue, 1.0)
+
+
+def parse_background(text: str) -> Background:
+    """#rrggbb, transparent, or a file: a picture, a film or folder of frames, a panorama (.hdr)."""
+    path = Path(text)
+    if not text.startswith("#") and path.exists():
+        suffix = path.suffix.lower()
+        kind = "hdr" if suffix == ".hdr" else "image" if suffix in PICTURES else "video"
+        return Background(kind, path=text)
+    try:
+        color = parse_color(text)
+    except argparse.ArgumentTypeError:
+        message = f"expected #rrggbb, transparent or a file that is there, found {text!r}"
+        raise argparse.ArgumentTypeError(message) from None
+    return Background("transparent" if color[3] == 0 else "color", color)
+
+
+def parse_gpu(text: str) -> int | str:
+    """A number as CUDA counts, or a DRM node."""
+    if text.startswith("/"):
+        return text
+    if not text.isdigit():
+        message = f"expected a number from 0 or a DRM node as /dev/dri/renderD128, found {text!r}"
+        raise argparse.ArgumentTypeError(message)
+    return int(text)
+
+
+def parse_share(text: str) -> tuple[int, int]:
+    """K/N: the Kth of N shares, from 1."""
+    try:
+        number, count = (int(part) for part in text.split("/"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected K/N, as 2/8, found {text!r}") from None
+    if not 1 <= number <= count:
+        raise argparse.ArgumentTypeError(f"expected a share from 1/{count} to {count}/{count}, found {text}")
+    return number, count
 
 
 def frame_number(text: str) -> int:

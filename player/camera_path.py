@@ -134,7 +134,7 @@ class CameraPath:
 
 
 def turntable(
-    points: Float[Array, "points 3"], start: float, size: tuple[int, int], seconds: float
+    points: Float[Array, "points 3"], start: float, size: tuple[int, int], seconds: float, *, fov: float = FOV
 ) -> Callable[[float], Camera]:
     """A camera that goes round the middle of `points` once in `seconds`, from azimuth `start`; it sees them all.
 
@@ -144,11 +144,11 @@ def turntable(
         raise ValueError(f"a turn should take a positive number of seconds, not {seconds}")
     target = 0.5 * (points.min(0) + points.max(0))
     sides = start + np.linspace(0, 2 * np.pi, 16, endpoint=False)
-    distance = max(needed_distance(points, target, side, ELEVATION, size) for side in sides)
+    distance = max(needed_distance(points, target, side, ELEVATION, size, fov) for side in sides)
 
     def camera(at: float) -> Camera:
         turn = math.fmod(at / seconds, 1.0)
-        return at_distance(target, distance, start + 2 * np.pi * turn, ELEVATION, size)
+        return at_distance(target, distance, start + 2 * np.pi * turn, ELEVATION, size, fov)
 
     return camera
 

@@ -8,6 +8,7 @@ lost stays in `Context.attempts`. A window program passes the functions of its o
 import ctypes
 import ctypes.util
 import logging
+import os
 from collections.abc import Callable
 from ctypes import POINTER, byref, c_char_p, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass, field
@@ -22,7 +23,8 @@ log = logging.getLogger("selfscan.context")
 
 EGL_PLATFORM_DEVICE, EGL_PLATFORM_SURFACELESS = 0x313F, 0x31DD
 EGL_EXTENSIONS, EGL_VENDOR, EGL_VERSION = 0x3055, 0x3053, 0x3054
-EGL_DRM_DEVICE_FILE, EGL_RENDERER, EGL_CUDA_DEVICE = 0x3233, 0x335F, 0x323A
+EGL_DRM_DEVICE_FILE, EGL_DRM_RENDER_NODE_FILE = 0x3233, 0x3377
+EGL_RENDERER, EGL_CUDA_DEVICE = 0x335F, 0x323A
 EGL_OPENGL_API = 0x30A2
 # a pixel buffer or window surface is never made; any config that can do desktop OpenGL will do
 EGL_CONFIG = (0x3040, 0x0008, 0x3033, 0x0001, 0x3038)  # RENDERABLE_TYPE OPENGL_BIT, SURFACE_TYPE PBUFFER_BIT
@@ -48,9 +50,19 @@ class EglDevice:
     drm: str | None  # DRM node, as /dev/dri/card0
     cuda: int | None  # CUDA ordinal, where the driver tells it
     software: bool  # Mesa's own rasteriser, not a GPU
+    render_node: str | None = None  # as /dev/dri/renderD128
+    model: str | None = None  # maker and name of the card, where the driver tells it
+
+    def is_gpu(self, gpu: int | str) -> bool:
+        """Whether --gpu means this device: a CUDA ordinal, else a position; or one of its DRM nodes."""
+        if isinstance(gpu, str):
+            nodes = [os.path.realpath(node) for node in (self.drm, self.render_node) if node]
+            return os.path.realpath(gpu) in nodes
+        return gpu == (self.index if self.cuda is None else self.cuda)
 
     def __str__(self) -> str:
-        facts = [self.drm or "", f"CUDA {self.cuda}" if self.cuda is not None else ""]
+        facts = [self.model or "", self.drm or "", self.render_node or ""]
+        facts.append(f"CUDA {self.cuda}" if self.cuda is not None else "")
         if self.software:
             facts.append("software")
         return f"EGL device {self.index}" + "".join(f" {fact}" for fact in facts if fact)
@@ -156,11 +168,11 @@ class Context:
         self.release()
 
 
-def open_context(kind: str = "auto", gpu: int | None = None) -> Context:
+def open_context(kind: str = "auto", gpu: int | str | None = None) -> Context:
     """Open a context that needs no display: EGL device -> EGL surfaceless -> OSMesa.
 
-    kind is "auto", "egl" or "osmesa". gpu picks the EGL device of that CUDA ordinal (else of that index); then
-    no other device is tried.
+    kind is "auto", "egl" or "osmesa". gpu picks the EGL device of that CUDA ordinal (else of that index), or of
+    that DRM node (/dev/dri/renderD128); then no other device is tried.
 
     Raises:
         NoContextError: nothing worked; the message says what was tried and why it failed.
@@ -211,7 +223,7 @@ def wrap_context(address: Callable[[str], int], make_current: Callable[[], None]
     return Context(driver, "window", [], standalone=False)
 
 
-def _chosen_devices(egl: "Egl", gpu: int | None, attempts: list[str]) -> list[EglDevice]:
+def _chosen_devices(egl: "Egl", gpu: int | str | None, attempts: list[str]) -> list[EglDevice]:
     try:
         devices = egl.devices()
     except OSError as error:
@@ -222,9 +234,9 @@ def _chosen_devices(egl: "Egl", gpu: int | None, attempts: list[str]) -> list[Eg
     if gpu is None:
         # software last: it answers first on some machines and is the commonest cause of "slow"
         return sorted(devices, key=lambda device: device.software)
-    chosen = [d for d in devices if d.cuda == gpu] or [
-        d for d in devices if d.index == gpu and d.cuda is None
-    ]
+    chosen = [device for device in devices if device.is_gpu(gpu)]
+    # a driver that counts as CUDA does has the first word on a number
+    chosen = [device for device in chosen if device.cuda is not None] or chosen
     if not chosen:
         attempts.append(f"--gpu {gpu}: not among {[str(device) for device in devices]}")
     return chosen
@@ -284,8 +296,18 @@ class Egl:
             cuda, value = None, c_void_p()
             if "EGL_NV_device_cuda" in known and attribute(handle, EGL_CUDA_DEVICE, byref(value)):
                 cuda = value.value or 0
-            software = "EGL_MESA_device_software" in known
-            devices.append(EglDevice(index, handle, drm.decode() if drm else None, cuda, software))
+            node = (
+                text(handle, EGL_DRM_RENDER_NODE_FILE) if "EGL_EXT_device_drm_render_node" in known else None
+            )
+            named = "EGL_EXT_device_query_name" in known
+            names = [text(handle, name) for name in (EGL_VENDOR, EGL_RENDERER)] if named else []
+            model = " ".join(name.decode("utf-8", "replace") for name in names if name)
+            devices.append(
+                EglDevice(
+                    index, handle, drm.decode() if drm else None, cuda, "EGL_MESA_device_software" in known,
+                    node.decode() if node else None, model or None,
+                )
+            )  # fmt: skip
         return devices
 
     def error(self) -> str:
@@ -365,7 +387,7 @@ def osmesa_driver() -> Driver:
     return Driver("OSMesa", address, make_current, let_go, destroy, [canvas])
 
 
-def opened(kind: str, gpu: int | None) -> Context:
+def opened(kind: str, gpu: int | str | None) -> Context:
     """A context, or one line about why there is none."""
     try:
         return open_context(kind, gpu)

@@ -5,11 +5,14 @@ Frames come as (height, width, 4) uint8, row 0 on top, premultiplied alpha, sRGB
 ending: a folder of PNG frames. Video is tagged BT.709; an odd size is padded by one row or column, never scaled.
 """
 
+import os
 import queue
+import shutil
 import threading
-from collections.abc import Iterator
-from contextlib import ExitStack
-from fractions import Fraction
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import chain, islice
 from pathlib import Path
 from typing import IO, Any
 
@@ -22,13 +25,8 @@ from avatar.files import whole_file, whole_folder
 
 Frame = UInt8[np.ndarray, "height width 4"]
 WAITING = 8  # frames that may wait for the encoder before drawing waits for it
-# ending: (encoder, pixel format, options); the alpha formats are used when the background is transparent
-VIDEO = {
-    ".mp4": ("libx264", "yuv420p", {"preset": "veryfast", "crf": "18"}),
-    ".webm": ("libvpx-vp9", "yuv420p", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "6"}),
-    ".mov": ("prores_ks", "yuv444p10le", {"profile": "4444"}),
-}
-ALPHA_FORMAT = {".webm": "yuva420p", ".mov": "yuva444p10le"}
+VIDEO = (".mp4", ".webm", ".mov")
+ALPHA = (".webm", ".mov")  # videos that hold it
 PICTURE_SEQUENCES = {".gif": "GIF", ".webp": "WEBP"}
 
 
@@ -48,15 +46,31 @@ def film_kind(path: Path | str) -> str:
 
 
 class Film:
-    """A film being written: `with Film(path, rate) as film: film.add(image)`. Appears whole or not at all."""
+    """A film being written: `with Film(path, rate) as film: film.add(image)`. Appears whole or not at all.
 
-    def __init__(self, path: Path | str, rate: float, *, transparent: bool = False):
+    encoder is what `player.encoder.chosen_encoder` takes; quality is draft, good or best. `pieces` are files and the number of frames of each, to
+    be written one after the other instead of one file at `path`.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        rate: float,
+        *,
+        transparent: bool = False,
+        encoder: str = "auto",
+        quality: str = "good",
+        pieces: Sequence[tuple[Path, int]] = (),
+    ):
         if not (np.isfinite(rate) and rate > 0):
             raise ValueError(f"rate should be positive frames per second, is {rate}")
         self.path, self.kind, self.rate, self.transparent = Path(path), film_kind(path), rate, transparent
+        self.encoder, self.quality, self.pieces = encoder, quality, pieces
         self.frames = 0
         self.notes: list[str] = []
         self._queue: queue.Queue[Frame | None] = queue.Queue(WAITING)
+        self._kept: list[Frame] = []  # arrays of our own, read into again and again
+        self._free: queue.SimpleQueue[Frame] = queue.SimpleQueue()
         self._error: BaseException | None = None
         self._ended = False  # the drawing side has said that no more frames come
         self._thread = threading.Thread(target=self._work, name="film", daemon=True)
@@ -65,10 +79,19 @@ class Film:
         self._thread.start()
         return self
 
+    def canvas(self, size: tuple[int, int]) -> Frame:
+        """An array to draw the next frame of `size` pixels into; it is used again once it is written."""
+        try:
+            return self._free.get_nowait()
+        except queue.Empty:
+            image = np.empty((size[1], size[0], 4), np.uint8)
+            self._kept.append(image)
+            return image
+
     def add(self, image: Frame) -> None:
         """Hand over the next frame. The array must not be changed afterwards."""
         if self._error is None:
-            self._queue.put(image)
+            self._queue.put(np.ascontiguousarray(image))
             self.frames += 1
         if self._error is not None:
             raise self._error
@@ -83,7 +106,13 @@ class Film:
 
     def _work(self) -> None:
         try:
-            self._write(self._arriving())
+            frames = self._arriving()
+            for path, count in self.pieces:
+                self._write(path, islice(frames, count))
+            if not self.pieces:
+                self._write(self.path, frames)
+            for _ in frames:
+                raise AssetError(f"{self.path}: more frames than its pieces hold")
         except BaseException as error:  # carried over to the drawing thread, which raises it
             self._error = self._error or self._said(error)
         while not self._ended:  # so that `add` is never left waiting
@@ -96,7 +125,8 @@ class Film:
         return error
 
     def _arriving(self) -> Iterator[Frame]:
-        while True:
+        """The frames, each free to be drawn over when the next is asked for."""
+        while not self._ended:
             image = self._queue.get()
             self._ended = image is None
             if self._error is not None:
@@ -104,82 +134,136 @@ class Film:
             if image is None:
                 return
             yield image
+            self._release(image)
 
-    def _write(self, frames: Iterator[Frame]) -> None:
-        if self.kind == "":
-            with whole_folder(self.path) as folder:
-                for number, image in enumerate(frames):
-                    self._picture(image).save(folder / f"{number:06d}.png", compress_level=1)
+    def _release(self, image: Frame) -> None:
+        if any(image is mine for mine in self._kept):
+            self._free.put(image)
+
+    def _write(self, path: Path, frames: Iterator[Frame]) -> None:
+        kind = film_kind(path)
+        if kind == "":
+            with whole_folder(path) as folder:
+                self._pictures(folder, frames)
             return
-        with ExitStack() as stack:
-            first = next(frames, None)
-            if first is None:
-                raise AssetError(f"{self.path}: no frames to write")
-            file = stack.enter_context(whole_file(self.path))
-            if self.kind == ".png":
+        first = next(frames, None)
+        if first is None:
+            raise AssetError(f"{path}: no frames to write")
+        with whole_file(path) as file:
+            if kind == ".png":
                 self._picture(first).save(file, "PNG", compress_level=1)
                 for _ in frames:
-                    raise AssetError(f"{self.path}: a .png holds one frame; give a folder or a film")
-            elif self.kind in PICTURE_SEQUENCES:
-                rest = (self._picture(image) for image in frames)
-                duration = 1000 / self.rate
-                self._picture(first).save(
-                    file, PICTURE_SEQUENCES[self.kind], save_all=True, append_images=rest, duration=duration,
-                    loop=0, **({"quality": 85} if self.kind == ".webp" else {"disposal": 2}),
-                )  # fmt: skip
+                    raise AssetError(f"{path}: a .png holds one frame; give a folder or a film")
+            elif kind in PICTURE_SEQUENCES:
+                save_sequence(
+                    file, kind, (self._picture(image) for image in chain([first], frames)), self.rate
+                )
             else:
-                self._video(file, first, frames)
+                self._video(file, kind, first, frames)
+
+    def _pictures(self, folder: Path, frames: Iterator[Frame]) -> None:
+        """PNG frames, packed on all cores: packing one takes longer than drawing it."""
+        packing: deque[Future[None]] = deque()
+        with ThreadPoolExecutor(min(WAITING, os.cpu_count() or 1), "png") as pool:
+            for number, image in enumerate(frames):
+                picture = self._picture(image)
+                packing.append(pool.submit(picture.save, folder / f"{number:06d}.png", compress_level=1))
+                if len(packing) >= WAITING:
+                    packing.popleft().result()
+            for each in packing:
+                each.result()
 
     def _picture(self, image: Frame) -> Image.Image:
-        return Image.fromarray(straight(image) if self.transparent else image[..., :3])
+        """A copy as Pillow takes it."""
+        height, width = image.shape[:2]
+        if self.transparent:
+            return Image.frombytes("RGBA", (width, height), straight(image).tobytes())
+        return Image.frombytes("RGB", (width, height), image, "raw", "RGBX")
 
-    def _video(self, file: IO[Any], first: Frame, frames: Iterator[Frame]) -> None:
-        import av  # only a film needs it
-        from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
+    def _video(self, file: IO[Any], kind: str, first: Frame, frames: Iterable[Frame]) -> None:
+        from player.encoder import chosen_encoder, encode, padded_size  # only a film needs it
 
-        encoder, pixel_format, options = VIDEO[self.kind]
-        alpha = self.transparent and self.kind in ALPHA_FORMAT
-        if alpha:
-            pixel_format = ALPHA_FORMAT[self.kind]
-        elif self.transparent:
-            self.notes.append(f"{self.kind} holds no transparency: the background is black")
-        height, width = first.shape[:2]
-        if height % 2 or width % 2:
-            self.notes.append(f"{width}x{height} padded to even numbers, as video needs")
-        # Matroska and QuickTime take any fraction; 1001 keeps 29.97 and 23.976 exact
-        rate = Fraction(self.rate).limit_denominator(1001)
-        container = av.open(file, "w", format=self.kind[1:])
-        try:
-            stream = container.add_stream(encoder, rate=rate, options=options)
-            assert isinstance(stream, av.VideoStream)
-            stream.width, stream.height = width + width % 2, height + height % 2
-            stream.pix_fmt = pixel_format
-            context = stream.codec_context
-            context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
-            context.color_primaries, context.color_trc = ColorPrimaries.BT709, ColorTrc.BT709
-            context.thread_count = 2
-            for number, image in enumerate(_chained(first, frames)):
-                padded = np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), "edge")
-                pixels = straight(padded) if alpha else np.ascontiguousarray(padded[..., :3])
-                frame = av.VideoFrame.from_ndarray(pixels, "rgba" if alpha else "rgb24")
-                frame = frame.reformat(
-                    format=pixel_format, dst_colorspace=Colorspace.ITU709, dst_color_range=ColorRange.MPEG,
-                    dst_color_primaries=ColorPrimaries.BT709, dst_color_trc=ColorTrc.BT709,
-                )  # fmt: skip
-                frame.pts, frame.time_base = number, 1 / rate
-                container.mux(stream.encode(frame))
-            container.mux(stream.encode(None))
-        finally:
-            container.close()
+        alpha = self.transparent and kind in ALPHA
+        size = (first.shape[1], first.shape[0])
+        if self.transparent and not alpha:
+            self.note(f"{kind} holds no transparency: the background is black")
+        if padded_size(size) != size:
+            self.note(f"{size[0]}x{size[1]} padded to even numbers, as video needs")
+        encoder, _tried = chosen_encoder(kind, self.encoder, size, alpha=alpha)
+        self.note(f"encoded by {encoder.name}")
+        images = chain([first], frames)
+        encode(file, kind, encoder, map(straight, images) if alpha else images, size, self.rate, self.quality)
+
+    def note(self, line: str) -> None:
+        """Something to be said when the film is done, once."""
+        if line not in self.notes:
+            self.notes.append(line)
+
+
+def save_sequence(file: IO[Any], kind: str, pictures: Iterator[Image.Image], rate: float) -> None:
+    """Pictures as a .gif or .webp that runs in a loop."""
+    extra = {"quality": 85} if kind == ".webp" else {"disposal": 2}
+    next(pictures).save(
+        file,
+        PICTURE_SEQUENCES[kind],
+        save_all=True,
+        append_images=pictures,
+        duration=1000 / rate,
+        loop=0,
+        **extra,
+    )
+
+
+def join_pieces(pieces: Sequence[tuple[Path, int]], path: Path | str, rate: float) -> None:
+    """Make the film of its pieces, in their order: nothing is drawn or encoded again, and the pieces stay.
+
+    Pieces of a folder, a .gif or a .webp are folders of PNG frames.
+
+    Raises:
+        AssetError: a piece is missing, is no video, holds another number of frames or was encoded otherwise.
+    """
+    kind = film_kind(path)
+    if kind in VIDEO:
+        from player.encoder import join
+
+        with whole_file(path) as file:
+            join(pieces, file, kind, rate)
+        return
+    names = []
+    for piece, count in pieces:
+        found = sorted(piece.glob("*.png"))
+        if len(found) != count:
+            raise AssetError(f"{piece}: expected {count} frames, found {len(found)}; draw it again")
+        names += found
+    if kind == "":
+        with whole_folder(path) as folder:
+            for number, name in enumerate(names):
+                _linked(name, folder / f"{number:06d}.png")
+        return
+    with whole_file(path) as file:
+        save_sequence(file, kind, map(_opened, names), rate)
 
 
 def straight(image: Frame) -> Frame:
     """Colours divided by their alpha, as PNG and VP9 store them; 0 where nothing was drawn."""
-    alpha = image[..., 3:].astype(np.uint16)
-    colors = (image[..., :3].astype(np.uint16) * 255 + alpha // 2) // np.maximum(alpha, 1)
-    return np.concatenate([np.minimum(colors, 255).astype(np.uint8), image[..., 3:]], -1)
+    alpha = image[..., 3]
+    partly = (alpha != 255) & (alpha != 0)
+    if not partly.any():  # without antialiasing every pixel is there or not
+        return image
+    out = image.copy()
+    some = image[partly].astype(np.uint16)
+    out[partly, :3] = np.minimum((some[:, :3] * 255 + some[:, 3:] // 2) // some[:, 3:], 255)
+    return out
 
 
-def _chained(first: Frame, rest: Iterator[Frame]) -> Iterator[Frame]:
-    yield first
-    yield from rest
+def _opened(path: Path) -> Image.Image:
+    with Image.open(path) as image:
+        image.load()
+        return image
+
+
+def _linked(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # a file system without hard links
+        shutil.copyfile(source, target)

@@ -43,13 +43,20 @@ def extent(
 
     following: the points as seen by a camera that goes along with the pelvis, over the ground.
     """
-    chosen = np.unique(np.linspace(0, len(clip.root) - 1, min(samples, len(clip.root))).astype(int))
+    chosen = evenly(len(clip.root), samples)
     joints = avatar.joint_positions.astype(np.float64)
     root = clip.root[chosen] * ([0.0, 1.0, 0.0] if following else [1.0, 1.0, 1.0])
     world = joint_transforms(clip.axis_angle[chosen], joints, root)[..., :3, 3].reshape(-1, 3)
+    # the corner of a box that is farthest along a direction belongs to the joint that is farthest along it
+    world = world[outermost(world)]
     box = np.stack(np.meshgrid(*[[-FLESH, FLESH]] * 3), -1).reshape(-1, 3)
     corners = (world[:, None] + box).reshape(-1, 3)
     return corners[outermost(corners)]
+
+
+def evenly(count: int, samples: int) -> Int[Array, "chosen"]:
+    """At most so many of the numbers 0 .. count - 1, spread evenly, first and last among them."""
+    return np.linspace(0, count - 1, min(samples, count)).astype(np.int64)
 
 
 def outermost(points: Float[Array, "points 3"]) -> Int[Array, "outer"]:
@@ -58,21 +65,26 @@ def outermost(points: Float[Array, "points 3"]) -> Int[Array, "outer"]:
     height, turn = 1 - 2 * n / 512, np.pi * (1 + 5**0.5) * n
     flat = np.sqrt(1 - height * height)
     directions = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)], 1)
-    return np.unique(np.argmax(points @ directions.T, axis=0))
+    farthest = np.argmax(points @ directions.T, axis=0)
+    return np.flatnonzero(np.bincount(farthest, minlength=len(points)))  # np.unique would load numpy.ma
 
 
 def fitted_camera(
-    points: Float[Array, "points 3"], azimuth: float, size: tuple[int, int], *, elevation: float = ELEVATION
+    points: Float[Array, "points 3"],
+    azimuth: float,
+    size: tuple[int, int],
+    *,
+    elevation: float = ELEVATION,
+    fov: float = FOV,
 ) -> Camera:
     """The nearest camera from that side that sees every point, its target the middle of their box."""
     target = 0.5 * (points.min(0) + points.max(0))
-    return at_distance(
-        target, needed_distance(points, target, azimuth, elevation, size), azimuth, elevation, size
-    )
+    distance = needed_distance(points, target, azimuth, elevation, size, fov)
+    return at_distance(target, distance, azimuth, elevation, size, fov)
 
 
 def orbit(
-    points: Float[Array, "points 3"], start: float, size: tuple[int, int]
+    points: Float[Array, "points 3"], start: float, size: tuple[int, int], *, fov: float = FOV
 ) -> Callable[[float, Float[Array, "3"]], Camera]:
     """A camera that goes round once, from azimuth `start`, and along with the avatar.
 
@@ -80,11 +92,11 @@ def orbit(
     """
     target = 0.5 * (points.min(0) + points.max(0))
     sides = start + np.linspace(0, 2 * np.pi, 16, endpoint=False)
-    distance = max(needed_distance(points, target, side, ELEVATION, size) for side in sides)
+    distance = max(needed_distance(points, target, side, ELEVATION, size, fov) for side in sides)
 
     def camera_at(turn: float, root: Float[Array, "3"]) -> Camera:
         here = target + root * [1.0, 0.0, 1.0]
-        return at_distance(here, distance, start + 2 * np.pi * turn, ELEVATION, size)
+        return at_distance(here, distance, start + 2 * np.pi * turn, ELEVATION, size, fov)
 
     return camera_at
 
@@ -96,16 +108,20 @@ def _direction(azimuth: float, elevation: float) -> Float[Array, "3"]:
 
 def needed_distance(
     points: Float[Array, "points 3"], target: Sequence[float] | Array, azimuth: float, elevation: float,
-    size: tuple[int, int],
+    size: tuple[int, int], fov: float = FOV,
 ) -> float:  # fmt: skip
+    """How far from the target a camera on that side must be to see every point, metres."""
     camera_from_world = look_at(target + _direction(azimuth, elevation), target)
     local = (points - target) @ camera_from_world[:3, :3].T
-    slope_y = MARGIN * np.tan(FOV / 2)
+    slope_y = MARGIN * np.tan(fov / 2)
     slope_x = slope_y * size[0] / size[1]
     needed = np.maximum(np.abs(local[:, 0]) / slope_x, np.abs(local[:, 1]) / slope_y) - local[:, 2]
     return max(float(needed.max()), 0.1)
 
 
-def at_distance(target, distance: float, azimuth: float, elevation: float, size: tuple[int, int]) -> Camera:
+def at_distance(
+    target, distance: float, azimuth: float, elevation: float, size: tuple[int, int], fov: float = FOV
+) -> Camera:
+    """The camera on that side of the target that looks at it."""
     eye = target + distance * _direction(azimuth, elevation)
-    return Camera(pinhole(size, FOV), look_at(eye, target), size)
+    return Camera(pinhole(size, fov), look_at(eye, target), size)

@@ -1,6 +1,7 @@
 """The motion of each avatar on screen: opened, fitted to its legs, in stretches of constant memory."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -10,7 +11,6 @@ from avatar.errors import AssetError
 from avatar.hands import with_hands
 from avatar.motion import Clip, Motion, fitted, read_motion
 from player.framing import pelvis_height
-from player.renderer import Pose
 
 BLOCK = 256  # frames read at once: memory does not grow with the film
 SPACING = 1.0  # metres between several avatars, side by side
@@ -32,8 +32,18 @@ def opened_motion(source: str | None, body: str | None, hands: str = "file") -> 
     return with_hands(motion, hands, model)
 
 
+@runtime_checkable
+class Framed(Protocol):
+    """What has frames to choose from: a motion, a stage."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def frames(self) -> int: ...
+
+
 def frame_range(
-    motion: Motion, frame: int | None, frames: tuple[int | None, int | None] | None, *, single: bool
+    motion: Framed, frame: int | None, frames: tuple[int | None, int | None] | None, *, single: bool
 ) -> tuple[int, int]:
     """First frame and end, checked against the motion."""
     if frame is None and frames is None:
@@ -61,22 +71,6 @@ def retargeted(motion: Motion, avatar: Avatar) -> Callable[[int, int], Clip]:
 def notes(clips: Sequence[Callable[[int, int], Clip]], start: int) -> list[str]:
     """What was assumed in reading the motion and fitting it to each avatar, each said once."""
     return list(dict.fromkeys(note for clip in clips for note in clip(start, start + 1).notes))
-
-
-def posed_frames(
-    clips: Sequence[Callable[[int, int], Clip]], start: int, stop: int
-) -> Iterator[tuple[int, list[Pose]]]:
-    """Frame numbers with one pose per avatar, read in blocks."""
-    for first in range(start, stop, BLOCK):
-        blocks = [clip(first, min(first + BLOCK, stop)) for clip in clips]
-        for i in range(len(blocks[0].root)):
-            yield (
-                first + i,
-                [
-                    (block.axis_angle[i], block.root[i] + beside(k, len(blocks)))
-                    for k, block in enumerate(blocks)
-                ],
-            )
 
 
 def beside(index: int, count: int) -> np.ndarray:

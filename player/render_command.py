@@ -2,34 +2,50 @@
 
 import argparse
 import json
+import math
+import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
-import numpy as np
-
-from avatar.avatar_file import read_avatar
 from avatar.baked_avatar import Avatar
-from avatar.camera import Camera, read_camera
 from avatar.errors import AssetError
 from avatar.files import whole_file
-from avatar.motion import Clip
-from avatar.progress import progress
-from player.arguments import add_hands, frame_number, parse_color, parse_frames, parse_size
-from player.context import opened
-from player.effects import VIEWS
-from player.film import Film, film_kind
-from player.framing import extent, facing, fitted_camera, orbit, outermost
-from player.motions import BLOCK, beside, frame_range, notes, opened_motion, posed_frames, retargeted
+from avatar.progress import Progress, progress
+from player.arguments import (
+    add_hands,
+    frame_number,
+    parse_background,
+    parse_frames,
+    parse_gpu,
+    parse_share,
+    parse_size,
+)
+from player.context import Context, opened
+from player.effects import ANTIALIASINGS, SKINNINGS, VIEWS, Effects
+from player.film import VIDEO, film_kind, join_pieces
+from player.motions import beside, frame_range
+from player.parts import LENGTH, Parts
 from player.renderer import Renderer
+from player.scene import Scene, SceneAvatar, SceneCamera
+from player.shot import Set, Shot
+from player.stage import Stage, camera_from_option
 
 RENDER_EXAMPLES = """examples
   selfscan render me.glb --motion counting -o counting.mp4
   selfscan render me.glb --motion walk.bvh --camera orbit --size 1280x720 -o walk.mp4
   selfscan render me.glb --motion walk.npz --frames 100:200 --background transparent -o frames/
   selfscan render me.glb --motion walk.npz --frame 12 --explain -o frame.png
+  selfscan render me.glb --camera turntable --seconds 4 -o me.gif
+  selfscan render --scene two.toml -o two.mp4
+  selfscan render me.glb --motion long.npz -o long.mp4 --resume         goes on after a stop
+  selfscan render me.glb --motion long.npz -o long.mp4 --workers 4      or tcp://SCHEDULER:8786
 
 OUT is .png (one frame), .mp4, .webm, .mov, .gif, .webp, or a folder for PNG frames."""
+DRAFT_LEVEL = 99  # the coarsest there is
 
 
 def render_parser() -> argparse.ArgumentParser:
@@ -39,39 +55,57 @@ def render_parser() -> argparse.ArgumentParser:
         epilog=RENDER_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "avatar", nargs="+", metavar="AVATAR", help="avatar file (.glb); several stand side by side"
-    )
-    parser.add_argument("--motion", metavar="FILE",
-                        help="pose file (.npz, .pkl, .bvh, .glb, .vrma ...), EasyMocap folder, or: counting, walking "
-                        "(default: T-pose)")  # fmt: skip
+    add = parser.add_argument
+    add("avatar", nargs="*", metavar="AVATAR", help="avatar file (.glb); several stand side by side")
+    add("--scene", metavar="FILE", help="scene file (.toml) instead of AVATAR and --motion")
+    add("--motion", metavar="FILE",
+        help="pose file (.npz, .pkl, .bvh, .glb, .vrma ...), EasyMocap folder, or: counting, walking (default: T-pose)")  # fmt: skip
     which = parser.add_mutually_exclusive_group()
-    which.add_argument("--frame", type=frame_number, metavar="N", help="draw only this frame")
+    which.add_argument("--frame", type=frame_number, metavar="N",
+                       help="only this frame; with a turntable, the one that is shown from all sides")  # fmt: skip
     which.add_argument("--frames", type=parse_frames, metavar="A:B", help="draw frames A to B-1")
-    parser.add_argument("--camera", default="front", metavar="FILE|front|orbit",
-                        help="camera file (.json), or one fitted to the avatar (default: front)")  # fmt: skip
-    parser.add_argument(
-        "--size", type=parse_size, metavar="WxH", help="pixels (default: the camera file's, else 640x640)"
+    add("--camera", metavar="front|orbit|turntable|FILE",
+        help="fitted to the avatar (default: front); a camera or a camera path (.json); cameras.npz or the folder "
+        "of a capture, CAPTURE:head for its head video")  # fmt: skip
+    add(
+        "--seconds", type=positive, metavar="S", help="one turn of orbit (default: the film) or turntable (6)"
     )
-    parser.add_argument("--view", choices=("auto", *VIEWS), default="auto",
-                        help="view dependence: off is the paper; auto picks by avatar and device")  # fmt: skip
-    parser.add_argument(
-        "--background", type=parse_color, default=parse_color("#2b2d33"), metavar="#rrggbb|transparent"
-    )
-    parser.add_argument(
-        "--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for"
-    )
+    add("--size", type=parse_size, metavar="WxH", help="pixels (default: the camera file's, else 640x640)")
+    add("--background", type=parse_background, metavar="#rrggbb|transparent|FILE",
+        help="colour (default #2b2d33), nothing, a picture, film or panorama (.hdr)")  # fmt: skip
+    add("--view", choices=("auto", *VIEWS),
+        help="view dependence: off is the paper; auto (default) picks by avatar and device")  # fmt: skip
+    add("--skinning", choices=SKINNINGS, help="lbs (default), or dual quaternions, which keep volume")
+    add("--antialiasing", choices=ANTIALIASINGS, help="default: none")
+    add("--quality", choices=("draft", "good", "best"), default="good",
+        help="draft: coarsest mesh, paper colours, small file; best: the avatar's own view model per pixel, MSAA, "
+        "large file; single options go before it (default: good)")  # fmt: skip
+    add("--level", type=frame_number, metavar="N", help="level of detail, 0 the finest")
+    add("--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for")
     add_hands(parser)
-    parser.add_argument(
-        "--context", choices=("auto", "egl", "osmesa"), default="auto", help="how to reach OpenGL"
-    )
-    parser.add_argument("--gpu", type=frame_number, metavar="N", help="this GPU only, counted as CUDA counts")
-    parser.add_argument(
-        "--explain", action="store_true", help="print which passes ran, why, and what each costs"
-    )
-    parser.add_argument("--json", metavar="FILE", help="write what --explain prints to a file")
-    parser.add_argument("-o", "--output", required=True, metavar="OUT")
+    add("--encoder", default="auto", metavar="auto|software|NAME",
+        help="of .mp4: auto takes the GPU's if it really encodes a frame, else x264")  # fmt: skip
+    add("--resume", action="store_true", help="go on with the parts that an earlier run of this film left")
+    add("--part", type=parse_share, metavar="K/N",
+        help="draw only the Kth of N shares of the film; --resume then joins them")  # fmt: skip
+    add("--workers", metavar="ADDRESS|N", help="draw on a Dask cluster, or on N processes of this machine")
+    add("--context", choices=("auto", "egl", "osmesa"), default="auto", help="how to reach OpenGL")
+    add("--gpu", type=parse_gpu, metavar="N|NODE",
+        help="this GPU only, counted as CUDA counts, or its DRM node, as /dev/dri/renderD128")  # fmt: skip
+    add("--explain", action="store_true", help="print which passes ran, why, and what each costs")
+    add("--json", metavar="FILE", help="write what --explain prints to a file")
+    add("-o", "--output", required=True, metavar="OUT")
     return parser
+
+
+def positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not (math.isfinite(value) and value > 0):
+        raise argparse.ArgumentTypeError(f"expected a positive number of seconds, found {text!r}")
+    return value
 
 
 def render_main(argv: list[str]) -> int:
@@ -86,73 +120,206 @@ def render_main(argv: list[str]) -> int:
         parser.error("--json writes what --explain finds: give both")
     if kind == ".png" and options.frames:
         parser.error("a .png holds one frame: give --frame N, or another OUT")
+    if kind == ".png" and (options.part or options.workers):
+        parser.error("--part and --workers share the frames of a film; a .png holds one")
+    if options.part and options.workers:
+        parser.error("give --part or --workers")
+    if options.explain and options.workers:
+        parser.error("--explain asks the context that drew: leave --workers out")
+    if bool(options.scene) == bool(options.avatar):
+        parser.error("give AVATAR or --scene")
+    if options.scene and (options.motion or options.body or options.hands != "file"):
+        parser.error("--motion, --body and --hands are in the scene file")
 
-    avatars = [read_avatar(path) for path in options.avatar]
-    motion = opened_motion(options.motion, options.body, options.hands)
-    start, stop = frame_range(motion, options.frame, options.frames, single=kind == ".png")
-    clips = [retargeted(motion, avatar) for avatar in avatars]
-    context = opened(options.context, options.gpu)
-    try:
-        camera_at, size = cameras(options.camera, options.size, avatars, clips, start, stop)
+    scene = scene_of(options)
+    # while files are read and unpacked, the driver wakes up; both are work outside of Python
+    with ThreadPoolExecutor(1) as pool:
+        reading = pool.submit(Stage, scene)
+        context = None if options.workers else opened(options.context, options.gpu)
         try:
-            renderer = Renderer(context, avatars, size, view=options.view, background=options.background)
-        except ValueError as error:
-            raise AssetError(str(error)) from None
-        transparent = options.background[3] == 0
-        began, drawing = time.perf_counter(), 0.0
-        with Film(options.output, motion.rate, transparent=transparent) as film:
-            for number, poses in progress(posed_frames(clips, start, stop), "frames", stop - start):
-                camera = camera_at((number - start) / (stop - start), poses[0][1])
-                before = time.perf_counter()
-                image = renderer.draw(poses, camera)
-                drawing += time.perf_counter() - before
-                film.add(image)
+            stage = reading.result()
+            return filmed(options, kind, stage, context)
+        finally:
+            if context is not None:
+                context.release()
+
+
+def filmed(options: argparse.Namespace, kind: str, stage: Stage, context: Context | None) -> int:
+    """Draw what the options ask for, from an opened scene, with this context (None: workers draw)."""
+    stage.scene = replace(
+        stage.scene, effects=effects_for(options.quality, stage.scene.effects, stage.avatars)
+    )
+    if options.frame is not None and stage.camera.kind == "turntable" and stage.still is None:
+        frame_range(stage, options.frame, None, single=True)
+        stage.hold(options.frame)
+        options.frame = None
+    start, stop = frame_range(stage, options.frame, options.frames, single=kind == ".png")
+    level = options.level if options.level is not None else DRAFT_LEVEL if options.quality == "draft" else 0
+    shot = Shot(
+        stage.scene, start, stop, stage.size(), stage.rate, stage.fit(start, stop), stage.still, level,
+        options.encoder, options.quality, options.context, options.gpu,
+    )  # fmt: skip
+    path = Path(options.output)
+    shared = bool(options.resume or options.part or options.workers)
+    if kind == ".png" or not (shared or (stop - start > LENGTH and kind in ("", *VIDEO))):
+        return filmed_at_once(shot, stage, context, path, options)
+    return filmed_in_parts(shot, stage, context, path, options)
+
+
+def scene_of(options: argparse.Namespace) -> Scene:
+    """The scene that the options ask for; those given go before what a scene file says."""
+    if options.scene:
+        from player.scene_file import read_scene
+
+        scene = read_scene(options.scene)
+    else:
+        places = [beside(k, len(options.avatar)) for k in range(len(options.avatar))]
+        avatars = tuple(
+            SceneAvatar(path, options.motion, at=tuple(at.tolist()), hands=options.hands, body=options.body)
+            for path, at in zip(options.avatar, places, strict=True)
+        )
+        scene = Scene(avatars)
+    if options.camera is not None:
+        scene = replace(scene, cameras=(camera_from_option(options.camera),))
+    if options.seconds is not None:
+        camera = replace((scene.cameras or (SceneCamera(),))[0], seconds=options.seconds)
+        scene = replace(scene, cameras=(camera,))
+    names = ("view", "skinning", "antialiasing")
+    given = {name: value for name in names if (value := getattr(options, name)) is not None}
+    scene = replace(scene, effects=replace(scene.effects, **given))
+    if options.size is not None:
+        scene = replace(scene, size=options.size)
+    if options.background is not None:
+        scene = replace(scene, background=options.background)
+    return scene
+
+
+def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Effects:
+    """What a quality means for the effects that are left open."""
+    if quality == "draft" and effects.view == "auto":
+        return replace(effects, view="off")
+    if quality == "best":
+        views = {avatar.default_view for avatar in avatars}
+        view = views.pop() if effects.view == "auto" and len(views) == 1 else effects.view
+        smooth = "msaa" if effects.antialiasing == "none" else effects.antialiasing
+        return replace(effects, view=view, antialiasing=smooth)
+    return effects
+
+
+def filmed_at_once(
+    shot: Shot, stage: Stage, context: Context | None, path: Path, options: argparse.Namespace
+) -> int:
+    """Draw straight into the file."""
+    drawn = Set(shot, stage, context)
+    try:
+        began = time.perf_counter()
+        film = drawn.film(path, progress(range(shot.start, shot.stop), "frames", shot.stop - shot.start))
         took = time.perf_counter() - began
-        for note in (*notes(clips, start), *film.notes):
-            print(note)
-        print(f"{context.attempts[-1]}; view {', '.join(view_names(renderer))}")
-        count = stop - start
-        print(
-            f"{options.output}: {count} frame{'s' * (count != 1)}, {size[0]}x{size[1]}, "
-            f"drawn at {count / max(drawing, 1e-9):.0f} frames/s, written in {took:.1f} s"
+        say(shot, stage, [*film.notes, how(drawn)])
+        done(
+            shot,
+            path,
+            f"drawn at {len_of(shot) / max(drawn.drawing, 1e-9):.0f} frames/s, written in {took:.1f} s",
         )
         if options.explain:
-            explain(renderer, options.json)
+            explain(drawn.renderer, options.json)
     finally:
-        context.release()
+        drawn.release()
     return 0
 
 
-def cameras(
-    choice: str,
-    size: tuple[int, int] | None,
-    avatars: Sequence[Avatar],
-    clips: Sequence[Callable[[int, int], Clip]],
-    start: int,
-    stop: int,
-) -> tuple[Callable[[float, np.ndarray], Camera], tuple[int, int]]:
-    """The camera as a function of the part of the film that has passed and of the first pelvis, and the image size."""
-    if choice not in ("front", "orbit"):
-        camera = read_camera(choice)
-        camera = camera.resized(size) if size else camera
-        return (lambda _part, _root: camera), camera.size
-    size = size or (640, 640)
-    everything, azimuth = np.zeros((0, 3)), 0.0
-    for k, (avatar, clip) in enumerate(zip(avatars, clips, strict=True)):
-        for first in range(start, stop, BLOCK):
-            block = clip(first, min(first + BLOCK, stop))
-            if k == 0 and first == start:
-                azimuth = facing(block.axis_angle[0], avatar.joint_positions.astype(np.float64))
-            points = extent(avatar, block, following=choice == "orbit") + beside(k, len(avatars))
-            everything = np.concatenate([everything, points])
-            everything = everything[
-                outermost(everything)
-            ]  # a long motion takes no more memory than a short one
-    if choice == "orbit":
-        everything = everything - beside(0, len(avatars))  # the camera goes along with the first avatar
-        return orbit(everything, azimuth, size), size
-    camera = fitted_camera(everything, azimuth, size)
-    return (lambda _part, _root: camera), size
+def filmed_in_parts(
+    shot: Shot, stage: Stage, context: Context | None, path: Path, options: argparse.Namespace
+) -> int:
+    """Draw the parts that are missing, here or on a cluster, and join them when all are there."""
+    kind = film_kind(path)
+    tried: list[str] = []
+    if kind in VIDEO:  # chosen once, or two machines might choose differently
+        from player.encoder import chosen_encoder
+
+        alpha = shot.transparent and kind != ".mp4"
+        encoder, tried = chosen_encoder(kind, shot.encoder, shot.size, alpha=alpha)
+        shot = replace(shot, encoder=encoder.name)
+    parts = Parts(path, shot.start, shot.stop, shot.identity())
+    parts.begin(resume=options.resume or options.part is not None)
+    wanted = parts.share(*options.part) if options.part else parts.ranges
+    missing = [part for part in parts.missing() if part in wanted]
+    had = sum(b - a for a, b in wanted) - sum(b - a for a, b in missing)
+    if had:
+        print(f"{had} of {sum(b - a for a, b in wanted)} frames are in {parts.folder}")
+    began, notes = time.perf_counter(), []
+    try:
+        if missing and options.workers:
+            notes = drawn_by_workers(options.workers, shot, parts)
+        elif missing:
+            drawn = Set(shot, stage, context)
+            try:
+                frames = chain.from_iterable(range(*part) for part in missing)
+                film = drawn.film(
+                    path,
+                    progress(frames, "frames", sum(b - a for a, b in missing)),
+                    list(map(parts.piece, missing)),
+                )
+                notes = [*film.notes, how(drawn)]
+                if options.explain:
+                    explain(drawn.renderer, options.json)
+            finally:
+                drawn.release()
+    except BaseException:
+        there = len(parts.ranges) - len(parts.missing())
+        if there:
+            print(f"{there} of {len(parts.ranges)} parts are kept in {parts.folder}; the same command with "
+                  f"--resume goes on", file=sys.stderr)  # fmt: skip
+        else:
+            parts.discard()
+        raise
+    say(shot, stage, notes)
+    left = parts.missing()
+    if options.part and left:
+        print(f"{parts.folder}: share {options.part[0]} of {options.part[1]} is there, {len(left)} of "
+              f"{len(parts.ranges)} parts are missing; --resume joins them")  # fmt: skip
+        return 0
+    join_pieces(list(map(parts.piece, parts.ranges)), path, shot.rate)
+    parts.discard()
+    done(shot, path, f"in {len(parts.ranges)} parts, written in {time.perf_counter() - began:.1f} s")
+    return 0
+
+
+def drawn_by_workers(address: str, shot: Shot, parts: Parts) -> list[str]:
+    """Have a cluster draw the missing parts; what it has to say."""
+    try:
+        from player.cluster import film_on
+    except ModuleNotFoundError as error:
+        raise AssetError(
+            f"--workers needs the package {error.name!r}: pip install 'selfscan[cluster]'"
+        ) from None
+
+    missing = parts.missing()
+    report, frames = Progress("frames", sum(b - a for a, b in missing)), 0
+    notes: list[str] = []
+    for (start, stop), drawn in film_on(address, shot, parts, parts.identity["files"]):
+        frames += stop - start
+        report.update(frames)
+        notes += [line for line in (*drawn.notes, f"drawn by {drawn.renderer}") if line not in notes]
+    return notes
+
+
+def len_of(shot: Shot) -> int:
+    return shot.stop - shot.start
+
+
+def say(shot: Shot, stage: Stage, notes: Sequence[str]) -> None:
+    for note in (*stage.notes, *notes):
+        print(note)
+
+
+def how(drawn: Set) -> str:
+    return f"{drawn.context.attempts[-1]}; view {', '.join(view_names(drawn.renderer))}"
+
+
+def done(shot: Shot, path: Path, rest: str) -> None:
+    count = len_of(shot)
+    print(f"{path}: {count} frame{'s' * (count != 1)}, {shot.size[0]}x{shot.size[1]}, {rest}")
 
 
 def view_names(renderer: Renderer) -> list[str]:

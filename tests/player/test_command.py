@@ -59,11 +59,9 @@ def test_a_range_of_frames_goes_to_a_folder_and_explain_to_json(avatar_path, tmp
     render_main([*arguments, "--view", "linear", "--explain", "--json", str(explained), "-o", str(out)])
     assert len(list(out.glob("*.png"))) == 3
     passes = json.loads(explained.read_text())["passes"]
-    assert {key for row in passes for key in row} == {"name", "runs", "why", "ms", "bytes"}
-    assert [(row["name"], row["runs"]) for row in passes] == [
-        ("avatar: paper", False),
-        ("avatar: view linear", True),
-    ]
+    assert all({"name", "runs", "why", "ms", "bytes"} <= row.keys() for row in passes)
+    runs = {row["name"]: row["runs"] for row in passes}
+    assert runs["avatar: view linear"] and not runs["avatar: paper"] and sum(runs.values()) == 1
     assert "does not run" in capsys.readouterr().out
 
 

@@ -1,0 +1,154 @@
+"""A film drawn by many machines: each part a task of Dask, the pictures the same as on one machine.
+
+The engine is Dask distributed, with which Slurm, Kubernetes and SSH clusters come; nothing here knows them. A
+worker reads avatar and motion from the same paths and refuses if their content differs.
+"""
+
+import pickle
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+from avatar.errors import AssetError
+from avatar.files import whole_file, whole_folder
+from player.film import VIDEO, film_kind
+from player.parts import Parts, fingerprint
+from player.shot import Set, Shot
+
+AHEAD = 2  # tasks a worker has in hand or waiting
+
+
+class Drawn(NamedTuple):
+    """A part as it comes back from a worker."""
+
+    files: list[tuple[str, bytes]]  # one video without a name, or PNG frames by name
+    renderer: str  # GL_RENDERER
+    notes: list[str]
+
+
+def film_on(
+    address: str, shot: Shot, parts: Parts, fingerprints: Mapping[str, str]
+) -> Iterator[tuple[tuple[int, int], Drawn]]:
+    """Have the missing parts drawn and put where they are kept; each is yielded when it is there.
+
+    address is tcp://HOST:PORT of a scheduler, a scheduler file, or a number of processes to start here.
+
+    Raises:
+        AssetError: no scheduler answers, it has no workers, or a part could not be drawn.
+    """
+    from distributed import as_completed
+
+    kind = film_kind(parts.out)
+    kind = kind if kind in VIDEO else ""
+    with connected(address) as client:
+        workers = len(client.scheduler_info(n_workers=-1)["workers"])
+        waiting = iter(parts.missing())
+        futures: dict[Any, tuple[int, int]] = {}
+
+        def submit() -> list[Any]:
+            part = next(waiting, None)
+            if part is None:
+                return []
+            future = client.submit(draw_part, shot, part, kind, dict(fingerprints), pure=False, retries=2)
+            futures[future] = part
+            return [future]
+
+        results = as_completed([future for _ in range(AHEAD * workers) for future in submit()])
+        try:
+            for future in results:
+                part = futures.pop(future)
+                try:
+                    drawn = future.result()
+                except AssetError:
+                    raise
+                except Exception as error:  # what a worker ran into, as one line
+                    raise AssetError(f"frames {part[0]}:{part[1]} on the cluster: {error}") from None
+                future.release()
+                keep(parts.piece(part)[0], drawn.files)
+                yield part, drawn
+                for more in submit():
+                    results.add(more)
+        finally:
+            client.cancel(list(futures))
+
+
+def keep(path: Path, files: Sequence[tuple[str, bytes]]) -> None:
+    """Put a part where it is kept."""
+    if film_kind(path) in VIDEO:
+        with whole_file(path) as file:
+            file.write(files[0][1])
+        return
+    with whole_folder(path) as folder:
+        for name, content in files:
+            (folder / name).write_bytes(content)
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """A client of the cluster; a number starts one of so many processes here and stops it in the end."""
+    from distributed import Client, LocalCluster
+
+    if address.isdigit():
+        # one task at a time in each process: OpenGL belongs to one thread
+        options: dict[str, Any] = {"dashboard_address": None, "host": "127.0.0.1"}
+        count = int(address)
+        with (
+            LocalCluster(n_workers=count, threads_per_worker=1, processes=True, **options) as cluster,
+            Client(cluster) as client,
+        ):
+            yield client
+        return
+    try:
+        client = (
+            Client(scheduler_file=address, timeout="10s")
+            if Path(address).is_file()
+            else Client(address, timeout="10s")
+        )
+    except (OSError, ValueError, TimeoutError) as error:
+        raise AssetError(f"--workers {address}: no scheduler answers: {error}") from None
+    with client:
+        if not client.scheduler_info(n_workers=-1)["workers"]:
+            raise AssetError(f"--workers {address}: the scheduler has no workers")
+        yield client
+
+
+# -- in the worker
+
+_thread = threading.local()
+_drawing: ThreadPoolExecutor | None = None
+_lock = threading.Lock()
+
+
+def draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mapping[str, str]) -> Drawn:
+    """A task: draw some frames of a film. Its files and OpenGL stay open for the next part of the same film."""
+    global _drawing
+    with _lock:
+        if _drawing is None:  # one thread for all tasks of a process, whatever threads the worker has
+            _drawing = ThreadPoolExecutor(1, "selfscan draws")
+    return _drawing.submit(_draw_part, shot, part, kind, fingerprints).result()
+
+
+def _draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mapping[str, str]) -> Drawn:
+    opened: Set | None = getattr(_thread, "opened", None)
+    asked = pickle.dumps(shot)
+    if opened is None or _thread.asked != asked:
+        if opened is not None:
+            opened.release()
+            _thread.opened = None
+        for name, expected in fingerprints.items():
+            if fingerprint(name) != expected:
+                raise AssetError(f"{name}: differs on this worker from the one on the machine that asks")
+        opened = _thread.opened = Set(shot)
+        _thread.asked = asked
+    with TemporaryDirectory(prefix="selfscan-") as folder:
+        out = Path(folder) / f"part{kind}"
+        film = opened.film(out, range(*part))
+        if kind:
+            files = [("", out.read_bytes())]
+        else:
+            files = [(file.name, file.read_bytes()) for file in sorted(out.glob("*.png"))]
+    return Drawn(files, opened.context.renderer, film.notes)

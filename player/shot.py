@@ -1,0 +1,126 @@
+"""A film as an order: everything that decides its frames, as plain data that may travel to another machine.
+
+Whoever opens the order draws the same frames: the cameras that had to be fitted to the whole film travel with it.
+"""
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt8
+
+from avatar.errors import AssetError
+from player.context import Context, opened
+from player.film import Film, Frame
+from player.renderer import Renderer
+from player.scene import Scene
+from player.stage import Fit, Stage
+
+
+@dataclass(frozen=True)
+class Shot:
+    """Frames start .. stop - 1 of a scene."""
+
+    scene: Scene
+    start: int
+    stop: int
+    size: tuple[int, int]
+    rate: float
+    fit: Fit | None  # what fitted cameras look at
+    hold: int | None = None  # the frame that a turntable holds still
+    level: int = 0  # of detail
+    encoder: str = "auto"
+    quality: str = "good"
+    context: str = "auto"
+    gpu: int | str | None = None
+
+    @property
+    def transparent(self) -> bool:
+        return self.scene.background.transparent
+
+    def files(self) -> list[str]:
+        """Every file that is read for it."""
+        scene, names = self.scene, set()
+        for actor in scene.avatars:
+            names |= {actor.path, actor.motion, actor.body}
+        names |= {scene.cameras[0].path if scene.cameras else None, scene.background.path}
+        return sorted(name for name in names if name and Path(name).exists())
+
+    def identity(self) -> dict[str, Any]:
+        """What tells this film from any other; parts of two films with one identity may be joined."""
+        import av
+
+        from player.parts import fingerprint
+
+        return {
+            "scene": asdict(self.scene),
+            "files": {name: fingerprint(name) for name in self.files()},
+            "size": self.size,
+            "rate": self.rate,
+            "hold": self.hold,
+            "level": self.level,
+            "encoder": f"{self.encoder} of PyAV {av.__version__}",
+            "quality": self.quality,
+        }
+
+
+class Set:
+    """A shot with its files open and a renderer made: it draws any frame of it. The context becomes its own."""
+
+    def __init__(self, shot: Shot, stage: Stage | None = None, context: Context | None = None):
+        self.shot = shot
+        if stage is None:
+            stage = Stage(shot.scene)
+            if shot.hold is not None:
+                stage.hold(shot.hold)
+        self.stage = stage
+        self.drawing = 0.0  # seconds spent in drawing frames of films
+        self.camera_at = stage.camera_at(shot.fit, shot.start, shot.stop, shot.size)
+        self.context: Context = opened(shot.context, shot.gpu) if context is None else context
+        try:
+            self.renderer = Renderer(
+                self.context, stage.avatars, shot.size, effects=shot.scene.effects,
+                background=shot.scene.background, level=shot.level,
+            )  # fmt: skip
+        except ValueError as error:
+            self.context.release()
+            raise AssetError(str(error)) from None
+        except BaseException:
+            self.context.release()
+            raise
+
+    def draw(self, frame: int, out: Frame | None = None) -> UInt8[np.ndarray, "height width 4"]:
+        """A frame of the film.
+
+        Raises:
+            AssetError: its pose holds a number that is not finite.
+        """
+        poses = self.stage.poses(frame)
+        camera = self.camera_at(frame, poses[0][1])
+        return self.renderer.draw(poses, camera, out, seconds=frame / self.shot.rate)
+
+    def film(self, path: Path, frames: Iterable[int], pieces: Sequence[tuple[Path, int]] = ()) -> Film:
+        """Draw these frames into a film, or into pieces of one; the film, written."""
+        shot = self.shot
+        with Film(
+            path,
+            shot.rate,
+            transparent=shot.transparent,
+            encoder=shot.encoder,
+            quality=shot.quality,
+            pieces=pieces,
+        ) as film:
+            for frame in frames:
+                canvas = film.canvas(shot.size)
+                began = time.perf_counter()
+                image = self.draw(frame, canvas)
+                self.drawing += time.perf_counter() - began
+                film.add(image)
+        return film
+
+    def release(self) -> None:
+        self.renderer.release()
+        self.context.release()

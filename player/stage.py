@@ -1,0 +1,194 @@
+"""A scene opened for filming: avatars, their poses and the camera at every frame.
+
+All of it follows from the scene and the frame number alone, so any machine that opens the same scene draws the same
+frame.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.avatar_file import read_avatar
+from avatar.baked_avatar import Avatar
+from avatar.camera import Camera, read_camera, read_cameras
+from avatar.errors import AssetError
+from avatar.motion import Clip
+from player.camera_path import CameraPath, is_path, turntable
+from player.framing import FOV, evenly, extent, facing, fitted_camera, orbit, outermost
+from player.motions import BLOCK, opened_motion, retargeted
+from player.playback import Track
+from player.renderer import Pose
+from player.scene import Scene, SceneCamera
+
+CameraAt = Callable[
+    [int, Float[np.ndarray, "3"]], Camera
+]  # of the frame number and the first avatar's pelvis
+FITTED = ("front", "orbit", "turntable")
+SIZE = (640, 640)
+TURN = 6.0  # seconds of a turntable's round when nothing on it moves
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What a fitted camera must see, and the side it begins from: found once, then good for every machine."""
+
+    points: Float[np.ndarray, "points 3"]  # world metres, or about the first pelvis for an orbit
+    azimuth: float  # radians
+
+
+class Stage:
+    """A scene with its files read.
+
+    Raises:
+        AssetError: a file is absent or broken, or the scene is live.
+    """
+
+    def __init__(self, scene: Scene):
+        self.scene = scene
+        if not scene.avatars:
+            raise AssetError("the scene has no avatar")
+        self.avatars: list[Avatar] = []
+        self.tracks: list[Track] = []
+        self.notes: list[str] = []
+        for actor in scene.avatars:
+            if actor.live is not None:
+                raise AssetError(
+                    f"{actor.path}: live = {actor.live!r} is for `selfscan play`; a film needs a motion"
+                )
+            avatar = opened_avatar(actor.path)
+            motion = opened_motion(actor.motion, actor.body, actor.hands)
+            clip = retargeted(motion, avatar)
+            self.notes += [note for note in clip(0, 1).notes if note not in self.notes]
+            self.avatars.append(avatar)
+            self.tracks.append(
+                Track(
+                    clip, motion.frames, motion.rate, actor.start, np.array(actor.at, np.float64),
+                    np.radians(actor.turn_deg), motion.name,
+                )
+            )  # fmt: skip
+        self.rate = float(scene.rate or self.tracks[0].rate)
+        self.camera = scene.cameras[0] if scene.cameras else SceneCamera()
+        ends = [int(np.ceil(track.end * self.rate - 1e-6)) for track in self.tracks]
+        self.frames = max(1, *ends)
+        self.still: int | None = None  # the one frame that a turntable holds
+        if self.camera.kind == "turntable" and self.frames == 1:
+            self.hold(0)
+        self.kept = self._camera_file() if self.camera.kind not in FITTED else None
+
+    @property
+    def name(self) -> str:
+        """Of the motion, for messages."""
+        return self.tracks[0].name
+
+    @property
+    def turn(self) -> float:
+        """Seconds of a turntable's round."""
+        return self.camera.seconds or (TURN if self.still is not None else self.frames / self.rate)
+
+    def hold(self, frame: int) -> None:
+        """A turntable shows this frame from all sides: a film of one round."""
+        self.still = frame
+        self.frames = max(1, round(self.turn * self.rate))
+
+    def size(self) -> tuple[int, int]:
+        """Pixels: the scene's, the camera file's, or 640 x 640."""
+        if self.scene.size is not None:
+            return self.scene.size
+        return self.kept[0].size if isinstance(self.kept, list) else SIZE
+
+    def poses(self, frame: int) -> list[Pose]:
+        """One pose for each avatar. A motion that has ended stays at its last frame."""
+        seconds = (frame if self.still is None else self.still) / self.rate
+        return [track.pose(seconds) for track in self.tracks]
+
+    def fit(self, start: int, stop: int) -> Fit | None:
+        """What the fitted cameras of a film of these frames look at; None for cameras from files."""
+        if self.camera.kind not in FITTED:
+            return None
+        if self.still is not None:
+            start, stop = self.still, self.still + 1
+        following = self.camera.kind == "orbit"
+        everything, azimuth = np.zeros((0, 3)), 0.0
+        for first in range(start, stop, BLOCK):
+            # 48 frames of a block tell its extent; a motion of any length takes the memory of one block
+            count = min(BLOCK, stop - first)
+            chosen = first + evenly(count, 48)
+            poses = [[track.pose(frame / self.rate) for track in self.tracks] for frame in chosen.tolist()]
+            for k, avatar in enumerate(self.avatars):
+                axis_angle = np.stack([row[k][0] for row in poses])
+                root = np.stack([row[k][1] for row in poses])
+                if following:  # over the ground, along with the first avatar
+                    root = root - np.stack([row[0][1] for row in poses]) * [1.0, 0.0, 1.0]
+                if k == 0 and first == start:
+                    azimuth = facing(axis_angle[0], avatar.joint_positions.astype(np.float64))
+                points = extent(avatar, Clip(axis_angle, root, self.rate))
+                everything = np.concatenate([everything, points])
+                everything = everything[outermost(everything)]
+        return Fit(everything, azimuth)
+
+    def camera_at(self, fit: Fit | None, start: int, stop: int, size: tuple[int, int]) -> CameraAt:
+        """The camera of a film of the frames start .. stop - 1."""
+        kind, kept = self.camera.kind, self.kept
+        fov = FOV if self.camera.fov_deg is None else np.radians(self.camera.fov_deg)
+        if fit is not None and kind == "front":
+            front = fitted_camera(fit.points, fit.azimuth, size, fov=fov)
+            return lambda _frame, _root: front
+        if fit is not None and kind == "orbit":
+            seconds = self.camera.seconds or (stop - start) / self.rate
+            round_ = orbit(fit.points, fit.azimuth, size, fov=fov)
+            return lambda frame, root: round_((frame - start) / self.rate / seconds, root)
+        if fit is not None:
+            table = turntable(fit.points, fit.azimuth, size, self.turn, fov=fov)
+            return lambda frame, _root: table((frame - start) / self.rate)
+        if isinstance(kept, CameraPath):
+            return lambda frame, _root: kept.camera(frame / self.rate, size)
+        assert kept is not None
+        cameras = [camera.resized(size) if camera.size != size else camera for camera in kept]
+        return lambda frame, _root: cameras[min(frame, len(cameras) - 1)]
+
+    def _camera_file(self) -> CameraPath | list[Camera]:
+        kind, path = self.camera.kind, self.camera.path
+        if path is None:
+            raise AssetError(f"camera {kind}: needs a path")
+        if kind == "capture":
+            from player.capture_view import open_capture
+
+            return list(open_capture(path, self.camera.name or "body").cameras)
+        if Path(path).suffix.lower() == ".npz":
+            return read_cameras(path)
+        if kind == "path" or is_path(path):
+            return CameraPath.read(path)
+        return [read_camera(path)]
+
+
+def opened_avatar(path: str) -> Avatar:
+    """An avatar file, or the built-in body by the names mannequin and mannequin:female."""
+    if path in ("mannequin", "mannequin:female"):
+        from player.mannequin import mannequin
+
+        return mannequin("female" if path.endswith(":female") else "male")
+    return read_avatar(path)
+
+
+def camera_from_option(text: str) -> SceneCamera:
+    """The camera that --camera names: front, orbit, turntable, a camera file, a camera path, or a capture folder.
+
+    Raises:
+        AssetError: a .json that is none.
+    """
+    if text in FITTED:
+        return SceneCamera(text)
+    folder, _, part = text.partition(":") if not Path(text).exists() else (text, "", "")
+    if Path(folder).is_dir():
+        return SceneCamera("capture", folder, part or None)
+    if Path(text).suffix.lower() == ".npz":
+        return SceneCamera("file", text)
+    return SceneCamera("path" if is_path(text) else "file", text)
+
+
+def placed_side_by_side(count: int, spacing: float) -> Sequence[tuple[float, float, float]]:
+    """Where several avatars of the command line stand, metres."""
+    return [((k - 0.5 * (count - 1)) * spacing, 0.0, 0.0) for k in range(count)]
