@@ -15,6 +15,7 @@ import tokenize
 import warnings
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -345,15 +346,17 @@ def write_amass(
     up: str = "z",
     pelvis: Float[Array, "3"] | None = None,
     dtype: type = np.float64,
+    beside: Mapping[str, Array] | None = None,
 ) -> None:
     """Write a clip with AMASS keys, whole or not at all.
 
     up="z" is what AMASS and its tools expect: the clip is turned and trans = pelvis_z - J0, with J0 the usual
     one of SMPL+H unless `pelvis` gives another. up="y" keeps our world, with trans = pelvis (J0 = 0) unless
-    given. J0 and the up axis are stored beside (`pelvis`, `up_axis`), so that reading back is exact.
+    given. J0 and the up axis are stored beside (`pelvis`, `up_axis`), so that reading back is exact. Arrays in
+    `beside` go into the file under their own names; readers of AMASS files pass over them.
 
     Raises:
-        ValueError: `up` is neither, or the clip is empty or not finite.
+        ValueError: `up` is neither, the clip is empty or not finite, or `beside` names a key that AMASS has.
     """
     if up not in ("y", "z"):
         raise ValueError(f"up should be 'y' or 'z', is {up!r}")
@@ -375,5 +378,10 @@ def write_amass(
     }
     if clip.pelvis_height is not None:
         fields["pelvis_height"] = np.array(float(clip.pelvis_height))
+    if beside is not None:
+        taken = fields.keys() & beside.keys()
+        if taken:
+            raise ValueError(f"{sorted(taken)} beside a clip are names of its own")
+        fields |= beside
     with whole_file(path) as file:
         np.savez_compressed(file, **fields)

@@ -76,7 +76,7 @@ def _frame(first: Array, second: Array) -> Float[Array, "3 3"]:
 
 
 @cache
-def _finger_axes() -> tuple[Array, Array]:
+def finger_axes() -> tuple[Array, Array]:
     """Flexion axis of each left finger joint (5, 3, 3) and the palm's normal, from the built-in hand."""
     joints = builtin_body("male").joints
     along = joints[J["left_middle1"]] - joints[J["left_wrist"]]
@@ -102,7 +102,7 @@ def _finger_axes() -> tuple[Array, Array]:
 
 def hand_pose(hand: Float[Array, "6"]) -> Float[Array, "15 3"]:
     """Axis-angle vectors of the left hand's fingers from curls and spread."""
-    axes, palm = _finger_axes()
+    axes, palm = finger_axes()
     curl, spread = hand[:5], hand[5]
     pose = axes * (curl[:, None] * JOINT_SHARE)[:, :, None]
     for f, place in ((0, 1.0), (1, 0.0), (3, -1.0), (2, -2.1)):  # towards the thumb is positive

@@ -1,0 +1,107 @@
+"""Fingers: curl and spread of each, and whole hand shapes by name.
+
+A finger's curl bends its three joints together in the proportions of a closing hand (avatar/clips.py): 0 is
+straight, 1 closed. Its spread turns the first joint away from the middle finger, the thumb's away from the palm,
+radians. The thumb can also be opposed: turned about itself so that its pad meets the others.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.clips import FINGERS, JOINT_SHARE
+from avatar.skeleton import LEFT_HAND, RIGHT_HAND
+from player.pose.limits import axis_angle_from_joint_angles, clamped_angles, joint_angles
+
+Array = np.ndarray
+Side = Literal["left", "right"]
+
+HANDS: dict[str, slice] = {"left": LEFT_HAND, "right": RIGHT_HAND}
+# of index, middle, pinky, ring, thumb: which way is away from the middle finger, as the limits count sideways
+AWAY = np.array([1.0, 1.0, -1.0, -1.0, 1.0])
+CURL_RANGE = (-0.25, 1.15)
+SPREAD_RANGE = (-0.35, 0.6)
+
+
+@dataclass(frozen=True)
+class HandShape:
+    """A hand described by few numbers; fingers in SMPL+H's order: index, middle, pinky, ring, thumb."""
+
+    curl: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    spread: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    opposition: float | int = 0.0  # of the thumb, radians
+
+
+PRESETS: dict[str, HandShape] = {
+    "flat": HandShape(),
+    "relaxed": HandShape((0.24, 0.29, 0.36, 0.33, 0.18), (-0.06, 0.0, -0.12, -0.06, 0.0)),
+    "open": HandShape((-0.02, -0.03, -0.02, -0.03, -0.15), (0.16, 0.0, 0.3, 0.15, 0.15)),
+    "fist": HandShape((1.06, 1.08, 1.06, 1.08, 0.55), (-0.05, 0.0, -0.1, -0.05, 0.13), 0.23),
+    "point": HandShape((0.0, 1.06, 1.06, 1.08, 0.6), (0.0, 0.0, -0.1, -0.05, 0.1), 0.23),
+    "peace": HandShape((0.0, 0.0, 1.06, 1.08, 0.75), (0.18, -0.14, -0.1, -0.05, 0.1), 0.25),
+    # thumb and forefinger meet within 5 mm on both built-in bodies
+    "ok": HandShape((0.65, 0.16, 0.04, 0.1, 0.45), (0.0, 0.0, 0.2, 0.08, 0.36), 0.29),
+    "thumbs up": HandShape((1.06, 1.08, 1.06, 1.08, -0.3), (-0.05, 0.0, -0.1, -0.05, 0.0)),
+}
+
+
+def hand_angles(shape: HandShape) -> Float[Array, "5 3 3"]:
+    """Joint angles of a hand: finger, joint, (flexion, sideways, twist), radians; the same for both sides."""
+    angles = np.zeros((5, 3, 3))
+    angles[:, :, 0] = np.array(shape.curl)[:, None] * JOINT_SHARE
+    angles[:, 0, 1] = np.array(shape.spread) * AWAY
+    angles[4, 0, 2] = shape.opposition
+    return angles
+
+
+def with_hand(axis_angle: Float[Array, "52 3"], side: Side, shape: HandShape) -> Float[Array, "52 3"]:
+    """The pose with one hand in this shape, inside the joints' limits."""
+    angles = np.zeros((52, 3))
+    angles[HANDS[side]] = hand_angles(shape).reshape(15, 3)
+    out = np.array(axis_angle, np.float64)
+    out[HANDS[side]] = axis_angle_from_joint_angles(clamped_angles(angles))[HANDS[side]]
+    return out
+
+
+def hand_shape(axis_angle: Float[Array, "52 3"], side: Side) -> HandShape:
+    """The shape nearest to what a hand does: a finger's curl is the least-squares one of its three bends."""
+    angles = joint_angles(axis_angle)[HANDS[side]].reshape(5, 3, 3)
+    curl = np.sum(angles[:, :, 0] * JOINT_SHARE, 1) / np.sum(JOINT_SHARE**2, 1)
+    spread = angles[:, 0, 1] * AWAY
+    return HandShape(tuple(float(v) for v in curl), tuple(float(v) for v in spread), float(angles[4, 0, 2]))
+
+
+def with_curl(
+    axis_angle: Float[Array, "52 3"], side: Side, finger: int, curl: float | int, *, limited: bool = True
+) -> Float[Array, "52 3"]:
+    """One finger curled anew; what its joints differ from an even curl stays."""
+    change = curl - hand_shape(axis_angle, side).curl[finger]
+    return _changed(axis_angle, side, finger, change * JOINT_SHARE[finger], np.zeros(3), limited)
+
+
+def with_spread(
+    axis_angle: Float[Array, "52 3"], side: Side, finger: int, spread: float | int, *, limited: bool = True
+) -> Float[Array, "52 3"]:
+    """One finger spread anew, radians; its curl stays."""
+    change = (spread - hand_shape(axis_angle, side).spread[finger]) * AWAY[finger]
+    return _changed(axis_angle, side, finger, np.zeros(3), np.array([change, 0.0, 0.0]), limited)
+
+
+def _changed(
+    axis_angle: Array, side: Side, finger: int, flexion: Array, sideways: Array, limited: bool
+) -> Float[Array, "52 3"]:
+    joints = np.arange(52)[HANDS[side]].reshape(5, 3)[finger]
+    angles = joint_angles(axis_angle)
+    angles[joints, 0] += flexion
+    angles[joints, 1] += sideways
+    if limited:
+        angles = clamped_angles(angles)
+    out = np.array(axis_angle, np.float64)
+    out[joints] = axis_angle_from_joint_angles(angles)[joints]
+    return out
+
+
+def finger_name(finger: int) -> str:
+    return {"pinky": "little finger"}.get(FINGERS[finger], FINGERS[finger])

@@ -1,0 +1,403 @@
+"""A posing session: the pose in hand, what is selected, keyframes, undo, copy and paste, whether it is saved.
+
+Every change replaces one immutable `State` by another; undo and redo walk along those. Changes that carry the same
+drag mark become one step, however many pixels the pointer took. Selecting, moving along the timeline and
+copying are no changes: they are not undone and do not make a session unsaved.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.motion import Clip
+from avatar.rotation import axis_angle_from_matrix
+from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND, joint_transforms
+from player.pose import pose_file
+from player.pose.fingers import HandShape, Side, with_curl, with_hand, with_spread
+from player.pose.gizmo import turned
+from player.pose.ik import LIMBS, reach_for
+from player.pose.limits import clamped, with_angle
+from player.pose.mirror import PARTNER, mirrored_in_place, onto_other_side
+from player.pose.timeline import Easing, Keys, Pose, clip_of, moved_key, pose_at, with_key, without_key
+
+Array = np.ndarray
+
+STEPS = 500  # of undo that are kept
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """All that undo brings back."""
+
+    pose: Pose
+    keys: Keys = ()
+    easing: Easing = "linear"
+    frame: int = 0  # of the timeline
+
+
+class Pin(NamedTuple):
+    """Where the end of a limb is held, and how it is turned there."""
+
+    place: Float[Array, "3"]
+    turn: Float[Array, "3 3"]  # world_from_joint
+
+
+@dataclass(frozen=True, eq=False)
+class Copied:
+    """Joints on the clipboard and their vectors."""
+
+    joints: tuple[int, ...]
+    axis_angle: Float[Array, "52 3"]
+
+
+class PoseSession:
+    """One avatar being posed; `joints` are its rest positions, metres, pelvis at the origin."""
+
+    def __init__(
+        self,
+        joints: Float[Array, "52 3"],
+        *,
+        root: Float[Array, "3"] | None = None,
+        axis_angle: Float[Array, "52 3"] | None = None,
+        pelvis_height: float | None = None,
+        rate: float | int = 30.0,
+    ):
+        if root is None:
+            root = np.array([0.0, pelvis_height or 0.0, 0.0])
+        self.joints = np.array(joints, np.float64)
+        self.pelvis_height = pelvis_height
+        self.rest = Pose(np.zeros((52, 3)) if axis_angle is None else axis_angle, root)
+        self.state = State(self.rest)
+        self.saved = self.state
+        self.past: list[tuple[str, State]] = []  # what was done, and the state before it
+        self.future: list[tuple[str, State]] = []
+        self.drag: object | None = None  # mark of the drag that the last step belongs to
+        self.selected: int | None = None
+        self.limited = True
+        self.auto_key = False  # with keys: each change of the pose is a key at once
+        self.pinned: dict[str, Pin] = {}  # limbs whose ends are held in the world
+        self.copied: Copied | None = None
+        self.rate = rate
+
+    # what there is
+
+    @property
+    def pose(self) -> Pose:
+        return self.state.pose
+
+    @property
+    def keys(self) -> Keys:
+        return self.state.keys
+
+    @property
+    def frame(self) -> int:
+        return self.state.frame
+
+    @property
+    def unkeyed(self) -> bool:
+        """Whether there are keys and the pose in hand is not what they give at this frame."""
+        state = self.state
+        return bool(state.keys) and not pose_at(state.keys, state.frame, state.easing).same(state.pose)
+
+    @property
+    def dirty(self) -> bool:
+        """Whether there is what a file would lack: keys, easing, or a pose changed since saving or loading.
+
+        Undoing back to what was saved counts as unchanged.
+        """
+        state, saved = self.state, self.saved
+        if state.keys is not saved.keys or state.easing != saved.easing:
+            return True
+        return self.unkeyed if state.keys else state.pose is not saved.pose
+
+    def world(self) -> Float[Array, "52 4 4"]:
+        """world_from_joint of the pose in hand."""
+        return joint_transforms(self.pose.axis_angle, self.joints, self.pose.root)
+
+    # changing it
+
+    def change(self, label: str, state: State, drag: object | None = None) -> None:
+        """Put `state` in place of what is; steps with the same `drag` (not None) are one step of undo."""
+        if drag is None or drag is not self.drag:
+            if self.state is state:
+                return
+            self.past.append((label, self.state))
+            del self.past[:-STEPS]
+        self.future.clear()
+        self.drag = drag
+        self.state = state
+
+    def end_drag(self) -> None:
+        """The pointer was let go: the next change is a step of its own. A drag that led nowhere leaves no step."""
+        if self.drag is not None and self.past:
+            before = self.past[-1][1]
+            if before.pose.same(self.state.pose) and before.keys is self.state.keys:
+                self.state = before
+                self.past.pop()
+        self.drag = None
+
+    def put(
+        self,
+        label: str,
+        axis_angle: Float[Array, "52 3"],
+        root: Float[Array, "3"] | None = None,
+        *,
+        drag: object | None = None,
+        limited: bool | None = None,
+        hold: bool = True,
+        joint: int | None = None,
+    ) -> None:
+        """Another pose. Limits, where they are on, are put on the joints that the change touches, and come last.
+
+        hold: pinned hands and feet are brought back to their places; without it they are pinned where they come
+        to be. joint: the one that was turned; if it is a pinned hand or foot, it is held as it is turned now.
+
+        Raises:
+            ValueError: a number is not finite.
+        """
+        root = self.pose.root if root is None else root
+        if not (np.isfinite(axis_angle).all() and np.isfinite(root).all()):
+            raise ValueError("a pose holds a number that is not finite")
+        for limb, pin in self.pinned.items():
+            if hold:
+                axis_angle = self._held(axis_angle, root, limb, pin, turning=LIMBS[limb].end == joint)
+        if self.limited if limited is None else limited:
+            touched = (axis_angle != self.pose.axis_angle).any(-1, keepdims=True)
+            axis_angle = np.where(touched, clamped(axis_angle), axis_angle)
+        pose = Pose(axis_angle, root)
+        if drag is None and pose.same(self.pose):
+            return
+        keys = self.keys
+        if self.auto_key and keys:
+            keys = with_key(keys, self.frame, pose)
+        self.change(label, replace(self.state, pose=pose, keys=keys), drag)
+        for limb in self.pinned:
+            if not hold or LIMBS[limb].end == joint:
+                self.pin(limb, True)
+
+    def _held(self, axis_angle: Array, root: Array, limb: str, pin: Pin, *, turning: bool) -> Array:
+        out = reach_for(axis_angle, root, self.joints, limb, pin.place)
+        if not turning:
+            end = LIMBS[limb].end
+            parent = joint_transforms(out, self.joints, root)[PARENTS[end], :3, :3]
+            out[end] = axis_angle_from_matrix(parent.T @ pin.turn)
+        return out
+
+    def set_angle(self, joint: int, freedom: int, value: float | int, *, drag: object | None = None) -> None:
+        """One slider: a named angle of a joint, radians."""
+        pose = with_angle(self.pose.axis_angle, joint, freedom, value, limited=self.limited)
+        self.put(JOINTS[joint], pose, drag=drag, joint=joint)
+
+    def set_hand(self, side: Side, shape: HandShape) -> None:
+        self.put(f"{side} hand", with_hand(self.pose.axis_angle, side, shape))
+
+    def set_curl(self, side: Side, finger: int, curl: float | int, *, drag: object | None = None) -> None:
+        pose = with_curl(self.pose.axis_angle, side, finger, curl, limited=self.limited)
+        self.put(f"{side} fingers", pose, drag=drag)
+
+    def set_spread(self, side: Side, finger: int, spread: float | int, *, drag: object | None = None) -> None:
+        pose = with_spread(self.pose.axis_angle, side, finger, spread, limited=self.limited)
+        self.put(f"{side} fingers", pose, drag=drag)
+
+    def turn(
+        self,
+        start: Pose,
+        joint: int,
+        axis: Float[Array, "3"],
+        angle: float | int,
+        *,
+        drag: object | None = None,
+    ) -> None:
+        """The gizmo: one joint turned about a world axis, from the pose in which the ring was seized."""
+        pose = turned(start.axis_angle, start.root, self.joints, joint, axis, angle)
+        self.put(JOINTS[joint], pose, start.root, drag=drag, joint=joint)
+
+    def reach(
+        self,
+        start: Pose,
+        limb: str,
+        target: Float[Array, "3"],
+        *,
+        follow: bool = False,
+        pole: Float[Array, "3"] | None = None,
+        drag: object | None = None,
+    ) -> None:
+        """A hand or foot to a place in the world, from the pose in which the drag began."""
+        pose = reach_for(
+            start.axis_angle,
+            start.root,
+            self.joints,
+            limb,
+            target,
+            pole=pole,
+            end="follow" if follow else "world",
+        )
+        held = self.pinned.pop(limb, None)
+        self.put(limb.replace("_", " "), pose, start.root, drag=drag)
+        if held is not None:
+            self.pin(limb, True)
+
+    def move(self, start: Pose, root: Float[Array, "3"], *, drag: object | None = None) -> None:
+        """The whole body to another place; pinned hands and feet stay."""
+        self.put("place", start.axis_angle, root, drag=drag)
+
+    def pin(self, limb: str, on: bool) -> None:
+        """Hold a hand or foot where it is while the body moves, or let it go."""
+        if on:
+            end = self.world()[LIMBS[limb].end]
+            self.pinned[limb] = Pin(end[:3, 3].copy(), end[:3, :3].copy())
+        else:
+            self.pinned.pop(limb, None)
+
+    def mirror(self) -> None:
+        self.put("mirror", mirrored_in_place(self.pose.axis_angle), hold=False)
+
+    def to_other_side(self, joints: Sequence[int]) -> None:
+        """The other side does what these joints do."""
+        self.put("mirror", onto_other_side(self.pose.axis_angle, joints), hold=False)
+
+    def reset(self, joints: Sequence[int]) -> None:
+        """These joints to pose 0."""
+        pose = np.array(self.pose.axis_angle)
+        pose[list(joints)] = 0.0
+        self.put("reset", pose, hold=False)
+
+    # copy and paste
+
+    def copy(self, joints: Sequence[int]) -> None:
+        self.copied = Copied(tuple(joints), self.pose.axis_angle)
+
+    def paste(self, *, mirrored: bool = False) -> None:
+        """What was copied onto the same joints, or mirrored onto the other side's. Nothing copied: nothing happens.
+
+        The body's place is not pasted: a copied pose is taken where the avatar stands.
+        """
+        if self.copied is None:
+            return
+        joints = list(self.copied.joints)
+        pose = np.array(self.pose.axis_angle)
+        if mirrored:
+            whole = mirrored_in_place(self.copied.axis_angle)
+            onto = PARTNER[joints]
+            pose[onto] = whole[onto]
+        else:
+            pose[joints] = self.copied.axis_angle[joints]
+        self.put("paste", pose, hold=False)
+
+    # undo
+
+    def undo(self) -> str | None:
+        """One step back; its name, or None where there is none."""
+        return self._walk(self.past, self.future)
+
+    def redo(self) -> str | None:
+        return self._walk(self.future, self.past)
+
+    def _walk(self, come_from: list[tuple[str, State]], leave_to: list[tuple[str, State]]) -> str | None:
+        self.end_drag()
+        if not come_from:
+            return None
+        label, state = come_from.pop()
+        leave_to.append((label, self.state))
+        self.state = state
+        for limb in self.pinned:  # held where it is in the pose that came back
+            self.pin(limb, True)
+        return label
+
+    # the timeline
+
+    def seek(self, frame: int) -> None:
+        """Go to a frame; with keys, the pose in hand becomes the timeline's there.
+
+        No step of undo, unless the pose in hand was changed and is no key: then undo brings it back.
+        """
+        frame = max(int(frame), 0)
+        if frame == self.frame:
+            return
+        self.end_drag()
+        if self.unkeyed:
+            self.past.append(("go to frame", self.state))
+            self.future.clear()
+        pose = pose_at(self.keys, frame, self.state.easing) if self.keys else self.pose
+        self.state = replace(self.state, pose=pose, frame=frame)
+
+    def key(self) -> None:
+        """The pose in hand becomes a key at the present frame."""
+        self.change("key", replace(self.state, keys=with_key(self.keys, self.frame, self.pose)))
+
+    def delete_key(self, frame: int | None = None) -> None:
+        keys = without_key(self.keys, self.frame if frame is None else frame)
+        if len(keys) != len(self.keys):
+            self.change("delete key", replace(self.state, keys=keys))
+
+    def move_key(self, frame: int, to: int) -> None:
+        keys = moved_key(self.keys, frame, max(to, 0))
+        if keys is not self.keys and frame != to:
+            self.change("move key", replace(self.state, keys=keys))
+
+    def ease(self, easing: Easing) -> None:
+        if easing != self.state.easing:
+            self.change("easing", replace(self.state, easing=easing))
+
+    def clip(self) -> Clip:
+        """The timeline as a clip, or the pose in hand as a clip of one frame."""
+        keys = self.keys or ((0, self.pose),)
+        return clip_of(keys, self.rate, self.state.easing, self.pelvis_height)
+
+    # files
+
+    def save(self, path: Path | str, *, up: str = "z") -> str:
+        """Write the keys, or the pose where there are none; what was written, in words."""
+        if self.keys:
+            pose_file.write_keys(
+                path, self.keys, self.rate, easing=self.state.easing, pelvis_height=self.pelvis_height, up=up
+            )
+            done = f"{path}: {len(self.keys)} keys, {self.keys[-1][0] + 1} frames"
+        else:
+            pose_file.write_pose(path, self.pose, pelvis_height=self.pelvis_height, up=up)
+            done = f"{path}: one pose"
+        self.end_drag()
+        self.saved = self.state
+        return done
+
+    def load(self, path: Path | str) -> tuple[str, ...]:
+        """Take a file's keys, or its pose where it has one frame; a step of undo, and counts as saved.
+
+        Raises:
+            AssetError: the file cannot be read; nothing has changed then.
+        """
+        timeline = pose_file.read_keys(path, pelvis_height=self.pelvis_height)
+        pose = timeline.keys[0][1]
+        keys = timeline.keys if len(timeline.keys) > 1 else ()
+        self.end_drag()
+        self.change("load", State(pose, keys, timeline.easing))
+        self.rate, self.saved = timeline.rate, self.state
+        self.pinned.clear()
+        return timeline.notes
+
+    def load_pose(self, label: str, pose: Pose) -> None:
+        """A pose from the library."""
+        self.put(label, pose.axis_angle, pose.root, limited=False, hold=False)
+
+
+def limb_of(joint: int) -> tuple[int, ...]:
+    """The joints that are copied with one as its limb: arm with hand, leg with foot, trunk with neck and head."""
+    name = JOINTS[joint]
+    if name.startswith(("left", "right")):
+        side, part = name.split("_", 1)
+        leg = part in ("hip", "knee", "ankle", "foot")
+        return tuple(
+            k
+            for k, other in enumerate(JOINTS)
+            if other.startswith(side) and (other.split("_", 1)[1] in ("hip", "knee", "ankle", "foot")) == leg
+        )
+    return tuple(k for k, other in enumerate(JOINTS) if not other.startswith(("left", "right")) and k)
+
+
+def hand_joints(side: Side) -> tuple[int, ...]:
+    """The fingers' joints of one hand."""
+    return tuple(range(52)[LEFT_HAND if side == "left" else RIGHT_HAND])

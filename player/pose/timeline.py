@@ -1,0 +1,103 @@
+"""Keyframes: poses at frames of a timeline, slerp between them; and the clip of every frame."""
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.clips import smooth
+from avatar.motion import Clip
+from avatar.rotation import axis_angle_from_quaternion, nearest_axis_angle, quaternion_from_axis_angle, slerp
+
+Array = np.ndarray
+
+Easing = Literal["linear", "smooth"]
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """One pose; its arrays are never written to."""
+
+    axis_angle: Float[Array, "52 3"]
+    root: Float[Array, "3"]
+
+    def __post_init__(self):
+        for name in ("axis_angle", "root"):
+            value = np.array(
+                getattr(self, name), np.float64
+            )  # a copy: the giver may go on writing to its own
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+
+    def same(self, other: "Pose") -> bool:
+        """Equal to the last bit."""
+        return np.array_equal(self.axis_angle, other.axis_angle) and np.array_equal(self.root, other.root)
+
+
+Keys = tuple[tuple[int, Pose], ...]  # frame numbers growing
+
+
+def with_key(keys: Keys, frame: int, pose: Pose) -> Keys:
+    """The keys with one more, or another at that frame.
+
+    Raises:
+        ValueError: a frame before 0.
+    """
+    if frame < 0:
+        raise ValueError(f"a key's frame should be 0 or more, is {frame}")
+    return tuple(sorted([*((f, p) for f, p in keys if f != frame), (frame, pose)], key=lambda key: key[0]))
+
+
+def without_key(keys: Keys, frame: int) -> Keys:
+    return tuple(key for key in keys if key[0] != frame)
+
+
+def moved_key(keys: Keys, frame: int, to: int) -> Keys:
+    """The key of one frame at another; a key that was there goes. No key at `frame`: unchanged."""
+    found = dict(keys).get(frame)
+    return keys if found is None else with_key(without_key(keys, frame), to, found)
+
+
+def pose_at(keys: Keys, frame: float | int, easing: Easing = "linear") -> Pose:
+    """The pose at any time, in frames: joints by slerp on the shorter arc, the root on a line.
+
+    "smooth" starts and ends at rest at each key. Before the first key and after the last their poses are held.
+
+    Raises:
+        ValueError: there are no keys.
+    """
+    if not keys:
+        raise ValueError("a timeline without keys has no pose")
+    k = bisect_right([f for f, _ in keys], frame) - 1
+    if k < 0 or k == len(keys) - 1 or keys[k][0] == frame:
+        return keys[max(k, 0)][1]
+    (first, a), (last, b) = keys[k], keys[k + 1]
+    part = (frame - first) / (last - first)
+    return between(a, b, float(smooth(part)) if easing == "smooth" else part)
+
+
+def between(a: Pose, b: Pose, part: float | int) -> Pose:
+    """A share `part` of the way from one pose to another."""
+    q = slerp(quaternion_from_axis_angle(a.axis_angle), quaternion_from_axis_angle(b.axis_angle), part)
+    joints = nearest_axis_angle(axis_angle_from_quaternion(q), a.axis_angle)
+    return Pose(joints, a.root + part * (b.root - a.root))
+
+
+def clip_of(
+    keys: Keys, rate: float | int, easing: Easing = "linear", pelvis_height: float | None = None
+) -> Clip:
+    """Every frame from 0 to the last key."""
+    poses = [pose_at(keys, frame, easing) for frame in range(keys[-1][0] + 1)]
+    return Clip(
+        np.stack([p.axis_angle for p in poses]), np.stack([p.root for p in poses]), rate, (), pelvis_height
+    )
+
+
+def difference(a: Pose, b: Pose) -> float:
+    """The largest angle between joints, radians, or distance between roots, metres."""
+    p, q = quaternion_from_axis_angle(a.axis_angle), quaternion_from_axis_angle(b.axis_angle)
+    q = np.where(np.sum(p * q, -1, keepdims=True) < 0, -q, q)
+    angle = 4 * np.arctan2(np.linalg.norm(p - q, axis=-1), np.linalg.norm(p + q, axis=-1))
+    return max(float(angle.max()), float(np.linalg.norm(a.root - b.root)))
