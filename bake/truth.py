@@ -4,11 +4,12 @@ One fixed light ties what is seen to where it is seen from: a residual learnt fr
 under a camera that moves. So where the truth is known it decides, not the distance to the field.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy.ndimage import binary_erosion
 
 from avatar.baked_avatar import Avatar
@@ -83,6 +84,19 @@ class Errors(NamedTuple):
         return round(-10 * float(np.log10(self.square / self.count)), 3)
 
 
+def errors_of(difference: Float[np.ndarray, "pixels 3"]) -> Errors:
+    """Sum of squares and count of a difference of colours."""
+    return Errors(float(np.square(difference).sum()), difference.size)
+
+
+def sum_of(errors: Iterable[Errors]) -> Errors:
+    """All of them together."""
+    total = Errors()
+    for one in errors:
+        total = total.plus(one)
+    return total
+
+
 def mode_errors(
     context: Context, avatar: Avatar, views: Sequence[HeldOutView], modes: Sequence[str]
 ) -> dict[str, dict[str, Errors]]:
@@ -107,26 +121,22 @@ def mode_errors(
                     image = renderer.draw([(view.axis_angle, view.root)], view.camera)
                     scored = inside & (image[..., 3] == 255)
                     error = image[..., :3][scored] / np.float64(255) - truth[scored]
-                    one = Errors(float(np.square(error).sum()), error.size)
-                    found[mode][region] = found[mode][region].plus(one)
+                    found[mode][region] = found[mode][region].plus(errors_of(error))
         finally:
             for renderer in renderers.values():
                 renderer.release()
     return found
 
 
-def pooled(errors: dict[str, Errors]) -> Errors:
-    """All regions' pictures together."""
-    total = Errors()
-    for one in errors.values():
-        total = total.plus(one)
-    return total
-
-
 def told(errors: dict[str, Errors]) -> dict[str, float | None]:
     """Decibels by region, hands together, and of all pictures."""
     hands = errors["left_hand"].plus(errors["right_hand"])
-    by_region = {"total": errors["total"], "head": errors["head"], "hands": hands, "all": pooled(errors)}
+    by_region = {
+        "total": errors["total"],
+        "head": errors["head"],
+        "hands": hands,
+        "all": sum_of(errors.values()),
+    }
     return {name: one.db for name, one in by_region.items()}
 
 
@@ -137,9 +147,7 @@ def scores_by_mode(
     modes = modes_of(avatar) if modes is None else modes
     errors = {name: mode_errors(context, avatar, views, modes) for name, views in sets.items()}
     out: dict[str, Any] = {name: {m: told(errors[name][m]) for m in modes} for name in sets}
-    together = {m: Errors() for m in modes}
-    for name in sets:
-        together = {m: together[m].plus(pooled(errors[name][m])) for m in modes}
+    together = {m: sum_of(e for one in errors.values() for e in one[m].values()) for m in modes}
     return out | {"all": {m: one.db for m, one in together.items()}}
 
 
