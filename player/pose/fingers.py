@@ -21,7 +21,7 @@ Side = Literal["left", "right"]
 HANDS: dict[str, slice] = {"left": LEFT_HAND, "right": RIGHT_HAND}
 # of index, middle, pinky, ring, thumb: which way is away from the middle finger, as the limits count sideways
 AWAY = np.array([1.0, 1.0, -1.0, -1.0, 1.0])
-CURL_RANGE = (-0.25, 1.15)
+CURL_RANGE = (-0.2, 1.15)
 SPREAD_RANGE = (-0.35, 0.6)
 
 
@@ -43,7 +43,7 @@ PRESETS: dict[str, HandShape] = {
     "peace": HandShape((0.0, 0.0, 1.06, 1.08, 0.75), (0.18, -0.14, -0.1, -0.05, 0.1), 0.25),
     # thumb and forefinger meet within 5 mm on both built-in bodies
     "ok": HandShape((0.65, 0.16, 0.04, 0.1, 0.45), (0.0, 0.0, 0.2, 0.08, 0.36), 0.29),
-    "thumbs up": HandShape((1.06, 1.08, 1.06, 1.08, -0.3), (-0.05, 0.0, -0.1, -0.05, 0.0)),
+    "thumbs up": HandShape((1.06, 1.08, 1.06, 1.08, -0.22), (-0.05, 0.0, -0.1, -0.05, 0.0)),
 }
 
 
