@@ -1,94 +1,176 @@
-"""`selfscan play`: avatars in a window, moved by a file or by live poses."""
+"""`selfscan play`: avatars in a window, moved by files or by live poses."""
 
 import argparse
 from collections.abc import Sequence
+from contextlib import ExitStack
 
-from avatar.avatar_file import read_avatar
+import numpy as np
+
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from player.arguments import add_hands, parse_color, parse_size
+from player.capture_view import PARTS
 from player.context import NoContextError
-from player.effects import VIEWS
+from player.effects import VIEWS, Background, Effects
+from player.live.address import Address, parse_address
 from player.live.command import add_live_options
-from player.motions import beside, notes, opened_motion, retargeted, standing
+from player.motions import beside
+from player.scene import Scene, SceneAvatar, SceneCamera
+
+EXAMPLES = """examples
+  selfscan play me.glb                                      the counting motion
+  selfscan play me.glb you.glb --motion walk.bvh --motion counting
+  selfscan play me.glb --capture my_capture                 against the video it was made from
+  selfscan play me.glb --live vmc:39539                     posed by a sender
+
+keys
+  space play/pause    , . step        left right 1 s    home end     [ ] slower, faster   l loop, to and fro, once
+  a b range A-B       x whole clip    c next camera     r reset it   f follow             k add camera key   j save keys
+  - = move the wipe   v view on/off   s screenshot      o film       tab next avatar      t T-pose (live)
+  g panels            h keys on screen                  q quit
+mouse
+  drag turns, right drag shifts, wheel comes nearer, click picks an avatar and its joint; docs/play.md has more"""
 
 
-def play_main(argv: list[str]) -> int:
-    """Open the window."""
+def play_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="selfscan play",
-        description="An avatar in a window: drag to orbit, wheel to come nearer.",
-        epilog="keys  space play/pause   , . one frame back/on   left right one second   home end   "
-        "r reset camera   f follow   v view dependence   s screenshot   h help line   q quit   t T-pose (--live)",
+        description="Avatars in a window: orbit, scrub, pick, film, compare with the video.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
         "avatar", nargs="+", metavar="AVATAR", help="avatar file (.glb); several stand side by side"
     )
+    parser.add_argument("--motion", action="append", metavar="FILE",
+                        help="pose file, EasyMocap folder, counting (default) or walking: one for all avatars, or "
+                        "once for each, in order")  # fmt: skip
+    parser.add_argument("--at", type=parse_place, action="append", metavar="X,Y,Z[,DEG]",
+                        help="where an avatar stands, metres, and how it is turned; once for each, in order")  # fmt: skip
+    parser.add_argument("--capture", metavar="CAPTURE",
+                        help="look through the cameras of this capture, its video behind the avatar")  # fmt: skip
     parser.add_argument(
-        "--motion", metavar="FILE", help="pose file, EasyMocap folder, or: counting (default), walking"
+        "--part", choices=PARTS, default="body", help="which video of the capture (default: body)"
     )
+    parser.add_argument("--camera-path", metavar="FILE", help="a path of camera keys (.json) to look along")
     parser.add_argument(
         "--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for"
     )
     add_hands(parser)
-    parser.add_argument("--size", type=parse_size, default=(960, 720), metavar="WxH")
+    parser.add_argument("--size", type=parse_size, default=(1280, 800), metavar="WxH")
     parser.add_argument("--view", choices=("auto", *VIEWS), default="auto")
     parser.add_argument("--background", type=parse_color, default=parse_color("#2b2d33"), metavar="#rrggbb")
+    parser.add_argument("--no-gui", action="store_true",
+                        help="no panels, only keys and a line of text (as without imgui-bundle)")  # fmt: skip
     parser.add_argument("--platform", choices=("auto", "null"), default="auto",
                         help="null: no display, drawn by OSMesa in memory (for tests)")  # fmt: skip
-    parser.add_argument(
-        "--script",
-        metavar="KEYS",
-        help="keys pressed one a frame, as 'space . . right'; then the window closes",
-    )
+    parser.add_argument("--script", metavar="WORDS",
+                        help="words done one a frame, as 'space . click:300:200'; then the window closes")  # fmt: skip
     parser.add_argument("--screenshot", metavar="FILE", help="write the last frame shown to a .png")
     add_live_options(parser)
+    return parser
+
+
+def parse_place(text: str) -> tuple[float, float, float, float]:
+    """X,Y,Z and, where given, degrees about the vertical."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in (3, 4) or not np.isfinite(values).all():
+        raise argparse.ArgumentTypeError(f"expected X,Y,Z or X,Y,Z,DEGREES, found {text!r}")
+    x, y, z, *turn = values
+    return x, y, z, turn[0] if turn else 0.0
+
+
+def play_main(argv: list[str]) -> int:
+    """Open the window."""
+    parser = play_parser()
     options = parser.parse_args(argv)
     if options.live is None and any(
         value is not None
         for value in (options.smooth, options.buffer, options.calibrate, options.record, options.latency)
     ):
         parser.error("--smooth, --buffer, --calibrate, --record and --latency go with --live")
-    if options.live is not None and options.motion is not None:
-        parser.error("give --motion or --live")
+    if options.live is not None and (options.motion or options.capture):
+        parser.error("give --motion or --capture or --live")
+    count = len(options.avatar)
+    for name, values in (("--motion", options.motion), ("--at", options.at)):
+        if values and len(values) not in (1, count):
+            parser.error(f"{name}: expected one, or one for each of {count} avatars, found {len(values)}")
+    script = options.script.split() if options.script is not None else None
+    scene = scene_of(options)
+    try:
+        return play_scene(scene, options, script)
+    except (ValueError, NoContextError) as error:
+        raise AssetError(str(error)) from None
+
+
+def scene_of(options: argparse.Namespace) -> Scene:
+    """What the options ask for, as a scene."""
+    count = len(options.avatar)
+    motions = options.motion or [None if options.capture or options.live else "counting"]
+    avatars = []
+    for k, path in enumerate(options.avatar):
+        x, y, z, turn = (*beside(k, count).tolist(), 0.0)
+        if options.at and (len(options.at) > 1 or count == 1):
+            x, y, z, turn = options.at[k]
+        avatars.append(
+            SceneAvatar(
+                path, motions[k % len(motions)], str(options.live) if options.live else None, (x, y, z), turn,
+                options.hands, options.body,
+            )
+        )  # fmt: skip
+    cameras = [SceneCamera()]
+    if options.camera_path:
+        cameras.insert(0, SceneCamera("path", options.camera_path))
+    if options.capture:
+        cameras.insert(0, SceneCamera("capture", options.capture, options.part))
+    return Scene(
+        tuple(avatars),
+        tuple(cameras),
+        Background(color=options.background),
+        Effects(options.view),
+        options.size,
+    )
+
+
+def play_scene(scene: Scene, options: argparse.Namespace, script: Sequence[str] | None) -> int:
+    """Open the scene's files and sources, then the window."""
+    from player.show import opened_show, read_avatars
     from player.window import play  # glfw only when a window is asked for
 
-    avatars = [read_avatar(path) for path in options.avatar]
-    if options.live is not None:
-        return play_live(avatars, options)
-    motion = opened_motion(options.motion or "counting", options.body, options.hands)
-    clips = [retargeted(motion, avatar) for avatar in avatars]
-    for note in notes(clips, 0):
-        print(note)
-    try:
+    avatars = read_avatars(scene)
+    with ExitStack() as sources:
+        live = [
+            (sources.enter_context(_listening(address, options, [avatars[k] for k in indices])), indices)
+            for address, indices in _addresses(scene, options)
+        ]
+        show = opened_show(scene, avatars, live)
+        for note in show.notes:
+            print(note)
         return play(
-            avatars, motion, clips, size=options.size, view=options.view, background=options.background,
-            null=options.platform == "null", beside=[beside(k, len(avatars)) for k in range(len(avatars))],
-            script=options.script.split() if options.script is not None else None, screenshot=options.screenshot,
+            show, size=scene.size or (1280, 800), null=options.platform == "null", gui=not options.no_gui,
+            script=script, screenshot=options.screenshot,
         )  # fmt: skip
-    except (ValueError, NoContextError) as error:
-        raise AssetError(str(error)) from None
 
 
-def play_live(avatars: Sequence[Avatar], options: argparse.Namespace) -> int:
-    """The window, posed by what arrives; the avatars stand in T-pose until something does."""
+def _addresses(scene: Scene, options: argparse.Namespace) -> list[tuple[Address, list[int]]]:
+    """Each live source with the avatars it poses."""
+    found: dict[Address, list[int]] = {}
+    for index, entry in enumerate(scene.avatars):
+        if entry.live is not None:
+            found.setdefault(parse_address(entry.live, ("vmc", "udp", "ws")), []).append(index)
+    if len(found) > 1 and (options.record or options.latency):
+        raise ValueError(f"--record and --latency write one file; the scene has {len(found)} live sources")
+    return list(found.items())
+
+
+def _listening(address: Address, options: argparse.Namespace, avatars: Sequence[Avatar]):
     from player.live.session import LiveOptions, live_session
-    from player.window import play
 
-    places = [beside(k, len(avatars)) for k in range(len(avatars))]
-    motion = opened_motion(None, None)
-    clips = [standing(avatar) for avatar in avatars]
     asked = LiveOptions(
-        options.live, smooth=options.smooth, buffer=options.buffer, record=options.record,
-        latency=options.latency, calibrate_after=options.calibrate,
+        address, smooth=options.smooth, buffer=options.buffer, record=options.record, latency=options.latency,
+        calibrate_after=options.calibrate,
     )  # fmt: skip
-    script = options.script.split() if options.script is not None else None
-    try:
-        with live_session(asked, avatars, places) as live:
-            return play(
-                avatars, motion, clips, size=options.size, view=options.view, background=options.background,
-                null=options.platform == "null", beside=places, script=script, screenshot=options.screenshot,
-                live=live,
-            )  # fmt: skip
-    except (ValueError, NoContextError) as error:
-        raise AssetError(str(error)) from None
+    return live_session(asked, avatars, [np.zeros(3)] * len(avatars))  # places are the scene's

@@ -1,115 +1,51 @@
-"""The window: an avatar to orbit, play, pause, step and scrub.
+"""The window: one frame after the other, and what its keys and panels ask for.
 
-The same code runs without a display: glfw's null platform with OSMesa. A script of keys then drives it, one key
-a frame at a fixed 30 frames a second, so that what a test sees does not depend on the machine's speed.
+What is shown is a `Show` (player/show.py); time is player/timeline.py, cameras player/cameras.py, keys
+player/keys.py, the mouse player/pointer.py, panels player/gui/. The same code runs without a display: glfw's null
+platform with OSMesa, driven by a script (player/script.py) that calls what glfw calls.
 """
 
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import glfw
 import numpy as np
-from jaxtyping import Float, UInt8
-from PIL import Image
+from jaxtyping import UInt8
 
-from avatar.baked_avatar import Avatar
-from avatar.camera import Camera, look_at, pinhole
-from avatar.errors import AssetError
-from avatar.files import whole_file
-from avatar.motion import Clip, Motion
-from player.context import Context, wrap_context
-from player.framing import ELEVATION, FOV, extent, facing, fitted_camera
-from player.live.playback import LivePlayback
+from avatar.camera import Camera
+from avatar.skeleton import JOINTS
+from player.cameras import WALK, moved_into
+from player.context import Context
+from player.effects import Background, Effects
+from player.glfw_window import open_window, window_context
+from player.keys import ACTIONS, HELP, HELP_LIVE, HELP_WALK, WALKING
 from player.overlay import TextLine
+from player.pick import Picked, pick
+from player.picture import Picture
+from player.pointer import Pointer, Tool
+from player.recorder import Recorder, free_name, save_picture
 from player.renderer import Pose, Renderer
+from player.script import RATE, steps
+from player.show import Show
+from player.timeline import LONGEST_STEP, Timeline
+from player.wipe import Wipe
 
-KEYS = {
-    "space": glfw.KEY_SPACE, ",": glfw.KEY_COMMA, ".": glfw.KEY_PERIOD, "left": glfw.KEY_LEFT,
-    "right": glfw.KEY_RIGHT, "home": glfw.KEY_HOME, "end": glfw.KEY_END, "r": glfw.KEY_R, "v": glfw.KEY_V,
-    "s": glfw.KEY_S, "t": glfw.KEY_T,
-    "f": glfw.KEY_F, "h": glfw.KEY_H, "q": glfw.KEY_Q,
-}  # fmt: skip
-HELP = "space play/pause  , . step  arrows 1 s  home end  r camera  f follow  v view  s shot  q quit"
-HELP_LIVE = "space pause  t T-pose in 3 s  r camera  f follow  v view  s shot  q quit"
-SCRIPT_RATE = 30.0
-BLOCK = 256
-LONGEST_STEP = 0.25  # seconds; after a stall the clip goes on where it was
+if TYPE_CHECKING:
+    from player.gui.panels import Panels
+    from player.pose.session import PoseSession
 
-
-class Orbit:
-    """A camera round a point, turned and brought nearer by hand."""
-
-    def __init__(self, target: Float[np.ndarray, "3"], distance: float, azimuth: float):
-        self.home = (np.array(target, np.float64), distance, azimuth, ELEVATION)
-        self.reset()
-
-    def reset(self) -> None:
-        target, self.distance, self.azimuth, self.elevation = self.home
-        self.target = target.copy()
-
-    def turn(self, dx: float, dy: float) -> None:
-        """Drag by pixels: half a degree each; never over the poles."""
-        self.azimuth -= np.radians(0.5 * dx)
-        self.elevation = float(np.clip(self.elevation + np.radians(0.5 * dy), -1.5, 1.5))
-
-    def shift(self, dx: float, dy: float, height: int) -> None:
-        """Move the target in the image plane, so that it follows the pointer."""
-        right, down = self.camera((1, 1)).camera_from_world[:2, :3]
-        metres = 2 * self.distance * np.tan(FOV / 2) / max(height, 1)
-        self.target -= metres * (dx * right + dy * down)
-
-    def approach(self, clicks: float) -> None:
-        nearer = 0.9 ** float(np.clip(clicks, -100, 100))
-        self.distance = float(np.clip(self.distance * nearer, 0.05, 1000.0))
-
-    def camera(self, size: tuple[int, int], along: Float[np.ndarray, "3"] | None = None) -> Camera:
-        """The camera, moved along with the avatar by `along`, metres."""
-        flat = np.cos(self.elevation)
-        away = np.array([np.sin(self.azimuth) * flat, np.sin(self.elevation), np.cos(self.azimuth) * flat])
-        target = self.target if along is None else self.target + along
-        return Camera(pinhole(size, FOV), look_at(target + self.distance * away, target), size)
+Area = tuple[int, int, int, int]  # left, top, width, height, pixels of the framebuffer
+NOTED = 5.0  # seconds that a message stays
 
 
-class Playback:
-    """Which frame of the motion is shown, and its poses, read in blocks."""
+class Selection(NamedTuple):
+    """The avatar that panels are about, and its joint that was clicked."""
 
-    def __init__(
-        self, motion: Motion, clips: Sequence[Callable[[int, int], Clip]], beside: Sequence[np.ndarray]
-    ):
-        self.motion, self.clips, self.beside = motion, clips, beside
-        self.seconds, self.playing = 0.0, True
-        self.first, self.blocks = 0, [clip(0, min(BLOCK, motion.frames)) for clip in clips]
-
-    @property
-    def frame(self) -> int:
-        return min(int(self.seconds * self.motion.rate + 1e-6), self.motion.frames - 1)
-
-    def advance(self, dt: float) -> None:
-        """Let time pass; the clip starts over at its end. A clock that goes backwards stands still."""
-        if self.playing:
-            self.seconds = (self.seconds + min(max(dt, 0.0), LONGEST_STEP)) % (
-                self.motion.frames / self.motion.rate
-            )
-
-    def seek(self, frame: int) -> None:
-        self.seconds = (min(max(frame, 0), self.motion.frames - 1) + 0.5) / self.motion.rate
-
-    def poses(self) -> list[Pose]:
-        frame = self.frame
-        if not self.first <= frame < self.first + len(self.blocks[0].root):
-            self.first = frame - frame % BLOCK
-            self.blocks = [
-                clip(self.first, min(self.first + BLOCK, self.motion.frames)) for clip in self.clips
-            ]
-        i = frame - self.first
-        return [(b.axis_angle[i], b.root[i] + at) for b, at in zip(self.blocks, self.beside, strict=True)]
-
-    def status(self) -> str:
-        """Frame and time, in one line."""
-        state = "" if self.playing else "  paused"
-        return f"frame {self.frame}/{self.motion.frames}  {self.frame / self.motion.rate:.1f} s{state}"
+    avatar: int = 0
+    joint: int | None = None
 
 
 class Window:
@@ -117,264 +53,372 @@ class Window:
 
     def __init__(
         self,
-        avatars: Sequence[Avatar],
-        playback: Playback | LivePlayback,
-        orbit: Orbit,
+        show: Show,
         *,
         size: tuple[int, int],
-        view: str,
-        background: Sequence[float],
-        null: bool,
+        null: bool = False,
+        gui: bool = True,
+        clock: Callable[[], float] = time.perf_counter,
     ):
-        self.playback, self.orbit = playback, orbit
-        self.start = playback.poses()[0][1]
+        self.show, self.playback, self.cameras, self.clock = show, show.playback, show.cameras, clock
         self.handle = open_window(size, null)
-        self.context: Context = wrap_context(
-            window_function,
-            lambda: glfw.make_context_current(self.handle),
-            "glfw null + OSMesa" if null else "window",
-        )
-        self.renderer = Renderer(self.context, avatars, None, view=view, background=background)
+        self.context: Context = window_context(self.handle, null)
+        self.effects, self.background, self.level = show.effects, show.background, 0
+        self.renderer = self.new_renderer(show.effects, show.background, 0)
+        self.has_view = shows_view(self.renderer)
+        self.wipe = Wipe(self.context, show.capture) if show.capture else None
         self.text = TextLine(self.context)
-        self.follow = False
-        self.help, self.shoot, self.shots, self.closing = False, False, 0, False
-        self.pointer: tuple[float, float] | None = None
-        self.image: UInt8[np.ndarray, "height width 3"] | None = None
-        self.shown_rate, self.rate_frames, self.rate_began = 0.0, 0, time.perf_counter()
-        self.has_view = any(
-            p.variant and dict(p.variant.defines)["VIEW_STAGE"] for p in self.renderer.plan.passes
+        self.backdrop = Picture(self.context)
+        # posing by hand: the avatar `posed` has the session's pose, in the world, instead of its motion's
+        self.pose_session: PoseSession | None = None
+        self.posed = 0
+        self.panels: Panels | None = open_panels(self.context, self.handle) if gui else None
+        self.show.fit_orbit(self.area()[2:])
+        self.pointer, self.held = Pointer(self), set[int]()
+        # what keys and panels change
+        self.selection = Selection()
+        self.follow, self.help, self.shoot, self.closing = False, False, False, False
+        self.film: Recorder | None = None
+        self.tool: Tool | None = None  # takes drags over the picture before the camera does
+        self.message, self.message_until = "", 0.0
+        # the last frame
+        self.poses: list[Pose] = self.playback.poses()
+        self.start = self.poses[0][1]
+        self.camera: Camera | None = None
+        self.image: UInt8[np.ndarray, "height width 4"] | None = None
+        self.frame_times: deque[float] = deque(maxlen=120)  # seconds, of whole frames
+        self.last_tick = clock()
+        glfw.set_key_callback(self.handle, lambda _w, key, _s, action, _m: self.on_key(key, bool(action)))
+        glfw.set_char_callback(self.handle, lambda _w, letter: self.on_text(letter))
+        glfw.set_scroll_callback(self.handle, lambda _w, _dx, dy: self.on_wheel(dy))
+        glfw.set_cursor_pos_callback(self.handle, lambda _w, x, y: self.on_pointer(x, y))
+        glfw.set_mouse_button_callback(
+            self.handle, lambda _w, button, action, _m: self.on_button(button, bool(action))
         )
-        glfw.set_key_callback(self.handle, lambda _w, key, _s, action, _m: self.key(key) if action else None)
-        glfw.set_scroll_callback(self.handle, lambda _w, _dx, dy: self.orbit.approach(dy))
-        glfw.set_cursor_pos_callback(self.handle, lambda _w, x, y: self.move(x, y))
 
-    def key(self, key: int) -> None:
-        """What a key does. Unknown keys do nothing."""
-        playback = self.playback
-        if key in (glfw.KEY_Q, glfw.KEY_ESCAPE):
-            self.closing = True
-        elif key == glfw.KEY_SPACE:
-            playback.playing = not playback.playing
-        elif key in (glfw.KEY_COMMA, glfw.KEY_PERIOD):
-            playback.playing = False
-            playback.seek(playback.frame + (1 if key == glfw.KEY_PERIOD else -1))
-        elif key in (glfw.KEY_LEFT, glfw.KEY_RIGHT):
-            second = round(playback.motion.rate)
-            playback.seek(playback.frame + (second if key == glfw.KEY_RIGHT else -second))
-        elif key == glfw.KEY_HOME:
-            playback.seek(0)
-        elif key == glfw.KEY_END:
-            playback.seek(playback.motion.frames - 1)
-        elif key == glfw.KEY_R:
-            self.orbit.reset()
-        elif key == glfw.KEY_F:
-            self.follow = not self.follow
-        elif key == glfw.KEY_V:
-            self.renderer.view_amount = 1.0 - self.renderer.view_amount
-        elif key == glfw.KEY_H:
-            self.help = not self.help
-        elif key == glfw.KEY_S:
-            self.shoot = True
-        elif key == glfw.KEY_T and isinstance(playback, LivePlayback):
-            playback.ask_for_t_pose()
+    @property
+    def timeline(self) -> Timeline:
+        return self.playback.timeline
 
-    def move(self, x: float, y: float) -> None:
-        """Pointer moved: left button turns, right or middle shifts."""
-        last, self.pointer = self.pointer, (x, y)
-        if last is None:
+    # -- events; a script calls the same
+
+    def on_key(self, key: int, down: bool) -> None:
+        """A key went down (or repeats), or up."""
+        if self.panels is not None and self.panels.on_key(key, down):
             return
-        dx, dy = x - last[0], y - last[1]
-        buttons = [glfw.get_mouse_button(self.handle, button) == glfw.PRESS for button in range(3)]
-        if buttons[0]:
-            self.orbit.turn(dx, dy)
-        elif buttons[1] or buttons[2]:
-            self.orbit.shift(dx, dy, glfw.get_window_size(self.handle)[1])
+        if not down:
+            self.held.discard(key)
+        elif self.cameras.kind == "walk" and key in WALKING:
+            self.held.add(key)
+        elif key in ACTIONS:
+            ACTIONS[key](self)
 
-    def draw(self, *, keep: bool) -> None:
+    def on_text(self, letter: int) -> None:
+        if self.panels is not None:
+            self.panels.on_text(letter)
+
+    def on_wheel(self, clicks: float) -> None:
+        if self.panels is None or not self.panels.on_wheel(clicks, self.over_picture()):
+            self.cameras.approach(clicks)
+
+    def on_pointer(self, x: float, y: float) -> None:
+        """The pointer moved, window units."""
+        if self.panels is not None:
+            self.panels.on_pointer(x, y)
+        self.pointer.move(x, y)
+
+    def on_button(self, button: int, down: bool) -> None:
+        """A mouse button went down or up where the pointer is."""
+        taken = self.panels is not None and self.panels.on_button(button, down, self.over_picture())
+        if not down:
+            self.pointer.release(button)
+        elif not taken:
+            self.pointer.press(button)
+
+    # -- what keys and panels ask for
+
+    def say(self, message: str) -> None:
+        """Print a message, and show it for some seconds."""
+        print(message)
+        self.message, self.message_until = message, self.clock() + NOTED
+
+    def pick_at(self, x: float, y: float) -> Picked | None:
+        """Select the avatar and joint under a pixel; beside them the joint is let go."""
+        if self.camera is None:
+            return None
+        levels = [a.levels[min(self.level, len(a.levels) - 1)] for a in self.show.avatars]
+        found = pick(self.show.avatars, levels, self.poses, self.camera, (x, y))
+        self.selection = (
+            Selection(found.avatar, found.joint) if found else self.selection._replace(joint=None)
+        )
+        return found
+
+    def select(self, avatar: int, joint: int | None = None) -> None:
+        self.selection = Selection(avatar % len(self.show.avatars), joint)
+
+    def add_key(self) -> None:
+        """Record the camera of now as a key of the path."""
+        self.cameras.add_key(self.timeline.seconds, self.area_camera())
+        count = len(self.cameras.keys)
+        self.say(f"camera key {count} at {self.timeline.seconds:.2f} s; j saves the path")
+
+    def save_path(self) -> None:
+        if not self.cameras.keys or self.cameras.path is None:
+            self.say("no camera keys yet: k records one")
+            return
+        name = free_name("selfscan-path", ".json")
+        self.cameras.path.write(name)
+        self.say(f"{name} written: {len(self.cameras.keys)} keys")
+
+    def toggle_film(self) -> None:
+        """Start a film, or write the one that runs."""
+        if self.film is not None:
+            film, self.film = self.film, None
+            self.say(film.close())
+            return
+        rate = 30.0 if self.playback.live else self.timeline.rate
+        self.film = Recorder(free_name("selfscan", ".mp4"), rate, live=bool(self.playback.live))
+        self.say(f"filming {self.film.path}; o ends it")
+
+    def draw_otherwise(
+        self,
+        *,
+        effects: Effects | None = None,
+        background: Background | None = None,
+        level: int | None = None,
+    ) -> None:
+        """Draw with other effects, background or level of detail; where that cannot be, it is said and nothing changes."""
+        effects, background = effects or self.effects, background or self.background
+        level = self.level if level is None else level
+        try:
+            new = self.new_renderer(effects, background, level)
+        except ValueError as error:
+            self.say(str(error))
+            return
+        new.view_amount = self.renderer.view_amount
+        self.renderer.release()
+        self.renderer, self.has_view = new, shows_view(new)
+        self.effects, self.background, self.level = effects, background, level
+
+    def new_renderer(self, effects: Effects, background: Background, level: int) -> Renderer:
+        """A renderer of the show. Where a video may lie behind, the background comes under it afterwards."""
+        if self.show.capture is not None:
+            background = Background("transparent")
+        return Renderer(
+            self.context, self.show.avatars, None, effects=effects, background=background, level=level
+        )
+
+    # -- places
+
+    def size_in_units(self) -> tuple[int, int]:
+        """The window as the pointer counts it; on screens of high density a unit is several pixels."""
+        return glfw.get_window_size(self.handle)
+
+    def pixel(self, x: float, y: float) -> tuple[float, float]:
+        """Window units as pixels of the framebuffer."""
+        wide, high = self.size_in_units()
+        across, down = glfw.get_framebuffer_size(self.handle)
+        return x * across / max(wide, 1), y * down / max(high, 1)
+
+    def area(self) -> Area:
+        """Where the picture is free of panels."""
+        size = glfw.get_framebuffer_size(self.handle)
+        return (0, 0, *size) if self.panels is None else self.panels.area(self, size)
+
+    def over_picture(self) -> bool:
+        """Whether the pointer is where the picture is free of panels."""
+        x, y = self.pixel(*self.pointer.at)
+        left, top, width, height = self.area()
+        return left <= x < left + width and top <= y < top + height
+
+    def area_camera(self) -> Camera:
+        """What is looked through now, for the free area."""
+        _, _, width, height = self.area()
+        along = (self.poses[0][1] - self.start) * [1.0, 0.0, 1.0] if self.follow else None
+        size = (max(width, 1), max(height, 1))
+        return self.cameras.camera(size, self.timeline.seconds, self.video_frame(), along)
+
+    def video_frame(self) -> int:
+        """The frame of the capture's video that belongs to now."""
+        capture = self.show.capture
+        if capture is None:
+            return 0
+        return min(int(self.timeline.seconds * capture.rate + 1e-6), len(capture.images) - 1)
+
+    @property
+    def shows_video(self) -> bool:
+        return self.wipe is not None and self.cameras.kind == "capture"
+
+    # -- one frame
+
+    def advance(self, dt: float) -> None:
+        """Let time pass for everything. A stall counts as LONGEST_STEP; a clock going backwards stands still."""
+        if self.film is not None and self.film.step is not None:
+            dt = self.film.step
+        dt = min(max(dt, 0.0), LONGEST_STEP)
+        self.playback.advance(dt)
+        self.cameras.advance(dt)
+        for key in self.held & WALKING.keys():
+            self.cameras.walk.go(*(WALK * dt * way for way in WALKING[key]))
+
+    def shown_poses(self) -> list[Pose]:
+        """The poses of now; the avatar that is posed by hand has its hand-made one."""
+        poses = self.playback.poses()
+        if self.pose_session is not None:
+            pose = self.pose_session.pose
+            poses[self.posed] = (pose.axis_angle, pose.root)
+        return poses
+
+    def draw(self, *, keep: bool = False) -> None:
         """One frame. A minimised window (0 x 0) is not drawn."""
         size = glfw.get_framebuffer_size(self.handle)
         if not (size[0] and size[1]):
             return
         screen = self.context.screen()
-        poses = self.playback.poses()
-        along = (poses[0][1] - self.start) * [1.0, 0.0, 1.0] if self.follow else np.zeros(3)
-        self.renderer.draw_into(screen, poses, self.orbit.camera(size, along))
-        self.text.draw(self.line(), size)
-        if keep or self.shoot:
-            raw = np.frombuffer(screen.read(viewport=(0, 0, *size), components=3, alignment=1), np.uint8)
-            self.image = np.ascontiguousarray(raw.reshape(size[1], size[0], 3)[::-1])
-            if self.shoot:
-                name = Path(f"selfscan-{self.shots:03d}.png")
-                save(name, self.image)
-                print(f"{name} written")
-                self.shoot, self.shots = False, self.shots + 1
+        self.poses = self.shown_poses()
+        area = self.area()
+        self.camera = moved_into(self.area_camera(), area, size)
+        self.renderer.draw_into(screen, self.poses, self.camera)
+        if self.wipe is not None:
+            screen.use()
+            if self.shows_video:
+                self.wipe.draw(self.video_frame(), area, size)
+            self.backdrop.fill(self.background.color[:3], (0, 0, *size), size, under=True)
+        if self.shoot or self.film is not None:
+            self.take(self.read(area, size))
+        screen.use()
+        if self.panels is not None:
+            self.panels.draw(self, screen, size)
+        if self.panels is None or not self.panels.visible:
+            self.text.draw(self.line(), size)
+        if keep:
+            self.image = self.read((0, 0, *size), size)
         glfw.swap_buffers(self.handle)
-        if isinstance(self.playback, LivePlayback):
-            self.playback.drawn()
-        self.rate_frames += 1
-        now = time.perf_counter()
-        if now - self.rate_began > 0.5:
-            self.shown_rate = self.rate_frames / (now - self.rate_began)
-            self.rate_frames, self.rate_began = 0, now
+        self.playback.drawn()
+        now = self.clock()
+        self.frame_times.append(max(now - self.last_tick, 0.0))
+        self.last_tick = now
+
+    def read(self, area: Area, size: tuple[int, int]) -> UInt8[np.ndarray, "height width 4"]:
+        """Pixels of the window, row 0 on top, opaque."""
+        left, top, width, height = area
+        screen = self.context.screen()
+        raw = screen.read(viewport=(left, size[1] - top - height, width, height), components=4, alignment=1)
+        image = np.frombuffer(raw, np.uint8).reshape(height, width, 4)[::-1].copy()
+        image[..., 3] = 255
+        return image
+
+    def take(self, image: UInt8[np.ndarray, "height width 4"]) -> None:
+        """A screenshot and the film, of what is drawn so far."""
+        if self.film is not None and not self.film.add(image, self.clock()):
+            self.toggle_film()
+            self.say("the picture has another size now: the film ends here")
+        if self.shoot:
+            self.shoot = False
+            name = free_name("selfscan", ".png")
+            save_picture(name, image)
+            self.say(f"{name} written")
+
+    @property
+    def frames_per_second(self) -> float:
+        spent = sum(self.frame_times)
+        return len(self.frame_times) / spent if spent > 0 else 0.0
 
     def line(self) -> str:
-        """The line of text: frames per second, where the playback is, view, or the keys."""
+        """The line of text: a message, the keys, or frames per second, where the playback is, view and selection."""
+        if self.clock() < self.message_until:
+            return self.message
         if self.help:
-            return HELP_LIVE if isinstance(self.playback, LivePlayback) else HELP
-        view = f"  view {'on' if self.renderer.view_amount else 'off'}" if self.has_view else "  paper mode"
-        return f"{self.shown_rate:.0f} fps  {self.playback.status()}{view}  h: keys"
+            return HELP_WALK if self.cameras.kind == "walk" else HELP_LIVE if self.playback.live else HELP
+        view = f"view {'on' if self.renderer.view_amount else 'off'}" if self.has_view else "paper mode"
+        parts = [f"{self.frames_per_second:.0f} fps", self.playback.status(), view]
+        if self.cameras.kind != "orbit":
+            parts.append(self.cameras.kind)
+        if self.film is not None:
+            parts.append(f"filming {self.film.frames}")
+        if self.selection != Selection():
+            parts.append(self.selected())
+        return "  ".join([*parts, "h: keys"])
 
-    def run(self, script: Sequence[str] | None, *, keep: bool) -> None:
-        """Until closed, or one key of the script a frame."""
-        last = time.perf_counter()
-        steps = list(script) if script is not None else None
+    def selected(self) -> str:
+        """The name of what is selected."""
+        avatar, joint = self.selection
+        name = self.show.names[avatar]
+        return name if joint is None else f"{name}: {JOINTS[joint]}"
+
+    # -- the loop
+
+    def run(self, script: Sequence[str] | None = None, *, keep: bool = False) -> None:
+        """Until closed, or through the words of a script."""
+        waiting = None if script is None else steps(script)
+        last = self.clock()
         while not (self.closing or glfw.window_should_close(self.handle)):
-            if steps is not None:
-                if not steps:
+            if waiting is not None:
+                if not waiting:
                     break
-                self.press(steps.pop(0))
-                self.playback.advance(1 / SCRIPT_RATE)
+                after = waiting.pop(0)(self)
+                self.advance(1 / RATE)
+                if callable(after):
+                    after()
             else:
-                now = time.perf_counter()
-                self.playback.advance(now - last)
+                now = self.clock()
+                self.advance(now - last)
                 last = now
             self.draw(keep=keep)
             glfw.poll_events()
-            if 0 in glfw.get_framebuffer_size(self.handle):
+            if waiting is None and 0 in glfw.get_framebuffer_size(self.handle):
                 glfw.wait_events_timeout(0.1)
 
-    def press(self, word: str) -> None:
-        """A word of a script: a key, `wait`, `turn:DX:DY`, `near:CLICKS`, `size:W:H`; `pose`: until a live one comes."""
-        name, *values = word.split(":")
-        numbers = [float(value) for value in values]
-        if name == "turn":
-            self.orbit.turn(*numbers)
-        elif name == "near":
-            self.orbit.approach(*numbers)
-        elif name == "size":
-            glfw.set_window_size(self.handle, int(numbers[0]), int(numbers[1]))
-        elif word == "pose":
-            if isinstance(self.playback, LivePlayback):
-                self.playback.wait_for_pose()
-        elif word != "wait":
-            self.key(KEYS[word])
-
     def close(self) -> None:
-        self.text.release()
-        self.renderer.release()
-        self.context.release()
-        glfw.destroy_window(self.handle)
-        glfw.terminate()
+        """Write what is being filmed, free everything and close the window."""
+        try:
+            if self.film is not None:
+                self.toggle_film()
+        finally:
+            self.playback.close()
+            for thing in (self.panels, self.wipe, self.backdrop, self.text, self.renderer, self.context):
+                if thing is not None:
+                    thing.release()
+            glfw.destroy_window(self.handle)
+            glfw.terminate()
 
 
-def open_window(size: tuple[int, int], null: bool):
-    """A glfw window with an OpenGL 3.3 core context, current.
-
-    Raises:
-        AssetError: there is no display, or the driver has no OpenGL 3.3.
-    """
-    reasons: list[str] = []
-
-    def note(_code: int, text: Any) -> None:
-        reasons.append(text.decode("utf-8", "replace"))
-
-    glfw.set_error_callback(note)
-    glfw.init_hint(glfw.PLATFORM, glfw.PLATFORM_NULL if null else glfw.ANY_PLATFORM)
-    if not glfw.init():
-        raise AssetError(f"no window: {'; '.join(reasons) or 'no display'}; `selfscan render` needs none")
-    glfw.default_window_hints()
-    glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, 3)
-    glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, 3)
-    glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
-    if null:
-        glfw.window_hint(glfw.CONTEXT_CREATION_API, glfw.OSMESA_CONTEXT_API)
-    else:
-        glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)  # macOS asks for it; glfw's OSMesa refuses it
-    window = glfw.create_window(*size, "selfscan", None, None)
-    if not window:
-        glfw.terminate()
-        raise AssetError(f"no window: {'; '.join(reasons) or 'unknown reason'}; `selfscan doctor` tells more")
-    glfw.make_context_current(window)
-    return window
+def shows_view(renderer: Renderer) -> bool:
+    """Whether any avatar is drawn with view dependence."""
+    return any(p.variant and dict(p.variant.defines).get("VIEW_STAGE") for p in renderer.plan.passes)
 
 
-def window_function(name: str) -> int:
-    """Address of a GL function in the current window's context."""
-    address: Any = glfw.get_proc_address(name)
-    return address or 0
-
-
-def save(path: Path, image: UInt8[np.ndarray, "height width 3"]) -> None:
-    with whole_file(path) as file:
-        Image.fromarray(image).save(file, "PNG", compress_level=1)
+def open_panels(context: Context, handle: Any) -> "Panels | None":
+    """The panels, or None where imgui-bundle is not installed: then there are the keys and the line of text."""
+    try:
+        from player.gui.panels import Panels
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] != "imgui_bundle":
+            raise
+        return None
+    return Panels(context, handle)
 
 
 def play(
-    avatars: Sequence[Avatar],
-    motion: Motion,
-    clips: Sequence[Callable[[int, int], Clip]],
+    show: Show,
     *,
     size: tuple[int, int],
-    view: str,
-    background: Sequence[float],
     null: bool,
-    beside: Sequence[np.ndarray],
+    gui: bool,
     script: Sequence[str] | None,
     screenshot: str | None,
-    live: LivePlayback | None = None,
 ) -> int:
-    """Open the window and run it. A script closes it at its end; a screenshot keeps the last frame shown.
-
-    With `live` the clips only say where the avatars stand until poses come.
-    """
+    """Open the window and run it. A script closes it at its end; a screenshot keeps the last frame shown."""
     if script is not None:
-        check_script(script)
-    points = [
-        extent(avatar, clip(0, min(BLOCK, motion.frames))) + at
-        for avatar, clip, at in zip(avatars, clips, beside, strict=True)
-    ]
-    everything = np.concatenate(points)
-    azimuth = facing(clips[0](0, 1).axis_angle[0], avatars[0].joint_positions.astype(np.float64))
-    camera = fitted_camera(everything, azimuth, size)
-    target = 0.5 * (everything.min(0) + everything.max(0))
-    orbit = Orbit(target, float(np.linalg.norm(camera.eye - target)), azimuth)
-    window = Window(
-        avatars,
-        live or Playback(motion, clips, beside),
-        orbit,
-        size=size,
-        view=view,
-        background=background,
-        null=null,
-    )
+        steps(script)
+    window = Window(show, size=size, null=null, gui=gui)
     try:
         print(window.context.attempts[-1])
         glfw.swap_interval(0 if script is not None else 1)
         window.run(script, keep=screenshot is not None)
         if screenshot is not None and window.image is not None:
-            save(Path(screenshot), window.image)
+            save_picture(Path(screenshot), window.image)
             print(f"{screenshot} written")
     finally:
         window.close()
     return 0
-
-
-def check_script(script: Sequence[str]) -> None:
-    """Refuse words that no key or gesture has.
-
-    Raises:
-        ValueError: an unknown word.
-    """
-    counts = {"turn": 2, "near": 1, "size": 2}
-    for word in script:
-        name, *values = word.split(":")
-        if word in KEYS or word in ("wait", "pose"):
-            continue
-        try:
-            known = counts.get(name) == len([float(value) for value in values])
-        except ValueError:
-            known = False
-        if not known:
-            raise ValueError(
-                f"script: {word!r} is no key; there are wait, pose, {', '.join(KEYS)}, turn:DX:DY, near:N, size:W:H"
-            )

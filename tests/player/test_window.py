@@ -1,5 +1,6 @@
-"""The window program itself, on glfw's null platform with OSMesa: no display, no GPU."""
+"""The window program itself, on glfw's null platform with OSMesa: no display, no GPU. Without panels."""
 
+import re
 import subprocess
 import sys
 
@@ -9,12 +10,15 @@ from PIL import Image
 
 from avatar.avatar_file import write_avatar
 from avatar.errors import AssetError
+from player.camera_path import CameraPath
+from player.cameras import Cameras, Orbit, Walk
 from player.context import open_context
 from player.framing import extent, facing, fitted_camera
+from player.keys import ACTIONS, KEYS
 from player.motions import opened_motion, retargeted
 from player.play_command import play_main
 from player.renderer import Renderer
-from player.window import Orbit, Playback, check_script
+from player.script import steps
 
 
 @pytest.fixture(scope="module")
@@ -29,32 +33,32 @@ def pixels(path):
         return np.asarray(image).astype(int)
 
 
-def screenshot(avatar_path, path, script, *more):
-    arguments = [
-        avatar_path,
-        "--platform",
-        "null",
-        "--size",
-        "160x200",
-        "--script",
-        script,
-        "--screenshot",
-        str(path),
-    ]
-    assert play_main([*arguments, *more]) == 0
+def screenshot(avatar_path, path, script, *more, size="160x200"):
+    avatars = [avatar_path] if isinstance(avatar_path, str) else avatar_path
+    arguments = [*avatars, "--platform", "null", "--no-gui", "--size", size, "--script", script]
+    assert play_main([*arguments, "--screenshot", str(path), *more]) == 0
     return pixels(path)
 
 
-@pytest.mark.usefixtures("osmesa")
-def test_keys_play_pause_step_scrub_and_reset(avatar_path, tmp_path):
-    def shot(script, *more):
-        return screenshot(avatar_path, tmp_path / "a.png", script, *more)[:170]  # without the line of text
+@pytest.fixture
+def shot(avatar_path, tmp_path, monkeypatch):
+    """The last frame of a script, without the line of text."""
+    monkeypatch.chdir(tmp_path)
+    return lambda script, *more: screenshot(avatar_path, tmp_path / "a.png", script, *more)[:170]
 
+
+@pytest.mark.usefixtures("osmesa")
+def test_keys_play_pause_step_scrub_and_reset(shot):
     paused = shot("space home right right")
     assert paused.shape == (170, 160, 3)
     assert np.array_equal(paused, shot("space home right right . ,"))  # a step on and a step back
+    assert np.array_equal(paused, shot("space scrub:2.0"))
     assert not np.array_equal(paused, shot("space home right right . . . . . ."))
     assert np.array_equal(paused, shot("space home right right turn:90:10 near:2 r"))
+    assert np.array_equal(paused, shot("space home right right drag:80:80:120:90 r"))
+    assert np.array_equal(
+        shot("space home right right turn:40:10"), shot("space home right right drag:80:80:120:90")
+    )
     assert not np.array_equal(paused, shot("space home right right turn:90:10"))
     walk = ("--motion", "walking")
     still, away, along = (
@@ -68,6 +72,15 @@ def test_keys_play_pause_step_scrub_and_reset(avatar_path, tmp_path):
 
 
 @pytest.mark.usefixtures("osmesa")
+def test_a_range_loops_and_speed_changes(shot, capsys):
+    # frames 60 to 62 at the script's 30 a second: after any multiple of 3 frames the same one
+    held = shot("space scrub:2 a . . b scrub:2 space wait wait")
+    assert np.array_equal(held, shot("space scrub:2 a . . b scrub:2 space " + "wait " * 8))
+    assert np.array_equal(shot("space home ] space wait space"), shot("space home . . . ."))
+    assert np.array_equal(shot("space scrub:2 a . . b x end"), shot("space end"))
+
+
+@pytest.mark.usefixtures("osmesa")
 def test_view_dependence_switches_and_the_window_resizes(avatar_path, tmp_path):
     full = screenshot(avatar_path, tmp_path / "a.png", "space home")
     paper = screenshot(avatar_path, tmp_path / "b.png", "space home v")
@@ -75,30 +88,6 @@ def test_view_dependence_switches_and_the_window_resizes(avatar_path, tmp_path):
     assert not np.array_equal(full[:170], paper[:170]) and np.array_equal(paper[:170], off[:170])
     small = screenshot(avatar_path, tmp_path / "d.png", "space home size:90:60 wait")
     assert small.shape == (60, 90, 3) and len(np.unique(small.reshape(-1, 3), axis=0)) > 20
-
-
-@pytest.mark.usefixtures("osmesa")
-def test_a_window_minimised_to_nothing_comes_back(avatar_path, tmp_path):
-    code = (
-        "import glfw, sys; import player.window as w; real = glfw.get_framebuffer_size; n = [0]\n"
-        "def size(handle):\n    n[0] += 1\n    return (0, 0) if 4 < n[0] < 12 else real(handle)\n"
-        "glfw.get_framebuffer_size = size\nfrom player.play_command import play_main\nsys.exit(play_main(sys.argv[1:]))"
-    )
-    out = str(tmp_path / "a.png")
-    arguments = [
-        avatar_path,
-        "--platform",
-        "null",
-        "--size",
-        "64x64",
-        "--script",
-        "wait " * 8,
-        "--screenshot",
-        out,
-    ]
-    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert pixels(out).shape == (64, 64, 3)
 
 
 @pytest.mark.usefixtures("osmesa")
@@ -118,12 +107,108 @@ def test_the_window_shows_the_frame_that_render_writes(avatar, avatar_path, tmp_
     assert other.sum() < 0.01 * (image[..., 3] > 0).sum()
 
 
+@pytest.mark.usefixtures("osmesa")
+def test_two_avatars_have_motions_and_places_of_their_own(avatar_path, tmp_path):
+    """The second, farther and turned round, counts; the first stands in another motion."""
+    motions, places = ["--motion", "walking", "--motion", "counting"], ["--at=-0.9,0,0", "--at=0.9,0,-1,180"]
+    image = screenshot([avatar_path] * 2, tmp_path / "a.png", "space scrub:0", *motions, *places)[:170]
+    figure = (image != image[0, 0]).any(-1)
+    columns = figure.any(0).nonzero()[0]
+    assert np.diff(columns).max() > 3  # two figures
+    middle = columns[np.diff(columns).argmax()] + 2
+    left, right = figure[:, :middle], figure[:, middle:]
+    assert left.any(1).sum() > right.any(1).sum() > 20  # the farther one is smaller
+
+
+@pytest.mark.usefixtures("osmesa")
+def test_a_click_picks_and_its_joint_is_named(avatar_path, tmp_path, monkeypatch):
+    """Without panels the name is in the line of text; a drag picks nothing, a click beside lets go."""
+    import player.window as module
+
+    seen = []
+    real = module.Window.line
+
+    def line(self):
+        seen.append(real(self))
+        return seen[-1]
+
+    monkeypatch.setattr(module.Window, "line", line)
+    screenshot(
+        avatar_path, tmp_path / "a.png", "space home click:92:33 wait drag:80:60:90:60 wait click:3:3 wait"
+    )
+    words = [re.search(r"a: (\w+)", text) for text in seen]
+    named = [match[1] for match in words if match]
+    assert set(named) == {"head"} and len(named) >= 6 and words[-1] is None
+
+
+@pytest.mark.usefixtures("osmesa")
+def test_cameras_change_walk_and_turn(shot):
+    home = shot("space home")
+    assert np.array_equal(shot("space home c"), home)  # first person starts where one looked from
+    assert not np.array_equal(shot("space home c w w w"), home)
+    assert np.array_equal(shot("space home c w s d a e q"), home)
+    assert not np.array_equal(shot("space home c down:w wait wait up:w"), shot("space home c w"))
+    turned = shot("space home c c wait wait wait")
+    assert not np.array_equal(turned, home)
+    assert np.array_equal(shot("space home c c wait wait wait c r"), home)
+
+
+@pytest.mark.usefixtures("osmesa")
+def test_camera_keys_are_recorded_saved_and_looked_along(shot, tmp_path, avatar_path):
+    shot("space home k turn:60:0 end k j")
+    path = CameraPath.read(tmp_path / "selfscan-path-000.json")
+    assert len(path.seconds) == 2 and path.seconds[0] < 0.1 and abs(path.duration - 10) < 0.1
+    start = shot("space home")
+    assert not np.array_equal(shot("space home turn:60:0"), start)
+    arguments = ("--camera-path", "selfscan-path-000.json")
+    assert (np.abs(shot("space home", *arguments) - start).max(-1) > 1).mean() < 0.005
+    along, turned = shot("space end", *arguments), shot("space end turn:60:0")
+    assert (np.abs(along - turned).max(-1) > 1).mean() < 0.005
+
+
+@pytest.mark.usefixtures("osmesa")
+def test_screenshots_and_films_hold_the_picture_without_the_text(shot, tmp_path, capsys):
+    import av
+
+    shown = shot("space scrub:1 s wait s wait")
+    taken = pixels(tmp_path / "selfscan-000.png")
+    assert np.array_equal(taken[:170], shown) and np.array_equal(taken, pixels(tmp_path / "selfscan-001.png"))
+    assert (taken[170:] == taken[0, 0]).mean() > 0.5 and taken.shape == (200, 160, 3)
+    shot("space home space o wait wait wait o")
+    with av.open(str(tmp_path / "selfscan-000.mp4")) as film:
+        frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+    assert len(frames) == 4 and frames[0].shape == (200, 160, 3)
+    # colours are stored at half the size: brightness tells
+    assert np.abs(frames[0][:170].mean(-1) - shot("space home").mean(-1)).mean() < 2.5
+    shot("space o wait size:100:80 wait wait")  # another size ends it
+    assert "another size" in capsys.readouterr().out and (tmp_path / "selfscan-001.mp4").exists()
+    shot("space o wait")  # closing writes it
+    assert (tmp_path / "selfscan-002.mp4").exists()
+
+
 def test_an_unknown_word_in_a_script_is_refused(avatar_path):
     with pytest.raises(AssetError, match="'fly' is no key"):
-        play_main([avatar_path, "--script", "space fly"])
-    check_script(["turn:1:-2", "near:-1", "size:3:4", "wait", "q"])
-    with pytest.raises(ValueError, match="turn:x:1"):
-        check_script(["turn:x:1"])
+        play_main([avatar_path, "--platform", "null", "--script", "space fly"])
+    words = [
+        "turn:1:-2",
+        "near:-1",
+        "size:3:4",
+        "wait",
+        "q",
+        "click:3:4",
+        "drag:1:2:3:4",
+        "scrub:1.5",
+        "type:a_b",
+    ]
+    assert len(steps(words)) == 5 + 3 + 7 + 1 + 3
+    for wrong in ("turn:x:1", "click:1", "scrub:", "drag:1:2:3", "type:", "down:fly", "press:"):
+        with pytest.raises(ValueError, match="is no key"):
+            steps([wrong])
+
+
+def test_every_letter_is_a_key_and_each_action_has_a_name():
+    assert set("abcdefghijklmnopqrstuvwxyz") <= KEYS.keys()
+    assert ACTIONS.keys() <= set(KEYS.values())
 
 
 def test_without_a_display_one_line_says_so(avatar_path, monkeypatch):
@@ -133,39 +218,37 @@ def test_without_a_display_one_line_says_so(avatar_path, monkeypatch):
         play_main([avatar_path])
 
 
-def motion_of(frames, rate=30.0):
-    from avatar.motion import Clip, Motion
-
-    def block(start, stop):
-        axis_angle = np.zeros((stop - start, 52, 3))
-        axis_angle[:, 0, 0] = np.arange(start, stop)
-        return axis_angle, np.zeros((stop - start, 3))
-
-    motion = Motion("test", frames, rate, (), block)
-    return motion, lambda a, b: Clip(*block(a, b), rate)
+def test_options_that_do_not_fit_are_refused(avatar_path):
+    for wrong in (["--motion", "walking", "--motion", "walking"], ["--at", "1,2"], ["--at", "1,2,x"],
+                  ["--capture", "c", "--live", "vmc:1"], ["--at", "0,0,0", "--at", "1,0,0"]):  # fmt: skip
+        with pytest.raises(SystemExit) as stopped:
+            play_main([avatar_path, *wrong])
+        assert stopped.value.code == 2
 
 
-def test_time_plays_the_right_frames_and_survives_odd_clocks():
-    motion, clip = motion_of(1000)
-    playback = Playback(motion, [clip], [np.zeros(3)])
-    for _ in range(60):
-        playback.advance(1 / 60)
-    assert playback.frame == 30 and playback.poses()[0][0][0, 0] == 30
-    playback.advance(-5.0)  # a clock that goes backwards
-    assert playback.frame == 30
-    playback.advance(10.0)  # a stall: the clip goes on where it was
-    assert playback.frame <= 38
-    playback.seconds = 1000 / 30 - 0.01
-    playback.advance(0.02)
-    assert playback.frame == 0
-    playback.seek(999)
-    assert playback.poses()[0][0][0, 0] == 999
-    playback.seek(-7)
-    assert playback.poses()[0][0][0, 0] == 0
-    month = Playback(*[motion_of(1)[0], [motion_of(1)[1]], [np.zeros(3)]])
-    for _ in range(1000):
-        month.advance(0.2)
-    assert month.frame == 0 and month.seconds < 0.2
+def test_without_imgui_bundle_there_are_keys_and_the_line_of_text(avatar_path, tmp_path):
+    """The window opens and shows what --no-gui shows."""
+    code = (
+        "import sys; sys.modules['imgui_bundle'] = None\n"
+        "from player.play_command import play_main\nsys.exit(play_main(sys.argv[1:]))"
+    )
+    out = tmp_path / "a.png"
+    arguments = [
+        avatar_path,
+        "--platform",
+        "null",
+        "--size",
+        "160x200",
+        "--script",
+        "space home",
+        "--screenshot",
+        str(out),
+    ]
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    plain = screenshot(avatar_path, tmp_path / "b.png", "space home")
+    assert np.array_equal(pixels(out)[:170], plain[:170])
+    assert (pixels(out)[185:] != plain[0, 0]).any()  # the line of text
 
 
 def test_the_orbit_never_passes_a_pole_and_stays_finite():
@@ -176,3 +259,29 @@ def test_the_orbit_never_passes_a_pole_and_stays_finite():
     orbit.approach(-1e4)
     orbit.shift(10.0, 10.0, 100)
     assert np.isfinite(orbit.target).all()
+
+
+def test_first_person_goes_where_it_looks():
+    walk = Walk(np.zeros(3), 0.0, 0.0)
+    right = walk.camera((10, 10)).camera_from_world[0, :3]
+    walk.go(1.0, 0.0, 0.0)
+    assert np.allclose(walk.eye, right, atol=1e-12)
+    walk.turn(100.0, 0.0)  # the world follows the pointer to the right: one looks to the left
+    left = walk.camera((10, 10)).camera_from_world[2, :3]
+    assert left @ right < -0.3
+    walk.go(0.0, 2.0, 3.0)
+    assert np.allclose(walk.eye, right + [0, 2, 0] + 3 * left, atol=1e-12)
+    walk.turn(0.0, 1e9)
+    walk.go(1e9, 1e9, 1e9)
+    assert np.isfinite(walk.camera((10, 10)).camera_from_world).all()
+
+
+def test_a_turntable_turns_once_in_its_time_and_only_what_is_there_can_be_chosen():
+    cameras = Cameras(Orbit(np.zeros(3), 2.0, 0.3), kind="turntable")
+    before = cameras.camera((10, 10), 0.0, 0).camera_from_world
+    for _ in range(120):
+        cameras.advance(0.1)
+    assert np.allclose(cameras.camera((10, 10), 0.0, 0).camera_from_world, before, atol=1e-9)
+    assert cameras.kinds == ["orbit", "walk", "turntable"]
+    with pytest.raises(ValueError, match="camera should be one of"):
+        Cameras(cameras.orbit, kind="path")

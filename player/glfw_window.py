@@ -1,0 +1,51 @@
+"""A glfw window with OpenGL in it: on a display, or on glfw's null platform drawn by OSMesa."""
+
+from typing import Any
+
+import glfw
+
+from avatar.errors import AssetError
+from player.context import Context, wrap_context
+
+
+def open_window(size: tuple[int, int], null: bool):
+    """A glfw window with an OpenGL 3.3 core context, current.
+
+    Raises:
+        AssetError: there is no display, or the driver has no OpenGL 3.3.
+    """
+    reasons: list[str] = []
+
+    def note(_code: int, text: Any) -> None:
+        reasons.append(text.decode("utf-8", "replace"))
+
+    glfw.set_error_callback(note)
+    glfw.init_hint(glfw.PLATFORM, glfw.PLATFORM_NULL if null else glfw.ANY_PLATFORM)
+    if not glfw.init():
+        raise AssetError(f"no window: {'; '.join(reasons) or 'no display'}; `selfscan render` needs none")
+    glfw.default_window_hints()
+    glfw.window_hint(glfw.CONTEXT_VERSION_MAJOR, 3)
+    glfw.window_hint(glfw.CONTEXT_VERSION_MINOR, 3)
+    glfw.window_hint(glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE)
+    if null:
+        glfw.window_hint(glfw.CONTEXT_CREATION_API, glfw.OSMESA_CONTEXT_API)
+    else:
+        glfw.window_hint(glfw.OPENGL_FORWARD_COMPAT, True)  # macOS asks for it; glfw's OSMesa refuses it
+    window = glfw.create_window(*size, "selfscan", None, None)
+    if not window:
+        glfw.terminate()
+        raise AssetError(f"no window: {'; '.join(reasons) or 'unknown reason'}; `selfscan doctor` tells more")
+    glfw.make_context_current(window)
+    return window
+
+
+def window_context(window: Any, null: bool) -> Context:
+    """Our context around a window's own."""
+
+    def address(name: str) -> int:
+        found: Any = glfw.get_proc_address(name)
+        return found or 0
+
+    return wrap_context(
+        address, lambda: glfw.make_context_current(window), "glfw null + OSMesa" if null else "window"
+    )

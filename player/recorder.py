@@ -1,0 +1,73 @@
+"""Screenshots and films of what the window shows, without its panels and text."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
+
+from avatar.files import whole_file
+from player.film import Film
+
+FASTEST = 60.0  # frames a second of a film
+MOST_AT_ONCE = 10  # frames of a live film that a late picture stands for
+
+
+class Recorder:
+    """A film being written from the window.
+
+    A motion from a file is filmed frame after frame, however long each takes to draw: `step` is the time that passes
+    between them. Live poses are filmed by the clock: a late picture stands for all frames it is late by.
+    """
+
+    def __init__(self, path: Path, rate: float, *, live: bool):
+        self.path, self.live = path, live
+        self.rate = rate / max(1, math.ceil(rate / FASTEST))
+        self.film = Film(path, self.rate)
+        self.film.__enter__()
+        self.size: tuple[int, int] | None = None
+        self.began: float | None = None
+        self.frames = 0
+
+    @property
+    def step(self) -> float | None:
+        """Seconds from frame to frame; None: by the clock."""
+        return None if self.live else 1 / self.rate
+
+    def add(self, image: UInt8[np.ndarray, "height width 4"], now: float) -> bool:
+        """The picture of now; False when it has another size than the film."""
+        size = (image.shape[1], image.shape[0])
+        self.size, self.began = self.size or size, now if self.began is None else self.began
+        if size != self.size:
+            return False
+        count = 1
+        if self.live:
+            count = min(max(int((now - self.began) * self.rate) + 1 - self.frames, 0), MOST_AT_ONCE)
+        for _ in range(count):
+            self.film.add(image)
+        self.frames += count
+        return True
+
+    def close(self) -> str:
+        """Write the film; what was done, in one line.
+
+        Raises:
+            AssetError: it could not be written.
+        """
+        if not self.frames:
+            self.film.__exit__(ValueError, ValueError("no frames"), None)
+            return f"{self.path}: no frame was drawn, no film written"
+        self.film.__exit__(None, None, None)
+        return f"{self.path} written: {self.frames} frames, {self.rate:g} a second"
+
+
+def save_picture(path: Path, image: UInt8[np.ndarray, "height width channels"]) -> None:
+    """Write a PNG, whole or not at all."""
+    with whole_file(path) as file:
+        Image.fromarray(image[..., :3]).save(file, "PNG", compress_level=1)
+
+
+def free_name(stem: str, suffix: str) -> Path:
+    """The first of stem-000, stem-001 ... that is not there yet, in this folder."""
+    return next(path for n in range(100_000) if not (path := Path(f"{stem}-{n:03d}{suffix}")).exists())

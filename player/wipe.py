@@ -1,0 +1,65 @@
+"""The source video of a capture in the window: behind the avatar, and over it on one side of a movable line."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from player.cameras import inner_box
+from player.capture_view import CaptureView
+from player.context import Context
+from player.picture import Box, Picture
+
+if TYPE_CHECKING:
+    from player.window import Window
+
+LINE = (1.0, 0.8, 0.2)
+REACH = 6.0  # window units beside the line where it can be grabbed
+
+
+class Wipe:
+    """The video, where it lies, and how much of it covers the avatar."""
+
+    def __init__(self, context: Context, capture: CaptureView):
+        self.capture, self.picture = capture, Picture(context)
+        self.part = 0.5  # of the video's width that shows the video alone
+        self.behind = True  # the video is behind the avatar too; else the plain background is
+        self.shown = -1  # frame whose picture is uploaded
+
+    def move(self, part: float) -> None:
+        self.part = float(np.clip(part, 0.0, 1.0))
+
+    def box(self, area: tuple[int, int, int, int]) -> Box:
+        """Where the video lies in the free area of the window, pixels."""
+        left, top, width, height = area
+        x, y, wide, high = inner_box(self.capture.cameras[0].size, (max(width, 1), max(height, 1)))
+        return left + x, top + y, wide, high
+
+    def line(self, area: tuple[int, int, int, int]) -> float:
+        """Where the line is, pixels from the left."""
+        left, _, width, _ = self.box(area)
+        return left + self.part * width
+
+    def near(self, x: float, window: "Window") -> bool:
+        """Whether pixel x is so near the line that it can be grabbed there."""
+        return abs(x - self.line(window.area())) < window.pixel(REACH, 0)[0]
+
+    def move_to(self, x: float, area: tuple[int, int, int, int]) -> None:
+        """Put the line at pixel x."""
+        left, _, width, _ = self.box(area)
+        self.move((x - left) / width)
+
+    def draw(self, frame: int, area: tuple[int, int, int, int], size: tuple[int, int]) -> None:
+        """Draw into the framebuffer in use, after the avatars were drawn on nothing (alpha 0)."""
+        if frame != self.shown:
+            self.picture.show(self.capture.image(frame), self.capture.cameras[frame])
+            self.shown = frame
+        left, top, width, height = box = self.box(area)
+        if self.behind:
+            self.picture.draw(box, size, under=True)
+        if self.part > 0:
+            self.picture.draw(box, size, part=(left, top, round(self.line(area)) - left, height))
+        if 0 < self.part < 1:
+            self.picture.fill(LINE, (round(self.line(area)) - 1, top, 2, height), size)
+
+    def release(self) -> None:
+        self.picture.release()

@@ -1,0 +1,62 @@
+"""The ray under the pointer meets what the screen shows there."""
+
+import numpy as np
+
+from avatar.camera import Camera, look_at, orbit_camera, pinhole, project
+from avatar.skeleton import JOINTS, joint_transforms
+from player.mannequin import mannequin
+from player.pick import pick, posed_vertices
+from player.raster import Rasteriser
+
+SIZE = (60, 80)
+
+
+def test_the_triangle_picked_is_the_triangle_drawn(context, avatar, pose):
+    camera = orbit_camera((0.1, 0, -0.2), 3.0, 0.4, 0.2, SIZE)
+    level = avatar.levels[0]
+    rasteriser = Rasteriser(context)
+    vertices = posed_vertices(avatar, level, pose)
+    drawn = rasteriser.draw(vertices, level.faces.astype(np.int64), camera, cull=True)
+    rasteriser.release()
+    hits = 0
+    for row in range(2, SIZE[1], 9):
+        for column in range(1, SIZE[0], 7):
+            found = pick([avatar], [level], [pose], camera, (column + 0.5, row + 0.5))
+            face = drawn.face[row, column]
+            assert (found is None) == (face < 0), (row, column)
+            if found is not None:
+                hits += 1
+                assert found.face == face
+                depth = camera.camera_from_world[2] @ [*found.point, 1.0]
+                assert abs(depth - drawn.depth[row, column]) < 1e-4
+    assert hits > 5
+
+
+def test_joints_are_picked_where_they_are_seen(avatar, pose):
+    """In the middle of forearm, shin and head the bone is the one that moves them."""
+    joints = avatar.joint_positions.astype(float)
+    places = joint_transforms(pose[0], joints, pose[1])[:, :3, 3]
+    for joint, end in (
+        ("left_elbow", "left_wrist"),
+        ("right_knee", "right_ankle"),
+        ("right_elbow", "right_wrist"),
+    ):
+        a, b = JOINTS.index(joint), JOINTS.index(end)
+        middle = 0.5 * (places[a] + places[b])
+        camera = Camera(pinhole(SIZE, 0.6), look_at(middle + [0.3, 0.2, 1.5], middle), SIZE)
+        found = pick([avatar], avatar.levels, [pose], camera, (SIZE[0] / 2, SIZE[1] / 2))
+        assert found is not None and found.joint == a, joint
+
+
+def test_the_nearer_of_two_avatars_is_picked_and_a_ray_beside_them_meets_nothing():
+    avatar = mannequin()
+    still = np.zeros((52, 3))
+    poses = [(still, np.array([0.0, 0, 0])), (still, np.array([0.0, 0, 1.0]))]
+    camera = orbit_camera((0, 0, 0), 4.0, 0.0, 0.0, SIZE)
+    chest, _ = project(camera, np.array([[0.0, 0.15, 0.0]]))
+    for order, nearer in ((poses, 1), (poses[::-1], 0)):
+        found = pick([avatar] * 2, [avatar.levels[0]] * 2, order, camera, tuple(chest[0].tolist()))
+        assert found is not None and found.avatar == nearer and 2.5 < found.distance < 3.0
+    assert pick([avatar], [avatar.levels[0]], poses[:1], camera, (1.0, 1.0)) is None
+    behind = Camera(camera.K, look_at((0, 0, 4.0), (0, 0, 8.0)), SIZE)
+    assert pick([avatar], [avatar.levels[0]], poses[:1], behind, tuple(chest[0].tolist())) is None

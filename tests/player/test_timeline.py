@@ -1,0 +1,147 @@
+"""Time that plays, loops, steps and scrubs, and the tracks on it."""
+
+import numpy as np
+import pytest
+
+from avatar.motion import Clip
+from avatar.rotation import matrix_from_axis_angle
+from player.playback import BLOCK, Playback, Track
+from player.timeline import LONGEST_STEP, LOOPS, SPEEDS, Timeline
+
+
+def test_a_second_of_play_is_a_second_of_clip_at_any_speed():
+    for speed in SPEEDS:
+        line = Timeline(1000, 30)
+        line.speed = speed
+        for _ in range(60):
+            line.advance(1 / 60)
+        assert line.frame == int(30 * speed) and abs(line.seconds - speed) < 1e-12
+
+
+def test_a_stall_counts_as_one_step_and_a_clock_going_backwards_stands_still():
+    line = Timeline(1000, 30)
+    line.seek(30)
+    before = line.seconds
+    line.advance(-5.0)
+    line.advance(float("nan"))
+    assert line.seconds == before
+    line.advance(10.0)
+    assert line.seconds == before + LONGEST_STEP
+    line.advance(30 * 86400.0)
+    assert line.seconds == before + 2 * LONGEST_STEP
+
+
+def test_the_range_from_a_to_b_loops_runs_once_or_to_and_fro():
+    def frames(loop, steps):
+        line = Timeline(100, 10)
+        line.loop = loop
+        line.set_a(20)
+        line.set_b(24)
+        line.seek(22)
+        seen = []
+        for _ in range(steps):
+            seen.append(line.frame)
+            line.advance(0.1)
+        return seen, line
+
+    assert frames("loop", 9)[0] == [22, 23, 24, 20, 21, 22, 23, 24, 20]
+    assert frames("to and fro", 12)[0] == [22, 23, 24, 24, 23, 22, 21, 20, 20, 21, 22, 23]
+    seen, line = frames("once", 6)
+    assert seen == [22, 23, 24, 24, 24, 24] and not line.playing
+    line.toggle()
+    assert line.playing and line.frame == 20  # played to its end, it begins anew
+
+
+def test_a_after_b_frees_the_other_end_and_the_range_stays_inside_the_clip():
+    line = Timeline(100, 30)
+    line.set_b(10)
+    line.set_a(50)
+    assert (line.a, line.b) == (50, None)
+    line.set_b(40)
+    assert (line.a, line.b) == (None, 40)
+    line.set_a(-5)
+    line.set_b(1000)
+    assert (line.a, line.b) == (0, 99)
+
+
+def test_steps_pause_and_stop_at_the_ends_and_scrubbing_shows_the_moment():
+    line = Timeline(100, 30)
+    line.step(-3)
+    assert line.frame == 0 and not line.playing
+    line.step(500)
+    assert line.frame == 99
+    for seconds in (0.0, 1.0, 1.033, 99.0, -1.0):
+        line.scrub(seconds)
+        assert line.frame == min(max(int(seconds * 30 + 1e-6), 0), 99)
+
+
+def test_every_frame_of_a_clip_of_30_days_is_shown_by_its_number():
+    line = Timeline(30 * 86400 * 30, 30)
+    for frame in (0, 1, 12_345_678, line.frames - 2, line.frames - 1):
+        line.seek(frame)
+        assert line.frame == frame
+        line.seconds = frame / 30  # the very edge between two frames
+        assert line.frame == frame
+
+
+@pytest.mark.parametrize("loop", LOOPS)
+def test_time_stays_in_the_clip_over_a_long_run(loop):
+    line = Timeline(7, 30)
+    line.loop, line.speed = loop, 4.0
+    rng = np.random.default_rng(0)
+    for dt in rng.uniform(-0.1, 1.0, 20_000):
+        line.advance(dt)
+        assert 0 <= line.seconds <= line.duration
+        assert 0 <= line.frame < 7
+
+
+def test_a_timeline_needs_frames_and_a_rate():
+    for frames, rate in ((0, 30), (10, 0), (10, float("nan"))):
+        with pytest.raises(ValueError, match="needs frames and a rate"):
+            Timeline(frames, rate)
+
+
+def numbered(frames, rate=30.0, reads=None):
+    """A motion whose pelvis is as high as the frame's number."""
+
+    def clip(start, stop):
+        if reads is not None:
+            reads.append((start, stop))
+        root = np.zeros((stop - start, 3))
+        root[:, 1] = np.arange(start, stop)
+        return Clip(np.zeros((stop - start, 52, 3)), root, rate)
+
+    return Track(clip, frames, rate)
+
+
+def test_each_track_has_its_own_rate_start_and_length():
+    slow, fast = numbered(10, 10.0), numbered(200, 100.0)
+    fast.start = 0.5
+    playback = Playback([slow, fast])
+    assert playback.timeline.duration == 1.5 and playback.timeline.rate == 10
+    playback.timeline.seconds = 0.42
+    assert [pose[1][1] for pose in playback.poses()] == [4, 92]
+    playback.timeline.seconds = 1.45
+    assert [pose[1][1] for pose in playback.poses()] == [9, 195]  # past its end the last frame is held
+
+
+def test_a_track_reads_blocks_and_keeps_two():
+    reads = []
+    track = numbered(10 * BLOCK, reads=reads)
+    for frame in [*range(3 * BLOCK), 3 * BLOCK - 1, 2 * BLOCK - 1, 2 * BLOCK]:
+        assert track.pose((frame + 0.5) / 30)[1][1] == frame
+    assert reads == [(k * BLOCK, (k + 1) * BLOCK) for k in range(3)]
+    assert len(track._blocks) == 2
+
+
+def test_a_place_turns_the_body_about_the_vertical_and_then_moves_it():
+    rng = np.random.default_rng(1)
+    axis_angle, root = rng.normal(size=(1, 52, 3)), rng.normal(size=(1, 3))
+    track = Track(lambda a, b: Clip(axis_angle, root, 30.0), 1, 30.0, at=np.array([1.0, 0.0, -2.0]), turn=2.0)
+    turned = matrix_from_axis_angle(np.array([0.0, 2.0, 0.0]))
+    pose, place = track.pose(0.0)
+    assert np.allclose(place, turned @ root[0] + [1, 0, -2], atol=1e-12)
+    assert np.allclose(
+        matrix_from_axis_angle(pose[0]), turned @ matrix_from_axis_angle(axis_angle[0, 0]), atol=1e-12
+    )
+    assert np.array_equal(pose[1:], axis_angle[0, 1:])
