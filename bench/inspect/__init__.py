@@ -1,0 +1,1 @@
+"""`selfscan inspect`: pictures and one page to judge a baked avatar by."""

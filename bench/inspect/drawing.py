@@ -1,0 +1,82 @@
+"""Pictures of a coloured mesh by PyVista, off screen: no display is needed.
+
+VTK finds a context by itself, first on an X server. Without one it complains and goes on; so where our own context
+was reached through EGL, VTK is told to take EGL at once, and through OSMesa, OSMesa.
+"""
+
+import os
+import sys
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from bench.inspect.views import View, strip
+
+WINDOWS = {"egl": "vtkEGLRenderWindow", "osmesa": "vtkOSOpenGLRenderWindow"}
+BACKGROUND = (246, 246, 244)
+GREY = (196, 196, 192)
+LIFT = 0.0004  # metres that lines stand off the surface, so as not to sink into it
+
+
+class Studio:
+    """Draws meshes from the standard views; `kind` is how our own OpenGL context was reached."""
+
+    def __init__(self, views: list[View], kind: str):
+        if sys.platform == "linux" and kind in WINDOWS:
+            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", WINDOWS[kind])
+        import pyvista  # VTK reads the variable as it is imported
+
+        self.pyvista, self.views = pyvista, views
+        self.plotters = {}
+        for size in {view.camera.size for view in views}:
+            plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="none")
+            plotter.renderer.SetBackground(*(c / 255 for c in BACKGROUND))
+            plotter.add_light(pyvista.Light(light_type="headlight", intensity=1.0))
+            plotter.enable_anti_aliasing("ssaa")
+            self.plotters[size] = plotter
+
+    def draw(
+        self,
+        points: Float[np.ndarray, "v 3"],
+        faces: Int[np.ndarray, "f 3"],
+        colors: UInt8[np.ndarray, "n 3"],
+        *,
+        wire: bool = False,
+        lines: Int[np.ndarray, "edges 2"] | None = None,
+        line_colors: UInt8[np.ndarray, "edges 3"] | None = None,
+        normals: Float[np.ndarray, "v 3"] | None = None,
+    ) -> UInt8[np.ndarray, "h w 3"]:
+        """The strip of views; colours are one a vertex or one a triangle. `wire` draws the edges in close views."""
+        pv = self.pyvista
+        mesh = pv.PolyData.from_regular_faces(points.astype(np.float32), faces)
+        mesh["rgb"] = colors
+        shading = {"scalars": "rgb", "rgb": True, "ambient": 0.35, "diffuse": 0.65, "specular": 0.0}
+        edges = None
+        if lines is not None and len(lines):
+            raised = points if normals is None else points + LIFT * normals
+            table = np.concatenate([np.full((len(lines), 1), 2), lines], axis=1)
+            edges = pv.PolyData(raised.astype(np.float32), lines=table.ravel())
+            edges["rgb"] = line_colors
+        for plotter in self.plotters.values():
+            plotter.clear_actors()
+        near = min(size for size, _ in self.plotters)
+        for size, plotter in self.plotters.items():
+            plotter.add_mesh(
+                mesh, show_edges=wire and size[0] == near, edge_color="#404040", line_width=1, **shading
+            )
+            if edges is not None:
+                plotter.add_mesh(edges, scalars="rgb", rgb=True, line_width=3, lighting=False)
+        return strip([self._from(view) for view in self.views])
+
+    def _from(self, view: View) -> UInt8[np.ndarray, "h w 3"]:
+        plotter = self.plotters[view.camera.size]
+        camera = plotter.camera
+        camera.position, camera.focal_point, camera.up = view.camera.eye, view.target, (0.0, 1.0, 0.0)
+        camera.view_angle = float(np.degrees(2 * np.arctan(0.5 * view.camera.size[1] / view.camera.K[1, 1])))
+        camera.clipping_range = (0.5, 12.0)
+        plotter.render()
+        return np.asarray(plotter.screenshot(return_img=True))[..., :3].copy()
+
+    def release(self) -> None:
+        for plotter in self.plotters.values():
+            plotter.close()

@@ -1,0 +1,49 @@
+"""How far the baked surface lies from the field it was cut from, and from the true surface."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.baked_avatar import Avatar, Level
+from avatar.errors import AssetError
+from avatar.skeleton import skin_transforms
+from avatar.skinning import SkinWeights, skin_points
+from bench import geometry
+from bench.held_out import read_true_mesh
+
+
+def from_field(level: Level, run: Path) -> Float[np.ndarray, "f"]:
+    """Signed distance of the run's field, millimetres, on each triangle: of centre and corners the farthest.
+
+    Positive where the triangle lies outside of the field's surface.
+    """
+    from bake.field import numpy_field  # torch: imported before anything draws
+    from train.run import read_run
+
+    field = numpy_field(read_run(run).field)
+    points = level.positions.astype(np.float64)
+    corners = np.asarray(field.distance(points), np.float64)[level.faces]
+    middle = np.asarray(field.distance(points[level.faces].mean(1)), np.float64)
+    every = np.concatenate([corners, middle[:, None]], axis=1)
+    farthest = np.abs(every).argmax(1)
+    return 1e3 * every[np.arange(len(every)), farthest]
+
+
+def from_truth(avatar: Avatar, level: Level, capture: Path) -> Float[np.ndarray, "v"]:
+    """P2S at each vertex, millimetres: to the visible surface of the subject, both in pose 0."""
+    truth = read_true_mesh(capture)
+    skin = SkinWeights(level.joints.astype(np.int64), (level.weights / np.float32(255)).astype(np.float32))
+    transforms = skin_transforms(
+        np.zeros((52, 3)),
+        avatar.joint_positions.astype(np.float64),
+        truth.joints[0],
+        rest=avatar.canonical_pose.astype(np.float64),
+    )
+    points = skin_points(level.positions.astype(np.float64), skin, transforms)
+    try:
+        geometry.check_same_unit(truth.vertices, points)
+    except ValueError as error:
+        raise AssetError(f"{capture}: {error}") from None
+    index = geometry.triangle_index(truth.vertices, truth.faces[truth.visible])
+    return 1e3 * geometry.closest_points(points, index).distance

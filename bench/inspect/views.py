@@ -1,0 +1,57 @@
+"""Where one stands to look: the whole person from front and back, the head, the hands."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8
+
+from avatar.baked_avatar import Avatar
+from avatar.camera import Camera, orbit_camera
+from avatar.skeleton import JOINTS, joint_transforms
+
+DISTANCE = 4.0  # metres: far, so that lengths in the middle and at the edge compare
+MARGIN = 1.06
+
+
+class View(NamedTuple):
+    """A camera on the canonical pose."""
+
+    name: str
+    camera: Camera
+    target: np.ndarray  # (3,) metres
+
+
+def standard_views(avatar: Avatar, size: int) -> list[View]:
+    """Front and back at `size`, then at half of it the head from front and side and each hand from above."""
+    points = avatar.levels[0].positions.astype(np.float64)
+    low, high = points.min(0), points.max(0)
+    middle, across = (low + high) / 2, float((high - low)[:2].max())
+    joints = joint_transforms(avatar.canonical_pose, avatar.joint_positions.astype(np.float64))[:, :3, 3]
+    head = joints[JOINTS.index("head")]
+    above = points[(points[:, 1] > head[1]) & (np.abs(points[:, 0] - head[0]) < 0.2)]
+    top = above[:, 1].max() if len(above) else head[1] + 0.2
+    face = np.array([head[0], (head[1] - 0.06 + top) / 2, head[2]])
+    views = [
+        _view("front", middle, 0.0, 0.0, across, size),
+        _view("back", middle, np.pi, 0.0, across, size),
+        _view("head", face, 0.35, 0.05, top - head[1] + 0.10, size // 2),
+        _view("head, side", face, 1.5, 0.05, top - head[1] + 0.10, size // 2),
+    ]
+    for side in ("left", "right"):
+        wrist, tip = joints[JOINTS.index(f"{side}_wrist")], joints[JOINTS.index(f"{side}_middle3")]
+        length = float(np.linalg.norm(tip - wrist))
+        target = wrist + 0.6 * (tip - wrist)
+        views.append(_view(f"{side} hand", target, 0.0, 1.15, 1.5 * length, size // 2))
+    return views
+
+
+def _view(name: str, target: np.ndarray, azimuth: float, elevation: float, height: float, size: int) -> View:
+    fov = 2 * np.arctan(0.5 * MARGIN * height / DISTANCE)
+    return View(name, orbit_camera(target, DISTANCE, azimuth, elevation, (size, size), fov), target)
+
+
+def strip(pictures: list[UInt8[np.ndarray, "h w 3"]]) -> UInt8[np.ndarray, "size wide 3"]:
+    """Front, back, and the four small views in a square, side by side."""
+    front, back, *small = pictures
+    square = np.vstack([np.hstack(small[:2]), np.hstack(small[2:])])
+    return np.hstack([front, back, square])
