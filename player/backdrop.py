@@ -1,4 +1,7 @@
-"""The background as a texture at the size of the image, filled when its content changes and copied in each frame."""
+"""The background as a texture at the size of the image, filled when its content changes and copied in each frame.
+
+Its first row is the top of the picture, as in the renderer's own image; a window takes the copy upside down.
+"""
 
 import numpy as np
 from jaxtyping import Float
@@ -29,32 +32,33 @@ class Backdrop:
         """Whether there is a texture, as large as the image."""
         return self.background.kind not in ("color", "transparent")
 
-    def content(self, made: Realised, camera: Camera, flipped: bool, seconds: float) -> tuple:
+    def content(self, made: Realised, camera: Camera, seconds: float) -> tuple:
         """What the texture should hold in this frame: equal while nothing changes."""
         texture = made.textures["background color"]
         if self.source is not None:
-            return texture.mglo, flipped, self.source.number(seconds)
-        return texture.mglo, flipped, camera.K.tobytes(), camera.camera_from_world[:3, :3].tobytes()
+            return texture.mglo, self.source.number(seconds)
+        turned = np.round(camera.camera_from_world[:3, :3], 9) + 0.0  # rounding is no turn; 0 and -0 are one
+        return texture.mglo, camera.K.tobytes(), turned.tobytes()
 
     def fresh(self, content: tuple) -> bool:
         """Whether the texture holds this already."""
         return self._holds == content
 
-    def fill(self, made: Realised, camera: Camera, flipped: bool, seconds: float) -> None:
-        """Write or draw the background of this frame into its texture, upside down if so asked."""
+    def fill(self, made: Realised, camera: Camera, seconds: float) -> None:
+        """Write or draw the background of this frame into its texture."""
         texture = made.textures["background color"]
         if self.source is not None:
             pixels = self.source.pixels(seconds, texture.size)
-            texture.write(np.ascontiguousarray(pixels if flipped else pixels[::-1]).tobytes())
+            texture.write(np.ascontiguousarray(pixels).tobytes())
         else:
-            self._look_round(made, camera, flipped)
-        self._holds = self.content(made, camera, flipped, seconds)
+            self._look_round(made, camera)
+        self._holds = self.content(made, camera, seconds)
 
-    def _look_round(self, made: Realised, camera: Camera, flipped: bool) -> None:
+    def _look_round(self, made: Realised, camera: Camera) -> None:
         item = next(item for item in made.plan.passes if item.name == "background: hdr")
         assert item.variant is not None and self.panorama_size is not None
         program = made.programs[item.variant]
-        direction = direction_from_pixel(camera, np.radians(self.background.turn_deg), flipped)
+        direction = direction_from_pixel(camera, np.radians(self.background.turn_deg))
         texels_a_radian = self.panorama_size[0] / (2 * np.pi)
         uniform(program, "direction_from_pixel").write(direction.T.astype("f4").tobytes())
         uniform(program, "exposure").value = 2.0**self.background.exposure
@@ -79,11 +83,8 @@ class Backdrop:
             self.source.close()
 
 
-def direction_from_pixel(camera: Camera, turn: float, flipped: bool) -> Float[np.ndarray, "3 3"]:
-    """World directions of pixels (x, y, 1) as GL counts them, turned back about the vertical by `turn`, radians."""
-    upright = np.eye(3)
-    if not flipped:  # GL counts rows from below, the camera from the top
-        upright[1] = [0.0, -1.0, camera.size[1]]
+def direction_from_pixel(camera: Camera, turn: float) -> Float[np.ndarray, "3 3"]:
+    """World directions of pixels (x, y, 1), y down, turned back about the vertical by `turn`, radians."""
     c, s = np.cos(turn), np.sin(turn)
     turned = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
-    return turned @ camera.camera_from_world[:3, :3].T @ np.linalg.inv(camera.K) @ upright
+    return turned @ camera.camera_from_world[:3, :3].T @ np.linalg.inv(camera.K)

@@ -14,7 +14,7 @@ from avatar.errors import AssetError
 from player.effects import RGBA, Background
 from player.radiance import read_radiance
 
-Pixels = UInt8[np.ndarray, "height width 4"]
+Pixels = UInt8[np.ndarray, "_ _ 4"]  # rows, columns
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 PANORAMA_WIDTH = 4096  # texels at most: a view of 60 degrees then still has 680 of them across
 FAR = 2.0  # seconds; to go further ahead in a film, seek instead of decoding what lies between

@@ -27,11 +27,21 @@ class Blit:
         self._bind = function("glBindFramebuffer", c_uint, c_uint)
         self._blit = function("glBlitFramebuffer", *(c_int,) * 8, c_uint, c_uint)
 
-    def __call__(self, source: moderngl.Framebuffer, target: moderngl.Framebuffer, box: Box) -> None:
+    def __call__(
+        self,
+        source: moderngl.Framebuffer,
+        target: moderngl.Framebuffer,
+        box: Box,
+        *,
+        turned: int | None = None,
+    ) -> None:
         """Copy the colours of a box, to the same place. Several samples become one, one becomes several.
 
+        turned: the height of the target, to put the copy there upside down (not with several samples).
         Neither framebuffer is in use afterwards: call `use` on the next one.
         """
+        left, low, right, high = box
         self._bind(READ_FRAMEBUFFER, source.glo)
         self._bind(DRAW_FRAMEBUFFER, target.glo)
-        self._blit(*box, *box, COLOR_BUFFER_BIT, NEAREST)
+        rows = (low, high) if turned is None else (turned - low, turned - high)
+        self._blit(*box, left, rows[0], right, rows[1], COLOR_BUFFER_BIT, NEAREST)

@@ -150,20 +150,32 @@ def resolve(
         ValueError: a view mode that an avatar does not hold.
     """
     draft = _Draft()
-    sampled = effects.antialiasing == "msaa" and canvas.max_samples >= SAMPLES and bool(avatars)
-    targets: tuple[str, ...] = ()
-    if canvas.size is not None and (canvas.own_image or sampled):
-        targets = draft.image("image", canvas.size, depth=not sampled)
+    smoothing, refused = _smoothing(canvas, effects)
+    size, targets = canvas.size, ()
+    if size is not None and (canvas.own_image or smoothing == "msaa"):
+        targets = draft.image("image", size, depth=smoothing == "none")
     _background(draft, canvas, background)
     frame = draft.need("frame", "buffer", FRAME.itemsize)
     drawn_on = targets
-    if sampled and canvas.size is not None:
-        drawn_on = draft.image("samples", canvas.size, depth=True, samples=SAMPLES)
+    if size is not None and smoothing == "msaa":
+        drawn_on = draft.image("samples", size, depth=True, samples=SAMPLES)
+    elif size is not None and smoothing == "fxaa":
+        drawn_on = draft.image("layer", size, depth=True, kind="texture")
     for index, avatar in enumerate(avatars):
         tag = f"avatar {index}" if len(avatars) > 1 else "avatar"
         _avatar(draft, index, avatar, tag, (*drawn_on, frame), canvas.software, effects, level)
-    _antialiasing(draft, canvas, effects, sampled, (*targets, *drawn_on) if sampled else targets)
+    if smoothing == "none":
+        draft.passes.append(Pass("antialiasing", "antialiasing", refused or "not asked for", asked=False))
+    elif size is not None:  # else a window: planned with its first frame
+        _antialiasing(draft, size, smoothing, (*targets, *drawn_on))
     return Plan(tuple(draft.passes), draft.resources, tuple(draft.variants))
+
+
+def _smoothing(canvas: Canvas, effects: Effects) -> tuple[str, str]:
+    """The antialiasing that the device can do, and why it cannot where it was asked to."""
+    if effects.antialiasing == "msaa" and canvas.max_samples < SAMPLES:
+        return "none", f"the device has {canvas.max_samples} samples a pixel, {SAMPLES} are needed"
+    return effects.antialiasing, ""
 
 
 def _background(draft: _Draft, canvas: Canvas, background: Background) -> None:
@@ -229,24 +241,16 @@ def _avatar(
     draft.passes.append(Pass(f"{tag}: view {mode}", "view", why, True, index, variant, (*base, *extra)))
 
 
-def _antialiasing(
-    draft: _Draft, canvas: Canvas, effects: Effects, sampled: bool, images: tuple[str, ...]
-) -> None:
-    if effects.antialiasing == "msaa" and sampled:
-        if canvas.size is not None:
-            draft.passes.append(Pass("antialiasing: msaa", "antialiasing", f"{SAMPLES} samples, resolved on the "
-                                     "avatars' box", reads=images))  # fmt: skip
-    elif effects.antialiasing == "fxaa" and draft.passes and canvas.size is not None:
-        width, height = canvas.size
-        copy = draft.image("fxaa", canvas.size, depth=False, kind="texture")
-        tiles = draft.need("fxaa tiles", "buffer", 8 * -(-width // TILE) * -(-height // TILE), width, height)
-        variant = draft.program("tiles.vert", "fxaa.frag")
-        draft.passes.append(Pass("antialiasing: fxaa", "antialiasing", "on the tiles that avatars reach",
-                                 variant=variant, reads=(*images, *copy, tiles)))  # fmt: skip
-    elif effects.antialiasing == "none" or canvas.size is not None:
-        few = f"the device has {canvas.max_samples} samples a pixel, {SAMPLES} are needed"
-        why = few if effects.antialiasing == "msaa" else "not asked for"
-        draft.passes.append(Pass("antialiasing", "antialiasing", why, asked=False))
+def _antialiasing(draft: _Draft, size: tuple[int, int], smoothing: str, images: tuple[str, ...]) -> None:
+    if smoothing == "msaa":
+        why = f"{SAMPLES} samples, resolved on the avatars' box"
+        draft.passes.append(Pass("antialiasing: msaa", "antialiasing", why, reads=images))
+        return
+    tiles = 8 * -(-size[0] // TILE) * -(-size[1] // TILE)
+    reads = (*images, draft.need("fxaa tiles", "buffer", tiles, *size))
+    variant = draft.program("tiles.vert", "fxaa.frag")
+    why = "on the tiles that avatars reach"
+    draft.passes.append(Pass("antialiasing: fxaa", "antialiasing", why, variant=variant, reads=reads))
 
 
 def feature_textures(level: Level) -> list[str]:

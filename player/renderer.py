@@ -26,7 +26,6 @@ from player.tiles import Patches, covered, rectangles
 Pose = tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]]  # axis-angle, pelvis joint in world
 
 MARGIN = 2  # pixels round an avatar that antialiasing can change
-TAPS = 6  # pixels round a tile that FXAA looks at
 BULGE = (
     1.5  # dual quaternions leave the hull of the bones' spheres: by less than half of what the bones disagree
 )
@@ -79,7 +78,7 @@ class Renderer:
         size: tuple[int, int] | None,
         *,
         effects: Effects = PLAIN,
-        background: Background | Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+        background: Background | Sequence[float | int] = (0.0, 0.0, 0.0, 0.0),
         level: int = 0,
         view_amount: float = 1.0,
         view: str | None = None,
@@ -123,7 +122,7 @@ class Renderer:
         *,
         size: tuple[int, int] | None = None,
         effects: Effects | None = None,
-        background: Background | Sequence[float] | None = None,
+        background: Background | Sequence[float | int] | None = None,
     ) -> None:
         """Another size, other effects, another background. Only what is new is made or compiled; what is no longer
         asked for is freed.
@@ -185,7 +184,8 @@ class Renderer:
         *,
         seconds: float = 0.0,
     ) -> None:
-        """The same into another framebuffer, whose rows count from the bottom; nothing is read back.
+        """The same into another framebuffer, whose rows count from the bottom; nothing is read back. The renderer's
+        own image keeps its top row first, as `draw` has it.
 
         A window (which has no size of its own that GL knows) is drawn on the camera's pixels. When its size
         changes, what depends on it is made anew, as by `resize`.
@@ -197,7 +197,7 @@ class Renderer:
             self.resize(camera.size)
         elif self.size != camera.size and (self.backdrop.sized or self.effects.antialiasing != "none"):
             raise ValueError(f"made for {self.size} pixels, drawn into {camera.size}: call resize")
-        self._frame(Moment(framebuffer, list(poses), camera, False, seconds))
+        self._frame(Moment(framebuffer, list(poses), camera, framebuffer is self.target, seconds))
 
     def explain(self, repeats: int = 5) -> list[dict[str, Any]]:
         """Every pass: whether it ran in the last frame, why, what it costs in ms (median), its bytes.
@@ -290,7 +290,7 @@ class Renderer:
         if item.kind == "background":
             if item.name == "background":
                 return True, item.why
-            content = self.backdrop.content(self.made, moment.camera, moment.flipped, moment.seconds)
+            content = self.backdrop.content(self.made, moment.camera, moment.seconds)
             still = "the camera has not turned" if self.background.kind == "hdr" else "the same frame"
             return (False, f"kept: {still}") if self.backdrop.fresh(content) else (True, item.why)
         if item.kind == "antialiasing":
@@ -309,38 +309,43 @@ class Renderer:
 
     def _draw_background(self, item: Pass, moment: Moment) -> None:
         """Bring its texture up to date, or copy it into the picture."""
-        here = self.made, moment.camera, moment.flipped, moment.seconds
+        here = self.made, moment.camera, moment.seconds
         if item.name != "background" or not self.backdrop.fresh(self.backdrop.content(*here)):
             self.backdrop.fill(*here)
         if item.name == "background":
-            self.blit(self.made.framebuffers["background"], moment.framebuffer, (0, 0, *moment.camera.size))
+            width, height = moment.camera.size
+            turned = None if moment.flipped else height
+            background = self.made.framebuffers["background"]
+            self.blit(background, moment.framebuffer, (0, 0, width, height), turned=turned)
         moment.framebuffer.use()
 
     def _begin_avatars(
         self, moment: Moment, planes: tuple[float, float], reaches: list[Reach], shown: list[bool]
     ) -> None:
-        """What all avatars share. With MSAA they are drawn on an image of their own, over the same background."""
-        samples = self.made.framebuffers.get("samples")
-        if samples is not None:
-            samples.viewport = (0, 0, *moment.camera.size)
+        """What all avatars share. With antialiasing they are drawn on an image of their own: with MSAA over the same
+        background, for FXAA over nothing, so that it smooths avatars and leaves the background alone."""
+        samples, layer = self.made.framebuffers.get("samples"), self.made.framebuffers.get("layer")
+        on = samples or layer
+        if on is not None:
+            on.viewport = (0, 0, *moment.camera.size)
+            on.use()
+            on.clear(color=self.background.color if samples else (0.0, 0.0, 0.0, 0.0))
+        if samples is not None and self.backdrop.sized:
+            self.blit(self.made.framebuffers["background"], samples, _box(reaches, shown, moment.camera))
             samples.use()
-            samples.clear(color=self.background.color)
-            if self.backdrop.sized:
-                box = _box(reaches, shown, moment)
-                self.blit(self.made.framebuffers["background"], samples, box)
-                samples.use()
         self.context.gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
-        self._write_frame(moment.camera, planes, moment.flipped)
+        # a pixel's samples lie differently upside down: for a window the finished picture is turned instead
+        self._write_frame(moment.camera, planes, moment.flipped or samples is not None)
 
     def _antialias(
         self, item: Pass, moment: Moment, bones: list[PosedBones], reaches: list[Reach], shown: list[bool]
     ) -> None:
         made, target = self.made, moment.framebuffer
         if item.variant is None:  # MSAA: the mean of the samples, where avatars are
-            image, box = made.framebuffers["image"], _box(reaches, shown, moment)
+            image, box = made.framebuffers["image"], _box(reaches, shown, moment.camera)
             self.blit(made.framebuffers["samples"], image, box)
             if target is not image:  # a window may have another format, which only a plain copy allows
-                self.blit(image, target, box)
+                self.blit(image, target, box, turned=None if moment.flipped else moment.camera.size[1])
             target.use()
             return
         assert self.patches is not None
@@ -352,14 +357,13 @@ class Renderer:
         ]
         size = moment.camera.size
         tiles = rectangles(covered(np.concatenate(boxes), size, MARGIN), size, flipped=moment.flipped)
+        target.use()
         if len(tiles):
-            left, low = np.maximum(tiles[:, :2].min(0).astype(int) - TAPS, 0).tolist()
-            right, high = np.minimum(tiles[:, 2:].max(0).astype(int) + TAPS, size).tolist()
-            self.blit(target, made.framebuffers["fxaa"], (left, low, right, high))
-            target.use()
-            self.context.gl.enable_only(moderngl.NOTHING)
+            gl = self.context.gl
+            gl.enable_only(moderngl.BLEND)
+            gl.blend_func = (moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA)
             made.buffers["fxaa tiles"].write(np.ascontiguousarray(tiles))
-            made.textures["fxaa color"].use(UNITS["picture"])
+            made.textures["layer color"].use(UNITS["picture"])
             made.arrays[item.name].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=len(tiles))
 
     def _write_frame(self, camera: Camera, planes: tuple[float, float], flipped: bool) -> None:
@@ -414,22 +418,29 @@ class Renderer:
         new = self.made.become(plan, self.backdrop.panorama)
         if plan.resources.get("panorama") is not None:
             self.backdrop.panorama = None  # the texture holds it
-        self.patches = None
-        if self.effects.antialiasing == "fxaa" and self.size is not None:
+        if self.effects.antialiasing == "fxaa" and self.patches is None:
             self.patches = [Patches(self.made.level_of(avatar)) for avatar in self.avatars]
         for item in new:
+            if item.kind == "antialiasing":
+                assert item.variant is not None and self.size is not None
+                uniform(self.made.programs[item.variant], "image_size").value = self.size
             self._warm(item)
 
     def _warm(self, item: Pass) -> None:
         """Draw one triangle with the real state: drivers compile at the first draw, some 90 ms in software."""
         made, gl = self.made, self.context.gl
-        on = made.framebuffers.get("samples") or made.framebuffers.get("image")
+        images = made.framebuffers
+        on = images.get("samples") or images.get("layer") or images.get("image")
         if item.kind == "background":
-            on = made.framebuffers["background"]
+            on = images["background"]
+        elif item.kind == "antialiasing":
+            on = images.get("image")
         if on is not None:
             on.use()
-        else:
+        elif self.context.kind == "window":
             self.context.leave_framebuffer()
+        else:
+            return  # nothing to draw on before the first frame
         if item.kind in ("avatar", "view"):
             gl.enable_only(moderngl.DEPTH_TEST | moderngl.CULL_FACE)
             self._write_frame(_ANY_CAMERA, (1.0, 2.0), flipped=True)
@@ -441,32 +452,29 @@ class Renderer:
             self._bind_textures(item)
             made.arrays[item.name].render(vertices=3)
             return
-        gl.enable_only(moderngl.NOTHING)
+        gl.enable_only(moderngl.BLEND if item.kind == "antialiasing" else moderngl.NOTHING)
         if item.kind == "background":
             made.textures["panorama"].use(UNITS["panorama"])
             made.arrays[item.name].render(vertices=3)
         else:
-            assert item.variant is not None and self.size is not None
-            uniform(made.programs[item.variant], "image_size").value = self.size
             made.buffers["fxaa tiles"].write(np.array([0, 0, 1, 1], np.uint16))
-            made.textures["fxaa color"].use(UNITS["picture"])
+            made.textures["layer color"].use(UNITS["picture"])
             made.arrays[item.name].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=1)
 
 
-def _as_background(background: Background | Sequence[float]) -> Background:
+def _as_background(background: Background | Sequence[float | int]) -> Background:
     if isinstance(background, Background):
         return background
     red, green, blue, alpha = background
     return Background("color", (float(red), float(green), float(blue), float(alpha)))
 
 
-def _box(reaches: Sequence[Reach], shown: Sequence[bool], moment: Moment) -> Box:
-    """The box that holds all avatars in view, in rows as GL counts them."""
-    width, height = moment.camera.size
+def _box(reaches: Sequence[Reach], shown: Sequence[bool], camera: Camera) -> Box:
+    """The box that holds all avatars in view, rows from the top."""
     boxes = np.array([r.box for r, seen in zip(reaches, shown, strict=True) if seen])
-    left, top = np.clip(boxes[:, :2].min(0) - MARGIN, 0, (width, height)).astype(int).tolist()
-    right, bottom = np.ceil(np.clip(boxes[:, 2:].max(0) + MARGIN, 0, (width, height))).astype(int).tolist()
-    return (left, top, right, bottom) if moment.flipped else (left, height - bottom, right, height - top)
+    left, top = np.clip(boxes[:, :2].min(0) - MARGIN, 0, camera.size).astype(int).tolist()
+    right, bottom = np.ceil(np.clip(boxes[:, 2:].max(0) + MARGIN, 0, camera.size)).astype(int).tolist()
+    return left, top, right, bottom
 
 
 _ANY_CAMERA = Camera(np.eye(3), np.eye(4), (1, 1))

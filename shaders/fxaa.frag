@@ -2,11 +2,12 @@
 // Antialiasing of a finished picture: fast approximate antialiasing, T. Lottes 2009 (the five-tap form). Where the
 // four diagonal neighbours differ enough from the pixel, colours are averaged along the edge they show.
 //
-// Works in display space, after everything else, on a copy of the picture. All four channels are averaged alike,
-// so premultiplied colours stay premultiplied.
+// Reads the avatars as drawn over nothing, in display space, after all shading; the result is blended over the
+// background, which stays as sharp as it is. All four channels are averaged alike, so premultiplied colours stay
+// premultiplied.
 //
-// The edge signal is luma + alpha, not luma: a black sleeve on a transparent background has an edge, too. On an
-// opaque picture alpha is 1 everywhere and the signal is Lottes' luma, raised by 1.
+// The edge signal is luma + alpha, not luma: a black sleeve on a transparent ground has an edge, too. Inside an
+// avatar alpha is 1 and the signal is Lottes' luma, raised by 1.
 
 uniform sampler2D picture;  // bilinear, clamped at its border
 
@@ -34,6 +35,9 @@ void main() {
     float sw = signal_at(pixel + ivec2(-1, 1), last), se = signal_at(pixel + ivec2(1, 1), last);  // n: y - 1
     float low = min(middle, min(min(nw, ne), min(sw, se)));
     float high = max(middle, max(max(nw, ne), max(sw, se)));
+    if (high == 0.0) {
+        discard;  // no avatar near
+    }
     if (high - low < max(LEAST, RELATIVE * (high - 1.0))) {
         color = here;
         return;

@@ -226,8 +226,16 @@ def test_transparent_background_and_two_avatars(render, avatar, pose):
 def test_drawing_into_another_framebuffer_is_the_same_picture_upside_down(context, render, avatar, pose):
     renderer = render([avatar], view="off")
     image = renderer.draw([pose], CAMERA)
-    renderer.draw_into(renderer.target, [pose], CAMERA.resized((50, 60)))  # fitted to the framebuffer
-    raw = np.frombuffer(renderer.target.read(components=4), np.uint8).reshape(*image.shape)[::-1]
+    attachments = context.gl.renderbuffer(SIZE), context.gl.depth_renderbuffer(SIZE)
+    other = context.gl.framebuffer([attachments[0]], attachments[1])
+    renderer.draw_into(other, [pose], CAMERA.resized((50, 60)))  # fitted to the framebuffer
+    raw = np.frombuffer(other.read(components=4), np.uint8).reshape(*image.shape)[::-1]
+    for thing in (other, *attachments):
+        thing.release()
+    renderer.draw_into(renderer.target, [pose], CAMERA)
+    assert np.array_equal(
+        np.frombuffer(renderer.target.read(components=4), np.uint8).reshape(image.shape), image
+    )
     other = np.abs(image.astype(int) - raw).max(-1) > 1  # contours, outer and inner, round the other way
     assert other.sum() < 0.003 * (image[..., 3] > 0).sum()
 

@@ -1,0 +1,211 @@
+"""What no scene asks for is not compiled, allocated or run: counted where every GL call passes."""
+
+import random
+from collections import Counter
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from radiance_writer import radiance_bytes, sky
+
+from avatar.camera import orbit_camera
+from player import plan as plans
+from player.context import open_context
+from player.effects import ANTIALIASINGS, BACKGROUNDS, PLAIN, SKINNINGS, VIEWS, Background, Effects
+from player.renderer import Renderer
+
+SIZE = (96, 80)
+CAMERA = orbit_camera((0.1, 0, -0.2), 2.9, 0.5, 0.1, SIZE)
+AWAY = orbit_camera((0, 0, 10), 2.0, np.pi, 0, SIZE)  # looks at nothing
+EVERYTHING = Effects("network", "dual_quaternion", "fxaa")
+
+
+@pytest.fixture(scope="module")
+def backgrounds(tmp_path_factory):
+    """One of each kind."""
+    from PIL import Image
+
+    folder = tmp_path_factory.mktemp("backgrounds")
+    (folder / "film").mkdir()
+    for name, level in (("film/0.png", 40), ("film/1.png", 200), ("picture.png", 90)):
+        Image.fromarray(np.full((8, 12, 3), level, np.uint8)).save(folder / name)
+    (folder / "sky.hdr").write_bytes(radiance_bytes(sky(64)))
+    paths = {"image": "picture.png", "video": "film", "hdr": "sky.hdr"}
+    return {
+        kind: Background(kind, path=str(folder / paths[kind]) if kind in paths else None)
+        for kind in BACKGROUNDS
+    }
+
+
+def subsets(count=16, seed=5):
+    """Random wishes, each value of each effect in one at least."""
+    rng = random.Random(seed)
+    every = list(product(VIEWS, SKINNINGS, ANTIALIASINGS, BACKGROUNDS))
+    chosen = rng.sample(every, count)
+    for column in range(4):
+        assert {row[column] for row in chosen} == {row[column] for row in every}, "choose another seed"
+    return chosen
+
+
+@pytest.fixture
+def render(context):
+    """Makes renderers and frees them after the test, also when it fails."""
+    made = []
+
+    def make(avatar, size=SIZE, *, effects=PLAIN, background=(0, 0, 0, 0)):
+        made.append(Renderer(context, [avatar], size, effects=effects, background=background))
+        return made[-1]
+
+    yield make
+    for renderer in made:
+        renderer.release()
+
+
+def plan_is_what_lives(context, renderer, **others):
+    """The one statement that all of this rests on. `others` are objects of the test itself."""
+    live = Counter(context.counts.objects()) - Counter(others)
+    assert live == renderer.plan.objects()
+    bytes_of_others = 8 * renderer.size[0] * renderer.size[1] if others else 0
+    planned = sum(resource.bytes for resource in renderer.plan.resources.values())
+    assert context.counts.live_bytes - bytes_of_others == planned
+
+
+@pytest.mark.parametrize("wish", subsets(), ids="-".join)
+def test_any_wish_makes_exactly_its_plan_and_drawing_makes_nothing(context, avatar, pose, backgrounds, wish):
+    view, skinning, antialiasing, kind = wish
+    renderer = Renderer(
+        context, [avatar], SIZE, effects=Effects(view, skinning, antialiasing), background=backgrounds[kind]
+    )
+    plan_is_what_lives(context, renderer)
+    made = context.counts.calls["create"]
+    for step, camera in enumerate((CAMERA, AWAY, CAMERA)):
+        renderer.draw([(pose[0] * (1 + 0.1 * step), pose[1])], camera, seconds=step / 30)
+    assert context.counts.calls["create"] == made
+    plan_is_what_lives(context, renderer)
+    renderer.release()
+    assert context.counts.objects() == {} and context.gl.error == "GL_NO_ERROR"
+
+
+@pytest.mark.parametrize("leak", ["texture", "renderbuffer", "program"])
+def test_a_leak_is_noticed(avatar, leak):
+    context = open_context()
+    renderer = Renderer(context, [avatar], SIZE, effects=EVERYTHING)
+    plan_is_what_lives(context, renderer)
+    gl = context.gl
+    shader = "#version 330\nvoid main() { gl_Position = vec4(0.0); }"
+    {"texture": lambda: gl.texture((2, 2), 4), "renderbuffer": lambda: gl.renderbuffer((2, 2)),
+     "program": lambda: gl.program(vertex_shader=shader)}[leak]()  # fmt: skip
+    with pytest.raises(AssertionError):
+        plan_is_what_lives(context, renderer)
+    context.release()
+
+
+@pytest.mark.parametrize("antialiasing", ["fxaa", "msaa"])
+@pytest.mark.parametrize("kind", ["color", "image", "hdr"])
+def test_an_effect_that_cannot_show_is_the_frame_that_never_asked(
+    context, render, avatar, pose, backgrounds, antialiasing, kind
+):
+    asked = render(
+        avatar, SIZE, effects=Effects("network", "lbs", antialiasing), background=backgrounds[kind]
+    )
+    plain = render(avatar, SIZE, effects=Effects("off"), background=backgrounds[kind])
+    frames, calls = [], []
+    for renderer in (asked, plain):
+        renderer.draw([pose], AWAY)
+        before = context.counts.calls.copy()
+        frames.append(renderer.draw([pose], AWAY))
+        calls.append(context.counts.calls - before)
+    assert np.array_equal(*frames)
+    assert calls[0] == calls[1], "draws, copies, clears, uniforms and reads"
+    states = {row["name"]: (row["state"], row["why"]) for row in asked.explain(1)}
+    assert states[f"antialiasing: {antialiasing}"] == ("skipped", "no avatar in view")
+    assert states["avatar: paper"] == ("skipped", "out of view")
+    assert {row["name"]: row["state"] for row in plain.explain(1)}["antialiasing"] == "not asked for"
+
+
+def test_msaa_on_a_device_without_it_is_the_plan_without_it(avatar):
+    canvas = plans.Canvas(SIZE, max_samples=1)
+    asked = plans.resolve([avatar], canvas, Effects("off", antialiasing="msaa"))
+    plain = plans.resolve([avatar], canvas, Effects("off"))
+    assert asked.resources == plain.resources and asked.variants == plain.variants
+    assert (
+        asked.passes[-1].why == "the device has 1 samples a pixel, 4 are needed"
+        and not asked.passes[-1].asked
+    )
+
+
+def test_a_panorama_is_evaluated_only_when_the_camera_turns(context, render, avatar, pose, backgrounds):
+    renderer = render(avatar, SIZE, effects=Effects("off"), background=backgrounds["hdr"])
+
+    def draws(camera):
+        before = context.counts.calls["draw"]
+        renderer.draw([pose], camera)
+        return context.counts.calls["draw"] - before
+
+    nearer = orbit_camera(
+        (0.1, 0, -0.2), 2.5, 0.5, 0.1, SIZE
+    )  # same direction: the surroundings are far away
+    turned = orbit_camera((0.1, 0, -0.2), 2.9, 0.6, 0.1, SIZE)
+    assert [draws(camera) for camera in (CAMERA, CAMERA, nearer, turned, turned)] == [2, 1, 1, 2, 1]
+    assert renderer.drawn[0].state == "kept" and renderer.drawn[0].why == "kept: the camera has not turned"
+
+
+def test_a_film_behind_is_uploaded_only_when_its_frame_changes(context, render, avatar, pose, backgrounds):
+    renderer = render(avatar, SIZE, effects=Effects("off"), background=backgrounds["video"])
+    sent = []
+    for seconds in (0.0, 0.02, 0.034, 0.05, 9.0, 0.0):
+        before = context.counts.uploaded
+        corner = renderer.draw([pose], CAMERA, seconds=seconds)[0, 0].tolist()
+        sent.append((context.counts.uploaded - before > 4 * SIZE[0] * SIZE[1], corner[0]))
+    assert sent == [(True, 40), (False, 40), (True, 200), (False, 200), (False, 200), (True, 40)]
+
+
+@pytest.mark.parametrize("wish", [PLAIN, EVERYTHING, Effects("off", antialiasing="msaa")])
+def test_another_size_compiles_nothing_and_is_as_if_made_so(context, render, avatar, pose, backgrounds, wish):
+    renderer = render(avatar, SIZE, effects=wish, background=backgrounds["hdr"])
+    renderer.draw([pose], CAMERA)
+    programs, uploaded = set(context.counts.live["program"]), context.counts.uploaded
+    renderer.resize((130, 111))
+    plan_is_what_lives(context, renderer)
+    assert context.counts.live["program"] == programs
+    assert context.counts.uploaded - uploaded < 200_000, "meshes and textures stay where they are"
+    image = renderer.draw([pose], CAMERA)
+    fresh = render(avatar, (130, 111), effects=wish, background=backgrounds["hdr"])
+    assert np.array_equal(image, fresh.draw([pose], CAMERA))
+
+
+def test_effects_and_background_change_in_place(context, render, avatar, pose, backgrounds):
+    renderer = render(replace(avatar, linear=None), SIZE, effects=Effects("off"))
+    before = context.counts.objects()
+    renderer.change(effects=EVERYTHING, background=backgrounds["image"])
+    plan_is_what_lives(context, renderer)
+    full = renderer.draw([pose], CAMERA)
+    with pytest.raises(ValueError, match="view linear is not in avatar"):
+        renderer.change(effects=Effects("linear"), background=backgrounds["hdr"])
+    plan_is_what_lives(context, renderer)
+    assert np.array_equal(renderer.draw([pose], CAMERA), full)
+    renderer.change(effects=Effects("off"), background=(0, 0, 0, 0))
+    assert context.counts.objects() == before
+
+
+@pytest.mark.parametrize("antialiasing", ANTIALIASINGS)
+def test_a_window_of_changing_size_shows_the_same_picture(
+    context, render, avatar, pose, backgrounds, antialiasing
+):
+    """A framebuffer that is not ours stands in for the window: rows count from below, its size may change."""
+    wish = Effects("off", antialiasing=antialiasing)
+    window = render(avatar, None, effects=wish, background=backgrounds["hdr"])
+    for size in ((60, 50), SIZE):
+        color, depth = context.gl.renderbuffer(size), context.gl.depth_renderbuffer(size)
+        framebuffer = context.gl.framebuffer([color], depth)
+        window.draw_into(framebuffer, [pose], CAMERA.resized(size))
+        plan_is_what_lives(context, window, framebuffer=1, renderbuffer=2)
+        raw = np.frombuffer(framebuffer.read(components=4, alignment=1), np.uint8).reshape(*size[::-1], 4)[
+            ::-1
+        ]
+        for thing in (framebuffer, color, depth):
+            thing.release()
+        own = render(avatar, size, effects=wish, background=backgrounds["hdr"])
+        assert np.abs(raw.astype(int) - own.draw([pose], CAMERA.resized(size))).max() <= 1
+        own.release()
