@@ -13,6 +13,8 @@ from jaxtyping import Float, UInt8
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, clip_from_view
+from avatar.skeleton import skin_transforms
+from avatar.skinning import SkinWeights, skin_normals, skin_points
 from player.context import Context
 from player.mesh import draw_order, interleaved
 from player.plan import mip_levels
@@ -133,9 +135,6 @@ def coverage(image: UInt8[np.ndarray, "h w 4"]) -> float:
 
 def posed_vertices(avatar: Avatar, pose: Pose) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:
     """World positions and normals of the finest mesh, skinned here: what peers that cannot skin are given."""
-    from avatar.skeleton import skin_transforms
-    from avatar.skinning import SkinWeights, skin_normals, skin_points
-
     level = avatar.levels[0]
     skin = SkinWeights(level.joints.astype(np.int64), level.weights.astype(np.float32) / np.float32(255))
     joints = avatar.joint_positions.astype(np.float64)

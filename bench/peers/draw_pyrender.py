@@ -8,11 +8,10 @@ import os
 os.environ["PYOPENGL_PLATFORM"] = "egl"
 
 import numpy as np
-
 import trimesh
 from turns import GREY, serve
 
-vars(np)["infty"] = np.inf  # pyrender 0.1.45 asks NumPy 1 for it, while it is imported
+np.__dict__["infty"] = np.inf  # pyrender 0.1.45 asks NumPy 1 for it, while it is imported
 
 
 def make(body, lightest):

@@ -11,12 +11,12 @@ def make(body, lightest):
     mesh.point_data.active_normals = body.normals[0].copy()
     if lightest:
         pyvista.global_theme.multi_samples = 1
-    plotter = pyvista.Plotter(off_screen=True, window_size=(body.width, body.height), lighting="none")
+    plotter = pyvista.Plotter(off_screen=True, window_size=[body.width, body.height], lighting="none")
     if lightest:
         plotter.disable_anti_aliasing()
     else:
         plotter.enable_anti_aliasing("msaa")
-    plotter.background_color = "black"
+    plotter.set_background(color="black")  # pyright: ignore
     actor = plotter.add_mesh(mesh, color=GREY, smooth_shading=True, split_sharp_edges=False)
     plotter.add_light(pyvista.Light(light_type="headlight"))
     plotter.camera.position = body.eye
@@ -39,6 +39,7 @@ def make(body, lightest):
         return plotter.screenshot(return_img=True)
 
     vtk = ".".join(str(part) for part in pyvista.vtk_version_info)
+    assert plotter.render_window is not None
     settings = f"{type(plotter.render_window).__name__}, {plotter.render_window.GetMultiSamples()} samples"
     return draw, {"name": "PyVista", "version": f"{pyvista.__version__} (VTK {vtk})", "settings": settings}
 
