@@ -54,8 +54,8 @@ class Background:
     color: Annotated[
         RGBA,
         Color(),
-        "of kind color, and where an image or a video does not reach (premultiplied sRGB in memory)",
-    ] = (0.0, 0.0, 0.0, 0.0)
+        "of kind color, and where an image or a video does not reach",
+    ] = (0.0, 0.0, 0.0, 0.0)  # premultiplied sRGB
     path: Annotated[
         str | None, "picture; film or folder of frames; panorama (Radiance .hdr, twice as wide as high)"
     ] = None

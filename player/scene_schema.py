@@ -1,0 +1,139 @@
+"""docs/scene.schema.json and the tables of docs/scenes.md, written from the dataclasses: `python -m player.scene_schema`.
+
+A test holds the files against this module, so they cannot fall behind what is read.
+"""
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import MISSING
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from avatar.files import whole_file
+from player.checked import Above, AtLeast, Color, Fact, OneOf, facts
+from player.effects import STUDIO, Background, Effects
+from player.scene import Scene, SceneAvatar, SceneCamera
+
+DOCS = Path(__file__).parent.parent / "docs"
+TABLES = {"avatar": SceneAvatar, "camera": SceneCamera, "background": Background, "effects": Effects}
+HEADINGS = {
+    "avatar": "[[avatar]]",
+    "camera": "[[camera]]",
+    "background": "[background]",
+    "effects": "[effects]",
+}
+JSON_TYPES = {str: "string", float: "number", int: "integer"}
+WORDS = {str: "string", float: "number", int: "whole number"}
+
+
+def scene_schema() -> dict[str, Any]:
+    """JSON schema (draft 2020-12) of a scene file, as editors read it."""
+    properties = {fact.name: _property(fact) for fact in _own_keys()}
+    for name, record in TABLES.items():
+        one = _table(record)
+        several = {"type": "array", "items": one}
+        if name == "avatar":
+            several["minItems"] = 1
+        properties[name] = several if HEADINGS[name].startswith("[[") else one
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "A scene of selfscan",
+        "type": "object",
+        "properties": properties,
+        "required": ["avatar"],
+        "additionalProperties": False,
+    }
+
+
+def _own_keys() -> Iterator[Fact]:
+    return (fact for fact in facts(Scene) if fact.name in ("size", "rate"))
+
+
+def _table(record: type) -> dict[str, Any]:
+    needed = [fact.name for fact in facts(record) if fact.default is MISSING]
+    properties = {fact.name: _property(fact) for fact in facts(record)}
+    return {"type": "object", "properties": properties, "additionalProperties": False} | (
+        {"required": needed} if needed else {}
+    )
+
+
+def _property(fact: Fact) -> dict[str, Any]:
+    out: dict[str, Any] = {"description": fact.means}
+    if any(isinstance(rule, Color) for rule in fact.rules):
+        return out | {"type": "string", "pattern": "^#[0-9a-fA-F]{6}([0-9a-fA-F]{2})?$", "default": _color()}
+    limits: dict[str, Any] = {}
+    for rule in fact.rules:
+        if isinstance(rule, OneOf):
+            limits["enum"] = list(rule.values)
+        elif isinstance(rule, Above):
+            limits["exclusiveMinimum"] = rule.least
+        elif isinstance(rule, AtLeast):
+            limits["minimum"] = rule.least
+    if get_origin(fact.type) is tuple:
+        each = get_args(fact.type)
+        one = {"type": JSON_TYPES[each[0]], **limits}
+        out |= {"type": "array", "items": one, "minItems": len(each), "maxItems": len(each)}
+    else:
+        out |= {"type": JSON_TYPES[fact.type], **limits}
+    if fact.default is not MISSING and fact.default is not None:
+        out["default"] = list(fact.default) if isinstance(fact.default, tuple) else fact.default
+    return out
+
+
+def _color() -> str:
+    return "#" + "".join(f"{round(255 * share):02x}" for share in STUDIO.color[:3])
+
+
+def scene_table(name: str) -> str:
+    """Keys of one table of the file, or with "" those outside all tables, as Markdown."""
+    rows = ["| key | value | default | |", "|---|---|---|---|"]
+    for fact in facts(TABLES[name]) if name else _own_keys():
+        rows.append(f"| `{fact.name}` | {_values(fact)} | {_default(fact)} | {fact.means} |")
+    return "\n".join(rows)
+
+
+def _values(fact: Fact) -> str:
+    for rule in fact.rules:
+        if isinstance(rule, OneOf):
+            return ", ".join(rule.values)
+        if isinstance(rule, Color):
+            return "`#rrggbb`, `#rrggbbaa`"
+    if get_origin(fact.type) is tuple:
+        each = get_args(fact.type)
+        return f"{len(each)} {WORDS[each[0]]}s in brackets"
+    return WORDS[fact.type]
+
+
+def _default(fact: Fact) -> str:
+    if any(isinstance(rule, Color) for rule in fact.rules):
+        return f"`{_color()}`"
+    if fact.default is MISSING:
+        return "needed"
+    if fact.default is None:
+        return ""
+    if isinstance(fact.default, tuple):
+        return f"`[{', '.join(f'{value:g}' for value in fact.default)}]`"
+    return f"`{fact.default:g}`" if isinstance(fact.default, float) else f"`{fact.default}`"
+
+
+def with_tables(page: str) -> str:
+    """The page with the table after each `<!-- keys of NAME -->` written anew."""
+    pattern = re.compile(r"(<!-- keys of (\w*) -->\n)(?:\|[^\n]*\n)*")
+    return pattern.sub(
+        lambda match: match[1] + scene_table(match[2] if match[2] != "scene" else "") + "\n", page
+    )
+
+
+def main() -> None:
+    """Write both files."""
+    page = DOCS / "scenes.md"
+    text = with_tables(page.read_text("utf-8"))
+    with whole_file(page, "w") as file:
+        file.write(text)
+    with whole_file(DOCS / "scene.schema.json", "w") as file:
+        file.write(json.dumps(scene_schema(), indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
