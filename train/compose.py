@@ -1,6 +1,6 @@
 """The composition of four trained parts into one person with one surface (TotalSelfScan, 3.3).
 
-In order: the head's place on the body (Eq. 5), the body refined to meet the parts (stage 2, Eq. 7 and 13), the
+In order: the head's place on the body (Eq. 5, then the body's pixels), the body refined to meet the parts (stage 2, Eq. 7 and 13), the
 fused field's zero set as a mesh, the directions it was seen from (Eq. 14), and the parts' appearance codes (Eq. 8).
 """
 
@@ -21,7 +21,8 @@ from train.field import PartField
 from train.fused import FusedField
 from train.mesh import vertex_normals
 from train.objective import RayTensors, StepReport
-from train.parts import eq9_shares, part_boxes
+from train.parts import eq9_shares, part_boxes, part_weight
+from train.photometric import ColoredHead, refine_on_video
 from train.preset import Preset
 from train.register import Anchors, Registration, refine_by_surfaces
 from train.skin import CanonicalSkin
@@ -50,9 +51,11 @@ def compose(
     began = time.monotonic()
     correction = Registration(np.eye(4), 0.0)
     if rays is not None:
-        correction = register_head(subject, fields, landmark_anchors(capture, landmarks))
+        anchors = landmark_anchors(capture, landmarks)
+        correction = register_head(subject, fields, anchors)
         facts["registration"]["surfaces_median_mm"] = round(correction.residual * 1000, 3)
         say(f"head surface on the body's (Eq. 5): median {correction.residual * 1000:.2f} mm point to plane")
+        correction, facts["registration"]["video"] = place_on_video(capture, fields, correction, anchors, say)
     head_from_canonical = torch.tensor(np.linalg.inv(correction.transform), dtype=torch.float32)
     fused = FusedField(fields, parts, head_from_canonical).eval().requires_grad_(False)
     canonical_from_head = correction.transform @ landmarks.transform
@@ -193,3 +196,35 @@ def register_head(subject: Subject, fields: Sequence[PartField], anchors: Anchor
         source_normals=head.normals[head.arrived],
         anchors=anchors,
     )
+
+
+def place_on_video(
+    capture: Capture, fields: Sequence[PartField], correction: Registration, anchors: Anchors, say: Say
+) -> tuple[Registration, dict[str, Any]]:
+    """The head's place of Eq. 5 refined on the body's video, and what run.json says of it.
+
+    Where the pixels give no answer, Eq. 5's stays, and that is said.
+    """
+    subject = capture.subject
+    apart = FusedField(fields, part_boxes(subject), torch.eye(4))
+    own = (subject.part == 1) & (part_weight(torch.as_tensor(subject.vertices), apart.parts[1]).numpy() > 0.5)
+    chosen = np.flatnonzero(own)
+    normals = vertex_normals(subject.vertices, subject.faces)[chosen]
+    level = zero_level(apart, 1, subject.vertices[chosen], normals)
+    points, inwards = (torch.as_tensor(a[level.arrived], dtype=torch.float32) for a in (level.points, -level.normals))
+    colors = apart.part_color(1, points, inwards).detach().numpy().astype(np.float64)
+    head = ColoredHead(chosen[level.arrived], level.points[level.arrived], colors)
+    try:
+        fit = refine_on_video(subject, head, capture.videos["body"], correction.transform, anchors)
+    except ValueError as error:
+        say(f"the body's video does not place the head ({error}): the surfaces' place (Eq. 5) stays")
+        return correction, {"kept": "surfaces", "why": str(error)}
+    before, after = (head.points @ T[:3, :3].T + T[:3, 3] for T in (correction.transform, fit.transform))
+    moved = float(np.linalg.norm(after - before, axis=1).mean())
+    say(f"head on the body's video: moved by {moved * 1000:.2f} mm, residual {fit.before:.4f} -> {fit.after:.4f}")
+    facts = {
+        "moved_mm": round(moved * 1000, 3),
+        "residual_before": round(fit.before, 5),
+        "residual_after": round(fit.after, 5),
+    }
+    return Registration(fit.transform, correction.residual), facts
