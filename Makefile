@@ -6,6 +6,7 @@ PYTHON ?= $(shell for p in python3.12 python3.11 python3.13 python3; do command 
 VENV = .venv
 RUN = $(VENV)/bin/python
 TORCH_INDEX ?=
+JOBS ?= 2  # test processes side by side
 
 .PHONY: demo test hard-cases setup system lint clean
 
@@ -13,7 +14,7 @@ demo: setup
 	OMP_WAIT_POLICY=PASSIVE $(RUN) -m bench.demo out/demo
 
 test: setup lint
-	OMP_WAIT_POLICY=PASSIVE $(RUN) -m pytest -q
+	OMP_WAIT_POLICY=PASSIVE $(RUN) -m pytest -q -n $(JOBS) --dist loadfile
 
 # Runs the hard cases and writes docs/hard-cases.md: case, bound, measured worst error, rasteriser.
 hard-cases: setup
