@@ -258,14 +258,29 @@ def measured(
         f"{options.image} px (worst {score.per_view[worst]:.1f}: {worst})"
     )
     for mode, db in score.view_db.items():
-        clock.report(f"  cone field against {mode}: {db:.1f} dB")
+        apart = ", ".join(
+            f"{group.replace('_', ' ')}s {one[mode]:.1f}" for group, one in score.group_db.items()
+        )
+        clock.report(f"  cone field against {mode}: {db:.1f} dB ({apart})")
     return {
-        "paper_db": rounded(score.paper_db),
         "pixels": score.pixels,
         "image": options.image,
         "per_view_db": {k: rounded(v) for k, v in score.per_view.items()},
-        "cone_db": {k: rounded(v) for k, v in score.view_db.items()},
+        **told(score),
     }
+
+
+def told(score: measure.Score) -> dict[str, Any]:
+    """A score as the file holds it: dB of paper mode against the paper field, of each mode against the cone field."""
+    groups = {
+        group: {
+            "paper_db": rounded(one["paper"]),
+            "cone_db": {mode: rounded(db) for mode, db in one.items() if mode != "paper"},
+        }
+        for group, one in score.group_db.items()
+    }
+    cone = {mode: rounded(db) for mode, db in score.view_db.items()}
+    return {"paper_db": rounded(score.paper_db), "cone_db": cone, **groups}
 
 
 class _Clock:

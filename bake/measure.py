@@ -1,6 +1,6 @@
 """What baking lost: avatar file drawn by the player against the field drawn as its first surface crossing."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,11 +10,12 @@ from scipy.ndimage import binary_erosion
 from avatar.avatar_file import Avatar
 from avatar.camera import Camera, orbit_camera, pixel_rays
 from avatar.skeleton import joint_transforms, skin_transforms
-from avatar.skinning import SkinWeights, blended_rotations, skin_points, strongest_four
 from avatar.texture import sample_texture
+from avatar.skinning import SkinWeights, blended_rotations, skin_points, strongest_four
 from bake.cone import ViewCone, clamped_tangent, cone_direction, interpolated
 from bake.network import ColorFunction
 from bake.surface import Mesh, PointFunction, project_to_zero
+from bake.truth import Errors, errors_of, modes_of, sum_of
 from train.mesh import face_areas, half_edges
 
 HEAD, LEFT_WRIST, RIGHT_WRIST = 15, 20, 21
@@ -28,6 +29,7 @@ class View(NamedTuple):
     axis_angle: Float[np.ndarray, "52 3"]
     root: Float[np.ndarray, "3"]
     camera: Camera
+    group: str = "novel_view"  # or novel_pose: scores are told apart by it
 
 
 class FieldSurface(NamedTuple):
@@ -58,23 +60,25 @@ def test_poses() -> dict[str, Float[np.ndarray, "52 3"]]:
 
 
 def test_views(joints: Float[np.ndarray, "52 3"], size: int = 512) -> list[View]:
-    """Whole body from four sides and close-ups of head and hands, in both poses."""
+    """Whole body from four sides and close-ups of head and hands, in both poses.
+
+    Training saw the T-pose, if under other cameras (novel views); the bent one it never saw (novel poses).
+    """
     views = []
     for pose_name, pose in test_poses().items():
+        group = "novel_view" if pose_name == "t" else "novel_pose"
         world = joint_transforms(pose, joints, np.zeros(3))[:, :3, 3]
         middle = 0.5 * (world.max(0) + world.min(0))
         reach = 1.45 * float((world.max(0) - world.min(0)).max())
         for i, azimuth in enumerate((0.35, 2.0, 3.6, 5.2)):
             if (i % 2) == (pose_name == "bent"):
                 camera = orbit_camera(middle, max(reach, 1.0) * 1.25, azimuth, 0.05, (size, size))
-                views.append(View(f"{pose_name} body {azimuth:g}", pose, np.zeros(3), camera))
-        head = world[HEAD] + np.array([0.0, 0.07, 0.0])
-        views.append(
-            View(f"{pose_name} head", pose, np.zeros(3), orbit_camera(head, 0.75, 0.4, 0.1, (size, size)))
-        )
+                views.append(View(f"{pose_name} body {azimuth:g}", pose, np.zeros(3), camera, group))
+        head = orbit_camera(world[HEAD] + np.array([0.0, 0.07, 0.0]), 0.75, 0.4, 0.1, (size, size))
+        views.append(View(f"{pose_name} head", pose, np.zeros(3), head, group))
         for side, middle_joint, azimuth in (("left", LEFT_MIDDLE, 0.6), ("right", RIGHT_MIDDLE, -0.6)):
             camera = orbit_camera(world[middle_joint], 0.55, azimuth, 0.5, (size, size))
-            views.append(View(f"{pose_name} {side} hand", pose, np.zeros(3), camera))
+            views.append(View(f"{pose_name} {side} hand", pose, np.zeros(3), camera, group))
     return views
 
 
@@ -137,31 +141,36 @@ class Score(NamedTuple):
 
     paper_db: float  # baked paper mode against the field at d_bar, pooled over all views
     view_db: dict[str, float]  # each mode against the cone field, pooled
+    group_db: dict[str, dict[str, float]]  # the same by group of views: paper mode against d_bar is "paper"
     per_view: dict[str, float]  # paper mode, by view
     pixels: int
 
 
-def pooled_db(errors: list[np.ndarray]) -> float:
-    """PSNR of the pooled mean square of errors in [0, 1] units; infinite when there is none, NaN of no pixels."""
-    count = sum(e.size for e in errors)
-    if count == 0:
+def decibels(errors: Errors) -> float:
+    """PSNR of the pooled mean square; infinite when there is no error, NaN of no pixels."""
+    if errors.count == 0:
         return float("nan")
-    mse = sum(float(np.square(e).sum()) for e in errors) / count
-    return float("inf") if mse == 0 else -10 * float(np.log10(mse))
+    return float("inf") if errors.square == 0 else -10 * float(np.log10(errors.square / errors.count))
 
 
 def compare(
-    avatar: Avatar, surface: FieldSurface, views: list[View], *, keep: dict[str, np.ndarray] | None = None
+    avatar: Avatar,
+    surface: FieldSurface,
+    views: list[View],
+    *,
+    keep: dict[str, np.ndarray] | None = None,
+    modes: Sequence[str] | None = None,
 ) -> Score:
-    """Draw every view of field and file and score them; pictures go into `keep` when it is given."""
+    """Draw every view of field and file and score them; pictures go into `keep` when it is given.
+
+    `modes` are all that the file holds unless told; views are drawn at the size of their cameras.
+    """
     from player.context import open_context
     from player.raster import Rasteriser
     from player.renderer import Renderer
 
-    modes = ["off"] + [
-        m for m, there in (("linear", avatar.linear), ("network", avatar.network)) if there is not None
-    ]
-    errors: dict[str, list[np.ndarray]] = {mode: [] for mode in ["paper", *modes]}
+    modes = modes_of(avatar) if modes is None else modes
+    errors = {view.group: dict.fromkeys(["paper", *modes], Errors()) for view in views}
     per_view = {}
     context = open_context()
     try:
@@ -171,27 +180,30 @@ def compare(
             fragments = rasteriser.draw(vertices, faces, camera)
             return fragments.face, fragments.barycentric
 
-        fields = [draw_field(surface, view, draw, with_cone=len(modes) > 1) for view in views]
-        for mode in modes:
-            renderer = Renderer(context, [avatar], views[0].camera.size, view=mode)
-            for view, field in zip(views, fields, strict=True):
+        renderers = {mode: Renderer(context, [avatar], views[0].camera.size, view=mode) for mode in modes}
+        for view in views:  # each is scored before the next: pictures of many views would fill the memory
+            field = draw_field(surface, view, draw, with_cone=len(modes) > 1)
+            inside, into = scored_mask(field.mask), errors[view.group]
+            for mode, renderer in renderers.items():
                 image = renderer.draw([(view.axis_angle, view.root)], view.camera)[..., :3] / 255.0
-                inside = scored_mask(field.mask)
                 if mode == "off":
-                    error = (image - np.round(field.paper * 255) / 255)[inside]
-                    errors["paper"].append(error)
-                    per_view[view.name] = pooled_db([error])
+                    error = errors_of((image - np.round(field.paper * 255) / 255)[inside])
+                    into["paper"] = into["paper"].plus(error)
+                    per_view[view.name] = decibels(error)
                     if keep is not None:
                         keep[f"{view.name} field"], keep[f"{view.name} baked"] = field.paper, image
                 if field.cone is not None:
-                    errors[mode].append((image - field.cone)[inside])
+                    into[mode] = into[mode].plus(errors_of((image - field.cone)[inside]))
+        for renderer in renderers.values():
             renderer.release()
         rasteriser.release()
     finally:
         context.release()
-    paper = errors.pop("paper")
-    view_db = {mode: pooled_db(e) for mode, e in errors.items() if e}
-    return Score(pooled_db(paper), view_db, per_view, sum(len(e) for e in paper))
+    groups = {group: {m: decibels(e) for m, e in one.items() if e.count} for group, one in errors.items()}
+    together = {m: sum_of(one[m] for one in errors.values()) for m in ["paper", *modes]}
+    db = {mode: decibels(e) for mode, e in together.items() if e.count}
+    paper = db.pop("paper", float("nan"))
+    return Score(paper, db, groups, per_view, together["paper"].count // 3)
 
 
 def seam_steps(

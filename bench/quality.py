@@ -14,16 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import binary_erosion
 
+from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.progress import progress
 from avatar.skeleton import BIG_POSE
-from bench import metrics
+from bake.truth import better_mode, scores_by_mode, some_poses
 from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
-from bench.field_view import FieldView, one_thread
+from bench.field_view import one_thread
 from bench.geometry import triangle_index
 from bench.held_out import SETS, HeldOutView, TrueMesh, read_capture_facts, read_held_out, read_true_mesh
 from bench.machine import machine
@@ -40,11 +40,13 @@ from bench.posed_geometry import (
     posed_pair,
 )
 from bench.quality_table import PAPER, markdown, print_table
-from bench.region_scores import gather, regions_of, rounded
+from bench.region_scores import gather, regions_of
+from bench.remeasure import remeasured
 from bench.synth.surface import visible_faces
+from player.context import open_context
 from train.run import read_run
 
-FIELD_POSES = 5  # held-out poses on which an avatar is compared with its run's field
+FIELD_POSES = 4  # of each held-out set on which an avatar is compared with its run's field
 CAPTURE_FACTS = ("subject", "light", "sheen", "pose_noise_deg", "seed", "size", "registration")
 BESIDE = 4  # rows beside the main ones take each 4th sample, in every pose
 
@@ -76,10 +78,13 @@ def evaluate(
         drawer = Drawer(path)
         try:
             result = measured(drawer, truth, held_out, few=few, perceive=perceive)
+            if drawer.avatar is not None:
+                tell("every view mode of the avatar beside the true pictures")
+                result["view_modes"] = view_modes(drawer.avatar, held_out)
             if run is not None and drawer.avatar is not None:
-                result["baked_vs_field"]["on_held_out"] = compared_with_run(
-                    drawer, run, some_poses(held_out["novel_pose"], FIELD_POSES)
-                )
+                tell(f"the avatar against the field of {run}: what the file says, and held-out pictures")
+                some = {name: some_poses(views, FIELD_POSES) for name, views in held_out.items()}
+                result["baked_vs_field"] |= remeasured(drawer.avatar, read_run(run), some)
             if ceiling:
                 result["beside"]["ceiling"] = measured_ceiling(
                     drawer, capture, facts, truth, held_out["novel_pose"], perceive
@@ -101,6 +106,19 @@ def evaluate(
         "seconds": round(time.perf_counter() - start, 1),
         "cpu_seconds": round(time.process_time() - cpu_start, 1),
     }
+
+
+def view_modes(avatar: Avatar, held_out: dict[str, list[HeldOutView]]) -> dict[str, Any]:
+    """Every view mode of the file side by side: PSNR inside the true person, by set and region, and which is best."""
+    context = open_context()
+    try:
+        scores = scores_by_mode(context, avatar, held_out)
+    finally:
+        context.release()
+    best, reason = better_mode(scores["all"])
+    facts = find_key(avatar.provenance, "default_view") or {}
+    return {"psnr_db": scores, "best": best, "reason": reason, "default": avatar.default_view,
+            "file_says": facts.get("default_view")}  # fmt: skip
 
 
 def seen_case(drawer: Drawer, truth: TrueMesh) -> GeometryCase:
@@ -194,15 +212,6 @@ def measured_ceiling(
     return regions_of(distances, images.scored)
 
 
-def some_poses(views: list[HeldOutView], count: int | None) -> list[HeldOutView]:
-    """The views of `count` poses spread evenly over the set; all of them for None."""
-    numbers = sorted({view.pose_index for view in views})
-    if count is None or count >= len(numbers):
-        return views
-    kept = {numbers[i] for i in np.linspace(0, len(numbers) - 1, count).round().astype(int)}
-    return [view for view in views if view.pose_index in kept]
-
-
 def distinct_poses(views: list[HeldOutView]) -> list[HeldOutView]:
     """One view of each pose; turning the whole person is no other pose to a distance between surfaces."""
     found: dict[bytes, HeldOutView] = {}
@@ -229,33 +238,6 @@ def baked_vs_field_of(drawer: Drawer) -> dict[str, Any]:
     return {"paper_db": found["paper_db"], "network_db": network}
 
 
-def compared_with_run(drawer: Drawer, run: Path, views: list[HeldOutView]) -> dict[str, Any]:
-    """Paper mode of the avatar against its run's field, posed by the run's own weights, on held-out pictures.
-
-    Inside the field's mask eroded by 1 px. Unlike the bake's own measurement this sees wrong skin weights in the
-    avatar, because nothing that is compared was made by the bake on both sides.
-    """
-    tell(f"the avatar against the field of {run}: {len(views)} pictures")
-    field = FieldView(read_run(run))
-    error = metrics.PooledError()
-    worst: tuple[float, str] = (np.inf, "")
-    for view in progress(views, "baked against field"):
-        reference = field.draw(drawer.raster, view.axis_angle, view.root, view.camera)
-        baked = drawer.draw(view.axis_angle, view.root, view.camera)
-        inside = binary_erosion(reference.mask, np.ones((3, 3), bool))
-        error.add(reference.colour, baked.colour, inside)
-        one = metrics.psnr(reference.colour, baked.colour, inside).value
-        if one is not None and one < worst[0]:
-            worst = one, f"{view.view} of pose {view.pose_index}"
-    score = error.psnr()
-    return {
-        "paper_db": rounded(score.value, 2),
-        "worst_db": rounded(worst[0], 2),
-        "worst": worst[1],
-        "pictures": len(views),
-    }
-
-
 def find_key(tree: Any, key: str) -> dict[str, Any] | None:
     """The first dictionary, at any depth, that has `key`."""
     if isinstance(tree, dict):
@@ -273,7 +255,8 @@ def eval_main(argv: list[str]) -> int:
     parser = argparse.ArgumentParser(
         prog="selfscan eval",
         description="Measure a trained run or a baked avatar against the ground truth of a synthetic capture: "
-        "P2S and Chamfer (cm), PSNR, SSIM, FLIP for head, hands and the whole person, novel poses and views.",
+        "P2S and Chamfer (cm), PSNR, SSIM, FLIP for head, hands and the whole person, novel poses and views; of an "
+        "avatar every view mode side by side.",
         epilog="example: selfscan eval out/run out/capture --json quality.json",
     )
     parser.add_argument(
@@ -300,7 +283,9 @@ def eval_main(argv: list[str]) -> int:
         "torchvision's AlexNet and the lpips package's linear layers (bench/perceptual.py says how)",
     )
     parser.add_argument(
-        "--run", type=Path, help="run the avatar was baked from: compares the two on held-out poses"
+        "--run",
+        type=Path,
+        help="run the avatar was baked from: measures again what the file says was lost, and on held-out pictures",
     )
     options = parser.parse_args(argv)
     if options.poses is not None and options.poses < 1:

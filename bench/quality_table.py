@@ -88,7 +88,48 @@ def markdown(result: dict[str, Any]) -> str:
             "",
             f"On held-out poses: {held['paper_db']} dB, worst {held['worst_db']} ({held['worst']}).",
         ]
+    lines += [line for told in (view_mode_lines(result), lost_lines(result)) if told for line in ("", *told)]
     return "\n".join(lines) + "\n"
+
+
+def view_mode_lines(result: dict[str, Any]) -> list[str]:
+    """Every view mode of an avatar beside the truth: PSNR inside the true person."""
+    modes = result.get("view_modes")
+    if modes is None:
+        return []
+    lines = ["View modes against the truth, PSNR dB inside the person (total, head, hands; all pictures):"]
+    for name, by_mode in modes["psnr_db"].items():
+        if name == "all":
+            continue
+        for mode, scores in by_mode.items():
+            told = "  ".join(f"{region} {number(db)}" for region, db in scores.items())
+            lines.append(f"- {name.replace('_', ' ')}, {mode}: {told}")
+    return [*lines, f"- default {modes['default']}; best here {modes['best']} ({modes['reason']})"]
+
+
+def lost_lines(result: dict[str, Any]) -> list[str]:
+    """What the file says was lost, and what was found now with its run at hand."""
+    baked = result["baked_vs_field"]
+    if "found" not in baked:
+        return []
+    said, found = baked["said"]["against_field"], baked["found"]["against_field"]
+    lines = [f"- paper field against paper mode: said {number(said.get('paper_db'))} dB, "
+             f"found {number(found['paper_db'])}"]  # fmt: skip
+    lines += [
+        f"- cone field against {mode}: said {number((said.get('cone_db') or {}).get(mode))} dB, found {number(db)}, "
+        f"held-out {number(baked.get('on_held_out', {}).get('cone_db', {}).get(mode))}"
+        for mode, db in found["cone_db"].items()
+    ]
+    levels = baked["said"]["levels"]
+    for index, level in enumerate(baked["found"]["levels"]):
+        told = levels[index].get("field_to_mesh_mm", {}).get("mean") if index < len(levels) else None
+        lines.append(f"- level {index}: field to mesh said {number(told, 3)} mm, "
+                     f"found {number(level['field_to_mesh_mm']['mean'], 3)}")  # fmt: skip
+    return ["What was lost in baking, as the file says and as measured now:", *lines]
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
 def print_table(result: dict[str, Any], file: TextIO | None = None) -> None:
@@ -96,6 +137,8 @@ def print_table(result: dict[str, Any], file: TextIO | None = None) -> None:
     wide = max(len(row[0]) for row in rows)
     for row in rows:
         print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]), file=file or sys.stdout)
+    for line in (*view_mode_lines(result), *lost_lines(result)):
+        print(line, file=file or sys.stdout)
 
 
 def light_of_facts(facts: dict[str, Any]) -> str:

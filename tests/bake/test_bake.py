@@ -1,5 +1,8 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from avatar.avatar_file import read_avatar
 from avatar.errors import AssetError
@@ -7,6 +10,8 @@ from bake.bake import BakeOptions, bake_run, check_complete
 from bake.command import main
 from bake.decimate import find_faults
 from bake.surface import Mesh
+from bench.remeasure import remeasured, said_by
+from train.capture import PARTS
 
 
 @pytest.fixture(scope="module")
@@ -50,13 +55,77 @@ def test_progress_says_what_was_measured(baked):
         assert word in text
 
 
-def test_sheen_ships_a_view_mode_that_is_nearer_to_the_cone_field(sheen_run, small, tmp_path):
-    avatar = bake_run(sheen_run, tmp_path / "sheen.glb", small, lambda line: None)
-    assert avatar.default_view in ("network", "linear") and avatar.levels[0].features is not None
-    scores = avatar.provenance["baked"]["against_field"]["cone_db"]
-    assert scores[avatar.default_view] > scores["off"]
-    assert (tmp_path / "sheen.onnx").exists() == (avatar.network is not None)
-    assert read_avatar(tmp_path / "sheen.glb").levels[0].features.shape == (128, 128, 4)
+@pytest.fixture(scope="module")
+def sheen(sheen_run, small, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sheen")
+    bake_run(sheen_run, folder / "sheen.glb", replace(small, quality="high"), lambda line: None)
+    return folder, read_avatar(folder / "sheen.glb")
+
+
+def test_sheen_ships_a_view_mode_that_is_nearer_to_the_cone_field(sheen):
+    folder, avatar = sheen
+    assert avatar.default_view in ("network", "linear")
+    facts = avatar.provenance["baked"]
+    scores = facts["against_field"]["cone_db"]
+    assert scores[avatar.default_view] >= scores["off"] + 1 and set(scores) >= {"off", "vertex", "linear"}
+    for group in ("novel_view", "novel_pose"):
+        apart = facts["against_field"][group]["cone_db"]
+        assert apart[avatar.default_view] > apart["off"] and facts["against_field"][group]["paper_db"] > 24
+    assert (folder / "sheen.onnx").exists() == (avatar.network is not None)
+
+
+def test_high_quality_holds_eight_features_and_the_large_network(sheen):
+    folder, avatar = sheen
+    assert avatar.provenance["baked"]["quality"] == "high"
+    assert avatar.levels[0].features.shape == (128, 128, 8) and avatar.linear.shape == (8, 3, 3)
+    assert avatar.network is not None and [w.shape for w, _ in avatar.network.layers] == [
+        (16, 12),
+        (16, 16),
+        (3, 16),
+    ]
+
+
+def test_without_a_capture_the_file_says_that_the_field_chose(sheen):
+    said = sheen[1].provenance["baked"]["default_view"]
+    assert said["mode"] == sheen[1].default_view and said["by"] == "field"
+    assert "a richer mode must gain 0.3 dB" in said["reason"]
+
+
+def test_what_the_file_says_was_lost_is_found_again(sheen, sheen_run):
+    found = remeasured(sheen[1], sheen_run, {})
+    said = said_by(sheen[1])["against_field"]
+    assert found["found"]["against_field"]["paper_db"] == pytest.approx(said["paper_db"], abs=1)
+    for mode, db in said["cone_db"].items():
+        assert found["found"]["against_field"]["cone_db"][mode] == pytest.approx(db, abs=1)
+    (level,), (again,) = said_by(sheen[1])["levels"], found["found"]["levels"]
+    assert again["faces"] == level["faces"] and sum(again["faces_by_part"].values()) == level["faces"]
+    assert again["field_to_mesh_mm"]["mean"] == pytest.approx(level["field_to_mesh_mm"]["mean"], rel=0.05)
+    for part, size in level["texel_mm_by_part"].items():
+        assert again["texel_mm_by_part"][part] == pytest.approx(size, rel=0.15)
+        square_mm = again["faces_by_part"][part] * again["triangle_mm_by_part"][part] ** 2
+        assert square_mm == pytest.approx(1e6 * part_area(sheen[1].levels[0], sheen_run, part), rel=0.15)
+    assert found["differences"]["levels[0].faces"] == 0
+
+
+def part_area(level, run, part):
+    """Square metres of a part's triangles, by the nearest vertex of the run's surface."""
+    corners = level.positions.astype(float)[level.faces]
+    _, nearest = KDTree(run.surface.vertices).query(corners.mean(1))
+    area = 0.5 * np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    return area[run.surface.part[nearest] == PARTS.index(part)].sum()
+
+
+def test_a_file_that_lost_more_than_it_says_is_found_out(sheen, sheen_run):
+    avatar = sheen[1]
+    level = avatar.levels[0]
+    swollen = replace(
+        level, positions=level.positions + np.float32(0.003) * level.normals, base_color=level.base_color // 2
+    )
+    found = remeasured(replace(avatar, levels=(swollen,)), sheen_run, {})["differences"]
+    assert found["levels[0].field_to_mesh_mm.mean"] > 2
+    assert found["against_field.paper_db"] < -5 and found["against_field.cone_db.off"] < -5
 
 
 def test_a_hand_that_broke_off_is_named(run):
