@@ -1,8 +1,12 @@
 """A glfw window with OpenGL in it: on a display, or on glfw's null platform drawn by OSMesa."""
 
+import ctypes
+from ctypes import c_int, c_uint, c_void_p
 from typing import Any
 
 import glfw
+import numpy as np
+from jaxtyping import UInt8
 
 from avatar.errors import AssetError
 from player.context import Context, wrap_context
@@ -49,3 +53,26 @@ def window_context(window: Any, null: bool) -> Context:
     return wrap_context(
         address, lambda: glfw.make_context_current(window), "glfw null + OSMesa" if null else "window"
     )
+
+
+class ScreenReader:
+    """Reads the window's pixels. moderngl's own `read` names an attachment, which a window does not have: GL errs."""
+
+    def __init__(self, context: Context):
+        address = context.counts.wrap("glReadPixels", context.driver.address("glReadPixels"))
+        self.context = context
+        self._read = ctypes.CFUNCTYPE(None, c_int, c_int, c_int, c_int, c_uint, c_uint, c_void_p)(address)
+
+    def read(
+        self, area: tuple[int, int, int, int], size: tuple[int, int]
+    ) -> UInt8[np.ndarray, "height width 4"]:
+        """What is drawn in an area (left, top, width, height) of a window of `size` pixels; row 0 on top, opaque."""
+        left, top, width, height = area
+        self.context.make_current()
+        self.context.screen().use()
+        rows = np.empty((height, width, 4), np.uint8)
+        # 0x1908 RGBA, 0x1401 unsigned byte: rows of whole words, whatever the alignment
+        self._read(left, size[1] - top - height, width, height, 0x1908, 0x1401, rows.ctypes.data)
+        image = rows[::-1].copy()
+        image[..., 3] = 255
+        return image

@@ -46,6 +46,7 @@ def _steps(word: str) -> list[Step]:
     if word == "pose":
         return [lambda window: _wait_for_pose(window)]
     if name == "press" and rest:
+        rest = rest.replace("_", " ")
         return [lambda window: _aim(window, rest), lambda window: window.on_button(0, True),
                 lambda window: window.on_button(0, False)]  # fmt: skip
     if name == "type" and rest:

@@ -63,7 +63,7 @@ def _scrubber(window: "Window") -> None:
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
     draw = imgui.get_window_draw_list()
 
-    def across(frame: float) -> float:
+    def across(frame: float | int) -> float:
         return low.x + (high.x - low.x) * (frame + 0.5) / line.frames
 
     if line.a is not None or line.b is not None:

@@ -1,0 +1,257 @@
+"""The panels in the whole window program, on glfw's null platform with OSMesa; scripts press widgets by name."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
+
+import glfw  # before imgui_bundle
+from imgui_bundle import imgui
+
+from avatar.avatar_file import write_avatar
+from player.gui.draw import DrawLists
+from player.play_command import play_parser, scene_of
+from player.show import opened_show, read_avatars
+from player.window import Window
+
+SIZE = (900, 640)
+
+
+@pytest.fixture(scope="module")
+def avatar_path(avatar, tmp_path_factory):
+    path = tmp_path_factory.mktemp("avatar") / "someone.glb"
+    write_avatar(path, avatar)
+    return str(path)
+
+
+@pytest.fixture
+def window(osmesa, avatar_path, tmp_path, monkeypatch):
+    """A window with panels, paused at its first frame."""
+    monkeypatch.chdir(tmp_path)
+    scene = scene_of(play_parser().parse_args([avatar_path]))
+    window = Window(opened_show(scene, read_avatars(scene)), size=SIZE, null=True)
+    try:
+        run(window, "space home wait")
+        yield window
+        assert window.context.gl.error == "GL_NO_ERROR"
+    finally:
+        window.close()
+    assert window.context.released
+
+
+def run(window, script):
+    window.run(script.split(), keep=True)
+    return window.image[..., :3].astype(int)
+
+
+def picture(window, image):
+    left, top, width, height = window.area()
+    return image[top : top + height, left : left + width]
+
+
+def test_panels_stand_around_the_picture_and_g_hides_them(window):
+    with_panels = run(window, "wait")
+    left, top, width, height = window.area()
+    assert left > 200 and width > 400 and height > 400
+    assert {"play", "scrub", "avatar 0", "camera", "view", "screenshot"} <= window.panels.places.keys()
+    assert "T-pose" not in window.panels.places  # nothing live
+    column = with_panels[: top + height, : left - 2]
+    assert len(np.unique(column.reshape(-1, 3), axis=0)) > 50  # letters and widgets
+    figure = (picture(window, with_panels) != picture(window, with_panels)[2, 2]).any(-1)
+    rows, columns = figure[40:].nonzero()
+    assert columns.min() > 5 and columns.max() < width - 5  # the avatar is in the free part
+    without = run(window, "g wait")
+    assert window.area() == (0, 0, *SIZE)
+    assert (without[: SIZE[1] - 40, :200] == without[0, 0]).all()
+    assert np.array_equal(picture(window, run(window, "g wait"))[40:], picture(window, with_panels)[40:])
+
+
+def test_the_picture_is_the_same_before_and_after_panels_were_drawn(window):
+    """Whatever Dear ImGui's drawing changes in OpenGL is put back: the avatar is drawn as without it, to the bit."""
+    first = run(window, "g wait")
+    again = run(window, "g press:camera wait wait g wait")
+    assert np.array_equal(first[:-30], again[:-30])
+
+
+def test_widgets_do_what_their_keys_do(window):
+    line = window.timeline
+    run(window, "press:on press:on")
+    assert line.frame == 2 and not line.playing
+    run(window, "press:play")
+    assert line.playing
+    run(window, "press:play press:end press:B press:start press:A")
+    assert (line.a, line.b, line.playing) == (0, line.frames - 1, False)
+    run(window, "press:on press:A")
+    assert line.a == 1
+    run(window, "press:A-B_off")
+    assert line.a is None and line.b is None
+
+
+def test_scrubbing_by_dragging_the_long_slider(window):
+    x, y = window.panels.places["scrub"]
+    run(window, f"drag:{x - 200}:{y}:{x}:{y}")
+    middle = window.timeline.frame
+    assert abs(middle - window.timeline.frames / 2) < 5
+    run(window, f"drag:{x}:{y}:{x + 5000}:{y}")
+    assert window.timeline.frame == window.timeline.frames - 1
+    assert window.cameras.orbit.azimuth == window.cameras.orbit.home[2]  # the camera did not turn along
+
+
+def test_lists_open_over_the_picture_and_choose(window):
+    run(window, "press:loop wait")
+    x, y = window.panels.places["loop"]
+    run(window, f"click:{x}:{y - 30} wait")
+    assert window.timeline.loop != "loop"
+    run(window, "press:camera wait")
+    x, y = window.panels.places["camera"]
+    run(window, f"click:{x}:{y + 46} wait")
+    assert window.cameras.kind == "walk"
+
+
+def test_a_place_is_typed_and_the_avatar_goes_there(window):
+    before = picture(window, run(window, "wait"))
+    x, y = window.panels.places["turn"]
+    run(window, f"drag:{x}:{y}:{x + 40}:{y}")
+    assert 20 < np.degrees(window.playback.tracks[0].turn) < 180
+    # control and click turn a slider into a field; letters there are no keys
+    left, y = x - 60, window.panels.places["place"][1]
+    window.on_key(glfw.KEY_LEFT_CONTROL, True)
+    run(window, f"click:{left}:{y}")
+    window.on_key(glfw.KEY_LEFT_CONTROL, False)
+    run(window, "wait type:1.5 q wait enter wait")
+    assert np.isclose(window.playback.tracks[0].at[0], 1.5) and not window.closing
+    assert not np.array_equal(picture(window, run(window, "wait")), before)
+
+
+def test_clicking_the_avatar_marks_the_joint(window):
+    left, top, width, height = window.area()
+    image = picture(window, run(window, "wait"))[60:]
+    rows, columns = (image != image[0, 0]).any(-1).nonzero()
+    x, y = left + columns[rows < rows.min() + 20].mean(), 60 + rows.min() + 20
+    marked = picture(window, run(window, f"click:{x}:{y} wait"))
+    assert window.selected() == "someone: head"
+    yellow = (np.abs(marked - [255, 204, 51]).max(-1) < 12).nonzero()
+    assert len(yellow[0]) > 30 and abs(yellow[0].mean() - y) < 40
+
+
+def test_effects_and_detail_change_what_is_drawn(window):
+    level = window.renderer
+    run(window, "press:antialiasing wait")
+    x, y = window.panels.places["antialiasing"]
+    run(window, f"click:{x}:{y + 46} wait")
+    assert window.effects.antialiasing == "fxaa" and window.renderer is not level
+
+
+def test_a_film_has_the_picture_without_panels(window, tmp_path):
+    import av
+
+    run(window, "press:film wait wait press:film wait")
+    with av.open(str(tmp_path / "selfscan-000.mp4")) as film:
+        frame = next(film.decode(video=0)).to_ndarray(format="rgb24")
+    _, _, width, height = window.area()
+    assert frame.shape[:2] == (height + height % 2, width + width % 2)
+    assert np.abs(frame[:30, -200:].astype(int) - frame[2, 2]).max() < 8  # no frame rate in the corner
+
+
+def test_small_windows_have_no_panels_but_the_line_of_text(window):
+    image = run(window, "size:300:200 wait wait")
+    assert image.shape == (200, 300, 3) and window.area() == (0, 0, 300, 200)
+    assert (image[185:, :40] != image[0, 0]).any()
+    assert picture(window, run(window, f"size:{SIZE[0]}:{SIZE[1]} wait wait")).shape[1] < SIZE[0]
+
+
+def test_a_widget_that_is_not_shown_is_named(window):
+    with pytest.raises(ValueError, match=r"no widget 'fly' is shown; there are .*play"):
+        run(window, "press:fly")
+
+
+# -- drawing alone
+
+
+@pytest.fixture
+def imgui_context():
+    context = imgui.create_context()
+    imgui.set_current_context(context)
+    io = imgui.get_io()
+    io.set_ini_filename("")
+    io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
+    yield io
+    imgui.set_current_context(context)
+    imgui.destroy_context(context)
+
+
+def drawn_lists(context, io, lists, scale, show, frames=3):
+    size = (200 * scale, 120 * scale)
+    target = context.gl.framebuffer([context.gl.renderbuffer(size, 4)])
+    io.display_size = imgui.ImVec2(200, 120)
+    io.display_framebuffer_scale = imgui.ImVec2(scale, scale)
+    for _ in range(frames):
+        io.delta_time = 1 / 60
+        imgui.new_frame()
+        show()
+        imgui.render()
+        target.clear(0.2, 0.4, 0.6, 1.0)
+        lists.draw(imgui.get_draw_data(), target, size)
+    image = np.frombuffer(target.read(components=4), np.uint8).reshape(size[1], size[0], 4)[::-1].astype(int)
+    attachments = target.color_attachments
+    target.release()
+    for attachment in attachments:
+        attachment.release()
+    return image
+
+
+def test_colours_clips_and_places_are_exact(context, imgui_context):
+    """A rectangle of one colour, half of it clipped away; alpha blends; the target stays opaque."""
+
+    def show():
+        draw = imgui.get_background_draw_list()
+        draw.push_clip_rect(imgui.ImVec2(0, 0), imgui.ImVec2(60, 120))
+        draw.add_rect_filled(imgui.ImVec2(20, 10), imgui.ImVec2(100, 50), imgui.IM_COL32(255, 128, 0, 255))
+        draw.pop_clip_rect()
+        draw.add_rect_filled(imgui.ImVec2(120, 10), imgui.ImVec2(140, 50), imgui.IM_COL32(255, 255, 255, 51))
+
+    lists = DrawLists(context)
+    for scale in (1, 2):  # a screen of double density has the same picture in twice the pixels
+        image = drawn_lists(context, imgui_context, lists, scale, show)[::scale, ::scale]
+        expected = np.tile([51, 102, 153, 255], (120, 200, 1))
+        expected[10:50, 20:60, :3] = [255, 128, 0]
+        expected[10:50, 120:140, :3] = [92, 133, 173]
+        assert np.abs(image - expected).max() <= 1
+    lists.release()
+
+
+def test_letters_are_added_to_the_texture_when_they_are_first_shown(context, imgui_context):
+    lists = DrawLists(context)
+    text = ["abc"]
+    plain = drawn_lists(context, imgui_context, lists, 1, lambda: imgui.get_background_draw_list().add_text(
+        imgui.ImVec2(10, 10), imgui.IM_COL32(255, 255, 255, 255), text[0]))  # fmt: skip
+    uploaded = context.counts.uploaded
+    text[0] = "WXYZ"
+    other = drawn_lists(context, imgui_context, lists, 1, lambda: imgui.get_background_draw_list().add_text(
+        imgui.ImVec2(10, 10), imgui.IM_COL32(255, 255, 255, 255), text[0]))  # fmt: skip
+    assert context.counts.uploaded > uploaded
+    for image in (plain, other):
+        assert ((image[..., 0] > 200).sum() > 10) and (image[40:] == image[0, 0]).all()
+    assert not np.array_equal(plain, other)
+    assert len(lists.textures) == 1
+    lists.release()
+    assert lists.textures == {}
+
+
+def test_thousands_of_triangles_make_the_buffers_grow(context, imgui_context):
+    def show():
+        draw = imgui.get_background_draw_list()
+        for n in range(9000):  # past 65536 vertices the indices need 32 bits
+            x, y = n % 200, (n // 200) % 120
+            draw.add_rect_filled(
+                imgui.ImVec2(x, y), imgui.ImVec2(x + 1, y + 1), imgui.IM_COL32(n % 256, 0, 0, 255)
+            )
+            draw.add_rect_filled(
+                imgui.ImVec2(x, y), imgui.ImVec2(x + 1, y + 1), imgui.IM_COL32(n % 256, 7, 0, 255)
+            )
+
+    lists = DrawLists(context)
+    image = drawn_lists(context, imgui_context, lists, 1, show, frames=1)
+    n = np.arange(9000)
+    assert np.array_equal(image[n // 200, n % 200, 0], n % 256) and (image[:45, :, 1] == 7).all()
+    lists.release()
