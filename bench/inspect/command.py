@@ -4,6 +4,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from avatar.progress import progress
 from avatar.skeleton import JOINTS
 from bench.inspect.inspection import Inspection, Inspector, Measured
 from bench.inspect.page import Section, page
-from bench.inspect.truth_distance import from_field, from_truth
+from bench.inspect.truth_distance import from_run, from_truth
 from player.context import opened
 
 EXAMPLES = f"""DIR gets inspect.html, one page with everything in it (mail it, open it anywhere), the same pictures as files,
@@ -102,36 +103,38 @@ def inspect(
     """
     avatar = read_avatar(path)
     measured = Measured(
-        field=None if run is None else from_field(avatar.levels[0], run),
+        field=None if run is None else from_run(avatar.levels[0], run),
         truth=None if capture is None else from_truth(avatar, avatar.levels[0], capture),
     )
-    context = opened("auto", None)
-    try:
+    with ExitStack() as stack:
+        folder = stack.enter_context(whole_folder(out))
+        context = opened("auto", None)
+        stack.callback(context.release)  # again does nothing
         inspector = Inspector(avatar, path, context, measured, size)
-        topics: list[Callable[[], Any]] = [  # first what our own renderer draws, then VTK's
-            inspector.looks, inspector.posed, lambda: inspector.turntable(turns), inspector.levels, inspector.parts,
-            lambda: inspector.weights(joints or []), inspector.texels, inspector.seams, inspector.cones, inspector.triangles,
-            inspector.field_distance, inspector.truth_distance, inspector.provenance,
+        stack.callback(inspector.release)
+        topics: list[Callable[[], Any]] = [
+            inspector.looks, inspector.posed, lambda: inspector.turntable(turns), inspector.levels,
+            context.release,  # VTK makes contexts of its own: ours draws before, and is gone then
+            inspector.parts, lambda: inspector.weights(joints or []), inspector.texels, inspector.seams, inspector.cones,
+            inspector.triangles, inspector.field_distance, inspector.truth_distance, inspector.provenance,
         ]  # fmt: skip
         found: dict[str, Section] = {}
-        with whole_folder(out) as folder:
-            for topic in progress(topics, "topics", len(topics)):
-                drawn = topic()
-                found |= {s.key: s for s in (drawn if isinstance(drawn, list) else [drawn]) if s is not None}
-            sections = [found[key] for key in ORDER if key in found]
-            for picture in (picture for section in sections for picture in section.pictures):
-                (folder / f"{picture.name}.{picture.kind}").write_bytes(picture.data)
-            inspection = Inspection(inspector.checks, sections, inspector.facts)
-            lines = [f"{path.name}, {len(avatar.levels)} levels, view dependence: {avatar.default_view}"]
-            lines += [f"compared with {place}" for place in (run, capture) if place is not None]
-            (folder / "inspect.html").write_text(
-                page(avatar.name, lines, inspection.checks, sections), "utf-8"
-            )
-            facts = inspection.facts | {"checks": [vars(check) for check in inspection.checks]}
-            (folder / "inspect.json").write_text(json.dumps(facts, indent=1, allow_nan=False), "utf-8")
-        inspector.release()
-    finally:
-        context.release()
+        for topic in progress(topics, "topics", len(topics)):
+            drawn = topic()
+            found |= {s.key: s for s in (drawn if isinstance(drawn, list) else [drawn]) if s is not None}
+        sections = [found[key] for key in ORDER if key in found]
+        for picture in (picture for section in sections for picture in section.pictures):
+            (folder / f"{picture.name}.{picture.kind}").write_bytes(picture.data)
+        inspection = Inspection(inspector.checks, sections, inspector.facts)
+        lines = [f"{path.name}, {len(avatar.levels)} levels, view dependence: {avatar.default_view}"]
+        lines += [
+            f"{what}: {place.name}"
+            for what, place in (("run", run), ("capture", capture))
+            if place is not None
+        ]
+        (folder / "inspect.html").write_text(page(avatar.name, lines, inspection.checks, sections), "utf-8")
+        facts = inspection.facts | {"checks": [vars(check) for check in inspection.checks]}
+        (folder / "inspect.json").write_text(json.dumps(facts, indent=1, allow_nan=False), "utf-8")
     return inspection
 
 

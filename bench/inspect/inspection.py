@@ -63,7 +63,7 @@ class Inspector:
         self.avatar, self.path, self.context, self.measured = avatar, path, context, measured
         self.level, self.size = avatar.levels[0], size
         self.views = standard_views(avatar, size)
-        self.studio: Studio | None = None  # VTK makes its own context current: ours draws before
+        self.studio: Studio | None = None
         self.checks: list[Check] = []
         self.facts: dict[str, Any] = {"format": "selfscan-inspection", "version": 1, "avatar": path.name}
 
@@ -179,7 +179,7 @@ class Inspector:
             "texels", "Texel density",
             "Side of a texel on the surface. Head and hands should be darker (finer); a bright patch is stretched in the atlas.",
             [Picture("texels", png(image), "png", "side of a texel, millimetres"), self._atlas()],
-            Legend(SEQUENTIAL, ticks(0, high, suffix=" mm"), ((ABSENT, "no texels"),)), rows,
+            Legend(SEQUENTIAL, ticks(0.0, high, suffix=" mm"), ((ABSENT, "no texels"),)), rows,
         )  # fmt: skip
 
     def _atlas(self) -> Picture:
@@ -230,18 +230,24 @@ class Inspector:
                        f"median {worst_median:.2f}, p99 {worst_p99:.2f} of 255", f"median at most {SEAM_MEDIAN:g}, p99 at most {SEAM_P99:g}",
                        worst_median <= SEAM_MEDIAN and worst_p99 <= SEAM_P99)  # fmt: skip
         assert shown is not None
-        image = self.draw(
-            np.tile(np.array(GREY, np.uint8), (len(self.level.positions), 1)),
-            lines=shown.edges,
-            line_colors=ramp(shown.step[0], 0.0, SEAM_RANGE),
-            normals=self.level.normals.astype(np.float64),
-        )
+        pictures = []
+        for mip in (0, MIPS - 1):
+            image = self.draw(
+                np.tile(np.array(GREY, np.uint8), (len(self.level.positions), 1)),
+                lines=shown.edges,
+                line_colors=ramp(shown.step[mip], 0.0, SEAM_RANGE),
+                normals=self.level.normals.astype(np.float64),
+            )
+            near = "seen from near (mip 0)" if mip == 0 else f"seen from {2**mip} times as far (mip {mip})"
+            pictures.append(
+                Picture(f"seams_mip{mip}", png(image), "png", f"colour step of the finest level, {near}")
+            )
         return Section(
             "seams", "Chart seams",
             "Edges where the atlas was cut, coloured by the largest difference of colour between the two sides (of 255). Where it is "
             "bright a line may be seen; it should not gather on the face, the neck or the wrists.",
-            [Picture("seams", png(image), "png", "colour step of the finest level at mip 0")],
-            Legend(SEQUENTIAL, ticks(0, SEAM_RANGE, suffix="/255")), rows,
+            pictures,
+            Legend(SEQUENTIAL, ticks(0.0, SEAM_RANGE, suffix="/255")), rows,
         )  # fmt: skip
 
     def cones(self) -> Section:
@@ -264,7 +270,7 @@ class Inspector:
             "well the point was seen. Pink was never seen: armpits, between fingers, soles. Its colour is the field's guess.",
             [Picture("cones", png(cone), "png", f"half-angle of the cone, degrees, 0 to {CONE_RANGE:g}"),
              Picture("seen", png(sight), "png", "how well a point was seen, 0 (dark) to 1 (bright)")],
-            Legend(SEQUENTIAL, ticks(0, CONE_RANGE, suffix="°"), ((ABSENT, "never seen"),)),
+            Legend(SEQUENTIAL, ticks(0.0, CONE_RANGE, suffix="°"), ((ABSENT, "never seen"),)),
         )  # fmt: skip
 
     def triangles(self) -> Section:
@@ -302,7 +308,7 @@ class Inspector:
             f"Mean length of a triangle's edges (median: {text}); the close views show the edges. Slivers and sudden changes of size "
             "come out as lines in the light.",
             [Picture("triangles", png(image), "png", "edge length, millimetres")],
-            Legend(PALE, ticks(0, high, suffix=" mm")), rows,
+            Legend(PALE, ticks(0.0, high, suffix=" mm")), rows,
         )  # fmt: skip
 
     def field_distance(self) -> Section | None:
@@ -350,7 +356,7 @@ class Inspector:
             "Each vertex to the nearest point of the subject's own visible surface, both in T-pose. All of the mesh counts here, hidden "
             "folds too; `selfscan eval` scores what can be seen, over the test poses.",
             [Picture("truth", png(image), "png", "P2S, millimetres")],
-            Legend(SEQUENTIAL, ticks(0, TRUTH_RANGE, suffix=" mm")), rows,
+            Legend(SEQUENTIAL, ticks(0.0, TRUTH_RANGE, suffix=" mm")), rows,
         )  # fmt: skip
 
     def levels(self) -> Section:

@@ -21,7 +21,7 @@ J = {name: index for index, name in enumerate(JOINTS)}
 def strained_poses(avatar: Avatar) -> dict[str, Pose]:
     """Poses that show what skinning does at shoulders, elbows, hips, knees and fingers."""
 
-    def pose(**turns: tuple[float, float, float]) -> Pose:
+    def pose(**turns: tuple[float | int, ...]) -> Pose:
         axis_angle = np.zeros((52, 3))
         for name, turn in turns.items():
             axis_angle[J[name]] = turn
@@ -51,7 +51,7 @@ def strained_poses(avatar: Avatar) -> dict[str, Pose]:
 
 def standing(
     context: Context, avatar: Avatar, views: list[View], mode: str, level: int = 0
-) -> list[UInt8[np.ndarray, "h w 3"]]:
+) -> list[UInt8[np.ndarray, "_ _ 3"]]:
     """These views in the canonical pose, at one level and view mode."""
     pose = np.asarray(avatar.canonical_pose, np.float64), np.asarray(avatar.joint_positions[0], np.float64)
     pictures: list[np.ndarray] = []

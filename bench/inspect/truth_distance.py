@@ -1,5 +1,6 @@
 """How far the baked surface lies from the field it was cut from, and from the true surface."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +14,22 @@ from bench import geometry
 from bench.held_out import read_true_mesh
 
 
-def from_field(level: Level, run: Path) -> Float[np.ndarray, "f"]:
-    """Signed distance of the run's field, millimetres, on each triangle: of centre and corners the farthest.
-
-    Positive where the triangle lies outside of the field's surface.
-    """
+def from_run(level: Level, run: Path) -> Float[np.ndarray, "f"]:
+    """`from_field` with the field of a run folder."""
     from bake.field import numpy_field  # torch: imported before anything draws
     from train.run import read_run
 
-    field = numpy_field(read_run(run).field)
+    return from_field(level, numpy_field(read_run(run).field).distance)
+
+
+def from_field(level: Level, distance: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "f"]:
+    """Signed distance of a field, millimetres, on each triangle: of centre and corners the farthest.
+
+    Positive where the triangle lies outside of the field's surface.
+    """
     points = level.positions.astype(np.float64)
-    corners = np.asarray(field.distance(points), np.float64)[level.faces]
-    middle = np.asarray(field.distance(points[level.faces].mean(1)), np.float64)
+    corners = np.asarray(distance(points), np.float64)[level.faces]
+    middle = np.asarray(distance(points[level.faces].mean(1)), np.float64)
     every = np.concatenate([corners, middle[:, None]], axis=1)
     farthest = np.abs(every).argmax(1)
     return 1e3 * every[np.arange(len(every)), farthest]

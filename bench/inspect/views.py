@@ -50,7 +50,7 @@ def _view(name: str, target: np.ndarray, azimuth: float, elevation: float, heigh
     return View(name, orbit_camera(target, DISTANCE, azimuth, elevation, (size, size), fov), target)
 
 
-def strip(pictures: list[UInt8[np.ndarray, "h w 3"]]) -> UInt8[np.ndarray, "size wide 3"]:
+def strip(pictures: list[UInt8[np.ndarray, "_ _ 3"]]) -> UInt8[np.ndarray, "_ _ 3"]:
     """Front, back, and the four small views in a square, side by side."""
     front, back, *small = pictures
     square = np.vstack([np.hstack(small[:2]), np.hstack(small[2:])])

@@ -1,0 +1,295 @@
+"""`selfscan inspect`: what it measures on meshes whose answers are known, and the folder it writes."""
+
+import dataclasses
+import json
+import re
+
+import numpy as np
+import pytest
+from PIL import Image
+from tiny_avatar import tiny_avatar, tiny_level, unit
+
+from avatar.avatar_file import write_avatar
+from avatar.errors import AssetError
+from avatar.skeleton import JOINTS, skin_transforms
+from avatar.skinning import SkinWeights, skin_points
+from bake.measure import seam_steps
+from bench.inspect import mesh_facts
+from bench.inspect.colors import ABSENT, SEQUENTIAL, ramp, rgb
+from bench.inspect.command import inspect, inspect_main
+from bench.inspect.page import Check, Picture, Section, flattened, page
+from bench.inspect.truth_distance import from_field, from_truth
+
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float) * 0.1
+SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+
+
+def cube(image=None, inset=0.0):
+    """A cube of 10 cm; each side is a chart of its own: 24 vertices, 12 triangles, textured side by side."""
+    count = 24
+    corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * (1 - 2 * inset) + inset
+    uv = np.concatenate([(corner + [k, 0]) / [6, 1] for k in range(6)])
+    faces = np.concatenate([[[4 * k, 4 * k + 1, 4 * k + 2], [4 * k, 4 * k + 2, 4 * k + 3]] for k in range(6)])
+    joints = np.zeros((count, 4), np.uint8)
+    weights = np.tile(np.array([255, 0, 0, 0], np.uint8), (count, 1))
+    normals = unit(CUBE[SIDES].reshape(-1, 3) - 0.05)
+    return dataclasses.replace(
+        tiny_level(),
+        positions=CUBE[SIDES].reshape(-1, 3).astype(np.float32),
+        normals=normals,
+        uv=uv.astype(np.float32),
+        faces=faces.astype(np.uint32),
+        joints=joints,
+        weights=weights,
+        view_dir=-normals,
+        view_q=np.zeros((count, 6), np.float32),
+        view_seen=np.ones(count, np.float32),
+        base_color=np.full((20, 120, 3), 90, np.uint8) if image is None else image,
+        features=None,
+    )
+
+
+def test_a_cut_cube_is_closed_and_in_one_piece_once_welded():
+    welded = mesh_facts.weld(cube())
+    assert welded.count == 8
+    assert mesh_facts.closedness(welded) == (0, 0, 1)
+
+
+def test_holes_fins_and_loose_pieces_are_counted():
+    level = cube()
+    open_cube = dataclasses.replace(level, faces=level.faces[:-2])
+    assert mesh_facts.closedness(mesh_facts.weld(open_cube)) == (4, 0, 1)
+    fin = np.array([[0, 1, 10]], np.uint32)  # a third triangle on the edge of corners 0 and 1
+    finned = dataclasses.replace(level, faces=np.concatenate([level.faces, fin]))
+    assert mesh_facts.closedness(mesh_facts.weld(finned)).crowded_edges >= 1
+    far = dataclasses.replace(
+        level, positions=level.positions + np.float32(1), faces=level.faces + np.uint32(24)
+    )
+    doubled = {
+        name: np.concatenate([value, getattr(far, name)])
+        for name, value in vars(level).items()
+        if name not in ("base_color", "features")
+    }
+    both = dataclasses.replace(level, **doubled)
+    assert mesh_facts.closedness(mesh_facts.weld(both)) == (0, 0, 2)
+
+
+def test_vertices_that_meet_but_move_apart_are_not_welded():
+    level = cube()
+    joints = level.joints.copy()
+    joints[:4, 0] = 7
+    welded = mesh_facts.weld(dataclasses.replace(level, joints=joints))
+    assert welded.count == 12 and mesh_facts.closedness(welded).open_edges == 8
+
+
+def test_texels_and_edges_are_measured_in_millimetres():
+    level = cube()  # 20 by 20 texels on a side of 100 mm
+    np.testing.assert_allclose(mesh_facts.texel_millimetres(level), 5.0, rtol=1e-5)
+    np.testing.assert_allclose(mesh_facts.edge_millimetres(level), 100 * (2 + np.sqrt(2)) / 3, rtol=1e-5)
+    flat = dataclasses.replace(level, uv=np.zeros_like(level.uv))
+    assert np.isnan(mesh_facts.texel_millimetres(flat)).all()
+
+
+def test_the_median_by_area_counts_square_metres_not_triangles():
+    values, weight = np.array([1.0, 2.0, 3.0, np.nan]), np.array([1.0, 1.0, 5.0, 90.0])
+    assert mesh_facts.median_by_area(values, weight) == 3.0
+    assert mesh_facts.median_by_area(values, np.array([0.0, 0.0, 0.0, 1.0])) is None
+
+
+def test_seam_steps_are_those_of_baking_and_of_the_colours_painted():
+    rng = np.random.default_rng(0)
+    level = cube(rng.integers(0, 256, (20, 120, 3), dtype=np.uint8))
+    welded = mesh_facts.weld(level)
+    seams = mesh_facts.seams(level, welded)
+    assert len(seams.edges) == 12  # of a cube; diagonals are no seams
+    baked = seam_steps(
+        level.uv.astype(float), level.faces.astype(np.int64), welded.source.astype(np.int64), level.base_color
+    )
+    np.testing.assert_allclose(np.sort(seams.steps[0]), np.sort(baked), atol=1e-9)
+    np.testing.assert_allclose(seams.step[0], seams.steps[0].reshape(5, 12).max(0))
+
+    plain = np.full((64, 384, 3), 50, np.uint8)
+    plain[:, 64:128] = (
+        57  # one side of the cube in another colour: its four edges step by 7, the others by nothing
+    )
+    seams = mesh_facts.seams(cube(plain, inset=0.2), welded)
+    for step in seams.step[:3]:
+        np.testing.assert_array_equal(np.sort(step), [0] * 8 + [7] * 4)
+
+
+def test_mipmaps_are_means_of_four():
+    image = np.arange(5 * 6 * 2, dtype=float).reshape(5, 6, 2)
+    np.testing.assert_array_equal(mesh_facts.halved(image)[1, 2], image[2:4, 4:6].mean((0, 1)))
+    assert mesh_facts.halved(image).shape == (2, 3, 2) and mesh_facts.halved(image[:1]).shape == (1, 3, 2)
+
+
+def test_cone_half_angles_are_those_of_the_clamp():
+    level = cube()
+    d = np.tile([0.0, 0.0, -1.0], (24, 1)).astype(np.float32)
+    q = np.zeros((24, 6), np.float32)
+    q[:, 0] = 1 / np.sin(np.radians(20)) ** 2 - 1  # along x: |t'| <= sin 20 degrees
+    q[:, 3] = 1 / np.sin(np.radians(45)) ** 2 - 1  # along y
+    level = dataclasses.replace(level, view_dir=d, view_q=q)
+    np.testing.assert_allclose(
+        np.sort(mesh_facts.cone_degrees(level), axis=1), np.tile([20, 45], (24, 1)), atol=1e-4
+    )
+    half = dataclasses.replace(level, view_seen=np.full(24, 0.5, np.float32))
+    expected = np.degrees(np.arcsin(0.5 * np.sin(np.radians([20, 45]))))
+    np.testing.assert_allclose(np.sort(mesh_facts.cone_degrees(half), axis=1)[0], expected, atol=1e-4)
+
+
+def test_parts_and_weights_follow_the_heaviest_joint():
+    level = cube()
+    joints = np.zeros((24, 4), np.uint8)
+    joints[:, 0], joints[:, 1] = JOINTS.index("head"), JOINTS.index("left_index2")
+    weights = np.zeros((24, 4), np.uint8)
+    weights[:12, :2], weights[12:, :2] = [155, 100], [100, 155]
+    level = dataclasses.replace(level, joints=joints, weights=weights)
+    np.testing.assert_array_equal(mesh_facts.vertex_parts(level), [1] * 12 + [2] * 12)
+    np.testing.assert_allclose(
+        mesh_facts.joint_weight(level, JOINTS.index("head")), [155 / 255] * 12 + [100 / 255] * 12
+    )
+    assert mesh_facts.share_of_area(level, mesh_facts.vertex_parts(level) == 1) == pytest.approx(0.5)
+
+
+def test_a_ramp_meets_its_ends_and_marks_what_is_not_known():
+    colors = ramp(np.array([-1.0, 0.0, 5.0, 10.0, 99.0, np.nan]), 0.0, 10.0)
+    first, last = rgb(SEQUENTIAL[0]), rgb(SEQUENTIAL[-1])
+    np.testing.assert_array_equal(colors[[0, 1, 3, 4, 5]], [first, first, last, last, rgb(ABSENT)])
+    between = (rgb(SEQUENTIAL[2]) + rgb(SEQUENTIAL[3])) / 2
+    assert np.abs(colors[2] - between).max() <= 0.5
+
+
+def test_distance_to_a_field_is_the_farthest_of_corners_and_centre():
+    level = cube()
+
+    def plane(points):  # distance above y = 4 cm
+        return points[:, 1] - 0.04
+
+    found = from_field(level, plane)
+    corners = level.positions.astype(float)[level.faces][..., 1]
+    y = np.concatenate([corners, corners.mean(1, keepdims=True)], axis=1) - 0.04
+    expected = 1e3 * y[np.arange(12), np.abs(y).argmax(1)]
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert found.max() == pytest.approx(60, abs=1e-3) and found.min() == pytest.approx(-40, abs=1e-3)
+
+
+def write_truth(folder, avatar, offset):
+    """A capture whose truth is the avatar's own finest mesh in T-pose, moved."""
+    level = avatar.levels[0]
+    skin = SkinWeights(level.joints.astype(np.int64), level.weights / np.float32(255))
+    transforms = skin_transforms(
+        np.zeros((52, 3)), avatar.joint_positions, np.zeros(3), rest=avatar.canonical_pose
+    )
+    (folder / "truth").mkdir(parents=True)
+    np.savez(
+        folder / "truth" / "rest.npz",
+        vertices=skin_points(level.positions.astype(float), skin, transforms) + offset,
+        faces=level.faces.astype(np.int64),
+        skin_joints=skin.joints,
+        skin_weights=skin.weights,
+        joints=avatar.joint_positions,
+        part=np.zeros(len(level.positions), np.int64),
+        hair=np.zeros(len(level.positions), bool),
+        visible=np.ones(len(level.faces), bool),
+    )
+
+
+def test_distance_to_the_truth_is_measured_in_t_pose(tmp_path):
+    avatar = tiny_avatar(levels=(cube(),))
+    write_truth(tmp_path / "same", avatar, 0.0)
+    assert from_truth(avatar, avatar.levels[0], tmp_path / "same").max() < 1e-3
+    write_truth(tmp_path / "above", avatar, [0, 0.005, 0])
+    found = from_truth(avatar, avatar.levels[0], tmp_path / "above")
+    low = (
+        avatar.levels[0].positions[:, 1] < 0.01
+    )  # the bottom lies 5 mm under the moved cube, the top inside its sides
+    np.testing.assert_allclose(found[low], 5.0, atol=1e-3)
+
+
+def test_a_page_holds_everything_and_escapes_what_is_not_its_own():
+    section = Section(
+        "look", "Looks", "a < b", [Picture("one", b"\x89PNG", "png", 'says "hi"')], None, [("x",), ("<i>",)]
+    )
+    text = page(
+        "<b>Eve</b>",
+        ["from a & b"],
+        [Check("size", "1 MB", "12 MB", True), Check("hole", "2", "0", False)],
+        [section],
+    )
+    assert (
+        "&lt;b&gt;Eve&lt;/b&gt;" in text
+        and "<b>Eve" not in text
+        and "a &lt; b" in text
+        and "&lt;i&gt;" in text
+    )
+    assert 'src="data:image/png;base64,iVBORw==' in text and "says &quot;hi&quot;" in text
+    assert (
+        re.findall(r'(?:src|href)="(?!data:|#)', text) == [] and "<script" not in text and "url(" not in text
+    )
+    assert ">good<" in text and ">look<" in text
+
+
+def test_a_tree_is_flattened_to_rows():
+    tree = {"a": {"b": 1.23456789, "c": [1, None]}, "d": [{"e": True}, {"e": "x"}], "f": [0] * 99, "g": {}}
+    assert flattened(tree) == [
+        ("a.b", "1.2346"), ("a.c", "1, None"), ("d[0].e", "True"), ("d[1].e", "x"), ("f", "99 values"), ("g", "{}"),
+    ]  # fmt: skip
+
+
+@pytest.fixture
+def person(tmp_path):
+    """A cube for a head and a face-less tiny avatar for the rest: two levels with a view network."""
+    avatar = tiny_avatar()
+    write_avatar(tmp_path / "eve.glb", avatar)
+    return tmp_path / "eve.glb"
+
+
+def test_the_folder_holds_a_page_with_every_picture_and_the_numbers(person, tmp_path, monkeypatch, capfd):
+    pytest.importorskip("pyvista")
+    monkeypatch.setenv("DISPLAY", ":77")  # no such display: VTK must not be sent to look for it
+    write_truth(tmp_path / "capture", tiny_avatar(), 0.0)
+    out = tmp_path / "out"
+    arguments = [str(person), "-o", str(out), "--size", "64", "--turns", "3", "--joint", "left_elbow"]
+    assert inspect_main([*arguments, "--capture", str(tmp_path / "capture")]) == 0
+    said = capfd.readouterr()
+    assert "X server" not in said.err and f"{out}/inspect.html:" in said.out
+    text = (out / "inspect.html").read_text()
+    pictures = sorted(p.stem for p in out.iterdir() if p.suffix in (".png", ".webp"))
+    assert text.count("<img ") == len(pictures)
+    assert {"look_off", "look_network", "turntable", "parts", "weights", "weight_left_elbow", "texels", "atlas", "seams_mip0",
+            "cones", "seen", "triangles", "truth", "level_0", "level_1"} <= set(pictures)  # fmt: skip
+    for name in pictures:
+        path = next(out.glob(f"{name}.*"))
+        with Image.open(path) as image:
+            assert getattr(image, "n_frames", 1) == (3 if name == "turntable" else 1)
+            assert np.asarray(image.convert("RGB")).std() > 1  # something is drawn
+    with Image.open(out / "parts.png") as image:
+        assert image.size == (64 * 3, 64)
+    facts = json.loads((out / "inspect.json").read_text())
+    assert facts["levels"][0]["faces"] == 6 and facts["bytes"] == person.stat().st_size
+    assert facts["truth"]["total"]["p2s_mm"] < 1e-3
+    assert {check["what"] for check in facts["checks"] if check["good"] is False} >= {
+        "open edges, and edges of more than two triangles, level by level"
+    }
+    # a second time replaces it; a folder of someone else's is not touched
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").write_text("mine")
+    with pytest.raises(AssetError, match="expected an empty or absent folder"):
+        inspect(person, tmp_path / "other", size=64, turns=2)
+    assert (tmp_path / "other" / "file").read_text() == "mine"
+
+
+def test_wrong_usage_and_bad_input_are_told_and_leave_nothing(person, tmp_path, capsys):
+    for arguments, message in (
+        (["--joint", "left_ellbow"], "no joint is named 'left_ellbow'"),
+        (["--size", "9"], "expected 64 to 2048 pixels"),
+        (["--turns", "1"], "expected 2 to 720 views"),
+    ):
+        with pytest.raises(SystemExit) as stop:
+            inspect_main([str(person), "-o", str(tmp_path / "out"), *arguments])
+        assert stop.value.code == 2 and message in capsys.readouterr().err
+    for option in ("--run", "--capture"):
+        with pytest.raises(AssetError, match="nowhere"):
+            inspect_main([str(person), "-o", str(tmp_path / "out"), option, str(tmp_path / "nowhere")])
+    assert not (tmp_path / "out").exists()
