@@ -5,6 +5,7 @@ import pytest
 
 from player.context import NoContextError, open_context
 from player.mannequin import mannequin
+from player.renderer import Renderer
 
 
 @pytest.fixture(scope="module")
@@ -14,6 +15,20 @@ def context():
     assert context.gl.error == "GL_NO_ERROR"
     assert context.counts.objects() == {}, "a test left objects behind"
     context.release()
+
+
+@pytest.fixture
+def render(context):
+    """Makes renderers and frees them after the test, also when it fails."""
+    made = []
+
+    def make(avatar, size, **options):
+        made.append(Renderer(context, [avatar], size, **options))
+        return made[-1]
+
+    yield make
+    for renderer in made:
+        renderer.release()
 
 
 @pytest.fixture(scope="session")

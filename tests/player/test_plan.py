@@ -48,20 +48,6 @@ def subsets(count=16, seed=5):
     return chosen
 
 
-@pytest.fixture
-def render(context):
-    """Makes renderers and frees them after the test, also when it fails."""
-    made = []
-
-    def make(avatar, size=SIZE, *, effects=PLAIN, background=(0, 0, 0, 0)):
-        made.append(Renderer(context, [avatar], size, effects=effects, background=background))
-        return made[-1]
-
-    yield make
-    for renderer in made:
-        renderer.release()
-
-
 def plan_is_what_lives(context, renderer, **others):
     """The one statement that all of this rests on. `others` are objects of the test itself."""
     live = Counter(context.counts.objects()) - Counter(others)

@@ -1,0 +1,161 @@
+"""FXAA and MSAA: against references, at silhouettes, on transparent and busy backgrounds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from avatar.camera import orbit_camera
+from avatar.skeleton import BIG_POSE, skin_transforms
+from avatar.skinning import SkinWeights, skin_points, skin_points_dual_quaternion
+from player import renderer as renderers
+from player.effects import Background, Effects
+from player.posing import Poser
+from player.renderer import Renderer
+from player.tiles import TILE, Patches, covered, rectangles
+
+SIZE = (180, 200)
+CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)
+
+
+@pytest.fixture
+def picture(context, avatar, pose):
+    """Draws one frame of the mannequin."""
+
+    def draw(antialiasing, background=(0.0, 0.0, 0.0, 0.0), size=SIZE, who=avatar):
+        effects = Effects("off", antialiasing=antialiasing)
+        renderer = Renderer(context, [who], size, effects=effects, background=background)
+        image = renderer.draw([pose], CAMERA)
+        renderer.release()
+        return image
+
+    return draw
+
+
+def fxaa(image):
+    """The five-tap form of Lottes 2009 on premultiplied RGBA in [0,1]: shaders/fxaa.frag in NumPy."""
+    height, width = image.shape[:2]
+    signal = image[..., :3] @ [0.299, 0.587, 0.114] + image[..., 3]
+    around = np.pad(signal, 1, "edge")
+    nw, ne, sw, se = around[:-2, :-2], around[:-2, 2:], around[2:, :-2], around[2:, 2:]
+    low, high = np.min([signal, nw, ne, sw, se], 0), np.max([signal, nw, ne, sw, se], 0)
+    along = np.stack([(sw + se) - (nw + ne), (nw + sw) - (ne + se)], -1)
+    reduce = np.maximum((nw + ne + sw + se - 4 * low) / 32, 1 / 128)
+    along = np.clip(along / (np.abs(along).min(-1) + reduce)[..., None], -8, 8)
+    y, x = np.mgrid[:height, :width].astype(float)
+
+    def at(share):
+        px = np.clip(x + share * along[..., 0], 0, width - 1)
+        py = np.clip(y + share * along[..., 1], 0, height - 1)
+        x0, y0 = np.minimum(px.astype(int), width - 2), np.minimum(py.astype(int), height - 2)
+        u, v = (px - x0)[..., None], (py - y0)[..., None]
+        upper = image[y0, x0] * (1 - u) + image[y0, x0 + 1] * u
+        return upper * (1 - v) + (image[y0 + 1, x0] * (1 - u) + image[y0 + 1, x0 + 1] * u) * v
+
+    near = (at(-1 / 6) + at(1 / 6)) / 2
+    far = near / 2 + (at(-1 / 2) + at(1 / 2)) / 4
+    found = far[..., :3] @ [0.299, 0.587, 0.114] + far[..., 3]
+    out = np.where(((found < low) | (found > high))[..., None], near, far)
+    return np.where((high - low < np.maximum(1 / 24, (high - 1) / 8))[..., None], image, out)
+
+
+def test_fxaa_is_its_reference(picture):
+    plain, smooth = picture("none"), picture("fxaa")
+    expected = np.round(255 * fxaa(plain / 255))
+    away = np.abs(smooth - expected).max(-1)
+    assert (smooth != plain).any(-1).sum() > 1000
+    # texture units keep 8 bits of a place between texels; where near and far are equally good, rounding decides
+    assert (away > 2).mean() < 2e-4
+
+
+@pytest.mark.parametrize("skinning", ["lbs", "dual_quaternion"])
+@pytest.mark.parametrize("size", [SIZE, (181, 67)])
+def test_fxaa_on_tiles_is_fxaa_on_the_whole_picture(context, avatar, pose, monkeypatch, skinning, size):
+    renderer = Renderer(context, [avatar], size, effects=Effects("off", skinning, "fxaa"))
+    tiles = renderer.draw([pose], CAMERA)
+    monkeypatch.setattr(
+        renderers, "covered", lambda boxes, size, margin: np.full_like(covered(boxes, size, 0), True)
+    )
+    assert np.array_equal(tiles, renderer.draw([pose], CAMERA))
+    renderer.release()
+
+
+@pytest.mark.parametrize("antialiasing", ["fxaa", "msaa"])
+def test_edges_get_between_values_and_stay_premultiplied(picture, avatar, antialiasing):
+    white = replace(avatar.levels[0], base_color=np.full((4, 4, 3), 255, np.uint8))
+    image = picture(antialiasing, who=replace(avatar, levels=(white,))).astype(int)
+    alpha = image[..., 3]
+    assert ((alpha > 0) & (alpha < 255)).sum() > 300
+    assert set(np.unique(picture("none")[..., 3])) == {0, 255}
+    assert np.abs(image[..., :3] - alpha[..., None]).max() <= 1, (
+        "white, premultiplied, is its alpha: no fringe"
+    )
+
+
+def test_a_black_avatar_on_nothing_has_smooth_edges_too(picture, avatar):
+    black = replace(avatar.levels[0], base_color=np.zeros((4, 4, 3), np.uint8))
+    alpha = picture("fxaa", who=replace(avatar, levels=(black,)))[..., 3]
+    assert ((alpha > 0) & (alpha < 255)).sum() > 300
+
+
+def test_msaa_is_the_mean_of_four_samples(picture, avatar):
+    flat = replace(avatar.levels[0], base_color=np.full((4, 4, 3), (200, 90, 30), np.uint8))
+    who = replace(avatar, levels=(flat,))
+    alpha = picture("msaa", who=who)[..., 3]
+    assert set(np.unique(alpha)) <= {0, 63, 64, 127, 128, 191, 192, 255}
+    large = picture("none", size=(SIZE[0] * 8, SIZE[1] * 8), who=who)[..., 3] / 255
+    coverage = large.reshape(SIZE[1], 8, SIZE[0], 8).mean((1, 3))
+    plain = picture("none", who=who)[..., 3] / 255
+    assert np.abs(alpha / 255 - coverage).mean() < 0.45 * np.abs(plain - coverage).mean()
+
+
+@pytest.mark.parametrize("antialiasing", ["fxaa", "msaa"])
+def test_a_busy_background_is_not_touched_where_nobody_is(picture, tmp_path, antialiasing):
+    noise = np.random.default_rng(1).integers(0, 256, (SIZE[1], SIZE[0], 3), np.uint8)
+    Image.fromarray(noise).save(tmp_path / "noise.png")
+    background = Background("image", path=str(tmp_path / "noise.png"))
+    image, alone = picture(antialiasing, background), picture(antialiasing)
+    nobody = alone[..., 3] == 0
+    assert np.array_equal(image[nobody][:, :3], noise[nobody]) and (image[..., 3] == 255).all()
+    # premultiplied colours over the background, as any compositor would lay them
+    laid = alone[..., :3] + noise * (1 - alone[..., 3:] / 255)
+    assert np.abs(image[..., :3] - laid).max() <= 2
+
+
+@pytest.mark.parametrize("dual", [False, True])
+def test_patches_hold_every_vertex_in_any_pose(avatar, dual):
+    level = avatar.levels[0]
+    patches = Patches(level)
+    rng = np.random.default_rng(2)
+    skin = SkinWeights(level.joints.astype(int), (level.weights / 255).astype(np.float32))
+    posed = skin_points_dual_quaternion if dual else skin_points
+    for reach in (0.0, 0.4, 1.5):
+        axis_angle, root = rng.normal(size=(52, 3)) * reach, rng.normal(size=3) * 0.2
+        bones = Poser(avatar, level).posed(axis_angle, root, CAMERA)
+        tiles = covered(patches.boxes(bones.view_from_canonical, CAMERA, dual=dual), SIZE, 0)
+        transforms = skin_transforms(axis_angle, avatar.joint_positions, root, rest=BIG_POSE)
+        points = posed(level.positions.astype(float), skin, transforms)
+        local = points @ CAMERA.camera_from_world[:3, :3].T + CAMERA.camera_from_world[:3, 3]
+        pixels = local @ CAMERA.K.T
+        pixels = pixels[:, :2] / pixels[:, 2:]
+        inside = ((pixels >= 0) & (pixels < SIZE)).all(1) & (local[:, 2] > 0)
+        cells = (pixels[inside] / TILE).astype(int)
+        assert tiles[cells[:, 1], cells[:, 0]].all()
+        if reach == 0.0 and not dual:
+            assert tiles.mean() < 0.75, "far from the whole picture"
+
+
+def test_tiles_become_rectangles_that_hold_each_pixel_once():
+    rng = np.random.default_rng(3)
+    for size in ((100, 70), (16, 16), (1, 1), (33, 17)):
+        shape = -(-size[1] // TILE), -(-size[0] // TILE)
+        tiles = rng.random(shape) < 0.5
+        for flipped in (True, False):
+            count = np.zeros(size[::-1], int)
+            for left, low, right, high in rectangles(tiles, size, flipped=flipped).tolist():
+                count[low:high, left:right] += 1
+            expected = np.kron(tiles, np.ones((TILE, TILE), int))[: size[1], : size[0]]
+            assert np.array_equal(count, expected if flipped else expected[::-1])
+    nowhere = np.array([[-np.inf, -np.inf, np.inf, np.inf], [50.0, -90.0, 60.0, -80.0]])
+    assert covered(nowhere[:1], (40, 40), 2).all() and not covered(nowhere[1:], (40, 40), 2).any()
