@@ -1,16 +1,9 @@
 #version 330
 // See avatar.vert. Colours are sRGB as stored and as shown: nothing is converted.
 #if VIEW_STAGE == 2
-#include "frame.glsl"
-#include "directions.glsl"
-#include "view_cone.glsl"
 #include "view_model.glsl"
 
-in vec3 direction;
-in vec3 mean;
-in vec3 cone_q0;
-in vec3 cone_q1;
-in float seen;
+in vec3 tangent;
 #endif
 
 uniform sampler2D base_color;
@@ -29,7 +22,6 @@ void main() {
     base = clamp(base + residual, 0.0, 1.0);
 #endif
 #if VIEW_STAGE == 2
-    vec3 tangent = cone_tangent(unit(direction), unit(mean), cone_q0, cone_q1, seen);
     base = clamp(base + view_residual_at(surface_uv, tangent), 0.0, 1.0);
 #endif
     color = vec4(base, 1.0);

@@ -25,19 +25,20 @@ in vec3 view_q1;    //       yy yz zz
 in float view_seen; // 0 = never seen
 #endif
 
-#if VIEW_STAGE == 1
+#if VIEW_STAGE != 0
 #include "view_cone.glsl"
+#endif
+
+#if VIEW_STAGE == 1
 #include "view_model.glsl"
 
 out vec3 residual;
 #endif
 
 #if VIEW_STAGE == 2
-out vec3 direction;
-out vec3 mean;
-out vec3 cone_q0;
-out vec3 cone_q1;
-out float seen;
+// It is smooth over a triangle, unlike what the network makes of it: interpolated, pictures are 68 dB from those with
+// all four of its ingredients interpolated (30k triangles; 62 dB at 3k), and cost 8 % less in software.
+out vec3 tangent;
 #endif
 
 void main() {
@@ -48,14 +49,9 @@ void main() {
     vec3 direction_canonical = turned_back(blended_turn(joints, weights), unit(position_view));
 #endif
 #if VIEW_STAGE == 1
-    vec3 tangent = cone_tangent(direction_canonical, view_mean, view_q0, view_q1, view_seen);
-    residual = view_residual_at(uv, tangent);
+    residual = view_residual_at(uv, cone_tangent(direction_canonical, view_mean, view_q0, view_q1, view_seen));
 #endif
 #if VIEW_STAGE == 2
-    direction = direction_canonical;
-    mean = view_mean;
-    cone_q0 = view_q0;
-    cone_q1 = view_q1;
-    seen = view_seen;
+    tangent = cone_tangent(direction_canonical, view_mean, view_q0, view_q1, view_seen);
 #endif
 }
