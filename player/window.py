@@ -20,7 +20,7 @@ from avatar.skeleton import JOINTS
 from player.cameras import WALK, moved_into
 from player.context import Context
 from player.effects import Background, Effects
-from player.glfw_window import open_window, window_context
+from player.glfw_window import ScreenReader, open_window, window_context
 from player.keys import ACTIONS, HELP, HELP_LIVE, HELP_WALK, WALKING
 from player.overlay import TextLine
 from player.pick import Picked, pick
@@ -67,7 +67,7 @@ class Window:
         self.renderer = self.new_renderer(show.effects, show.background, 0)
         self.has_view = shows_view(self.renderer)
         self.wipe = Wipe(self.context, show.capture) if show.capture else None
-        self.text = TextLine(self.context)
+        self.text, self.screen_reader = TextLine(self.context), ScreenReader(self.context)
         self.backdrop = Picture(self.context)
         # posing by hand: the avatar `posed` has the session's pose, in the world, instead of its motion's
         self.pose_session: PoseSession | None = None
@@ -106,6 +106,8 @@ class Window:
         """A key went down (or repeats), or up."""
         if self.panels is not None and self.panels.on_key(key, down):
             return
+        if self.tool is not None and self.tool.key(key, down):
+            return
         if not down:
             self.held.discard(key)
         elif self.cameras.kind == "walk" and key in WALKING:
@@ -117,18 +119,20 @@ class Window:
         if self.panels is not None:
             self.panels.on_text(letter)
 
-    def on_wheel(self, clicks: float) -> None:
+    def on_wheel(self, clicks: float | int) -> None:
         if self.panels is None or not self.panels.on_wheel(clicks, self.over_picture()):
             self.cameras.approach(clicks)
 
-    def on_pointer(self, x: float, y: float) -> None:
+    def on_pointer(self, x: float | int, y: float | int) -> None:
         """The pointer moved, window units."""
         if self.panels is not None:
             self.panels.on_pointer(x, y)
         self.pointer.move(x, y)
 
     def on_button(self, button: int, down: bool) -> None:
-        """A mouse button went down or up where the pointer is."""
+        """A mouse button went down or up where the pointer is. On a minimised window there is nothing to press."""
+        if down and 0 in glfw.get_framebuffer_size(self.handle):
+            return
         taken = self.panels is not None and self.panels.on_button(button, down, self.over_picture())
         if not down:
             self.pointer.release(button)
@@ -142,9 +146,9 @@ class Window:
         print(message)
         self.message, self.message_until = message, self.clock() + NOTED
 
-    def pick_at(self, x: float, y: float) -> Picked | None:
+    def pick_at(self, x: float | int, y: float | int) -> Picked | None:
         """Select the avatar and joint under a pixel; beside them the joint is let go."""
-        if self.camera is None:
+        if self.camera is None or (self.tool is not None and self.tool.pick(x, y)):
             return None
         levels = [a.levels[min(self.level, len(a.levels) - 1)] for a in self.show.avatars]
         found = pick(self.show.avatars, levels, self.poses, self.camera, (x, y))
@@ -214,7 +218,7 @@ class Window:
         """The window as the pointer counts it; on screens of high density a unit is several pixels."""
         return glfw.get_window_size(self.handle)
 
-    def pixel(self, x: float, y: float) -> tuple[float, float]:
+    def pixel(self, x: float | int, y: float | int) -> tuple[float, float]:
         """Window units as pixels of the framebuffer."""
         wide, high = self.size_in_units()
         across, down = glfw.get_framebuffer_size(self.handle)
@@ -263,6 +267,8 @@ class Window:
 
     def shown_poses(self) -> list[Pose]:
         """The poses of now; the avatar that is posed by hand has its hand-made one."""
+        if self.tool is not None:
+            self.tool.follow_timeline()
         poses = self.playback.poses()
         if self.pose_session is not None:
             pose = self.pose_session.pose
@@ -285,28 +291,19 @@ class Window:
                 self.wipe.draw(self.video_frame(), area, size)
             self.backdrop.fill(self.background.color[:3], (0, 0, *size), size, under=True)
         if self.shoot or self.film is not None:
-            self.take(self.read(area, size))
+            self.take(self.screen_reader.read(area, size))
         screen.use()
         if self.panels is not None:
             self.panels.draw(self, screen, size)
-        if self.panels is None or not self.panels.visible:
+        if self.panels is None or not self.panels.drawn:
             self.text.draw(self.line(), size)
         if keep:
-            self.image = self.read((0, 0, *size), size)
+            self.image = self.screen_reader.read((0, 0, *size), size)
         glfw.swap_buffers(self.handle)
         self.playback.drawn()
         now = self.clock()
         self.frame_times.append(max(now - self.last_tick, 0.0))
         self.last_tick = now
-
-    def read(self, area: Area, size: tuple[int, int]) -> UInt8[np.ndarray, "height width 4"]:
-        """Pixels of the window, row 0 on top, opaque."""
-        left, top, width, height = area
-        screen = self.context.screen()
-        raw = screen.read(viewport=(left, size[1] - top - height, width, height), components=4, alignment=1)
-        image = np.frombuffer(raw, np.uint8).reshape(height, width, 4)[::-1].copy()
-        image[..., 3] = 255
-        return image
 
     def take(self, image: UInt8[np.ndarray, "height width 4"]) -> None:
         """A screenshot and the film, of what is drawn so far."""

@@ -40,7 +40,7 @@ OVERLAYS: Sequence[Panel] = (joint_mark, hud_panel)
 
 FONT = 15.0  # window units
 SIDE, BOTTOM = 19.0, 4.5  # width and height of the panels, in letters' heights
-LEAST = 12.0  # letters' heights that the picture must keep, else panels lie over it
+LEAST = 12.0  # letters' heights that the picture must keep, else there are no panels
 FIXED = (
     imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_collapse
     | imgui.WindowFlags_.no_bring_to_front_on_focus | imgui.WindowFlags_.no_saved_settings
@@ -73,7 +73,9 @@ class Panels:
     def __init__(self, context: Context, handle: Any):
         self.handle = handle
         self.imgui = imgui.create_context()
-        self.visible = True
+        imgui.set_current_context(self.imgui)
+        self.visible = True  # switched on
+        self.drawn = False  # in the last frame
         self.places: dict[
             str, tuple[float, float]
         ] = {}  # middle of each marked widget of the last frame, window units
@@ -98,33 +100,37 @@ class Panels:
 
     # -- input; each answers whether a panel took it
 
-    def on_pointer(self, x: float, y: float) -> None:
-        imgui.get_io().add_mouse_pos_event(x, y)
+    def _io(self) -> imgui.IO:
+        imgui.set_current_context(self.imgui)
+        return imgui.get_io()
+
+    def on_pointer(self, x: float | int, y: float | int) -> None:
+        self._io().add_mouse_pos_event(x, y)
 
     def on_button(self, button: int, down: bool, over_picture: bool) -> bool:
         if button < 5:
-            imgui.get_io().add_mouse_button_event(button, down)
+            self._io().add_mouse_button_event(button, down)
         return self.takes_pointer(over_picture)
 
-    def on_wheel(self, clicks: float, over_picture: bool) -> bool:
-        imgui.get_io().add_mouse_wheel_event(0.0, clicks)
+    def on_wheel(self, clicks: float | int, over_picture: bool) -> bool:
+        self._io().add_mouse_wheel_event(0.0, clicks)
         return self.takes_pointer(over_picture)
 
     def takes_pointer(self, over_picture: bool) -> bool:
         """The panels' places are known at once; what lies over the picture (a list that opened) since the last frame."""
-        return self.visible and (imgui.get_io().want_capture_mouse or not over_picture)
+        return self.drawn and (self._io().want_capture_mouse or not over_picture)
 
     def on_key(self, key: int, down: bool) -> bool:
-        io = imgui.get_io()
+        io = self._io()
         found = SPECIAL.get(key) or LETTERS.get(key)
         if found is not None:
             io.add_key_event(found, down)
             if found in MODIFIERS:
                 io.add_key_event(MODIFIERS[found], down)
-        return self.visible and io.want_text_input
+        return self.drawn and io.want_text_input
 
     def on_text(self, letter: int) -> None:
-        imgui.get_io().add_input_character(letter)
+        self._io().add_input_character(letter)
 
     # -- places
 
@@ -134,16 +140,21 @@ class Panels:
         self._marking[name] = (0.5 * (low.x + high.x), 0.5 * (low.y + high.y))
 
     def area(self, window: "Window", size: tuple[int, int]) -> "Area":
-        """What the panels leave of a framebuffer of `size` pixels; all of it where they would leave too little."""
-        if not self.visible:
-            return (0, 0, *size)
-        units = glfw.get_window_size(self.handle)
-        letter = FONT * self.scale * size[0] / max(units[0], 1)
-        left, right = round(SIDE * letter), round(SIDE * letter) if shows_right(window) else 0
-        bottom = round(BOTTOM * letter)
-        if size[0] - left - right < LEAST * letter or size[1] - bottom < LEAST * letter:
-            return (0, 0, *size)
+        """What the panels leave of a framebuffer of `size` pixels; all of it where they are hidden."""
+        left, right, bottom = self._borders(window, size)
         return left, 0, size[0] - left - right, size[1] - bottom
+
+    def shown(self, window: "Window") -> bool:
+        """Whether there are panels: not when switched off, nor when they would leave too little of the picture."""
+        return self._borders(window, glfw.get_framebuffer_size(self.handle)) != (0, 0, 0)
+
+    def _borders(self, window: "Window", size: tuple[int, int]) -> tuple[int, int, int]:
+        """Left, right and lower border, pixels."""
+        letter = FONT * self.scale * size[0] / max(window.size_in_units()[0], 1)
+        left = round(SIDE * letter)
+        right, bottom = left if shows_right(window) else 0, round(BOTTOM * letter)
+        fits = min(size[0] - left - right, size[1] - bottom) >= LEAST * letter
+        return (left, right, bottom) if self.visible and fits else (0, 0, 0)
 
     # -- one frame
 
@@ -157,7 +168,8 @@ class Panels:
         io.delta_time = min(max(window.frame_times[-1] if window.frame_times else 1 / 60, 1e-4), 0.25)
         imgui.new_frame()
         self._marking = {}
-        if self.visible:
+        self.drawn = self.shown(window)
+        if self.drawn:
             self._show(window, wide, high)
         self.places = self._marking
         imgui.render()
@@ -190,7 +202,7 @@ class Panels:
                 imgui.pop_item_width()
             imgui.end()
 
-    def _place(self, left: float, top: float, width: float, height: float) -> None:
+    def _place(self, left: float | int, top: float | int, width: float | int, height: float | int) -> None:
         imgui.set_next_window_pos(imgui.ImVec2(left, top))
         imgui.set_next_window_size(imgui.ImVec2(width, max(height, 1.0)))
 
