@@ -53,7 +53,7 @@ def film_on(
             part = next(waiting, None)
             if part is None:
                 return []
-            future = client.submit(draw_part, shot, part, kind, dict(fingerprints), pure=False, retries=2)
+            future = client.submit(draw_part, shot, part, kind, dict(fingerprints), pure=False)
             futures[future] = part
             return [future]
 

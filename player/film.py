@@ -101,8 +101,12 @@ class Film:
             self._error = self._error or error  # the writer stops at the next frame and removes what it began
         self._queue.put(None)
         self._thread.join()
-        if error is None and self._error is not None:
-            raise self._error
+        failed, self._error = self._error, None
+        try:
+            if error is None and failed is not None:
+                raise failed
+        finally:
+            del failed  # an error that is kept keeps its frames, and with them all files they have open
 
     def _work(self) -> None:
         try:

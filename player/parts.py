@@ -105,7 +105,7 @@ def fingerprint(path: Path | str) -> str:
     path, digest = Path(path), hashlib.sha256()
     try:
         for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-            if file.is_file():
+            if not file.is_dir():
                 digest.update(str(file.relative_to(path)).encode())
                 with open(file, "rb") as opened:
                     while block := opened.read(1 << 20):

@@ -137,7 +137,10 @@ def render_main(argv: list[str]) -> int:
         reading = pool.submit(Stage, scene)
         context = None if options.workers else opened(options.context, options.gpu)
         try:
-            stage = reading.result()
+            try:
+                stage = reading.result()
+            finally:
+                del reading  # if it failed it keeps its error, and that this frame with all that is open
             return filmed(options, kind, stage, context)
         finally:
             if context is not None:
@@ -339,8 +342,8 @@ def explain(renderer: Renderer, json_path: str | None) -> None:
     """Print and write the passes of the last frame."""
     rows = renderer.explain()
     for row in rows:
-        state = "runs" if row["runs"] else "does not run"
-        print(f"  {row['name']:24} {state:13} {row['ms']:8.2f} ms {row['bytes'] / 1e6:8.2f} MB  {row['why']}")
+        cost = f"{row['ms']:8.2f} ms {row['bytes'] / 1e6:8.2f} MB"
+        print(f"  {row['name']:24} {row['state']:13} {cost}  {row['why']}")
     if json_path:
         with whole_file(Path(json_path), "w") as file:
             json.dump({"passes": rows}, file, indent=1)
