@@ -11,14 +11,16 @@ from avatar.skeleton import BIG_POSE, joint_transforms
 from bake import measure
 from bake.atlas import Unwrapped, unwrap
 from bake.cone import ViewCone, interpolated
-from bake.decimate import Enlargement, balanced, decimate
+from bake.decimate import Enlargement, balanced, decimate, find_faults
 from bake.field import NumpyField
 from bake.network import Distilled, SurfacePoints
 from bake.options import BakeOptions
+from bake.seams import ChartEdges, chart_edges, equalised, mipmaps, seam_steps
 from bake.skin import quantised, transferred_weights
 from bake.surface import Extraction, Mesh, project_to_zero
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from bake.transfer import match_surface
+from player.plan import mip_levels
 from train.capture import PARTS
 from train.mesh import face_areas
 
@@ -38,6 +40,7 @@ class BakedLevel(NamedTuple):
 
     level: Level
     charted: Charted
+    edges: ChartEdges
     facts: dict[str, Any]
 
 
@@ -108,7 +111,9 @@ def bake_level(
     charted = Charted(chart.uv, chart.faces, mesh.vertices[chart.source], normals[chart.source], cone)
 
     texels = rasterise_charts(chart.uv, chart.faces, size)
-    base = bytes_from_unit(spread(texel_colors(field, charted, texels), texels))
+    edges = chart_edges(chart.uv, chart.faces, chart.source)
+    image = spread(texel_colors(field, charted, texels), texels)
+    base = bytes_from_unit(equalised(image, texels, chart.uv, edges, mip_levels(image.shape)))
     level = Level(
         positions=charted.points.astype(np.float32),
         normals=charted.normals.astype(np.float32),
@@ -122,8 +127,8 @@ def bake_level(
         base_color=base,
         features=None,
     )
-    facts = level_facts(level, mesh, face_part, chart, field)
-    return BakedLevel(level, charted, {**facts, "weights_filled": data.filled})
+    facts = level_facts(level, mesh, face_part, chart, edges, field)
+    return BakedLevel(level, charted, edges, {**facts, "weights_filled": data.filled})
 
 
 def surface_at(
@@ -145,21 +150,36 @@ def surface_at(
 
 def texel_colors(field: NumpyField, charted: Charted, texels: TexelMap) -> Float[np.ndarray, "texels 3"]:
     """Base colour of each texel, [0, 1] sRGB: the field on its zero set at the global view direction (Eq. 14)."""
-    lift = np.zeros(len(texels.index))  # metres along the normal from the triangle to the zero set
+    lift = texel_lift(field, charted, texels)
 
     def color_at(rows: np.ndarray, jitter: np.ndarray) -> np.ndarray:
         result = np.empty((len(rows), 3))
         for start in range(0, len(rows), 1 << 18):
             own = rows[start : start + (1 << 18)]
             points, facing, local = surface_at(charted, texels.rows(own), jitter)
-            if jitter.any():
-                points += lift[own, None] * facing  # the centre's lift serves the whole texel
-            else:
-                points, lift[own] = lifted(field, points, facing)
+            points += lift[own, None] * facing
             result[start : start + (1 << 18)] = field.color(points, local.direction)
         return result
 
     return sample_texels(color_at, texels)
+
+
+def texel_lift(field: NumpyField, charted: Charted, texels: TexelMap) -> Float[np.ndarray, "texels"]:
+    """Metres along the normal from the triangles to the zero set: asked once for every 2 x 2 texels, because a
+    triangle is many texels wide and the surface bends away from it evenly."""
+    row, column = texels.index // texels.size, texels.index % texels.size
+    block = (row // 2) * texels.size + column // 2
+    order = np.lexsort((texels.index, ~texels.inside, block))
+    first = np.r_[True, np.diff(block[order]) > 0]
+    asked = order[first]  # of each block one that lies inside its chart, where there is one
+    found = np.empty(len(asked))
+    for start in range(0, len(asked), 1 << 18):
+        own = asked[start : start + (1 << 18)]
+        points, facing, _ = surface_at(charted, texels.rows(own), np.zeros(2))
+        found[start : start + (1 << 18)] = lifted(field, points, facing)[1]
+    lift = np.empty(len(texels.index))
+    lift[order] = found[np.cumsum(first) - 1]
+    return lift
 
 
 def lifted(
@@ -173,12 +193,17 @@ def lifted(
 
 
 def level_facts(
-    level: Level, mesh: Mesh, face_part: Integer[np.ndarray, "faces"], chart: Unwrapped, field: NumpyField
+    level: Level,
+    mesh: Mesh,
+    face_part: Integer[np.ndarray, "faces"],
+    chart: Unwrapped,
+    edges: ChartEdges,
+    field: NumpyField,
 ) -> dict[str, Any]:
     """What the file's provenance tells of a level; `mesh` is its mesh before the atlas split vertices."""
     size = len(level.base_color)
     away = measure.field_to_mesh(field.distance, mesh)
-    seams = measure.seam_steps(chart.uv, chart.faces, chart.source, level.base_color)
+    fault = find_faults(mesh.faces, len(mesh.vertices))
     return {
         "faces": len(mesh.faces),
         "vertices": len(level.positions),
@@ -186,13 +211,22 @@ def level_facts(
         "texture": size,
         "utilisation": rounded(chart.utilisation),
         "field_to_mesh_mm": {"mean": rounded(away.mean() * 1e3), "max": rounded(away.max() * 1e3)},
-        "seam_step": {
-            "median": rounded(float(np.median(seams)) if len(seams) else 0.0),
-            "p99": rounded(float(np.quantile(seams, 0.99)) if len(seams) else 0.0),
-        },
+        "open_edges": fault.open_edges,
+        "non_manifold_edges": fault.crowded_edges,
+        "seam_step": seam_facts(level, edges),
         "faces_by_part": {name: int((face_part == part).sum()) for part, name in enumerate(PARTS)},
         "texel_mm_by_part": _texel_sizes(chart, mesh, face_part, size),
     }
+
+
+def seam_facts(level: Level, edges: ChartEdges) -> dict[str, Any]:
+    """Colour steps across chart edges (of 255) in every mip that the player draws; the worst mip's first."""
+    mips = []
+    for image in mipmaps(level.base_color, mip_levels(level.base_color.shape)):
+        steps = seam_steps(level.uv.astype(np.float64), edges, image)
+        at = np.quantile(steps, [0.5, 0.99]) if len(steps) else np.zeros(2)
+        mips.append({"median": rounded(float(at[0])), "p99": rounded(float(at[1]))})
+    return {key: max(mip[key] for mip in mips) for key in ("median", "p99")} | {"mips": mips}
 
 
 def _texel_sizes(
@@ -241,7 +275,9 @@ def with_features(baked: BakedLevel, distilled: Distilled, field: NumpyField) ->
     count = len(texels.index)
     pieces = [np.arange(start, min(start + (1 << 18), count)) for start in range(0, count, 1 << 18)]
     values = [distilled.features(_shown_by(baked, field, texels.rows(piece))) for piece in pieces]
-    features = spread(np.concatenate(values).astype(np.float64), texels).astype(np.uint8)
+    image = spread(np.concatenate(values) / 255.0, texels)
+    uv = level.uv.astype(np.float64)
+    features = bytes_from_unit(equalised(image, texels, uv, baked.edges, mip_levels(image.shape)))
     return baked._replace(level=replace(level, features=features))
 
 

@@ -5,7 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
-from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, label
+from scipy.ndimage import (
+    binary_dilation,
+    distance_transform_edt,
+    find_objects,
+    generate_binary_structure,
+    label,
+)
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
@@ -134,20 +140,30 @@ def slits_filled(
         return volume, 0
     filled = volume.copy()
     count = 0
-    groups, _ = label(binary_dilation(ends, iterations=4))
+    groups = _pieces(binary_dilation(ends, iterations=4), 1)
     pad = int(4 * reach) + 8
     for box in find_objects(groups):
         box = tuple(slice(max(s.start - pad, 0), s.stop + pad) for s in box)
         here = air[box]
         # air that a ball of `reach` samples fills when it rolls in from where there is room
-        room = distance_transform_edt(here) > reach
-        wide = distance_transform_edt(~room) <= reach if room.any() else np.zeros_like(here)
-        pieces, _ = label(here & ~wide, np.ones((3, 3, 3), int))
+        room = _inside_by(here) > reach
+        wide = _inside_by(~room) <= reach if room.any() else np.zeros_like(here)
+        pieces = _pieces(here & ~wide, 3)
         slit = np.isin(pieces, np.setdiff1d(np.unique(pieces[ends[box]]), [0]))
         step = min(float(np.diff(axis).min()) for axis in axes)
         count += int((slit & (filled[box] > 0)).sum())
         filled[box][slit] = -0.5 * step
     return filled, count
+
+
+def _inside_by(mask: Bool[np.ndarray, "x y z"]) -> Float[np.ndarray, "x y z"]:
+    """Distance of each sample to the nearest one outside the mask, in samples."""
+    return np.asarray(distance_transform_edt(mask), np.float64)
+
+
+def _pieces(mask: Bool[np.ndarray, "x y z"], connectivity: int) -> Integer[np.ndarray, "x y z"]:
+    """Connected pieces of the mask, numbered from 1: through faces (1) or also edges and corners (3)."""
+    return np.asarray(label(mask, generate_binary_structure(3, connectivity))[0])  # type: ignore[index]
 
 
 def enclosed_volume(mesh: Mesh) -> float:

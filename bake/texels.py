@@ -45,6 +45,7 @@ def rasterise_charts(
     low = np.clip(np.floor(corners.min(1) - skirt - 0.5).astype(np.int64) + 1, 0, size - 1)
     high = np.clip(np.ceil(corners.max(1) + skirt - 0.5).astype(np.int64) - 1, 0, size - 1)
     extent = np.maximum(high - low + 1, 0)
+    lines = _lines(corners)
     ahead, aside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     # a triangle without area in the atlas owns no texel: it borrows one from a neighbour (atlas.adopt_orphans)
     owns = np.abs(ahead[:, 0] * aside[:, 1] - ahead[:, 1] * aside[:, 0]) > 1e-6
@@ -62,9 +63,13 @@ def rasterise_charts(
         column = low[face, 0] + local % extent[face, 0]
         row = low[face, 1] + local // extent[face, 0]
         centre = np.stack([column + 0.5, row + 0.5], 1)
-        inset = _inset(corners, face, centre)
+        inset = _depth(lines, face, centre)
+        close = inset > -skirt  # nothing farther from a line is nearer to its triangle
+        texel, face, centre, inset = (row * size + column)[close], face[close], centre[close], inset[close]
+        outside = np.flatnonzero(inset < 0)
+        inset[outside] = -_away(corners, face[outside], centre[outside])
         close = inset > -skirt
-        texel, face, inset = (row * size + column)[close], face[close], inset[close].astype(np.float32)
+        texel, face, inset = texel[close], face[close], inset[close].astype(np.float32)
         order = np.lexsort((-face, inset))  # deepest last; ties go to the lower face
         texel, face, inset = texel[order], face[order], inset[order]
         deeper = inset > depth[texel]
@@ -75,19 +80,41 @@ def rasterise_charts(
     return TexelMap(index, owner[index], depth[index] >= 0, size)
 
 
-def _inset(corners: np.ndarray, face: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Depth of points inside their triangles, texels; minus the distance to the triangle outside."""
-    triangle = corners[face]
-    ahead = np.roll(triangle, -1, axis=1) - triangle
-    to_point = points[:, None] - triangle
-    cross = ahead[..., 0] * to_point[..., 1] - ahead[..., 1] * to_point[..., 0]
+def _lines(corners: Float[np.ndarray, "faces 3 2"]) -> Float[np.ndarray, "faces 3 3"]:
+    """Each side of each triangle as (a, b, c): a x + b y + c is the depth inside of it, texels."""
+    ahead = np.roll(corners, -1, axis=1) - corners
     area = ahead[:, 0, 0] * ahead[:, 1, 1] - ahead[:, 0, 1] * ahead[:, 1, 0]
-    square = np.maximum((ahead**2).sum(-1), 1e-12)
-    signed = np.where(area < 0, -1.0, 1.0)[:, None] * cross / np.sqrt(square)
-    inside = (signed.min(1) >= 0) & (np.abs(area) > 1e-9)
-    along = np.clip((to_point * ahead).sum(-1) / square, 0, 1)
-    away = np.sqrt((((to_point - along[..., None] * ahead) ** 2).sum(-1)).min(1))
-    return np.where(inside, signed.min(1), -away)
+    scale = np.where(area < 0, -1.0, 1.0)[:, None] / np.maximum(np.hypot(ahead[..., 0], ahead[..., 1]), 1e-6)
+    a, b = -ahead[..., 1] * scale, ahead[..., 0] * scale
+    return np.stack([a, b, -(a * corners[..., 0] + b * corners[..., 1])], -1)
+
+
+def _depth(
+    lines: Float[np.ndarray, "faces 3 3"], face: Integer[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "n"]:
+    """Depth of points behind the nearest side's line, texels; outside minus the distance to the farthest line."""
+    x, y = np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
+    result = np.full(len(points), np.inf)
+    for side in range(3):
+        a, b, c = (np.ascontiguousarray(lines[:, side, k])[face] for k in range(3))
+        np.minimum(result, a * x + b * y + c, out=result)
+    return result
+
+
+def _away(
+    corners: Float[np.ndarray, "faces 3 2"], face: Integer[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "n"]:
+    """Distance of points from the border of their triangles, texels."""
+    triangle = corners[face]
+    result = np.full(len(points), np.inf)
+    for side in range(3):
+        start = triangle[:, side]
+        ahead = triangle[:, (side + 1) % 3] - start
+        x, y = (points - start).T
+        square = np.maximum(ahead[:, 0] ** 2 + ahead[:, 1] ** 2, 1e-12)
+        along = np.clip((x * ahead[:, 0] + y * ahead[:, 1]) / square, 0, 1)
+        np.minimum(result, (x - along * ahead[:, 0]) ** 2 + (y - along * ahead[:, 1]) ** 2, out=result)
+    return np.sqrt(result)
 
 
 def barycentric(
@@ -120,10 +147,12 @@ def barycentric(
     first = ((e1**2).sum(1)) >= ((e2**2).sum(1))
     line = np.stack([1 - along, np.where(first, along, 0), np.where(first, 0, along)], 1)
     result[flat] = line[flat]
-    wild = _inset(uv[faces] * texels.size, texels.face, p + corners[:, 0]) < -reach
-    clipped = np.clip(result, 0, None)
-    clipped /= clipped.sum(1, keepdims=True)
-    return np.where(wild[:, None] | (np.abs(result).max(1) > 50)[:, None], clipped, result)
+    outside = np.flatnonzero((result[:, 0] < 0) | (result[:, 1] < 0) | (result[:, 2] < 0))
+    beyond = _away(uv[faces] * texels.size, texels.face[outside], p[outside] + corners[outside, 0])
+    wild = outside[(beyond > reach) | (np.abs(result[outside]).max(1) > 50)]
+    clipped = np.clip(result[wild], 0, None)
+    result[wild] = clipped / clipped.sum(1, keepdims=True)
+    return result
 
 
 def spread(values: Float[np.ndarray, "texels channels"], texels: TexelMap, rest: float = 0.0) -> np.ndarray:

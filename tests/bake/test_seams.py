@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+from capsules import ball_mesh
+from scipy.spatial import KDTree
+
+from bake import seams
+from bake.atlas import unwrap
+from bake.decimate import decimate
+from bake.seams import chart_edges, equalised, mipmaps, seam_steps
+from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
+
+SIZE, LEVELS = 512, 4
+
+
+@pytest.fixture(scope="module")
+def atlas():
+    """A ball in charts with gutters of 8 texels, painted with a pattern that changes within a few texels."""
+    mesh = decimate(ball_mesh(step=0.006), 800)
+    found = unwrap(
+        mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), np.ones(1), size=SIZE, padding=8
+    )
+    texels = rasterise_charts(found.uv, found.faces, SIZE)
+    corners = mesh.vertices[found.source]
+
+    def color_at(rows, jitter):
+        some = texels.rows(rows)
+        weight = barycentric(found.uv, found.faces, some, jitter)
+        points = (weight[:, :, None] * corners[found.faces[some.face]]).sum(1)
+        return 0.5 + 0.35 * np.sin(points * [100.0, 80.0, 65.0])
+
+    image = spread(sample_texels(color_at, texels), texels)
+    return found, texels, image, chart_edges(found.uv, found.faces, found.source)
+
+
+def steps_by_mip(found, edges, image):
+    return [seam_steps(found.uv, edges, mip) for mip in mipmaps(bytes_from_unit(image), LEVELS)]
+
+
+def test_chart_edges_agree_in_every_mip_in_use(atlas):
+    found, texels, image, edges = atlas
+    before = steps_by_mip(found, edges, image)
+    after = steps_by_mip(found, edges, equalised(image, texels, found.uv, edges, LEVELS))
+    assert np.quantile(before[3], 0.99) > 8
+    for steps in after:
+        assert np.median(steps) <= 1 and np.quantile(steps, 0.99) <= 4
+
+
+def test_texels_away_from_chart_edges_stay_and_those_beside_move_little(atlas):
+    found, texels, image, edges = atlas
+    moved = (
+        np.abs(equalised(image, texels, found.uv, edges, LEVELS) - image).max(-1).reshape(-1)[texels.index]
+    )
+    ends = np.concatenate([found.uv[side] for side in edges]).mean(1) * SIZE
+    centre = np.stack([texels.index % SIZE, texels.index // SIZE], 1) + 0.5
+    far = (
+        KDTree(ends).query(centre)[0] > 40
+    )  # farther than mip 3 reads from any edge, edges being 30 texels long
+    assert far.sum() > 1000 and (moved[far] == 0).all()
+    assert np.sqrt(np.mean(moved[texels.inside] ** 2)) < 0.02
+
+
+def test_image_that_already_agrees_is_not_touched(atlas):
+    found, texels, image, edges = atlas
+    flat = np.full_like(image, 0.25)
+    np.testing.assert_allclose(equalised(flat, texels, found.uv, edges, LEVELS), flat, atol=1e-6)
+
+
+def test_solution_is_the_least_squares_one():
+    """Two charts of two texels each against the dense solution of the same problem."""
+    size = 4
+    uv = np.array([[0.25, 0.25], [0.25, 0.75], [0.75, 0.25], [0.75, 0.75]])
+    edges = seams.ChartEdges(np.array([[0, 1]]), np.array([[2, 3]]))
+    texels = TexelMap(np.array([4, 5, 9]), np.zeros(3, int), np.array([True, False, True]), size)
+    image = np.random.default_rng(0).uniform(0.3, 0.7, (size, size, 1))
+    keep = np.full(16, seams.KEEP_GUTTER)
+    keep[[4, 9]], keep[5] = seams.KEEP_INSIDE, seams.KEEP_SKIRT
+    right = keep * image.reshape(-1)
+    normal = np.diag(keep)
+    halve = np.kron(np.kron(np.eye(2), [[0.5, 0.5]]), np.kron(np.eye(2), [[0.5, 0.5]]))
+    for mip, mean in enumerate((np.eye(16), halve)):
+        row, column, value, count = seams._edge_reads(uv, edges, size >> mip)
+        rows = np.zeros((count, (size >> mip) ** 2))
+        np.add.at(rows, (row, column), value)
+        read = rows @ mean
+        normal = normal + seams.AGREE * 4**mip * read.T @ read
+    expected = np.linalg.solve(normal, right)
+    found = equalised(image, texels, uv, edges, 2, rounds=(300,))
+    np.testing.assert_allclose(found.reshape(-1), expected, atol=2e-3)
+
+
+def test_mips_are_means_rounded_at_each_level():
+    image = np.arange(64, dtype=np.uint8).reshape(8, 8, 1)
+    chain = mipmaps(image, 4)
+    assert [len(mip) for mip in chain] == [8, 4, 2, 1]
+    assert chain[1][0, 0, 0] == (0 + 1 + 8 + 9 + 2) // 4 and chain[3].shape == (1, 1, 1)
