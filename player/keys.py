@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 
 import glfw
 
+from player.pose_tool import toggle_posing
+
 if TYPE_CHECKING:
     from player.window import Window
 
@@ -13,13 +15,13 @@ NAMED = {
     "right": glfw.KEY_RIGHT, "up": glfw.KEY_UP, "down": glfw.KEY_DOWN, "home": glfw.KEY_HOME, "end": glfw.KEY_END,
     "[": glfw.KEY_LEFT_BRACKET, "]": glfw.KEY_RIGHT_BRACKET, "-": glfw.KEY_MINUS, "=": glfw.KEY_EQUAL,
     "tab": glfw.KEY_TAB, "enter": glfw.KEY_ENTER, "escape": glfw.KEY_ESCAPE, "backspace": glfw.KEY_BACKSPACE,
-    "delete": glfw.KEY_DELETE,
+    "delete": glfw.KEY_DELETE, "ctrl": glfw.KEY_LEFT_CONTROL, "shift": glfw.KEY_LEFT_SHIFT,
 }  # fmt: skip
 KEYS = NAMED | {letter: ord(letter.upper()) for letter in "abcdefghijklmnopqrstuvwxyz"}
 KEYS |= {digit: ord(digit) for digit in "0123456789"}
 HELP = (
     "space play/pause  , . step  arrows 1 s  [ ] speed  l loop  a b x range  c camera  r reset  f follow  "
-    "v view  s shot  o film  g panels  q quit"
+    "v view  s shot  o film  p pose  g panels  q quit"
 )
 HELP_LIVE = (
     "space pause  t T-pose in 3 s  c camera  r reset  f follow  v view  s shot  o film  g panels  q quit"
@@ -32,7 +34,7 @@ WALKING = {  # right, up, ahead
 
 
 def quit_(window: "Window") -> None:
-    window.closing = True
+    window.closing = window.tool is None or window.tool.may_leave()
 
 
 def toggle_follow(window: "Window") -> None:
@@ -115,5 +117,6 @@ ACTIONS: dict[int, Callable[["Window"], None]] = {
     glfw.KEY_G: toggle_panels,
     glfw.KEY_S: shoot,
     glfw.KEY_O: lambda window: window.toggle_film(),
+    glfw.KEY_P: toggle_posing,
     glfw.KEY_T: ask_for_t_pose,
 }

@@ -21,6 +21,26 @@ class Tool(Protocol):
 
     def release(self, x: float, y: float) -> None: ...
 
+    def hover(self, x: float, y: float) -> None:
+        """The pointer moved with no button down."""
+        ...
+
+    def pick(self, x: float, y: float) -> bool:
+        """A click that moved nothing; True where the tool selected something itself."""
+        ...
+
+    def key(self, key: int, down: bool) -> bool:
+        """A key; True where the tool took it."""
+        ...
+
+    def follow_timeline(self) -> None:
+        """A frame is about to be drawn; the window's timeline stands where it will be shown."""
+        ...
+
+    def may_leave(self) -> bool:
+        """Whether the window may close; False, once, where something would be lost, which is said."""
+        ...
+
 
 class Pointer:
     """Where the pointer is, window units, and what it holds: nothing yet, the camera, the wipe's line or the tool."""
@@ -31,12 +51,14 @@ class Pointer:
         self.pressed: tuple[int, float, float] | None = None  # button and where it went down
         self.holds = ""
 
-    def move(self, x: float, y: float) -> None:
+    def move(self, x: float | int, y: float | int) -> None:
         """The pointer moved."""
         window = self.window
         dx, dy = x - self.at[0], y - self.at[1]
         self.at = (x, y)
         if self.pressed is None:
+            if window.tool is not None:
+                window.tool.hover(*window.pixel(x, y))
             return
         button, x0, y0 = self.pressed
         if not self.holds and np.hypot(x - x0, y - y0) > CLICK:

@@ -6,6 +6,7 @@ import numpy as np
 from imgui_bundle import imgui
 
 from avatar.skeleton import JOINTS
+from player.pose_tool import toggle_posing
 
 if TYPE_CHECKING:
     from player.window import Window
@@ -35,4 +36,8 @@ def avatars_panel(window: "Window") -> None:
         panels.mark("start at")
         if changed:
             track.start = start
+    posing = window.pose_session is not None
+    if imgui.button("Stop posing" if posing else "Pose by hand"):
+        toggle_posing(window)
+    panels.mark("pose")
     imgui.text(f"joint: {JOINTS[joint]}" if joint is not None else "click the avatar to pick a joint")

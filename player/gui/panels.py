@@ -20,6 +20,8 @@ from player.gui.camera_panel import camera_panel
 from player.gui.draw import DrawLists
 from player.gui.hud_panel import hud_panel, joint_mark
 from player.gui.live_panel import live_panel
+from player.gui.pose_overlay import pose_overlay
+from player.gui.pose_panel import POSE_PANELS
 from player.gui.timeline_panel import timeline_panel
 from player.gui.view_panel import view_panel
 
@@ -35,8 +37,8 @@ LEFT: Sequence[tuple[str, Panel, Callable[["Window"], bool]]] = (
     ("Live", live_panel, lambda window: bool(window.playback.live)),
 )
 # shown at the right while `window.pose_session` is there; overlays are drawn over the picture, under the panels
-RIGHT: Sequence[tuple[str, Panel]] = ()
-OVERLAYS: Sequence[Panel] = (joint_mark, hud_panel)
+RIGHT: Sequence[tuple[str, Panel]] = POSE_PANELS
+OVERLAYS: Sequence[Panel] = (joint_mark, pose_overlay, hud_panel)
 
 FONT = 15.0  # window units
 SIDE, BOTTOM = 19.0, 4.5  # width and height of the panels, in letters' heights

@@ -14,9 +14,9 @@ from jaxtyping import Float
 
 from avatar.errors import AssetError
 from player.pose.fingers import PRESETS, with_hand
+from player.pose.keyframes import Pose
 from player.pose.limits import posed
 from player.pose.pose_file import read_pose, write_pose
-from player.pose.timeline import Pose
 
 Array = np.ndarray
 Angles = dict[str, dict[str, float | int]]

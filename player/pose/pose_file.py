@@ -13,7 +13,7 @@ from avatar.amass import read_amass, write_amass
 from avatar.errors import AssetError
 from avatar.motion import Clip, fitted, read_motion
 from avatar.npz import read_npz
-from player.pose.timeline import Easing, Keys, Pose, clip_of
+from player.pose.keyframes import Easing, Keys, Pose, clip_of
 
 LONGEST = 20_000  # frames that may become keys, one each, where a file has no key frames of its own
 KEY_FRAMES, EASING = "key_frames", "key_easing"

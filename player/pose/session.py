@@ -1,8 +1,8 @@
-"""A posing session: the pose in hand, what is selected, keyframes, undo, copy and paste, whether it is saved.
+"""A posing session: the pose in hand, keyframes, undo, copy and paste, what is pinned, whether it is saved.
 
 Every change replaces one immutable `State` by another; undo and redo walk along those. Changes that carry the same
-drag mark become one step, however many pixels the pointer took. Selecting, moving along the timeline and
-copying are no changes: they are not undone and do not make a session unsaved.
+drag mark become one step, however many pixels the pointer took. Moving along the timeline and copying are no
+changes: they are not undone and do not make a session unsaved. Which joint is selected is the window's business.
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ from player.pose import pose_file
 from player.pose.fingers import HandShape, Side, with_curl, with_hand, with_spread
 from player.pose.gizmo import turned
 from player.pose.ik import LIMBS, reach_for
+from player.pose.keyframes import Easing, Keys, Pose, clip_of, moved_key, pose_at, with_key, without_key
 from player.pose.limits import clamped, with_angle
 from player.pose.mirror import PARTNER, mirrored_in_place, onto_other_side
-from player.pose.timeline import Easing, Keys, Pose, clip_of, moved_key, pose_at, with_key, without_key
 
 Array = np.ndarray
 
@@ -76,7 +76,6 @@ class PoseSession:
         self.past: list[tuple[str, State]] = []  # what was done, and the state before it
         self.future: list[tuple[str, State]] = []
         self.drag: object | None = None  # mark of the drag that the last step belongs to
-        self.selected: int | None = None
         self.limited = True
         self.auto_key = False  # with keys: each change of the pose is a key at once
         self.pinned: dict[str, Pin] = {}  # limbs whose ends are held in the world
@@ -121,8 +120,8 @@ class PoseSession:
     # changing it
 
     def change(self, label: str, state: State, drag: object | None = None) -> None:
-        """Put `state` in place of what is; steps with the same `drag` (not None) are one step of undo."""
-        if drag is None or drag is not self.drag:
+        """Put `state` in place of what is; steps with an equal `drag` mark (not None) are one step of undo."""
+        if drag is None or drag != self.drag:
             if self.state is state:
                 return
             self.past.append((label, self.state))

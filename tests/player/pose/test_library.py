@@ -8,9 +8,9 @@ from avatar.motion import read_motion
 from avatar.skeleton import JOINTS, joint_transforms
 from player.mannequin import mannequin
 from player.pose.ground import grounded, lowest_point
+from player.pose.keyframes import Pose
 from player.pose.library import BUILTIN, Library, builtin_pose, check_name, user_folder
 from player.pose.limits import within
-from player.pose.timeline import Pose
 
 ROOT = np.array([0.5, 0.0, -1.0])
 

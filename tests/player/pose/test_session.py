@@ -12,10 +12,10 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS
 from player.pose.fingers import PRESETS
 from player.pose.ik import LIMBS
+from player.pose.keyframes import Pose, clip_of, pose_at, with_key
 from player.pose.limits import joint_angles, within
 from player.pose.mirror import PARTNER
 from player.pose.session import PoseSession, hand_joints, limb_of
-from player.pose.timeline import Pose, clip_of, pose_at, with_key
 
 SOME = settings(max_examples=12, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -1,0 +1,325 @@
+"""Posing in the whole window program, on glfw's null platform with OSMesa: mouse, keys and panels by script."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
+
+import glfw
+
+from avatar.avatar_file import write_avatar
+from avatar.camera import project
+from avatar.motion import read_motion
+from avatar.rotation import axis_angle_from_matrix
+from avatar.skeleton import JOINTS, joint_transforms
+from player.framing import pelvis_height
+from player.motions import opened_motion, retargeted
+from player.play_command import play_parser, scene_of
+from player.pose.fingers import PRESETS, hand_shape
+from player.pose.ik import LIMBS
+from player.pose.limits import joint_angles, within
+from player.pose.mirror import mirrored_in_place
+from player.pose_tool import HANDLES, PoseTool
+from player.show import opened_show, read_avatars
+from player.window import Window
+
+J = {name: k for k, name in enumerate(JOINTS)}
+SIZE = (900, 640)
+CTRL_Z, CTRL_Y = "down:ctrl z up:ctrl", "down:ctrl down:shift z up:shift up:ctrl"
+
+
+@pytest.fixture(scope="module")
+def avatar_path(avatar, tmp_path_factory):
+    path = tmp_path_factory.mktemp("avatar") / "someone.glb"
+    write_avatar(path, avatar)
+    return str(path)
+
+
+@pytest.fixture
+def opened(osmesa, avatar_path, tmp_path, monkeypatch):
+    """Opens a window in which the first frame of "counting" is being posed."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    windows = []
+
+    def open_(*more, gui=True):
+        scene = scene_of(play_parser().parse_args([avatar_path, *more]))
+        window = Window(opened_show(scene, read_avatars(scene)), size=SIZE, null=True, gui=gui)
+        windows.append(window)
+        run(window, "space home p wait")
+        assert isinstance(window.tool, PoseTool) and window.pose_session is window.tool.session
+        return window, window.tool, window.tool.session
+
+    yield open_
+    for window in windows:
+        assert window.context.gl.error == "GL_NO_ERROR"
+        window.close()
+        assert window.context.released
+
+
+def run(window, script):
+    window.run(script.split(), keep=True)
+    return window.image[..., :3].astype(int)
+
+
+def at(window, world):
+    """Where a world point is, window units."""
+    pixel, _ = project(window.camera, np.asarray(world, float)[None])
+    scale = window.pixel(1.0, 1.0)[0]
+    return float(pixel[0, 0]) / scale, float(pixel[0, 1]) / scale
+
+
+def drag(start, end):
+    return "drag:{:.3f}:{:.3f}:{:.3f}:{:.3f}".format(*start, *end)
+
+
+def pull(window, start, end):
+    """A drag of which nothing is drawn until it is over."""
+    window.on_pointer(*start)
+    window.on_button(0, True)
+    window.on_pointer(*(0.5 * (np.array(start) + end)))
+    window.on_pointer(*end)
+    window.on_button(0, False)
+
+
+def scrolled(window):
+    """The panels on the right scrolled to their end."""
+    window.run([f"move:{SIZE[0] - 100}:300", "wheel:-60", "wait", "wait"], keep=True)
+
+
+def figure(window, image):
+    left, top, width, height = window.area()
+    return image[top : top + height, left : left + width]
+
+
+def test_a_joint_is_picked_and_its_ring_turns_it_as_far_as_the_pointer_goes(opened):
+    window, tool, session = opened()
+    before = session.pose
+    plain = run(window, "wait")
+    elbow = session.world()[J["left_elbow"], :3, 3]
+    run(window, "click:{:.1f}:{:.1f} wait".format(*at(window, elbow)))
+    assert tool.joint == J["left_elbow"] and session.pose is before
+    gizmo = tool.gizmo()
+    rings = run(window, "move:5:5 wait")
+    # the rings are drawn: in the middle of the near side of each there is its color
+    for ring, strong in ((0, 0), (1, 1), (2, 2)):
+        points = near_points(window, gizmo, ring)
+        x, y = (int(v) for v in points[len(points) // 2])
+        around = rings[y - 2 : y + 3, x - 2 : x + 3].reshape(-1, 3)
+        assert (around[:, strong] - np.delete(around, strong, 1).max(1)).max() > 60, ring
+    assert np.abs(rings - plain).max() > 100
+    # seize the ring that is seen most from the front at one of its points and take it a third of a turn round
+    facing = [abs(float(axis @ gizmo.axes[3])) for axis in gizmo.axes[:3]]
+    ring = int(np.argmax(facing))
+    axis, radius = gizmo.axes[ring], gizmo.radii[ring]
+    towards = -gizmo.axes[3] - axis * float(-gizmo.axes[3] @ axis)
+    start = towards / np.linalg.norm(towards)
+    session.limited = False
+    angle = 1.0
+    end = np.cos(angle) * start + np.sin(angle) * np.cross(axis, start)
+    run(window, drag(at(window, gizmo.center + radius * start), at(window, gizmo.center + radius * end)))
+    turned = joint_transforms(session.pose.axis_angle, session.joints, session.pose.root)[tool.joint, :3, :3]
+    was = joint_transforms(before.axis_angle, session.joints, before.root)[tool.joint, :3, :3]
+    np.testing.assert_allclose(axis_angle_from_matrix(turned @ was.T), axis * angle, atol=0.02)
+    others = np.delete(np.arange(52), tool.joint)
+    assert np.array_equal(session.pose.axis_angle[others], before.axis_angle[others])
+    assert [label for label, _ in session.past] == ["left_elbow"]
+    # what is drawn is what is posed; undo brings the first picture back
+    assert not np.array_equal(run(window, "wait"), rings)
+    assert np.array_equal(figure(window, run(window, f"{CTRL_Z} move:5:5")), figure(window, rings)) or (
+        np.abs(figure(window, run(window, "wait wait"))[200:] - figure(window, rings)[200:]).max() == 0
+    )
+    assert session.pose.same(before) and not session.dirty
+    run(window, CTRL_Y)
+    assert not session.pose.same(before)
+
+
+def near_points(window, gizmo, ring):
+    from player.pose.gizmo import ring_front, ring_points
+
+    world = ring_points(gizmo, ring)
+    pixels, _ = project(window.camera, world)
+    return pixels[ring_front(gizmo, world, window.camera)]
+
+
+def test_hands_feet_body_and_elbows_are_pulled_and_pins_hold(opened):
+    window, tool, session = opened()
+    start = session.pose
+    for handle in HANDLES:
+        session.limited = False
+        place = session.world()[handle.joint, :3, 3]
+        x, y = at(window, place)
+        pull(window, (x, y), (x - 14, y - 18))
+        now = session.world()[handle.joint, :3, 3]
+        if handle.kind != "middle":
+            reached = np.array(at(window, now)) - (x, y)
+            np.testing.assert_allclose(reached, [-14, -18], atol=0.5)
+            assert np.linalg.norm(now - place) > 0.01
+        else:
+            end = LIMBS[handle.name].end
+            assert np.linalg.norm(now - place) > 1e-3
+            before = session.past[-1][1].pose
+            kept = joint_transforms(before.axis_angle, session.joints, before.root)[end, :3, 3]
+            np.testing.assert_allclose(session.world()[end, :3, 3], kept, atol=1e-9)
+        tool.undo()
+        assert session.pose is start
+    scrolled(window)
+    window.run(["press:pin left_foot", "wait"])
+    assert set(session.pinned) == {"left_foot"}
+    foot = session.world()[J["left_ankle"]]
+    x, y = at(window, session.pose.root)
+    pull(window, (x, y), (x, y + 15))
+    assert session.pose.root[1] < start.root[1] - 0.01
+    np.testing.assert_allclose(session.world()[J["left_ankle"]], foot, atol=1e-6)
+    assert joint_angles(session.pose.axis_angle)[J["left_knee"], 0] > 0.2
+    # escape gives up a drag, and does not close the window
+    here = session.pose
+    x, y = at(window, session.world()[J["right_wrist"], :3, 3])
+    window.on_pointer(x, y)
+    window.on_button(0, True)
+    window.on_pointer(x + 30, y + 30)
+    assert not session.pose.same(here)
+    run(window, "escape")
+    window.on_button(0, False)
+    assert session.pose.same(here) and not window.closing
+    # a press on a handle that does not move selects its joint; beside everything the camera turns
+    run(window, "click:{:.1f}:{:.1f}".format(*at(window, session.world()[J["right_ankle"], :3, 3])))
+    assert tool.joint == J["right_ankle"]
+    azimuth, (left, top, *_) = window.cameras.orbit.azimuth, window.area()
+    run(window, drag((left + 20, top + 20), (left + 60, top + 20)))
+    assert window.cameras.orbit.azimuth != azimuth and session.pose.same(here)
+
+
+def test_panels_set_angles_hands_mirror_copy_and_take_poses(opened):
+    window, tool, session = opened()
+
+    def press(*names):
+        window.run([word for name in names for word in (f"press:{name}", "wait")], keep=True)
+
+    window.select(0, J["left_elbow"])
+    run(window, "wait wait")
+    press("angle 0")  # somewhere right of its middle
+    assert 0.9 < joint_angles(session.pose.axis_angle)[J["left_elbow"], 0] < 2.2
+    x, y = window.panels.places["angle 0"]
+    run(window, drag((x, y), (x + 3000, y)))  # far beyond the end: the limit holds
+    assert 149 < np.degrees(joint_angles(session.pose.axis_angle)[J["left_elbow"], 0]) <= 150.001
+    assert within(session.pose.axis_angle)[J["left_elbow"]]
+    assert len(session.past) == 2  # each drag of a slider is one step
+    press("left fist", "right peace")
+    for side, name in (("left", "fist"), ("right", "peace")):
+        np.testing.assert_allclose(
+            hand_shape(session.pose.axis_angle, side).curl, PRESETS[name].curl, atol=1e-6
+        )
+    pose = session.pose.axis_angle
+    press("mirror")
+    np.testing.assert_allclose(session.pose.axis_angle, mirrored_in_place(pose), atol=1e-9)
+    press("undo", "copy whole")
+    scrolled(window)
+    press("take T-pose")
+    window.run([f"move:{SIZE[0] - 100}:100", "wheel:60", "wait", "wait"])
+    assert np.abs(session.pose.axis_angle).max() == 0
+    assert session.pose.root[1] == pytest.approx(pelvis_height(window.show.avatars[0]), abs=1e-6)
+    press("paste")
+    np.testing.assert_allclose(session.pose.axis_angle[1:], pose[1:], atol=1e-9)
+    press("paste mirrored")
+    np.testing.assert_allclose(session.pose.axis_angle, mirrored_in_place(pose), atol=1e-9)
+    press("undo", "undo", "undo", "redo")
+    assert np.abs(session.pose.axis_angle).max() == 0
+    press("limits")
+    assert not session.limited
+
+
+def test_keyframes_are_made_played_saved_and_play_as_a_motion(opened, avatar):
+    window, tool, session = opened()
+    run(window, "i . . . . . . . . . .")
+    assert session.frame == 10 and [f for f, _ in session.keys] == [0]
+    session.set_angle(J["right_elbow"], 0, 1.5)
+    first = session.keys[0][1]
+    run(window, "i , , , , ,")
+    assert [f for f, _ in session.keys] == [0, 10] and session.frame == 5
+    a, b, c = (
+        joint_angles(p.axis_angle)[J["right_elbow"], 0] for p in (first, session.pose, session.keys[1][1])
+    )
+    assert c == pytest.approx(1.5, abs=1e-9) and a < b < c
+    shown = window.shown_poses()[0][0]
+    assert np.array_equal(shown, session.pose.axis_angle)
+    # playing: the window's timeline moves the pose; an unsaved session asks before it closes
+    run(window, "home space wait wait wait space")
+    assert 0 < session.frame < 10 and not session.unkeyed
+    run(window, "q")
+    assert not window.closing and "not saved" in window.message
+    scrolled(window)
+    window.run(["press:file", "type:mine.npz", "press:save", "wait"], keep=True)
+    assert not session.dirty
+    run(window, "wait")
+    motion = read_motion("mine.npz")
+    assert motion.frames == 11 and motion.rate == session.rate
+    clip = retargeted(opened_motion("mine.npz", None), window.show.avatars[0])(0, 11)
+    np.testing.assert_allclose(clip.axis_angle[10], session.keys[1][1].axis_angle, atol=1e-9)
+    np.testing.assert_allclose(clip.root[10], session.keys[1][1].root, atol=1e-9)
+    # undo goes to the frame where the change was; leaving gives the avatar its motion back
+    run(window, f"{CTRL_Z}")
+    assert [f for f, _ in session.keys] == [0]
+    run(window, "p p")
+    assert window.tool is None and window.pose_session is None
+    assert np.array_equal(window.shown_poses()[0][0], window.playback.poses()[0][0])
+
+
+def test_a_pose_is_kept_in_the_library_and_plays_as_a_motion(opened, tmp_path):
+    window, tool, session = opened()
+    session.set_angle(J["left_shoulder"], 0, 0.6)
+    session.move(session.pose, session.pose.root + [0.05, 0, 0])
+    wanted = session.pose
+    scrolled(window)
+    window.run(["press:name", "type:Arm_up", "press:keep", "wait"], keep=True)
+    kept = tmp_path / "data" / "selfscan" / "poses" / "Arm up.npz"
+    assert kept.is_file() and tool.library.names()[-1] == "Arm up"
+    tool.take("T-pose")
+    assert not session.pose.same(wanted)
+    tool.take("Arm up")
+    assert session.pose.same(wanted)
+    # the same pose as a motion, by the way of `--motion`
+    clip = retargeted(opened_motion(str(kept), None), window.show.avatars[0])(0, 1)
+    assert np.array_equal(clip.axis_angle[0], wanted.axis_angle)
+    np.testing.assert_allclose(clip.root[0], wanted.root, atol=1e-12)
+    (kept.parent / "broken.npz").write_bytes(b"nothing")
+    scrolled(window)
+    before = session.state
+    tool.tried(lambda: tool.take("broken"))
+    assert session.state is before and "broken.npz" in window.message
+
+
+def test_without_panels_the_keys_pose(opened):
+    window, tool, session = opened(gui=False)
+    pose = session.pose.axis_angle
+    run(window, "m")
+    np.testing.assert_allclose(session.pose.axis_angle, mirrored_in_place(pose), atol=1e-9)
+    run(window, CTRL_Z)
+    assert np.array_equal(session.pose.axis_angle, pose)
+    window.select(0, J["right_wrist"])
+    run(window, "down:ctrl c up:ctrl down:ctrl down:shift v up:shift up:ctrl")
+    arm = [J[f"left_{p}"] for p in ("collar", "shoulder", "elbow", "wrist")]
+    np.testing.assert_allclose(
+        session.pose.axis_angle[arm],
+        pose[[J[f"right_{p}"] for p in ("collar", "shoulder", "elbow", "wrist")]] * [1, -1, -1],
+        atol=1e-9,
+    )
+    session.move(session.pose, session.pose.root + [0, 1.0, 0])
+    run(window, "n")
+    assert session.pose.root[1] < 1.2
+    run(window, "p p")
+    assert window.tool is None
+
+
+def test_posing_leaves_no_objects_behind(opened):
+    window, tool, session = opened()
+    window.select(0, J["head"])
+    run(window, "wait wait wait")
+    counts = window.context.counts.objects()
+    start = session.pose
+    for k in range(20):
+        session.turn(start, J["head"], np.array([0.0, 1, 0]), 0.02 * k, drag="nod")
+        run(window, "wait")
+    assert window.context.counts.objects() == counts
+    assert len(session.past) == 1
+    assert glfw.get_window_size(window.handle) == SIZE
