@@ -135,7 +135,9 @@ def _read_levels(gltf: Gltf, extension: dict[str, Any]) -> tuple[Level, ...]:
         fours = [_four_features(gltf, image) for image in feature_images]
         if len({four.shape for four in fours}) > 1:
             found = [four.shape[:2] for four in fours]
-            raise gltf.error(f"images[{feature_images[1]}]", f"of the size of images[{feature_images[0]}]", found)
+            raise gltf.error(
+                f"images[{feature_images[1]}]", f"of the size of images[{feature_images[0]}]", found
+            )
         fields = {**arrays, "features": np.concatenate(fours, axis=2) if fours else None}
         check_level(fields, f"levels[{i}]")
         levels.append(Level(**fields))
@@ -193,6 +195,11 @@ def _read_surface(gltf: Gltf, mesh: int) -> dict[str, np.ndarray]:
     if gltf.items("accessors")[accessors["WEIGHTS_0"]].get("normalized") is not True:
         raise gltf.error(f"{where}.WEIGHTS_0", "normalised bytes", "not normalised")
     arrays = {field: gltf.accessor(accessors[name]) for field, name in ATTRIBUTES.items()}
+    seen = arrays["view_seen"]  # one number in older files
+    if seen.ndim == 2:
+        if seen.shape[1] != 3 or seen[:, 1:].any():
+            raise gltf.error(f"{where}._VIEW_SEEN", "v, 0, 0 for each vertex", seen.shape)
+        arrays["view_seen"] = np.ascontiguousarray(seen[:, 0])
     q0, q1 = gltf.accessor(accessors["_VIEW_Q0"]), gltf.accessor(accessors["_VIEW_Q1"])
     if q0.shape != q1.shape or q0.ndim != 2:
         raise gltf.error(f"{where}._VIEW_Q1", f"of the shape of _VIEW_Q0 {q0.shape}", q1.shape)

@@ -69,7 +69,9 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         levels.append({"mesh": i})
         if level.features is not None:
             for key, first in (("featureImage", 0), ("featureImage2", 4))[: level.features.shape[2] // 4]:
-                planes = np.concatenate(np.moveaxis(level.features[..., first : first + 4], -1, 0))  # (4 h, w)
+                planes = np.concatenate(
+                    np.moveaxis(level.features[..., first : first + 4], -1, 0)
+                )  # (4 h, w)
                 title = f"{name} features" + (f" {first} to {first + 3}" if first else "")
                 levels[i][key] = builder.add_image(encode_png(planes), title)
 
@@ -119,6 +121,9 @@ def _add_surface(builder: GltfBuilder, level: Level) -> dict[str, Any]:
     q = level.view_q
     arrays = {name: getattr(level, field) for field, name in ATTRIBUTES.items()}
     arrays |= {"_VIEW_Q0": q[:, :3], "_VIEW_Q1": q[:, 3:]}
+    # three numbers as the others: Blender up to 5.1 takes attributes of several types for one another (its #2658)
+    seen = level.view_seen[:, None]
+    arrays["_VIEW_SEEN"] = np.concatenate([seen, np.zeros((len(seen), 2), np.float32)], axis=1)
     arrays["JOINTS_0"] = np.where(level.weights > 0, level.joints, 0).astype(np.uint8)
     attributes = {
         name: builder.add_accessor(

@@ -11,7 +11,7 @@ import zlib
 
 import numpy as np
 import pytest
-from tiny_avatar import join_glb, split_glb, tiny_avatar
+from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_high_avatar
 
 from avatar.avatar_file import read_avatar, write_avatar
 from avatar.baked_avatar import check_avatar
@@ -24,6 +24,14 @@ SECONDS, BYTES = 1.0, 64 << 20
 def whole(tmp_path_factory) -> bytes:
     path = tmp_path_factory.mktemp("avatar") / "tiny.glb"
     write_avatar(path, tiny_avatar())
+    return path.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def high(tmp_path_factory) -> bytes:
+    """With eight features and the large network."""
+    path = tmp_path_factory.mktemp("avatar") / "high.glb"
+    write_avatar(path, tiny_high_avatar())
     return path.read_bytes()
 
 
@@ -181,7 +189,7 @@ LIES = [
     ("meshes.0.primitives.0.mode", 1, "triangles"),
     ("meshes.0.primitives.0.material", 9, "material"),
     ("meshes.0.primitives.0.attributes._VIEW_DIR", POSITION, r"levels\[0\].view_dir should be of unit length"),
-    ("meshes.0.primitives.0.attributes._VIEW_SEEN", POSITION, r"levels\[0\].view_seen should be float32"),
+    ("meshes.0.primitives.0.attributes._VIEW_SEEN", POSITION, r"_VIEW_SEEN should be v, 0, 0 for each vertex"),
     ("meshes.0.primitives.0.attributes.JOINTS_0", WEIGHTS, r"levels\[0\].joints should be"),
     ("meshes.0.primitives.0.attributes.WEIGHTS_0", WEIGHTS - 1, "WEIGHTS_0 should be normalised"),
     ("meshes.0.primitives.0.attributes", {}, "attributes should be an object with POSITION"),
@@ -219,6 +227,68 @@ def test_a_lie_in_the_json_is_named(path, whole, place, value, match):
     holder, key = at(document, place)
     holder[key] = value
     refused(path, join_glb(document, binary), match, memory=isinstance(value, int) and value >= 2**29)
+
+
+HIGH_LIES = [
+    ("network.w1", [0.0] * 128, r"network.w1 should be 192 numbers"),
+    ("network.w2", [0.0] * 48, r"network.w2 should be 256 numbers"),
+    ("network.w3", [0.0] * 47, r"network.w3 should be 48 numbers"),
+    ("network.w3", None, r"network.w3 should be"),
+    ("network.b3", [0.0, 0.0, 1e999], r"JSON|network.b3"),
+    ("network.b2", [0.0] * 15 + [1e20], "network.b2 should be below"),
+    ("network.w4", [0.0], r"network should be of w1, b1, w2, b2, w3, b3 alone, is \['w4'\]"),
+    ("network", {"w1": [0.0] * 128, "b1": [0.0] * 16, "w2": [0.0] * 48, "b2": [0.0] * 3},
+     "features should be as many everywhere"),
+    ("network", {"w1": [0.0] * 128, "b1": [0.0] * 16, "w2": [0.0] * 48, "b2": [0.0] * 3, "b3": [0.0] * 3},
+     r"network should be of w1, b1, w2, b2 alone, is \['b3'\]"),
+    ("linear", [0.0] * 36, "features should be as many everywhere"),
+    ("linear", [0.0] * 71, "linear should be 36 numbers"),
+    ("levels.0.featureImage", None, r"levels\[0\].featureImage should be there, as featureImage2 is"),
+    ("levels.0.featureImage2", None, "features should be as many everywhere"),
+    ("levels.0.featureImage2", 1, "levels should be with a image of their own each"),
+    ("levels.0.featureImage2", 0, "levels should be with a image of their own each"),
+    ("levels.0.featureImage2", 99, r"levels\[0\].featureImage2 should be an index below 6"),
+    ("levels.0.featureImage2", True, r"levels\[0\].featureImage2"),
+    ("levels.0.featureImage2", "2", r"levels\[0\].featureImage2"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("place, value, match", HIGH_LIES)
+def test_a_lie_about_the_large_network_is_named(path, high, place, value, match):
+    document, binary = split_glb(high)
+    holder, key = at(document, f"{OURS}.{place}")
+    holder[key] = value
+    refused(path, join_glb(document, binary), match, memory=False)
+
+
+def test_feature_images_of_two_sizes_are_refused(path, high):
+    document, binary = split_glb(high)
+    levels = document["extensions"]["SELFSCAN_avatar"]["levels"]
+    levels[0]["featureImage2"], levels[1]["featureImage2"] = (
+        levels[1]["featureImage2"],
+        levels[0]["featureImage2"],
+    )
+    refused(
+        path, join_glb(document, binary), r"images\[5\] should be of the size of images\[1\]", memory=False
+    )
+
+
+@pytest.mark.parametrize("region", ["header and JSON", "binary"])
+def test_flipped_bytes_of_the_large_network_are_refused_or_still_keep_every_promise(path, high, region):
+    size = struct.unpack_from("<I", high, 12)[0]
+    low, high_end = (0, 20 + size) if region == "header and JSON" else (20 + size, len(high))
+    rng = np.random.default_rng(4)
+    refusals = 0
+    for _ in range(100):
+        data = bytearray(high)
+        for place in rng.integers(low, high_end, rng.integers(1, 4)):
+            data[place] ^= rng.integers(1, 256)
+        path.write_bytes(data)
+        try:
+            check_avatar(read_avatar(path))
+        except AssetError:
+            refusals += 1
+    assert refusals > 10
 
 
 @pytest.mark.parametrize(

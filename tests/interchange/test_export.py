@@ -178,6 +178,31 @@ def test_other_programs_find_the_skeleton_that_blender_expects(avatar_path):
     np.testing.assert_allclose(inverse, bound, atol=1e-6)
 
 
+def test_attributes_of_our_own_are_of_one_type_for_blender(avatar_path):
+    """Blender up to 5.1 pairs the attributes that begin with _ with each other's types, in another order each start."""
+    document, _ = split_glb(avatar_path.read_bytes())
+    for mesh in document["meshes"]:
+        attributes = mesh["primitives"][0]["attributes"]
+        own = [document["accessors"][index] for name, index in attributes.items() if name.startswith("_")]
+        assert {(a["type"], a["componentType"]) for a in own} == {("VEC3", 5126)} and len(own) == 4
+
+
+def test_older_files_with_one_number_for_view_seen_are_read(avatar_path, tmp_path):
+    avatar = tiny_avatar()
+    document, binary = split_glb(avatar_path.read_bytes())
+    for mesh, level in zip(document["meshes"], avatar.levels, strict=True):
+        binary += bytes(-len(binary) % 4)
+        data = level.view_seen.tobytes()
+        document["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
+        binary += data
+        scalar = {"bufferView": len(document["bufferViews"]) - 1, "componentType": 5126, "type": "SCALAR"}
+        document["accessors"].append(scalar | {"count": len(level.view_seen)})
+        mesh["primitives"][0]["attributes"]["_VIEW_SEEN"] = len(document["accessors"]) - 1
+    document["buffers"][0]["byteLength"] = len(binary)
+    (tmp_path / "older.glb").write_bytes(join_glb(document, binary))
+    assert same(read_avatar(tmp_path / "older.glb"), read_avatar(avatar_path))
+
+
 def export(*arguments):
     return export_main([str(a) for a in arguments])
 
