@@ -39,7 +39,7 @@ class Resource:
     name: str
     kind: str  # buffer, texture, framebuffer, renderbuffer
     bytes: int
-    shape: tuple[int, ...] = ()  # pixels and samples of what depends on the size of the image
+    shape: tuple[int, ...] = ()  # what else it depends on: pixels and samples, or the level of detail
 
 
 @dataclass(frozen=True)
@@ -214,9 +214,9 @@ def _avatar(
     vertices = len(mesh.positions)
     base = (
         *base,
-        draft.need(f"{tag} vertices", "buffer", 28 * vertices),
-        draft.need(f"{tag} faces", "buffer", 12 * len(mesh.faces)),
-        draft.need(f"{tag} base color", "texture", _mipmapped(mesh.base_color.shape)),
+        draft.need(f"{tag} vertices", "buffer", 28 * vertices, level),
+        draft.need(f"{tag} faces", "buffer", 12 * len(mesh.faces), level),
+        draft.need(f"{tag} base color", "texture", _mipmapped(mesh.base_color.shape), level),
         draft.need(f"{tag} duals", "buffer", DUALS.itemsize)
         if dual
         else draft.need(f"{tag} bones", "buffer", BONES.itemsize),
@@ -233,9 +233,9 @@ def _avatar(
     if mode == "vertex" and effects.view == "auto":
         network = avatar.default_view == "network"
     features = mesh.features.shape
-    extra = (*turns, draft.need(f"{tag} view vertices", "buffer", 40 * vertices))
+    extra = (*turns, draft.need(f"{tag} view vertices", "buffer", 40 * vertices, level))
     for name in feature_textures(mesh):
-        extra += (draft.need(f"{tag} {name}", "texture", _mipmapped(features)),)
+        extra += (draft.need(f"{tag} {name}", "texture", _mipmapped(features), level),)
     variant = draft.program("avatar.vert", "avatar.frag", index, SKINNING=int(dual), VIEW_STAGE=STAGE[mode],
                             VIEW_MODEL=int(network), VIEW_FEATURES=features[2])  # fmt: skip
     draft.passes.append(Pass(f"{tag}: view {mode}", "view", why, True, index, variant, (*base, *extra)))

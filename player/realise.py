@@ -95,7 +95,7 @@ class Realised:
         elif name == "panorama":
             assert panorama is not None
             self.textures[name] = self._panorama(panorama)
-        elif resource.kind == "texture" and shape:  # an image of ours
+        elif resource.kind == "texture" and len(shape) > 1:  # an image of ours
             texture = gl.texture((shape[0], shape[1]), 4)
             texture.repeat_x = texture.repeat_y = False
             self.textures[name] = texture

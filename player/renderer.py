@@ -92,11 +92,12 @@ class Renderer:
         self.backdrop = Backdrop(self.background)
         self.made = Realised(context, self.avatars, level)
         self.blit = Blit(context)
-        self.posers = [Poser(avatar, self.made.level_of(avatar)) for avatar in self.avatars]
+        self.posers: list[Poser] = []
         self.patches: list[Patches] | None = None
         self.drawn: list[Drawn] = []
         self.last: Moment | None = None
         self._become()
+        self._measure()
 
     @property
     def plan(self) -> Plan:
@@ -123,24 +124,29 @@ class Renderer:
         size: tuple[int, int] | None = None,
         effects: Effects | None = None,
         background: Background | Sequence[float | int] | None = None,
+        level: int | None = None,
     ) -> None:
-        """Another size, other effects, another background. Only what is new is made or compiled; what is no longer
-        asked for is freed.
+        """Another size, other effects, another background or level of detail. Only what is new is made or compiled;
+        what is no longer asked for is freed.
 
         Raises:
             ValueError, AssetError: as when it was made; the renderer then stays as it was.
         """
-        before = self.size, self.effects, self.background, self.backdrop
+        before = self.size, self.effects, self.background, self.backdrop, self.level
+        if background is not None and _as_background(background) != self.background:
+            self.backdrop = Backdrop(_as_background(background))
+            self.background = self.backdrop.background
         self.size = size or self.size
         self.effects = effects or self.effects
-        if background is not None:
-            self.background = _as_background(background)
-            self.backdrop = Backdrop(self.background)
+        self.level = self.made.level = self.level if level is None else level
         try:
             self._become()
         except ValueError:
-            self.size, self.effects, self.background, self.backdrop = before
+            self.size, self.effects, self.background, self.backdrop, self.level = before
+            self.made.level = self.level
             raise
+        if self.level != before[4]:
+            self._measure()
         if self.backdrop is not before[3]:
             before[3].close()
 
@@ -348,7 +354,8 @@ class Renderer:
                 self.blit(image, target, box, turned=None if moment.flipped else moment.camera.size[1])
             target.use()
             return
-        assert self.patches is not None
+        if self.patches is None:
+            self.patches = [Patches(self.made.level_of(avatar)) for avatar in self.avatars]
         dual = self.effects.skinning == "dual_quaternion"
         boxes = [
             patches.boxes(one.view_from_canonical, moment.camera, dual=dual)
@@ -418,13 +425,16 @@ class Renderer:
         new = self.made.become(plan, self.backdrop.panorama)
         if plan.resources.get("panorama") is not None:
             self.backdrop.panorama = None  # the texture holds it
-        if self.effects.antialiasing == "fxaa" and self.patches is None:
-            self.patches = [Patches(self.made.level_of(avatar)) for avatar in self.avatars]
         for item in new:
             if item.kind == "antialiasing":
                 assert item.variant is not None and self.size is not None
                 uniform(self.made.programs[item.variant], "image_size").value = self.size
             self._warm(item)
+
+    def _measure(self) -> None:
+        """Bounds of each avatar's surface at its level of detail."""
+        self.posers = [Poser(avatar, self.made.level_of(avatar)) for avatar in self.avatars]
+        self.patches = None
 
     def _warm(self, item: Pass) -> None:
         """Draw one triangle with the real state: drivers compile at the first draw, some 90 ms in software."""

@@ -13,6 +13,7 @@ from avatar.camera import orbit_camera
 from player import plan as plans
 from player.context import open_context
 from player.effects import ANTIALIASINGS, BACKGROUNDS, PLAIN, SKINNINGS, VIEWS, Background, Effects
+from player.mannequin import mannequin
 from player.renderer import Renderer
 
 SIZE = (96, 80)
@@ -173,6 +174,23 @@ def test_effects_and_background_change_in_place(context, render, avatar, pose, b
     assert np.array_equal(renderer.draw([pose], CAMERA), full)
     renderer.change(effects=Effects("off"), background=(0, 0, 0, 0))
     assert context.counts.objects() == before
+
+
+def test_the_level_of_detail_changes_in_place(render, pose, context):
+    who = mannequin()
+    fine = who.levels[0]
+    coarse = replace(fine, faces=fine.faces[::-1].copy(), base_color=fine.base_color[::2, ::2].copy())
+    who = replace(who, levels=(fine, coarse))
+    renderer = render(who, SIZE, effects=EVERYTHING)
+    renderer.draw([pose], CAMERA)
+    renderer.change(level=1)
+    plan_is_what_lives(context, renderer)
+    image = renderer.draw([pose], CAMERA)
+    renderer.change(level=0)
+    plan_is_what_lives(context, renderer)
+    renderer.release()
+    fresh = render(who, SIZE, effects=EVERYTHING, level=1)
+    assert np.array_equal(image, fresh.draw([pose], CAMERA))
 
 
 @pytest.mark.parametrize("antialiasing", ANTIALIASINGS)
