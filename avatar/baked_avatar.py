@@ -187,7 +187,7 @@ def check_avatar(avatar: Avatar) -> None:
             raise ValueError(f"default_view is {avatar.default_view!r}, but levels[0] has no features")
 
 
-def _check_array(values: np.ndarray, where: str, dtype: str, shape: tuple[int, ...]) -> None:
+def _check_array(values: object, where: str, dtype: str, shape: tuple[int, ...]) -> None:
     expected = f"{dtype} {tuple('any' if n < 0 else n for n in shape)}"
     if not isinstance(values, np.ndarray):
         raise ValueError(f"{where} should be an array of {expected}, is {type(values).__name__}")

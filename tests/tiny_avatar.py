@@ -14,7 +14,7 @@ def unit(vectors):
     return (vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)).astype(np.float32)
 
 
-def tiny_level(seed=0, *, vertices=8, faces=6, size=4, features=True) -> Level:
+def tiny_level(seed=0, *, vertices=8, faces=6, size=4, features=4) -> Level:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(vertices, 3, 2))
     q = np.einsum("nik,njk->nij", root, root)[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
@@ -32,7 +32,7 @@ def tiny_level(seed=0, *, vertices=8, faces=6, size=4, features=True) -> Level:
         view_q=q.astype(np.float32),
         view_seen=rng.random(vertices, dtype=np.float32),
         base_color=rng.integers(0, 256, (size, size, 3), dtype=np.uint8),
-        features=rng.integers(0, 256, (size // 2, size, 4), dtype=np.uint8) if features else None,
+        features=rng.integers(0, 256, (size // 2, size, features), dtype=np.uint8) if features else None,
     )
 
 
@@ -54,6 +54,18 @@ def tiny_avatar(seed=0, **changes) -> Avatar:
         "provenance": {"preset": "demo", "psnr_db": [31.5, None], "licence": "CC0 – née"},
     }
     return Avatar(**(fields | changes))
+
+
+def tiny_high_avatar(**changes) -> Avatar:
+    """As tiny_avatar, with eight features, the large network and eight matrices."""
+    rng = np.random.default_rng(5)
+    shapes = {"w1": (16, 12), "b1": (16,), "w2": (16, 16), "b2": (16,), "w3": (3, 16), "b3": (3,)}
+    network = ViewNetwork(
+        **{name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
+    )
+    levels = (tiny_level(1, features=8), tiny_level(2, vertices=5, faces=3, size=2, features=8))
+    linear = rng.normal(size=(8, 3, 3)).astype(np.float32)
+    return tiny_avatar(**({"levels": levels, "network": network, "linear": linear} | changes))
 
 
 def same(a, b) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from tiny_avatar import same, tiny_avatar, tiny_level, unit
+from tiny_avatar import same, tiny_avatar, tiny_high_avatar, tiny_level, unit
 
 from avatar.avatar_file import read_avatar, write_avatar
 from avatar.gltf import read_gltf
@@ -31,7 +31,15 @@ def oracle(**changes):
 
 
 @pytest.mark.parametrize(
-    "avatar", [tiny_avatar(), oracle(), tiny_avatar(network=None, default_view="linear")]
+    "avatar",
+    [
+        tiny_avatar(),
+        oracle(),
+        tiny_avatar(network=None, default_view="linear"),
+        tiny_high_avatar(),
+        tiny_high_avatar(network=None, default_view="linear"),
+        tiny_high_avatar(linear=None, default_view="off"),
+    ],
 )
 def test_an_avatar_comes_back_to_the_last_bit(path, avatar):
     write_avatar(path, avatar)
@@ -87,6 +95,18 @@ def test_features_lie_as_four_grey_planes_one_below_the_other(path):
     np.testing.assert_array_equal(np.array(image), np.concatenate([features[..., i] for i in range(4)]))
 
 
+def test_eight_features_lie_in_two_such_images(path):
+    avatar = tiny_high_avatar()
+    write_avatar(path, avatar)
+    gltf = read_gltf(path)
+    for item, level in zip(gltf.json["extensions"]["SELFSCAN_avatar"]["levels"], avatar.levels, strict=True):
+        for key, first in (("featureImage", 0), ("featureImage2", 4)):
+            image = Image.open(io.BytesIO(gltf.image(item[key])[0]))
+            planes = [level.features[..., i] for i in range(first, first + 4)]
+            assert image.mode == "L"
+            np.testing.assert_array_equal(np.array(image), np.concatenate(planes))
+
+
 def test_trimesh_loads_the_finest_level_with_its_texture(path):
     avatar = tiny_avatar()
     write_avatar(path, avatar)
@@ -107,7 +127,7 @@ def validator_folder() -> Path | None:
     return None
 
 
-@pytest.mark.parametrize("avatar", [tiny_avatar(), oracle()])
+@pytest.mark.parametrize("avatar", [tiny_avatar(), oracle(), tiny_high_avatar()])
 def test_the_khronos_validator_finds_no_error_and_no_warning(path, avatar):
     folder, node = validator_folder(), shutil.which("node")
     if not (folder and node):
@@ -133,7 +153,30 @@ def moved_pelvis():
     return joints
 
 
+NETWORK, HIGH = tiny_avatar().network, tiny_high_avatar().network
 BROKEN = [
+    (tiny_avatar(network=HIGH), r"features should be as many everywhere, are .*'network': 8"),
+    (tiny_high_avatar(network=NETWORK), r"features should be as many everywhere, are .*'network': 4"),
+    (
+        tiny_high_avatar(linear=tiny_avatar().linear),
+        r"features should be as many everywhere, are .*'linear': 4",
+    ),
+    (tiny_high_avatar(levels=(tiny_level(features=8), tiny_level(2, faces=3))), r"'levels\[1\].features': 4"),
+    (tiny_high_avatar(network=dataclasses.replace(HIGH, b3=None)), r"network.b3 should be an array"),
+    (
+        tiny_avatar(network=dataclasses.replace(NETWORK, b3=HIGH.b3)),
+        r"network.b3 should be absent where w3 is",
+    ),
+    (
+        tiny_high_avatar(network=dataclasses.replace(HIGH, w1=NETWORK.w1)),
+        r"network.w1 should be float32 \(16, 12\)",
+    ),
+    (
+        tiny_high_avatar(network=dataclasses.replace(HIGH, b2=np.full(16, np.inf, "f4"))),
+        r"network.b2 should be finite",
+    ),
+    (oracle(levels=(tiny_level(features=5),)), r"levels\[0\].features should be 4 or 8 a texel, are 5"),
+    (tiny_avatar(linear=np.zeros((5, 3, 3), "f4")), "linear should be 4 or 8 matrices"),
     (changed("positions", 3, np.nan), r"levels\[0\].positions should be finite, is nan at \(3, 0\)"),
     (changed("normals", 2, 0), r"levels\[0\].normals should be of unit length, is .* in row 2"),
     (changed("view_dir", 2, [1, 1, 0]), r"levels\[0\].view_dir should be of unit length"),
