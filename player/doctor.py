@@ -1,40 +1,54 @@
-"""What this machine can draw with: devices, drivers, the context that wins and why, and what is missing."""
+"""What this machine can draw with: devices, drivers, the context that wins and why, what is missing, and whether
+every way to OpenGL shows the same frame."""
 
 import importlib.metadata
 import importlib.util
+import json
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import UInt8
 
-from avatar.camera import orbit_camera
-from player.context import Context, Egl, NoContextError, _library, open_context
+from avatar.camera import Camera, orbit_camera
+from avatar.errors import AssetError
+from player.context import Context, Egl, EglDevice, NoContextError, _library, open_context
 
-# what lacks when a library does not load, by its Debian and Ubuntu package
+# what lacks when a library does not load: its package on Debian and Ubuntu, Fedora, Arch; what it is for
 LIBRARIES = {
-    "libEGL.so.1": ("libegl1", "contexts without a display"),
-    "libGL.so.1": ("libgl1", "windows"),
+    "libEGL.so.1": (("libegl1", "libglvnd-egl", "libglvnd"), "contexts without a display"),
+    "libGL.so.1": (("libgl1", "libglvnd-glx", "libglvnd"), "windows"),
     "libOSMesa.so.8": (
-        "libosmesa6",
+        ("libosmesa6", "mesa-libOSMesa", "osmesa"),
         "drawing in memory alone (gone from Mesa 25.1 on; optional where EGL works)",
     ),
 }
-DRIVERS = ("libgl1-mesa-dri", "Mesa's drivers, llvmpipe among them")
+DRIVERS = (("libgl1-mesa-dri", "mesa-dri-drivers", "mesa"), "Mesa's drivers, llvmpipe among them")
+INSTALL = ("sudo apt-get install", "sudo dnf install", "sudo pacman -S")
 VENDORS = ("/usr/share/glvnd/egl_vendor.d", "/etc/glvnd/egl_vendor.d")
+VENDOR_VARIABLES = ("__EGL_VENDOR_LIBRARY_FILENAMES", "__EGL_VENDOR_LIBRARY_DIRS")
 EXTRAS = {
     "films": ("av",),
     "window": ("glfw",),
+    "gui": ("imgui_bundle",),
+    "live": ("websockets",),
+    "cluster": ("distributed",),
     "train": ("torch", "scipy", "skimage", "trimesh"),
     "bake": ("xatlas", "fast_simplification", "onnx", "onnxruntime"),
     "bench": ("matplotlib", "flip_evaluator"),
-    "gui": ("imgui_bundle",),
-    "live": ("websockets",),
     "inspect": ("pyvista",),
 }
+
+
+class Node(NamedTuple):
+    """A device file of a graphics card."""
+
+    path: str
+    usable: bool  # may be opened for reading and writing
 
 
 def findings() -> dict[str, Any]:
@@ -43,19 +57,23 @@ def findings() -> dict[str, Any]:
         "machine": f"{platform.system()} {platform.release()}, Python {platform.python_version()}, "
         f"{len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()} CPU cores"
     }
+    family = distribution()
     found["missing"] = missing = []
-    for library, (package, purpose) in LIBRARIES.items():
+    for library, (packages, purpose) in LIBRARIES.items():
         try:
             _library(library, library.split(".so")[0] + ".so")
         except OSError:
-            missing.append({"package": package, "for": purpose})
-    found["egl_vendors"] = sorted(file.name for folder in VENDORS for file in Path(folder).glob("*.json"))
+            missing.append({"package": packages[family], "library": library, "for": purpose})
+    found["egl_vendors"] = [vendor_file(path) for path in vendor_files()]
+    nodes = device_nodes()
+    found["nodes"] = [node._asdict() for node in nodes]
+    found["nvidia"] = nvidia_driver()
+    devices: list[EglDevice] = []
     try:
-        egl = Egl()
-        found["egl_devices"] = [str(device) for device in egl.devices()]
+        devices = Egl().devices()
     except OSError as error:
-        found["egl_devices"] = []
         found["egl_error"] = str(error)
+    found["egl_devices"] = [str(device) for device in devices]
     found["tried"] = []
     found["winner"] = None
     for kind in ("egl", "osmesa"):
@@ -76,17 +94,118 @@ def findings() -> dict[str, Any]:
             }
             found["winner"] = winner | {"software": context.software, "why": why}
         context.release()
-    if found["winner"] is None and not any(m["package"] in ("libegl1", "libgl1") for m in missing):
-        missing.append({"package": DRIVERS[0], "for": DRIVERS[1]})
+    if found["winner"] is None and not any(m["library"] in ("libEGL.so.1", "libGL.so.1") for m in missing):
+        missing.append({"package": DRIVERS[0][family], "library": "Mesa", "for": DRIVERS[1]})
+    found["install"] = f"{INSTALL[family]} {' '.join(m['package'] for m in missing)}" if missing else None
     found["packages"] = {extra: {name: _version(name) for name in names} for extra, names in EXTRAS.items()}
     found["display"] = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
+    found["container"] = Path("/.dockerenv").exists() or Path("/run/.containerenv").exists()
+    software = found["winner"] is None or found["winner"]["software"]
+    found["hints"] = hints(
+        devices=devices, nodes=nodes, nvidia=found["nvidia"], vendors=found["egl_vendors"], software=software,
+        container=found["container"],
+    )  # fmt: skip
+    found["encoders"] = encoders() if found["packages"]["films"]["av"] else []
     return found
+
+
+def distribution(release: Path = Path("/etc/os-release")) -> int:
+    """Whose package names to give: 0 Debian and Ubuntu, 1 Fedora, 2 Arch."""
+    try:
+        lines = dict(line.split("=", 1) for line in release.read_text("utf-8").splitlines() if "=" in line)
+    except OSError:
+        return 0
+    likes = f"{lines.get('ID', '')} {lines.get('ID_LIKE', '')}".replace('"', "").split()
+    return next((k for k, names in ((1, ("fedora", "rhel")), (2, ("arch",))) if set(names) & set(likes)), 0)
+
+
+def vendor_files() -> list[Path]:
+    """The files that tell libEGL which drivers there are, as libglvnd finds them."""
+    named = os.environ.get(VENDOR_VARIABLES[0])
+    if named:
+        return [Path(name) for name in named.split(":") if name]
+    folders = (os.environ.get(VENDOR_VARIABLES[1]) or ":".join(reversed(VENDORS))).split(":")
+    return [file for folder in folders for file in sorted(Path(folder).glob("*.json"))]
+
+
+def vendor_file(path: Path) -> dict[str, Any]:
+    """A vendor file, the library it names, and what is wrong with it."""
+    out: dict[str, Any] = {"file": str(path), "library": None, "wrong": None}
+    try:
+        out["library"] = json.loads(path.read_text("utf-8"))["ICD"]["library_path"]
+        _library(out["library"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        out["wrong"] = str(error) or type(error).__name__
+    return out
+
+
+def device_nodes(folder: Path = Path("/dev")) -> list[Node]:
+    """Device files of graphics cards, and whether this user may open them."""
+    files = [*sorted((folder / "dri").glob("renderD*")), *sorted(folder.glob("nvidia[0-9]*"))]
+    return [Node(str(file), os.access(file, os.R_OK | os.W_OK)) for file in files]
+
+
+def nvidia_driver(file: Path = Path("/proc/driver/nvidia/version")) -> str | None:
+    """The version line of NVIDIA's kernel driver; None: there is none."""
+    try:
+        return file.read_text("utf-8").splitlines()[0]
+    except (OSError, IndexError):
+        return None
+
+
+def hints(
+    *, devices: Sequence[EglDevice], nodes: Sequence[Node], nvidia: str | None, vendors: Sequence[Mapping[str, Any]],
+    software: bool, container: bool,
+) -> list[str]:  # fmt: skip
+    """What to do where a card is there and is not drawn with, one line each."""
+    out = [
+        f"{vendor['file']}: its driver does not load: {vendor['wrong']}"
+        for vendor in vendors
+        if vendor["wrong"]
+    ]
+    closed = [node.path for node in nodes if not node.usable]
+    if closed:
+        groups = (
+            "--group-add render" if container else "sudo usermod -aG render,video $USER, then log in again"
+        )
+        out.append(f"{', '.join(closed)} may not be opened by this user: {groups}")
+    has_nvidia = nvidia is not None or any("nvidia" in node.path for node in nodes)
+    if has_nvidia and not any(device.cuda is not None for device in devices):
+        known = any("nvidia" in str(vendor["library"]) and not vendor["wrong"] for vendor in vendors)
+        if container:
+            out.append("an NVIDIA card without its OpenGL: start the container with --gpus all -e "
+                       "NVIDIA_DRIVER_CAPABILITIES=graphics,compute,utility")  # fmt: skip
+        if not known:
+            out.append("NVIDIA's EGL is not known to libEGL: install libnvidia-gl of the driver's version, or write "
+                       '/usr/share/glvnd/egl_vendor.d/10_nvidia.json: {"file_format_version": "1.0.0", "ICD": '
+                       '{"library_path": "libEGL_nvidia.so.0"}}')  # fmt: skip
+    elif software and container and not nodes:
+        out.append("no graphics card is visible in this container: --device /dev/dri (Intel, AMD) or --gpus all (NVIDIA)")  # fmt: skip
+    hardware = [device for device in devices if not device.software]
+    if software and hardware and not out:
+        out.append(f"{hardware[0]} is there and does not draw: see why above; --gpu asks for it alone")
+    return out
+
+
+def encoders() -> list[str]:
+    """Which H.264 encoder a film takes, and why not the ones before it."""
+    from player.encoder import chosen_encoder
+
+    encoder, refused = chosen_encoder(".mp4", "auto", (640, 640))
+    return [encoder.name, *refused]
 
 
 def report(found: dict[str, Any]) -> str:
     """The findings in a few lines."""
     lines = [found["machine"]]
-    lines.append(f"EGL vendor files: {', '.join(found['egl_vendors']) or 'none'}")
+    for vendor in found["egl_vendors"]:
+        lines.append(f"EGL vendor file {vendor['file']}: {vendor['library'] or vendor['wrong']}")
+    if not found["egl_vendors"]:
+        lines.append("EGL vendor files: none")
+    nodes = [node["path"] + ("" if node["usable"] else " (no permission)") for node in found["nodes"]]
+    lines.append(f"device files: {', '.join(nodes) or 'none'}")
+    if found["nvidia"]:
+        lines.append(found["nvidia"])
     lines.append(f"EGL devices: {'; '.join(found['egl_devices']) or found.get('egl_error', 'none')}")
     for tried in found["tried"]:
         if tried["works"]:
@@ -105,52 +224,133 @@ def report(found: dict[str, Any]) -> str:
                 "  this is the processor, not a GPU: right for CI, slower than a driver for your card"
             )
     lines.append(f"display: {found['display'] or 'none (selfscan render needs none; selfscan play does)'}")
+    if found["encoders"]:
+        chosen, *refused = found["encoders"]
+        lines.append(f"mp4 is encoded by {chosen}" + (f" ({'; '.join(refused)})" if refused else ""))
     for extra, packages in found["packages"].items():
         there = [f"{name} {version}" for name, version in packages.items() if version]
         absent = [name for name, version in packages.items() if not version]
         lines.append(f"  {extra:8} {', '.join(there)}{'  absent: ' + ', '.join(absent) if absent else ''}")
     if found["missing"]:
         lines += [f"missing: {item['package']} ({item['for']})" for item in found["missing"]]
-        lines.append(f"  sudo apt-get install {' '.join(item['package'] for item in found['missing'])}")
+        lines.append(f"  {found['install']}")
     else:
         lines.append("no system package is missing")
+    lines += [f"hint: {hint}" for hint in found["hints"]]
     return "\n".join(lines)
 
 
-def compare(size: int = 512) -> dict[str, Any]:
-    """One frame of the built-in body on EGL and on OSMesa: equal within 1/255 outside the silhouette's pixels?"""
-    from player.mannequin import mannequin
+class Shown(NamedTuple):
+    """One frame, and what drew it."""
+
+    image: UInt8[np.ndarray, "height width 4"]
+    renderer: str
+
+
+def compare(avatar_path: str | None = None, size: int = 512) -> dict[str, Any]:
+    """One frame of an avatar (the built-in body) in every view mode by every way to OpenGL: EGL, OSMesa, a window.
+
+    Equal means: no channel differs by more than 1/255 outside the pixels at the silhouette. The window is a real
+    one where there is a display, and glfw's null platform with OSMesa.
+    """
+    from player.ladder import views_of
+    from player.stage import opened_avatar
+
+    avatar = opened_avatar(avatar_path or "mannequin")
+    views = views_of(avatar)
+    camera = orbit_camera((0, 0.0, 0), 2.6, 0.5, 0.1, (size, size))
+    ways: dict[str, Callable[[], list[Shown]]] = {
+        kind: lambda kind=kind: [_off_screen(kind, avatar, view, camera) for view in views]
+        for kind in ("egl", "osmesa")
+    }
+    if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY"):
+        ways["window"] = lambda: _in_window(avatar, views, camera, null=False)
+    ways["window on the null platform"] = lambda: _in_window(avatar, views, camera, null=True)
+    shown: dict[str, list[Shown]] = {}
+    lines, broken = [], []
+    for way, draw in ways.items():
+        try:
+            shown[way] = draw()
+        except (NoContextError, AssetError) as error:
+            broken.append(way)
+            lines.append(f"compare: {way} does not work: {error}")
+    drawn = list(shown)
+    pairs, worst, share = {}, 0, 0.0
+    for a, b in ((drawn[0], other) for other in drawn[1:]):
+        gaps = [difference(x.image, y.image) for x, y in zip(shown[a], shown[b], strict=True)]
+        pairs[f"{a} - {b}"] = {view: gap for view, (gap, _) in zip(views, gaps, strict=True)}
+        high, band = max(gap for gap, _ in gaps), max(part for _, part in gaps)
+        worst, share = max(worst, high), max(share, band)
+        lines.append(
+            f"compare: {a} ({shown[a][0].renderer}) and {b} ({shown[b][0].renderer}): at most {high}/255 apart in "
+            f"views {', '.join(views)}, outside a one-pixel silhouette band ({100 * band:.2f} % of the pixels)"
+        )
+    equal = worst <= 1 and not broken and len(drawn) > 1
+    what = "equal" if equal else "NOT equal" if worst > 1 else "not all could be compared"
+    lines.append(f"compare: {what}")
+    return {
+        "equal": equal, "worst": worst, "band": share, "ways": drawn, "broken": broken, "pairs": pairs,
+        "text": "\n".join(lines),
+    }  # fmt: skip
+
+
+def _pose() -> tuple[np.ndarray, np.ndarray]:
+    """Arms a little down and the head turned: no symmetry hides an exchange of left and right."""
+    axis_angle = np.zeros((52, 3))
+    axis_angle[16, 2], axis_angle[17, 2], axis_angle[15, 1] = -0.7, 0.4, 0.5
+    return axis_angle, np.zeros(3)
+
+
+def _off_screen(kind: str, avatar: Any, view: str, camera: Camera) -> Shown:
     from player.renderer import Renderer
 
-    avatar, pose = mannequin(), (np.zeros((52, 3)), np.zeros(3))
-    camera = orbit_camera((0, 0, 0), 2.6, 0.5, 0.1, (size, size))
-    images = {}
-    for kind in ("egl", "osmesa"):
-        try:
-            context: Context = open_context(kind)
-        except NoContextError as error:
-            return {"equal": False, "text": f"compare: {kind} does not work: {error}"}
-        renderer = Renderer(context, [avatar], (size, size), view="off")
-        images[kind] = renderer.draw([pose], camera)
+    with open_context(kind) as context:
+        renderer = Renderer(context, [avatar], camera.size, view=view)
+        return Shown(renderer.draw([_pose()], camera), context.renderer)
+
+
+def _in_window(avatar: Any, views: Sequence[str], camera: Camera, *, null: bool) -> list[Shown]:
+    import glfw
+
+    from player.glfw_window import ScreenReader, open_window, window_context
+    from player.renderer import Renderer
+
+    glfw.init_hint(glfw.PLATFORM, glfw.PLATFORM_NULL if null else glfw.ANY_PLATFORM)
+    window = open_window(camera.size, null)
+    try:
+        size = glfw.get_framebuffer_size(window)
+        if tuple(size) != camera.size:
+            raise AssetError(
+                f"the window has {size[0]}x{size[1]} pixels, asked for {camera.size[0]}x{camera.size[1]}"
+            )
+        context: Context = window_context(window, null)
+        reader, out = ScreenReader(context), []
+        for view in views:
+            renderer = Renderer(context, [avatar], None, view=view)
+            renderer.draw_into(context.screen(), [_pose()], camera)
+            out.append(Shown(reader.read((0, 0, *camera.size), camera.size), context.renderer))
+            renderer.release()
         context.release()
-    worst, share = difference(images["egl"], images["osmesa"])
-    equal = worst <= 1
-    text = (
-        f"compare: EGL and OSMesa differ by at most {worst}/255 outside a one-pixel silhouette band "
-        f"({100 * share:.2f} % of pixels lie in it): {'equal' if equal else 'NOT equal'}"
-    )
-    return {"equal": equal, "worst": worst, "band": share, "text": text}
+        return out
+    finally:
+        glfw.destroy_window(window)
+        glfw.terminate()
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> tuple[int, float]:
-    """Largest channel difference of two images outside a one-pixel band round their silhouettes, and its share."""
+    """Largest colour difference of two images outside a one-pixel band round their silhouettes, and its share.
+
+    A window keeps no alpha: an image that is opaque everywhere has no silhouette, and the other's counts for both.
+    """
     band = np.zeros(a.shape[:2], bool)
     for image in (a, b):
         inside = image[..., 3] > 0
         wide = np.pad(inside, 1, "edge")
         shifts = [wide[y : y + len(inside), x : x + inside.shape[1]] for y in range(3) for x in range(3)]
         band |= np.logical_or.reduce(shifts) & ~np.logical_and.reduce(shifts)
-    gap = np.abs(a.astype(int) - b.astype(int)).max(-1)
+    opaque = [bool(image[..., 3].min() == 255) for image in (a, b)]
+    channels = 4 if opaque[0] == opaque[1] else 3
+    gap = np.abs(a[..., :channels].astype(int) - b[..., :channels]).max(-1)
     return int(gap[~band].max(initial=0)), float(band.mean())
 
 

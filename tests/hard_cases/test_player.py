@@ -149,3 +149,20 @@ def test_ten_thousand_frames_grow_neither_objects_nor_memory(within):
     done = subprocess.run([sys.executable, "-c", LONG_RUN], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     within(int(done.stdout), 4096, "KiB")
+
+
+def test_egl_osmesa_and_the_window_show_the_same_frame_in_every_view_mode(within):
+    """By `selfscan doctor --compare`: outside a one-pixel silhouette band."""
+    from player.context import NoContextError
+    from player.doctor import compare
+
+    try:
+        open_context("osmesa").release()
+    except NoContextError as error:
+        pytest.skip(str(error))  # Mesa 25.1 removed it
+    compared = compare(size=256)
+    assert {"egl", "osmesa", "window on the null platform"} <= set(compared["ways"]) and not compared["broken"]
+    gaps = [gap for pair in compared["pairs"].values() for gap in pair.values()]
+    assert len(gaps) >= 8  # two pairs of four view modes
+    within(max(gaps), 1, "/255")
+    assert 0 < compared["band"] < 0.1

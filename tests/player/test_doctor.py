@@ -1,0 +1,281 @@
+"""What `selfscan doctor` says, and which GPU a number or a device file means: on an EGL that lists cards of our own."""
+
+import ctypes
+import json
+from ctypes import POINTER, c_int, c_uint, c_void_p
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import player.context as contexts
+import player.doctor as doctor
+from avatar.errors import AssetError
+from player.context import EglDevice, NoContextError, open_context
+from player.doctor import Node, device_nodes, difference, distribution, hints, nvidia_driver, vendor_file
+from player.doctor_command import doctor_main
+from player.render_command import render_main
+
+# (CUDA ordinal, DRM node, render node, maker, software): EGL counts as it likes, CUDA otherwise, as on real machines
+CARDS = [
+    (1, "/dev/dri/card3", "/dev/dri/renderD131", ("NVIDIA", "H100"), False),
+    (0, "/dev/dri/card1", "/dev/dri/renderD129", ("NVIDIA", "RTX 4090"), False),
+    (None, "/dev/dri/card0", "/dev/dri/renderD128", None, False),
+    (None, None, None, None, True),
+]
+
+
+@pytest.fixture
+def cards(monkeypatch):
+    """The machine's EGL, with our cards in its list: whichever is taken, the software device draws. The handles taken."""
+    real = contexts.Egl()
+    software = next(device for device in real.devices() if device.software)
+    get_display = real.function("eglGetPlatformDisplayEXT", c_void_p, c_uint, c_void_p, POINTER(c_int))
+    taken: list[int] = []
+
+    def devices(most, handles, count):
+        for i in range(len(CARDS)):
+            handles[i] = 0x1000 + i
+        count[0] = len(CARDS)
+        return 1
+
+    def text(handle, name):
+        cuda, card, render, made, is_software = CARDS[handle - 0x1000]
+        known = [
+            "EGL_EXT_device_drm" * bool(card), "EGL_EXT_device_drm_render_node" * bool(render),
+            "EGL_NV_device_cuda" * (cuda is not None), "EGL_EXT_device_query_name" * bool(made),
+            "EGL_MESA_device_software" * is_software,
+        ]  # fmt: skip
+        maker, model = made or ("", "")
+        strings = {contexts.EGL_EXTENSIONS: " ".join(known), contexts.EGL_DRM_DEVICE_FILE: card,
+                   contexts.EGL_DRM_RENDER_NODE_FILE: render, contexts.EGL_VENDOR: maker,
+                   contexts.EGL_RENDERER: model}  # fmt: skip
+        return (strings[name] or "").encode()
+
+    def attribute(handle, name, value):
+        cuda = CARDS[handle - 0x1000][0]
+        assert name == contexts.EGL_CUDA_DEVICE
+        value[0] = cuda
+        return int(cuda is not None)
+
+    def display(platform, device, attributes):
+        taken.append(device)
+        return get_display(platform, software.handle, None) or 0
+
+    callbacks = {
+        "eglQueryDevicesEXT": ctypes.CFUNCTYPE(c_uint, c_int, POINTER(c_void_p), POINTER(c_int))(devices),
+        "eglQueryDeviceStringEXT": ctypes.CFUNCTYPE(c_void_p, c_void_p, c_int)(
+            lambda handle, name: keep(text(handle, name))
+        ),
+        "eglQueryDeviceAttribEXT": ctypes.CFUNCTYPE(c_uint, c_void_p, c_int, POINTER(c_void_p))(attribute),
+        "eglGetPlatformDisplayEXT": ctypes.CFUNCTYPE(c_void_p, c_uint, c_void_p, POINTER(c_int))(display),
+    }
+    kept: list[ctypes.Array] = []
+
+    def keep(content):
+        kept.append(ctypes.create_string_buffer(content))
+        return ctypes.addressof(kept[-1])
+
+    def get_address(name):
+        if name.decode() in callbacks:
+            return ctypes.cast(callbacks[name.decode()], c_void_p).value
+        return real.library.eglGetProcAddress(name)
+
+    names = ("eglQueryString", "eglInitialize", "eglChooseConfig", "eglCreateContext", "eglMakeCurrent",
+             "eglDestroyContext", "eglBindAPI", "eglGetError")  # fmt: skip
+    library = SimpleNamespace(
+        eglGetProcAddress=get_address, **{name: getattr(real.library, name) for name in names}
+    )
+    found = contexts._library
+
+    def ours(*wanted):
+        return library if wanted[0] == "libEGL.so.1" else found(*wanted)
+
+    monkeypatch.setattr(contexts, "_library", ours)
+    return taken
+
+
+@pytest.mark.parametrize(
+    ("gpu", "index"),
+    [
+        (0, 1),
+        (1, 0),
+        (2, 2),
+        (3, 3),
+        ("/dev/dri/card1", 1),
+        ("/dev/dri/renderD131", 0),
+        ("/dev/dri/renderD128", 2),
+    ],
+)
+def test_a_gpu_is_found_by_cuda_ordinal_position_or_device_file(cards, gpu, index):
+    context = open_context("egl", gpu)
+    assert cards == [0x1000 + index]  # this one, and no other was tried
+    assert context.attempts[-1].startswith(f"EGL device {index}")
+    context.release()
+
+
+def test_a_link_to_a_device_file_is_the_device(cards, tmp_path):
+    (tmp_path / "my-card").symlink_to("/dev/dri/renderD129")
+    open_context("egl", str(tmp_path / "my-card")).release()
+    assert cards == [0x1001]
+
+
+@pytest.mark.parametrize("gpu", [4, 9, "/dev/dri/renderD140"])
+def test_a_gpu_that_is_not_listed_is_refused_with_the_list(cards, gpu):
+    with pytest.raises(
+        NoContextError, match=r"not among .*NVIDIA RTX 4090 /dev/dri/card1 /dev/dri/renderD129 CUDA 0"
+    ):
+        open_context("auto", gpu)
+    assert cards == []
+
+
+def test_without_a_wish_cards_come_before_the_software_device(cards):
+    open_context().release()
+    assert cards == [0x1000]
+
+
+@pytest.mark.parametrize("text", ["-1", "first", "card0", "1.5"])
+def test_gpu_takes_a_number_or_a_device_file(text, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        render_main(["a.glb", "--gpu", text, "-o", "a.png"])
+    assert stopped.value.code == 2 and "/dev/dri/renderD128" in capsys.readouterr().err
+
+
+def test_doctor_lists_devices_with_their_names(cards, tmp_path, capsys):
+    assert doctor_main(["--json", str(tmp_path / "d.json")]) == 0
+    said = capsys.readouterr().out
+    found = json.loads((tmp_path / "d.json").read_text())
+    assert found["egl_devices"] == [
+        "EGL device 0 NVIDIA H100 /dev/dri/card3 /dev/dri/renderD131 CUDA 1",
+        "EGL device 1 NVIDIA RTX 4090 /dev/dri/card1 /dev/dri/renderD129 CUDA 0",
+        "EGL device 2 /dev/dri/card0 /dev/dri/renderD128",
+        "EGL device 3 software",
+    ]
+    assert all(device in said for device in found["egl_devices"])
+    assert found["winner"]["renderer"] in said
+    assert found["encoders"][0] in ("libx264", "h264_nvenc", "h264_videotoolbox", "h264_qsv", "h264_amf")
+
+
+@pytest.fixture
+def paper_only(monkeypatch):
+    """One view mode: all of them are compared in tests/hard_cases."""
+    monkeypatch.setattr("player.ladder.views_of", lambda _avatar: ["off"])
+
+
+def test_compare_draws_three_ways_and_says_so(osmesa, paper_only, tmp_path, capsys):
+    assert doctor_main(["--compare", "--json", str(tmp_path / "d.json")]) == 0
+    compared = json.loads((tmp_path / "d.json").read_text())["compare"]
+    assert {"egl", "osmesa", "window on the null platform"} <= set(compared["ways"])
+    assert all(set(pair) == {"off"} and max(pair.values()) <= 1 for pair in compared["pairs"].values())
+    assert 0 < compared["band"] < 0.1
+    assert "compare: equal" in capsys.readouterr().out
+
+
+def test_compare_notices_a_way_that_draws_otherwise_or_not_at_all(osmesa, paper_only, monkeypatch):
+    drawn = doctor._in_window
+
+    def darker(*arguments, null):
+        return [shown._replace(image=shown.image // 2) for shown in drawn(*arguments, null=null)]
+
+    monkeypatch.setattr(doctor, "_in_window", darker)
+    compared = doctor.compare(size=64)
+    assert not compared["equal"] and compared["worst"] > 20 and "NOT equal" in compared["text"]
+
+    def none(*_arguments, null):
+        raise AssetError("no window: nothing there")
+
+    monkeypatch.setattr(doctor, "_in_window", none)
+    compared = doctor.compare(size=64)
+    assert not compared["equal"] and compared["worst"] <= 1
+    assert "window on the null platform does not work: no window: nothing there" in compared["text"]
+
+
+def test_a_difference_inside_counts_and_one_at_the_silhouette_does_not():
+    image = np.zeros((20, 20, 4), np.uint8)
+    image[5:15, 5:15] = (100, 120, 140, 255)
+    moved, spot, opaque = image.copy(), image.copy(), image.copy()
+    moved[4, 5:15] = image[5, 5:15]  # a row more: the silhouette lies one pixel farther
+    spot[10, 10, 1] += 7
+    opaque[..., 3] = 255  # as a window has it
+    assert difference(image, moved)[0] == 0
+    assert difference(image, spot)[0] == 7
+    assert difference(image, opaque)[0] == 0
+    far = image.copy()
+    far[2:5, 5:15] = image[5, 5:15]  # three rows more
+    assert difference(image, far)[0] > 100
+
+
+GPU = EglDevice(0, 1, None, 0, False)
+SOFTWARE = EglDevice(1, 2, None, None, True)
+MESA = {"file": "50_mesa.json", "library": "libEGL_mesa.so.0", "wrong": None}
+NVIDIA = {"file": "10_nvidia.json", "library": "libEGL_nvidia.so.0", "wrong": None}
+FACTS = {
+    "devices": [SOFTWARE],
+    "nodes": [],
+    "nvidia": None,
+    "vendors": [MESA],
+    "software": True,
+    "container": False,
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, []),
+        ({"container": True}, ["--device /dev/dri"]),
+        ({"nvidia": "NVRM", "container": True}, ["NVIDIA_DRIVER_CAPABILITIES=graphics", "10_nvidia.json"]),
+        ({"nvidia": "NVRM"}, ["10_nvidia.json"]),
+        ({"nvidia": "NVRM", "vendors": [MESA, NVIDIA], "container": True}, ["NVIDIA_DRIVER_CAPABILITIES"]),
+        ({"nvidia": "NVRM", "devices": [GPU], "vendors": [NVIDIA], "software": False}, []),
+        ({"nodes": [Node("/dev/dri/renderD128", False)]}, ["usermod -aG render"]),
+        ({"nodes": [Node("/dev/dri/renderD128", False)], "container": True}, ["--group-add render"]),
+        ({"nodes": [Node("/dev/dri/renderD128", True)], "container": True}, []),
+        (
+            {"vendors": [{**NVIDIA, "wrong": "cannot open"}]},
+            ["10_nvidia.json: its driver does not load: cannot open"],
+        ),
+        ({"devices": [GPU, SOFTWARE]}, ["is there and does not draw"]),
+    ],
+)
+def test_hints_name_what_to_do_and_nothing_else(changes, expected):
+    said = hints(**{**FACTS, **changes})
+    assert len(said) == len(expected)
+    assert all(word in line for word, line in zip(expected, said, strict=True))
+
+
+def test_the_files_that_hints_are_made_of_are_read(tmp_path):
+    (tmp_path / "dri").mkdir()
+    for name in ("dri/renderD128", "dri/card0", "nvidia0", "nvidiactl"):
+        (tmp_path / name).write_bytes(b"")
+    assert device_nodes(tmp_path) == [
+        Node(str(tmp_path / name), True) for name in ("dri/renderD128", "nvidia0")
+    ]
+    (tmp_path / "version").write_text("NVRM version: NVIDIA 580\nGCC\n")
+    assert nvidia_driver(tmp_path / "version") == "NVRM version: NVIDIA 580"
+    assert nvidia_driver(tmp_path / "none") is None
+    for text, family in (
+        ("ID=ubuntu\nID_LIKE=debian\n", 0),
+        ('ID="rocky"\nID_LIKE="rhel fedora"\n', 1),
+        ("ID=arch", 2),
+    ):
+        (tmp_path / "os").write_text(text)
+        assert distribution(tmp_path / "os") == family
+    assert distribution(tmp_path / "none") == 0
+    (tmp_path / "v.json").write_text('{"ICD": {"library_path": "libNoSuchThing.so.0"}}')
+    assert "libNoSuchThing" in str(vendor_file(tmp_path / "v.json")["wrong"])
+    (tmp_path / "v.json").write_text("{")
+    assert vendor_file(tmp_path / "v.json")["wrong"]
+
+
+def test_doctor_names_missing_packages_for_the_distribution(monkeypatch, capsys):
+    def missing(*names):
+        raise OSError(f"{names[0]}: cannot open shared object file")
+
+    monkeypatch.setattr(doctor, "_library", missing)
+    monkeypatch.setattr(contexts, "_library", missing)
+    monkeypatch.setattr(doctor, "distribution", lambda: 1)
+    assert doctor_main([]) == 1
+    said = capsys.readouterr().out
+    assert "sudo dnf install libglvnd-egl libglvnd-glx mesa-libOSMesa" in said
+    assert "no context works" in said
