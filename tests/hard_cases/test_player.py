@@ -124,29 +124,39 @@ def test_ten_kilometres_away_a_slow_walk_does_not_tremble(context, within):
 
 LONG_RUN = """
 import resource, sys
+from pathlib import Path
 import numpy as np
 sys.path.insert(0, "tests")
 from tiny_avatar import tiny_avatar
 from avatar.camera import orbit_camera
 from avatar.skeleton import BIG_POSE
 from player.context import open_context
+from player.film import Film
+from player.parts import Parts
 from player.renderer import Renderer
 
+parts = Parts(Path(sys.argv[1]) / "long.mp4", 0, 11_000, {})
+parts.begin(resume=False)
 context = open_context()
 renderer = Renderer(context, [tiny_avatar()], (16, 16), view="network")
 camera, pose = orbit_camera((0, 0, 0), 4.0, 0.0, 0.0, (16, 16)), (np.array(BIG_POSE), np.zeros(3))
-for frame in range(11_000):
-    if frame == 1000:
-        objects, live = context.counts.objects(), context.counts.live_bytes
-        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    renderer.draw([pose], camera)
+with Film(parts.out, 30.0, encoder="software", pieces=list(map(parts.piece, parts.ranges))) as film:
+    for frame in range(11_000):
+        if frame == 1000:
+            objects, live = context.counts.objects(), context.counts.live_bytes
+            before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        film.add(renderer.draw([pose], camera, film.canvas((16, 16))))
 assert context.counts.objects() == objects and context.counts.live_bytes == live
+assert parts.missing() == [] and len(film._kept) <= 12
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
-def test_ten_thousand_frames_grow_neither_objects_nor_memory(within):
-    done = subprocess.run([sys.executable, "-c", LONG_RUN], cwd=ROOT, capture_output=True, text=True)
+def test_ten_thousand_frames_grow_neither_objects_nor_memory(within, tmp_path):
+    """Drawn, and filmed in parts."""
+    done = subprocess.run(
+        [sys.executable, "-c", LONG_RUN, str(tmp_path)], cwd=ROOT, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     within(int(done.stdout), 4096, "KiB")
 
@@ -161,8 +171,37 @@ def test_egl_osmesa_and_the_window_show_the_same_frame_in_every_view_mode(within
     except NoContextError as error:
         pytest.skip(str(error))  # Mesa 25.1 removed it
     compared = compare(size=256)
-    assert {"egl", "osmesa", "window on the null platform"} <= set(compared["ways"]) and not compared["broken"]
+    assert {"egl", "osmesa", "window on the null platform"} <= set(compared["ways"]) and not compared[
+        "broken"
+    ]
     gaps = [gap for pair in compared["pairs"].values() for gap in pair.values()]
     assert len(gaps) >= 8  # two pairs of four view modes
     within(max(gaps), 1, "/255")
     assert 0 < compared["band"] < 0.1
+
+
+def test_a_window_minimised_to_nothing_comes_back(tmp_path):
+    """0 x 0 pixels draw nothing and break nothing; afterwards the frame is the one that was there."""
+    from PIL import Image
+
+    from player.context import NoContextError
+    from player.play_command import play_main
+
+    try:
+        open_context("osmesa").release()
+    except NoContextError as error:
+        pytest.skip(str(error))  # glfw's null platform draws with it
+    pictures = []
+    for script in (
+        "space home wait",
+        "space home size:0:0 wait size:7:0 wait size:0:5 wait size:96:160 wait wait",
+    ):
+        out = tmp_path / "a.png"
+        arguments = ["mannequin", "--motion", "walking", "--size", "96x160", "--view", "off", "--no-gui"]
+        assert (
+            play_main([*arguments, "--platform", "null", "--script", script, "--screenshot", str(out)]) == 0
+        )
+        with Image.open(out) as image:
+            pictures.append(np.asarray(image)[:130])  # above the line of text, which counts frames per second
+    assert len(np.unique(pictures[0].reshape(-1, pictures[0].shape[-1]), axis=0)) > 100
+    assert np.array_equal(*pictures)
