@@ -1,6 +1,6 @@
 """The cameras of the window: orbit, first person, turntable, a path through keys, and those of a capture."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -13,16 +13,15 @@ STEEPEST = 1.5  # radians; a camera never goes over a pole
 WALK = 1.5  # metres a second
 TURN_SECONDS = 12.0  # of a turntable's round
 NAMES = {
-    "orbit": "orbit", "walk": "first person", "turntable": "turntable", "path": "path", "file": "camera file",
-    "capture": "capture",
+    "orbit": "orbit", "walk": "first person", "turntable": "turntable", "path": "path", "capture": "capture",
 }  # fmt: skip
 
 
 class Orbit:
     """A camera round a point, turned and brought nearer by hand."""
 
-    def __init__(self, target: Float[np.ndarray, "3"], distance: float, azimuth: float):
-        self.home = (np.array(target, np.float64), distance, azimuth, ELEVATION)
+    def __init__(self, target: Float[np.ndarray, "3"], distance: float, azimuth: float, fov: float = FOV):
+        self.home, self.fov = (np.array(target, np.float64), distance, azimuth, ELEVATION), fov
         self.reset()
 
     def reset(self) -> None:
@@ -37,7 +36,7 @@ class Orbit:
     def shift(self, dx: float, dy: float, height: int) -> None:
         """Move the target in the image plane, so that it follows the pointer."""
         right, down = self.camera((1, 1)).camera_from_world[:2, :3]
-        metres = 2 * self.distance * np.tan(FOV / 2) / max(height, 1)
+        metres = 2 * self.distance * np.tan(self.fov / 2) / max(height, 1)
         self.target -= metres * (dx * right + dy * down)
 
     def approach(self, clicks: float) -> None:
@@ -48,14 +47,15 @@ class Orbit:
         """The camera, moved along with the avatar by `along`, metres."""
         target = self.target if along is None else self.target + along
         away = direction(self.azimuth, self.elevation)
-        return Camera(pinhole(size, FOV), look_at(target + self.distance * away, target), size)
+        return Camera(pinhole(size, self.fov), look_at(target + self.distance * away, target), size)
 
 
 class Walk:
     """A camera that one carries: looks by dragging, goes by keys."""
 
-    def __init__(self, eye: Float[np.ndarray, "3"], azimuth: float, elevation: float):
-        self.eye, self.azimuth, self.elevation = np.array(eye, np.float64), azimuth, elevation
+    def __init__(self, eye: Float[np.ndarray, "3"], azimuth: float, elevation: float, fov: float = FOV):
+        self.eye, self.azimuth, self.fov = np.array(eye, np.float64), azimuth, fov
+        self.elevation = float(np.clip(elevation, -STEEPEST, STEEPEST))
 
     def turn(self, dx: float, dy: float) -> None:
         """Drag by pixels: a quarter of a degree each, and the world follows the pointer."""
@@ -70,17 +70,27 @@ class Walk:
 
     def camera(self, size: tuple[int, int]) -> Camera:
         ahead = self.eye + direction(self.azimuth, self.elevation)
-        return Camera(pinhole(size, FOV), look_at(self.eye, ahead), size)
+        return Camera(pinhole(size, self.fov), look_at(self.eye, ahead), size)
 
 
 class Cameras:
     """All of them; one is looked through. Which there are depends on what was opened."""
 
     def __init__(
-        self, orbit: Orbit, *, path: CameraPath | None = None, file: Camera | None = None,
-        capture: Sequence[Camera] = (), kind: str = "orbit",
-    ):  # fmt: skip
-        self.orbit, self.path, self.file, self.capture, self.kind = orbit, path, file, capture, kind
+        self,
+        orbit: Orbit,
+        *,
+        path: CameraPath | None = None,
+        capture: Sequence[Camera] = (),
+        named: Mapping[str, CameraPath | Sequence[Camera]] | None = None,
+        kind: str = "orbit",
+        turn_seconds: float = TURN_SECONDS,
+    ):
+        self.orbit, self.path, self.capture, self.kind = orbit, path, capture, kind
+        self.named = dict(
+            named or {}
+        )  # further ones by name: a path, or a camera for each frame (the last stays)
+        self.turn_seconds = turn_seconds
         self.walk = Walk(np.zeros(3), 0.0, 0.0)
         self.keys: list[tuple[float, Camera]] = []  # of the path being recorded
         if kind not in self.kinds:
@@ -89,17 +99,16 @@ class Cameras:
     @property
     def kinds(self) -> list[str]:
         """Those that can be chosen now."""
-        there = {"path": self.path is not None, "file": self.file is not None, "capture": bool(self.capture)}
-        return [kind for kind in NAMES if there.get(kind, True)]
+        there = {"path": self.path is not None, "capture": bool(self.capture)}
+        return [*(kind for kind in NAMES if there.get(kind, True)), *self.named]
 
     def choose(self, kind: str, now: Camera) -> None:
         """Look through another camera; first person starts where one looked from."""
         if kind == "walk":
             ahead = now.camera_from_world[2, :3]
-            self.walk = Walk(
-                now.eye, float(np.arctan2(ahead[0], ahead[2])), float(np.arcsin(np.clip(ahead[1], -1, 1)))
-            )
-            self.walk.elevation = float(np.clip(self.walk.elevation, -STEEPEST, STEEPEST))
+            azimuth = float(np.arctan2(ahead[0], ahead[2]))
+            elevation = float(np.arcsin(np.clip(ahead[1], -1, 1)))
+            self.walk = Walk(now.eye, azimuth, elevation, self.orbit.fov)
         self.kind = kind
 
     def next(self, now: Camera) -> None:
@@ -109,7 +118,7 @@ class Cameras:
     def advance(self, dt: float) -> None:
         """Let time pass: the turntable turns."""
         if self.kind == "turntable":
-            turned = 2 * np.pi * min(max(dt, 0.0), TURN_SECONDS) / TURN_SECONDS
+            turned = 2 * np.pi * min(max(dt, 0.0), 1.0) / self.turn_seconds
             self.orbit.azimuth = float(np.remainder(self.orbit.azimuth + turned, 2 * np.pi))
 
     def turn(self, dx: float, dy: float) -> None:
@@ -141,8 +150,11 @@ class Cameras:
             return self.path.camera(seconds, size)
         if self.kind == "capture" and self.capture:
             return letterboxed(self.capture[frame % len(self.capture)], size)
-        if self.kind == "file" and self.file is not None:
-            return letterboxed(self.file, size)
+        if self.kind in self.named:
+            chosen = self.named[self.kind]
+            if isinstance(chosen, CameraPath):
+                return chosen.camera(seconds, size)
+            return letterboxed(chosen[min(frame, len(chosen) - 1)], size)
         if self.kind == "walk":
             return self.walk.camera(size)
         return self.orbit.camera(size, along)

@@ -3,15 +3,16 @@
 import argparse
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
-from player.arguments import add_hands, parse_color, parse_size
+from player.arguments import add_hands, parse_background, parse_size
 from player.capture_view import PARTS
 from player.context import NoContextError
-from player.effects import VIEWS, Background, Effects
+from player.effects import ANTIALIASINGS, SKINNINGS, VIEWS
 from player.live.address import Address, parse_address
 from player.live.command import add_live_options
 from player.motions import beside
@@ -22,6 +23,7 @@ EXAMPLES = """examples
   selfscan play me.glb you.glb --motion walk.bvh --motion counting
   selfscan play me.glb --capture my_capture                 against the video it was made from
   selfscan play me.glb --live vmc:39539                     posed by a sender
+  selfscan play --scene two.toml                            as a scene file says
 
 keys
   space play/pause    , . step        left right 1 s    home end     [ ] slower, faster   l loop, to and fro, once
@@ -40,7 +42,10 @@ def play_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "avatar", nargs="+", metavar="AVATAR", help="avatar file (.glb); several stand side by side"
+        "avatar", nargs="*", metavar="AVATAR", help="avatar file (.glb); several stand side by side"
+    )
+    parser.add_argument(
+        "--scene", metavar="FILE", help="scene file (.toml) instead of AVATAR, --motion and --live"
     )
     parser.add_argument("--motion", action="append", metavar="FILE",
                         help="pose file, EasyMocap folder, counting (default) or walking: one for all avatars, or "
@@ -57,9 +62,14 @@ def play_parser() -> argparse.ArgumentParser:
         "--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for"
     )
     add_hands(parser)
-    parser.add_argument("--size", type=parse_size, default=(1280, 800), metavar="WxH")
-    parser.add_argument("--view", choices=("auto", *VIEWS), default="auto")
-    parser.add_argument("--background", type=parse_color, default=parse_color("#2b2d33"), metavar="#rrggbb")
+    parser.add_argument("--size", type=parse_size, metavar="WxH", help="of the window (default: 1280x800)")
+    parser.add_argument("--view", choices=("auto", *VIEWS), help="view dependence: off is the paper")
+    parser.add_argument(
+        "--skinning", choices=SKINNINGS, help="lbs (default), or dual quaternions, which keep volume"
+    )
+    parser.add_argument("--antialiasing", choices=ANTIALIASINGS, help="default: none")
+    parser.add_argument("--background", type=parse_background, metavar="#rrggbb|FILE",
+                        help="colour (default #2b2d33), a picture, film or panorama (.hdr)")  # fmt: skip
     parser.add_argument("--no-gui", action="store_true",
                         help="no panels, only keys and a line of text (as without imgui-bundle)")  # fmt: skip
     parser.add_argument("--platform", choices=("auto", "null"), default="auto",
@@ -87,9 +97,29 @@ def play_main(argv: list[str]) -> int:
     """Open the window."""
     parser = play_parser()
     options = parser.parse_args(argv)
-    if options.live is None and any(
-        value is not None
-        for value in (options.smooth, options.buffer, options.calibrate, options.record, options.latency)
+    check_options(parser, options)
+    script = options.script.split() if options.script is not None else None
+    try:
+        return play_scene(scene_of(options), options, script)
+    except (ValueError, NoContextError) as error:
+        raise AssetError(str(error)) from None
+
+
+def check_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Stop with a usage message where options exclude each other."""
+    if bool(options.scene) == bool(options.avatar):
+        parser.error("give AVATAR or --scene")
+    if options.scene and (
+        options.motion or options.live or options.at or options.body or options.hands != "file"
+    ):
+        parser.error("--motion, --live, --at, --body and --hands are in the scene file")
+    if (
+        options.live is None
+        and options.scene is None
+        and any(
+            value is not None
+            for value in (options.smooth, options.buffer, options.calibrate, options.record, options.latency)
+        )
     ):
         parser.error("--smooth, --buffer, --calibrate, --record and --latency go with --live")
     if options.live is not None and (options.motion or options.capture):
@@ -98,41 +128,41 @@ def play_main(argv: list[str]) -> int:
     for name, values in (("--motion", options.motion), ("--at", options.at)):
         if values and len(values) not in (1, count):
             parser.error(f"{name}: expected one, or one for each of {count} avatars, found {len(values)}")
-    script = options.script.split() if options.script is not None else None
-    scene = scene_of(options)
-    try:
-        return play_scene(scene, options, script)
-    except (ValueError, NoContextError) as error:
-        raise AssetError(str(error)) from None
 
 
 def scene_of(options: argparse.Namespace) -> Scene:
-    """What the options ask for, as a scene."""
+    """The scene that the options ask for; those given go before what a scene file says."""
+    if options.scene:
+        from player.scene_file import read_scene
+
+        scene = read_scene(options.scene)
+    else:
+        scene = Scene(_avatars(options))
+    cameras = list(scene.cameras)
+    if options.camera_path:
+        cameras.insert(0, SceneCamera("path", options.camera_path))
+    if options.capture:
+        cameras.insert(0, SceneCamera("capture", options.capture, options.part))
+    names = ("view", "skinning", "antialiasing")
+    given = {name: value for name in names if (value := getattr(options, name)) is not None}
+    return replace(
+        scene, cameras=tuple(cameras), effects=replace(scene.effects, **given), size=options.size or scene.size,
+        background=options.background or scene.background,
+    )  # fmt: skip
+
+
+def _avatars(options: argparse.Namespace) -> tuple[SceneAvatar, ...]:
     count = len(options.avatar)
     motions = options.motion or [None if options.capture or options.live else "counting"]
+    live = str(options.live) if options.live else None
     avatars = []
     for k, path in enumerate(options.avatar):
         x, y, z, turn = (*beside(k, count).tolist(), 0.0)
         if options.at and (len(options.at) > 1 or count == 1):
             x, y, z, turn = options.at[k]
-        avatars.append(
-            SceneAvatar(
-                path, motions[k % len(motions)], str(options.live) if options.live else None, (x, y, z), turn,
-                options.hands, options.body,
-            )
-        )  # fmt: skip
-    cameras = [SceneCamera()]
-    if options.camera_path:
-        cameras.insert(0, SceneCamera("path", options.camera_path))
-    if options.capture:
-        cameras.insert(0, SceneCamera("capture", options.capture, options.part))
-    return Scene(
-        tuple(avatars),
-        tuple(cameras),
-        Background(color=options.background),
-        Effects(options.view),
-        options.size,
-    )
+        motion = motions[k % len(motions)]
+        avatars.append(SceneAvatar(path, motion, live, (x, y, z), turn, options.hands, options.body))
+    return tuple(avatars)
 
 
 def play_scene(scene: Scene, options: argparse.Namespace, script: Sequence[str] | None) -> int:

@@ -47,7 +47,7 @@ class Pointer:
 
     def __init__(self, window: "Window"):
         self.window = window
-        self.at = (0.0, 0.0)
+        self.at: tuple[float, float] = (0.0, 0.0)
         self.pressed: tuple[int, float, float] | None = None  # button and where it went down
         self.holds = ""
 
@@ -55,7 +55,7 @@ class Pointer:
         """The pointer moved."""
         window = self.window
         dx, dy = x - self.at[0], y - self.at[1]
-        self.at = (x, y)
+        self.at = (float(x), float(y))
         if self.pressed is None:
             if window.tool is not None:
                 window.tool.hover(*window.pixel(x, y))
@@ -75,7 +75,7 @@ class Pointer:
     def press(self, button: int) -> None:
         """A button went down over the picture."""
         window = self.window
-        self.pressed, self.holds = (button, *self.at), ""
+        self.pressed, self.holds = (button, self.at[0], self.at[1]), ""
         if button != 0:
             return
         x, y = window.pixel(*self.at)

@@ -8,17 +8,17 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
-from avatar.camera import read_camera
+from avatar.camera import Camera, read_camera, read_cameras
 from avatar.rotation import matrix_from_axis_angle
 from player.camera_path import CameraPath
-from player.cameras import Cameras, Orbit
+from player.cameras import TURN_SECONDS, Cameras, Orbit
 from player.capture_view import CaptureView, open_capture
-from player.effects import Background, Effects
-from player.framing import extent, facing, fitted_camera
+from player.effects import STUDIO, Background, Effects
+from player.framing import FOV, extent, facing, fitted_camera
 from player.live.playback import LivePlayback
 from player.motions import notes, opened_motion, retargeted, standing
 from player.playback import BLOCK, Playback, Track
-from player.scene import Scene, SceneAvatar
+from player.scene import Scene, SceneAvatar, SceneCamera
 from player.stage import opened_avatar
 
 KINDS = {
@@ -36,8 +36,9 @@ class Show:
     playback: Playback
     cameras: Cameras
     effects: Effects = field(default_factory=Effects)
-    background: Background = field(default_factory=Background)
+    background: Background = STUDIO
     capture: CaptureView | None = None
+    follow: bool = False  # whether the orbit goes along with the first avatar from the start
     notes: list[str] = field(default_factory=list)  # what was assumed, for printing
 
     def fit_orbit(self, size: tuple[int, int]) -> None:
@@ -49,9 +50,11 @@ class Show:
         everything = np.concatenate(points)
         first = self.playback.tracks[0].pose(0.0)[0]
         azimuth = facing(first, self.avatars[0].joint_positions.astype(np.float64))
-        camera = fitted_camera(everything, azimuth, size)
+        fov = self.cameras.orbit.fov
+        camera = fitted_camera(everything, azimuth, size, fov=fov)
         target = 0.5 * (everything.min(0) + everything.max(0))
-        self.cameras.orbit = Orbit(target, float(np.linalg.norm(camera.eye - target)), azimuth)
+        distance = float(np.linalg.norm(camera.eye - target))
+        self.cameras.orbit = Orbit(target, distance, azimuth, fov)
 
 
 def opened_show(
@@ -62,30 +65,48 @@ def opened_show(
     Raises:
         AssetError: a file cannot be read.
     """
-    capture, path, file = None, None, None
+    capture, path, named = None, None, {}
     for camera in scene.cameras:
-        if camera.path is None:
-            continue
-        if camera.kind == "capture":
+        if camera.kind == "capture" and camera.path is not None and capture is None:
             capture = open_capture(camera.path, camera.name or "body")
-        elif camera.kind == "path":
-            path = CameraPath.read(camera.path)
-        elif camera.kind == "file":
-            file = read_camera(camera.path)
+        elif camera.kind in ("path", "file", "capture"):
+            opened = opened_camera(camera)
+            if camera.kind == "path" and path is None and isinstance(opened, CameraPath):
+                path = opened
+            else:
+                named[camera.name or Path(camera.path or "").stem] = opened
     said: list[str] = []
     tracks = [
         _track(entry, avatar, capture if index == 0 else None, said)
         for index, (entry, avatar) in enumerate(zip(scene.avatars, avatars, strict=True))
     ]
-    first = scene.cameras[0].kind if scene.cameras else "front"
+    first = scene.cameras[0] if scene.cameras else SceneCamera()
+    kind = KINDS.get(first.kind, first.kind)
     cameras = Cameras(
-        Orbit(np.zeros(3), 3.0, 0.0), path=path, file=file, capture=capture.cameras if capture else (),
-        kind=KINDS.get(first, first),
+        Orbit(np.zeros(3), 3.0, 0.0, FOV if first.fov_deg is None else float(np.radians(first.fov_deg))),
+        path=path,
+        capture=capture.cameras if capture else (),
+        named=named,
+        kind=next(iter(named)) if kind == "file" else kind,
+        turn_seconds=first.seconds or TURN_SECONDS,
+    )
+    return Show(
+        list(avatars), [Path(entry.path).stem for entry in scene.avatars],
+        Playback(tracks, live, rate=scene.rate), cameras, scene.effects, scene.background, capture,
+        follow=first.kind == "orbit", notes=list(dict.fromkeys(said)),
     )  # fmt: skip
-    playback = Playback(tracks, live, rate=scene.rate)
-    names = [Path(entry.path).stem for entry in scene.avatars]
-    notes_ = list(dict.fromkeys(said))
-    return Show(list(avatars), names, playback, cameras, scene.effects, scene.background, capture, notes_)
+
+
+def opened_camera(camera: SceneCamera) -> CameraPath | Sequence[Camera]:
+    """The cameras of a file: along a path, or one for each frame."""
+    assert camera.path is not None, "these kinds have a path"
+    if camera.kind == "capture":
+        return open_capture(camera.path, camera.name or "body").cameras
+    if camera.kind == "path":
+        return CameraPath.read(camera.path)
+    if Path(camera.path).suffix.lower() == ".npz":
+        return read_cameras(camera.path)
+    return [read_camera(camera.path)]
 
 
 def _track(entry: SceneAvatar, avatar: Avatar, capture: CaptureView | None, said: list[str]) -> Track:

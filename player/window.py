@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from avatar.camera import Camera
+from avatar.errors import AssetError
 from avatar.skeleton import JOINTS
 from player.cameras import WALK, moved_into
 from player.context import Context
@@ -65,7 +66,6 @@ class Window:
         self.context: Context = window_context(self.handle, null)
         self.effects, self.background, self.level = show.effects, show.background, 0
         self.renderer = self.new_renderer(show.effects, show.background, 0)
-        self.has_view = shows_view(self.renderer)
         self.wipe = Wipe(self.context, show.capture) if show.capture else None
         self.text, self.screen_reader = TextLine(self.context), ScreenReader(self.context)
         self.backdrop = Picture(self.context)
@@ -77,7 +77,7 @@ class Window:
         self.pointer, self.held = Pointer(self), set[int]()
         # what keys and panels change
         self.selection = Selection()
-        self.follow, self.help, self.shoot, self.closing = False, False, False, False
+        self.follow, self.help, self.shoot, self.closing = show.follow, False, False, False
         self.film: Recorder | None = None
         self.tool: Tool | None = None  # takes drags over the picture before the camera does
         self.message, self.message_until = "", 0.0
@@ -104,9 +104,11 @@ class Window:
 
     def on_key(self, key: int, down: bool) -> None:
         """A key went down (or repeats), or up."""
+        if self.tool is not None and not down:
+            self.tool.key(key, False)  # also when it was let go over a panel's text field
         if self.panels is not None and self.panels.on_key(key, down):
             return
-        if self.tool is not None and self.tool.key(key, down):
+        if self.tool is not None and down and self.tool.key(key, True):
             return
         if not down:
             self.held.discard(key)
@@ -193,24 +195,32 @@ class Window:
     ) -> None:
         """Draw with other effects, background or level of detail; where that cannot be, it is said and nothing changes."""
         effects, background = effects or self.effects, background or self.background
-        level = self.level if level is None else level
         try:
-            new = self.new_renderer(effects, background, level)
-        except ValueError as error:
+            if level is not None and level != self.level:
+                new = self.new_renderer(effects, background, level)
+                new.view_amount = self.renderer.view_amount
+                self.renderer.release()
+                self.renderer, self.level = new, level
+            else:
+                self.renderer.change(effects=effects, background=self.behind(background))
+        except (ValueError, AssetError) as error:
             self.say(str(error))
             return
-        new.view_amount = self.renderer.view_amount
-        self.renderer.release()
-        self.renderer, self.has_view = new, shows_view(new)
-        self.effects, self.background, self.level = effects, background, level
+        self.effects, self.background = effects, background
 
     def new_renderer(self, effects: Effects, background: Background, level: int) -> Renderer:
-        """A renderer of the show. Where a video may lie behind, the background comes under it afterwards."""
-        if self.show.capture is not None:
-            background = Background("transparent")
         return Renderer(
-            self.context, self.show.avatars, None, effects=effects, background=background, level=level
+            self.context,
+            self.show.avatars,
+            None,
+            effects=effects,
+            background=self.behind(background),
+            level=level,
         )
+
+    def behind(self, background: Background) -> Background:
+        """What the renderer draws first. Where a capture's video may lie behind, the background comes last, under all."""
+        return background if self.show.capture is None else Background("transparent")
 
     # -- places
 
@@ -284,7 +294,7 @@ class Window:
         self.poses = self.shown_poses()
         area = self.area()
         self.camera = moved_into(self.area_camera(), area, size)
-        self.renderer.draw_into(screen, self.poses, self.camera)
+        self.renderer.draw_into(screen, self.poses, self.camera, seconds=self.timeline.seconds)
         if self.wipe is not None:
             screen.use()
             if self.shows_video:
@@ -327,7 +337,9 @@ class Window:
             return self.message
         if self.help:
             return HELP_WALK if self.cameras.kind == "walk" else HELP_LIVE if self.playback.live else HELP
-        view = f"view {'on' if self.renderer.view_amount else 'off'}" if self.has_view else "paper mode"
+        view = (
+            f"view {'on' if self.renderer.view_amount else 'off'}" if self.renderer.has_view else "paper mode"
+        )
         parts = [f"{self.frames_per_second:.0f} fps", self.playback.status(), view]
         if self.cameras.kind != "orbit":
             parts.append(self.cameras.kind)
@@ -378,11 +390,6 @@ class Window:
                     thing.release()
             glfw.destroy_window(self.handle)
             glfw.terminate()
-
-
-def shows_view(renderer: Renderer) -> bool:
-    """Whether any avatar is drawn with view dependence."""
-    return any(p.variant and dict(p.variant.defines).get("VIEW_STAGE") for p in renderer.plan.passes)
 
 
 def open_panels(context: Context, handle: Any) -> "Panels | None":

@@ -24,7 +24,7 @@ def view_panel(window: "Window") -> None:
         panels.mark(name)
         if changed:
             window.draw_otherwise(effects=replace(effects, **{name: known[chosen]}))
-    if window.has_view:
+    if window.renderer.has_view:
         _, window.renderer.view_amount = imgui.slider_float(
             "amount", window.renderer.view_amount, 0.0, 1.0, "%.2f"
         )

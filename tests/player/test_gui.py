@@ -9,6 +9,7 @@ import glfw  # before imgui_bundle
 from imgui_bundle import imgui
 
 from avatar.avatar_file import write_avatar
+from player.effects import Background
 from player.gui.draw import DrawLists
 from player.play_command import play_parser, scene_of
 from player.show import opened_show, read_avatars
@@ -134,12 +135,18 @@ def test_clicking_the_avatar_marks_the_joint(window):
     assert len(yellow[0]) > 30 and abs(yellow[0].mean() - y) < 40
 
 
-def test_effects_and_detail_change_what_is_drawn(window):
-    level = window.renderer
+def test_effects_change_what_is_drawn_and_what_cannot_be_is_said(window, capsys):
+    plain = picture(window, run(window, "wait"))[60:]
     run(window, "press:antialiasing wait")
     x, y = window.panels.places["antialiasing"]
-    run(window, f"click:{x}:{y + 46} wait")
-    assert window.effects.antialiasing == "fxaa" and window.renderer is not level
+    smooth = picture(window, run(window, f"click:{x}:{y + 46} wait"))[60:]
+    assert window.effects.antialiasing == window.renderer.effects.antialiasing == "fxaa"
+    changed = (plain != smooth).any(-1)
+    assert 20 < changed.sum() < 0.2 * (plain != plain[0, 0]).any(-1).sum()  # contours and edges of the paint
+    before = window.renderer
+    window.draw_otherwise(background=Background("image", path="absent.png"))
+    assert "absent.png" in capsys.readouterr().out and window.renderer is before
+    assert np.array_equal(picture(window, run(window, "wait"))[60:], smooth)
 
 
 def test_a_film_has_the_picture_without_panels(window, tmp_path):
