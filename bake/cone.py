@@ -1,11 +1,15 @@
 """What directions training saw, per vertex: global view direction, tangent metric, visibility (paper, Eq. 14)."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
 
 from train.harmonic import anchored, fill_harmonic
+
+# a field's sRGB in [0, 1] at points, seen along unit directions from the camera to the point
+ColorFunction = Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
 
 REACH = 1.6  # standard deviations of the seen directions at which the clamp has bent them by 1/sqrt(2)
 FLOOR = np.radians(3.0)  # a vertex seen from one direction only still has a cone of this width

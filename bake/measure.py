@@ -12,8 +12,7 @@ from avatar.camera import Camera, orbit_camera, pixel_rays
 from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.texture import sample_texture
 from avatar.skinning import SkinWeights, blended_rotations, skin_points, strongest_four
-from bake.cone import ViewCone, clamped_tangent, cone_direction, interpolated
-from bake.network import ColorFunction
+from bake.cone import ColorFunction, ViewCone, clamped_tangent, cone_direction, interpolated
 from bake.surface import Mesh, PointFunction, project_to_zero
 from bake.truth import Errors, errors_of, modes_of, sum_of
 from train.mesh import face_areas, half_edges

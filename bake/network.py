@@ -20,13 +20,18 @@ from torch import nn
 
 from avatar.avatar_file import ViewNetwork
 from avatar.files import whole_file
-from bake.cone import ViewCone, clamped_tangent, cone_direction, matrix_from_six, tangent_frame
+from bake.cone import (
+    ColorFunction,
+    ViewCone,
+    clamped_tangent,
+    cone_direction,
+    matrix_from_six,
+    tangent_frame,
+)
 
 AMPLITUDE = 0.6
 GAIN_DB = 0.3  # what a mode must gain over the simpler one to be shipped
 INVISIBLE_DB = 45.0  # a field this close to its own paper mode has nothing to add: 1.4 / 255 rms
-
-ColorFunction = Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
 
 
 class SurfacePoints(NamedTuple):

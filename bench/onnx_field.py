@@ -1,4 +1,4 @@
-"""The trained field without torch: RUN/fields.onnx (bake/field_onnx.py) asked through ONNX Runtime."""
+"""The trained field without torch: RUN/fields.onnx (bake/field_onnx.py) asked through ONNX Runtime, and drawn."""
 
 from pathlib import Path
 
@@ -6,7 +6,15 @@ import numpy as np
 import onnxruntime
 from jaxtyping import Float
 
+from avatar.camera import Camera
 from avatar.errors import AssetError
+from avatar.npz import read_npz
+from avatar.skinning import SkinWeights
+from bake.cone import view_cone
+from bake.measure import FieldImage, FieldSurface, View, draw_field
+from bake.surface import Mesh
+from player.context import open_context
+from player.raster import Rasteriser
 
 INPUTS = {"points": ["n", 3], "directions": ["n", 3]}
 OUTPUTS = {"distance": ["n"], "normal": ["n", 3], "color": ["n", 3]}
@@ -67,3 +75,51 @@ class OnnxField:
             }
             pieces.append(self.session.run([output], asked)[0])
         return np.concatenate(pieces).astype(np.float64)
+
+
+def field_surface(run: Path | str) -> FieldSurface:
+    """A run's surface with its skin and view statistics, over the field of its fields.onnx.
+
+    Raises:
+        AssetError: a file of the run is absent or misshapen.
+    """
+    run = Path(run)
+    field = OnnxField(run / "fields.onnx")
+    shapes = {"vertices": 3, "normals": 3, "faces": 3, "skin_joints": 4, "skin_weights": 4, "view_mean": 3,
+              "view_covariance": 6}  # fmt: skip
+    surface = read_npz(run / "surface.npz", "the surface of a run", (*shapes, "view_count"))
+    count = len(surface["vertices"])
+    for name, width in shapes.items():
+        rows = len(surface["faces"]) if name == "faces" else count
+        if surface[name].shape != (rows, width):
+            raise AssetError(
+                f"{run / 'surface.npz'}: {name} should be ({rows}, {width}), is {surface[name].shape}"
+            )
+    if surface["view_count"].shape != (count,) or surface["faces"].max(initial=0) >= count:
+        raise AssetError(f"{run / 'surface.npz'}: view_count and faces should fit {count} vertices")
+    joints = read_npz(run / "subject.npz", "the template of a run", ("joints",))["joints"].astype(np.float64)
+    if joints.shape != (52, 3):
+        raise AssetError(f"{run / 'subject.npz'}: joints should be (52, 3), is {joints.shape}")
+    double = {name: values.astype(np.float64) for name, values in surface.items()}
+    mesh = Mesh(double["vertices"], surface["faces"].astype(np.int64))
+    cone = view_cone(
+        double["view_count"], double["view_mean"], double["view_covariance"], double["normals"], mesh.faces
+    )
+    skin = SkinWeights(surface["skin_joints"].astype(np.int64), surface["skin_weights"])
+    return FieldSurface(mesh, double["normals"], skin, cone, joints, field.distance, field.color)
+
+
+def drawn_field(surface: FieldSurface, views: list[View]) -> list[FieldImage]:
+    """Pictures of the field: as the paper shows it, and inside the cone of directions that training saw."""
+    context = open_context()
+    raster = Rasteriser(context)
+    try:
+
+        def draw(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+            fragments = raster.draw(vertices, faces, camera)
+            return fragments.face, fragments.barycentric
+
+        return [draw_field(surface, view, draw, with_cone=True) for view in views]
+    finally:
+        raster.release()
+        context.release()

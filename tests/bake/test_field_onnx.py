@@ -7,12 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from capsules import ball_mesh
 
+from avatar.body import builtin_body
+from avatar.camera import orbit_camera
 from avatar.errors import AssetError
 from avatar.rotation import matrix_from_axis_angle
 from bake.bake import write_field_beside
+from bake.field import numpy_field
 from bake.field_onnx import is_exportable, write_field
-from bench.onnx_field import OnnxField
+from bake.measure import View
+from bench.onnx_field import OnnxField, drawn_field, field_surface
 from train.field import PartField
 from train.fused import FusedField
 from train.networks import triplane
@@ -121,16 +126,61 @@ def test_the_same_field_gives_the_same_bytes(field, path, tmp_path):
     assert (tmp_path / "again.onnx").read_bytes() == path.read_bytes()
 
 
-def test_reading_and_asking_import_no_torch(path):
+def write_run(folder, field):
+    """surface.npz and subject.npz of a ball around the field's, half of it seen, that follows the pelvis."""
+    ball = ball_mesh(0.3, step=0.03)
+    normals = ball.vertices / np.linalg.norm(ball.vertices, axis=1, keepdims=True)
+    count = len(normals)
+    np.savez(
+        folder / "surface.npz",
+        vertices=ball.vertices.astype(np.float32),
+        faces=ball.faces,
+        normals=normals.astype(np.float32),
+        skin_joints=np.zeros((count, 4), np.uint8) + np.arange(4, dtype=np.uint8),
+        skin_weights=np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        view_count=np.where(normals[:, 2] > 0, 50, 0),
+        view_mean=-0.9 * normals,
+        view_covariance=np.tile(np.array([0.05, 0, 0, 0.05, 0, 0.05]), (count, 1)),
+    )
+    np.savez(folder / "subject.npz", joints=builtin_body("male").joints)
+    write_field(folder / "fields.onnx", field)
+
+
+def test_a_run_is_drawn_without_torch_as_with_it(field, tmp_path):
+    write_run(tmp_path, field)
     code = f"""
 import sys
 import numpy as np
-from bench.onnx_field import OnnxField
-field = OnnxField({str(path)!r})
-assert abs(field.distance(np.array([[0.2, 0.1, 0.0]]))[0]) < 1
-assert not {{"torch", "train", "bake", "onnx"}} & set(sys.modules), sys.modules.keys()
+from pathlib import Path
+from avatar.camera import orbit_camera
+from bake.measure import View
+from bench.onnx_field import drawn_field, field_surface
+view = View("ball", np.zeros((52, 3)), np.zeros(3), orbit_camera((0, 0, 0), 1.2, 0.3, 0.2, (48, 48)))
+(image,) = drawn_field(field_surface(Path({str(tmp_path)!r})), [view])
+assert "torch" not in sys.modules and "onnx" not in sys.modules
+np.savez({str(tmp_path / "drawn.npz")!r}, paper=image.paper, cone=image.cone, mask=image.mask)
 """
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    with np.load(tmp_path / "drawn.npz") as file:
+        drawn = dict(file)
+    asked = numpy_field(field)
+    surface = field_surface(tmp_path)._replace(distance=asked.distance, color=asked.color)
+    view = View("ball", np.zeros((52, 3)), np.zeros(3), orbit_camera((0, 0, 0), 1.2, 0.3, 0.2, (48, 48)))
+    (image,) = drawn_field(surface, [view])
+    assert 200 < image.mask.sum() < 48 * 48 and np.array_equal(image.mask, drawn["mask"])
+    for found, expected in ((drawn["paper"], image.paper), (drawn["cone"], image.cone)):
+        assert np.quantile(np.abs(found - expected), 0.99) < 2e-3
+    assert np.abs(drawn["cone"] - drawn["paper"])[image.mask].max() > 0.02  # the directions differ
+
+
+def test_a_run_with_a_misshapen_surface_is_refused(field, tmp_path):
+    write_run(tmp_path, field)
+    with np.load(tmp_path / "surface.npz") as file:
+        fields = dict(file)
+    for name, value in (("view_mean", fields["view_mean"][:-1]), ("faces", fields["faces"] + 10**6)):
+        np.savez(tmp_path / "surface.npz", **(fields | {name: value}))
+        with pytest.raises(AssetError, match=rf"surface.npz: .*{name}"):
+            field_surface(tmp_path)
 
 
 def test_the_bake_writes_it_once_beside_the_run_and_says_why_not(field, tmp_path):
