@@ -71,6 +71,9 @@ def inspect_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--turns", type=_turns, default=36, metavar="N", help="views of the turntable (default: %(default)s)"
     )
+    parser.add_argument(
+        "--context", choices=("auto", "egl", "osmesa"), default="auto", help="how to reach OpenGL"
+    )
     return parser
 
 
@@ -95,6 +98,7 @@ def inspect(
     joints: list[str] | None = None,
     size: int = 520,
     turns: int = 36,
+    context_kind: str = "auto",
 ) -> Inspection:
     """Write the folder; whole or not at all.
 
@@ -102,13 +106,19 @@ def inspect(
         AssetError: avatar, run or capture cannot be read, or `out` holds other files.
     """
     avatar = read_avatar(path)
+    try:
+        field = None if run is None else from_run(avatar.levels[0], run)
+    except ModuleNotFoundError as error:
+        raise AssetError(
+            f"--run needs the package {error.name!r}: pip install 'selfscan[inspect,train]'"
+        ) from None
     measured = Measured(
-        field=None if run is None else from_run(avatar.levels[0], run),
+        field=field,
         truth=None if capture is None else from_truth(avatar, avatar.levels[0], capture),
     )
     with ExitStack() as stack:
         folder = stack.enter_context(whole_folder(out))
-        context = opened("auto", None)
+        context = opened(context_kind, None)
         stack.callback(context.release)  # again does nothing
         inspector = Inspector(avatar, path, context, measured, size)
         stack.callback(inspector.release)
@@ -159,6 +169,7 @@ def inspect_main(argv: list[str]) -> int:
         joints=options.joint,
         size=options.size,
         turns=options.turns,
+        context_kind=options.context,
     )
     for check in inspection.checks:
         mark = {True: "good", False: "LOOK", None: "    "}[check.good]

@@ -37,6 +37,7 @@ FIELD_RANGE, TRUTH_RANGE = 2.0, 10.0  # millimetres, ends of the ramps
 SEAM_RANGE = 8.0  # bytes
 CONE_RANGE = 60.0  # degrees
 ATLAS = 820  # pixels
+CHANGE = 8  # times that view dependence is shown
 
 
 @dataclass
@@ -86,12 +87,18 @@ class Inspector:
 
     def looks(self) -> Section:
         """As drawn, in the canonical pose."""
-        pictures = []
-        modes = ["off"] + ([self.avatar.default_view] if self.avatar.default_view != "off" else [])
-        for mode in modes:
+        plain = strip(looks.standing(self.context, self.avatar, self.views, "off"))
+        pictures = [Picture("look_off", png(plain), "png", "the paper's colours")]
+        mode = self.avatar.default_view
+        if mode != "off":
             image = strip(looks.standing(self.context, self.avatar, self.views, mode))
-            what = "the paper's colours" if mode == "off" else f"with view dependence ({mode})"
-            pictures.append(Picture(f"look_{mode}", png(image), "png", what))
+            pictures.append(Picture(f"look_{mode}", png(image), "png", f"with view dependence ({mode})"))
+            change = np.clip(128 + CHANGE * (image.astype(float) - plain), 0, 255).astype(np.uint8)
+            pictures.append(
+                Picture(
+                    "look_change", png(change), "png", f"what view dependence adds, {CHANGE} times, on grey"
+                )
+            )
         return Section(
             "look", "As drawn",
             "The finest level in the pose it is stored in. Look for blur, colours of one part on another, a line at neck or "

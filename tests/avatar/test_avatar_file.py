@@ -1,14 +1,10 @@
 import dataclasses
 import io
-import json
-import os
-import shutil
-import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from node_packages import package_folder, run_node
 from PIL import Image
 from tiny_avatar import same, tiny_avatar, tiny_high_avatar, tiny_level, unit
 
@@ -119,23 +115,11 @@ def test_trimesh_loads_the_finest_level_with_its_texture(path):
     np.testing.assert_array_equal(np.array(texture), avatar.levels[0].base_color)
 
 
-def validator_folder() -> Path | None:
-    """The folder with node_modules/gltf-validator: SELFSCAN_GLTF_VALIDATOR, else the repository's root."""
-    for place in (os.environ.get("SELFSCAN_GLTF_VALIDATOR"), Path(__file__).parents[2]):
-        if place and (Path(place) / "node_modules" / "gltf-validator").is_dir():
-            return Path(place)
-    return None
-
-
 @pytest.mark.parametrize("avatar", [tiny_avatar(), oracle(), tiny_high_avatar()])
 def test_the_khronos_validator_finds_no_error_and_no_warning(path, avatar):
-    folder, node = validator_folder(), shutil.which("node")
-    if not (folder and node):
-        pytest.skip("no gltf-validator: `npm install gltf-validator`, its folder in SELFSCAN_GLTF_VALIDATOR")
+    folder = package_folder("gltf-validator")
     write_avatar(path, avatar)
-    script = Path(__file__).parents[1] / "validate_gltf.mjs"
-    run = subprocess.run([node, script, path, folder], capture_output=True, text=True, check=True)
-    issues = json.loads(run.stdout)["issues"]
+    issues = run_node("validate_gltf.mjs", path, folder)["issues"]
     assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), issues["messages"]
 
 

@@ -257,7 +257,7 @@ def test_the_folder_holds_a_page_with_every_picture_and_the_numbers(person, tmp_
     text = (out / "inspect.html").read_text()
     pictures = sorted(p.stem for p in out.iterdir() if p.suffix in (".png", ".webp"))
     assert text.count("<img ") == len(pictures)
-    assert {"look_off", "look_network", "turntable", "parts", "weights", "weight_left_elbow", "texels", "atlas", "seams_mip0",
+    assert {"look_off", "look_network", "look_change", "turntable", "parts", "weights", "weight_left_elbow", "texels", "atlas", "seams_mip0",
             "cones", "seen", "triangles", "truth", "level_0", "level_1"} <= set(pictures)  # fmt: skip
     for name in pictures:
         path = next(out.glob(f"{name}.*"))
