@@ -11,7 +11,8 @@ from player.context import Context
 from player.shader import compile_program, uniform
 
 UNIT = 6  # texture unit, away from those of the avatar and the text
-Box = tuple[float, float, float, float]  # left, top, width, height, pixels from the upper left corner
+Number = float | int
+Box = tuple[Number, Number, Number, Number]  # left, top, width, height, pixels from the upper left corner
 
 
 class Picture:

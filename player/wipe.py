@@ -25,7 +25,7 @@ class Wipe:
         self.behind = True  # the video is behind the avatar too; else the plain background is
         self.shown = -1  # frame whose picture is uploaded
 
-    def move(self, part: float) -> None:
+    def move(self, part: float | int) -> None:
         self.part = float(np.clip(part, 0.0, 1.0))
 
     def box(self, area: tuple[int, int, int, int]) -> Box:
@@ -39,11 +39,11 @@ class Wipe:
         left, _, width, _ = self.box(area)
         return left + self.part * width
 
-    def near(self, x: float, window: "Window") -> bool:
+    def near(self, x: float | int, window: "Window") -> bool:
         """Whether pixel x is so near the line that it can be grabbed there."""
         return abs(x - self.line(window.area())) < window.pixel(REACH, 0)[0]
 
-    def move_to(self, x: float, area: tuple[int, int, int, int]) -> None:
+    def move_to(self, x: float | int, area: tuple[int, int, int, int]) -> None:
         """Put the line at pixel x."""
         left, _, width, _ = self.box(area)
         self.move((x - left) / width)
