@@ -19,9 +19,11 @@ use it
   render  AVATAR --motion FILE -o OUT    a picture, frames or a film, with or without GPU and display
   play    AVATAR [--motion FILE]         a window: orbit, pause, step, scrub; --live vmc:39539: posed by a sender
   stream  MOTION --to vmc:HOST:PORT      sends a motion as live poses (VMC, or JSON with udp:)
+  export  AVATAR --motion FILE -o OUT    the motion as BVH, animated GLB or AMASS npz, for other programs
 
 judge it
   eval    RUN_OR_AVATAR CAPTURE          how near to the truth: cm, PSNR, SSIM, FLIP
+  inspect AVATAR -o DIR                  pictures and one page: parts, weights, texels, seams, what was seen
   bench   AVATAR -o DIR                  accuracy against time on this machine
   doctor                                 which OpenGL context works here, and what is missing
 
@@ -68,6 +70,10 @@ def _dispatch(name: str, rest: list[str]) -> int:
             from player.render_command import render_main as run
         elif name == "play":
             from player.play_command import play_main as run
+        elif name == "export":
+            from player.export_command import export_main as run
+        elif name == "inspect":
+            from bench.inspect.command import inspect_main as run
         elif name == "stream":
             from player.live.command import stream_main as run
         elif name == "doctor":
@@ -98,6 +104,7 @@ def _extra(name: str) -> str:
         "bake": "bake",
         "eval": "bake,bench",
         "bench": "bake,bench",
+        "inspect": "inspect",
     }.get(name)
     return f"'selfscan[{extra}]'" if extra else "selfscan"
 
