@@ -133,7 +133,7 @@ class _Draft:
             self.need(f"{name} color", kind, pixels, *size, samples),
         ]
         if depth:
-            names.append(self.need(f"{name} depth", "renderbuffer", pixels, *size, samples))
+            names.append(self.need(f"{name} depth", kind, pixels, *size, samples))
         return tuple(names)
 
 
@@ -222,7 +222,9 @@ def _avatar(
         else draft.need(f"{tag} bones", "buffer", BONES.itemsize),
     )
     turns = (draft.need(f"{tag} turns", "buffer", TURNS.itemsize),) if dual or mode != "off" else ()
-    paper = draft.program("avatar.vert", "avatar.frag", SKINNING=int(dual), VIEW_STAGE=0)
+    paper = draft.program(
+        "avatar.vert", "avatar.frag", SKINNING=int(dual), VIEW_STAGE=0, SHARPER=int(software)
+    )
     what = f"{avatar.name}, {len(mesh.faces)} triangles" + dual * ", dual quaternions"
     draft.passes.append(Pass(f"{tag}: paper", "avatar", what, True, index, paper, base + turns * dual))
     if mode == "off" or mesh.features is None:
@@ -237,7 +239,7 @@ def _avatar(
     for name in feature_textures(mesh):
         extra += (draft.need(f"{tag} {name}", "texture", _mipmapped(features), level),)
     variant = draft.program("avatar.vert", "avatar.frag", index, SKINNING=int(dual), VIEW_STAGE=STAGE[mode],
-                            VIEW_MODEL=int(network), VIEW_FEATURES=features[2])  # fmt: skip
+                            VIEW_MODEL=int(network), VIEW_FEATURES=features[2], SHARPER=int(software))  # fmt: skip
     draft.passes.append(Pass(f"{tag}: view {mode}", "view", why, True, index, variant, (*base, *extra)))
 
 
