@@ -6,6 +6,7 @@ format, and costs what we do not need.
 
 import ctypes
 from ctypes import c_int, c_uint
+from weakref import WeakKeyDictionary
 
 import moderngl
 
@@ -45,3 +46,13 @@ class Blit:
         self._bind(DRAW_FRAMEBUFFER, target.glo)
         rows = (low, high) if turned is None else (turned - low, turned - high)
         self._blit(*box, left, rows[0], right, rows[1], COLOR_BUFFER_BIT, NEAREST)
+
+
+def blit_of(context: Context) -> Blit:
+    """The context's one Blit: its functions live as long as the context's counts."""
+    if context not in _made:
+        _made[context] = Blit(context)
+    return _made[context]
+
+
+_made: WeakKeyDictionary[Context, Blit] = WeakKeyDictionary()

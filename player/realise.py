@@ -19,7 +19,7 @@ BASE = ("3f4 2f4 4u1 4f1", "position", "uv", "joints", "weights")
 VIEW = ("3f4 3f4 3f4 1f4", "view_mean", "view_q0", "view_q1", "view_seen")
 TILES = ("4u2 /i", "tile")
 # texture units by sampler; 7 is the text line's
-UNITS = {"base_color": 0, "features": 1, "more_features": 2, "panorama": 3, "picture": 4}
+UNITS = {"base_color": 0, "features": 1, "more_features": 2, "panorama": 3, "picture": 4, "depth": 5}
 
 
 class Realised:
@@ -87,7 +87,8 @@ class Realised:
         gl, name, shape = self.context.gl, resource.name, resource.shape
         if resource.kind == "framebuffer":
             color = self.textures.get(f"{name} color") or self.renderbuffers[f"{name} color"]
-            self.framebuffers[name] = gl.framebuffer([color], self.renderbuffers.get(f"{name} depth"))
+            depth = self.textures.get(f"{name} depth") or self.renderbuffers.get(f"{name} depth")
+            self.framebuffers[name] = gl.framebuffer([color], depth)
         elif resource.kind == "renderbuffer":
             width, height, samples = shape
             make = gl.depth_renderbuffer if name.endswith(" depth") else gl.renderbuffer
@@ -96,7 +97,12 @@ class Realised:
             assert panorama is not None
             self.textures[name] = self._panorama(panorama)
         elif resource.kind == "texture" and len(shape) > 1:  # an image of ours
-            texture = gl.texture((shape[0], shape[1]), 4)
+            if name.endswith(" depth"):
+                texture = gl.depth_texture((shape[0], shape[1]))
+                texture.compare_func = ""  # read as a number
+                texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            else:
+                texture = gl.texture((shape[0], shape[1]), 4)
             texture.repeat_x = texture.repeat_y = False
             self.textures[name] = texture
         elif name in ("frame", "fxaa tiles"):

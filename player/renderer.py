@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, clip_from_view
 from player.backdrop import Backdrop
-from player.blit import Blit, Box
+from player.blit import Box, blit_of
 from player.blocks import FRAME
 from player.context import Context
 from player.effects import PLAIN, Background, Effects
@@ -91,7 +91,7 @@ class Renderer:
         context.make_current()
         self.backdrop = Backdrop(self.background)
         self.made = Realised(context, self.avatars, level)
-        self.blit = Blit(context)
+        self.blit = blit_of(context)
         self.posers: list[Poser] = []
         self.patches: list[Patches] | None = None
         self.drawn: list[Drawn] = []
@@ -371,6 +371,7 @@ class Renderer:
             gl.blend_func = (moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA)
             made.buffers["fxaa tiles"].write(np.ascontiguousarray(tiles))
             made.textures["layer color"].use(UNITS["picture"])
+            made.textures["layer depth"].use(UNITS["depth"])
             made.arrays[item.name].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=len(tiles))
 
     def _write_frame(self, camera: Camera, planes: tuple[float, float], flipped: bool) -> None:
@@ -467,8 +468,10 @@ class Renderer:
             made.textures["panorama"].use(UNITS["panorama"])
             made.arrays[item.name].render(vertices=3)
         else:
+            made.buffers["frame"].bind_to_uniform_block(0)
             made.buffers["fxaa tiles"].write(np.array([0, 0, 1, 1], np.uint16))
             made.textures["layer color"].use(UNITS["picture"])
+            made.textures["layer depth"].use(UNITS["depth"])
             made.arrays[item.name].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=1)
 
 
