@@ -1,10 +1,17 @@
+from dataclasses import replace
+
 import av
 import numpy as np
 import pytest
 from PIL import Image
 
+import player.encoder as encoder_module
+from avatar.camera import orbit_camera
 from avatar.errors import AssetError
-from player.film import Film, film_kind, straight
+from avatar.motion import builtin_motion
+from player.encoder import X264, Encoder, chosen_encoder, refusal
+from player.film import WAITING, Film, film_kind, straight
+from player.renderer import Renderer
 
 
 def pixels(path):
@@ -124,3 +131,105 @@ def test_an_unknown_ending_and_a_bad_rate_are_refused(tmp_path):
         film_kind("a.avi")
     with pytest.raises(ValueError, match="rate"):
         Film(tmp_path / "a.mp4", 0.0)
+
+
+@pytest.fixture(scope="module")
+def drawn(context, avatar):
+    """A few frames of the built-in body, walking, on a studio background; detail is in its brightness, as in photographs."""
+    y, x = np.mgrid[:256, :256] / 256
+    detail = 40 * ((np.floor(40 * x) + np.floor(40 * y)) % 2)[..., None]
+    skin = np.stack([180 + 20 * np.sin(5 * x), 130 + 30 * np.sin(7 * y), 110 + 20 * np.cos(6 * x)], -1)
+    level = replace(avatar.levels[0], base_color=(skin - detail).astype(np.uint8))
+    avatar = replace(avatar, levels=(level,))
+    renderer = Renderer(context, [avatar], (320, 321), view="off", background=(0.17, 0.18, 0.2, 1.0))
+    clip = builtin_motion("walking").read(0, 12)
+    camera = orbit_camera((0, 0.9, 0), 2.6, 0.4, 0.1, (320, 321))
+    frames = [renderer.draw([pose], camera) for pose in zip(clip.axis_angle, clip.root, strict=True)]
+    renderer.release()
+    return frames
+
+
+@pytest.mark.parametrize(
+    ("quality", "most", "psnr"), [("draft", 3.0, 32.0), ("good", 2.0, 35.0), ("best", 1.8, 37.0)]
+)
+def test_a_decoded_frame_of_an_mp4_is_near_to_the_png(drawn, tmp_path, quality, most, psnr):
+    """Within 2/255 on average, and no channel off on the whole: matrix and range are those of the tag."""
+    with Film(tmp_path / "a.mp4", 30.0, encoder="software", quality=quality) as film:
+        for image in drawn:
+            film.add(image)
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        decoded = [f.to_ndarray(format="rgb24")[:321, :320] for f in container.decode(video=0)]
+    gap = np.stack(decoded).astype(float) - np.stack(drawn)[..., :3]
+    mean = np.abs(gap).mean((1, 2, 3)).max()
+    ratio = 10 * np.log10(255**2 / (gap**2).mean())
+    assert mean < most and ratio > psnr
+    assert np.abs(gap.mean((0, 1, 2))).max() < 2.0
+
+
+def test_drawing_into_kept_arrays_needs_few_of_them(drawn, tmp_path):
+    """A canvas comes back when its frame is written, never before: the film is that of frames kept apart."""
+    with Film(tmp_path / "kept.mp4", 30.0, encoder="software") as film:
+        arrays = set()
+        for number in range(60):
+            canvas = film.canvas((320, 321))
+            arrays.add(id(canvas))
+            canvas[:] = drawn[number % 12]
+            film.add(canvas)
+    with Film(tmp_path / "apart.mp4", 30.0, encoder="software") as film:
+        for number in range(60):
+            film.add(drawn[number % 12].copy())
+    assert len(arrays) <= WAITING + 3
+    assert (tmp_path / "kept.mp4").read_bytes() == (tmp_path / "apart.mp4").read_bytes()
+
+
+def test_an_odd_size_is_padded_with_its_edge_not_scaled(tmp_path):
+    image = np.zeros((31, 33, 4), np.uint8)
+    image[..., 3], image[:, 32, 0], image[30, :, 2] = 255, 240, 240
+    with Film(tmp_path / "a.mov", 30.0) as film:
+        film.add(image)
+    with av.open(str(tmp_path / "a.mov")) as container:
+        decoded = next(container.decode(video=0)).to_ndarray(format="rgb24").astype(int)
+    assert decoded.shape == (32, 34, 3)
+    assert np.abs(decoded[:31, :33] - image[..., :3]).max() <= 8
+    assert np.abs(decoded[:31, 33] - image[:, 32, :3]).max() <= 8
+    assert np.abs(decoded[31, :33] - image[30, :, :3]).max() <= 8
+
+
+def test_auto_takes_the_first_encoder_that_really_encodes(monkeypatch):
+    asked = []
+
+    def refusal(encoder, size):
+        asked.append((encoder.name, size))
+        return None if encoder.name == "h264_qsv" else "no such chip"
+
+    monkeypatch.setattr(encoder_module, "refusal", refusal)
+    chosen, tried = chosen_encoder(".mp4", "auto", (64, 48))
+    assert chosen.name == "h264_qsv"
+    assert asked == [(name, (64, 48)) for name in ("h264_nvenc", "h264_videotoolbox", "h264_qsv")]
+    assert tried == ["h264_nvenc: no such chip", "h264_videotoolbox: no such chip"]
+    monkeypatch.setattr(encoder_module, "refusal", lambda _encoder, _size: "no such chip")
+    chosen, tried = chosen_encoder(".mp4", "auto", (64, 48))
+    assert chosen == X264 and len(tried) == 5
+    asked.clear()
+    assert chosen_encoder(".mp4", "software", (64, 48)) == (X264, []) and not asked
+
+
+def test_an_encoder_is_known_by_encoding_not_by_its_name():
+    assert refusal(X264, (64, 48)) is None and refusal(X264, (65, 47)) is None
+    assert refusal(Encoder("h264_of_mars", "yuv420p"), (64, 48)) == "not in this FFmpeg"
+    assert refusal(Encoder("libx264", "yuv420p", (("preset", "none such"),)), (64, 48))
+    assert refusal(X264, (40_000, 2))  # listed, and cannot
+
+
+def test_an_encoder_that_was_named_is_taken_or_refused_in_one_line(tmp_path, monkeypatch):
+    with pytest.raises(AssetError, match=r"--encoder x265: should be auto, software or one of h264_nvenc"):
+        chosen_encoder(".mp4", "x265", (64, 48))
+    with pytest.raises(AssetError, match=r"--encoder libx264: \.webm is encoded by libvpx-vp9"):
+        chosen_encoder(".webm", "libx264", (64, 48))
+    monkeypatch.setattr(encoder_module, "refusal", lambda _encoder, _size: "no such chip")
+    with (
+        pytest.raises(AssetError, match="--encoder h264_nvenc does not encode here: no such chip"),
+        Film(tmp_path / "a.mp4", 30.0, encoder="h264_nvenc") as film,
+    ):
+        film.add(frame(0))
+    assert list(tmp_path.iterdir()) == []
