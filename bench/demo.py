@@ -50,7 +50,7 @@ def stages(out: Path) -> list[Stage]:
             run / "run.json",
             command("selfscan", "train", capture, "-o", run, "--preset", "demo", *resume),
         ),
-        Stage("bake", avatar, command("selfscan", "bake", run, "-o", avatar)),
+        Stage("bake", avatar, command("selfscan", "bake", run, "-o", avatar, "--capture", capture)),
         Stage(
             "film",
             film,

@@ -2,18 +2,20 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_cdt
 
+from avatar.avatar_file import read_avatar
 from avatar.camera import Camera, look_at, pinhole, pixel_rays
 from avatar.errors import AssetError
 from bench.ceiling import ceiling_surface
 from bench.held_out import read_held_out, read_true_mesh
 from bench.picture_scores import box_pixels, is_t_pose, region_of
-from bench.quality import eval_main, evaluate
-from bench.quality_table import markdown, people_table
+from bench.quality import eval_main, evaluate, view_modes
+from bench.quality_table import markdown, people_table, view_mode_lines
 
 KEYS = {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}
 
@@ -66,6 +68,42 @@ def test_a_perfect_template_has_no_ceiling(oracle):
 
 def test_baked_against_field_is_read_from_the_file(result):
     assert result["baked_vs_field"] == {"paper_db": 40.0, "network_db": None}
+
+
+def test_every_view_mode_stands_beside_the_truth(result):
+    """The oracle holds paper mode alone: it is its own best, and as good inside the person as the table says."""
+    modes = result["view_modes"]
+    assert modes["default"] == modes["best"] == "off" and modes["file_says"] is None
+    for name in ("novel_pose", "novel_view"):
+        assert modes["psnr_db"][name].keys() == {"off"}
+        assert modes["psnr_db"][name]["off"]["total"] > 30 and modes["psnr_db"][name]["off"]["head"] > 30
+    assert modes["psnr_db"]["all"]["off"] > 30
+    assert "view_modes" in json.dumps(result)  # nothing that JSON cannot hold
+
+
+def test_a_view_mode_farther_from_the_truth_loses(oracle):
+    """The same avatar with matrices that brighten the side: worse beside true pictures that show no such thing."""
+    capture, path, _ = oracle
+    avatar = read_avatar(path)
+    level = avatar.levels[0]
+    level = replace(
+        level, view_seen=np.ones_like(level.view_seen), features=np.full((4, 4, 4), 255, np.uint8)
+    )
+    tinted = replace(
+        avatar, levels=(level,), linear=np.full((4, 3, 3), 0.1, np.float32), default_view="linear"
+    )
+    found = view_modes(tinted, {name: read_held_out(capture, name) for name in ("novel_pose", "novel_view")})
+    assert (found["default"], found["best"]) == ("linear", "off")
+    for name in ("novel_pose", "novel_view"):
+        scores = found["psnr_db"][name]
+        assert scores.keys() == {"off", "vertex", "linear"}
+        assert scores["linear"]["total"] < scores["off"]["total"] - 3
+        assert (
+            abs(scores["vertex"]["total"] - scores["linear"]["total"]) < 1
+        )  # linear is smooth across triangles
+    lines = view_mode_lines({"view_modes": found})
+    assert any(line.startswith("- novel pose, vertex: total") for line in lines)
+    assert lines[-1].startswith("- default linear; best here off (nearest to the true pictures: off")
 
 
 def test_the_command_prints_a_table_with_the_papers_row_and_writes_json(
