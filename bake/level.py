@@ -103,8 +103,8 @@ def bake_level(
     # the middle one of three is the majority's, or between
     face_part = np.sort(data.part[mesh.faces], axis=1)[:, 1]
     density = np.array([1.0, options.head_density, options.hand_density, options.hand_density])
-    # a gutter of 8 texels at 2048 keeps three mips clean
-    padding = max(2, size // 256)
+    # a gutter of 8 texels at 2048 keeps three mips clean; one of 2 at 512 left none for the charts' skirts
+    padding = max(4, size // 256)
     chart = unwrap(mesh.vertices, mesh.faces, face_part, density, size=size, padding=padding)
     cone = ViewCone(*(value[chart.source] for value in data.cone))
     joints, weights = quantised(data.weights[chart.source])
@@ -165,13 +165,13 @@ def texel_colors(field: NumpyField, charted: Charted, texels: TexelMap) -> Float
 
 
 def texel_lift(field: NumpyField, charted: Charted, texels: TexelMap) -> Float[np.ndarray, "texels"]:
-    """Metres along the normal from the triangles to the zero set: asked once for every 2 x 2 texels, because a
-    triangle is many texels wide and the surface bends away from it evenly."""
+    """Metres along the normal from the triangles to the zero set: asked once for every 2 x 2 texels of a triangle's
+    inside, which is many texels wide, and everywhere on the skirts, where the triangle's plane runs off it."""
     row, column = texels.index // texels.size, texels.index % texels.size
-    block = (row // 2) * texels.size + column // 2
-    order = np.lexsort((texels.index, ~texels.inside, block))
+    block = np.where(texels.inside, row // 2 * texels.size + column // 2, texels.size**2 + texels.index)
+    order = np.argsort(block, kind="stable")
     first = np.r_[True, np.diff(block[order]) > 0]
-    asked = order[first]  # of each block one that lies inside its chart, where there is one
+    asked = order[first]
     found = np.empty(len(asked))
     for start in range(0, len(asked), 1 << 18):
         own = asked[start : start + (1 << 18)]
@@ -216,6 +216,7 @@ def level_facts(
         "seam_step": seam_facts(level, edges),
         "faces_by_part": {name: int((face_part == part).sum()) for part, name in enumerate(PARTS)},
         "texel_mm_by_part": _texel_sizes(chart, mesh, face_part, size),
+        "triangle_mm_by_part": _triangle_sizes(mesh, face_part),
     }
 
 
@@ -227,6 +228,12 @@ def seam_facts(level: Level, edges: ChartEdges) -> dict[str, Any]:
         at = np.quantile(steps, [0.5, 0.99]) if len(steps) else np.zeros(2)
         mips.append({"median": rounded(float(at[0])), "p99": rounded(float(at[1]))})
     return {key: max(mip[key] for mip in mips) for key in ("median", "p99")} | {"mips": mips}
+
+
+def _triangle_sizes(mesh: Mesh, part: Integer[np.ndarray, "faces"]) -> dict[str, float | None]:
+    """Side of a square as large as the mean triangle of each part, millimetres."""
+    areas = face_areas(mesh.vertices, mesh.faces)
+    return {PARTS[int(p)]: rounded(1e3 * float(np.sqrt(areas[part == p].mean()))) for p in np.unique(part)}
 
 
 def _texel_sizes(

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer, UInt8
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, diags
 
 from avatar.texture import sample_texture
 from bake.texels import TexelMap
@@ -13,7 +13,12 @@ from train.mesh import half_edges
 # weight of keeping a texel as it was sampled: one that shows surface, one that only bilinear filtering reads
 # beside it, and one of the gutter, which nothing but coarser mips reads
 KEEP_INSIDE, KEEP_SKIRT, KEEP_GUTTER = 1.0, 0.25, 0.02
-AGREE = 8.0  # weight of one point on a chart edge looking the same from both sides
+AGREE = 6.0  # weight of one point on a chart edge looking the same from both sides
+GROW = (
+    8.0  # as many times more in each coarser mip: fewer points lie along an edge there, and means resist more
+)
+STEP = 1.5 / 255
+DENSE = 3  # between points farther apart two bilinear images can differ much more than at them
 
 
 class ChartEdges(NamedTuple):
@@ -98,10 +103,10 @@ def equalised(
 
     Least squares over every texel that a point on a chart edge reads in any of these mips:
 
-        min over x   sum_i keep_i (x_i - image_i)^2 + sum_mips AGREE 4^mip sum_points (left(x) - right(x))^2
+        min over x   sum_i keep_i (x_i - image_i)^2 + sum_mips AGREE GROW^mip sum_points (left(x) - right(x))^2
 
-    by conjugate gradients, `rounds` of them; then what left [0, 1] is held at its bound and the others are solved
-    again. The mips are means of 2 x 2 texels, as the player makes them, so a coarse mip is closed mostly by what
+    by conjugate gradients, `rounds` of them; then what left [0, 1] is held at its bound, points that still differ
+    by more than STEP count up to nine times, and the others are solved again. The mips are means of 2 x 2 texels, as the player makes them, so a coarse mip is closed mostly by what
     lies in the gutters, which the finest never shows. Texels that only a coarse mip reads enter through their
     mean alone: they are one unknown, and its change goes to each by 1 / keep.
     """
@@ -130,15 +135,15 @@ def equalised(
             for channel in range(channels):
                 done[:, channel] = np.bincount(owner, (after - before)[:, channel], unknowns)
             done /= np.maximum(many, 1)[:, None]
-        change = _solved(chain, result.reshape(size, size, channels), keep, done, held, count)
+        shown = result.reshape(size, size, channels).astype(np.float32)
+        urged = _urged(chain, shown) if passed else chain
+        change = _solved(urged, shown, keep, done, held, count)
         wanted = after + each * change[owner]
         after = np.clip(wanted, 0, 1)
         result[owned] = after
         out = np.zeros_like(held)
         for channel in range(channels):
             out[owner[wanted[:, channel] != after[:, channel]], channel] = True
-        if not out.any():
-            break
         held |= out
     return result.reshape(image.shape)
 
@@ -153,11 +158,7 @@ def _solved(
 ) -> Float[np.ndarray, "unknowns channels"]:
     """Change of the unknowns that closes the edges of `image`, which has moved by `done` already; 0 where held."""
     free = (~held).astype(np.float32)
-    shown = image.astype(np.float32)
-    differences = []
-    for mip in chain:
-        differences.append(mip.agree @ shown.reshape(-1, image.shape[-1])[mip.texels])
-        shown = _halved(shown)
+    differences = _differences(chain, image)
     residual = free * -(_spread_back(chain, differences) + keep * done)
     diagonal = keep + _diagonal(chain)
     change = np.zeros_like(residual)
@@ -177,6 +178,27 @@ def _solved(
         step = better + fresh / np.maximum(score, 1e-30) * step
         score = fresh
     return change
+
+
+def _differences(
+    chain: list[_Mip], image: Float[np.ndarray, "height width channels"]
+) -> list[Float[np.ndarray, "_ channels"]]:
+    """Left side minus right side of the points on edges, weighted, in each mip of an image."""
+    result = []
+    for mip in chain:
+        result.append(mip.agree @ image.reshape(-1, image.shape[-1])[mip.texels])
+        image = _halved(image)
+    return result
+
+
+def _urged(chain: list[_Mip], image: Float[np.ndarray, "height width channels"]) -> list[_Mip]:
+    """The mips with points that differ by more than STEP weighted up (least squares leaves a few large steps)."""
+    result = []
+    for number, (mip, found) in enumerate(zip(chain, _differences(chain, image), strict=True)):
+        step = np.abs(found).max(1) / np.sqrt(AGREE * GROW**number)
+        urge = diags(np.clip(step / STEP, 1, 3).astype(np.float32))
+        result.append(mip._replace(agree=csr_matrix(urge @ mip.agree)))
+    return result
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "channels"]:
@@ -213,7 +235,7 @@ def _chain(uv: Float[np.ndarray, "corners 2"], edges: ChartEdges, size: int, lev
                 (np.full(len(below), 0.25, np.float32), (parent, np.arange(len(below)))), shape
             )
             rest = (1 - 0.25 * np.bincount(parent, minlength=len(texels))).astype(np.float32)[:, None]
-        values = values * np.sqrt(AGREE * 4.0**number)
+        values = values * np.sqrt(AGREE * GROW**number)
         agree = csr_matrix((values.astype(np.float32), (rows, place)), shape=(count, len(texels)))
         chain.append(_Mip(texels, agree, finer, rest))
     return chain
@@ -237,10 +259,10 @@ def _edge_reads(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Bilinear reads of points along the edges in a mip: rows (points), texels, weights, and how many points.
 
-    Three points to two texels, ends included, on the longer of the two sides; the right side counts negative.
+    DENSE points a texel, ends included, on the longer of the two sides; the right side counts negative.
     """
     lengths = [np.linalg.norm(uv[side[:, 1]] - uv[side[:, 0]], axis=1) * size for side in edges]
-    counts = np.ceil(1.5 * np.maximum(*lengths)).astype(np.int64) + 1
+    counts = np.ceil(DENSE * np.maximum(*lengths)).astype(np.int64) + 1
     edge = np.repeat(np.arange(len(counts)), counts)
     along = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
     t = (along / np.maximum(counts - 1, 1)[edge])[:, None]

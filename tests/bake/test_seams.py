@@ -82,7 +82,7 @@ def test_solution_is_the_least_squares_one():
         rows = np.zeros((count, (size >> mip) ** 2))
         np.add.at(rows, (row, column), value)
         read = rows @ mean
-        normal = normal + seams.AGREE * 4**mip * read.T @ read
+        normal = normal + seams.AGREE * seams.GROW**mip * read.T @ read
     expected = np.linalg.solve(normal, right)
     found = equalised(image, texels, uv, edges, 2, rounds=(300,))
     np.testing.assert_allclose(found.reshape(-1), expected, atol=2e-3)
