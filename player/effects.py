@@ -35,7 +35,7 @@ class Effects:
     antialiasing: Annotated[
         str,
         OneOf(ANTIALIASINGS),
-        "fxaa filters the finished picture where avatars are; msaa takes 4 samples a pixel",
+        "fxaa filters the outlines in the finished picture; msaa takes 4 samples a pixel",
     ] = "none"
 
     def __post_init__(self):
