@@ -82,6 +82,7 @@ class Window:
         self.tool: Tool | None = None  # takes drags over the picture before the camera does
         self.message, self.message_until = "", 0.0
         # the last frame
+        self.drawn_size = (0, 0)
         self.poses: list[Pose] = self.playback.poses()
         self.start = self.poses[0][1]
         self.camera: Camera | None = None
@@ -290,6 +291,9 @@ class Window:
         size = glfw.get_framebuffer_size(self.handle)
         if not (size[0] and size[1]):
             return
+        if size != self.drawn_size:  # OSMesa takes the window's memory when it is made current
+            glfw.make_context_current(self.handle)
+            self.drawn_size = size
         screen = self.context.screen()
         self.poses = self.shown_poses()
         area = self.area()
@@ -298,7 +302,7 @@ class Window:
         if self.wipe is not None:
             screen.use()
             if self.shows_video:
-                self.wipe.draw(self.video_frame(), area, size)
+                self.wipe.draw(self.video_frame(), area, size, self.background.color[:3])
             self.backdrop.fill(self.background.color[:3], (0, 0, *size), size, under=True)
         if self.shoot or self.film is not None:
             self.take(self.screen_reader.read(area, size))

@@ -48,8 +48,15 @@ class Wipe:
         left, _, width, _ = self.box(area)
         self.move((x - left) / width)
 
-    def draw(self, frame: int, area: tuple[int, int, int, int], size: tuple[int, int]) -> None:
-        """Draw into the framebuffer in use, after the avatars were drawn on nothing (alpha 0)."""
+    def draw(
+        self,
+        frame: int,
+        area: tuple[int, int, int, int],
+        size: tuple[int, int],
+        around: tuple[float, float, float],
+    ) -> None:
+        """Draw into the framebuffer in use, after the avatars were drawn on nothing (alpha 0); `around` is the
+        colour beside the video, where its camera saw nothing and the avatar is hidden too."""
         if frame != self.shown:
             self.picture.show(self.capture.image(frame), self.capture.cameras[frame])
             self.shown = frame
@@ -60,6 +67,13 @@ class Wipe:
             self.picture.draw(box, size, part=(left, top, round(self.line(area)) - left, height))
         if 0 < self.part < 1:
             self.picture.fill(LINE, (round(self.line(area)) - 1, top, 2, height), size)
+        right, bottom = left + width, top + height
+        for band in (
+            (0, 0, left, size[1]), (right, 0, size[0] - right, size[1]),
+            (left, 0, width, top), (left, bottom, width, size[1] - bottom),
+        ):  # fmt: skip
+            if band[2] > 0 and band[3] > 0:
+                self.picture.fill(around, band, size)
 
     def release(self) -> None:
         self.picture.release()

@@ -48,6 +48,9 @@ def timeline_panel(window: "Window") -> None:
             act()
         panels.mark(name)
     imgui.same_line()
+    if line.frames == 1 and window.pose_session is None:
+        imgui.text("live" if window.playback.live else "one pose")
+        return
     imgui.text(f"frame {line.frame} of {line.frames}   {line.seconds:.2f} s of {line.duration:.2f} s")
     _scrubber(window)
 
@@ -71,6 +74,11 @@ def _scrubber(window: "Window") -> None:
         draw.add_rect_filled(
             imgui.ImVec2(across(line.a or 0), low.y), imgui.ImVec2(across(last), high.y), RANGE
         )
+    session = window.pose_session
+    if session is not None:
+        y = 0.5 * (low.y + high.y)
+        for frame, _ in session.keys:  # a diamond each
+            draw.add_ngon_filled(imgui.ImVec2(across(frame * line.rate / session.rate), y), 5.0, MARK, 4)
     for seconds, _ in window.cameras.keys:
         x = across(seconds * line.rate - 0.5)
         draw.add_triangle_filled(

@@ -2,6 +2,7 @@
 
 import json
 
+import glfw
 import numpy as np
 import pytest
 from PIL import Image
@@ -122,6 +123,20 @@ def test_the_wipe_parts_video_and_avatar_at_its_line(window, capture):
                 green[:, : line - 1] == (np.abs(source(capture, 1) - [0, 255, 0]).max(-1) < 3)[:, : line - 1]
             ).mean() > 0.97
     assert not (np.abs(image - [255, 204, 51]).max(-1) < 3).any()  # at either end there is no line
+
+
+def test_beside_the_video_is_nothing_but_the_background(window):
+    """A wide window: where the camera saw nothing, the avatar is not shown either."""
+    glfw.set_window_size(window.handle, 400, 256)
+    window.wipe.move(0.0)
+    window.cameras.capture = [
+        Camera(c.K @ np.diag([4.0, 4.0, 1.0]), c.camera_from_world, c.size) for c in window.cameras.capture
+    ]  # near enough to fill more than the video
+    window.run(["wait", "wait"], keep=True)
+    image = window.image[:230, :, :3].astype(int)
+    left = round((400 - 192) / 2)
+    assert (image[:, : left - 1] == [43, 45, 51]).all() and (image[:, left + 193 :] == [43, 45, 51]).all()
+    assert (image[:, left + 2 : left + 190] != [43, 45, 51]).any()
 
 
 def test_the_line_is_dragged_and_the_camera_is_the_film_s(window):
