@@ -63,7 +63,8 @@ void main() {
         color = middle;
         return;
     }
-    vec2 along = vec2((corners.z + corners.w) - (corners.x + corners.y), (corners.x + corners.z) - (corners.y + corners.w));
+    vec2 along = vec2((corners.z + corners.w) - (corners.x + corners.y),
+                      (corners.x + corners.z) - (corners.y + corners.w));
     float reduce = max(0.25 * REDUCE * (dot(corners, vec4(1.0)) - 4.0 * low), REDUCE_LEAST);
     along = clamp(along / (min(abs(along.x), abs(along.y)) + reduce), -REACH, REACH) / vec2(size);
     vec2 place = gl_FragCoord.xy / vec2(size);
