@@ -62,6 +62,8 @@ def export_main(argv: list[str]) -> int:
         parser.error(f"-o: expected a name that ends in {', '.join(SUFFIXES)}, found {options.output!r}")
     if options.unit != "m" and kind != ".bvh":
         parser.error(f"--unit is for .bvh; {kind} files are in metres")
+    if out.exists() and Path(options.avatar).exists() and out.samefile(options.avatar):
+        parser.error(f"-o: {out} is the avatar itself; choose another name")
 
     avatar = read_avatar(options.avatar)
     motion = opened_motion(options.motion, options.body, options.hands)

@@ -392,16 +392,8 @@ class Inspector:
     def provenance(self) -> list[Section]:
         """What baking and training wrote into the file."""
         baked = self.avatar.provenance.get("baked", {})
-        measured = (
-            {k: baked[k] for k in ("against_field", "distilled_db", "seen_share", "levels") if k in baked}
-            if isinstance(baked, dict)
-            else {}
-        )
-        paper = (
-            measured.get("against_field", {}).get("paper_db")
-            if isinstance(measured.get("against_field"), dict)
-            else None
-        )
+        against = baked.get("against_field") if isinstance(baked, dict) else None
+        paper = against.get("paper_db") if isinstance(against, dict) else None
         if isinstance(paper, int | float):
             self.check("baked paper mode against the paper field, as baking measured it", f"{paper:.2f} dB", f"at least {PAPER_DB:g} dB",
                        paper >= PAPER_DB)  # fmt: skip
@@ -411,13 +403,8 @@ class Inspector:
         )
         self.facts["bytes"] = size
         rest = {key: value for key, value in self.avatar.provenance.items() if key != "baked"}
-        rest |= (
-            {"baked": {k: v for k, v in baked.items() if k not in measured}}
-            if isinstance(baked, dict)
-            else {"baked": baked}
-        )
         return [
             Section("accuracy", "Measured while baking", "As written into the file; paths are those of its JSON.",
-                    rows=[("what", "value"), *flattened(measured)] if measured else []),
+                    rows=[("what", "value"), *flattened(baked)] if baked else []),
             Section("provenance", "Provenance", "Where the avatar comes from.", rows=[("what", "value"), *flattened(rest)]),
         ]  # fmt: skip

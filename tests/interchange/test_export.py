@@ -246,6 +246,7 @@ def test_wrong_usage_and_bad_input_are_one_line_each(avatar_path, tmp_path, caps
     for arguments, message in (
         (["-o", str(tmp_path / "out.fbx")], "expected a name that ends in .bvh, .glb, .npz, found"),
         (["-o", str(tmp_path / "out.npz"), "--unit", "cm"], "--unit is for .bvh"),
+        (["-o", str(avatar_path)], "is the avatar itself"),
     ):
         with pytest.raises(SystemExit) as stop:
             export(avatar_path, "--motion", "counting", *arguments)
