@@ -133,9 +133,9 @@ class PoseTool:
 
     def under(self, x: float, y: float) -> int | Handle | None:
         """The handle or ring at a pixel. Handles of ends come first, then rings, then the rest."""
-        camera = self.camera()
-        if camera is None:
-            return None
+        camera, panels = self.camera(), self.window.panels
+        if camera is None or panels is None or not panels.drawn:
+            return None  # nothing is seized that is not shown
         places = self.session.world()[[h.joint for h in HANDLES], :3, 3]
         pixels, depth = project(camera, places)
         distance = np.where(depth > 1e-3, np.linalg.norm(pixels - [x, y], axis=1), np.inf) / self.units()
@@ -396,11 +396,15 @@ def toggle_posing(window: "Window") -> None:
     if isinstance(tool, PoseTool):
         if not tool.may_leave():
             return
+        glfw.set_window_close_callback(window.handle, lambda _handle: None)
         window.tool, window.pose_session = None, None
         window.timeline.frames = tool.lasted
         window.timeline.seek(window.timeline.frame)
         return
     index = window.selection.avatar
     window.timeline.playing = False
-    tool = PoseTool(window, index)
+    posing = tool = PoseTool(window, index)
+    glfw.set_window_close_callback(
+        window.handle, lambda handle: glfw.set_window_should_close(handle, posing.may_leave())
+    )
     window.tool, window.pose_session, window.posed = tool, tool.session, index

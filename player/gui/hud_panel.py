@@ -46,8 +46,8 @@ def hud_panel(window: "Window") -> None:
 def joint_mark(window: "Window") -> None:
     """A ring and a name at the picked joint."""
     index, joint = window.selection
-    if joint is None or window.camera is None:
-        return
+    if joint is None or window.camera is None or window.tool is not None:
+        return  # a tool shows in its own way what is selected
     pose, avatar = window.poses[index], window.show.avatars[index]
     place = joint_transforms(pose[0], avatar.joint_positions.astype(np.float64), pose[1])[joint, :3, 3]
     pixel, depth = project(window.camera, place[None])

@@ -97,6 +97,7 @@ class Panels:
         style.scale_all_sizes(self.scale)
         style.window_rounding = style.frame_rounding = 3 * self.scale
         style.set_color_(imgui.Col_.window_bg, imgui.ImVec4(0.11, 0.12, 0.14, 0.97))
+        style.set_color_(imgui.Col_.popup_bg, imgui.ImVec4(0.11, 0.12, 0.14, 1.0))
         style.set_color_(imgui.Col_.frame_bg, imgui.ImVec4(0.2, 0.22, 0.26, 1.0))
         self.lists = DrawLists(context)
 

@@ -179,7 +179,7 @@ def reach_panel(window: "Window") -> None:
     """How hands and feet are pulled, and which are held in place while the body moves."""
     tool = _tool(window)
     assert window.panels is not None
-    imgui.text_disabled("drag the squares: hands, feet; the diamond: body")
+    imgui.text_wrapped("Drag squares: hands and feet. Diamond: the body. Rings: elbows and knees.")
     tool.follow = imgui.checkbox("hands and feet turn along", tool.follow)[1]
     window.panels.mark("turn along")
     for number, limb in enumerate(LIMBS):
@@ -230,13 +230,15 @@ def library_panel(window: "Window") -> None:
     tool = _tool(window)
     assert window.panels is not None
     typed = tool.typed
-    if imgui.begin_child("##poses", imgui.ImVec2(0, 8 * imgui.get_font_size()), imgui.ChildFlags_.borders):
+    imgui.set_next_item_width(-1)
+    if imgui.begin_combo("##library", "take a pose", imgui.ComboFlags_.height_large):
         for name in tool.library.names():
             if imgui.selectable(f"{name}##pose", False)[0]:
-                tool.tried(lambda name=name: tool.take(name))
+                tool.tried(partial(tool.take, name))
                 typed["name"] = "" if name in BUILTIN else name
             window.panels.mark(f"take {name}")
-    imgui.end_child()
+        imgui.end_combo()
+    window.panels.mark("library")
     typed["name"] = imgui.input_text("name", typed["name"])[1]
     window.panels.mark("name")
     _button(window, "Keep", lambda: tool.keep(typed["name"]))

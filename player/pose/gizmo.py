@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from avatar.camera import Camera, pixel_rays, project
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import PARENTS, joint_transforms
-from player.pose.limits import limits
+from player.pose.limits import joint_angles, limits
 
 Array = np.ndarray
 
@@ -61,14 +61,20 @@ def gizmo_at(
 ) -> Gizmo | None:
     """The gizmo on a joint, `pixels` large on the screen; None where the joint is behind the camera.
 
-    frame: "local" has the joint's own flexion, abduction and twist axes, turned along with it; "world" x, y and z.
+    frame: "world" x, y and z; "local" the joint's flexion, abduction and twist axes, carried along by its swing and
+    not by its twist, so that a hinge's first ring changes its flexion alone, and every third ring the twist alone.
     """
     world = joint_transforms(axis_angle, joints, root)[joint]
     center = world[:3, 3]
     _, depth = project(camera, center[None])
     if depth[0] < 1e-3:
         return None
-    axes = np.eye(3) if frame == "world" else limits().axes[joint] @ world[:3, :3].T
+    axes = np.eye(3)
+    if frame == "local":
+        axes = limits().axes[joint]
+        twist = joint_angles(axis_angle)[joint, 2]
+        swung = world[:3, :3] @ matrix_from_axis_angle(-twist * axes[2])
+        axes = axes @ swung.T
     eye = center - camera.eye
     distance = float(np.linalg.norm(eye))
     radius = pixels * float(depth[0]) / float(camera.K[1, 1])

@@ -75,16 +75,23 @@ def drag(start, end):
 
 def pull(window, start, end):
     """A drag of which nothing is drawn until it is over."""
-    window.on_pointer(*start)
-    window.on_button(0, True)
-    window.on_pointer(*(0.5 * (np.array(start) + end)))
-    window.on_pointer(*end)
-    window.on_button(0, False)
+    window.pointer.move(*start)
+    window.pointer.press(0)
+    window.pointer.move(*(0.5 * (np.array(start) + end)))
+    window.pointer.move(*end)
+    window.pointer.release(0)
 
 
-def scrolled(window):
-    """The panels on the right scrolled to their end."""
-    window.run([f"move:{SIZE[0] - 100}:300", "wheel:-60", "wait", "wait"], keep=True)
+def press(window, *names):
+    """Press widgets of the panel on the right, scrolled to where each can be seen."""
+    for name in names:
+        for _ in range(5):
+            y = window.panels.places[name][1]
+            if 20 < y < SIZE[1] - 100:
+                break
+            notches = (SIZE[1] / 2 - y) / 75  # a notch is five lines
+            window.run([f"move:{SIZE[0] - 100}:300", f"wheel:{notches:.1f}", "wait"], keep=True)
+        window.run([f"press:{name}", "wait"], keep=True)
 
 
 def figure(window, image):
@@ -163,8 +170,7 @@ def test_hands_feet_body_and_elbows_are_pulled_and_pins_hold(opened):
             np.testing.assert_allclose(session.world()[end, :3, 3], kept, atol=1e-9)
         tool.undo()
         assert session.pose is start
-    scrolled(window)
-    window.run(["press:pin left_foot", "wait"])
+    press(window, "pin left foot")
     assert set(session.pinned) == {"left_foot"}
     foot = session.world()[J["left_ankle"]]
     x, y = at(window, session.pose.root)
@@ -175,15 +181,16 @@ def test_hands_feet_body_and_elbows_are_pulled_and_pins_hold(opened):
     # escape gives up a drag, and does not close the window
     here = session.pose
     x, y = at(window, session.world()[J["right_wrist"], :3, 3])
-    window.on_pointer(x, y)
-    window.on_button(0, True)
-    window.on_pointer(x + 30, y + 30)
+    window.pointer.move(x, y)
+    window.pointer.press(0)
+    window.pointer.move(x + 30, y + 30)
     assert not session.pose.same(here)
     run(window, "escape")
-    window.on_button(0, False)
+    window.pointer.release(0)
     assert session.pose.same(here) and not window.closing
     # a press on a handle that does not move selects its joint; beside everything the camera turns
-    run(window, "click:{:.1f}:{:.1f}".format(*at(window, session.world()[J["right_ankle"], :3, 3])))
+    x, y = at(window, session.world()[J["right_ankle"], :3, 3])
+    run(window, f"move:{x:.1f}:{y:.1f} wait click:{x:.1f}:{y:.1f}")
     assert tool.joint == J["right_ankle"]
     azimuth, (left, top, *_) = window.cameras.orbit.azimuth, window.area()
     run(window, drag((left + 20, top + 20), (left + 60, top + 20)))
@@ -192,50 +199,44 @@ def test_hands_feet_body_and_elbows_are_pulled_and_pins_hold(opened):
 
 def test_panels_set_angles_hands_mirror_copy_and_take_poses(opened):
     window, tool, session = opened()
-
-    def press(*names):
-        window.run([word for name in names for word in (f"press:{name}", "wait")], keep=True)
-
     window.select(0, J["left_elbow"])
     run(window, "wait wait")
-    press("angle 0")  # somewhere right of its middle
+    press(window, "angle 0")  # somewhere right of its middle
     assert 0.9 < joint_angles(session.pose.axis_angle)[J["left_elbow"], 0] < 2.2
     x, y = window.panels.places["angle 0"]
     run(window, drag((x, y), (x + 3000, y)))  # far beyond the end: the limit holds
     assert 149 < np.degrees(joint_angles(session.pose.axis_angle)[J["left_elbow"], 0]) <= 150.001
     assert within(session.pose.axis_angle)[J["left_elbow"]]
     assert len(session.past) == 2  # each drag of a slider is one step
-    press("left fist", "right peace")
+    press(window, "left fist", "right peace")
     for side, name in (("left", "fist"), ("right", "peace")):
         np.testing.assert_allclose(
             hand_shape(session.pose.axis_angle, side).curl, PRESETS[name].curl, atol=1e-6
         )
     pose = session.pose.axis_angle
-    press("mirror")
+    press(window, "mirror")
     np.testing.assert_allclose(session.pose.axis_angle, mirrored_in_place(pose), atol=1e-9)
-    press("undo", "copy whole")
-    scrolled(window)
-    press("take T-pose")
-    window.run([f"move:{SIZE[0] - 100}:100", "wheel:60", "wait", "wait"])
+    press(window, "undo", "copy whole")
+    press(window, "library", "take T-pose")
     assert np.abs(session.pose.axis_angle).max() == 0
     assert session.pose.root[1] == pytest.approx(pelvis_height(window.show.avatars[0]), abs=1e-6)
-    press("paste")
+    press(window, "paste")
     np.testing.assert_allclose(session.pose.axis_angle[1:], pose[1:], atol=1e-9)
-    press("paste mirrored")
+    press(window, "paste mirrored")
     np.testing.assert_allclose(session.pose.axis_angle, mirrored_in_place(pose), atol=1e-9)
-    press("undo", "undo", "undo", "redo")
+    press(window, "undo", "undo", "undo", "redo")
     assert np.abs(session.pose.axis_angle).max() == 0
-    press("limits")
+    press(window, "limits")
     assert not session.limited
 
 
 def test_keyframes_are_made_played_saved_and_play_as_a_motion(opened, avatar):
     window, tool, session = opened()
-    run(window, "i . . . . . . . . . .")
+    run(window, "i scrub:0.34 wait")
     assert session.frame == 10 and [f for f, _ in session.keys] == [0]
     session.set_angle(J["right_elbow"], 0, 1.5)
     first = session.keys[0][1]
-    run(window, "i , , , , ,")
+    run(window, "i scrub:0.17 wait")
     assert [f for f, _ in session.keys] == [0, 10] and session.frame == 5
     a, b, c = (
         joint_angles(p.axis_angle)[J["right_elbow"], 0] for p in (first, session.pose, session.keys[1][1])
@@ -248,8 +249,9 @@ def test_keyframes_are_made_played_saved_and_play_as_a_motion(opened, avatar):
     assert 0 < session.frame < 10 and not session.unkeyed
     run(window, "q")
     assert not window.closing and "not saved" in window.message
-    scrolled(window)
-    window.run(["press:file", "type:mine.npz", "press:save", "wait"], keep=True)
+    press(window, "file")
+    window.run(["type:mine.npz"])
+    press(window, "save")
     assert not session.dirty
     run(window, "wait")
     motion = read_motion("mine.npz")
@@ -270,8 +272,9 @@ def test_a_pose_is_kept_in_the_library_and_plays_as_a_motion(opened, tmp_path):
     session.set_angle(J["left_shoulder"], 0, 0.6)
     session.move(session.pose, session.pose.root + [0.05, 0, 0])
     wanted = session.pose
-    scrolled(window)
-    window.run(["press:name", "type:Arm_up", "press:keep", "wait"], keep=True)
+    press(window, "name")
+    window.run(["type:Arm_up"])
+    press(window, "keep")
     kept = tmp_path / "data" / "selfscan" / "poses" / "Arm up.npz"
     assert kept.is_file() and tool.library.names()[-1] == "Arm up"
     tool.take("T-pose")
@@ -283,7 +286,6 @@ def test_a_pose_is_kept_in_the_library_and_plays_as_a_motion(opened, tmp_path):
     assert np.array_equal(clip.axis_angle[0], wanted.axis_angle)
     np.testing.assert_allclose(clip.root[0], wanted.root, atol=1e-12)
     (kept.parent / "broken.npz").write_bytes(b"nothing")
-    scrolled(window)
     before = session.state
     tool.tried(lambda: tool.take("broken"))
     assert session.state is before and "broken.npz" in window.message

@@ -24,7 +24,9 @@ def turned(angle, seed=0):
 def test_rotations_equal_the_plain_ones(angle):
     v = turned(angle)
     v[::7] = 0
-    np.testing.assert_allclose(kinematics.rotations(v), matrix_from_axis_angle(v), rtol=0, atol=2e-15 * max(1, angle))
+    np.testing.assert_allclose(
+        kinematics.rotations(v), matrix_from_axis_angle(v), rtol=0, atol=2e-15 * max(1, angle)
+    )
 
 
 @pytest.mark.parametrize("angle", ANGLES)

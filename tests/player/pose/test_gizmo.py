@@ -23,7 +23,7 @@ from player.pose.gizmo import (
     ring_points,
     turned,
 )
-from player.pose.limits import limits
+from player.pose.limits import joint_angles, limits, with_angle
 
 SOME = settings(max_examples=15, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
@@ -63,7 +63,17 @@ def test_a_gizmo_is_as_large_on_the_screen_wherever_the_joint_is(seed):
 def test_axes_are_the_joint_s_own_or_the_world_s():
     gizmo, camera, pose, root, joint = some_gizmo(4)
     world = joint_transforms(pose, JOINTS_AT, root)[joint, :3, :3]
-    np.testing.assert_allclose(gizmo.axes[:3], limits().axes[joint] @ world.T, atol=1e-12)
+    np.testing.assert_allclose(gizmo.axes[2], world @ limits().axes[joint, 2], atol=1e-12)  # along the bone
+    angles = joint_angles(pose)[joint]
+    after = joint_angles(turned(pose, root, JOINTS_AT, joint, gizmo.axes[2], 0.2))[joint]
+    np.testing.assert_allclose(after, angles + [0, 0, 0.2], atol=1e-9)
+    hinge = with_angle(pose, joint, 1, 0.0, limited=False)
+    camera = orbit_camera(gizmo.center + [0.0, 0.1, 0.2], 2.0, 0.3, 0.2, SIZE)
+    gizmo = gizmo_at(hinge, root, JOINTS_AT, joint, camera)
+    assert gizmo is not None
+    angles = joint_angles(hinge)[joint]
+    after = joint_angles(turned(hinge, root, JOINTS_AT, joint, gizmo.axes[0], 0.2))[joint]
+    np.testing.assert_allclose(after, angles + [0.2, 0, 0], atol=1e-9)
     other = gizmo_at(pose, root, JOINTS_AT, joint, camera, frame="world")
     assert other is not None and np.array_equal(other.axes[:3], np.eye(3))
     behind = orbit_camera(other.center + [0, 0, 5.0], 1.0, np.pi, 0.0, SIZE)
