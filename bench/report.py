@@ -6,7 +6,6 @@ frames by alternating rounds and compared with the best rung, and with the truth
 
 import argparse
 import json
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,22 +19,21 @@ from avatar.camera import Camera, orbit_camera
 from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 from avatar.motion import builtin_motion, fitted
-from avatar.progress import progress
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from bench import metrics
-from bench.contact import save_sheet, sheet, spread_poses
+from bench.alternating import Quiet, warning
+from bench.contact import save_sheet, spread_poses
 from bench.held_out import HeldOutView, read_held_out
 from bench.machine import machine
+from bench.rung_page import markdown, plot, rung_sheet
+from bench.rung_scores import compared, crop_of, mark_dominated, row_of
 from player.context import Context, opened
 from player.ladder import Rung, rungs_of, time_rungs
-from player.raster import Rasteriser
-from player.renderer import Pose, Renderer
+from player.renderer import Pose
 
 FRAMES = 4
 SIZE = (512, 512)
 CROP = 0.03  # metres round the person where pictures are compared
-FIELD_ROUNDS = 3
 
 
 @dataclass(frozen=True)
@@ -63,36 +61,50 @@ def bench(
     try:
         rungs = rungs_of(avatar)
         full = frames[0].camera.size
-        timings = time_rungs(
-            context, avatar, rungs, [(f.pose, f.camera) for f in frames], full, rounds=rounds
-        )
+        with Quiet() as quiet:
+            timings = time_rungs(
+                context, avatar, rungs, [(f.pose, f.camera) for f in frames], full, rounds=rounds
+            )
         pictures = {rung.name: rung_pictures(context, avatar, rung, frames) for rung in rungs}
         rows = [row_of(rung.name, t.ms, t.bytes) for rung, t in zip(rungs, timings, strict=True)]
+        for row, timing in zip(rows, timings, strict=True):
+            row["times_faster"] = round(float(np.median(timings[0].ms / timing.ms)), 3)
         if run is not None:
+            from bench.field_rungs import field_rungs  # it brings torch
+
             for name, ms, size, drawn in field_rungs(context, run, frames):
-                rows.insert(0, row_of(name, ms, size))
+                faster = float(np.median(timings[0].ms) / np.median(ms))
+                rows.insert(0, row_of(name, ms, size) | {"times_faster": round(faster, 5)})
                 pictures = {name: drawn} | pictures
+        facts = machine(context.renderer, context.kind)
     finally:
-        kind, renderer = context.kind, context.renderer
         context.release()
 
-    best = rows[0]["name"]
-    crops = [crop_of(pictures[best][i], frame) for i, frame in enumerate(frames)]
+    best, baked = rows[0]["name"], rungs[0].name
+    masks = [
+        frame.truth.mask() if frame.truth is not None else picture.max(-1) > 0
+        for frame, picture in zip(frames, pictures[best], strict=True)
+    ]
+    crops = [crop_of(mask) for mask in masks]
     truths = [f.truth.image() if f.truth is not None else None for f in frames]
     for row in rows:
         drawn = pictures[row["name"]]
         row |= compared(pictures[best], drawn, crops)
+        if best != baked:
+            row["against_baked"] = compared(pictures[baked], drawn, crops)
         if capture is not None:
             row["against_truth"] = compared(truths, drawn, crops)
     mark_dominated(rows)
     result = {
         "format": "selfscan-bench",
-        "machine": machine(renderer, kind),
+        "machine": facts | {"others_cpu_share": quiet.others},
+        "warning": warning(quiet.others, facts["load_average"]),
         "avatar": avatar.name,
         "frames": len(frames),
         "size": list(full),
         "rounds": rounds,
         "best_rung": best,
+        "best_baked_rung": baked,
         "rungs": rows,
     }
     with whole_folder(out) as folder:
@@ -140,7 +152,7 @@ def rung_pictures(
 ) -> list[Float[np.ndarray, "h w 3"]]:
     """The frames as this rung shows them, brought to full resolution."""
     full = frames[0].camera.size
-    renderer = Renderer(context, [avatar], rung.size(full), view=rung.view, level=rung.level)
+    renderer = rung.renderer(context, avatar, full)
     try:
         drawn = []
         for frame in frames:
@@ -151,200 +163,6 @@ def rung_pictures(
         return drawn
     finally:
         renderer.release()
-
-
-def field_rungs(context: Context, run: Path, frames: list[Frame]) -> list[tuple[str, np.ndarray, int, list]]:
-    """The field drawn as its first surface crossing: paper mode, then inside the cone that was seen."""
-    from bench.field_view import Directions, FieldView
-    from train.run import read_run
-
-    view = FieldView(read_run(run))
-    raster = Rasteriser(context)
-    rungs = []
-    try:
-        modes: tuple[tuple[str, Directions], ...] = (
-            ("field, paper mode", "global"),
-            ("field, seen cone", "cone"),
-        )
-        for name, directions in modes:
-            ms, drawn = [], []
-            for number in progress(range(max(FIELD_ROUNDS, len(frames))), name):
-                frame = frames[number % len(frames)]
-                start = time.perf_counter()
-                picture = view.draw(raster, *frame.pose, frame.camera, directions=directions)
-                ms.append(1e3 * (time.perf_counter() - start))
-                if number < len(frames):
-                    drawn.append(picture.colour)
-            size = sum(tensor.numel() * tensor.element_size() for tensor in tensors_of(view.field))
-            rungs.append((name, np.array(ms), size, drawn))
-    finally:
-        raster.release()
-    return rungs
-
-
-def tensors_of(field: Any) -> list:
-    """Every tensor a field holds, wherever it keeps its networks."""
-    import torch
-
-    found: dict[int, torch.Tensor] = {}
-    waiting, visited = [field], set()
-    while waiting:
-        thing = waiting.pop()
-        if id(thing) in visited:
-            continue
-        visited.add(id(thing))
-        if isinstance(thing, torch.Tensor):
-            found[thing.data_ptr()] = thing
-        elif isinstance(thing, torch.nn.Module):
-            waiting += [*thing.parameters(), *thing.buffers()]
-        elif isinstance(thing, dict):
-            waiting += list(thing.values())
-        elif isinstance(thing, (list, tuple)):
-            waiting += list(thing)
-        elif hasattr(thing, "__dict__") and type(thing).__module__.split(".")[0] == "train":
-            waiting += list(vars(thing).values())
-    return list(found.values())
-
-
-# how it compares
-
-
-def crop_of(picture: Float[np.ndarray, "h w 3"], frame: Frame) -> tuple[slice, slice]:
-    """Where pictures are compared: the rectangle of the person, a little wider."""
-    mask = frame.truth.mask() if frame.truth is not None else picture.max(-1) > 0
-    where = metrics.rectangle(mask)
-    height, width = mask.shape
-    if where is None:
-        return slice(0, height), slice(0, width)
-    margin = 4
-    rows, columns = where
-    return (
-        slice(max(0, rows.start - margin), min(height, rows.stop + margin)),
-        slice(max(0, columns.start - margin), min(width, columns.stop + margin)),
-    )
-
-
-def compared(references: list, drawn: list, crops: list[tuple[slice, slice]]) -> dict[str, Any]:
-    """PSNR of the pooled error, SSIM and FLIP over the rectangles; null with the reason for equal pictures."""
-    error, ssim, flip = metrics.PooledError(), [], []
-    for reference, picture, where in zip(references, drawn, crops, strict=True):
-        error.add(reference[where], picture[where])
-        ssim.append(metrics.ssim(reference[where], picture[where]))
-        flip.append(metrics.flip(reference[where], picture[where]))
-    scores = {"psnr_db": error.psnr(), "ssim": metrics.mean_score(ssim), "flip": metrics.mean_score(flip)}
-    out: dict[str, Any] = {n: None if s.value is None else round(s.value, 4) for n, s in scores.items()}
-    reasons = {n: s.reason for n, s in scores.items() if s.value is None}
-    return out | ({"reasons": reasons} if reasons else {})
-
-
-def row_of(name: str, ms: Float[np.ndarray, "n"], size: int) -> dict[str, Any]:
-    median, tail = float(np.median(ms)), float(np.percentile(ms, 95))
-    return {"name": name, "ms_median": round(median, 3), "ms_p95": round(tail, 3), "bytes": int(size)}
-
-
-def mark_dominated(rows: list[dict[str, Any]]) -> None:
-    """A rung is dominated when another is no slower and no less exact, and better in one of the two."""
-
-    def exactness(row: dict[str, Any]) -> float:
-        return float("inf") if row["psnr_db"] is None else float(row["psnr_db"])
-
-    for row in rows:
-        row["dominated"] = any(
-            other["ms_median"] <= row["ms_median"]
-            and exactness(other) >= exactness(row)
-            and (other["ms_median"], -exactness(other)) != (row["ms_median"], -exactness(row))
-            for other in rows
-        )
-
-
-# how it is told
-
-
-def number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
-def markdown(result: dict[str, Any]) -> str:
-    m = result["machine"]
-    width, height = result["size"]
-    truth = any("against_truth" in row for row in result["rungs"])
-    lines = [
-        f"# Accuracy against time: {result['avatar']}",
-        "",
-        f"{m['cpu']}, {m['cores']} cores, {m['renderer']} ({m['context']}); {width} x {height} px, "
-        f"{result['frames']} frames, {result['rounds']} alternating rounds, load {number(m['load_average'], 1)}. "
-        f"PSNR, SSIM and FLIP against `{result['best_rung']}`"
-        + ("; beside them PSNR against truth." if truth else "."),
-        "",
-        "| rung | ms median | p95 | MB | PSNR dB | SSIM | FLIP |" + (" truth dB |" if truth else "") + " |",
-        "|-|-|-|-|-|-|-|" + ("-|" if truth else "") + "-|",
-    ]
-    for row in result["rungs"]:
-        psnr = number(row["psnr_db"], 2) if row["psnr_db"] is not None else "same"
-        cells = [
-            row["name"],
-            number(row["ms_median"], 2),
-            number(row["ms_p95"], 2),
-            number(row["bytes"] / 1e6, 1),
-        ]
-        cells += [psnr, number(row["ssim"], 3), number(row["flip"], 3)]
-        if truth:
-            cells.append(number(row["against_truth"]["psnr_db"], 2))
-        cells.append("dominated" if row["dominated"] else "")
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n\n![accuracy against time](pareto.png)\n\n![rungs](rungs.png)\n"
-
-
-def plot(result: dict[str, Any], path: Path) -> None:
-    """Milliseconds against PSNR, the rungs that nothing dominates joined by a line."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import FormatStrFormatter, NullFormatter
-
-    rows = result["rungs"]
-    finite = [row["psnr_db"] for row in rows if row["psnr_db"] is not None]
-    top = (max(finite) if finite else 40.0) + 3.0  # where the best rung, equal to itself, is drawn
-    figure = Figure(figsize=(8, 4.5), dpi=110, layout="constrained")
-    axes = figure.add_subplot()
-    points = [(row["ms_median"], row["psnr_db"] if row["psnr_db"] is not None else top, row) for row in rows]
-    front = sorted((x, y) for x, y, row in points if not row["dominated"])
-    axes.plot([x for x, _ in front], [y for _, y in front], "-", color="0.6", zorder=1)
-    for x, y, row in points:
-        axes.scatter([x], [y], s=28, color="0.7" if row["dominated"] else "tab:blue", zorder=2)
-        axes.annotate(row["name"], (x, y), fontsize=7, xytext=(4, 4), textcoords="offset points")
-    axes.set_xscale("log")
-    axes.margins(x=0.25, y=0.12)  # room for the names
-    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
-    few = 3 * min(x for x, _, _ in points) > max(
-        x for x, _, _ in points
-    )  # under a third of a decade: label all ticks
-    axes.xaxis.set_minor_formatter(FormatStrFormatter("%g") if few else NullFormatter())
-    axes.set_xlabel("ms per frame (median)")
-    axes.set_ylabel(f"PSNR dB against {result['best_rung']} (its own point is on top)", fontsize=8)
-    axes.set_title(f"{result['avatar']} on {result['machine']['renderer']}", fontsize=9)
-    axes.grid(alpha=0.3)
-    with whole_file(path) as file:
-        figure.savefig(file, format="png")
-
-
-def rung_sheet(result: dict[str, Any], pictures: dict, crops: list, truths: list) -> Image.Image:
-    """The first frame of every rung side by side."""
-    tiles, titles = [], []
-    if truths[0] is not None:
-        tiles.append([bytes_of(truths[0][crops[0]])])
-        titles.append(["truth"])
-    for row in result["rungs"]:
-        tiles.append([bytes_of(pictures[row["name"]][0][crops[0]])])
-        titles.append([f"{row['name']}: {row['ms_median']:.1f} ms"])
-    return sheet(
-        tiles, titles, f"{result['avatar']}: rungs of accuracy against time", columns=min(6, len(tiles))
-    )
-
-
-def bytes_of(picture: Float[np.ndarray, "h w 3"]) -> np.ndarray:
-    return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)
 
 
 def bench_main(argv: list[str]) -> int:
@@ -382,5 +200,7 @@ def bench_main(argv: list[str]) -> int:
             f"{row['name']:36}{row['ms_median']:10.2f} ms{psnr:>12}"
             + ("  dominated" if row["dominated"] else "")
         )
+    if result["warning"]:
+        print(result["warning"])
     print(f"wrote {options.out}/bench.md")
     return 0

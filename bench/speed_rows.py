@@ -34,6 +34,7 @@ from player.renderer import Pose, Renderer
 Row = dict[str, Any]
 MIB = 1 << 20
 ROOT = Path(__file__).parents[1]
+PATIENCE = 30.0  # seconds until a sender must have started
 SETTLED = 500  # frames after which memory should not grow
 
 
@@ -241,6 +242,9 @@ def live_latency(
             rate, spans = (inbox.counters.frames - before) / took, 1000 * np.array(latency.spans)
         ms = 1000 * took / frames
         with sending(listener.address.port, rate=240.0, fuzz=10_000.0):
+            begun, spoilt = time.perf_counter(), inbox.counters.malformed
+            while inbox.counters.malformed == spoilt and time.perf_counter() - begun < PATIENCE:
+                draw_for(0.1)  # until the sender is up
             received, spoilt = inbox.counters.received, inbox.counters.malformed
             draw_for(fuzz_seconds)
             received, spoilt = inbox.counters.received - received, inbox.counters.malformed - spoilt

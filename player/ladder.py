@@ -6,11 +6,12 @@ is measured by `selfscan bench`.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
@@ -18,21 +19,30 @@ from player.context import Context
 from player.effects import VIEWS
 from player.renderer import Pose, Renderer
 
+SHARES = {0.75: "3/4 resolution", 0.5: "half resolution"}
+SMALLEST_TEXTURE = 64  # texels a side
 VIEW_NAMES = {"network": "network per pixel", "linear": "linear", "vertex": "per vertex", "off": "paper mode"}
 
 
 @dataclass(frozen=True)
 class Rung:
-    """One way to draw: view dependence, level of detail (0 the finest), pixels as a share of full resolution."""
+    """One way to draw: view dependence, level of detail (0 the finest), pixels as a share of full resolution, and
+    how often the sides of the textures are halved."""
 
     name: str
     view: str
     level: int = 0
     share: float = 1.0
+    halvings: int = 0
 
     def size(self, full: tuple[int, int]) -> tuple[int, int]:
         """Pixels it draws, at least one."""
         return max(1, round(full[0] * self.share)), max(1, round(full[1] * self.share))
+
+    def renderer(self, context: Context, avatar: Avatar, full: tuple[int, int]) -> Renderer:
+        """A renderer that draws the avatar so, on its share of `full` pixels."""
+        avatar = with_halved_textures(avatar, self.halvings)
+        return Renderer(context, [avatar], self.size(full), view=self.view, level=self.level)
 
 
 class Timing(NamedTuple):
@@ -48,17 +58,53 @@ def views_of(avatar: Avatar) -> list[str]:
 
 
 def rungs_of(avatar: Avatar) -> list[Rung]:
-    """View modes on the finest level, paper mode on the coarser ones, and both ends at half resolution."""
+    """View modes on the finest level; the dearest mode and paper mode with coarser levels, smaller textures and fewer
+    pixels; last the coarsest level at half resolution."""
     views = views_of(avatar)
-    rungs = [Rung(rung_name(avatar, view, 0), view) for view in views]
-    rungs += [Rung(rung_name(avatar, "off", level), "off", level) for level in range(1, len(avatar.levels))]
-    for view, level in {(views[0], 0): None, ("off", 0): None, ("off", len(avatar.levels) - 1): None}:
-        rungs.append(Rung(f"{rung_name(avatar, view, level)}, half resolution", view, level, 0.5))
+    named = partial(rung_name, avatar)
+    rungs = [Rung(named(view), view) for view in views]
+    ends = list(dict.fromkeys((views[0], "off")))
+    coarser = range(1, len(avatar.levels))
+    rungs += [Rung(named(view, level), view, level) for view in ends for level in coarser]
+    largest = min(avatar.levels[0].base_color.shape[:2])
+    for view in ends:
+        for halvings in (1, 2):
+            if largest >> halvings >= SMALLEST_TEXTURE:
+                name = f"{named(view)}, texture {largest >> halvings}"
+                rungs.append(Rung(name, view, halvings=halvings))
+        rungs += [Rung(f"{named(view)}, {words}", view, share=share) for share, words in SHARES.items()]
+    if coarser:
+        last = coarser[-1]
+        rungs.append(Rung(f"{named('off', last)}, {SHARES[0.5]}", "off", last, 0.5))
     return rungs
 
 
-def rung_name(avatar: Avatar, view: str, level: int) -> str:
+def rung_name(avatar: Avatar, view: str, level: int = 0) -> str:
     return f"{VIEW_NAMES[view]}, {round(len(avatar.levels[level].faces) / 1000)}k"
+
+
+def with_halved_textures(avatar: Avatar, times: int) -> Avatar:
+    """The avatar with the sides of all textures halved `times` times, each texel the mean of four."""
+    if not times:
+        return avatar
+    levels = [
+        replace(
+            level,
+            base_color=halved(level.base_color, times),
+            features=None if level.features is None else halved(level.features, times),
+        )
+        for level in avatar.levels
+    ]
+    return replace(avatar, levels=tuple(levels))
+
+
+def halved(image: UInt8[np.ndarray, "h w c"], times: int) -> UInt8[np.ndarray, "h2 w2 c"]:
+    """The mean of each block of 2^times texels a side, rounded; what does not fill a block is left out. Halving ends
+    at one texel."""
+    side = 1 << min(times, min(image.shape[:2]).bit_length() - 1)
+    height, width, channels = image.shape[0] // side, image.shape[1] // side, image.shape[2]
+    blocks = image[: height * side, : width * side].reshape(height, side, width, side, channels)
+    return np.round(blocks.mean((1, 3))).astype(np.uint8)
 
 
 def time_rungs(
@@ -81,9 +127,7 @@ def time_rungs(
     """
     if not frames or rounds < 1:
         raise ValueError(f"{len(frames)} frames and {rounds} rounds give nothing to time")
-    renderers = [
-        Renderer(context, [avatar], rung.size(full), view=rung.view, level=rung.level) for rung in rungs
-    ]
+    renderers = [rung.renderer(context, avatar, full) for rung in rungs]
     try:
         ms = np.zeros((len(rungs), rounds))
         for number in range(rounds):

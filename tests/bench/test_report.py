@@ -1,6 +1,7 @@
 """Accuracy against time on the oracle avatar."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ from PIL import Image
 
 from avatar.avatar_file import read_avatar
 from bench.contact import LARGEST, WIDTH, contact_sheet, save_sheet, sheet
-from bench.report import bench_main, mark_dominated
-from player.ladder import rungs_of, views_of
+from bench.report import bench_main
+from bench.rung_scores import mark_dominated
+from player.ladder import halved, rungs_of, views_of, with_halved_textures
+from player.mannequin import mannequin
 
 
 def test_bench_writes_json_table_plot_and_pictures(oracle, tmp_path, capsys):
@@ -18,10 +21,12 @@ def test_bench_writes_json_table_plot_and_pictures(oracle, tmp_path, capsys):
     assert bench_main([str(avatar), "--capture", str(capture), "-o", str(out), "--rounds", "2"]) == 0
     result = json.loads((out / "bench.json").read_text())
     assert result["machine"]["renderer"] and result["machine"]["cores"] >= 1
-    best, half = result["rungs"]
-    for row in (best, half):
+    assert 0 <= result["machine"]["others_cpu_share"] <= 1
+    best, *_, half = result["rungs"]
+    for row in result["rungs"]:
         assert row.keys() >= {"name", "ms_median", "ms_p95", "bytes", "psnr_db", "ssim", "flip", "dominated"}
         assert 0 < row["ms_median"] <= row["ms_p95"] and row["bytes"] > 0
+    assert best["times_faster"] == 1
     assert best["psnr_db"] is None and "identical" in best["reasons"]["psnr_db"]
     assert half["psnr_db"] < 35 and half["bytes"] < best["bytes"]
     assert best["against_truth"]["psnr_db"] > half["against_truth"]["psnr_db"]
@@ -40,8 +45,36 @@ def test_a_rung_is_dominated_by_one_that_is_no_slower_and_more_exact():
 
 def test_the_ladder_offers_only_what_the_file_holds(oracle):
     avatar = read_avatar(oracle[1])
-    assert views_of(avatar) == ["off"]
-    assert [(r.view, r.level, r.share) for r in rungs_of(avatar)] == [("off", 0, 1.0), ("off", 0, 0.5)]
+    side = min(avatar.levels[0].base_color.shape[:2])
+    rungs = rungs_of(avatar)
+    assert views_of(avatar) == ["off"] and {(r.view, r.level) for r in rungs} == {("off", 0)}
+    shares, halvings = [r.share for r in rungs], [r.halvings for r in rungs]
+    assert sorted(shares) == [0.5, 0.75, *[1.0] * (len(rungs) - 2)]
+    assert halvings == [0, *[n for n in (1, 2) if side >> n >= 64], 0, 0]
+
+
+def test_all_modes_levels_textures_and_resolutions_are_rungs_of_their_own():
+    avatar = mannequin()
+    coarse = replace(avatar.levels[0], features=None, faces=avatar.levels[0].faces[::3])
+    rungs = rungs_of(replace(avatar, levels=(avatar.levels[0], coarse)))
+    assert len({r.name for r in rungs}) == len(rungs)
+    assert len({(r.view, r.level, r.share, r.halvings) for r in rungs}) == len(rungs)
+    assert [r.view for r in rungs[:4]] == ["network", "linear", "vertex", "off"]
+    for view in ("network", "off"):
+        assert {(r.level, r.share, r.halvings) for r in rungs if r.view == view} >= {
+            (1, 1.0, 0), (0, 1.0, 1), (0, 1.0, 2), (0, 0.75, 0), (0, 0.5, 0),
+        }  # fmt: skip
+
+
+def test_a_halved_texture_is_the_mean_of_its_blocks():
+    image = np.arange(6 * 5 * 3, dtype=np.uint8).reshape(6, 5, 3)
+    found = halved(image, 1)
+    assert found.shape == (3, 2, 3)
+    assert found[1, 1].tolist() == np.round(image[2:4, 2:4].mean((0, 1))).tolist()
+    assert halved(image, 9).shape == (1, 1, 3)
+    avatar = with_halved_textures(mannequin(), 1)
+    assert avatar.levels[0].base_color.shape == (256, 256, 3)
+    assert avatar.levels[0].features.shape == (32, 32, 4)
 
 
 def test_the_contact_sheet_shows_truth_beside_the_avatar(oracle, tmp_path):

@@ -1,0 +1,110 @@
+"""Accuracy against time as a table, a plot and a sheet of pictures."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+from avatar.files import whole_file
+from bench.contact import sheet
+
+
+def number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def markdown(result: dict[str, Any]) -> str:
+    m = result["machine"]
+    width, height = result["size"]
+    columns = {
+        "against_baked": f"PSNR dB against {result['best_baked_rung']}",
+        "against_truth": "PSNR dB against truth",
+    }
+    columns = {key: name for key, name in columns.items() if any(key in row for row in result["rungs"])}
+    lines = [
+        f"# Accuracy against time: {result['avatar']}",
+        "",
+        *([f"> **{result['warning']}**", ""] if result["warning"] else []),
+        f"{m['cpu']}, {m['cores']} cores, {m['renderer']} ({m['context']}); {width} x {height} px, "
+        f"{result['frames']} frames, {result['rounds']} alternating rounds, load {number(m['load_average'], 1)}. "
+        f"PSNR, SSIM and FLIP against `{result['best_rung']}`; *faster*: than `{result['best_baked_rung']}`, median of the "
+        "rounds' ratios; *dominated*: another rung is no slower and no less exact.",
+        "",
+        "| rung | ms median | p95 | faster | MB | PSNR dB | SSIM | FLIP |"
+        + "".join(f" {n} |" for n in columns.values())
+        + " |",
+        "|-|-|-|-|-|-|-|-|" + "-|" * len(columns) + "-|",
+    ]
+    for row in result["rungs"]:
+        psnr = number(row["psnr_db"], 2) if row["psnr_db"] is not None else "same"
+        cells = [
+            row["name"],
+            number(row["ms_median"], 2),
+            number(row["ms_p95"], 2),
+            number(row["times_faster"], 2),
+            number(row["bytes"] / 1e6, 1),
+        ]
+        cells += [psnr, number(row["ssim"], 3), number(row["flip"], 3)]
+        cells += [number(row[key]["psnr_db"], 2) for key in columns]
+        cells.append("dominated" if row["dominated"] else "")
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n\n![accuracy against time](pareto.png)\n\n![rungs](rungs.png)\n"
+
+
+def plot(result: dict[str, Any], path: Path) -> None:
+    """Milliseconds against PSNR, numbered; the rungs that nothing dominates are joined by a line."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import FormatStrFormatter, NullFormatter
+
+    rows = result["rungs"]
+    finite = [row["psnr_db"] for row in rows if row["psnr_db"] is not None]
+    top = (max(finite) if finite else 40.0) + 3.0  # where the best rung, equal to itself, is drawn
+    figure = Figure(figsize=(9, 4.5), dpi=110, layout="constrained")
+    axes, names = figure.subplots(1, 2, gridspec_kw={"width_ratios": [2.2, 1]})
+    points = [(row["ms_median"], row["psnr_db"] if row["psnr_db"] is not None else top, row) for row in rows]
+    front = sorted((x, y) for x, y, row in points if not row["dominated"])
+    axes.plot([x for x, _ in front], [y for _, y in front], "-", color="0.6", zorder=1)
+    names.axis("off")
+    for place, (x, y, row) in enumerate(points, 1):
+        color = "0.6" if row["dominated"] else "tab:blue"
+        axes.scatter([x], [y], s=28, color=color, zorder=2)
+        axes.annotate(str(place), (x, y), fontsize=7, xytext=(4, 4), textcoords="offset points")
+        line = 1 - (place - 0.5) / len(points)
+        names.text(0, line, f"{place}  {row['name']}", fontsize=7, color="black" if not row["dominated"] else "0.5",
+                   va="center")  # fmt: skip
+    axes.set_xscale("log")
+    axes.margins(x=0.1, y=0.12)
+    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    few = 3 * min(x for x, _, _ in points) > max(
+        x for x, _, _ in points
+    )  # under a third of a decade: label all ticks
+    axes.xaxis.set_minor_formatter(FormatStrFormatter("%g") if few else NullFormatter())
+    axes.set_xlabel("ms per frame (median)")
+    axes.set_ylabel(f"PSNR dB against {result['best_rung']} (its own point is on top)", fontsize=8)
+    axes.set_title(f"{result['avatar']} on {result['machine']['renderer']}", fontsize=9)
+    axes.grid(alpha=0.3)
+    with whole_file(path) as file:
+        figure.savefig(file, format="png")
+
+
+def rung_sheet(result: dict[str, Any], pictures: dict, crops: list, truths: list) -> Image.Image:
+    """The first frame of every rung side by side."""
+    tiles, titles = [], []
+    if truths[0] is not None:
+        tiles.append([bytes_of(truths[0][crops[0]])])
+        titles.append(["truth"])
+    for row in result["rungs"]:
+        tiles.append([bytes_of(pictures[row["name"]][0][crops[0]])])
+        titles.append([f"{row['name']}: {row['ms_median']:.1f} ms"])
+    return sheet(
+        tiles, titles, f"{result['avatar']}: rungs of accuracy against time", columns=min(6, len(tiles))
+    )
+
+
+def bytes_of(picture: Float[np.ndarray, "h w 3"]) -> np.ndarray:
+    return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)
