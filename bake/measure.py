@@ -4,18 +4,17 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer, UInt8
+from jaxtyping import Bool, Float, Integer
 from scipy.ndimage import binary_erosion
 
 from avatar.avatar_file import Avatar
 from avatar.camera import Camera, orbit_camera, pixel_rays
 from avatar.skeleton import joint_transforms, skin_transforms
-from avatar.texture import sample_texture
 from avatar.skinning import SkinWeights, blended_rotations, skin_points, strongest_four
 from bake.cone import ColorFunction, ViewCone, clamped_tangent, cone_direction, interpolated
 from bake.surface import Mesh, PointFunction, project_to_zero
 from bake.truth import Errors, errors_of, modes_of, sum_of
-from train.mesh import face_areas, half_edges
+from train.mesh import face_areas
 
 HEAD, LEFT_WRIST, RIGHT_WRIST = 15, 20, 21
 LEFT_MIDDLE, RIGHT_MIDDLE = 25, 40
@@ -203,40 +202,6 @@ def compare(
     db = {mode: decibels(e) for mode, e in together.items() if e.count}
     paper = db.pop("paper", float("nan"))
     return Score(paper, db, groups, per_view, together["paper"].count // 3)
-
-
-def seam_steps(
-    uv: Float[np.ndarray, "corners 2"],
-    faces: Integer[np.ndarray, "faces 3"],
-    source: Integer[np.ndarray, "corners"],
-    image: UInt8[np.ndarray, "height width channels"],
-    *,
-    samples: int = 5,
-) -> Float[np.ndarray, "steps"]:
-    """Colour step (bytes, worst channel) between the two sides of every chart edge, at points along it."""
-    directed = half_edges(faces)
-    ends = source[directed]
-    count = int(source.max()) + 1
-    key = np.sort(ends, axis=1)
-    key = key[:, 0] * count + key[:, 1]
-    order = np.argsort(key, kind="stable")
-    same = np.flatnonzero(key[order][1:] == key[order][:-1])
-    left, right = directed[order[same]], directed[order[same + 1]]
-    # put both in the same direction along the edge
-    swap = source[left[:, 0]] != source[right[:, 0]]
-    right = np.where(swap[:, None], right[:, ::-1], right)
-    # a triangle without area has no texels of its own: its corners share one texture coordinate
-    wide = (uv[left[:, 0]] != uv[left[:, 1]]).any(1) & (uv[right[:, 0]] != uv[right[:, 1]]).any(1)
-    seam = (left != right).any(1) & wide
-    left, right = left[seam], right[seam]
-    if len(left) == 0:
-        return np.zeros(0)
-    steps = []
-    for t in (np.arange(samples) + 0.5) / samples:
-        one = sample_texture(image, (1 - t) * uv[left[:, 0]] + t * uv[left[:, 1]])
-        other = sample_texture(image, (1 - t) * uv[right[:, 0]] + t * uv[right[:, 1]])
-        steps.append(np.abs(one - other).max(1))
-    return np.concatenate(steps)
 
 
 def field_to_mesh(
