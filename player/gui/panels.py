@@ -32,9 +32,9 @@ Panel = Callable[["Window"], None]
 
 LEFT: Sequence[tuple[str, Panel, Callable[["Window"], bool]]] = (
     ("Avatars", avatars_panel, lambda window: True),
+    ("Live", live_panel, lambda window: bool(window.playback.live)),
     ("Camera", camera_panel, lambda window: True),
     ("View", view_panel, lambda window: True),
-    ("Live", live_panel, lambda window: bool(window.playback.live)),
 )
 # shown at the right while `window.pose_session` is there; overlays are drawn over the picture, under the panels
 RIGHT: Sequence[tuple[str, Panel]] = POSE_PANELS

@@ -262,3 +262,91 @@ def test_thousands_of_triangles_make_the_buffers_grow(context, imgui_context):
     n = np.arange(9000)
     assert np.array_equal(image[n // 200, n % 200, 0], n % 256) and (image[:45, :, 1] == 7).all()
     lists.release()
+
+
+# -- screens of high density, live poses
+
+
+def opened(avatar_path, size, live=()):
+    scene = scene_of(play_parser().parse_args([avatar_path, *(("--live", "udp:1") if live else ())]))
+    return Window(opened_show(scene, read_avatars(scene), live), size=size, null=True)
+
+
+@pytest.mark.parametrize("system", ["units", "pixels"])
+def test_on_a_screen_of_double_density_everything_is_twice_as_large_in_pixels(
+    osmesa, avatar_path, system, monkeypatch, tmp_path
+):
+    """macOS counts windows in units of two pixels; X11 and Windows in pixels, and say that text is twice as large."""
+    monkeypatch.chdir(tmp_path)
+    real = glfw.get_window_size
+    monkeypatch.setattr(glfw, "get_window_content_scale", lambda handle: (2.0, 2.0))
+    if system == "units":
+        monkeypatch.setattr(glfw, "get_window_size", lambda handle: tuple(n // 2 for n in real(handle)))
+    window = opened(avatar_path, (2 * SIZE[0], 2 * SIZE[1]))
+    try:
+        image = run(window, "space home wait")
+        area, marks = window.area(), dict(window.panels.places)
+        monkeypatch.undo()
+        plain = opened(avatar_path, SIZE)
+        try:
+            small = run(plain, "space home wait")
+            assert np.abs(np.array(area) - 2 * np.array(plain.area())).max() <= 1
+            left, _, width, height = plain.area()
+            for name, (x, y) in plain.panels.places.items():
+                factor = 1 if system == "units" else 2
+                a, b = marks[name]
+                assert abs(a / factor - x) < 4 and abs(b / factor - y) < 8, name
+        finally:
+            plain.close()
+        half = image.reshape(SIZE[1], 2, SIZE[0], 2, 3).mean((1, 3))
+        other = np.abs(half - small)[40:height, left:].max(-1)
+        assert (other > 40).mean() < 0.02  # the avatar is at the same place of the screen
+    finally:
+        window.close()
+
+
+def test_a_click_on_a_dense_screen_picks_what_is_under_it(osmesa, avatar_path, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    real = glfw.get_window_size
+    window = opened(avatar_path, SIZE)
+    try:
+        image = picture(window, run(window, "space home g wait"))
+        rows, columns = (image != image[0, 0]).any(-1).nonzero()
+        x, y = columns[rows < rows.min() + 20].mean(), rows.min() + 20
+        monkeypatch.setattr(glfw, "get_window_size", lambda handle: tuple(n // 2 for n in real(handle)))
+        run(window, f"click:{x / 2}:{y / 2} wait")
+        assert window.selected() == "someone: head"
+    finally:
+        window.close()
+
+
+def test_the_live_panel_tells_rate_loss_and_latency(osmesa, avatar, avatar_path, monkeypatch, tmp_path):
+    from player.live.address import Address
+    from player.live.inbox import Inbox
+    from player.live.json_pose import build_pose
+    from player.live.playback import LivePlayback
+
+    monkeypatch.chdir(tmp_path)
+    now, inbox = [100.0], Inbox("udp")
+    live = LivePlayback(inbox, Address("udp", "127.0.0.1", 1), [avatar], [np.zeros(3)], clock=lambda: now[0])
+    window = opened(avatar_path, SIZE, [(live, [0])])
+    try:
+        waiting = run(window, "wait wait")
+        assert "T-pose" in window.panels.places and "scrub" not in window.panels.places
+        bent = np.zeros((52, 3))
+        bent[16, 2] = -1.2
+        for n in range(10):
+            inbox.feed(build_pose(bent, np.array([0, 0.9, 0]), time=n / 60, sequence=2 * n), 100 + n / 60)
+            now[0] = 100.01 + n / 60
+            posed = run(window, "wait")
+        assert (picture(window, posed) != picture(window, waiting)).any(-1).mean() > 0.01
+        left = window.area()[0]
+        x, y = window.panels.places["T-pose"]
+        table = posed[int(y) - 110 : int(y) - 10, 5 : left - 5]
+        assert len(np.unique(table.reshape(-1, 3), axis=0)) > 20  # letters of the latency table
+        run(window, "press:T-pose")
+        assert live.countdown is not None
+        run(window, "press:play wait")
+        assert not live.playing
+    finally:
+        window.close()
