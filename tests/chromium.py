@@ -4,10 +4,12 @@ Chromium is SELFSCAN_CHROMIUM, else one of the usual names on the path; it draws
 The page and three.js are served on 127.0.0.1; the page posts its pixels back.
 """
 
+import contextlib
 import json
 import os
 import queue
 import shutil
+import signal
 import subprocess
 import threading
 from collections.abc import Sequence
@@ -109,7 +111,8 @@ def three_frames(
                    "--remote-debugging-port=0", f"--user-data-dir={profile}",
                    f"http://127.0.0.1:{server.server_address[1]}/page.html"]  # fmt: skip
         with open(profile / "stderr.txt", "w+") as log:
-            browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log)
+            # a session of its own: on Debian the program is a script, and ending that alone leaves the browser
+            browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log, start_new_session=True)
             try:
                 while len(frames) < len(poses):
                     try:
@@ -122,7 +125,8 @@ def three_frames(
                     pixels = np.frombuffer(body, np.uint8).reshape(height, width, 4)
                     frames[int(path.rsplit("/", 1)[1])] = pixels[::-1, :, :3].copy()
             finally:
-                browser.terminate()
+                with contextlib.suppress(ProcessLookupError):  # it ended by itself
+                    os.killpg(browser.pid, signal.SIGKILL)
                 browser.wait()
                 server.shutdown()
     return [frames[k] for k in range(len(poses))]
