@@ -77,8 +77,9 @@ class Background:
 
     @property
     def transparent(self) -> bool:
-        """Whether the kind and colour alone leave pixels that are not opaque."""
-        return self.kind == "transparent" or (self.kind == "color" and self.color[3] < 1)
+        """Whether pixels may be left that are not opaque, as far as can be said without reading files."""
+        bars = self.kind in ("image", "video") and self.fit == "contain"
+        return self.kind == "transparent" or ((self.kind == "color" or bars) and self.color[3] < 1)
 
 
 PLAIN = Effects()

@@ -4,11 +4,14 @@ import json
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from avatar.errors import AssetError
 from player.checked import facts
 from player.effects import STUDIO, Background, Effects
+from player.render_command import render_main
 from player.scene import Scene, SceneAvatar, SceneCamera
 from player.scene_file import lines_of_keys, read_scene
 from player.scene_schema import DOCS, scene_schema, with_tables
@@ -192,6 +195,16 @@ def test_examples_are_scenes():
     assert len(examples) >= 5
     kinds = {read_scene(path).background.kind for path in examples}
     assert {"color", "image", "hdr", "transparent"} <= kinds
+
+
+@pytest.mark.parametrize("name", ["studio", "evening", "cutout", "picture"])
+def test_examples_can_be_filmed(tmp_path, name):
+    out = tmp_path / "frame.png"
+    scene = DOCS / "scenes" / f"{name}.toml"
+    assert render_main(["--scene", str(scene), "--frame", "3", "--size", "72x64", "-o", str(out)]) == 0
+    pixels = np.asarray(Image.open(out)).astype(int)
+    assert pixels.shape == (64, 72, 4 if name == "cutout" else 3)
+    assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 100
 
 
 def test_schema_and_tables_in_docs_are_those_of_the_dataclasses():
