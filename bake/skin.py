@@ -1,10 +1,35 @@
 """Skin weights of the baked vertices: four influences, 8 bits, each row summing to exactly 255."""
 
 import numpy as np
-from jaxtyping import Float, Integer, UInt8
+from jaxtyping import Bool, Float, Integer, UInt8
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from bake.transfer import Match
 from train.harmonic import fill_harmonic
+from train.mesh import half_edges
+
+# the limb a joint moves: torso and head, each leg, each arm, each finger
+LIMBS = np.array(
+    [0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 3, 4, 0, 3, 4, 3, 4, 3, 4, *np.repeat(np.arange(5, 15), 3)]
+)
+
+
+def strayed(
+    weights: Float[np.ndarray, "n joints"], faces: Integer[np.ndarray, "faces 3"]
+) -> Bool[np.ndarray, "n"]:
+    """Vertices that follow a limb from which they are cut off: each limb moves one piece of the mesh, its largest,
+    and an islet of it on another finger or across an armpit came from the wrong side."""
+    limb = np.stack([weights[:, k == LIMBS].sum(1) for k in range(LIMBS.max() + 1)], 1).argmax(1)
+    pair = half_edges(faces)
+    pair = pair[limb[pair[:, 0]] == limb[pair[:, 1]]]
+    count = len(weights)
+    graph = coo_matrix((np.ones(len(pair), np.int8), (pair[:, 0], pair[:, 1])), shape=(count, count))
+    piece = connected_components(graph, directed=False)[1]
+    size = np.bincount(piece)
+    largest = np.zeros(LIMBS.max() + 1, np.int64)
+    np.maximum.at(largest, limb, size[piece])
+    return size[piece] < largest[limb]
 
 
 def transferred_weights(
@@ -15,14 +40,17 @@ def transferred_weights(
     *,
     limit: float = 0.03,
 ) -> tuple[Float[np.ndarray, "n joints"], int]:
-    """Dense weights at the closest source point that faces the same way, within `limit` metres; the rest is
-    filled harmonically over the mesh `faces` (Abdrashitov et al. 2023, Robust Skin Weights Transfer).
+    """Dense weights at the closest source point that faces the same way, within `limit` metres, and that belongs
+    to the limb that lies there; the rest is filled harmonically over the mesh `faces` (Abdrashitov et al. 2023,
+    Robust Skin Weights Transfer).
 
     Returns:
         rows that sum to one, and how many were filled.
     """
     weights = (match.barycentric[:, :, None] * source[source_faces[match.face]]).sum(1)
     good = match.agrees & (match.distance < limit)
+    if weights.shape[1] == len(LIMBS):
+        good &= ~strayed(weights, faces)
     weights = np.maximum(fill_harmonic(weights, good, faces), 0)
     return weights / weights.sum(1, keepdims=True), int((~good).sum())
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from capsules import ball_mesh
 
-from bake.skin import quantised, transferred_weights
+from bake.skin import quantised, strayed, transferred_weights
 from bake.transfer import match_surface
 from train.harmonic import fill_harmonic
 
@@ -59,3 +59,20 @@ def test_nothing_known_is_refused():
         fill_harmonic(
             np.ones((4, 1)), np.zeros(4, bool), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
         )
+
+
+def test_an_islet_of_another_limb_is_inpainted_from_its_own():
+    """Two fingers' worth of a ball: a patch of the left half that claims the right half's joint is put right."""
+    ball = ball_mesh()
+    left = ball.vertices[:, 0] < 0
+    weights = np.zeros((len(ball.vertices), 52))
+    weights[left, 24], weights[~left, 27] = 1, 1  # index and middle finger
+    patch = (ball.vertices[:, 0] < -0.06) & (ball.vertices[:, 1] > 0.03)
+    assert 5 < patch.sum() < 0.2 * left.sum()
+    weights[patch] = np.roll(weights[patch], 3, axis=1)
+    np.testing.assert_array_equal(strayed(weights, ball.faces), patch)
+    match = match_surface(ball.vertices, ball.vertices / 0.1, ball.vertices, ball.faces)
+    found, filled = transferred_weights(match, ball.faces, ball.faces, weights)
+    assert filled == patch.sum()
+    np.testing.assert_allclose(found[left, 24], 1, atol=1e-9)
+    np.testing.assert_allclose(found[~left, 27], 1, atol=1e-9)
