@@ -111,17 +111,11 @@ def _rings(paper: Paper, tool: PoseTool, gizmo: Gizmo) -> None:
         return
     grab, angle = tool.held.grab, tool.held.angle
     axis, start = gizmo.axes[held], grab.start * gizmo.radii[held]
-    turn = np.linspace(0, np.clip(angle, -2 * np.pi, 2 * np.pi), 48)[:, None]
+    turn = np.linspace(0, np.clip(angle, -6.2, 6.2), 48)[:, None]
     sector = gizmo.center + np.cos(turn) * start + np.sin(turn) * np.cross(axis, start)
     points, depth = paper.points(np.concatenate([gizmo.center[None], sector]))
     if (depth > 1e-3).all():
-        for a, b in zip(
-            points[1:-1], points[2:], strict=True
-        ):  # the sector may be more than half a turn: a fan
-            paper.draw.add_triangle_filled(
-                imgui.ImVec2(*map(float, points[0])), imgui.ImVec2(*map(float, a)), imgui.ImVec2(*map(float, b)),
-                _color(HELD, 50),
-            )  # fmt: skip
+        paper.draw.add_concave_poly_filled(_vectors(points), _color(HELD, 50))
         paper.stroke(points[[0, 1]], _color(HELD, 200), 1.5)
         paper.stroke(points[[0, -1]], _color(HELD, 255), 1.5)
         at = points[-1] + [10.0, -10.0]

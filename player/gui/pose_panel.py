@@ -101,7 +101,7 @@ def joint_panel(window: "Window") -> None:
     window.panels.mark("joint")
     if joint is None:
         return
-    angles = np.degrees(joint_angles(session.pose.axis_angle)[joint])
+    angles = np.round(np.degrees(joint_angles(session.pose.axis_angle)[joint]), 6) + 0.0  # no -0
     low, high = np.degrees(table.low[joint]), np.degrees(table.high[joint])
     if not session.limited:
         low, high = np.full(3, -180.0), np.full(3, 180.0)

@@ -43,9 +43,9 @@ BUILTIN: dict[str, tuple[Angles, str, str]] = {
     "standing": (STANDING, "relaxed", "relaxed"),
     "hands on hips": (
         STANDING
-        | _both("shoulder", **{"raise": -52, "forwards": -28, "rotation inwards": 38})
-        | _both("elbow", flexion=98, palm_down=30)
-        | _both("wrist", flexion=-10),
+        | _both("shoulder", **{"raise": -46, "forwards": -34, "rotation inwards": 48})
+        | _both("elbow", flexion=104, palm_down=20)
+        | _both("wrist", flexion=-25, palm_down=10),
         "relaxed",
         "relaxed",
     ),
