@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from player.keys import ACTIONS, KEYS
 from player.motions import opened_motion, retargeted
 from player.play_command import play_main
 from player.renderer import Renderer
-from player.script import steps
+from player.script import NUMBERS, steps
 
 
 @pytest.fixture(scope="module")
@@ -285,3 +286,16 @@ def test_a_turntable_turns_once_in_its_time_and_only_what_is_there_can_be_chosen
     assert cameras.kinds == ["orbit", "walk", "turntable"]
     with pytest.raises(ValueError, match="camera should be one of"):
         Cameras(cameras.orbit, kind="path")
+
+
+def test_docs_name_every_key_and_every_word_of_scripts():
+    text = (Path(__file__).parents[2] / "docs" / "play.md").read_text("utf-8")
+    keys = text.split("## Keys")[1].split("## Panels")[0]
+    cells = " ".join(line.split("|")[1] for line in keys.splitlines() if line.startswith("|"))
+    named = set(re.sub(r"[`,|]", lambda m: f" {m[0]} ", cells).split())
+    names = {code: name for name, code in KEYS.items()}
+    for code in ACTIONS:
+        assert names[code] in named | {","}, names[code]
+    words = text.split("## Scripts")[1]
+    for word in (*NUMBERS, "wait", "pose", "press", "type", "down", "up"):
+        assert re.search(rf"`(?:[^`]*, )?{word}[:`]", words), word
