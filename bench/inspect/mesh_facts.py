@@ -34,7 +34,7 @@ class Seams(NamedTuple):
     step: Float[
         np.ndarray, "mips edges"
     ]  # largest difference of the two sides' colours along the edge, 0 to 255
-    steps: Float[np.ndarray, "mips samples"]  # of all samples, as bake.measure.seam_steps
+    steps: Float[np.ndarray, "mips samples"]  # of all samples, as bake.seams.seam_steps
 
 
 class Closedness(NamedTuple):

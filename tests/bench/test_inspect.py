@@ -13,7 +13,7 @@ from avatar.avatar_file import write_avatar
 from avatar.errors import AssetError
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from bake.measure import seam_steps
+from bake.seams import chart_edges, seam_steps
 from bench.inspect import mesh_facts
 from bench.inspect.colors import ABSENT, SEQUENTIAL, ramp, rgb
 from bench.inspect.command import inspect, inspect_main
@@ -102,9 +102,9 @@ def test_seam_steps_are_those_of_baking_and_of_the_colours_painted():
     welded = mesh_facts.weld(level)
     seams = mesh_facts.seams(level, welded)
     assert len(seams.edges) == 12  # of a cube; diagonals are no seams
-    baked = seam_steps(
-        level.uv.astype(float), level.faces.astype(np.int64), welded.source.astype(np.int64), level.base_color
-    )
+    uv = level.uv.astype(float)
+    edges = chart_edges(uv, level.faces.astype(np.int64), welded.source.astype(np.int64))
+    baked = seam_steps(uv, edges, level.base_color)
     np.testing.assert_allclose(np.sort(seams.steps[0]), np.sort(baked), atol=1e-9)
     np.testing.assert_allclose(seams.step[0], seams.steps[0].reshape(5, 12).max(0))
 
