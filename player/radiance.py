@@ -14,7 +14,7 @@ from avatar.errors import AssetError
 MAGIC = (b"#?RADIANCE", b"#?RGBE")
 RESOLUTION = re.compile(rb"-Y (\d{1,6}) \+X (\d{1,6})\Z")
 HEADER_LIMIT = 64 * 1024  # bytes; a header is a few lines
-PIXEL_LIMIT = 16384 * 8192
+PIXEL_LIMIT = 8192 * 4096  # 400 MB as floats
 
 
 def read_radiance(path: Path | str) -> Float32[np.ndarray, "height width 3"]:
@@ -48,9 +48,12 @@ def read_radiance(path: Path | str) -> Float32[np.ndarray, "height width 3"]:
 
 def _linear(rgbe: UInt8[np.ndarray, "height width 4"]) -> Float32[np.ndarray, "height width 3"]:
     """(mantissa + 1/2) 2^(exponent - 136); exponent 0 is black."""
-    exponent = rgbe[..., 3:].astype(np.int32)
-    scale = np.where(exponent > 0, np.ldexp(1.0, exponent - 136), 0.0)
-    return ((rgbe[..., :3] + 0.5) * scale).astype(np.float32)
+    exponent = np.arange(256)
+    scale = np.where(exponent > 0, np.ldexp(1.0, exponent - 136), 0.0).astype(np.float32)
+    out = rgbe[..., :3].astype(np.float32)
+    out += np.float32(0.5)
+    out *= scale[rgbe[..., 3:]]
+    return out
 
 
 def _scanlines(
