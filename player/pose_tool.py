@@ -157,6 +157,7 @@ class PoseTool:
         camera, found = self.camera(), self.under(x, y)
         if camera is None or found is None:
             return False
+        self._pause()
         pixel = np.array([x, y], np.float64)
         self.held = Drag(self.session.pose, (x, y))
         if isinstance(found, Handle):
@@ -266,14 +267,19 @@ class PoseTool:
 
     def undo(self) -> None:
         self.cancel()
-        self._say_step("undone", self.session.undo())
+        self._walk("undone", self.session.undo)
 
     def redo(self) -> None:
-        self._say_step("redone", self.session.redo())
+        self.cancel()
+        self._walk("redone", self.session.redo)
 
-    def _say_step(self, word: str, label: str | None) -> None:
+    def _walk(self, word: str, step: Callable[[], str | None]) -> None:
+        """A step back or forth; with keys the window goes to the frame that it was made at."""
+        keyed = bool(self.session.keys)
+        label = step()
         self.window.say(f"{word}: {label.replace('_', ' ')}" if label else f"nothing to be {word}")
-        self.show_frame()
+        if label and (keyed or self.session.keys):
+            self.show_frame()
 
     def undo_or_redo(self) -> None:
         (self.redo if self.keys_down.intersection(SHIFT) else self.undo)()
@@ -314,6 +320,11 @@ class PoseTool:
             )
         self.session.seek(int(line.seconds * self.session.rate + 1e-6))
 
+    def _pause(self) -> None:
+        """A timeline that plays keys would take the pose out of one's hands."""
+        if self.session.keys:
+            self.window.timeline.playing = False
+
     def show_frame(self) -> None:
         """The window goes to the session's frame: after undo, and after loading."""
         line = self.window.timeline
@@ -347,6 +358,7 @@ class PoseTool:
 
     def tried(self, act: Callable[[], object]) -> None:
         """Do what may be refused, and say why it was."""
+        self._pause()
         try:
             act()
         except (AssetError, ValueError) as error:

@@ -247,6 +247,12 @@ def test_keyframes_are_made_played_saved_and_play_as_a_motion(opened, avatar):
     # playing: the window's timeline moves the pose; an unsaved session asks before it closes
     run(window, "home space wait wait wait space")
     assert 0 < session.frame < 10 and not session.unkeyed
+    # what is done by hand pauses it
+    run(window, "space wait")
+    x, y = at(window, session.world()[J["right_wrist"], :3, 3])
+    pull(window, (x, y), (x, y - 10))
+    assert not window.timeline.playing and session.unkeyed
+    tool.undo()
     run(window, "q")
     assert not window.closing and "not saved" in window.message
     press(window, "file")
@@ -291,8 +297,8 @@ def test_a_pose_is_kept_in_the_library_and_plays_as_a_motion(opened, tmp_path):
     assert session.state is before and "broken.npz" in window.message
 
 
-def test_without_panels_the_keys_pose(opened):
-    window, tool, session = opened(gui=False)
+def test_without_panels_the_keys_pose_one_of_two(opened, avatar_path):
+    window, tool, session = opened(avatar_path, gui=False)
     pose = session.pose.axis_angle
     run(window, "m")
     np.testing.assert_allclose(session.pose.axis_angle, mirrored_in_place(pose), atol=1e-9)
@@ -309,8 +315,21 @@ def test_without_panels_the_keys_pose(opened):
     session.move(session.pose, session.pose.root + [0, 1.0, 0])
     run(window, "n")
     assert session.pose.root[1] < 1.2
-    run(window, "p p")
+    run(window, "p")
+    assert window.tool is tool and "not saved" in window.message
+    run(window, "p")
     assert window.tool is None
+    # the other avatar, from where it stands; the first has its motion again
+    run(window, "tab p")
+    assert window.posed == 1 and window.tool is not tool
+    place = window.playback.poses()[1][1]
+    assert np.array_equal(window.pose_session.pose.root, place) and abs(place[0]) > 0.3
+    run(window, ". . . m wait")
+    assert np.array_equal(window.poses[0][0], window.playback.poses()[0][0])
+    np.testing.assert_allclose(window.poses[1][0], mirrored_in_place(pose), atol=1e-9)
+    before = window.timeline.frame
+    run(window, CTRL_Z)  # without keys time stays where it is
+    assert window.timeline.frame == before
 
 
 def test_posing_leaves_no_objects_behind(opened):
