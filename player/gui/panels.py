@@ -88,6 +88,7 @@ class Panels:
         io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
         imgui.get_platform_io().renderer_texture_max_width = context.gl.info["GL_MAX_TEXTURE_SIZE"]
         imgui.get_platform_io().renderer_texture_max_height = context.gl.info["GL_MAX_TEXTURE_SIZE"]
+        self._use_clipboard()
         font = Path(imgui_bundle.__file__).parent / "assets" / "fonts" / "DroidSans.ttf"
         if font.is_file():
             io.fonts.add_font_from_file_ttf(str(font), FONT)
@@ -100,6 +101,18 @@ class Panels:
         style.set_color_(imgui.Col_.popup_bg, imgui.ImVec4(0.11, 0.12, 0.14, 1.0))
         style.set_color_(imgui.Col_.frame_bg, imgui.ImVec4(0.2, 0.22, 0.26, 1.0))
         self.lists = DrawLists(context)
+
+    def _use_clipboard(self) -> None:
+        """Text fields copy to and paste from the system's clipboard."""
+
+        def copied(_context: Any) -> str:
+            return (glfw.get_clipboard_string(None) or b"").decode("utf-8", "replace")
+
+        def copy(_context: Any, text: str) -> None:
+            glfw.set_clipboard_string(None, text)
+
+        imgui.get_platform_io().platform_get_clipboard_text_fn = copied
+        imgui.get_platform_io().platform_set_clipboard_text_fn = copy
 
     # -- input; each answers whether a panel took it
 

@@ -124,6 +124,16 @@ def test_a_place_is_typed_and_the_avatar_goes_there(window):
     assert not np.array_equal(picture(window, run(window, "wait")), before)
 
 
+def test_a_number_is_pasted_from_the_clipboard(window):
+    glfw.set_clipboard_string(None, "-2.25")
+    x, y = window.panels.places["place"]
+    window.on_key(glfw.KEY_LEFT_CONTROL, True)
+    run(window, f"click:{x - 60}:{y} wait v wait")  # control and v paste; the view stays on
+    window.on_key(glfw.KEY_LEFT_CONTROL, False)
+    run(window, "enter wait")
+    assert np.isclose(window.playback.tracks[0].at[0], -2.25) and window.renderer.view_amount == 1
+
+
 def test_clicking_the_avatar_marks_the_joint(window):
     left, top, width, height = window.area()
     image = picture(window, run(window, "wait"))[60:]
