@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from avatar.baked_avatar import Level
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND
-from avatar.texture import sample_texture
 from bake.cone import matrix_from_six
+from bake.seams import chart_edges, seam_steps
 
 PARTS = ("body", "head", "hand_left", "hand_right")
 MIPS = 4
@@ -132,45 +132,23 @@ def closedness(welded: Welded) -> Closedness:
 
 def seams(level: Level, welded: Welded) -> Seams:
     """Chart edges and the step of colour across them, on the texture and its first mipmaps."""
-    faces = level.faces.astype(np.int64)
-    directed = np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)])
-    ends = welded.source[directed]
-    key = ends.min(1) * welded.count + ends.max(1)
-    order = np.argsort(key, kind="stable")
-    same = np.flatnonzero(key[order][1:] == key[order][:-1])
-    left, right = directed[order[same]], directed[order[same + 1]]
-    swap = welded.source[left[:, 0]] != welded.source[right[:, 0]]
-    right = np.where(swap[:, None], right[:, ::-1], right)
     uv = level.uv.astype(np.float64)
-    apart = (uv[left] != uv[right]).any((1, 2))
-    # a triangle without area has no texels of its own: its corners share one texture coordinate
-    wide = (uv[left[:, 0]] != uv[left[:, 1]]).any(1) & (uv[right[:, 0]] != uv[right[:, 1]]).any(1)
-    left, right = left[apart & wide], right[apart & wide]
-    image, steps = level.base_color.astype(np.float64), []
+    edges = chart_edges(uv, level.faces.astype(np.int64), welded.source)
+    image, steps = level.base_color, []
     for mip in range(MIPS):
-        if mip:
-            image = halved(image)
-        steps.append(
-            np.stack(
-                [
-                    np.abs(
-                        sample_texture(image, (1 - t) * uv[left[:, 0]] + t * uv[left[:, 1]])
-                        - sample_texture(image, (1 - t) * uv[right[:, 0]] + t * uv[right[:, 1]])
-                    ).max(1)
-                    for t in (np.arange(SAMPLES) + 0.5) / SAMPLES
-                ]
-            )
-        )
-    table = np.stack(steps)  # mips samples edges
-    return Seams(left, table.max(1), table.reshape(MIPS, -1))
+        image = halved(image) if mip else image
+        steps.append(seam_steps(uv, edges, image, samples=SAMPLES).reshape(SAMPLES, len(edges.left)))
+    table = np.stack(steps)
+    return Seams(edges.left, table.max(1), table.reshape(MIPS, -1))
 
 
-def halved(image: Float[np.ndarray, "h w c"]) -> Float[np.ndarray, "g v c"]:
-    """The next mipmap: the mean of each two by two texels, an odd last row or column left out."""
+def halved(image: UInt8[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "g v c"]:
+    """The next mipmap: the mean of each two by two texels, rounded; an odd last row or column is left out."""
     height, width = max(image.shape[0] // 2, 1), max(image.shape[1] // 2, 1)
     if min(image.shape[:2]) < 2:
         return image[:height, :width]
-    return image[: 2 * height, : 2 * width].reshape(height, 2, width, 2, -1).mean((1, 3))
+    four = image[: 2 * height, : 2 * width].reshape(height, 2, width, 2, -1).astype(np.uint16).sum((1, 3))
+    return ((four + 2) // 4).astype(np.uint8)
 
 
 def cone_degrees(level: Level) -> Float[np.ndarray, "v 2"]:

@@ -13,7 +13,7 @@ from avatar.avatar_file import write_avatar
 from avatar.errors import AssetError
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from bake.seams import chart_edges, seam_steps
+from bake.seams import mipmaps
 from bench.inspect import mesh_facts
 from bench.inspect.colors import ABSENT, SEQUENTIAL, ramp, rgb
 from bench.inspect.command import inspect, inspect_main
@@ -96,17 +96,14 @@ def test_the_median_by_area_counts_square_metres_not_triangles():
     assert mesh_facts.median_by_area(values, np.array([0.0, 0.0, 0.0, 1.0])) is None
 
 
-def test_seam_steps_are_those_of_baking_and_of_the_colours_painted():
+def test_seam_steps_are_those_of_the_colours_painted():
     rng = np.random.default_rng(0)
     level = cube(rng.integers(0, 256, (20, 120, 3), dtype=np.uint8))
     welded = mesh_facts.weld(level)
     seams = mesh_facts.seams(level, welded)
     assert len(seams.edges) == 12  # of a cube; diagonals are no seams
-    uv = level.uv.astype(float)
-    edges = chart_edges(uv, level.faces.astype(np.int64), welded.source.astype(np.int64))
-    baked = seam_steps(uv, edges, level.base_color)
-    np.testing.assert_allclose(np.sort(seams.steps[0]), np.sort(baked), atol=1e-9)
-    np.testing.assert_allclose(seams.step[0], seams.steps[0].reshape(5, 12).max(0))
+    np.testing.assert_array_equal(seams.step[0], seams.steps[0].reshape(5, 12).max(0))
+    assert seams.step[0].min() > 0  # noise differs everywhere
 
     plain = np.full((64, 384, 3), 50, np.uint8)
     plain[:, 64:128] = (
@@ -117,10 +114,11 @@ def test_seam_steps_are_those_of_baking_and_of_the_colours_painted():
         np.testing.assert_array_equal(np.sort(step), [0] * 8 + [7] * 4)
 
 
-def test_mipmaps_are_means_of_four():
-    image = np.arange(5 * 6 * 2, dtype=float).reshape(5, 6, 2)
-    np.testing.assert_array_equal(mesh_facts.halved(image)[1, 2], image[2:4, 4:6].mean((0, 1)))
-    assert mesh_facts.halved(image).shape == (2, 3, 2) and mesh_facts.halved(image[:1]).shape == (1, 3, 2)
+def test_mipmaps_are_those_of_baking_and_odd_sizes_lose_a_row():
+    image = np.random.default_rng(1).integers(0, 256, (4, 6, 3), dtype=np.uint8)
+    np.testing.assert_array_equal(mesh_facts.halved(image), mipmaps(image, 2)[1])
+    np.testing.assert_array_equal(mesh_facts.halved(np.concatenate([image, image[:1]])), mipmaps(image, 2)[1])
+    assert mesh_facts.halved(image[:1]).shape == (1, 3, 3)
 
 
 def test_cone_half_angles_are_those_of_the_clamp():
