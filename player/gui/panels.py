@@ -104,12 +104,14 @@ class Panels:
 
     def _use_clipboard(self) -> None:
         """Text fields copy to and paste from the system's clipboard."""
+        no_window: Any = None  # glfw's clipboard belongs to none since 3.4, its types do not know
 
         def copied(_context: Any) -> str:
-            return (glfw.get_clipboard_string(None) or b"").decode("utf-8", "replace")
+            found: Any = glfw.get_clipboard_string(no_window)
+            return (found or b"").decode("utf-8", "replace")
 
         def copy(_context: Any, text: str) -> None:
-            glfw.set_clipboard_string(None, text)
+            glfw.set_clipboard_string(no_window, text)
 
         imgui.get_platform_io().platform_get_clipboard_text_fn = copied
         imgui.get_platform_io().platform_set_clipboard_text_fn = copy
