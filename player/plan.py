@@ -222,9 +222,7 @@ def _avatar(
         else draft.need(f"{tag} bones", "buffer", BONES.itemsize),
     )
     turns = (draft.need(f"{tag} turns", "buffer", TURNS.itemsize),) if dual or mode != "off" else ()
-    paper = draft.program(
-        "avatar.vert", "avatar.frag", SKINNING=int(dual), VIEW_STAGE=0, SHARPER=int(software)
-    )
+    paper = draft.program("avatar.vert", "avatar.frag", SKINNING=int(dual), VIEW_STAGE=0)
     what = f"{avatar.name}, {len(mesh.faces)} triangles" + dual * ", dual quaternions"
     draft.passes.append(Pass(f"{tag}: paper", "avatar", what, True, index, paper, base + turns * dual))
     if mode == "off" or mesh.features is None:
@@ -239,7 +237,7 @@ def _avatar(
     for name in feature_textures(mesh):
         extra += (draft.need(f"{tag} {name}", "texture", _mipmapped(features), level),)
     variant = draft.program("avatar.vert", "avatar.frag", index, SKINNING=int(dual), VIEW_STAGE=STAGE[mode],
-                            VIEW_MODEL=int(network), VIEW_FEATURES=features[2], SHARPER=int(software))  # fmt: skip
+                            VIEW_MODEL=int(network), VIEW_FEATURES=features[2])  # fmt: skip
     draft.passes.append(Pass(f"{tag}: view {mode}", "view", why, True, index, variant, (*base, *extra)))
 
 

@@ -17,13 +17,7 @@ in vec3 residual;
 out vec4 color;
 
 void main() {
-#if SHARPER == 1
-    // One mip and no anisotropy (software): sized for the longest side of the pixel, and rounded, it blurs by 3 dB.
-    vec3 base = texture(base_color, surface_uv, -1.0).rgb;
-#endif
-#if SHARPER == 0
     vec3 base = texture(base_color, surface_uv).rgb;
-#endif
 #if VIEW_STAGE == 1
     base = clamp(base + residual, 0.0, 1.0);
 #endif

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from tiny_avatar import tiny_avatar, tiny_level
 
-import player.shader as shader
 from avatar.camera import Camera, look_at
 from avatar.texture import sample_texture
+from player import realise
 from player.context import open_context
 from player.renderer import Renderer
 
@@ -55,12 +55,7 @@ def test_picture_is_nearer_to_one_of_many_samples(board, monkeypatch):
     inside = (np.abs(many - many[0, 0]).sum(-1) > 0).reshape(384, 4, 384, 4).all((1, 3))
     error = np.sqrt(np.mean((one - true)[inside] ** 2))
     if software:
-        text = shader.shader_source
-        monkeypatch.setattr(
-            shader,
-            "shader_source",
-            lambda *a, **k: text(*a, **k).replace("surface_uv, -1.0", "surface_uv, 0.0"),
-        )
+        monkeypatch.setattr(realise, "MIP_BIAS", 0.0)
         blurred, _ = drawn(board, 384)
         assert np.sqrt(np.mean((blurred - true)[inside] ** 2)) > 1.6 * error
     assert error < 4 / 255
