@@ -7,7 +7,7 @@ from scipy.sparse.csgraph import connected_components
 
 from bake.transfer import Match
 from train.harmonic import fill_harmonic
-from train.mesh import half_edges
+from train.mesh import component_labels, half_edges
 
 # the limb a joint moves: torso and head, each leg, each arm, each finger
 LIMBS = np.array(
@@ -27,9 +27,10 @@ def strayed(
     graph = coo_matrix((np.ones(len(pair), np.int8), (pair[:, 0], pair[:, 1])), shape=(count, count))
     piece = connected_components(graph, directed=False)[1]
     size = np.bincount(piece)
-    largest = np.zeros(LIMBS.max() + 1, np.int64)
-    np.maximum.at(largest, limb, size[piece])
-    return size[piece] < largest[limb]
+    _, owner = np.unique(limb + (LIMBS.max() + 1) * component_labels(faces, count), return_inverse=True)
+    largest = np.zeros(owner.max() + 1, np.int64)
+    np.maximum.at(largest, owner, size[piece])
+    return size[piece] < largest[owner]
 
 
 def transferred_weights(

@@ -7,10 +7,13 @@ import pytest
 from capsules import ball_mesh, sphere
 
 from avatar.errors import AssetError
+from avatar.texture import sample_texture
 from bake.atlas import unwrap
 from bake.decimate import balanced, decimate, find_faults, mend
+from bake.seams import chart_edges, equalised, mipmaps, seam_steps
+from bake.skin import transferred_weights
 from bake.surface import Mesh, compact, extract
-from bake.texels import rasterise_charts, spread
+from bake.texels import barycentric, bytes_from_unit, rasterise_charts, spread
 from bake.transfer import match_surface
 
 BOX = np.array([[-0.12, -0.12, -0.12], [0.12, 0.12, 0.12]])
@@ -46,12 +49,12 @@ def test_islands_and_inner_sheets_are_dropped(within):
     ball, speck, hole = sphere(0.1)[0], sphere(0.012, (0.13, 0.0, 0.0))[0], sphere(0.03)[0]
     result = found(lambda p: np.minimum(np.maximum(ball(p), -hole(p)), speck(p)))
     assert result.islands == 2
-    assert not find_faults(result.mesh.faces, len(result.mesh.vertices))
+    within(find_faults(result.mesh.faces, len(result.mesh.vertices)), 0, "faults")
     within(np.linalg.norm(result.mesh.vertices, axis=1) - 0.1, 1e-4, "m")
 
 
 @pytest.mark.parametrize("thickness", [0.02, 0.012, 0.006, 0.002])
-def test_sheet_thinner_than_a_voxel_is_closed_or_gone(thickness):
+def test_sheet_thinner_than_a_voxel_is_closed_or_gone(thickness, within):
     """Thinner than a voxel a sheet may have holes, but the mesh is closed or the loss is an error."""
 
     def slab(p):
@@ -68,8 +71,31 @@ def test_sheet_thinner_than_a_voxel_is_closed_or_gone(thickness):
     except AssetError as error:
         assert thickness < 0.01 and "everywhere" in str(error)
         return
-    assert not find_faults(result.mesh.faces, len(result.mesh.vertices))
+    within(find_faults(result.mesh.faces, len(result.mesh.vertices)), 0, "faults")
     assert np.isfinite(result.mesh.vertices).all()
+
+
+def test_sheet_of_air_that_ends_in_a_jump_is_filled_and_a_gap_is_not(within):
+    """A slit into a ball that the field leaves open and that is solid deep inside; beside it a gap of the same
+    width that ends as surfaces do, at a distance of zero."""
+    ball = sphere(0.1)[0]
+
+    def gap(p, centre, inner):
+        q = np.abs(p - [centre, 0.06, 0.0]) - [0.008, 0.05, 0.2]
+        return np.where(p[:, 1] > inner, np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(1), 0), 1.0)
+
+    def field(p):
+        slit, notch = gap(p, -0.03, -1.0), gap(p, 0.03, -1.0)
+        value = np.maximum(ball(p), -np.minimum(slit, notch))
+        # made solid: the slit's lower end jumps from air to 4 cm inside
+        return np.where((p[:, 0] < 0) & (p[:, 1] < 0.05) & (np.linalg.norm(p, axis=1) < 0.07), -0.04, value)
+
+    result = found(field, step=0.004)
+    assert result.slits > 0
+    within(find_faults(result.mesh.faces, len(result.mesh.vertices)), 0, "faults")
+    inside = np.linalg.norm(result.mesh.vertices, axis=1) < 0.075
+    within((inside & (result.mesh.vertices[:, 0] < 0)).sum(), 0, "vertices left in the slit")
+    assert (inside & (result.mesh.vertices[:, 0] > 0)).sum() > 100
 
 
 def torn(kind):
@@ -90,13 +116,13 @@ def torn(kind):
 
 
 @pytest.mark.parametrize("kind", ["hole", "doubled", "fin", "degenerate", "pinched"])
-def test_broken_meshes_are_refused_by_decimation_and_closed_by_mending(kind):
+def test_broken_meshes_are_refused_by_decimation_and_closed_by_mending(kind, within):
     mesh = torn(kind)
     assert find_faults(mesh.faces, len(mesh.vertices))
     with pytest.raises(ValueError, match="closed and manifold"):
         decimate(mesh, 100)
     closed = mend(mesh)
-    assert not find_faults(closed.faces, len(closed.vertices))
+    within(find_faults(closed.faces, len(closed.vertices)), 0, "faults")
     assert len(decimate(closed, 800).faces) <= 810
 
 
@@ -106,27 +132,27 @@ def test_nothing_left_to_mend_is_an_error():
 
 
 @pytest.mark.parametrize("target", [3000, 800, 100, 20])
-def test_decimation_never_opens_a_hole(target):
+def test_decimation_never_opens_a_hole(target, within):
     mesh = decimate(ball_mesh(step=0.006), target)
-    assert not find_faults(mesh.faces, len(mesh.vertices))
+    within(find_faults(mesh.faces, len(mesh.vertices)), 0, "faults")
 
 
-def test_vertices_never_referenced_are_dropped():
+def test_vertices_never_referenced_are_dropped(within):
     ball = ball_mesh()
     loose = Mesh(np.concatenate([[[9.0, 9, 9]], ball.vertices, [[np.nan] * 3]]), ball.faces + 1)
     kept, index = compact(loose.vertices, loose.faces)
     assert len(kept.vertices) == len(ball.vertices) and index[0] == 1
-    assert np.linalg.norm(decimate(loose, 800).vertices, axis=1).max() < 0.11
+    within(np.linalg.norm(decimate(loose, 800).vertices, axis=1) - 0.1, 0.01, "m")
 
 
-def test_balancing_turns_no_triangle_over():
+def test_balancing_turns_no_triangle_over(within):
     distance, normal = sphere(0.1)
     mesh = decimate(ball_mesh(step=0.005), 500)
     rough = Mesh(mesh.vertices * (1 + 0.02 * np.sin(40 * mesh.vertices[:, :1])), mesh.faces)
     smooth = balanced(rough, distance, normal, rounds=4)
     facing = [np.cross(m.vertices[m.faces[:, 1]] - m.vertices[m.faces[:, 0]],
                        m.vertices[m.faces[:, 2]] - m.vertices[m.faces[:, 0]]) for m in (rough, smooth)]  # fmt: skip
-    assert ((facing[0] * facing[1]).sum(1) >= 0).all()
+    within(((facing[0] * facing[1]).sum(1) < 0).sum(), 0, "turned")
 
 
 def test_unwrapping_is_stopped_when_it_takes_too_long():
@@ -169,8 +195,41 @@ def test_no_mip_bleeds_across_charts(within, mip):
     within(level[np.ix_(rows, right)] - 1, 0.0)
 
 
+@pytest.mark.parametrize("thickness", [2.0, 0.9, 0.5, 0.1])
+def test_chart_thinner_than_a_texel_shows_its_own_colour(thickness, within):
+    """A strip (texels wide: `thickness`) beside a large chart of another colour: read along its middle it is its own."""
+    size = 64
+    strip = np.array([[0.1, 0.2], [0.9, 0.2], [0.9, 0.2 + thickness / size], [0.1, 0.2 + thickness / size]])
+    block = np.array([[0.1, 0.3], [0.9, 0.3], [0.9, 0.9], [0.1, 0.9]])
+    uv, faces = np.concatenate([strip, block]), np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    texels = rasterise_charts(uv, faces, size)
+    image = spread((texels.face < 2).astype(float)[:, None], texels)
+    x = np.linspace(0.12, 0.88, 50)
+    middle = np.c_[x, np.full(50, 0.2 + 0.5 * thickness / size)]
+    within(sample_texture(image, middle) - 1, 1e-9)
+
+
+@pytest.mark.parametrize("level, size, padding", [(0, 512, 8), (1, 512, 4)])
+def test_both_sides_of_chart_edges_agree_at_every_mip_used(level, size, padding, within):
+    """Bars of the issue: median step 1, 99 of 100 within 4 of 255, in all mips that the player makes."""
+    mesh = decimate(ball_mesh(step=0.006), 800)
+    part = (mesh.vertices[mesh.faces].mean(1)[:, 1] > 0.03).astype(int)  # one part 2.5 times as dense
+    chart = unwrap(mesh.vertices, mesh.faces, part, np.array([1.0, 2.5]), size=size, padding=padding)
+    texels = rasterise_charts(chart.uv, chart.faces, size)
+    weight = barycentric(chart.uv, chart.faces, texels, np.zeros(2))
+    points = (weight[:, :, None] * mesh.vertices[chart.source][chart.faces[texels.face]]).sum(1)
+    image = spread(0.5 + 0.3 * np.sin(points * [70.0, 50.0, 60.0]), texels)
+    edges = chart_edges(chart.uv, chart.faces, chart.source)
+    levels = padding.bit_length()
+    closed = bytes_from_unit(equalised(image, texels, chart.uv, edges, levels))
+    for mip in mipmaps(closed, levels):
+        steps = seam_steps(chart.uv, edges, mip)
+        within(np.median(steps), 1.0, "of 255, median")
+        within(np.quantile(steps, 0.99), 4.0, "of 255, p99")
+
+
 @pytest.mark.parametrize("gap", [0.004, 0.001, 0.0002])
-def test_thin_parts_back_to_back_do_not_swap_sides(gap):
+def test_thin_parts_back_to_back_do_not_swap_sides(gap, within):
     """Two flat fingers facing each other across a gap: a query outside the closer one still takes its own side."""
     grid = np.stack(np.meshgrid(np.linspace(0, 0.03, 16), np.linspace(0, 0.03, 16)), -1).reshape(-1, 2)
     index = np.arange(256).reshape(16, 16)
@@ -182,4 +241,21 @@ def test_thin_parts_back_to_back_do_not_swap_sides(gap):
     # queries that belong to the lower side but lie nearer to the upper one
     points = np.c_[inner, np.full(len(inner), 0.8 * gap)]
     match = match_surface(points, np.tile([0.0, 0, 1], (len(inner), 1)), vertices, faces)
-    assert match.agrees.all() and (match.face < len(up)).all()
+    assert match.agrees.all()
+    within((match.face >= len(up)).sum(), 0, "swapped")
+
+
+def test_ear_in_front_of_the_head_keeps_its_own_weights(within):
+    """A thin shell (an ear, 2 mm) over a surface that follows another joint, both facing out: no weight crosses."""
+    head = ball_mesh(0.1, step=0.012)
+    ear = Mesh(head.vertices * 1.02, head.faces)
+    ear, _ = compact(ear.vertices, ear.faces[ear.vertices[ear.faces].mean(1)[:, 0] > 0.06])
+    vertices = np.concatenate([head.vertices, ear.vertices])
+    faces = np.concatenate([head.faces, ear.faces + len(head.vertices)])
+    source = np.zeros((len(vertices), 52))
+    source[: len(head.vertices), 15], source[len(head.vertices) :, 12] = 1, 1
+    moved = vertices * np.r_[np.full(len(head.vertices), 1.002), np.full(len(ear.vertices), 0.998)][:, None]
+    normals = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    match = match_surface(moved, normals, vertices, faces)
+    weights, _ = transferred_weights(match, faces, faces, source)
+    within(weights - source, 1e-9)
