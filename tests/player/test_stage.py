@@ -1,0 +1,163 @@
+"""Cameras, places and levels of a film, through the command."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from tiny_avatar import tiny_avatar
+
+from avatar.avatar_file import write_avatar
+from avatar.camera import orbit_camera, project, write_camera, write_cameras
+from avatar.errors import AssetError
+from player.parts import Parts
+from player.render_command import render_main
+from player.scene import Scene, SceneAvatar, SceneCamera
+from player.shot import Shot
+from player.stage import Stage, camera_from_option
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    path = tmp_path_factory.mktemp("avatar") / "tiny.glb"
+    write_avatar(path, tiny_avatar())
+    return str(path)
+
+
+def frames(folder):
+    out = []
+    for file in sorted(folder.glob("*.png")):
+        with Image.open(file) as image:
+            out.append(np.asarray(image).astype(int))
+    return out
+
+
+def test_cameras_of_a_capture_are_taken_frame_by_frame_and_the_last_one_stays(tiny, tmp_path):
+    cameras = [orbit_camera((0, 0.9, 0), 3.0, 0.5 * k, 0.1, (40, 48)) for k in range(3)]
+    write_cameras(tmp_path / "cameras.npz", cameras)
+    base = [tiny, "--motion", "walking", "--frames", "0:5"]
+    render_main([*base, "--camera", str(tmp_path / "cameras.npz"), "-o", str(tmp_path / "all")])
+    taken = frames(tmp_path / "all")
+    assert len(taken) == 5 and taken[0].shape == (48, 40, 3)  # the cameras' size
+    for k in range(3):
+        write_camera(tmp_path / "one.json", cameras[k])
+        render_main([*base, "--camera", str(tmp_path / "one.json"), "-o", str(tmp_path / f"{k}")])
+        alone = frames(tmp_path / f"{k}")
+        assert np.array_equal(taken[k], alone[k])
+    assert np.array_equal(taken[4], alone[4]) and not np.array_equal(taken[0], alone[0])
+
+
+def test_what_camera_means_is_seen_from_the_name_and_the_file(tmp_path):
+    camera = orbit_camera((0, 0.9, 0), 3.0, 0.5, 0.1, (40, 48))
+    write_camera(tmp_path / "camera.json", camera)
+    (tmp_path / "path.json").write_text(
+        json.dumps({"keys": [{"t": 0, "eye": [0, 1, 2], "target": [0, 1, 0]}]})
+    )
+    (tmp_path / "capture").mkdir()
+    kinds = {
+        "front": ("front", None), "orbit": ("orbit", None), "turntable": ("turntable", None),
+        str(tmp_path / "camera.json"): ("file", None), str(tmp_path / "path.json"): ("path", None),
+        str(tmp_path / "cameras.npz"): ("file", None), str(tmp_path / "capture"): ("capture", None),
+        f"{tmp_path / 'capture'}:head": ("capture", "head"),
+    }  # fmt: skip
+    for text, (kind, name) in kinds.items():
+        found = camera_from_option(text)
+        assert (found.kind, found.name) == (kind, name)
+    with pytest.raises(AssetError, match=r"none\.json"):
+        camera_from_option("none.json")
+
+
+@pytest.mark.parametrize("kind", ["front", "orbit", "turntable"])
+def test_fitted_cameras_see_all_avatars_in_their_places_all_the_time(tiny, kind):
+    actors = (
+        SceneAvatar(tiny, "walking", at=(-0.8, 0.0, 0.3), turn_deg=40.0),
+        SceneAvatar(tiny, "counting", at=(0.9, 0.0, 0.0), start=1.0),
+    )
+    stage = Stage(Scene(actors, cameras=(SceneCamera(kind, seconds=None if kind == "front" else 1.0),)))
+    camera_at = stage.camera_at(stage.fit(0, 45), 0, 45, (300, 200))
+    for frame in range(0, 45, 4):
+        poses = stage.poses(frame)
+        camera = camera_at(frame, poses[0][1])
+        pelvises = np.stack([root for _, root in poses])
+        pixels, depth = project(camera, pelvises)
+        assert (depth > 0).all() and (pixels > 20).all() and (pixels < (280, 180)).all()
+    if kind != "front":  # one round a second, at the motion's 30 frames
+        first, after = (camera_at(frame, np.zeros(3)).camera_from_world for frame in (0, 30))
+        assert np.abs(first - after).max() < 1e-9
+        assert np.abs(camera_at(15, np.zeros(3)).camera_from_world - first).max() > 1
+
+
+def test_a_motion_that_ends_stays_at_its_last_frame_while_another_goes_on(tiny):
+    scene = Scene((SceneAvatar(tiny, "walking"), SceneAvatar(tiny, "counting")))
+    stage = Stage(scene)
+    lengths = [track.frames for track in stage.tracks]
+    assert stage.frames == max(lengths) > min(lengths)
+    short = int(np.argmin(lengths))
+    last, later = stage.poses(min(lengths) - 1)[short], stage.poses(stage.frames - 1)[short]
+    assert np.array_equal(last[0], later[0]) and np.array_equal(last[1], later[1])
+
+
+def test_levels_and_qualities_choose_what_is_drawn(tiny, tmp_path):
+    def passes(*more):
+        out = tmp_path / "passes.json"
+        arguments = [
+            tiny,
+            "--motion",
+            "walking",
+            "--frame",
+            "3",
+            "--size",
+            "40x48",
+            "--explain",
+            "--json",
+            str(out),
+        ]
+        render_main([*arguments, *more, "-o", str(tmp_path / "a.png")])
+        return {row["name"]: row for row in json.loads(out.read_text())["passes"]}
+
+    good, draft, best = passes(), passes("--quality", "draft"), passes("--quality", "best")
+    triangles = len(tiny_avatar().levels[0].faces), len(tiny_avatar().levels[1].faces)
+    fine, coarse = (passes("--view", "off", "--level", level) for level in ("0", "1"))
+    assert f"{triangles[0]} triangles" in str(fine) and f"{triangles[1]} triangles" in str(coarse)
+    assert f"{triangles[1]} triangles" in str(draft)
+    running = [{name for name, row in rows.items() if row["runs"]} for rows in (good, draft, best)]
+    assert running[0] == {"avatar: view vertex"} and running[1] == {"avatar: paper"}
+    assert running[2] == {"avatar: view network", "antialiasing: msaa"}
+    assert not passes("--quality", "best", "--antialiasing", "fxaa").keys() & {"antialiasing: msaa"}
+
+
+def test_an_order_names_all_its_files_and_changes_with_each(tiny, tmp_path):
+    camera = tmp_path / "camera.json"
+    write_camera(camera, orbit_camera((0, 0.9, 0), 3.0, 0.5, 0.1, (40, 48)))
+    scene = Scene((SceneAvatar(tiny, "walking"),), cameras=(SceneCamera("file", str(camera)),))
+    shot = Shot(scene, 0, 10, (40, 48), 30.0, None, encoder="libx264")
+    assert shot.files() == sorted([tiny, str(camera)])
+    before = Parts(tmp_path / "a.mp4", 0, 10, shot.identity())
+    before.begin(resume=False)
+    write_camera(camera, orbit_camera((0, 0.9, 0), 3.0, 0.6, 0.1, (40, 48)))
+    with pytest.raises(AssetError, match=r"\(files differ\)"):
+        Parts(tmp_path / "a.mp4", 0, 10, shot.identity()).begin(resume=True)
+
+
+@pytest.mark.parametrize(
+    ("scene", "message"),
+    [
+        (Scene(()), "no avatar"),
+        (Scene((SceneAvatar("mannequin", live="vmc:39539"),)), "live = 'vmc:39539' is for `selfscan play`"),
+        (Scene((SceneAvatar("mannequin"),), cameras=(SceneCamera("capture", "none"),)), "none"),
+    ],
+)
+def test_scenes_that_make_no_film_are_refused(scene, message):
+    with pytest.raises(AssetError, match=message):
+        Stage(scene)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--part", "3/2"], ["--part", "0/2"], ["--part", "x"], ["--seconds", "0"], ["--part", "1/2", "--workers", "2"],
+     ["--workers", "2", "--explain"], ["--quality", "superb"], ["--level", "-1"], ["--scene", "a.toml"]],
+)  # fmt: skip
+def test_wrong_usage_of_film_options_exits_2(tiny, arguments, tmp_path):
+    with pytest.raises(SystemExit) as stopped:
+        render_main([tiny, *arguments, "-o", str(tmp_path / "a.mp4")])
+    assert stopped.value.code == 2
