@@ -13,7 +13,8 @@ between a box, whose corners no joint reaches, and an ellipse, which cuts off to
 swing (f, a) without turning it and cuts the twist; what is inside comes back untouched to the last bit.
 
 Axes and ranges are given for the left side in pose 0 (T-pose); the right side is its mirror image at x -> -x, so
-equal angles are equal movements. Degrees are those of healthy adults:
+equal angles are equal movements. Degrees are those of healthy adults; AAOS's and AMA's are as Norkin and White,
+"Measurement of joint motion", tabulate them:
 
     AAOS      American Academy of Orthopaedic Surgeons, "Joint motion: method of measuring and recording", 1965
     AMA       American Medical Association, "Guides to the evaluation of permanent impairment", 3rd ed., 1990
@@ -122,7 +123,7 @@ BODY: dict[str, tuple[Freedom, Freedom, Freedom]] = {
         Freedom("forwards", -60, 135, MINUS_Y),
         Freedom("rotation inwards", -90, 70, X),
     ),
-    # AAOS: flexion 150, hyperextension 10 (AAOS: 0 to 15); the forearm's turn is shared with the wrist: Kapandji has
+    # AAOS: flexion 150; ours: hyperextension 10; the forearm's turn is shared with the wrist: Kapandji has
     # 85 of pronation and 90 of supination in all, and pose 0 is halfway between; sideways ours
     "elbow": (
         Freedom("flexion", -10, 150, MINUS_Y),
@@ -138,7 +139,7 @@ BODY: dict[str, tuple[Freedom, Freedom, Freedom]] = {
 }
 
 # low and high of flexion, sideways (positive: towards the thumb's side) and twist of the three joints of a finger.
-# AAOS: first joint 90, 45 back; middle 100; last 90. Sideways 20 each way (Kapandji: 30 in all, more for index and
+# AAOS: first joint 90, 45 back; middle 100 (10 more, ours); last 90, 10 back. Sideways 20 each way (Kapandji: 30 in all, more for index and
 # little finger); the rest ours.
 FINGER = (
     ((-45, 90), (-20, 20), (-10, 10)),

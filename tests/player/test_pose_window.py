@@ -343,4 +343,10 @@ def test_posing_leaves_no_objects_behind(opened):
         run(window, "wait")
     assert window.context.counts.objects() == counts
     assert len(session.past) == 1
+    # with the panels hidden nothing is drawn over the avatar, and nothing there can be seized
+    pixel = window.pixel(*at(window, session.world()[J["left_wrist"], :3, 3]))
+    assert tool.under(*pixel) is HANDLES[0]
+    run(window, "g wait")
+    pixel = window.pixel(*at(window, session.world()[J["left_wrist"], :3, 3]))
+    assert tool.under(*pixel) is None and tool.gizmo() is not None
     assert glfw.get_window_size(window.handle) == SIZE
