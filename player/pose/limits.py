@@ -139,8 +139,8 @@ BODY: dict[str, tuple[Freedom, Freedom, Freedom]] = {
 }
 
 # low and high of flexion, sideways (positive: towards the thumb's side) and twist of the three joints of a finger.
-# AAOS: first joint 90, 45 back; middle 100 (10 more, ours); last 90, 10 back. Sideways 20 each way (Kapandji: 30 in all, more for index and
-# little finger); the rest ours.
+# AAOS: first joint 90, 45 back; middle 100 (10 more, ours); last 90, 10 back. Sideways 20 each way (Kapandji: 30 in
+# all, more for forefinger and little finger); the rest ours.
 FINGER = (
     ((-45, 90), (-20, 20), (-10, 10)),
     ((-10, 110), (-5, 5), (-5, 5)),
