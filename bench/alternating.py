@@ -76,7 +76,7 @@ def here(draw: Callable[[int], object], frames: int) -> Callable[[int], Turn]:
 def alternate(
     programs: Mapping[str, Callable[[int], Turn]],
     *,
-    seconds: float,
+    seconds: float | int,
     least: int = 12,
     most: int = 400,
     seed: int = 0,

@@ -20,6 +20,7 @@ from player.mesh import draw_order, interleaved
 from player.plan import mip_levels
 from player.posing import Poser, reach
 from player.raster import clip_planes
+from player.realise import read_finer_mip
 from player.renderer import Pose
 
 FRAGMENT = """#version 330
@@ -59,10 +60,18 @@ class BareDraw:
     """Draws an avatar's finest mesh in poses whose bone matrices are known beforehand.
 
     static: the first pose for all frames, skinned once here; its vertices are in view space already.
+    sharp: with the finer mip that the player reads on software, for the same picture; else as GL samples by itself.
     """
 
     def __init__(
-        self, context: Context, avatar: Avatar, poses: Sequence[Pose], camera: Camera, *, static: bool = False
+        self,
+        context: Context,
+        avatar: Avatar,
+        poses: Sequence[Pose],
+        camera: Camera,
+        *,
+        static: bool = False,
+        sharp: bool = True,
     ):
         context.make_current()
         gl, level = context.gl, avatar.levels[0]
@@ -93,6 +102,8 @@ class BareDraw:
         self.array = gl.vertex_array(self.program, [(self.vertices, *layout)], self.faces)
         self.bones = gl.buffer(self.palettes[0].tobytes(), dynamic=True)
         self.texture = self._texture(level.base_color, context.software)
+        if context.software and sharp:
+            read_finer_mip(context, self.texture)
         self.target = gl.framebuffer([gl.renderbuffer(camera.size, 4)], gl.depth_renderbuffer(camera.size))
         self.image = np.empty((camera.size[1], camera.size[0], 4), np.uint8)
 

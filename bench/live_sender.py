@@ -72,7 +72,9 @@ def main(port: int, rate: float, fuzz: float, seconds: float) -> None:
 
 
 @contextmanager
-def sending(port: int, *, rate: float, fuzz: float = 0.0, seconds: float = 120.0) -> Iterator[None]:
+def sending(
+    port: int, *, rate: float | int, fuzz: float | int = 0.0, seconds: float | int = 120.0
+) -> Iterator[None]:
     """A sender runs beside the block."""
     command = [sys.executable, "-m", "bench.live_sender", *map(str, (port, rate, fuzz, seconds))]
     process = subprocess.Popen(command)

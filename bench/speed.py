@@ -83,26 +83,32 @@ def body_frames(avatar: Avatar) -> tuple[list[Pose], Any]:
 
 
 def time_size(
-    context: Context, avatar: Avatar, poses: Sequence[Pose], camera: Camera, seconds: float
+    context: Context, avatar: Avatar, poses: Sequence[Pose], camera: Camera, seconds: float | int
 ) -> dict[str, Any]:
     """All our modes and both bare draws at one size, in alternating rounds."""
     bare = {
-        name: BareDraw(context, avatar, poses, camera, static=name == "static")
-        for name in ("skinned", "static")
+        "bare skinned draw": BareDraw(context, avatar, poses, camera),
+        "bare skinned draw, plain sampling": BareDraw(context, avatar, poses, camera, sharp=False),
+        "bare static draw": BareDraw(context, avatar, poses, camera, static=True),
     }
     ours = {view: Renderer(context, [avatar], camera.size, view=view) for view in views_of(avatar)}
     try:
-        programs = {f"bare {name} draw": here(program.draw, TURN) for name, program in bare.items()}
+        programs = {name: here(program.draw, TURN) for name, program in bare.items()}
         for view, renderer in ours.items():
             programs[VIEW_NAMES[view]] = here(partial(draw_number, renderer, poses, camera), TURN)
         with Quiet() as quiet:
             times = alternate(programs, seconds=seconds)
-        share = float(np.mean([coverage(bare["skinned"].draw(n)) for n in range(len(poses))]))
+        share = float(np.mean([coverage(bare["bare skinned draw"].draw(n)) for n in range(len(poses))]))
     finally:
         for thing in (*bare.values(), *ours.values()):
             thing.release()
     rows = [
-        {"name": name, **t.row(), "of_bare_skinned": t.share_of(times["bare skinned draw"])}
+        {
+            "name": name,
+            **t.row(),
+            "of_bare_skinned": t.share_of(times["bare skinned draw"]),
+            "of_plain_sampling": t.share_of(times["bare skinned draw, plain sampling"]),
+        }
         for name, t in times.items()
     ]
     rounds = len(next(iter(times.values())).rounds)
@@ -124,7 +130,7 @@ def time_peers(
     folder: Path,
     names: Sequence[str],
     styles: Sequence[str],
-    seconds: float,
+    seconds: float | int,
 ) -> dict[str, Any]:
     """Each peer in turns with our paper mode and network, one peer at a time."""
     views = [view for view in views_of(avatar) if view in ("off", "network")]
@@ -155,7 +161,7 @@ def time_peers(
 
 
 def one_peer(
-    folder: Path, body: Path, name: str, style: str, draws: dict, seconds: float, share: float
+    folder: Path, body: Path, name: str, style: str, draws: dict, seconds: float | int, share: float
 ) -> dict[str, Any]:
     print(f"peer: {name}, {style}", flush=True)
     with Quiet() as quiet, speed_peers.running(folder, body, name, style) as peer:
@@ -183,7 +189,8 @@ def bars(sizes: Sequence[dict[str, Any]], peers: dict[str, Any] | None) -> list[
             if tuple(size["size"]) == SIZES[0] and (found := _row(size, view)):
                 out.append(speed_rows.row(f"{VIEW_NAMES[view]} of the bare skinned draw, 640x640",
                                           found["of_bare_skinned"]["wall"], "",
-                                          f"CPU time {found['of_bare_skinned']['cpu']:.2f}", least=least))  # fmt: skip
+                                          f"CPU time {found['of_bare_skinned']['cpu']:.2f}; of one with plain sampling "
+                                          f"{found['of_plain_sampling']['wall']:.2f}", least=least))  # fmt: skip
             if tuple(size["size"]) == SIZES[1] and (found := _row(size, view)):
                 out.append(speed_rows.row(f"{VIEW_NAMES[view]}, 1280x720", found["fps"], "frames/s", "median",
                                           least=RATES_720[view]))  # fmt: skip
@@ -209,7 +216,7 @@ def speed(
     out: Path,
     *,
     sizes: Sequence[tuple[int, int]] = SIZES,
-    seconds: float = 20.0,
+    seconds: float | int = 20.0,
     rows: Sequence[str] = speed_rows.KINDS,
     peers: Path | None = None,
     peer_names: Sequence[str] = tuple(speed_peers.PACKAGES),

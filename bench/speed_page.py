@@ -25,7 +25,7 @@ def markdown(result: dict[str, Any]) -> str:
     if promised:
         lines += ["", "## What is promised", "", "| | found | promised | |", "|-|-|-|-|"]
         lines += [
-            f"| {r['name']} | {value(r)} | {r['bar']} {r['unit']} | {'met' if r['met'] else '**not met**'} |"
+            f"| {r['name']} | {value(r)} | {' '.join((r['bar'], r['unit'])).strip()} | {'met' if r['met'] else '**not met**'} |"
             for r in promised
         ]
     for size in result["sizes"]:

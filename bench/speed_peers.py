@@ -149,7 +149,7 @@ def running(folder: Path, body: Path, name: str, style: str) -> Iterator[Peer]:
 
 
 def _end(process: subprocess.Popen[str]) -> None:
-    assert process.stdin is not None
+    assert process.stdin is not None and process.stdout is not None
     with suppress(BrokenPipeError):
         process.stdin.close()  # it ends when nothing more is asked
     try:
@@ -157,6 +157,7 @@ def _end(process: subprocess.Popen[str]) -> None:
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
+    process.stdout.close()
 
 
 def covered(peer: Peer, path: Path) -> float:

@@ -40,12 +40,12 @@ SETTLED = 500  # frames after which memory should not grow
 
 def row(
     name: str,
-    value: float,
+    value: float | int,
     unit: str,
     detail: str = "",
     *,
-    most: float | None = None,
-    least: float | None = None,
+    most: float | int | None = None,
+    least: float | int | None = None,
 ) -> Row:
     """A row; `most` or `least` is what the project promises."""
     out: Row = {"name": name, "value": round(float(value), 3), "unit": unit, "detail": detail}
@@ -214,7 +214,12 @@ def timed(job):
 
 
 def live_latency(
-    context: Context, avatar: Avatar, camera: Camera, *, seconds: float = 8.0, fuzz_seconds: float = 3.0
+    context: Context,
+    avatar: Avatar,
+    camera: Camera,
+    *,
+    seconds: float | int = 8.0,
+    fuzz_seconds: float | int = 3.0,
 ) -> list[Row]:
     """VMC of 55 bones at 240 Hz from another process over UDP, drawn as fast as it goes and read back; then the same
     with 10,000 spoilt packets a second beside it."""

@@ -127,7 +127,7 @@ class Realised:
                 image = level.features[..., :4] if what == "features" else level.features[..., 4:]
             self.textures[name] = self._texture(image)
             if what == "base color" and self.context.software:
-                self._bias(self.textures[name])
+                read_finer_mip(self.context, self.textures[name])
             return
         gl = self.context.gl
         content: dict[str, Callable[[], Any]] = {
@@ -192,12 +192,6 @@ class Realised:
             texture.anisotropy = 8.0
         return texture
 
-    def _bias(self, texture: moderngl.Texture) -> None:
-        """Read a finer mip; moderngl has no word for it."""
-        address = self.context.driver.address("glTexParameterf")
-        texture.use()
-        ctypes.CFUNCTYPE(None, c_uint, c_uint, c_float)(address)(TEXTURE_2D, TEXTURE_LOD_BIAS, MIP_BIAS)
-
     def _panorama(self, light: Float32[np.ndarray, "height width 3"]) -> moderngl.Texture:
         """Half floats: the sun of most panoramas stays below 65504; what is brighter would become infinite."""
         height, width = light.shape[:2]
@@ -208,3 +202,10 @@ class Realised:
         texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
         texture.repeat_x, texture.repeat_y = True, False
         return texture
+
+
+def read_finer_mip(context: Context, texture: moderngl.Texture) -> None:
+    """Set MIP_BIAS as a state of the texture; moderngl has no word for it."""
+    address = context.driver.address("glTexParameterf")
+    texture.use()
+    ctypes.CFUNCTYPE(None, c_uint, c_uint, c_float)(address)(TEXTURE_2D, TEXTURE_LOD_BIAS, MIP_BIAS)
