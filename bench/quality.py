@@ -46,7 +46,7 @@ from bench.synth.surface import visible_faces
 from player.context import open_context
 from train.run import read_run
 
-FIELD_POSES = 4  # of each held-out set on which an avatar is compared with its run's field
+FIELD_POSES = 3  # of each held-out set on which an avatar is compared with its run's field
 CAPTURE_FACTS = ("subject", "light", "sheen", "pose_noise_deg", "seed", "size", "registration")
 BESIDE = 4  # rows beside the main ones take each 4th sample, in every pose
 

@@ -75,7 +75,13 @@ def test_baking_kept_what_the_field_shows(out):
         == 0
     )
     scores = json.loads((out / "avatar.json").read_text())
-    assert scores["baked_vs_field"]["paper_db"] > 30
+    baked = scores["baked_vs_field"]
+    assert baked["paper_db"] > 30
+    # measured again on the run's own surface, and on held-out pictures
+    assert abs(baked["differences"]["against_field.paper_db"]) < 6 and baked["on_held_out"]["paper_db"] > 22
+    assert abs(baked["differences"]["levels[0].field_to_mesh_mm.mean"]) < 0.1
+    assert scores["view_modes"]["default"] in scores["view_modes"]["psnr_db"]["novel_pose"]
+    assert (out / "run" / "fields.onnx").stat().st_size > 1e6
     assert scores["novel_pose"]["total"]["psnr_db"] > 19.5
 
 
