@@ -18,6 +18,7 @@ from player.film import Film, Frame
 from player.renderer import Renderer
 from player.scene import Scene
 from player.stage import Fit, Stage
+from player.stop import Stop
 
 
 @dataclass(frozen=True)
@@ -105,20 +106,16 @@ class Set:
     def film(self, path: Path, frames: Iterable[int], pieces: Sequence[tuple[Path, int]] = ()) -> Film:
         """Draw these frames into a film, or into pieces of one; the film, written."""
         shot = self.shot
-        with Film(
-            path,
-            shot.rate,
-            transparent=shot.transparent,
-            encoder=shot.encoder,
-            quality=shot.quality,
-            pieces=pieces,
-        ) as film:
+        with Stop() as stop, Film(
+            path, shot.rate, transparent=shot.transparent, encoder=shot.encoder, quality=shot.quality, pieces=pieces
+        ) as film:  # fmt: skip
             for frame in frames:
                 canvas = film.canvas(shot.size)
                 began = time.perf_counter()
                 image = self.draw(frame, canvas)
                 self.drawing += time.perf_counter() - began
                 film.add(image)
+                stop.check()
         return film
 
     def release(self) -> None:

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import signal
 from pathlib import Path
 
 import av
@@ -102,6 +103,28 @@ def test_a_stopped_film_goes_on_and_is_the_film_in_one_go(arguments, films, tmp_
     assert sorted(path.name for path in tmp_path.iterdir()) == [name]
     frames = decoded(out)
     assert len(frames) == FRAMES and len(set(frames)) > 30 and frames == decoded(films / name)
+
+
+def test_ctrl_c_waits_for_the_frame_and_a_second_one_does_not(arguments, tmp_path, monkeypatch):
+    """OpenGL calls back into Python, where an exception would be dropped, and the call with it."""
+    draw, before = Set.draw, signal.getsignal(signal.SIGINT)
+    for signals, whole in ((1, True), (2, False)):
+        drawn = []
+
+        def drawing(self, frame, out=None, signals=signals, drawn=drawn):
+            if frame == 30:
+                for _ in range(signals):
+                    signal.raise_signal(signal.SIGINT)
+            image = draw(self, frame, out)
+            drawn.append(frame)
+            return image
+
+        monkeypatch.setattr(Set, "draw", drawing)
+        with pytest.raises(KeyboardInterrupt):
+            render_main([*arguments, "-o", str(tmp_path / "film.mp4")])
+        assert drawn == list(range(5, 31 if whole else 30))
+        assert signal.getsignal(signal.SIGINT) is before
+    assert (tmp_path / "film.mp4.parts" / "00000005-00000020.mp4").exists()
 
 
 def test_stopped_before_its_first_part_is_whole_nothing_is_left(arguments, tmp_path, stopping):
