@@ -5,6 +5,7 @@ import json
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,9 @@ from avatar.errors import AssetError
 from avatar.files import whole_folder
 from avatar.progress import progress
 from avatar.skeleton import JOINTS
+from bench.inspect import accuracy_sections as accuracy
+from bench.inspect import drawn_sections as drawn
+from bench.inspect import surface_sections as surface
 from bench.inspect.inspection import Inspection, Inspector, Measured
 from bench.inspect.page import Section, page
 from bench.inspect.truth_distance import from_run, from_truth
@@ -123,15 +127,19 @@ def inspect(
         inspector = Inspector(avatar, path, context, measured, size)
         stack.callback(inspector.release)
         topics: list[Callable[[], Any]] = [
-            inspector.looks, inspector.posed, lambda: inspector.turntable(turns), inspector.levels,
+            *(partial(topic, inspector) for topic in (drawn.looks, drawn.posed, drawn.levels)),
+            lambda: drawn.turntable(inspector, turns),
             context.release,  # VTK makes contexts of its own: ours draws before, and is gone then
-            inspector.parts, lambda: inspector.weights(joints or []), inspector.texels, inspector.seams, inspector.cones,
-            inspector.triangles, inspector.field_distance, inspector.truth_distance, inspector.provenance,
+            lambda: surface.weights(inspector, joints or []),
+            *(partial(topic, inspector) for topic in (
+                surface.parts, surface.texels, surface.seams, surface.cones, surface.triangles,
+                accuracy.field_distance, accuracy.truth_distance, accuracy.provenance,
+            )),
         ]  # fmt: skip
         found: dict[str, Section] = {}
         for topic in progress(topics, "topics", len(topics)):
-            drawn = topic()
-            found |= {s.key: s for s in (drawn if isinstance(drawn, list) else [drawn]) if s is not None}
+            made = topic()
+            found |= {s.key: s for s in (made if isinstance(made, list) else [made]) if s is not None}
         sections = [found[key] for key in ORDER if key in found]
         for picture in (picture for section in sections for picture in section.pictures):
             (folder / f"{picture.name}.{picture.kind}").write_bytes(picture.data)

@@ -1,0 +1,91 @@
+"""Sections on accuracy: distance to the field and to the truth, and what the file says of itself."""
+
+import numpy as np
+
+from bench.inspect import mesh_facts
+from bench.inspect.colors import (
+    DIVERGING,
+    SEQUENTIAL,
+    Legend,
+    ramp,
+    ticks,
+)
+from bench.inspect.inspection import Inspector
+from bench.inspect.mesh_facts import PARTS
+from bench.inspect.page import Picture, Section, flattened, png
+
+FIELD_MEAN = 0.5  # millimetres
+MOST_BYTES = 12e6
+PAPER_DB = 40.0
+FIELD_RANGE, TRUTH_RANGE = 2.0, 10.0  # millimetres, ends of the ramps
+
+
+def field_distance(inspector: Inspector) -> Section | None:
+    """Mesh against the field of the run."""
+    if inspector.measured.field is None:
+        return None
+    signed, area = inspector.measured.field, mesh_facts.areas(inspector.level)
+    mean = float((np.abs(signed) * area).sum() / area.sum())
+    inspector.facts["field_to_mesh_mm"] = {"mean_of_worst": mean, "max": float(np.abs(signed).max())}
+    inspector.check("triangles from the field's surface, mean of each one's farthest of four points", f"{mean:.3f} mm",
+               f"at most {FIELD_MEAN:g} mm", mean <= FIELD_MEAN)  # fmt: skip
+    image = inspector.draw(ramp(signed, -FIELD_RANGE, FIELD_RANGE, DIVERGING))
+    return Section(
+        "field", "Distance to the field",
+        "Of each triangle's centre and corners the one farthest from the field's surface. Red stands outside of it, blue inside.",
+        [Picture("field", png(image), "png", f"signed distance, millimetres, largest {np.abs(signed).max():.2f}")],
+        Legend(DIVERGING, ticks(-FIELD_RANGE, FIELD_RANGE, suffix=" mm")),
+    )  # fmt: skip
+
+
+def truth_distance(inspector: Inspector) -> Section | None:
+    """Mesh against the true surface of the capture."""
+    if inspector.measured.truth is None:
+        return None
+    millimetres = inspector.measured.truth
+    area, part = mesh_facts.areas(inspector.level), mesh_facts.face_parts(inspector.level)
+    each = millimetres[inspector.level.faces].mean(1)
+    rows, found = [("part", "mean, mm", "95 of 100 below, mm")], {}
+    for name, chosen in [("total", part >= 0), *((name, part == k) for k, name in enumerate(PARTS))]:
+        if not (area * chosen).sum() > 0:
+            continue
+        mean = float((each * area * chosen).sum() / (area * chosen).sum())
+        p95 = float(np.quantile(each[chosen], 0.95))
+        found[name] = {"p2s_mm": mean, "p95_mm": p95}
+        rows.append((name, f"{mean:.2f}", f"{p95:.2f}"))
+    inspector.facts["truth"] = found
+    inspector.check(
+        "distance to the true surface in T-pose (P2S)",
+        f"{found['total']['p2s_mm'] / 10:.3f} cm",
+        "as small as can be",
+        None,
+    )
+    image = inspector.draw(ramp(millimetres, 0.0, TRUTH_RANGE))
+    return Section(
+        "truth", "Distance to the truth",
+        "Each vertex to the nearest point of the subject's own visible surface, both in T-pose. All of the mesh counts here, hidden "
+        "folds too; `selfscan eval` scores what can be seen, over the test poses.",
+        [Picture("truth", png(image), "png", "P2S, millimetres")],
+        Legend(SEQUENTIAL, ticks(0.0, TRUTH_RANGE, suffix=" mm")), rows,
+    )  # fmt: skip
+
+
+def provenance(inspector: Inspector) -> list[Section]:
+    """What baking and training wrote into the file."""
+    baked = inspector.avatar.provenance.get("baked", {})
+    against = baked.get("against_field") if isinstance(baked, dict) else None
+    paper = against.get("paper_db") if isinstance(against, dict) else None
+    if isinstance(paper, int | float):
+        inspector.check("baked paper mode against the paper field, as baking measured it", f"{paper:.2f} dB", f"at least {PAPER_DB:g} dB",
+                   paper >= PAPER_DB)  # fmt: skip
+    size = inspector.path.stat().st_size
+    inspector.check(
+        "size of the file", f"{size / 1e6:.2f} MB", f"at most {MOST_BYTES / 1e6:g} MB", size <= MOST_BYTES
+    )
+    inspector.facts["bytes"] = size
+    rest = {key: value for key, value in inspector.avatar.provenance.items() if key != "baked"}
+    return [
+        Section("accuracy", "Measured while baking", "As written into the file; paths are those of its JSON.",
+                rows=[("what", "value"), *flattened(baked)] if baked else []),
+        Section("provenance", "Provenance", "Where the avatar comes from.", rows=[("what", "value"), *flattened(rest)]),
+    ]  # fmt: skip

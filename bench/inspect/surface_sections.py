@@ -1,0 +1,213 @@
+"""Sections on the surface that the file holds: parts, weights, texels, seams, cones, triangles."""
+
+import numpy as np
+
+from avatar.skeleton import JOINTS
+from bench.inspect import mesh_facts
+from bench.inspect.colors import (
+    ABSENT,
+    PALE,
+    PART_COLORS,
+    SEQUENTIAL,
+    Legend,
+    categorical,
+    hexadecimal,
+    part_colors,
+    ramp,
+    ticks,
+)
+from bench.inspect.drawing import GREY
+from bench.inspect.inspection import Inspector
+from bench.inspect.mesh_facts import MIPS, PARTS, median_by_area
+from bench.inspect.page import Picture, Section, png
+from player.plan import mip_levels
+
+SEAM_MEDIAN, SEAM_P99 = 1.0, 4.0  # bytes
+SEAM_RANGE = 8.0  # bytes
+CONE_RANGE = 60.0  # degrees
+ATLAS = 820  # pixels
+
+
+def parts(inspector: Inspector) -> Section:
+    """Body, head and hands."""
+    part = mesh_facts.vertex_parts(inspector.level)
+    share = {name: mesh_facts.share_of_area(inspector.level, part == k) for k, name in enumerate(PARTS)}
+    inspector.facts["area_share_by_part"] = share
+    image = inspector.draw(part_colors(part.astype(np.int64)))
+    named = tuple(
+        (color, f"{name} ({share[name]:.0%})") for color, name in zip(PART_COLORS, PARTS, strict=True)
+    )
+    return Section(
+        "parts", "Parts", "The part whose joints move a vertex most, with its share of the surface.",
+        [Picture("parts", png(image), "png", "parts")], Legend(named=named),
+    )  # fmt: skip
+
+
+def weights(inspector: Inspector, joints: list[str]) -> Section:
+    """Skin weights: the heaviest joint, and single joints."""
+    palette = categorical(52).astype(np.float64)
+    share = inspector.level.weights.astype(np.float64) / 255
+    blended = np.einsum("vi,vic->vc", share, palette[inspector.level.joints])
+    pictures = [Picture("weights", png(inspector.draw(np.round(blended).astype(np.uint8))), "png",
+                        "joints' colours blended by weight")]  # fmt: skip
+    for name in joints:
+        values = mesh_facts.joint_weight(inspector.level, JOINTS.index(name))
+        image = inspector.draw(ramp(values, 0.0, 1.0))
+        pictures.append(
+            Picture(f"weight_{name}", png(image), "png", f"{name}: weight 0 (dark) to 1 (bright)")
+        )
+    used = np.unique(mesh_facts.heaviest_joint(inspector.level))
+    absent = [JOINTS[k] for k in range(52) if k not in used]
+    inspector.facts["joints_that_move_nothing_most"] = absent
+    named = tuple((hexadecimal(categorical(52)[k]), JOINTS[k]) for k in used)
+    return Section(
+        "weights", "Skin weights",
+        "Soft borders run round a limb, never along it; left and right, and neighbouring fingers, do not exchange colours."
+        + (f" No vertex is moved most by: {', '.join(absent)}." if absent else ""),
+        pictures, Legend(named=named),
+    )  # fmt: skip
+
+
+def texels(inspector: Inspector) -> Section:
+    """How fine the texture is where."""
+    millimetres = mesh_facts.texel_millimetres(inspector.level)
+    part, area = mesh_facts.face_parts(inspector.level), mesh_facts.areas(inspector.level)
+    by_part = {name: median_by_area(millimetres, area * (part == k)) for k, name in enumerate(PARTS)}
+    inspector.facts["texel_mm_by_part"] = by_part
+    if by_part["body"] and by_part["head"]:
+        ratio = by_part["body"] / by_part["head"]
+        inspector.check(
+            "texels of the head, against the body", f"{ratio:.1f} times as dense", "2 to 3", ratio > 1.9
+        )
+    high = 2.0 * max([value for value in by_part.values() if value] or [1.0])
+    image = inspector.draw(ramp(millimetres, 0.0, high))
+    rows = [("part", "median side of a texel, mm")]
+    rows += [(name, f"{value:.2f}" if value else "none") for name, value in by_part.items()]
+    return Section(
+        "texels", "Texel density",
+        "Side of a texel on the surface. Head and hands should be darker (finer); a bright patch is stretched in the atlas.",
+        [Picture("texels", png(image), "png", "side of a texel, millimetres"), _atlas(inspector)],
+        Legend(SEQUENTIAL, ticks(0.0, high, suffix=" mm"), ((ABSENT, "no texels"),)), rows,
+    )  # fmt: skip
+
+
+def _atlas(inspector: Inspector) -> Picture:
+    """The base colour with the edges of its charts."""
+    from PIL import Image, ImageDraw
+
+    image = Image.fromarray(inspector.level.base_color).resize((ATLAS, ATLAS), Image.Resampling.LANCZOS)
+    draw = ImageDraw.Draw(image)
+    faces = inspector.level.faces.astype(np.int64)
+    ends = np.sort(np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
+    border, uses = np.unique(ends, axis=0, return_counts=True)
+    for a, b in ATLAS * inspector.level.uv.astype(np.float64)[border[uses == 1]]:
+        draw.line([tuple(a), tuple(b)], fill=(255, 0, 170), width=1)
+    return Picture("atlas", png(np.asarray(image)), "png", "base colour, chart edges in pink", width=620)
+
+
+def seams(inspector: Inspector) -> Section:
+    """Steps of colour across chart edges."""
+    rows = [("level", "mip", "drawn by us", "median", "p99", "largest", "edges")]
+    found = []
+    shown = None
+    for number, level in enumerate(inspector.avatar.levels):
+        seam = mesh_facts.seams(level, mesh_facts.weld(level))
+        shown = seam if number == 0 else shown
+        for mip, steps in enumerate(seam.steps if len(seam.edges) else []):
+            median, p99 = (float(value) for value in np.quantile(steps, [0.5, 0.99]))
+            drawn, most = mip < mip_levels(level.base_color.shape), float(steps.max())
+            found.append(
+                {"level": number, "mip": mip, "drawn": drawn, "median": median, "p99": p99, "max": most}
+            )
+            rows.append((str(number), str(mip), "yes" if drawn else "no", f"{median:.2f}", f"{p99:.2f}", f"{most:.1f}",
+                         str(len(seam.edges))))  # fmt: skip
+    inspector.facts["seam_steps"] = found
+    if found:
+        median, p99 = (max(row[key] for row in found if row["drawn"]) for key in ("median", "p99"))
+        inspector.check("step of colour across chart edges, the worst level and mip that the player draws",
+                   f"median {median:.2f}, p99 {p99:.2f} of 255", f"median at most {SEAM_MEDIAN:g}, p99 at most {SEAM_P99:g}",
+                   median <= SEAM_MEDIAN and p99 <= SEAM_P99)  # fmt: skip
+    assert shown is not None
+    pictures = []
+    for mip in (0, MIPS - 1):
+        image = inspector.draw(
+            np.tile(np.array(GREY, np.uint8), (len(inspector.level.positions), 1)),
+            lines=shown.edges,
+            line_colors=ramp(shown.step[mip], 0.0, SEAM_RANGE),
+            normals=inspector.level.normals.astype(np.float64),
+        )
+        near = "seen from near (mip 0)" if mip == 0 else f"seen from {2**mip} times as far (mip {mip})"
+        pictures.append(
+            Picture(f"seams_mip{mip}", png(image), "png", f"colour step of the finest level, {near}")
+        )
+    return Section(
+        "seams", "Chart seams",
+        "Edges where the atlas was cut, coloured by the largest difference of colour between the two sides (of 255). Where it is "
+        "bright a line may be seen; it should not gather on the face, the neck or the wrists. Our player stops at the mips that the atlas' "
+        "gutters keep apart; other viewers go on to coarser ones.",
+        pictures,
+        Legend(SEQUENTIAL, ticks(0.0, SEAM_RANGE, suffix="/255")), rows,
+    )  # fmt: skip
+
+
+def cones(inspector: Inspector) -> Section:
+    """What training saw, and from how many sides."""
+    degrees, never = mesh_facts.cone_degrees(inspector.level).mean(1), mesh_facts.unseen(inspector.level)
+    seen = inspector.level.view_seen.astype(np.float64)
+    share = mesh_facts.share_of_area(inspector.level, ~never)
+    inspector.facts |= {
+        "seen_area_share": share,
+        "cone_degrees_median": float(np.median(degrees[~never])) if (~never).any() else None,
+    }
+    inspector.check(
+        "surface that a camera saw in training", f"{share:.1%}", "the rest keeps the paper's colour", None
+    )
+    cone = inspector.draw(ramp(np.where(never, np.nan, degrees), 0.0, CONE_RANGE))
+    sight = inspector.draw(ramp(np.where(never, np.nan, seen), 0.0, 1.0))
+    return Section(
+        "cones", "Cones and unseen regions",
+        "How far colour may follow the eye: the half-angle of directions that training saw, mean of widest and narrowest, times how "
+        "well the point was seen. Pink was never seen: armpits, between fingers, soles. Its colour is the field's guess.",
+        [Picture("cones", png(cone), "png", f"half-angle of the cone, degrees, 0 to {CONE_RANGE:g}"),
+         Picture("seen", png(sight), "png", "how well a point was seen, 0 (dark) to 1 (bright)")],
+        Legend(SEQUENTIAL, ticks(0.0, CONE_RANGE, suffix="°"), ((ABSENT, "never seen"),)),
+    )  # fmt: skip
+
+
+def triangles(inspector: Inspector) -> Section:
+    """Sizes of triangles, and whether the mesh is closed."""
+    millimetres = mesh_facts.edge_millimetres(inspector.level)
+    part, area = mesh_facts.face_parts(inspector.level), mesh_facts.areas(inspector.level)
+    rows = [("level", "triangles", "vertices", "texture", "open edges", "edges of more than two", "pieces")]
+    found, good = [], True
+    for number, level in enumerate(inspector.avatar.levels):
+        closed = mesh_facts.closedness(mesh_facts.weld(level))
+        good &= closed.open_edges == 0 and closed.crowded_edges == 0
+        height, width = level.base_color.shape[:2]
+        found.append(
+            {
+                "faces": len(level.faces),
+                "vertices": len(level.positions),
+                "texture": [width, height],
+                **closed._asdict(),
+            }
+        )
+        rows.append((str(number), str(len(level.faces)), str(len(level.positions)), f"{width} x {height}",
+                     str(closed.open_edges), str(closed.crowded_edges), str(closed.pieces)))  # fmt: skip
+    inspector.facts["levels"] = found
+    holes = ", ".join(f"{f['open_edges']} and {f['crowded_edges']}" for f in found)
+    inspector.check(
+        "open edges, and edges of more than two triangles, level by level", holes, "0 and 0", good
+    )
+    by_part = {name: median_by_area(millimetres, area * (part == k)) for k, name in enumerate(PARTS)}
+    inspector.facts["edge_mm_by_part"] = by_part
+    high = 2.0 * max([value for value in by_part.values() if value] or [1.0])
+    image = inspector.draw(ramp(millimetres, 0.0, high, PALE), wire=True)
+    text = ", ".join(f"{name} {value:.1f} mm" for name, value in by_part.items() if value)
+    return Section(
+        "triangles", "Triangles",
+        f"Mean length of a triangle's edges (median: {text}); the close views show the edges. Slivers and sudden changes of size "
+        "come out as lines in the light.",
+        [Picture("triangles", png(image), "png", "edge length, millimetres")],
+        Legend(PALE, ticks(0.0, high, suffix=" mm")), rows,
+    )  # fmt: skip
