@@ -16,14 +16,14 @@ from player.arguments import add_hands, parse_frames
 from player.motions import BLOCK, frame_range, notes, opened_motion, retargeted
 
 EXAMPLES = """examples
-  selfscan export me.glb --motion counting -o me_counting.glb     the avatar with its motion: Blender, three.js, Windows
+  selfscan export me.glb --motion counting -o me_counting.glb     for Blender, three.js and others
   selfscan export me.glb --motion walk.bvh -o walk.npz            AMASS keys, z up
   selfscan export me.glb --motion take.npz --frames 100:400 -o take.bvh
 
 OUT decides the kind:
-  .glb   the avatar file with one animation: joint rotations and the pelvis' place, a key each frame. It stays an
-         avatar file, and is itself a motion: selfscan render me.glb --motion me_counting.glb -o film.mp4
-  .bvh   skeleton of this avatar at rest in T-pose, y up, metres (--unit cm for programs that expect centimetres)
+  .glb   the avatar file with one animation: joint rotations and the pelvis' place, a key each frame. It stays
+         an avatar file, and is itself a motion: selfscan render me.glb --motion me_counting.glb -o film.mp4
+  .bvh   skeleton of this avatar at rest in T-pose, y up, metres (--unit cm where centimetres are expected)
   .npz   AMASS keys (poses, trans, mocap_framerate ...), z up as AMASS is
 
 The root is scaled to the avatar's legs, as render and play do. What was assumed is printed.

@@ -27,15 +27,28 @@ def field_distance(inspector: Inspector) -> Section | None:
     signed, area = inspector.measured.field, mesh_facts.areas(inspector.level)
     mean = float((np.abs(signed) * area).sum() / area.sum())
     inspector.facts["field_to_mesh_mm"] = {"mean_of_worst": mean, "max": float(np.abs(signed).max())}
-    inspector.check("triangles from the field's surface, mean of each one's farthest of four points", f"{mean:.3f} mm",
-               f"at most {FIELD_MEAN:g} mm", mean <= FIELD_MEAN)  # fmt: skip
+    inspector.check(
+        "triangles from the field's surface, mean of each one's farthest of four points",
+        f"{mean:.3f} mm",
+        f"at most {FIELD_MEAN:g} mm",
+        mean <= FIELD_MEAN,
+    )
     image = inspector.draw(ramp(signed, -FIELD_RANGE, FIELD_RANGE, DIVERGING))
     return Section(
-        "field", "Distance to the field",
-        "Of each triangle's centre and corners the one farthest from the field's surface. Red stands outside of it, blue inside.",
-        [Picture("field", png(image), "png", f"signed distance, millimetres, largest {np.abs(signed).max():.2f}")],
+        "field",
+        "Distance to the field",
+        "Of each triangle's centre and corners the one farthest from the field's surface. Red stands "
+        "outside of it, blue inside.",
+        [
+            Picture(
+                "field",
+                png(image),
+                "png",
+                f"signed distance, millimetres, largest {np.abs(signed).max():.2f}",
+            )
+        ],
         Legend(DIVERGING, ticks(-FIELD_RANGE, FIELD_RANGE, suffix=" mm")),
-    )  # fmt: skip
+    )
 
 
 def truth_distance(inspector: Inspector) -> Section | None:
@@ -62,12 +75,15 @@ def truth_distance(inspector: Inspector) -> Section | None:
     )
     image = inspector.draw(ramp(millimetres, 0.0, TRUTH_RANGE))
     return Section(
-        "truth", "Distance to the truth",
-        "Each vertex to the nearest point of the subject's own visible surface, both in T-pose. All of the mesh counts here, hidden "
+        "truth",
+        "Distance to the truth",
+        "Each vertex to the nearest point of the subject's own visible surface, both in T-pose. All "
+        "of the mesh counts here, hidden "
         "folds too; `selfscan eval` scores what can be seen, over the test poses.",
         [Picture("truth", png(image), "png", "P2S, millimetres")],
-        Legend(SEQUENTIAL, ticks(0.0, TRUTH_RANGE, suffix=" mm")), rows,
-    )  # fmt: skip
+        Legend(SEQUENTIAL, ticks(0.0, TRUTH_RANGE, suffix=" mm")),
+        rows,
+    )
 
 
 def provenance(inspector: Inspector) -> list[Section]:
@@ -76,8 +92,12 @@ def provenance(inspector: Inspector) -> list[Section]:
     against = baked.get("against_field") if isinstance(baked, dict) else None
     paper = against.get("paper_db") if isinstance(against, dict) else None
     if isinstance(paper, int | float):
-        inspector.check("baked paper mode against the paper field, as baking measured it", f"{paper:.2f} dB", f"at least {PAPER_DB:g} dB",
-                   paper >= PAPER_DB)  # fmt: skip
+        inspector.check(
+            "baked paper mode against the paper field, as baking measured it",
+            f"{paper:.2f} dB",
+            f"at least {PAPER_DB:g} dB",
+            paper >= PAPER_DB,
+        )
     size = inspector.path.stat().st_size
     inspector.check(
         "size of the file", f"{size / 1e6:.2f} MB", f"at most {MOST_BYTES / 1e6:g} MB", size <= MOST_BYTES
@@ -85,7 +105,16 @@ def provenance(inspector: Inspector) -> list[Section]:
     inspector.facts["bytes"] = size
     rest = {key: value for key, value in inspector.avatar.provenance.items() if key != "baked"}
     return [
-        Section("accuracy", "Measured while baking", "As written into the file; paths are those of its JSON.",
-                rows=[("what", "value"), *flattened(baked)] if baked else []),
-        Section("provenance", "Provenance", "Where the avatar comes from.", rows=[("what", "value"), *flattened(rest)]),
-    ]  # fmt: skip
+        Section(
+            "accuracy",
+            "Measured while baking",
+            "As written into the file; paths are those of its JSON.",
+            rows=[("what", "value"), *flattened(baked)] if baked else [],
+        ),
+        Section(
+            "provenance",
+            "Provenance",
+            "Where the avatar comes from.",
+            rows=[("what", "value"), *flattened(rest)],
+        ),
+    ]

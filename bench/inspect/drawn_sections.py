@@ -23,11 +23,13 @@ def looks(inspector: Inspector) -> Section:
             Picture("look_change", png(change), "png", f"what view dependence adds, {CHANGE} times, on grey")
         )
     return Section(
-        "look", "As drawn",
-        "The finest level in the pose it is stored in. Look for blur, colours of one part on another, a line at neck or "
+        "look",
+        "As drawn",
+        "The finest level in the pose it is stored in. Look for blur, colours of one part on "
+        "another, a line at neck or "
         "wrists, fingers grown together.",
         pictures,
-    )  # fmt: skip
+    )
 
 
 def posed(inspector: Inspector) -> Section:
@@ -39,11 +41,13 @@ def posed(inspector: Inspector) -> Section:
         ).items()
     ]
     return Section(
-        "poses", "Posed",
-        "Linear blend skinning in poses that strain it. Look for collapsed elbows and knees, armpits that pull the chest "
+        "poses",
+        "Posed",
+        "Linear blend skinning in poses that strain it. Look for collapsed elbows and knees, armpits "
+        "that pull the chest "
         "along, fingers that drag each other.",
         pictures,
-    )  # fmt: skip
+    )
 
 
 def turntable(inspector: Inspector, frames: int) -> Section:
@@ -52,9 +56,11 @@ def turntable(inspector: Inspector, frames: int) -> Section:
     turn = animation(list(pictures_of.turntable(inspector.context, inspector.avatar, size, frames)), 6.0)
     mode = inspector.avatar.default_view
     return Section(
-        "turntable", "Turntable", f"The avatar at ease, as its file asks to be drawn (view dependence: {mode}).",
+        "turntable",
+        "Turntable",
+        f"The avatar at ease, as its file asks to be drawn (view dependence: {mode}).",
         [Picture("turntable", turn, "webp", f"{frames} views, 6 seconds")],
-    )  # fmt: skip
+    )
 
 
 def levels(inspector: Inspector) -> Section:

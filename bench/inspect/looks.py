@@ -1,4 +1,4 @@
-"""The avatar as the player draws it: standing, in poses that strain the skin, level by level, on a turntable."""
+"""The avatar as the player draws it: standing, in poses that strain the skin, on a turntable."""
 
 from collections.abc import Iterator
 

@@ -38,9 +38,12 @@ def parts(inspector: Inspector) -> Section:
         (color, f"{name} ({share[name]:.0%})") for color, name in zip(PART_COLORS, PARTS, strict=True)
     )
     return Section(
-        "parts", "Parts", "The part whose joints move a vertex most, with its share of the surface.",
-        [Picture("parts", png(image), "png", "parts")], Legend(named=named),
-    )  # fmt: skip
+        "parts",
+        "Parts",
+        "The part whose joints move a vertex most, with its share of the surface.",
+        [Picture("parts", png(image), "png", "parts")],
+        Legend(named=named),
+    )
 
 
 def weights(inspector: Inspector, joints: list[str]) -> Section:
@@ -48,8 +51,14 @@ def weights(inspector: Inspector, joints: list[str]) -> Section:
     palette = categorical(52).astype(np.float64)
     share = inspector.level.weights.astype(np.float64) / 255
     blended = np.einsum("vi,vic->vc", share, palette[inspector.level.joints])
-    pictures = [Picture("weights", png(inspector.draw(np.round(blended).astype(np.uint8))), "png",
-                        "joints' colours blended by weight")]  # fmt: skip
+    pictures = [
+        Picture(
+            "weights",
+            png(inspector.draw(np.round(blended).astype(np.uint8))),
+            "png",
+            "joints' colours blended by weight",
+        )
+    ]
     for name in joints:
         values = mesh_facts.joint_weight(inspector.level, JOINTS.index(name))
         image = inspector.draw(ramp(values, 0.0, 1.0))
@@ -61,11 +70,13 @@ def weights(inspector: Inspector, joints: list[str]) -> Section:
     inspector.facts["joints_that_move_nothing_most"] = absent
     named = tuple((hexadecimal(categorical(52)[k]), JOINTS[k]) for k in used)
     return Section(
-        "weights", "Skin weights",
-        "Soft borders run round a limb, never along it; left and right, and neighbouring fingers, do not exchange colours."
-        + (f" No vertex is moved most by: {', '.join(absent)}." if absent else ""),
-        pictures, Legend(named=named),
-    )  # fmt: skip
+        "weights",
+        "Skin weights",
+        "Soft borders run round a limb, never along it; left and right, and neighbouring fingers, do "
+        "not exchange colours." + (f" No vertex is moved most by: {', '.join(absent)}." if absent else ""),
+        pictures,
+        Legend(named=named),
+    )
 
 
 def texels(inspector: Inspector) -> Section:
@@ -84,11 +95,14 @@ def texels(inspector: Inspector) -> Section:
     rows = [("part", "median side of a texel, mm")]
     rows += [(name, f"{value:.2f}" if value else "none") for name, value in by_part.items()]
     return Section(
-        "texels", "Texel density",
-        "Side of a texel on the surface. Head and hands should be darker (finer); a bright patch is stretched in the atlas.",
+        "texels",
+        "Texel density",
+        "Side of a texel on the surface. Head and hands should be darker (finer); a bright patch is "
+        "stretched in the atlas.",
         [Picture("texels", png(image), "png", "side of a texel, millimetres"), _atlas(inspector)],
-        Legend(SEQUENTIAL, ticks(0.0, high, suffix=" mm"), ((ABSENT, "no texels"),)), rows,
-    )  # fmt: skip
+        Legend(SEQUENTIAL, ticks(0.0, high, suffix=" mm"), ((ABSENT, "no texels"),)),
+        rows,
+    )
 
 
 def _atlas(inspector: Inspector) -> Picture:
@@ -119,14 +133,26 @@ def seams(inspector: Inspector) -> Section:
             found.append(
                 {"level": number, "mip": mip, "drawn": drawn, "median": median, "p99": p99, "max": most}
             )
-            rows.append((str(number), str(mip), "yes" if drawn else "no", f"{median:.2f}", f"{p99:.2f}", f"{most:.1f}",
-                         str(len(seam.edges))))  # fmt: skip
+            rows.append(
+                (
+                    str(number),
+                    str(mip),
+                    "yes" if drawn else "no",
+                    f"{median:.2f}",
+                    f"{p99:.2f}",
+                    f"{most:.1f}",
+                    str(len(seam.edges)),
+                )
+            )
     inspector.facts["seam_steps"] = found
     if found:
         median, p99 = (max(row[key] for row in found if row["drawn"]) for key in ("median", "p99"))
-        inspector.check("step of colour across chart edges, the worst level and mip that the player draws",
-                   f"median {median:.2f}, p99 {p99:.2f} of 255", f"median at most {SEAM_MEDIAN:g}, p99 at most {SEAM_P99:g}",
-                   median <= SEAM_MEDIAN and p99 <= SEAM_P99)  # fmt: skip
+        inspector.check(
+            "step of colour across chart edges, the worst level and mip that the player draws",
+            f"median {median:.2f}, p99 {p99:.2f} of 255",
+            f"median at most {SEAM_MEDIAN:g}, p99 at most {SEAM_P99:g}",
+            median <= SEAM_MEDIAN and p99 <= SEAM_P99,
+        )
     assert shown is not None
     pictures = []
     for mip in (0, MIPS - 1):
@@ -141,13 +167,17 @@ def seams(inspector: Inspector) -> Section:
             Picture(f"seams_mip{mip}", png(image), "png", f"colour step of the finest level, {near}")
         )
     return Section(
-        "seams", "Chart seams",
-        "Edges where the atlas was cut, coloured by the largest difference of colour between the two sides (of 255). Where it is "
-        "bright a line may be seen; it should not gather on the face, the neck or the wrists. Our player stops at the mips that the atlas' "
+        "seams",
+        "Chart seams",
+        "Edges where the atlas was cut, coloured by the largest difference of colour between the two "
+        "sides (of 255). Where it is "
+        "bright a line may be seen; it should not gather on the face, the neck or the wrists. Our "
+        "player stops at the mips that the atlas' "
         "gutters keep apart; other viewers go on to coarser ones.",
         pictures,
-        Legend(SEQUENTIAL, ticks(0.0, SEAM_RANGE, suffix="/255")), rows,
-    )  # fmt: skip
+        Legend(SEQUENTIAL, ticks(0.0, SEAM_RANGE, suffix="/255")),
+        rows,
+    )
 
 
 def cones(inspector: Inspector) -> Section:
@@ -165,13 +195,18 @@ def cones(inspector: Inspector) -> Section:
     cone = inspector.draw(ramp(np.where(never, np.nan, degrees), 0.0, CONE_RANGE))
     sight = inspector.draw(ramp(np.where(never, np.nan, seen), 0.0, 1.0))
     return Section(
-        "cones", "Cones and unseen regions",
-        "How far colour may follow the eye: the half-angle of directions that training saw, mean of widest and narrowest, times how "
-        "well the point was seen. Pink was never seen: armpits, between fingers, soles. Its colour is the field's guess.",
-        [Picture("cones", png(cone), "png", f"half-angle of the cone, degrees, 0 to {CONE_RANGE:g}"),
-         Picture("seen", png(sight), "png", "how well a point was seen, 0 (dark) to 1 (bright)")],
+        "cones",
+        "Cones and unseen regions",
+        "How far colour may follow the eye: the half-angle of directions that training saw, mean of "
+        "widest and narrowest, times how "
+        "well the point was seen. Pink was never seen: armpits, between fingers, soles. Its colour "
+        "is the field's guess.",
+        [
+            Picture("cones", png(cone), "png", f"half-angle of the cone, degrees, 0 to {CONE_RANGE:g}"),
+            Picture("seen", png(sight), "png", "how well a point was seen, 0 (dark) to 1 (bright)"),
+        ],
         Legend(SEQUENTIAL, ticks(0.0, CONE_RANGE, suffix="°"), ((ABSENT, "never seen"),)),
-    )  # fmt: skip
+    )
 
 
 def triangles(inspector: Inspector) -> Section:
@@ -192,8 +227,17 @@ def triangles(inspector: Inspector) -> Section:
                 **closed._asdict(),
             }
         )
-        rows.append((str(number), str(len(level.faces)), str(len(level.positions)), f"{width} x {height}",
-                     str(closed.open_edges), str(closed.crowded_edges), str(closed.pieces)))  # fmt: skip
+        rows.append(
+            (
+                str(number),
+                str(len(level.faces)),
+                str(len(level.positions)),
+                f"{width} x {height}",
+                str(closed.open_edges),
+                str(closed.crowded_edges),
+                str(closed.pieces),
+            )
+        )
     inspector.facts["levels"] = found
     holes = ", ".join(f"{f['open_edges']} and {f['crowded_edges']}" for f in found)
     inspector.check(
@@ -205,9 +249,12 @@ def triangles(inspector: Inspector) -> Section:
     image = inspector.draw(ramp(millimetres, 0.0, high, PALE), wire=True)
     text = ", ".join(f"{name} {value:.1f} mm" for name, value in by_part.items() if value)
     return Section(
-        "triangles", "Triangles",
-        f"Mean length of a triangle's edges (median: {text}); the close views show the edges. Slivers and sudden changes of size "
+        "triangles",
+        "Triangles",
+        f"Mean length of a triangle's edges (median: {text}); the close views show the edges. Slivers "
+        "and sudden changes of size "
         "come out as lines in the light.",
         [Picture("triangles", png(image), "png", "edge length, millimetres")],
-        Legend(PALE, ticks(0.0, high, suffix=" mm")), rows,
-    )  # fmt: skip
+        Legend(PALE, ticks(0.0, high, suffix=" mm")),
+        rows,
+    )
