@@ -419,7 +419,11 @@ def play(
     """Open the window and run it. A script closes it at its end; a screenshot keeps the last frame shown."""
     if script is not None:
         steps(script)
-    window = Window(show, size=size, null=null, gui=gui)
+    try:
+        window = Window(show, size=size, null=null, gui=gui)
+    except BaseException:
+        glfw.terminate()  # with the window, where there is one already
+        raise
     try:
         print(window.context.attempts[-1])
         glfw.swap_interval(0 if script is not None else 1)

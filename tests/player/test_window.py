@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -185,6 +186,15 @@ def test_screenshots_and_films_hold_the_picture_without_the_text(shot, tmp_path,
     assert "another size" in capsys.readouterr().out and (tmp_path / "selfscan-001.mp4").exists()
     shot("space o wait")  # closing writes it
     assert (tmp_path / "selfscan-002.mp4").exists()
+
+
+@pytest.mark.usefixtures("osmesa")
+def test_a_window_that_cannot_be_made_says_so_and_the_next_one_opens(avatar, avatar_path, tmp_path):
+    plain = tmp_path / "plain.glb"
+    write_avatar(plain, replace(avatar, linear=None))
+    with pytest.raises(AssetError, match="linear"):
+        play_main([str(plain), "--platform", "null", "--view", "linear", "--script", "wait"])
+    assert screenshot(avatar_path, tmp_path / "a.png", "wait").shape == (200, 160, 3)
 
 
 def test_an_unknown_word_in_a_script_is_refused(avatar_path):
