@@ -4,6 +4,8 @@ Run as `python -m bake.atlas IN.npz OUT.npz` by `unwrap`: a pathological mesh ca
 many minutes inside native code, and only a process can be stopped there.
 """
 
+import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -35,14 +37,14 @@ def unwrap(
     *,
     size: int,
     padding: int,
-    seconds: float = 60.0,
+    seconds: float = 120.0,
 ) -> Unwrapped:
     """Texture coordinates of a mesh in one square atlas.
 
     density multiplies a part's texels per metre. padding is the gutter between charts, in texels of `size`.
 
     Raises:
-        AssetError: the unwrapper did not end within `seconds`, failed, or lost triangles.
+        AssetError: the unwrapper did not end within `seconds` of processor time, failed, or lost triangles.
     """
     if len(faces) > 200_000:
         raise ValueError(f"{len(faces)} triangles to unwrap: at most 200000, decimate first")
@@ -55,17 +57,20 @@ def unwrap(
         )
         try:
             done = subprocess.run(
-                [sys.executable, "-m", "bake.atlas", str(given), str(found)],
-                timeout=seconds,
+                [sys.executable, "-m", "bake.atlas", str(given), str(found), str(int(np.ceil(seconds)))],
+                timeout=10 * seconds,  # of the clock, which on a busy machine says little of the mesh
                 capture_output=True,
                 text=True,
                 cwd=Path(__file__).parent.parent,
             )
+            late = done.returncode == -signal.SIGXCPU
         except subprocess.TimeoutExpired:
+            late = True
+        if late:
             raise AssetError(
-                f"atlas: unwrapping {len(faces)} triangles should end within {seconds:g} s and did not; "
-                "the mesh is too broken to unwrap (see `selfscan inspect`), or ask for fewer --faces"
-            ) from None
+                f"atlas: unwrapping {len(faces)} triangles should end within {seconds:g} s of processor time and did "
+                "not; the mesh is too broken to unwrap (see `selfscan inspect`), or ask for fewer --faces"
+            )
         if done.returncode:
             last = (done.stderr.strip().splitlines() or ["no message"])[-1]
             raise AssetError(f"atlas: the unwrapper failed with status {done.returncode}: {last}")
@@ -165,6 +170,7 @@ def adopt_orphans(atlas: Any, number: int, mapping: np.ndarray, indices: np.ndar
 
 
 if __name__ == "__main__":
+    resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[3]), int(sys.argv[3]) + 5))
     with np.load(sys.argv[1]) as given_data:
         packed = pack(
             given_data["vertices"],

@@ -12,8 +12,8 @@ from train.mesh import half_edges
 
 # weight of keeping a texel as it was sampled: one that shows surface, one that only bilinear filtering reads
 # beside it, and one of the gutter, which nothing but coarser mips reads
-KEEP_INSIDE, KEEP_SKIRT, KEEP_GUTTER = 1.0, 0.25, 0.02
-AGREE = 6.0  # weight of one point on a chart edge looking the same from both sides
+KEEP_INSIDE, KEEP_SKIRT, KEEP_GUTTER = 4.0, 0.1, 0.004
+AGREE = 4.0  # weight of a point on a chart edge looking the same from both sides, at 1024; more where texels are few
 GROW = (
     8.0  # as many times more in each coarser mip: fewer points lie along an edge there, and means resist more
 )
@@ -88,6 +88,7 @@ class _Mip(NamedTuple):
     agree: csr_matrix  # points on edges x texels: left side minus right side
     finer: csr_matrix | None  # texels x the finer mip's texels: mean of 2 x 2
     rest: Float[np.ndarray, "n 1"]  # share of a texel in this mip that no finer mip reads
+    weight: float  # by which the rows of `agree` are multiplied
 
 
 def equalised(
@@ -103,7 +104,7 @@ def equalised(
 
     Least squares over every texel that a point on a chart edge reads in any of these mips:
 
-        min over x   sum_i keep_i (x_i - image_i)^2 + sum_mips AGREE GROW^mip sum_points (left(x) - right(x))^2
+        min over x   sum_i keep_i (x_i - image_i)^2 + sum_mips agree GROW^mip sum_points (left(x) - right(x))^2
 
     by conjugate gradients, `rounds` of them; then what left [0, 1] is held at its bound, points that still differ
     by more than STEP count up to nine times, and the others are solved again. The mips are means of 2 x 2 texels, as the player makes them, so a coarse mip is closed mostly by what
@@ -194,8 +195,8 @@ def _differences(
 def _urged(chain: list[_Mip], image: Float[np.ndarray, "height width channels"]) -> list[_Mip]:
     """The mips with points that differ by more than STEP weighted up (least squares leaves a few large steps)."""
     result = []
-    for number, (mip, found) in enumerate(zip(chain, _differences(chain, image), strict=True)):
-        step = np.abs(found).max(1) / np.sqrt(AGREE * GROW**number)
+    for mip, found in zip(chain, _differences(chain, image), strict=True):
+        step = np.abs(found).max(1) / mip.weight
         urge = diags(np.clip(step / STEP, 1, 3).astype(np.float32))
         result.append(mip._replace(agree=csr_matrix(urge @ mip.agree)))
     return result
@@ -235,9 +236,10 @@ def _chain(uv: Float[np.ndarray, "corners 2"], edges: ChartEdges, size: int, lev
                 (np.full(len(below), 0.25, np.float32), (parent, np.arange(len(below)))), shape
             )
             rest = (1 - 0.25 * np.bincount(parent, minlength=len(texels))).astype(np.float32)[:, None]
-        values = values * np.sqrt(AGREE * GROW**number)
-        agree = csr_matrix((values.astype(np.float32), (rows, place)), shape=(count, len(texels)))
-        chain.append(_Mip(texels, agree, finer, rest))
+        weight = float(np.sqrt(AGREE * 1024 / size * GROW**number))
+        values = (weight * values).astype(np.float32)
+        agree = csr_matrix((values, (rows, place)), shape=(count, len(texels)))
+        chain.append(_Mip(texels, agree, finer, rest, weight))
     return chain
 
 

@@ -62,12 +62,14 @@ def test_texels_away_from_chart_edges_stay_and_those_beside_move_little(atlas):
 def test_image_that_already_agrees_is_not_touched(atlas):
     found, texels, image, edges = atlas
     flat = np.full_like(image, 0.25)
-    np.testing.assert_allclose(equalised(flat, texels, found.uv, edges, LEVELS), flat, atol=1e-6)
+    np.testing.assert_allclose(equalised(flat, texels, found.uv, edges, LEVELS), flat, atol=1e-5)
 
 
-def test_solution_is_the_least_squares_one():
+def test_solution_is_the_least_squares_one(monkeypatch):
     """Two charts of two texels each against the dense solution of the same problem."""
     size = 4
+    monkeypatch.setattr(seams, "AGREE", 8 * size / 1024)
+    monkeypatch.setattr(seams, "KEEP_GUTTER", 0.02)
     uv = np.array([[0.25, 0.25], [0.25, 0.75], [0.75, 0.25], [0.75, 0.75]])
     edges = seams.ChartEdges(np.array([[0, 1]]), np.array([[2, 3]]))
     texels = TexelMap(np.array([4, 5, 9]), np.zeros(3, int), np.array([True, False, True]), size)
@@ -82,7 +84,7 @@ def test_solution_is_the_least_squares_one():
         rows = np.zeros((count, (size >> mip) ** 2))
         np.add.at(rows, (row, column), value)
         read = rows @ mean
-        normal = normal + seams.AGREE * seams.GROW**mip * read.T @ read
+        normal = normal + seams.AGREE * 1024 / size * seams.GROW**mip * read.T @ read
     expected = np.linalg.solve(normal, right)
     found = equalised(image, texels, uv, edges, 2, rounds=(300,))
     np.testing.assert_allclose(found.reshape(-1), expected, atol=2e-3)
