@@ -31,7 +31,7 @@ from player.motions import beside, frame_range
 from player.parts import LENGTH, Parts
 from player.renderer import Renderer
 from player.scene import Scene, SceneAvatar, SceneCamera
-from player.shot import Set, Shot
+from player.shot import Set, Shot, with_whole_paths
 from player.stage import Stage, camera_from_option
 
 RENDER_EXAMPLES = """examples
@@ -243,6 +243,7 @@ def filmed_in_parts(
         alpha = shot.transparent and kind != ".mp4"
         encoder, tried = chosen_encoder(kind, shot.encoder, shot.size, alpha=alpha)
         shot = replace(shot, encoder=encoder.name)
+    shot = replace(shot, scene=with_whole_paths(shot.scene))
     parts = Parts(path, shot.start, shot.stop, shot.identity())
     parts.begin(resume=options.resume or options.part is not None)
     wanted = parts.share(*options.part) if options.part else parts.ranges

@@ -5,7 +5,7 @@ Whoever opens the order draws the same frames: the cameras that had to be fitted
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import UInt8
 
 from avatar.errors import AssetError
+from avatar.motion import BUILTIN_MOTIONS
 from player.context import Context, opened
 from player.film import Film, Frame
 from player.renderer import Renderer
-from player.scene import Scene
+from player.scene import MANNEQUINS, Scene
 from player.stage import Fit, Stage
 from player.stop import Stop
 
@@ -66,6 +67,25 @@ class Shot:
             "encoder": f"{self.encoder} of PyAV {av.__version__}",
             "quality": self.quality,
         }
+
+
+def with_whole_paths(scene: Scene) -> Scene:
+    """The scene with absolute paths: a worker stands in another folder."""
+
+    def whole(name: str | None) -> str | None:
+        if name is None or name in (*BUILTIN_MOTIONS, *MANNEQUINS) or not Path(name).exists():
+            return name
+        return str(Path(name).absolute())
+
+    avatars = tuple(
+        replace(
+            actor, path=whole(actor.path) or actor.path, motion=whole(actor.motion), body=whole(actor.body)
+        )
+        for actor in scene.avatars
+    )
+    cameras = tuple(replace(camera, path=whole(camera.path)) for camera in scene.cameras)
+    background = replace(scene.background, path=whole(scene.background.path))
+    return replace(scene, avatars=avatars, cameras=cameras, background=background)
 
 
 class Set:

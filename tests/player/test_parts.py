@@ -290,8 +290,11 @@ def test_what_a_worker_draws_is_what_is_asked_for(arguments, films, tmp_path, mo
     monkeypatch.setattr(
         render_command, "drawn_by_workers", lambda _a, shot, parts: orders.append((shot, parts)) or []
     )
+    folder, name = Path(arguments[0]).parent, Path(arguments[0]).name
+    monkeypatch.chdir(folder)
     with pytest.raises(AssetError, match="expected 15 frames, found 0"):
-        render_main([*arguments, "-o", str(tmp_path / "frames"), "--workers", "1"])
+        render_main([name, *arguments[1:], "-o", str(tmp_path / "frames"), "--workers", "1"])
+    monkeypatch.chdir(tmp_path)  # a worker stands elsewhere
     [(shot, parts)] = orders
     assert Stage(shot.scene).frames > 55
     drawn = draw_part(shot, (20, 23), "", parts.identity["files"])
