@@ -422,6 +422,7 @@ def play(
     try:
         window = Window(show, size=size, null=null, gui=gui)
     except BaseException:
+        show.playback.close()
         glfw.terminate()  # with the window, where there is one already
         raise
     try:

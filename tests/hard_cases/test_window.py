@@ -104,6 +104,7 @@ def test_a_motion_of_30_days_is_stepped_and_scrubbed_frame_by_frame(window):
         return Clip(np.zeros((stop - start, 52, 3)), root, 30.0)
 
     frames = int(MONTH) * 30
+    window.playback.close()
     window.playback = Playback([Track(clip, frames, 30.0)])
     window.timeline.playing = False
     for second in (0.0, 12_345.6, MONTH / 2, MONTH - 1.0):
