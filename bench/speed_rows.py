@@ -23,7 +23,7 @@ from avatar.errors import AssetError
 from bench.alternating import Turn, alternate
 from bench.live_sender import sending
 from player.context import Context
-from player.film import Film
+from player.filming.film import Film
 from player.live.address import Address
 from player.live.inbox import Inbox
 from player.live.latency import Latency

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from avatar.hands import HANDS
-from player.effects import Background
+from player.scenes.effects import Background
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.camera import Camera
-from player.background import opened_source, read_panorama
-from player.effects import Background
 from player.realise import UNITS, Realised
+from player.scenes.background import opened_source, read_panorama
+from player.scenes.effects import Background
 from player.shader import uniform
 
 

@@ -189,7 +189,7 @@ def hints(
 
 def encoders() -> list[str]:
     """Which H.264 encoder a film takes, and why not the ones before it."""
-    from player.encoder import chosen_encoder
+    from player.filming.encoder import chosen_encoder
 
     encoder, refused = chosen_encoder(".mp4", "auto", (640, 640))
     return [encoder.name, *refused]
@@ -253,8 +253,8 @@ def compare(avatar_path: str | None = None, size: int = 512) -> dict[str, Any]:
     Equal means: no channel differs by more than 1/255 outside the pixels at the silhouette. The window is a real
     one where there is a display, and glfw's null platform with OSMesa.
     """
+    from player.filming.stage import opened_avatar
     from player.ladder import views_of
-    from player.stage import opened_avatar
 
     avatar = opened_avatar(avatar_path or "mannequin")
     views = views_of(avatar)
@@ -312,8 +312,8 @@ def _off_screen(kind: str, avatar: Any, view: str, camera: Camera) -> Shown:
 def _in_window(avatar: Any, views: Sequence[str], camera: Camera, *, null: bool) -> list[Shown]:
     import glfw
 
-    from player.glfw_window import ScreenReader, open_window, window_context
     from player.renderer import Renderer
+    from player.window.glfw_window import ScreenReader, open_window, window_context
 
     glfw.init_hint(glfw.PLATFORM, glfw.PLATFORM_NULL if null else glfw.ANY_PLATFORM)
     window = open_window(camera.size, null)

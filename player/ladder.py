@@ -16,8 +16,8 @@ from jaxtyping import Float, UInt8
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from player.context import Context
-from player.effects import VIEWS
 from player.renderer import Pose, Renderer
+from player.scenes.effects import VIEWS
 
 SHARES = {0.75: "3/4 resolution", 0.5: "half resolution"}
 SMALLEST_TEXTURE = 64  # texels a side

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from avatar.baked_avatar import Avatar, Level
 from player.blocks import BONES, DUALS, FRAME, TURNS
-from player.effects import VIEWS, Background, Effects
+from player.scenes.effects import VIEWS, Background, Effects
 
 STAGE = {"off": 0, "vertex": 1, "linear": 2, "network": 2}
 MIN_HEIGHT = 40  # pixels; view dependence of a smaller avatar cannot be seen

@@ -10,13 +10,13 @@ import numpy as np
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from player.arguments import add_hands, parse_background, parse_size
-from player.capture_view import PARTS
 from player.context import NoContextError
-from player.effects import ANTIALIASINGS, SKINNINGS, VIEWS
 from player.live.address import Address, parse_address
 from player.live.command import add_live_options
 from player.motions import beside
-from player.scene import Scene, SceneAvatar, SceneCamera
+from player.scenes.effects import ANTIALIASINGS, SKINNINGS, VIEWS
+from player.scenes.scene import Scene, SceneAvatar, SceneCamera
+from player.window.capture_view import PARTS
 
 EXAMPLES = """examples
   selfscan play me.glb                                      the counting motion
@@ -133,7 +133,7 @@ def check_options(parser: argparse.ArgumentParser, options: argparse.Namespace) 
 def scene_of(options: argparse.Namespace) -> Scene:
     """The scene that the options ask for; those given go before what a scene file says."""
     if options.scene:
-        from player.scene_file import read_scene
+        from player.scenes.scene_file import read_scene
 
         scene = read_scene(options.scene)
     else:
@@ -167,8 +167,8 @@ def _avatars(options: argparse.Namespace) -> tuple[SceneAvatar, ...]:
 
 def play_scene(scene: Scene, options: argparse.Namespace, script: Sequence[str] | None) -> int:
     """Open the scene's files and sources, then the window."""
-    from player.show import opened_show, read_avatars
-    from player.window import play  # glfw only when a window is asked for
+    from player.window.show import opened_show, read_avatars
+    from player.window.window import play  # glfw only when a window is asked for
 
     avatars = read_avatars(scene)
     with ExitStack() as sources:

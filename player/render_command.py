@@ -25,14 +25,14 @@ from player.arguments import (
     parse_size,
 )
 from player.context import Context, opened
-from player.effects import ANTIALIASINGS, SKINNINGS, VIEWS, Effects
-from player.film import VIDEO, film_kind, join_pieces
+from player.filming.film import VIDEO, film_kind, join_pieces
+from player.filming.parts import LENGTH, Parts
+from player.filming.shot import Set, Shot, with_whole_paths
+from player.filming.stage import Stage, camera_from_option
 from player.motions import beside, frame_range
-from player.parts import LENGTH, Parts
 from player.renderer import Renderer
-from player.scene import Scene, SceneAvatar, SceneCamera
-from player.shot import Set, Shot, with_whole_paths
-from player.stage import Stage, camera_from_option
+from player.scenes.effects import ANTIALIASINGS, SKINNINGS, VIEWS, Effects
+from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 RENDER_EXAMPLES = """examples
   selfscan render me.glb --motion counting -o counting.mp4
@@ -172,7 +172,7 @@ def filmed(options: argparse.Namespace, kind: str, stage: Stage, context: Contex
 def scene_of(options: argparse.Namespace) -> Scene:
     """The scene that the options ask for; those given go before what a scene file says."""
     if options.scene:
-        from player.scene_file import read_scene
+        from player.scenes.scene_file import read_scene
 
         scene = read_scene(options.scene)
     else:
@@ -238,7 +238,7 @@ def filmed_in_parts(
     kind = film_kind(path)
     tried: list[str] = []
     if kind in VIDEO:  # chosen once, or two machines might choose differently
-        from player.encoder import chosen_encoder
+        from player.filming.encoder import chosen_encoder
 
         alpha = shot.transparent and kind != ".mp4"
         encoder, tried = chosen_encoder(kind, shot.encoder, shot.size, alpha=alpha)
@@ -292,7 +292,7 @@ def filmed_in_parts(
 def drawn_by_workers(address: str, shot: Shot, parts: Parts) -> list[str]:
     """Have a cluster draw the missing parts; what it has to say."""
     try:
-        from player.cluster import film_on
+        from player.filming.cluster import film_on
     except ModuleNotFoundError as error:
         raise AssetError(
             f"--workers needs the package {error.name!r}: pip install 'selfscan[cluster]'"

@@ -15,11 +15,11 @@ from player.backdrop import Backdrop
 from player.blit import Box, blit_of
 from player.blocks import FRAME
 from player.context import Context
-from player.effects import PLAIN, Background, Effects
 from player.plan import MIN_HEIGHT, Canvas, Pass, Plan, resolve
 from player.posing import PosedBones, Poser, Reach, dual_parts, quaternions, reach
 from player.raster import clip_planes
 from player.realise import UNITS, Realised
+from player.scenes.effects import PLAIN, Background, Effects
 from player.shader import uniform
 from player.tiles import Patches, covered, rectangles
 

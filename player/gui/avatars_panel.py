@@ -6,10 +6,10 @@ import numpy as np
 from imgui_bundle import imgui
 
 from avatar.skeleton import JOINTS
-from player.pose_tool import toggle_posing
+from player.window.pose_tool import toggle_posing
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 
 def avatars_panel(window: "Window") -> None:

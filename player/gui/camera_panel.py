@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from player.cameras import NAMES
+from player.window.cameras import NAMES
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 
 def camera_panel(window: "Window") -> None:

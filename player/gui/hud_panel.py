@@ -9,7 +9,7 @@ from avatar.camera import project
 from avatar.skeleton import joint_transforms
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 INK = imgui.IM_COL32(255, 255, 255, 230)
 PLATE = imgui.IM_COL32(0, 0, 0, 120)

@@ -7,7 +7,7 @@ from imgui_bundle import imgui
 
 if TYPE_CHECKING:
     from player.live.playback import LivePlayback
-    from player.window import Window
+    from player.window.window import Window
 
 SPANS = ("sent to received", "received to applied", "received to drawn")
 

@@ -26,7 +26,7 @@ from player.gui.timeline_panel import timeline_panel
 from player.gui.view_panel import view_panel
 
 if TYPE_CHECKING:
-    from player.window import Area, Window
+    from player.window.window import Area, Window
 
 Panel = Callable[["Window"], None]
 

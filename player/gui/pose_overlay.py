@@ -9,10 +9,10 @@ from jaxtyping import Float
 from avatar.camera import Camera, project
 from avatar.skeleton import PARENTS
 from player.pose.gizmo import VIEW_RING, Gizmo, ring_front, ring_points
-from player.pose_tool import HANDLES, Handle, PoseTool
+from player.window.pose_tool import HANDLES, Handle, PoseTool
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 COLORS = (
     (230, 70, 70),

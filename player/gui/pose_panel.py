@@ -14,11 +14,11 @@ from player.pose.library import BUILTIN
 from player.pose.limits import joint_angles, limits
 from player.pose.mirror import PARTNER
 from player.pose.session import hand_joints, limb_of
-from player.pose_tool import PoseTool, spoken
-from player.recorder import free_name
+from player.window.pose_tool import PoseTool, spoken
+from player.window.recorder import free_name
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 SIDES: tuple[Side, Side] = ("left", "right")
 ORDER = sorted(range(52), key=lambda joint: (joint >= 22, joint))  # of the list of joints

@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from player.timeline import LOOPS, SPEEDS
+from player.window.timeline import LOOPS, SPEEDS
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 MARK = imgui.IM_COL32(255, 204, 51, 255)
 RANGE = imgui.IM_COL32(255, 204, 51, 60)

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from player.effects import ANTIALIASINGS, SKINNINGS, VIEWS
+from player.scenes.effects import ANTIALIASINGS, SKINNINGS, VIEWS
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 
 def view_panel(window: "Window") -> None:

@@ -11,10 +11,10 @@ from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import BIG_POSE
 from avatar.skinning import SkinWeights, skin_points_dual_quaternion
 from player.context import open_context
-from player.effects import Background, Effects
 from player.mannequin import mannequin
 from player.posing import Poser, dual_parts
 from player.renderer import Renderer
+from player.scenes.effects import Background, Effects
 
 POSE = (np.array(BIG_POSE), np.zeros(3))
 SMOOTH = ("fxaa", "msaa")

@@ -131,8 +131,8 @@ from tiny_avatar import tiny_avatar
 from avatar.camera import orbit_camera
 from avatar.skeleton import BIG_POSE
 from player.context import open_context
-from player.film import Film
-from player.parts import Parts
+from player.filming.film import Film
+from player.filming.parts import Parts
 from player.renderer import Renderer
 
 parts = Parts(Path(sys.argv[1]) / "long.mp4", 0, 11_000, {})

@@ -6,11 +6,11 @@ import pytest
 from tiny_avatar import tiny_avatar
 
 from player.context import NoContextError, open_context
-from player.playback import Playback, Track
-from player.scene import Scene, SceneAvatar
-from player.show import opened_show
-from player.timeline import LONGEST_STEP
-from player.window import Window
+from player.scenes.scene import Scene, SceneAvatar
+from player.window.playback import Playback, Track
+from player.window.show import opened_show
+from player.window.timeline import LONGEST_STEP
+from player.window.window import Window
 
 MONTH = 30 * 86400.0
 

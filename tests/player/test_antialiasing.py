@@ -10,10 +10,10 @@ from avatar.camera import orbit_camera
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, skin_points, skin_points_dual_quaternion
 from player import renderer as renderers
-from player.effects import Background, Effects
 from player.posing import Poser
 from player.raster import Rasteriser
 from player.renderer import Renderer
+from player.scenes.effects import Background, Effects
 from player.tiles import TILE, Patches, covered, rectangles
 
 SIZE = (180, 200)

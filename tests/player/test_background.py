@@ -9,11 +9,11 @@ from radiance_writer import radiance_bytes, sky
 
 from avatar.camera import look_at, orbit_camera, pixel_rays
 from avatar.errors import AssetError
-from player.background import fitted, opened_source, placed, read_panorama, read_picture
 from player.context import open_context
-from player.effects import Background, Effects
-from player.radiance import read_radiance
 from player.renderer import Renderer
+from player.scenes.background import fitted, opened_source, placed, read_panorama, read_picture
+from player.scenes.effects import Background, Effects
+from player.scenes.radiance import read_radiance
 
 SIZE = (120, 90)
 
@@ -146,9 +146,9 @@ def _written(path, data):
 
 
 def test_a_wide_panorama_is_halved(tmp_path, monkeypatch):
-    import player.background
+    import player.scenes.background
 
-    monkeypatch.setattr(player.background, "PANORAMA_WIDTH", 32)
+    monkeypatch.setattr(player.scenes.background, "PANORAMA_WIDTH", 32)
     (tmp_path / "sky.hdr").write_bytes(radiance_bytes(np.full((50, 100, 3), 0.5)))
     assert read_panorama(tmp_path / "sky.hdr").shape == (12, 24, 3)
 

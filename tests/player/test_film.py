@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import player.encoder as encoder_module
+import player.filming.encoder as encoder_module
 from avatar.camera import orbit_camera
 from avatar.errors import AssetError
 from avatar.motion import builtin_motion
-from player.encoder import X264, Encoder, chosen_encoder, refusal
-from player.film import WAITING, Film, film_kind, straight
+from player.filming.encoder import X264, Encoder, chosen_encoder, refusal
+from player.filming.film import WAITING, Film, film_kind, straight
 from player.renderer import Renderer
 
 

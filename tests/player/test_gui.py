@@ -9,11 +9,11 @@ import glfw  # before imgui_bundle
 from imgui_bundle import imgui
 
 from avatar.avatar_file import write_avatar
-from player.effects import Background
 from player.gui.draw import DrawLists
 from player.play_command import play_parser, scene_of
-from player.show import opened_show, read_avatars
-from player.window import Window
+from player.scenes.effects import Background
+from player.window.show import opened_show, read_avatars
+from player.window.window import Window
 
 SIZE = (900, 640)
 

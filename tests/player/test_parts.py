@@ -11,16 +11,16 @@ import pytest
 from PIL import Image
 from tiny_avatar import tiny_avatar
 
-import player.parts
+import player.filming.parts
 import player.render_command as render_command
 from avatar.avatar_file import write_avatar
 from avatar.camera import orbit_camera, write_camera
 from avatar.errors import AssetError
 from player.camera_path import CameraPath
-from player.film import join_pieces
-from player.parts import Parts, fingerprint
+from player.filming.film import join_pieces
+from player.filming.parts import Parts, fingerprint
+from player.filming.shot import Set
 from player.render_command import render_main
-from player.shot import Set
 
 FRAMES = 50  # from 5 to 55: parts 5:20, 20:40, 40:55
 
@@ -28,7 +28,7 @@ FRAMES = 50  # from 5 to 55: parts 5:20, 20:40, 40:55
 @pytest.fixture(scope="module", autouse=True)
 def short_parts():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(player.parts, "LENGTH", 20)
+        patch.setattr(player.filming.parts, "LENGTH", 20)
         patch.setattr(render_command, "LENGTH", 20)
         yield
 
@@ -283,8 +283,8 @@ def test_a_scheduler_that_is_not_there_is_one_line(arguments, tmp_path, monkeypa
 
 def test_what_a_worker_draws_is_what_is_asked_for(arguments, films, tmp_path, monkeypatch):
     """The task itself, without a cluster: the same frames, and no file that differs."""
-    from player.cluster import draw_part, keep
-    from player.stage import Stage
+    from player.filming.cluster import draw_part, keep
+    from player.filming.stage import Stage
 
     orders = []
     monkeypatch.setattr(

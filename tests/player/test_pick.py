@@ -5,8 +5,8 @@ import numpy as np
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, project
 from avatar.skeleton import JOINTS, joint_transforms
 from player.mannequin import mannequin
-from player.pick import pick, posed_vertices
 from player.raster import Rasteriser
+from player.window.pick import pick, posed_vertices
 
 SIZE = (60, 80)
 

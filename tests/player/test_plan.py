@@ -12,9 +12,9 @@ from radiance_writer import radiance_bytes, sky
 from avatar.camera import orbit_camera
 from player import plan as plans
 from player.context import open_context
-from player.effects import ANTIALIASINGS, BACKGROUNDS, PLAIN, SKINNINGS, VIEWS, Background, Effects
 from player.mannequin import mannequin
 from player.renderer import Renderer
+from player.scenes.effects import ANTIALIASINGS, BACKGROUNDS, PLAIN, SKINNINGS, VIEWS, Background, Effects
 
 SIZE = (96, 80)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.9, 0.5, 0.1, SIZE)

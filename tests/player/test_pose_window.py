@@ -19,9 +19,9 @@ from player.pose.fingers import PRESETS, hand_shape
 from player.pose.ik import LIMBS
 from player.pose.limits import joint_angles, within
 from player.pose.mirror import mirrored_in_place
-from player.pose_tool import HANDLES, PoseTool
-from player.show import opened_show, read_avatars
-from player.window import Window
+from player.window.pose_tool import HANDLES, PoseTool
+from player.window.show import opened_show, read_avatars
+from player.window.window import Window
 
 J = {name: k for k, name in enumerate(JOINTS)}
 SIZE = (900, 640)

@@ -9,11 +9,11 @@ from avatar.skinning import SkinWeights, skin_points, skin_points_dual_quaternio
 from avatar.texture import sample_texture
 from player.context import open_context
 from player.doctor import difference
-from player.effects import Effects
 from player.plan import Canvas, resolve
 from player.posing import Poser, reach
 from player.raster import Rasteriser
 from player.renderer import Renderer
+from player.scenes.effects import Effects
 
 SIZE = (200, 240)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)

@@ -9,12 +9,12 @@ import pytest
 from PIL import Image
 
 from avatar.errors import AssetError
-from player.checked import facts
-from player.effects import STUDIO, Background, Effects
 from player.render_command import render_main
-from player.scene import Scene, SceneAvatar, SceneCamera
-from player.scene_file import lines_of_keys, read_scene
-from player.scene_schema import DOCS, scene_schema, with_tables
+from player.scenes.checked import facts
+from player.scenes.effects import STUDIO, Background, Effects
+from player.scenes.scene import Scene, SceneAvatar, SceneCamera
+from player.scenes.scene_file import lines_of_keys, read_scene
+from player.scenes.scene_schema import DOCS, scene_schema, with_tables
 
 FULL = '''\
 size = [640, 480]

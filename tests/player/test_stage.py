@@ -10,11 +10,11 @@ from tiny_avatar import tiny_avatar
 from avatar.avatar_file import write_avatar
 from avatar.camera import orbit_camera, project, write_camera, write_cameras
 from avatar.errors import AssetError
-from player.parts import Parts
+from player.filming.parts import Parts
+from player.filming.shot import Shot
+from player.filming.stage import Stage, camera_from_option
 from player.render_command import render_main
-from player.scene import Scene, SceneAvatar, SceneCamera
-from player.shot import Shot
-from player.stage import Stage, camera_from_option
+from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import pytest
 
 from avatar.motion import Clip
 from avatar.rotation import matrix_from_axis_angle
-from player.playback import BLOCK, Playback, Track
-from player.timeline import LONGEST_STEP, LOOPS, SPEEDS, Timeline
+from player.window.playback import BLOCK, Playback, Track
+from player.window.timeline import LONGEST_STEP, LOOPS, SPEEDS, Timeline
 
 
 def test_a_second_of_play_is_a_second_of_clip_at_any_speed():

@@ -13,14 +13,14 @@ from PIL import Image
 from avatar.avatar_file import write_avatar
 from avatar.errors import AssetError
 from player.camera_path import CameraPath
-from player.cameras import Cameras, Orbit, Walk
 from player.context import open_context
 from player.framing import extent, facing, fitted_camera
-from player.keys import ACTIONS, KEYS
 from player.motions import opened_motion, retargeted
 from player.play_command import play_main
 from player.renderer import Renderer
-from player.script import NUMBERS, steps
+from player.window.cameras import Cameras, Orbit, Walk
+from player.window.keys import ACTIONS, KEYS
+from player.window.script import NUMBERS, steps
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_two_avatars_have_motions_and_places_of_their_own(avatar_path, tmp_path)
 @pytest.mark.usefixtures("osmesa")
 def test_a_click_picks_and_its_joint_is_named(avatar_path, tmp_path, monkeypatch):
     """Without panels the name is in the line of text; a drag picks nothing, a click beside lets go."""
-    import player.window as module
+    import player.window.window as module
 
     seen = []
     real = module.Window.line

@@ -14,13 +14,13 @@ from avatar.errors import AssetError
 from avatar.motion import Clip
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
-from player.capture_view import open_capture
-from player.pick import posed_vertices
-from player.picture import Picture
 from player.play_command import play_parser, scene_of
 from player.renderer import Renderer
-from player.show import opened_show, read_avatars
-from player.window import Window
+from player.window.capture_view import open_capture
+from player.window.pick import posed_vertices
+from player.window.picture import Picture
+from player.window.show import opened_show, read_avatars
+from player.window.window import Window
 
 SIZE = (96, 128)
 FRAMES = 3

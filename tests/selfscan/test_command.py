@@ -115,7 +115,7 @@ def test_a_file_that_is_no_gltf_is_refused(capsys, tmp_path):
 def test_the_player_side_imports_neither_torch_nor_training():
     """In a fresh process; `selfscan render` must start in the base install."""
     code = (
-        "import sys, avatar, avatar.avatar_file, avatar.motion, avatar.body, player, player.renderer, player.render_command, player.film, selfscan.__main__;"
+        "import sys, avatar, avatar.avatar_file, avatar.motion, avatar.body, player, player.renderer, player.render_command, player.filming.film, selfscan.__main__;"
         "bad = {'torch', 'train', 'bake', 'bench', 'av', 'scipy', 'skimage', 'trimesh'} & set(sys.modules);"
         "sys.exit(repr(bad) if bad else 0)"
     )

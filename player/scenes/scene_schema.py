@@ -1,4 +1,4 @@
-"""docs/scene.schema.json and the tables of docs/scenes.md, written from the dataclasses: `python -m player.scene_schema`.
+"""docs/scene.schema.json and the tables of docs/scenes.md, written from the dataclasses: `python -m player.scenes.scene_schema`.
 
 A test holds the files against this module, so they cannot fall behind what is read.
 """
@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 from avatar.files import whole_file
-from player.checked import Above, AtLeast, Color, Fact, OneOf, facts
-from player.effects import STUDIO, Background, Effects
-from player.scene import Scene, SceneAvatar, SceneCamera
+from player.scenes.checked import Above, AtLeast, Color, Fact, OneOf, facts
+from player.scenes.effects import STUDIO, Background, Effects
+from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 TABLES = {"avatar": SceneAvatar, "camera": SceneCamera, "background": Background, "effects": Effects}
 HEADINGS = {
     "avatar": "[[avatar]]",

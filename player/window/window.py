@@ -1,8 +1,8 @@
 """The window: one frame after the other, and what its keys and panels ask for.
 
-What is shown is a `Show` (player/show.py); time is player/timeline.py, cameras player/cameras.py, keys
-player/keys.py, the mouse player/pointer.py, panels player/gui/. The same code runs without a display: glfw's null
-platform with OSMesa, driven by a script (player/script.py) that calls what glfw calls.
+What is shown is a `Show` (player/window/show.py); time is player/window/timeline.py, cameras player/window/cameras.py, keys
+player/window/keys.py, the mouse player/window/pointer.py, panels player/gui/. The same code runs without a display: glfw's null
+platform with OSMesa, driven by a script (player/window/script.py) that calls what glfw calls.
 """
 
 import time
@@ -18,21 +18,21 @@ from jaxtyping import UInt8
 from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.skeleton import JOINTS
-from player.cameras import WALK, moved_into
 from player.context import Context
-from player.effects import Background, Effects
-from player.glfw_window import ScreenReader, open_window, window_context
-from player.keys import ACTIONS, HELP, HELP_LIVE, HELP_WALK, WALKING
-from player.overlay import TextLine
-from player.pick import Picked, pick
-from player.picture import Picture
-from player.pointer import Pointer, Tool
-from player.recorder import Recorder, free_name, save_picture
 from player.renderer import Pose, Renderer
-from player.script import RATE, steps
-from player.show import Show
-from player.timeline import LONGEST_STEP, Timeline
-from player.wipe import Wipe
+from player.scenes.effects import Background, Effects
+from player.window.cameras import WALK, moved_into
+from player.window.glfw_window import ScreenReader, open_window, window_context
+from player.window.keys import ACTIONS, HELP, HELP_LIVE, HELP_WALK, WALKING
+from player.window.overlay import TextLine
+from player.window.pick import Picked, pick
+from player.window.picture import Picture
+from player.window.pointer import Pointer, Tool
+from player.window.recorder import Recorder, free_name, save_picture
+from player.window.script import RATE, steps
+from player.window.show import Show
+from player.window.timeline import LONGEST_STEP, Timeline
+from player.window.wipe import Wipe
 
 if TYPE_CHECKING:
     from player.gui.panels import Panels

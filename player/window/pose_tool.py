@@ -36,7 +36,7 @@ from player.pose.library import Library
 from player.pose.session import PoseSession, limb_of
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 RADIUS = 75.0  # of the gizmo, window units
 HANDLE = 11.0  # window units round a handle that still seize it
@@ -76,7 +76,7 @@ class Drag:
 
 
 class PoseTool:
-    """One avatar of the window being posed; the window's tool (player/pointer.py) while that is so."""
+    """One avatar of the window being posed; the window's tool (player/window/pointer.py) while that is so."""
 
     def __init__(self, window: "Window", index: int):
         avatar = window.show.avatars[index]

@@ -48,7 +48,7 @@ def film_kind(path: Path | str) -> str:
 class Film:
     """A film being written: `with Film(path, rate) as film: film.add(image)`. Appears whole or not at all.
 
-    encoder is what `player.encoder.chosen_encoder` takes; quality is draft, good or best. `pieces` are files and the number of frames of each, to
+    encoder is what `player.filming.encoder.chosen_encoder` takes; quality is draft, good or best. `pieces` are files and the number of frames of each, to
     be written one after the other instead of one file at `path`.
     """
 
@@ -185,7 +185,7 @@ class Film:
         return Image.frombytes("RGB", (width, height), image, "raw", "RGBX")
 
     def _video(self, file: IO[Any], kind: str, first: Frame, frames: Iterable[Frame]) -> None:
-        from player.encoder import chosen_encoder, encode, padded_size  # only a film needs it
+        from player.filming.encoder import chosen_encoder, encode, padded_size  # only a film needs it
 
         alpha = self.transparent and kind in ALPHA
         size = (first.shape[1], first.shape[0])
@@ -228,7 +228,7 @@ def join_pieces(pieces: Sequence[tuple[Path, int]], path: Path | str, rate: floa
     """
     kind = film_kind(path)
     if kind in VIDEO:
-        from player.encoder import join
+        from player.filming.encoder import join
 
         with whole_file(path) as file:
             join(pieces, file, kind, rate)

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 
 import glfw
 
-from player.pose_tool import toggle_posing
+from player.window.pose_tool import toggle_posing
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 NAMED = {
     "space": glfw.KEY_SPACE, ",": glfw.KEY_COMMA, ".": glfw.KEY_PERIOD, "left": glfw.KEY_LEFT,

@@ -19,9 +19,9 @@ from avatar.motion import Clip
 from player.camera_path import CameraPath, is_path, turntable
 from player.framing import FOV, evenly, extent, facing, fitted_camera, orbit, outermost
 from player.motions import BLOCK, opened_motion, retargeted
-from player.playback import Track
 from player.renderer import Pose
-from player.scene import Scene, SceneCamera
+from player.scenes.scene import Scene, SceneCamera
+from player.window.playback import Track
 
 CameraAt = Callable[
     [int, Float[np.ndarray, "3"]], Camera
@@ -154,7 +154,7 @@ class Stage:
         if path is None:
             raise AssetError(f"camera {kind}: needs a path")
         if kind == "capture":
-            from player.capture_view import open_capture
+            from player.window.capture_view import open_capture
 
             return list(open_capture(path, self.camera.name or "body").cameras)
         if Path(path).suffix.lower() == ".npz":

@@ -11,8 +11,8 @@ from jaxtyping import Float32, UInt8
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from avatar.errors import AssetError
-from player.effects import RGBA, Background
-from player.radiance import read_radiance
+from player.scenes.effects import RGBA, Background
+from player.scenes.radiance import read_radiance
 
 Pixels = UInt8[np.ndarray, "_ _ 4"]  # rows, columns
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")

@@ -4,13 +4,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from player.cameras import inner_box
-from player.capture_view import CaptureView
 from player.context import Context
-from player.picture import Box, Picture
+from player.window.cameras import inner_box
+from player.window.capture_view import CaptureView
+from player.window.picture import Box, Picture
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 LINE = (1.0, 0.8, 0.2)
 REACH = 6.0  # window units beside the line where it can be grabbed

@@ -10,7 +10,7 @@ from avatar.motion import Clip
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from player.live.playback import LivePlayback
 from player.renderer import Pose
-from player.timeline import Timeline
+from player.window.timeline import Timeline
 
 BLOCK = 256  # frames read at once; a motion of any length takes the memory of two blocks
 

@@ -2,7 +2,7 @@
 
 Parts begin at the same frame numbers however a film is made: at multiples of 240. While it is being made they lie
 in OUT.parts, each written whole or not at all; what they are parts of is in film.json there. When all are there
-they are joined to OUT (player.film.join_pieces) and the folder goes.
+they are joined to OUT (player.filming.film.join_pieces) and the folder goes.
 """
 
 import hashlib
@@ -14,7 +14,7 @@ from typing import Any
 
 from avatar.errors import AssetError
 from avatar.files import whole_file
-from player.film import VIDEO, film_kind
+from player.filming.film import VIDEO, film_kind
 
 LENGTH = 240  # frames of a part: eight seconds at 30 a second, and as far apart as key frames may be
 MARK = "film.json"

@@ -8,8 +8,8 @@ from typing import Annotated
 
 from avatar.hands import HANDS
 from avatar.motion import BUILTIN_MOTIONS
-from player.checked import Above, AtLeast, OneOf, Place, check
-from player.effects import PLAIN, STUDIO, Background, Effects
+from player.scenes.checked import Above, AtLeast, OneOf, Place, check
+from player.scenes.effects import PLAIN, STUDIO, Background, Effects
 
 CAMERAS = ("front", "orbit", "turntable", "file", "path", "capture")
 MANNEQUINS = ("mannequin", "mannequin:female")

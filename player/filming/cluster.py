@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
-from player.film import VIDEO, film_kind
-from player.parts import Parts, fingerprint
-from player.shot import Set, Shot
+from player.filming.film import VIDEO, film_kind
+from player.filming.parts import Parts, fingerprint
+from player.filming.shot import Set, Shot
 
 AHEAD = 2  # tasks a worker has in hand or waiting
 

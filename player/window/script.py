@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 
 import glfw
 
-from player.keys import KEYS
+from player.window.keys import KEYS
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 RATE = 30.0
 DRAG_FRAMES = 4

@@ -15,11 +15,11 @@ from jaxtyping import UInt8
 from avatar.errors import AssetError
 from avatar.motion import BUILTIN_MOTIONS
 from player.context import Context, opened
-from player.film import Film, Frame
+from player.filming.film import Film, Frame
+from player.filming.stage import Fit, Stage
+from player.filming.stop import Stop
 from player.renderer import Renderer
-from player.scene import MANNEQUINS, Scene
-from player.stage import Fit, Stage
-from player.stop import Stop
+from player.scenes.scene import MANNEQUINS, Scene
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Shot:
         """What tells this film from any other; parts of two films with one identity may be joined."""
         import av
 
-        from player.parts import fingerprint
+        from player.filming.parts import fingerprint
 
         return {
             "scene": asdict(self.scene),

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, NoReturn, get_args, get_origin
 
 from avatar.errors import AssetError
-from player.checked import Color, Fact, Place, broken_rule, facts
-from player.effects import STUDIO, Background, Effects
 from player.live.address import PORTS, parse_address
-from player.scene import Scene, SceneAvatar, SceneCamera
+from player.scenes.checked import Color, Fact, Place, broken_rule, facts
+from player.scenes.effects import STUDIO, Background, Effects
+from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 KeyPath = tuple[str | int, ...]  # ("avatar", 1, "motion") is `motion` of the second [[avatar]]
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
-    from player.window import Window
+    from player.window.window import Window
 
 CLICK = 4.0  # window units that a click may wander
 

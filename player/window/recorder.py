@@ -8,7 +8,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from avatar.files import whole_file
-from player.film import Film
+from player.filming.film import Film
 
 FASTEST = 60.0  # frames a second of a film
 MOST_AT_ONCE = 10  # frames of a live film that a late picture stands for

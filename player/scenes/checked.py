@@ -2,7 +2,7 @@
 
     kind: Annotated[str, OneOf(("front", "orbit")), "how the camera stands"] = "front"
 
-player/scene_file.py checks files against them, player/scene_schema.py writes them as JSON schema and table.
+player/scenes/scene_file.py checks files against them, player/scenes/scene_schema.py writes them as JSON schema and table.
 """
 
 import math

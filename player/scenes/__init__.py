@@ -1,0 +1,1 @@
+"""Scenes as data: scene.toml, effects and backgrounds; nothing here draws."""
