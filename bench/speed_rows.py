@@ -4,6 +4,7 @@ Each function returns rows of the report: {"name", "value", "unit", "detail"}, w
 promises something. CPU sums over all threads; processes are started anew, so nothing is warm that would not be.
 """
 
+import json
 import os
 import subprocess
 import sys
@@ -59,25 +60,32 @@ def row(
 # starting
 
 
+# A process of its own starts the command: Linux counts into the largest memory of a process that of the one it was
+# forked from, and this one holds avatars and contexts.
+LAUNCHER = """
+import json, resource, subprocess, sys, time
+begun = time.perf_counter()
+code = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode
+took = time.perf_counter() - begun
+print(json.dumps([code, took, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss]))
+"""
+
+
 def started(argv: Sequence[str | Path], surroundings: dict[str, str]) -> tuple[float, float]:
     """Wall seconds from start to end of `selfscan ARGV`, and its largest resident memory, MiB.
 
     Raises:
         AssetError: the command failed.
     """
-    with tempfile.TemporaryFile() as errors:
-        begun = time.perf_counter()
-        process = subprocess.Popen(
-            [sys.executable, "-m", "selfscan", *argv], cwd=ROOT, env=surroundings, stdout=subprocess.DEVNULL,
-            stderr=errors,
-        )  # fmt: skip
-        _, status, usage = os.wait4(process.pid, 0)
-        took = time.perf_counter() - begun
-        process.returncode = os.waitstatus_to_exitcode(status)
-        if process.returncode:
-            errors.seek(0)
-            raise AssetError(f"selfscan {argv[0]} ended with {process.returncode}: {errors.read()[-300:]!r}")
-    return took, usage.ru_maxrss / (1024 if sys.platform != "darwin" else MIB)
+    words = [sys.executable, "-c", LAUNCHER, sys.executable, "-m", "selfscan", *map(str, argv)]
+    process = subprocess.run(words, cwd=ROOT, env=surroundings, capture_output=True, text=True, check=False)
+    try:
+        code, took, resident = json.loads(process.stdout)
+    except ValueError:
+        code, took, resident = process.returncode or 1, 0.0, 0
+    if code:
+        raise AssetError(f"selfscan {argv[0]} ended with {code}: {process.stderr[-300:]!r}")
+    return took, resident / (1024 if sys.platform != "darwin" else MIB)
 
 
 def first_frame(avatar: Path, repeats: int = 5) -> list[Row]:

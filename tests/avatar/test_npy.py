@@ -79,10 +79,10 @@ def test_headers_that_lie_are_refused_at_once(tmp_path, header):
     text = header.encode() + b"\n"
     file.write(b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + bytes(8))
     (tmp_path / "a.npy").write_bytes(file.getvalue())
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.raises(AssetError, match=r"a\.npy: (expected )?numbers") as error:
         read_npy(tmp_path / "a.npy", "numbers")
-    assert time.perf_counter() - began < 1 and "\n" not in str(error.value)
+    assert time.process_time() - began < 1 and "\n" not in str(error.value)
 
 
 def test_no_file_and_no_array_are_named(tmp_path):
