@@ -44,8 +44,11 @@ MAX_LEVELS = 8
 MAX_PIXELS = 1 << 26  # of all images together: 200 MB decoded
 
 
-def read_avatar(path: str | Path) -> Avatar:
+def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
     """Read an avatar file and check every promise that `Avatar` and `Level` make.
+
+    With `levels` only that many of the finest are decoded: a picture needs one, and the others' atlases cost a third
+    of the time that reading takes. Of the rest only what the file says of them is checked.
 
     Raises:
         AssetError: the file is no avatar, or a field is not as promised.
@@ -75,7 +78,7 @@ def read_avatar(path: str | Path) -> Avatar:
             name=extension["name"],
             joint_positions=joints,
             canonical_pose=pose,
-            levels=_read_levels(gltf, extension),
+            levels=_read_levels(gltf, extension, levels),
             network=_read_network(gltf, extension),
             linear=linear,
             amplitude=float(amplitude),
@@ -112,8 +115,8 @@ def _matrices(extension: dict[str, Any]) -> int:
     return FEATURES[1] if isinstance(values, list) and len(values) == 9 * FEATURES[1] else FEATURES[0]
 
 
-def _read_levels(gltf: Gltf, extension: dict[str, Any]) -> tuple[Level, ...]:
-    """The levels, each with a mesh and images of its own."""
+def _read_levels(gltf: Gltf, extension: dict[str, Any], wanted: int | None) -> tuple[Level, ...]:
+    """The levels, each with a mesh and images of its own; of more than `wanted` the finest."""
     items, where = extension.get("levels"), f"extensions.{EXTENSION}.levels"
     if not isinstance(items, list) or not 1 <= len(items) <= MAX_LEVELS:
         raise gltf.error(where, f"a list of 1 to {MAX_LEVELS} levels", items)
@@ -129,7 +132,7 @@ def _read_levels(gltf: Gltf, extension: dict[str, Any]) -> tuple[Level, ...]:
         raise gltf.error("images", f"at most {MAX_PIXELS} pixels together", pixels)
 
     levels = []
-    for i, (mesh, base_color, feature_images) in enumerate(sources):
+    for i, (mesh, base_color, feature_images) in enumerate(sources[:wanted]):
         arrays = _read_surface(gltf, mesh)
         arrays["base_color"] = _of_image(gltf, base_color, decode_png, "RGB")
         fours = [_four_features(gltf, image) for image in feature_images]

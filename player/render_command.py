@@ -134,7 +134,7 @@ def render_main(argv: list[str]) -> int:
     scene = scene_of(options)
     # while files are read and unpacked, the driver wakes up; both are work outside of Python
     with ThreadPoolExecutor(1) as pool:
-        reading = pool.submit(Stage, scene)
+        reading = pool.submit(Stage, scene, level_of(options) + 1)
         context = None if options.workers else opened(options.context, options.gpu)
         try:
             try:
@@ -157,7 +157,7 @@ def filmed(options: argparse.Namespace, kind: str, stage: Stage, context: Contex
         stage.hold(options.frame)
         options.frame = None
     start, stop = frame_range(stage, options.frame, options.frames, single=kind == ".png")
-    level = options.level if options.level is not None else DRAFT_LEVEL if options.quality == "draft" else 0
+    level = level_of(options)
     shot = Shot(
         stage.scene, start, stop, stage.size(), stage.rate, stage.fit(start, stop), stage.still, level,
         options.encoder, options.quality, options.context, options.gpu,
@@ -167,6 +167,13 @@ def filmed(options: argparse.Namespace, kind: str, stage: Stage, context: Contex
     if kind == ".png" or not (shared or (stop - start > LENGTH and kind in ("", *VIDEO))):
         return filmed_at_once(shot, stage, context, path, options)
     return filmed_in_parts(shot, stage, context, path, options)
+
+
+def level_of(options: argparse.Namespace) -> int:
+    """The level of detail that the options ask for."""
+    if options.level is not None:
+        return options.level
+    return DRAFT_LEVEL if options.quality == "draft" else 0
 
 
 def scene_of(options: argparse.Namespace) -> Scene:

@@ -94,7 +94,7 @@ class Set:
     def __init__(self, shot: Shot, stage: Stage | None = None, context: Context | None = None):
         self.shot = shot
         if stage is None:
-            stage = Stage(shot.scene)
+            stage = Stage(shot.scene, shot.level + 1)
             if shot.hold is not None:
                 stage.hold(shot.hold)
         self.stage = stage

@@ -40,13 +40,13 @@ class Fit:
 
 
 class Stage:
-    """A scene with its files read.
+    """A scene with its files read; of the avatars the `levels` finest levels of detail (None: all).
 
     Raises:
         AssetError: a file is absent or broken, or the scene is live.
     """
 
-    def __init__(self, scene: Scene):
+    def __init__(self, scene: Scene, levels: int | None = None):
         self.scene = scene
         if not scene.avatars:
             raise AssetError("the scene has no avatar")
@@ -58,7 +58,7 @@ class Stage:
                 raise AssetError(
                     f"{actor.path}: live = {actor.live!r} is for `selfscan play`; a film needs a motion"
                 )
-            avatar = opened_avatar(actor.path)
+            avatar = opened_avatar(actor.path, levels)
             motion = opened_motion(actor.motion, actor.body, actor.hands)
             clip = retargeted(motion, avatar)
             self.notes += [note for note in clip(0, 1).notes if note not in self.notes]
@@ -164,14 +164,14 @@ class Stage:
         return [read_camera(path)]
 
 
-def opened_avatar(path: str) -> Avatar:
+def opened_avatar(path: str, levels: int | None = None) -> Avatar:
     """An avatar file, or the built-in body by the names mannequin and mannequin:female."""
     if path in ("mannequin", "mannequin:female"):
         from player.mannequin import mannequin
 
         body = mannequin("female" if path.endswith(":female") else "male")
         return replace(body, default_view="off")  # its view network is random, to test with
-    return read_avatar(path)
+    return read_avatar(path, levels=levels)
 
 
 def camera_from_option(text: str) -> SceneCamera:

@@ -8,6 +8,7 @@ from node_packages import package_folder, run_node
 from PIL import Image
 from tiny_avatar import same, tiny_avatar, tiny_high_avatar, tiny_level, unit
 
+from avatar import avatar_file
 from avatar.avatar_file import read_avatar, write_avatar
 from avatar.gltf import read_gltf
 from avatar.gltf_scene import read_primitive, read_skin, world_from_node
@@ -40,6 +41,25 @@ def oracle(**changes):
 def test_an_avatar_comes_back_to_the_last_bit(path, avatar):
     write_avatar(path, avatar)
     assert same(read_avatar(path), avatar)
+
+
+def test_of_the_levels_only_those_wanted_are_decoded(path, monkeypatch):
+    avatar = tiny_avatar()
+    write_avatar(path, avatar)
+    decoded = []
+    decode = avatar_file.decode_png
+
+    def counted(*arguments):
+        decoded.append(arguments)
+        return decode(*arguments)
+
+    monkeypatch.setattr(avatar_file, "decode_png", counted)
+    read = read_avatar(path, levels=1)
+    assert len(read.levels) == 1
+    assert same(read, dataclasses.replace(avatar, levels=avatar.levels[:1]))
+    few = len(decoded)
+    assert same(read_avatar(path, levels=99), avatar)
+    assert 0 < few < len(decoded) - few
 
 
 def test_the_same_avatar_gives_the_same_bytes(path):
