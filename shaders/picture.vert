@@ -1,5 +1,5 @@
 #version 330
-// A picture on a rectangle of the window. Four vertices, no buffer. player/picture.py.
+// A picture on a rectangle of the window. Four vertices, no buffer. player/window/picture.py.
 
 uniform vec4 rectangle;  // left, bottom, right, top in clip space
 
