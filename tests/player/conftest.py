@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from avatar.avatar_file import write_avatar
 from player.context import NoContextError, open_context
 from player.mannequin import mannequin
 from player.renderer import Renderer
@@ -54,3 +55,11 @@ def pose():
     axis_angle[4, 0], axis_angle[15, 1] = 0.8, 0.5
     axis_angle[22:37, 2], axis_angle[37:52, 2] = -0.4, 0.4
     return axis_angle, np.array([0.1, 0.05, -0.2])
+
+
+@pytest.fixture(scope="module")
+def avatar_path(avatar, tmp_path_factory):
+    """The avatar as a file."""
+    path = tmp_path_factory.mktemp("avatar") / "someone.glb"
+    write_avatar(path, avatar)
+    return str(path)

@@ -8,7 +8,6 @@ pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 import glfw  # before imgui_bundle
 from imgui_bundle import imgui
 
-from avatar.avatar_file import write_avatar
 from player.gui.draw import DrawLists
 from player.play_command import play_parser, scene_of
 from player.scenes.effects import Background
@@ -16,13 +15,6 @@ from player.window.show import opened_show, read_avatars
 from player.window.window import Window
 
 SIZE = (900, 640)
-
-
-@pytest.fixture(scope="module")
-def avatar_path(avatar, tmp_path_factory):
-    path = tmp_path_factory.mktemp("avatar") / "someone.glb"
-    write_avatar(path, avatar)
-    return str(path)
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 
 import glfw
 
-from avatar.avatar_file import write_avatar
 from avatar.camera import project
 from avatar.motion import read_motion
 from avatar.rotation import axis_angle_from_matrix
@@ -26,13 +25,6 @@ from player.window.window import Window
 J = {name: k for k, name in enumerate(JOINTS)}
 SIZE = (900, 640)
 CTRL_Z, CTRL_Y = "down:ctrl z up:ctrl", "down:ctrl down:shift z up:shift up:ctrl"
-
-
-@pytest.fixture(scope="module")
-def avatar_path(avatar, tmp_path_factory):
-    path = tmp_path_factory.mktemp("avatar") / "someone.glb"
-    write_avatar(path, avatar)
-    return str(path)
 
 
 @pytest.fixture

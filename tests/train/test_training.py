@@ -176,6 +176,8 @@ def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
     assert torch.isfinite(color).all() and color.min() >= 0 and color.max() <= 1
     assert (run.surface.view_count > 0).mean() > 0.5
     assert run.field.normal(torch.zeros(0, 3)).shape == (0, 3)
+    placed = run.provenance["registration"]["video"]  # by the body's pixels, or said why not
+    assert "moved_mm" in placed or placed["kept"] == "surfaces"
     assert not (tmp_path / "run.partial").exists()
     assert run.provenance["body_licence"] == "a licence of the body's own"
     assert run.provenance["subject_licence"] == "not stated by the capture"
