@@ -21,7 +21,7 @@ MARGIN = 0.94  # of the image that the avatar may fill
 
 def pelvis_height(avatar: Avatar) -> float:
     """Height of the pelvis joint above the soles in pose 0, metres."""
-    level = avatar.levels[-1]
+    level = avatar.levels[0]  # the finest: every reading has it
     skin = SkinWeights(level.joints.astype(np.int64), level.weights.astype(np.float32) / np.float32(255))
     joints = avatar.joint_positions.astype(np.float64)
     transforms = skin_transforms(np.zeros((52, 3)), joints, rest=avatar.canonical_pose.astype(np.float64))

@@ -251,15 +251,14 @@ def test_a_turntable_and_a_camera_path_are_films(arguments, tmp_path):
     assert len(pictures) == 15  # half a second at the motion's 30
     around = [np.abs(a - b).mean() for a, b in zip(pictures, [*pictures[1:], pictures[0]], strict=True)]
     assert min(around) > 0 and around[-1] < 2 * np.median(around)  # turns, and the end meets the start
-    camera = orbit_camera((0, 1, 0), 3.0, 0.2, 0.0, (33, 48))
-    CameraPath.through([0.0, 1.0], [camera, orbit_camera((0, 1, 0), 3.0, 1.2, 0.3, (33, 48))]).write(
-        tmp_path / "path.json"
-    )
+    camera, other = (orbit_camera((0, 2, 1), 9.0, *angles, (33, 48)) for angles in ((0.2, 0.0), (1.2, 0.3)))
+    CameraPath.through([0.0, 1.0], [camera, other]).write(tmp_path / "path.json")
     write_camera(tmp_path / "camera.json", camera)
     for name in ("path", "camera"):
         arguments_ = [*base, "--frames", "0:31", "--camera", str(tmp_path / f"{name}.json")]
         render_main([*arguments_, "-o", str(tmp_path / name)])
     path, still = decoded(tmp_path / "path"), decoded(tmp_path / "camera")
+    assert len(set(still)) == 31  # the avatar walks, and is seen in every frame
     assert path[0] == still[0] and sum(a == b for a, b in zip(path, still, strict=True)) == 1
 
 

@@ -161,3 +161,10 @@ def test_wrong_usage_of_film_options_exits_2(tiny, arguments, tmp_path):
     with pytest.raises(SystemExit) as stopped:
         render_main([tiny, *arguments, "-o", str(tmp_path / "a.mp4")])
     assert stopped.value.code == 2
+
+
+def test_a_body_stands_where_it_stands_whatever_levels_are_read(tiny):
+    """A picture reads one level, the window all: both put the root at the same height."""
+    scene = Scene(avatars=(SceneAvatar(tiny, motion="walking"),))
+    (all_of,), (one,) = (Stage(scene, levels).poses(7) for levels in (None, 1))
+    assert np.array_equal(all_of[0], one[0]) and np.array_equal(all_of[1], one[1])
