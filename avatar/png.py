@@ -3,6 +3,7 @@
 import io
 import struct
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from jaxtyping import UInt8
@@ -32,15 +33,17 @@ def decode_png(data: bytes, mode: str) -> UInt8[np.ndarray, "..."]:
         kind = f"{depth}-bit {found}{' interlaced' if interlace else ''}"
         raise ValueError(f"should be an 8-bit {mode} PNG, is {kind}")
     size = (1 + width * len(mode)) * height  # each row begins with its filter
-    if _inflated_size(data, size) != size:  # Pillow would fill what is missing with black
-        raise ValueError(f"should be a whole PNG of {width} x {height} pixels, has other data")
-    try:
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-            return np.array(image)
-    except (
-        Exception
-    ) as error:  # a decoder of hostile bytes raises what its parts raise: OSError, SyntaxError, zlib
-        raise ValueError(f"should be a whole PNG: {error}") from None
+    with ThreadPoolExecutor(1) as beside:
+        found_size = beside.submit(_inflated_size, data, size)  # a third of the time that decoding takes
+        try:
+            with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+                pixels = np.array(image)
+        # a decoder of hostile bytes raises what its parts raise: OSError, SyntaxError, zlib
+        except Exception as error:
+            raise ValueError(f"should be a whole PNG: {error}") from None
+        if found_size.result() != size:  # Pillow fills what is missing with black
+            raise ValueError(f"should be a whole PNG of {width} x {height} pixels, has other data")
+    return pixels
 
 
 def _header(data: bytes) -> tuple[int, int, int, int, int]:

@@ -20,8 +20,8 @@ from player.mesh import draw_order, interleaved
 from player.plan import mip_levels
 from player.posing import Poser, reach
 from player.raster import clip_planes
-from player.realise import read_finer_mip
 from player.renderer import Pose
+from player.texture import read_finer_mip
 
 FRAGMENT = """#version 330
 uniform sampler2D base_color;

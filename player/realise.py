@@ -1,32 +1,26 @@
 """A plan as GL objects: makes what the plan holds, and when the plan changes, only what is new."""
 
-import ctypes
 from collections.abc import Callable, Sequence
-from ctypes import c_float, c_uint
 from typing import Any
 
 import moderngl
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32
 
 from avatar.baked_avatar import Avatar, Level
 from player.blocks import BINDING, BONES, DUALS, TURNS, bind_block
 from player.constants import avatar_constants
 from player.context import Context
 from player.mesh import draw_order, interleaved, view_interleaved
-from player.plan import Pass, Plan, Resource, Variant, mip_levels
+from player.plan import Pass, Plan, Resource, Variant
 from player.shader import compile_program, uniform
+from player.texture import image_texture, read_finer_mip
 
 BASE = ("3f4 2f4 4u1 4f1", "position", "uv", "joints", "weights")
 VIEW = ("3f4 3f4 3f4 1f4", "view_mean", "view_q0", "view_q1", "view_seen")
 TILES = ("4u2 /i", "tile")
 # texture units by sampler; 7 is the text line's
 UNITS = {"base_color": 0, "features": 1, "more_features": 2, "panorama": 3, "picture": 4, "depth": 5}
-
-# of the base colour on a software rasteriser. One mip and no anisotropy there: sized for the longest side of the
-# pixel, and rounded, it blurs by 3 dB. As a state of the texture it costs a tenth of a frame, in the shader a fifth.
-MIP_BIAS = -1.0
-TEXTURE_2D, TEXTURE_LOD_BIAS = 0x0DE1, 0x8501
 
 
 class Realised:
@@ -125,7 +119,7 @@ class Realised:
             if what != "base color":
                 assert level.features is not None
                 image = level.features[..., :4] if what == "features" else level.features[..., 4:]
-            self.textures[name] = self._texture(image)
+            self.textures[name] = image_texture(self.context, image)
             if what == "base color" and self.context.software:
                 read_finer_mip(self.context, self.textures[name])
             return
@@ -178,20 +172,6 @@ class Realised:
         self._made_of[item.name] = made_of
         return True
 
-    def _texture(self, image: UInt8[np.ndarray, "height width channels"]) -> moderngl.Texture:
-        gl = self.context.gl
-        height, width, channels = image.shape
-        if channels == 3:  # three bytes a texel are slow to fetch everywhere
-            image = np.dstack([image, np.full((height, width), 255, np.uint8)])
-        texture = gl.texture((width, height), 4, np.ascontiguousarray(image).tobytes())
-        texture.build_mipmaps(0, mip_levels(image.shape) - 1)
-        # nearest mip on software: trilinear fetches cost 1.3-2.5 times as much there (notes: 9-27 against 7-11 ns)
-        minify = moderngl.LINEAR_MIPMAP_NEAREST if self.context.software else moderngl.LINEAR_MIPMAP_LINEAR
-        texture.filter = (minify, moderngl.LINEAR)
-        if not self.context.software:
-            texture.anisotropy = 8.0
-        return texture
-
     def _panorama(self, light: Float32[np.ndarray, "height width 3"]) -> moderngl.Texture:
         """Half floats: the sun of most panoramas stays below 65504; what is brighter would become infinite."""
         height, width = light.shape[:2]
@@ -202,10 +182,3 @@ class Realised:
         texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
         texture.repeat_x, texture.repeat_y = True, False
         return texture
-
-
-def read_finer_mip(context: Context, texture: moderngl.Texture) -> None:
-    """Set MIP_BIAS as a state of the texture; moderngl has no word for it."""
-    address = context.driver.address("glTexParameterf")
-    texture.use()
-    ctypes.CFUNCTYPE(None, c_uint, c_uint, c_float)(address)(TEXTURE_2D, TEXTURE_LOD_BIAS, MIP_BIAS)

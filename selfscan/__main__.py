@@ -27,8 +27,9 @@ judge it
   bench   AVATAR -o DIR                  accuracy against time on this machine
   doctor                                 which OpenGL context works here, and what is missing
 
-`selfscan COMMAND --help` explains a command. Try `selfscan render avatar.glb --motion counting -o film.mp4`.
+`selfscan COMMAND --help` explains a command, `selfscan --version` says which this is. Try `selfscan render avatar.glb --motion counting -o film.mp4`.
 """
+DRAWING = ("render", "play")  # commands that hold decoded images
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -37,6 +38,11 @@ def main(argv: list[str] | None = None) -> int:
     if not argv or argv[0] in ("-h", "--help"):
         print(USAGE, end="")
         return 0 if argv else 2
+    if argv[0] in ("-V", "--version"):
+        from importlib.metadata import version
+
+        print(f"selfscan {version('selfscan')}")
+        return 0
     name, rest = argv[0], argv[1:]
     try:
         return _dispatch(name, rest)
@@ -92,6 +98,10 @@ def _dispatch(name: str, rest: list[str]) -> int:
         ):
             raise
         raise AssetError(f"needs the package {error.name!r}: pip install {_extra(name)}") from None
+    if name in DRAWING:
+        from player.memory import give_back_freed_memory
+
+        give_back_freed_memory()
     return run(rest)
 
 

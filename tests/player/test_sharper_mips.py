@@ -8,7 +8,7 @@ from tiny_avatar import tiny_avatar, tiny_level
 
 from avatar.camera import Camera, look_at
 from avatar.texture import sample_texture
-from player import realise
+from player import texture
 from player.context import open_context
 from player.renderer import Renderer
 
@@ -55,7 +55,7 @@ def test_picture_is_nearer_to_one_of_many_samples(board, monkeypatch):
     inside = (np.abs(many - many[0, 0]).sum(-1) > 0).reshape(384, 4, 384, 4).all((1, 3))
     error = np.sqrt(np.mean((one - true)[inside] ** 2))
     if software:
-        monkeypatch.setattr(realise, "MIP_BIAS", 0.0)
+        monkeypatch.setattr(texture, "MIP_BIAS", 0.0)
         blurred, _ = drawn(board, 384)
         assert np.sqrt(np.mean((blurred - true)[inside] ** 2)) > 1.6 * error
     assert error < 4 / 255

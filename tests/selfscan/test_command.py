@@ -130,3 +130,10 @@ def test_training_imports_neither_player_nor_bake():
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_version_is_said(capsys):
+    import importlib.metadata
+
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"selfscan {importlib.metadata.version('selfscan')}\n"
