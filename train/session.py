@@ -2,8 +2,10 @@
 
 import hashlib
 import json
+import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +39,47 @@ def capture_digest(path: Path) -> str:
 def digest_of(facts: dict[str, Any]) -> str:
     """Tells one preset's numbers from another's."""
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:12]
+
+
+@contextmanager
+def alone(out: Path) -> Iterator[None]:
+    """No second process trains into the same folder meanwhile: two would overwrite each other's checkpoints.
+
+    The lock goes with the process, however it ends.
+
+    Raises:
+        AssetError: another process is at it, or the folder cannot be written to.
+    """
+    try:
+        import fcntl
+    except ModuleNotFoundError:  # Windows
+        yield
+        return
+    path = out.with_name(f".{out.name}.lock")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    except OSError as error:
+        raise AssetError(f"{path}: cannot be written: {error.strerror}") from None
+    try:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            who = os.pread(file, 20, 0).decode("ascii", "replace").strip() or "unknown"
+            raise AssetError(
+                f"{out}: process {who} is training into it; wait for it, or choose another -o"
+            ) from None
+        except OSError:  # a file system without locks
+            yield
+            return
+        os.ftruncate(file, 0)
+        os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+    finally:
+        os.close(file)
 
 
 def open_session(

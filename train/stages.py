@@ -7,6 +7,7 @@ import platform
 import shutil
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -35,7 +36,7 @@ from train.rays import part_rays
 from train.refine import ROUNDS, RefineJob, refine_capture, with_refined
 from train.register import Registration, similarity_from_landmarks
 from train.rigid import with_rigid_head
-from train.session import Session, capture_digest, digest_of, open_session
+from train.session import Session, alone, capture_digest, digest_of, open_session
 from train.single import part_names, part_presets, show_as_in_the_body_video, single_rays, single_template
 from train.template import SurfaceCloud, neck_height, surface_cloud, template_grid, visible_faces
 from train.trainer import peak_memory, train_field
@@ -95,7 +96,7 @@ def train(
     torchrun one after the other, each on all ranks. Checkpoints, logs and previews lie beside the run folder, in
     RUN.partial, until the run is complete. A signal raises `Stopped` once they are saved.
     """
-    with prompt_stop():
+    with prompt_stop(), ExitStack() as held:
         ranks, device = join_ranks(device)
         say: Callable[[str], None] = _say if ranks.writes else lambda text: None
         capture, out = read_capture(capture_path), Path(out)
@@ -110,6 +111,7 @@ def train(
         }
         session = None
         if ranks.writes:
+            held.enter_context(alone(out))
             session = open_session(out, settings, resume=resume, force=force, say=say)
         session = ranks.tell(session)
         if session is None:

@@ -15,7 +15,9 @@ import torch
 from painted_capture import write_capture
 
 from avatar.errors import AssetError
-from train.session import FILE, capture_digest, open_session
+from train.preset import DEMO
+from train.session import FILE, alone, capture_digest, open_session
+from train.stages import train
 
 DRIVER = Path(__file__).parents[1] / "hands_training.py"
 HANDS = ("hand_left", "hand_right")
@@ -192,6 +194,15 @@ def test_a_finished_run_is_replaced_only_by_force(tmp_path):
         open_session(tmp_path / "run", SETTINGS, resume=False, force=False, say=print)
     assert open_session(tmp_path / "run", SETTINGS, resume=False, force=True, say=print) is not None
     assert (tmp_path / "run" / "run.json").exists()  # until the new one is complete
+
+
+def test_two_processes_do_not_train_into_one_folder(capture, tmp_path):
+    out = tmp_path / "run"
+    with alone(out), pytest.raises(AssetError, match=rf"process {os.getpid()} is training into it"):
+        train(capture, out, DEMO)
+    assert list(tmp_path.iterdir()) == []
+    with alone(out):  # the lock went with its holder
+        pass
 
 
 def test_a_capture_is_known_by_its_content_not_by_its_place(tmp_path):
