@@ -17,9 +17,9 @@ from avatar.motion import BUILTIN_MOTIONS
 from player.context import Context, opened
 from player.filming.film import Film, Frame
 from player.filming.stage import Fit, Stage
-from player.filming.stop import Stop
 from player.renderer import Renderer
 from player.scenes.scene import MANNEQUINS, Scene
+from player.stop import Stop
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from avatar.skeleton import JOINTS
 from player.context import Context
 from player.renderer import Pose, Renderer
 from player.scenes.effects import Background, Effects
+from player.stop import Stop
 from player.window.cameras import WALK, moved_into
 from player.window.glfw_window import ScreenReader, open_window, window_context
 from player.window.keys import ACTIONS, HELP, HELP_LIVE, HELP_WALK, WALKING
@@ -362,25 +363,27 @@ class Window:
     # -- the loop
 
     def run(self, script: Sequence[str] | None = None, *, keep: bool = False) -> None:
-        """Until closed, or through the words of a script."""
+        """Until closed or Ctrl-C, or through the words of a script."""
         waiting = None if script is None else steps(script)
         last = self.clock()
-        while not (self.closing or glfw.window_should_close(self.handle)):
-            if waiting is not None:
-                if not waiting:
-                    break
-                after = waiting.pop(0)(self)
-                self.advance(1 / RATE)
-                if callable(after):
-                    after()
-            else:
-                now = self.clock()
-                self.advance(now - last)
-                last = now
-            self.draw(keep=keep)
-            glfw.poll_events()
-            if waiting is None and 0 in glfw.get_framebuffer_size(self.handle):
-                glfw.wait_events_timeout(0.1)
+        with Stop() as stop:
+            while not (self.closing or glfw.window_should_close(self.handle)):
+                stop.check()
+                if waiting is not None:
+                    if not waiting:
+                        break
+                    after = waiting.pop(0)(self)
+                    self.advance(1 / RATE)
+                    if callable(after):
+                        after()
+                else:
+                    now = self.clock()
+                    self.advance(now - last)
+                    last = now
+                self.draw(keep=keep)
+                glfw.poll_events()
+                if waiting is None and 0 in glfw.get_framebuffer_size(self.handle):
+                    glfw.wait_events_timeout(0.1)
 
     def close(self) -> None:
         """Write what is being filmed, free everything and close the window."""

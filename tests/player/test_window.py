@@ -1,6 +1,7 @@
 """The window program itself, on glfw's null platform with OSMesa: no display, no GPU. Without panels."""
 
 import re
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -21,6 +22,7 @@ from player.renderer import Renderer
 from player.window.cameras import Cameras, Orbit, Walk
 from player.window.keys import ACTIONS, KEYS
 from player.window.script import NUMBERS, steps
+from player.window.window import Window
 
 
 @pytest.fixture(scope="module")
@@ -186,6 +188,24 @@ def test_screenshots_and_films_hold_the_picture_without_the_text(shot, tmp_path,
     assert "another size" in capsys.readouterr().out and (tmp_path / "selfscan-001.mp4").exists()
     shot("space o wait")  # closing writes it
     assert (tmp_path / "selfscan-002.mp4").exists()
+
+
+@pytest.mark.usefixtures("osmesa")
+def test_ctrl_c_closes_the_window_once_the_frame_is_drawn(avatar_path, tmp_path, monkeypatch):
+    """OpenGL calls back into Python, where an exception would be dropped, and the call with it."""
+    draw, drawn, before = Window.draw, [], signal.getsignal(signal.SIGINT)
+
+    def drawing(self, **options):
+        if len(drawn) == 2:
+            signal.raise_signal(signal.SIGINT)
+        draw(self, **options)
+        drawn.append(self.image.copy())
+
+    monkeypatch.setattr(Window, "draw", drawing)
+    with pytest.raises(KeyboardInterrupt):
+        screenshot(avatar_path, tmp_path / "s.png", ". . . . .")
+    assert len(drawn) == 3 and drawn[2].any()
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 @pytest.mark.usefixtures("osmesa")
