@@ -119,7 +119,7 @@ class Realised:
             if what != "base color":
                 assert level.features is not None
                 image = level.features[..., :4] if what == "features" else level.features[..., 4:]
-            self.textures[name] = image_texture(self.context, image)
+            self.textures[name] = image_texture(self.context, image, coarse=what != "base color")
             if what == "base color" and self.context.software:
                 read_finer_mip(self.context, self.textures[name])
             return

@@ -3,6 +3,7 @@
 import ctypes
 from ctypes import c_int, c_uint, c_void_p
 
+import moderngl
 import numpy as np
 import pytest
 
@@ -60,3 +61,12 @@ def test_a_texture_and_its_mipmaps_are_counted(context):
 def test_halving_rounds_to_nearest():
     image = np.array([[[0], [0]], [[0], [3]], [[1], [1]], [[1], [0]]], np.uint8).repeat(3, 2)
     assert [mip.tolist() for mip in mipmaps(image, 1)] == [[[[1, 1, 1]], [[1, 1, 1]]]]
+
+
+def test_one_texel_will_do_only_where_asked_and_on_a_software_rasteriser(context):
+    image = np.zeros((4, 4, 4), np.uint8)
+    fine, coarse = (image_texture(context, image, coarse=coarse) for coarse in (False, True))
+    assert (fine.filter != coarse.filter) == context.software
+    assert fine.filter[1] == coarse.filter[1] == moderngl.LINEAR  # enlarged, all four
+    fine.release()
+    coarse.release()
