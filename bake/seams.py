@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Integer, UInt8
 from scipy.sparse import csr_matrix, diags
 
 from avatar.texture import sample_texture
-from bake.texels import TexelMap
+from bake.texels import TexelMap, bytes_from_unit
 from train.mesh import half_edges
 
 # weight of keeping a texel as it was sampled: one that shows surface, one that only bilinear filtering reads
@@ -18,6 +18,8 @@ GROW = (
     8.0  # as many times more in each coarser mip: fewer points lie along an edge there, and means resist more
 )
 STEP = 1.5 / 255
+FURTHER = 8 * (8,)  # short rounds, each urging a little more: no further than the goal
+URGE, URGE_FURTHER = 3.0, 1.5  # most that one round makes a point count more
 DENSE = 3  # between points farther apart two bilinear images can differ much more than at them
 
 
@@ -99,6 +101,7 @@ def equalised(
     levels: int,
     *,
     rounds: tuple[int, ...] = (25, 15, 15),
+    goal: float | None = None,
 ) -> Float[np.ndarray, "height width channels"]:
     """The image with its chart edges closed in the first `levels` mips, values kept in [0, 1].
 
@@ -107,9 +110,13 @@ def equalised(
         min over x   sum_i keep_i (x_i - image_i)^2 + sum_mips agree GROW^mip sum_points (left(x) - right(x))^2
 
     by conjugate gradients, `rounds` of them; then what left [0, 1] is held at its bound, points that still differ
-    by more than STEP count up to nine times, and the others are solved again. The mips are means of 2 x 2 texels, as the player makes them, so a coarse mip is closed mostly by what
-    lies in the gutters, which the finest never shows. Texels that only a coarse mip reads enter through their
-    mean alone: they are one unknown, and its change goes to each by 1 / keep.
+    by more than STEP count up to nine times, and the others are solved again. The mips are means of 2 x 2 texels, as
+    the player makes them, so a coarse mip is closed mostly by what lies in the gutters, which the finest never shows.
+    Texels that only a coarse mip reads enter through their mean alone: they are one unknown, and its change goes to each
+    by 1 / keep.
+
+    With a `goal` (bytes) the rounds of FURTHER follow while the 99th percentile of the steps lies above it in any mip,
+    and what a point that differs counts grows from round to round.
     """
     if len(edges.left) == 0:
         return image
@@ -130,15 +137,22 @@ def equalised(
     after = before
     result = image.reshape(-1, channels).copy()
     held = np.zeros((unknowns, channels), bool)
-    for passed, count in enumerate(rounds):
+    urges = [np.ones(mip.agree.shape[0], np.float32) for mip in chain]
+    for passed, count in enumerate([*rounds, *FURTHER]):
+        shown = result.reshape(size, size, channels)
+        if passed >= len(rounds) and (goal is None or _largest(uv, edges, shown, levels) <= goal):
+            break
         done = np.zeros((unknowns, channels), np.float32)
         if passed:
             for channel in range(channels):
                 done[:, channel] = np.bincount(owner, (after - before)[:, channel], unknowns)
             done /= np.maximum(many, 1)[:, None]
-        shown = result.reshape(size, size, channels).astype(np.float32)
-        urged = _urged(chain, shown) if passed else chain
-        change = _solved(urged, shown, keep, done, held, count)
+        shown = shown.astype(np.float32)
+        if passed:
+            further = passed >= len(rounds)
+            fresh = _urges(chain, shown, URGE_FURTHER if further else URGE)
+            urges = [old * new if further else new for old, new in zip(urges, fresh, strict=True)]
+        change = _solved(_urged(chain, urges), shown, keep, done, held, count)
         wanted = after + each * change[owner]
         after = np.clip(wanted, 0, 1)
         result[owned] = after
@@ -192,14 +206,34 @@ def _differences(
     return result
 
 
-def _urged(chain: list[_Mip], image: Float[np.ndarray, "height width channels"]) -> list[_Mip]:
-    """The mips with points that differ by more than STEP weighted up (least squares leaves a few large steps)."""
-    result = []
-    for mip, found in zip(chain, _differences(chain, image), strict=True):
-        step = np.abs(found).max(1) / mip.weight
-        urge = diags(np.clip(step / STEP, 1, 3).astype(np.float32))
-        result.append(mip._replace(agree=csr_matrix(urge @ mip.agree)))
-    return result
+def _urges(
+    chain: list[_Mip], image: Float[np.ndarray, "height width channels"], most: float
+) -> list[Float[np.ndarray, "_"]]:
+    """For the points of each mip how much more they count: those that differ by more than STEP up to `most` times, as
+    least squares leaves a few large steps."""
+    return [
+        np.clip(np.abs(found).max(1) / mip.weight / STEP, 1, most).astype(np.float32)
+        for mip, found in zip(chain, _differences(chain, image), strict=True)
+    ]
+
+
+def _urged(chain: list[_Mip], urges: list[Float[np.ndarray, "_"]]) -> list[_Mip]:
+    """The mips with their points weighted up."""
+    return [
+        mip._replace(agree=csr_matrix(diags(urge) @ mip.agree))
+        for mip, urge in zip(chain, urges, strict=True)
+    ]
+
+
+def _largest(
+    uv: Float[np.ndarray, "corners 2"],
+    edges: ChartEdges,
+    image: Float[np.ndarray, "height width channels"],
+    levels: int,
+) -> float:
+    """The largest of the mips' 99th percentiles of steps, in bytes."""
+    chain = mipmaps(bytes_from_unit(image), levels)
+    return max(float(np.quantile(seam_steps(uv, edges, mip), 0.99)) for mip in chain)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "channels"]:

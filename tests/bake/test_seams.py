@@ -95,3 +95,20 @@ def test_mips_are_means_rounded_at_each_level():
     chain = mipmaps(image, 4)
     assert [len(mip) for mip in chain] == [8, 4, 2, 1]
     assert chain[1][0, 0, 0] == (0 + 1 + 8 + 9 + 2) // 4 and chain[3].shape == (1, 1, 1)
+
+
+def test_edges_that_miss_the_goal_are_closed_further_and_others_stay(atlas, monkeypatch):
+    monkeypatch.setattr(seams, "AGREE", 0.2)
+    found, texels, image, edges = atlas
+    plain = equalised(image, texels, found.uv, edges, LEVELS)
+
+    def largest(closed):
+        return max(np.quantile(steps, 0.99) for steps in steps_by_mip(found, edges, closed))
+
+    assert np.array_equal(plain, equalised(image, texels, found.uv, edges, LEVELS, goal=largest(plain)))
+    goal = 0.9 * largest(plain)
+    further = equalised(image, texels, found.uv, edges, LEVELS, goal=goal)
+    assert largest(further) <= goal
+    inside = texels.index[texels.inside]
+    moved = np.abs(further - image).reshape(-1, 3)[inside]
+    assert np.sqrt(np.mean(moved**2)) < 0.25 / 255
