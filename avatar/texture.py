@@ -1,9 +1,11 @@
-"""Reading a texture in NumPy, exactly as OpenGL's bilinear filter reads it."""
+"""Reading a texture in NumPy, exactly as OpenGL's bilinear filter reads it, and its mipmaps as the player draws them."""
 
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Shaped, UInt8
+from PIL import Image
 
 Array = np.ndarray
+Texels = UInt8[Array, "_ _ channels"]  # of a size of its own
 
 
 def sample_texture(
@@ -22,3 +24,30 @@ def sample_texture(
     top = image[y0, x0] * (1 - fx) + image[y0, x1] * fx
     bottom = image[y1, x0] * (1 - fx) + image[y1, x1] * fx
     return top * (1 - fy) + bottom * fy
+
+
+def mip_levels(shape: tuple[int, ...]) -> int:
+    """Mipmaps worth having, the texture itself included: coarser ones would mix neighbouring charts.
+
+    The bake leaves gutters of a 256th of the atlas (8 texels at 2048), which stay clean for log2(gutter) levels.
+    """
+    return min(max(2, max(shape[:2]) // 256).bit_length(), max(shape[:2]).bit_length())
+
+
+def mipmaps(image: Texels, levels: int) -> list[Texels]:
+    """The image and `levels` - 1 more, each half as wide and high: the mean of two by two texels, rounded to bytes.
+
+    As in OpenGL a side of one texel stays and an odd one is rounded down: its last row or column is left out.
+    """
+    if image.shape[2] > 4:
+        first, second = (mipmaps(part, levels) for part in (image[..., :4], image[..., 4:]))
+        return [np.concatenate(pair, axis=2) for pair in zip(first, second, strict=True)]
+    mode = {1: "L", 3: "RGB", 4: "RGBX"}[image.shape[2]]  # of RGBA Pillow would weight the texels by the last one
+    out = [image]
+    current = Image.frombuffer(mode, image.shape[1::-1], np.ascontiguousarray(image), "raw", mode, 0, 1)
+    for _ in range(levels - 1):
+        across, down = (2 if side > 1 else 1 for side in current.size)
+        whole = (0, 0, current.width // across * across, current.height // down * down)
+        current = current.reduce((across, down), whole)
+        out.append(np.array(current).reshape(current.height, current.width, image.shape[2]))
+    return out

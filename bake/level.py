@@ -8,6 +8,7 @@ from jaxtyping import Float, Integer
 
 from avatar.avatar_file import Level
 from avatar.skeleton import BIG_POSE, joint_transforms
+from avatar.texture import mip_levels, mipmaps
 from bake import measure
 from bake.atlas import Unwrapped, unwrap
 from bake.cone import ViewCone, interpolated
@@ -15,12 +16,11 @@ from bake.decimate import Enlargement, balanced, decimate, find_faults
 from bake.field import NumpyField
 from bake.network import Distilled, SurfacePoints
 from bake.options import BakeOptions
-from bake.seams import ChartEdges, chart_edges, equalised, mipmaps, seam_steps
+from bake.seams import ChartEdges, chart_edges, equalised, seam_steps
 from bake.skin import quantised, transferred_weights
 from bake.surface import Extraction, Mesh, project_to_zero
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from bake.transfer import match_surface
-from player.plan import mip_levels
 from train.capture import PARTS
 from train.mesh import face_areas
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer, UInt8
 from scipy.sparse import csr_matrix, diags
 
-from avatar.texture import sample_texture
+from avatar.texture import mipmaps, sample_texture
 from bake.texels import TexelMap, bytes_from_unit
 from train.mesh import half_edges
 
@@ -52,18 +52,6 @@ def chart_edges(
     wide = (uv[left[:, 0]] != uv[left[:, 1]]).any(1) & (uv[right[:, 0]] != uv[right[:, 1]]).any(1)
     seam = (left != right).any(1) & wide
     return ChartEdges(left[seam], right[seam])
-
-
-def mipmaps(
-    image: UInt8[np.ndarray, "height width channels"], levels: int
-) -> list[UInt8[np.ndarray, "h w c"]]:
-    """The image and its mips as OpenGL makes them: means of 2 x 2, rounded to bytes at each level."""
-    chain = [image]
-    for _ in range(levels - 1):
-        height, width = chain[-1].shape[0] // 2, chain[-1].shape[1] // 2
-        four = chain[-1].reshape(height, 2, width, 2, -1).astype(np.uint16).sum((1, 3))
-        chain.append(((four + 2) // 4).astype(np.uint8))
-    return chain
 
 
 def seam_steps(
@@ -137,7 +125,7 @@ def equalised(
     after = before
     result = image.reshape(-1, channels).copy()
     held = np.zeros((unknowns, channels), bool)
-    urges = [np.ones(mip.agree.shape[0], np.float32) for mip in chain]
+    urges = [np.ones(len(mip.agree.indptr) - 1, np.float32) for mip in chain]
     for passed, count in enumerate([*rounds, *FURTHER]):
         shown = result.reshape(size, size, channels)
         if passed >= len(rounds) and (goal is None or _largest(uv, edges, shown, levels) <= goal):

@@ -15,9 +15,9 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, clip_from_view
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_normals, skin_points
+from avatar.texture import mip_levels
 from player.context import Context
 from player.mesh import draw_order, interleaved
-from player.plan import mip_levels
 from player.posing import Poser, reach
 from player.raster import clip_planes
 from player.renderer import Pose

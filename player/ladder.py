@@ -11,10 +11,11 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
+from avatar.texture import mipmaps
 from player.context import Context
 from player.renderer import Pose, Renderer
 from player.scenes.effects import VIEWS
@@ -90,21 +91,12 @@ def with_halved_textures(avatar: Avatar, times: int) -> Avatar:
     levels = [
         replace(
             level,
-            base_color=halved(level.base_color, times),
-            features=None if level.features is None else halved(level.features, times),
+            base_color=mipmaps(level.base_color, times + 1)[-1],
+            features=None if level.features is None else mipmaps(level.features, times + 1)[-1],
         )
         for level in avatar.levels
     ]
     return replace(avatar, levels=tuple(levels))
-
-
-def halved(image: UInt8[np.ndarray, "h w c"], times: int) -> UInt8[np.ndarray, "h2 w2 c"]:
-    """The mean of each block of 2^times texels a side, rounded; what does not fill a block is left out. Halving ends
-    at one texel."""
-    side = 1 << min(times, min(image.shape[:2]).bit_length() - 1)
-    height, width, channels = image.shape[0] // side, image.shape[1] // side, image.shape[2]
-    blocks = image[: height * side, : width * side].reshape(height, side, width, side, channels)
-    return np.round(blocks.mean((1, 3))).astype(np.uint8)
 
 
 def time_rungs(

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from avatar.baked_avatar import Avatar, Level
+from avatar.texture import mip_levels
 from player.blocks import BONES, DUALS, FRAME, TURNS
 from player.scenes.effects import VIEWS, Background, Effects
 
@@ -257,14 +258,6 @@ def feature_textures(level: Level) -> list[str]:
     """Names of the textures that hold a level's features, four in each."""
     count = 0 if level.features is None else level.features.shape[2]
     return ["features", "more features"][: count // 4]
-
-
-def mip_levels(shape: tuple[int, ...]) -> int:
-    """Mipmaps worth having, the texture itself included: coarser ones would mix neighbouring charts.
-
-    The bake leaves gutters of a 256th of the atlas (8 texels at 2048), which stay clean for log2(gutter) levels.
-    """
-    return min(max(2, max(shape[:2]) // 256).bit_length(), max(shape[:2]).bit_length())
 
 
 def _mipmapped(shape: tuple[int, ...]) -> int:

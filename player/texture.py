@@ -1,6 +1,6 @@
-"""Images as textures, their mipmaps made here: the mean of each block of two by two texels, the same on every driver.
+"""Images as textures, their mipmaps made by avatar/texture.py: the same on every driver.
 
-The bake closes chart edges in just these mips (bake/seams.py). Mesa's software rasteriser would draw each one, with a
+The bake closes chart edges in just these mips. Mesa's software rasteriser would draw each one, with a
 shader that it first has to compile: a tenth of a second of the first frame, against a fiftieth.
 """
 
@@ -11,10 +11,9 @@ from typing import Any
 import moderngl
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
 
+from avatar.texture import mip_levels, mipmaps
 from player.context import Context
-from player.plan import mip_levels
 
 # of the base colour on a software rasteriser. One mip and no anisotropy there: sized for the longest side of the
 # pixel, and rounded, it blurs by 3 dB. As a state of the texture it costs a tenth of a frame, in the shader a fifth.
@@ -23,7 +22,6 @@ TEXTURE_2D, LOD_BIAS, MAX_LEVEL = 0x0DE1, 0x8501, 0x813D
 FORMATS, RGBA8, UNSIGNED_BYTE = {3: 0x1907, 4: 0x1908}, 0x8058, 0x1401
 
 Texels = UInt8[np.ndarray, "height width channels"]
-Mip = UInt8[np.ndarray, "_ _ channels"]  # of a size of its own
 
 
 def image_texture(context: Context, image: Texels, *, coarse: bool = False) -> moderngl.Texture:
@@ -37,16 +35,13 @@ def image_texture(context: Context, image: Texels, *, coarse: bool = False) -> m
     texture = context.gl.texture(
         (width, height), channels, np.ascontiguousarray(image), alignment=1, internal_format=RGBA8
     )
-    last = mip_levels(image.shape) - 1
-    if height % (1 << last) or width % (1 << last):  # blocks would not be whole
-        texture.build_mipmaps(0, last)
-    else:
-        texture.use()
-        _function(context, "glTexParameteri", c_uint, c_uint, c_int)(TEXTURE_2D, MAX_LEVEL, last)
-        upload = _function(context, "glTexImage2D", c_uint, *(c_int,) * 5, c_uint, c_uint, c_void_p)
-        for level, mip in enumerate(mipmaps(image, last), 1):
-            upload(TEXTURE_2D, level, RGBA8, mip.shape[1], mip.shape[0], 0, FORMATS[channels], UNSIGNED_BYTE,
-                   mip.ctypes.data)  # fmt: skip
+    chain = mipmaps(image, mip_levels(image.shape))
+    texture.use()
+    _function(context, "glTexParameteri", c_uint, c_uint, c_int)(TEXTURE_2D, MAX_LEVEL, len(chain) - 1)
+    upload = _function(context, "glTexImage2D", c_uint, *(c_int,) * 5, c_uint, c_uint, c_void_p)
+    for level, mip in enumerate(chain[1:], 1):
+        upload(TEXTURE_2D, level, RGBA8, mip.shape[1], mip.shape[0], 0, FORMATS[channels], UNSIGNED_BYTE,
+               mip.ctypes.data)  # fmt: skip
     # nearest mip on software: trilinear fetches cost 1.3-2.5 times as much there (notes: 9-27 against 7-11 ns)
     minify = moderngl.LINEAR_MIPMAP_LINEAR
     if context.software:
@@ -55,17 +50,6 @@ def image_texture(context: Context, image: Texels, *, coarse: bool = False) -> m
     if not context.software:
         texture.anisotropy = 8.0
     return texture
-
-
-def mipmaps(image: Texels, count: int) -> list[Mip]:
-    """Images of half the size, a quarter and so on, each the rounded mean of two by two texels of the one before."""
-    mode = {3: "RGB", 4: "RGBX"}[image.shape[2]]  # of RGBA Pillow would weight the texels by the last channel
-    smaller = Image.frombuffer(mode, image.shape[1::-1], np.ascontiguousarray(image), "raw", mode, 0, 1)
-    out = []
-    for _ in range(count):
-        smaller = smaller.reduce(2)
-        out.append(np.ascontiguousarray(smaller))
-    return out
 
 
 def read_finer_mip(context: Context, texture: moderngl.Texture) -> None:

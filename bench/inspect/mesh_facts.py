@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from avatar.baked_avatar import Level
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND
+from avatar.texture import mipmaps
 from bake.cone import matrix_from_six
 from bake.seams import chart_edges, seam_steps
 
@@ -134,21 +135,11 @@ def seams(level: Level, welded: Welded) -> Seams:
     """Chart edges and the step of colour across them, on the texture and its first mipmaps."""
     uv = level.uv.astype(np.float64)
     edges = chart_edges(uv, level.faces.astype(np.int64), welded.source)
-    image, steps = level.base_color, []
-    for mip in range(MIPS):
-        image = halved(image) if mip else image
+    steps = []
+    for image in mipmaps(level.base_color, MIPS):
         steps.append(seam_steps(uv, edges, image, samples=SAMPLES).reshape(SAMPLES, len(edges.left)))
     table = np.stack(steps)
     return Seams(edges.left, table.max(1), table.reshape(MIPS, -1))
-
-
-def halved(image: UInt8[np.ndarray, "h w c"]) -> UInt8[np.ndarray, "g v c"]:
-    """The next mipmap: the mean of each two by two texels, rounded; an odd last row or column is left out."""
-    height, width = max(image.shape[0] // 2, 1), max(image.shape[1] // 2, 1)
-    if min(image.shape[:2]) < 2:
-        return image[:height, :width]
-    four = image[: 2 * height, : 2 * width].reshape(height, 2, width, 2, -1).astype(np.uint16).sum((1, 3))
-    return ((four + 2) // 4).astype(np.uint8)
 
 
 def cone_degrees(level: Level) -> Float[np.ndarray, "v 2"]:

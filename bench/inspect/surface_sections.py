@@ -3,6 +3,7 @@
 import numpy as np
 
 from avatar.skeleton import JOINTS
+from avatar.texture import mip_levels
 from bench.inspect import mesh_facts
 from bench.inspect.colors import (
     ABSENT,
@@ -20,7 +21,6 @@ from bench.inspect.drawing import GREY
 from bench.inspect.inspection import Inspector
 from bench.inspect.mesh_facts import MIPS, PARTS, median_by_area
 from bench.inspect.page import Picture, Section, png
-from player.plan import mip_levels
 
 SEAM_MEDIAN, SEAM_P99 = 1.0, 4.0  # bytes
 SEAM_RANGE = 8.0  # bytes

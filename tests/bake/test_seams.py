@@ -3,10 +3,11 @@ import pytest
 from capsules import ball_mesh
 from scipy.spatial import KDTree
 
+from avatar.texture import mipmaps
 from bake import seams
 from bake.atlas import unwrap
 from bake.decimate import decimate
-from bake.seams import chart_edges, equalised, mipmaps, seam_steps
+from bake.seams import chart_edges, equalised, seam_steps
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 
 SIZE, LEVELS = 512, 4
@@ -88,13 +89,6 @@ def test_solution_is_the_least_squares_one(monkeypatch):
     expected = np.linalg.solve(normal, right)
     found = equalised(image, texels, uv, edges, 2, rounds=(300,))
     np.testing.assert_allclose(found.reshape(-1), expected, atol=2e-3)
-
-
-def test_mips_are_means_rounded_at_each_level():
-    image = np.arange(64, dtype=np.uint8).reshape(8, 8, 1)
-    chain = mipmaps(image, 4)
-    assert [len(mip) for mip in chain] == [8, 4, 2, 1]
-    assert chain[1][0, 0, 0] == (0 + 1 + 8 + 9 + 2) // 4 and chain[3].shape == (1, 1, 1)
 
 
 def test_edges_that_miss_the_goal_are_closed_further_and_others_stay(atlas, monkeypatch):

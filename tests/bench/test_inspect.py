@@ -13,7 +13,6 @@ from avatar.avatar_file import write_avatar
 from avatar.errors import AssetError
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from bake.seams import mipmaps
 from bench.inspect import mesh_facts
 from bench.inspect.colors import ABSENT, SEQUENTIAL, ramp, rgb
 from bench.inspect.command import inspect, inspect_main
@@ -112,13 +111,6 @@ def test_seam_steps_are_those_of_the_colours_painted():
     seams = mesh_facts.seams(cube(plain, inset=0.2), welded)
     for step in seams.step[:3]:
         np.testing.assert_array_equal(np.sort(step), [0] * 8 + [7] * 4)
-
-
-def test_mipmaps_are_those_of_baking_and_odd_sizes_lose_a_row():
-    image = np.random.default_rng(1).integers(0, 256, (4, 6, 3), dtype=np.uint8)
-    np.testing.assert_array_equal(mesh_facts.halved(image), mipmaps(image, 2)[1])
-    np.testing.assert_array_equal(mesh_facts.halved(np.concatenate([image, image[:1]])), mipmaps(image, 2)[1])
-    assert mesh_facts.halved(image[:1]).shape == (1, 3, 3)
 
 
 def test_cone_half_angles_are_those_of_the_clamp():

@@ -11,7 +11,7 @@ from avatar.avatar_file import read_avatar
 from bench.contact import LARGEST, WIDTH, contact_sheet, save_sheet, sheet
 from bench.report import bench_main
 from bench.rung_scores import mark_dominated
-from player.ladder import halved, rungs_of, views_of, with_halved_textures
+from player.ladder import rungs_of, views_of, with_halved_textures
 from player.mannequin import mannequin
 
 
@@ -66,12 +66,7 @@ def test_all_modes_levels_textures_and_resolutions_are_rungs_of_their_own():
         }  # fmt: skip
 
 
-def test_a_halved_texture_is_the_mean_of_its_blocks():
-    image = np.arange(6 * 5 * 3, dtype=np.uint8).reshape(6, 5, 3)
-    found = halved(image, 1)
-    assert found.shape == (3, 2, 3)
-    assert found[1, 1].tolist() == np.round(image[2:4, 2:4].mean((0, 1))).tolist()
-    assert halved(image, 9).shape == (1, 1, 3)
+def test_all_textures_are_halved():
     avatar = with_halved_textures(mannequin(), 1)
     assert avatar.levels[0].base_color.shape == (256, 256, 3)
     assert avatar.levels[0].features.shape == (32, 32, 4)

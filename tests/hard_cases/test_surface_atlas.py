@@ -7,10 +7,10 @@ import pytest
 from capsules import ball_mesh, sphere
 
 from avatar.errors import AssetError
-from avatar.texture import sample_texture
+from avatar.texture import mipmaps, sample_texture
 from bake.atlas import unwrap
 from bake.decimate import balanced, decimate, find_faults, mend
-from bake.seams import chart_edges, equalised, mipmaps, seam_steps
+from bake.seams import chart_edges, equalised, seam_steps
 from bake.skin import transferred_weights
 from bake.surface import Mesh, compact, extract
 from bake.texels import barycentric, bytes_from_unit, rasterise_charts, spread
