@@ -30,6 +30,8 @@ COLUMNS = (
     ("LPIPS", "lpips", 3),
 )
 
+MODES = ("off", "vertex", "linear", "network")
+
 
 def table_rows(result: dict[str, Any]) -> list[list[str]]:
     """Rows of the printed and the Markdown table: ours and, beside it, the paper's."""
@@ -169,7 +171,34 @@ def people_table(results: list[dict[str, Any]]) -> str:
         lines += [f"## {light[0].upper()}{light[1:]}", ""]
         for region in ("head", "hands", "total"):
             lines += region_table(those, region)
-    return "\n".join(lines)
+    return "\n".join([*lines, *view_table(sorted(results, key=lambda r: lights_order(light_of_facts(r["capture"]))))])
+
+
+def view_table(results: list[dict[str, Any]]) -> list[str]:
+    """View modes of every avatar beside the truth and beside its field, one row for each capture and light."""
+    rows = []
+    for result in results:
+        modes, baked = result.get("view_modes"), result.get("baked_vs_field", {})
+        file = baked.get("said", {}).get("against_field") or baked
+        if modes is None:
+            continue
+        true, cone = modes["psnr_db"]["all"], file.get("cone_db") or {}
+        cells = [number(true.get(mode)) for mode in MODES] + [str(modes["default"])]
+        cells += [number(file.get("paper_db"), 1), *(number(cone.get(mode), 1) for mode in MODES)]
+        rows.append([f"{result['capture']['subject']}, {light_of_facts(result['capture'])}", *cells])
+    if not rows:
+        return []
+    heads = ["", *(f"true: {mode}" for mode in MODES), "default", "field: off", *(f"cone: {mode}" for mode in MODES)]
+    return [
+        "## View modes",
+        "",
+        "*true*: PSNR in dB of held-out pictures, poses and views pooled, inside the person, each mode on the same",
+        "pixels; the best one is the file's default. *field*, *cone*: PSNR of the baked avatar against its own field,",
+        "as the paper has it (one direction a point) and inside the cone of directions that training saw.",
+        "",
+        *("| " + " | ".join(row) + " |" for row in (heads, ["-"] * len(heads), *rows)),
+        "",
+    ]
 
 
 def lights_order(light: str) -> tuple[int, str]:

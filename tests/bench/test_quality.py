@@ -140,6 +140,25 @@ def test_people_of_different_lights_are_in_sections_of_their_own_and_never_avera
     assert [float(line.split("|")[4]) for line in means[::3]] == [27.5, 24.0, 30.0, 20.0]
 
 
+def test_view_modes_of_every_capture_stand_side_by_side(result):
+    def avatar(light, true, **field):
+        modes = {"psnr_db": {"all": true}, "default": max(true, key=true.get)}
+        facts = {"subject": "she", "light": light}
+        return {**result, "capture": facts, "view_modes": modes, "baked_vs_field": field}
+
+    text = people_table([
+        avatar("varied", {"off": 18.567, "network": 19.201}, said={"against_field": {
+            "paper_db": 39.64, "cone_db": {"off": 30.64, "network": 36.36}}}),
+        avatar("even", {"off": 28.75}, paper_db=42.1),
+        {**result, "view_modes": None},
+    ])  # fmt: skip
+    section = text[text.index("## View modes") :]
+    assert "| she, even light | 28.75 | - | - | - | off | 42.1 | - | - | - | - |" in section
+    assert "| she, varied light | 18.57 | - | - | 19.20 | network | 39.6 | 30.6 | - | - | 36.4 |" in section
+    assert section.index("even light") < section.index("varied light")
+    assert "View modes" not in people_table([{**result, "view_modes": None}])
+
+
 def test_box_pixels_are_those_of_the_projected_box():
     camera = Camera(pinhole((64, 48), 0.8), look_at((0.3, 0.2, 3.0), (0, 0, 0)), (64, 48))
     low, high = np.array([-0.4, -0.3, -0.2]), np.array([0.5, 0.35, 0.25])
