@@ -6,6 +6,7 @@ view network, the canonical pose and provenance. docs/avatar-format.md is the by
 """
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -41,6 +42,7 @@ __all__ = ["Avatar", "Level", "ViewNetwork", "read_avatar", "write_avatar"]
 
 T = TypeVar("T")
 MAX_LEVELS = 8
+DECODERS = 3  # images that are unpacked at once
 MAX_PIXELS = 1 << 26  # of all images together: 200 MB decoded
 
 
@@ -132,18 +134,24 @@ def _read_levels(gltf: Gltf, extension: dict[str, Any], wanted: int | None) -> t
         raise gltf.error("images", f"at most {MAX_PIXELS} pixels together", pixels)
 
     levels = []
-    for i, (mesh, base_color, feature_images) in enumerate(sources[:wanted]):
-        arrays = _read_surface(gltf, mesh)
-        arrays["base_color"] = _of_image(gltf, base_color, decode_png, "RGB")
-        fours = [_four_features(gltf, image) for image in feature_images]
-        if len({four.shape for four in fours}) > 1:
-            found = [four.shape[:2] for four in fours]
-            raise gltf.error(
-                f"images[{feature_images[1]}]", f"of the size of images[{feature_images[0]}]", found
-            )
-        fields = {**arrays, "features": np.concatenate(fours, axis=2) if fours else None}
-        check_level(fields, f"levels[{i}]")
-        levels.append(Level(**fields))
+    with ThreadPoolExecutor(DECODERS) as pool:  # unpacking is work outside of Python
+        unpacked = [
+            (pool.submit(_of_image, gltf, source.base_color, decode_png, "RGB"),
+             [pool.submit(_four_features, gltf, image) for image in source.features])
+            for source in sources[:wanted]
+        ]  # fmt: skip
+        for i, (mesh, _, feature_images) in enumerate(sources[:wanted]):
+            arrays, (base_color, features) = _read_surface(gltf, mesh), unpacked[i]
+            arrays["base_color"] = base_color.result()
+            fours = [four.result() for four in features]
+            if len({four.shape for four in fours}) > 1:
+                found = [four.shape[:2] for four in fours]
+                raise gltf.error(
+                    f"images[{feature_images[1]}]", f"of the size of images[{feature_images[0]}]", found
+                )
+            fields = {**arrays, "features": np.concatenate(fours, axis=2) if fours else None}
+            check_level(fields, f"levels[{i}]")
+            levels.append(Level(**fields))
     return tuple(levels)
 
 
