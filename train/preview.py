@@ -143,6 +143,7 @@ def _thinned(video: PartVideo, frame: int, box: tuple[int, int, int, int]) -> Pa
         video, images=image[None], masks=mask[None], cameras=(camera,),
         axis_angle=None if video.axis_angle is None else video.axis_angle[one],
         root=None if video.root is None else video.root[one],
+        unsure=None,  # the picture has no holes
     )  # fmt: skip
 
 

@@ -14,6 +14,9 @@ from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import skin_points
 from train.align import Outline, align, increments_moved, moving_joints, outline_offset, placement
 from train.capture import read_capture
+from train.parts import part_boxes
+from train.preset import DEMO
+from train.preview import part_preview
 from train.rays import _choose_pixels
 from train.refine import (
     RefineJob,
@@ -26,6 +29,7 @@ from train.refine import (
     signed_pixels,
     with_refined,
 )
+from train.template import surface_cloud
 from train.workers import Tell
 
 QUIET = Tell(lambda text: None, lambda done, note: None)
@@ -39,6 +43,16 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def capture(folder):
     return read_capture(folder)
+
+
+def drawn_preview(capture, path):
+    """The preview of the left hand, as its training begins it."""
+    part, settings = part_boxes(capture.subject)[2], DEMO.parts[2]
+    cloud = surface_cloud(capture.subject, 2, np.ones(len(capture.subject.faces), bool), 0.02)
+    video = capture.videos["hand_left"]
+    return part_preview(
+        path, video, capture.subject, cloud, part, settings.band, DEMO, None, torch.device("cpu"), 10
+    )
 
 
 def _pixels_off(video, subject, axis_angle, root) -> float:
@@ -170,6 +184,8 @@ def test_masks_all_too_small_or_large_are_measured_and_mended(capture, tmp_path,
         assert (off.videos[name].masks != true).sum() > 5 * (video.masks != true).sum()
         wrong = (video.masks != true) & ~video.unsure
         assert wrong.sum() < 0.1 * (video.masks != true).sum() + 5
+    shown = drawn_preview(mended, tmp_path / "preview.png")
+    assert shown.observed.any()  # of a video with pixels that supervise nothing
 
 
 def _in_turn(jobs, work):
