@@ -34,6 +34,7 @@ Array = np.ndarray
 ROUNDS = AlignSettings().rounds  # of each video
 CHOICES = ("auto", "on", "off")
 MASKS_OFF = 0.9  # pixels of an image 256 high: masks that are off by less are believed (clean ones: .1 to .5)
+MEASURED_AGAIN = 2
 UNSURE = 1.0  # pixels on both sides of a corrected mask's edge that supervise nothing
 
 
@@ -44,6 +45,7 @@ class RefineJob:
     capture: str
     part: str
     folder: str  # RUN.partial
+    masks_off: float = 0.0  # how far outside of the true outline the masks are, pixels of an image 256 high
 
 
 def refine_capture(
@@ -61,15 +63,17 @@ def refine_capture(
     if done.exists():
         return json.loads(done.read_text("utf-8"))
     posed = {part: video for part, video in capture.videos.items() if video.axis_angle is not None}
+    # masks first: poses that are moved onto small masks step back, and hide a part of what is missing
+    offsets = mask_offsets(posed, capture.subject)
+    believed = believed_offset(offsets)
     errors = outline_errors(capture) if choice == "auto" else {}
     wanted = [part for part in posed if choice == "on" or errors[part] > MISALIGNED]
     if wanted and errors:
         off = ", ".join(f"{part} {errors[part]:.1f} px" for part in wanted)
         say(f"outlines miss the masks ({off}): poses refined first; --refine-poses off leaves them alone")
-    facts: dict[str, Any] = dict(run({p: RefineJob(str(capture.path), p, str(folder)) for p in wanted}, refine_part))
-    offsets = {part: facts[part]["masks_off_px"] if part in facts else outline_offset(video, capture.subject)
-               for part, video in posed.items()}  # fmt: skip
-    masks_off = believed_offset(offsets)
+    jobs = {part: RefineJob(str(capture.path), part, str(folder), believed) for part in wanted}
+    facts: dict[str, Any] = dict(run(jobs, refine_part))
+    masks_off = believed_offset(offsets | {part: facts[part]["masks_off_px"] for part in facts})
     if masks_off:
         word = "large" if masks_off > 0 else "small"
         say(f"masks are {abs(masks_off):.1f} px too {word}: corrected, pixels near their edge supervise nothing")
@@ -80,6 +84,26 @@ def refine_capture(
     with whole_file(done, "w") as file:
         json.dump(facts, file)
     return facts
+
+
+def mask_offsets(videos: Mapping[str, PartVideo], subject: Subject) -> dict[str, float]:
+    """How far each posed video's masks are outside of the template, pixels of an image 256 high.
+
+    The nearest pixel of an outline is nearer than the one across (four fifths, of 2 pixels): masks that are off are
+    corrected by what was found and measured again.
+    """
+    offsets = {part: outline_offset(video, subject) for part, video in videos.items()}
+    for _ in range(MEASURED_AGAIN if believed_offset(offsets) else 0):
+        middle = believed_offset(offsets)
+        offsets = {part: middle + outline_offset(corrected(video, middle), subject) for part, video in videos.items()}
+    return offsets
+
+
+def corrected(video: PartVideo, masks_off: float) -> PartVideo:
+    """The video with masks that are so far outside (pixels of an image 256 high) shrunk, or grown if negative."""
+    if not masks_off:
+        return video
+    return replace(video, masks=regrown(video.masks, -masks_off * video.masks.shape[1] / 256))
 
 
 def believed_offset(offsets: Mapping[str, float]) -> float:
@@ -95,7 +119,7 @@ def refine_part(job: RefineJob, tell: Tell) -> dict:
     """Align one video's poses with its masks and write them; returns what run.json says of it."""
     path = refined_path(Path(job.folder), job.part)
     capture = read_capture(job.capture)
-    video, subject = capture.videos[job.part], capture.subject
+    video, subject = corrected(capture.videos[job.part], job.masks_off), capture.subject
     assert video.axis_angle is not None and video.root is not None
     aligned = align(video, subject, AlignSettings(), lambda number, *_: tell.step(number + 1, "poses onto masks"))
     kept = frames_on_the_mask(aligned.edge)
@@ -103,7 +127,7 @@ def refine_part(job: RefineJob, tell: Tell) -> dict:
     facts = {
         "outline_px": round(float(np.median(aligned.edge)), 3),
         "frames_left_out": [int(f) for f in np.setdiff1d(np.arange(len(aligned.edge)), kept)],
-        "masks_off_px": round(outline_offset(video, subject), 3),
+        "masks_off_px": round(job.masks_off + outline_offset(video, subject), 3),
     }
     with whole_file(path.with_suffix(".poses")) as file:
         np.savez(file, axis_angle=aligned.axis_angle[kept], root=aligned.root[kept], frames=kept)
