@@ -52,9 +52,7 @@ def compose(
     correction = Registration(np.eye(4), 0.0)
     if rays is not None:
         anchors = landmark_anchors(capture, landmarks)
-        correction = register_head(subject, fields, anchors)
-        facts["registration"]["surfaces_median_mm"] = round(correction.residual * 1000, 3)
-        say(f"head surface on the body's (Eq. 5): median {correction.residual * 1000:.2f} mm point to plane")
+        correction, facts["registration"]["surfaces_median_mm"] = place_on_surfaces(subject, fields, anchors, say)
         correction, facts["registration"]["video"] = place_on_video(capture, fields, correction, anchors, say)
     head_from_canonical = torch.tensor(np.linalg.inv(correction.transform), dtype=torch.float32)
     fused = FusedField(fields, parts, head_from_canonical).eval().requires_grad_(False)
@@ -176,6 +174,24 @@ def landmark_anchors(capture: Capture, landmarks: Registration) -> Anchors:
     source = video.landmarks @ moved[:3, :3].T + moved[:3, 3]
     spread = max(landmarks.residual / np.sqrt(3), 1e-4)
     return Anchors(source, capture.subject.vertices[video.landmark_vertices], spread)
+
+
+def place_on_surfaces(
+    subject: Subject, fields: Sequence[PartField], anchors: Anchors, say: Say
+) -> tuple[Registration, float | None]:
+    """The head's place of Eq. 5 and the median distance of the surfaces, mm.
+
+    Where the surfaces give no answer (spoilt masks leave little of a head to meet), the landmarks' place stays,
+    and that is said: hours of training hang on it.
+    """
+    try:
+        correction = register_head(subject, fields, anchors)
+    except ValueError as error:
+        say(f"{error}: the place by landmarks stays (Eq. 6)")
+        return Registration(np.eye(4), float("nan")), None
+    millimetres = correction.residual * 1000
+    say(f"head surface on the body's (Eq. 5): median {millimetres:.2f} mm point to plane")
+    return correction, round(millimetres, 3)
 
 
 def register_head(subject: Subject, fields: Sequence[PartField], anchors: Anchors) -> Registration:

@@ -12,6 +12,7 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
 from train.capture import read_capture
+from train.compose import place_on_surfaces
 from train.parts import part_boxes, part_weight
 from train.photometric import ColoredHead, refine_on_video
 from train.register import Anchors
@@ -108,3 +109,20 @@ def test_a_video_without_the_head_is_said(capture):
     away = replace(video, root=video.root + [0.0, 50.0, 0.0])
     with pytest.raises(ValueError, match="shows no head"):
         refine_on_video(capture.subject, head, away, np.eye(4), loose_anchors(head, points))
+
+
+def test_where_the_surfaces_give_no_answer_the_landmarks_place_stays(capture, monkeypatch):
+    """Every part is trained by then: the run goes on, and says so."""
+
+    def nothing_near(*_arguments):
+        raise ValueError("head registration: 7% of the surface within 0.02 m of the body's, under 10 %")
+
+    monkeypatch.setattr("train.compose.register_head", nothing_near)
+    head, points = head_of(capture.subject, np.eye(4))
+    said = []
+    placed, distance = place_on_surfaces(capture.subject, [], loose_anchors(head, points), said.append)
+    assert np.array_equal(placed.transform, np.eye(4)) and distance is None
+    assert said == [
+        "head registration: 7% of the surface within 0.02 m of the body's, under 10 %: "
+        "the place by landmarks stays (Eq. 6)"
+    ]
