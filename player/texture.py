@@ -7,6 +7,7 @@ shader that it first has to compile: a tenth of a second of the first frame, aga
 import ctypes
 from ctypes import c_float, c_int, c_uint, c_void_p
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import moderngl
 import numpy as np
@@ -59,6 +60,12 @@ def read_finer_mip(context: Context, texture: moderngl.Texture) -> None:
 
 
 def _function(context: Context, name: str, *arguments: type) -> Any:
-    """A function of the driver, counted like all that moderngl calls."""
-    address = context.counts.wrap(name, context.driver.address(name))
-    return ctypes.CFUNCTYPE(None, *arguments)(address)
+    """A function of the driver, counted like all that moderngl calls; made once for each context."""
+    made = _made.setdefault(context, {})
+    if name not in made:
+        address = context.counts.wrap(name, context.driver.address(name))
+        made[name] = ctypes.CFUNCTYPE(None, *arguments)(address)
+    return made[name]
+
+
+_made: WeakKeyDictionary[Context, dict[str, Any]] = WeakKeyDictionary()

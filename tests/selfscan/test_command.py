@@ -137,3 +137,11 @@ def test_the_version_is_said(capsys):
 
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"selfscan {importlib.metadata.version('selfscan')}\n"
+
+
+def test_drawing_gives_freed_memory_back_and_other_commands_leave_the_allocator_alone(monkeypatch, capsys):
+    asked = []
+    monkeypatch.setattr("player.memory.give_back_freed_memory", lambda: asked.append(True))
+    for command, expected in (("doctor", 0), ("render", 1), ("play", 2)):
+        assert run(capsys, command, "--help")[0] == 0
+        assert len(asked) == expected
