@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage, signal
 from scipy.linalg import solveh_banded
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from avatar.camera import Camera, project
 from avatar.rasterise import Fragments, rasterise
@@ -41,6 +42,8 @@ class AlignSettings:
     prior: float = 3.0  # degrees, of each joint about each axis
     root: float = 0.01  # metres
     smooth: float = 1.0  # degrees a frame a frame
+    cell: float = 10.0  # pixels of an image 256 high: over this much of the surface the shape is off alike
+    doubt: float = 10.0  # outline pixels that have to agree before the shape is believed to be off
     rounds: int = 12
     colored: int = 5  # of them, the last ones use colours too
 
@@ -147,6 +150,36 @@ def placement(
     return best[1], best[2]
 
 
+class ShapeCells:
+    """Patches of the template: what all frames agree on there is the person's shape, no error of a pose.
+
+    Clothes and hair stand off the template; masks may be too large or small everywhere. Were the poses to answer for
+    that, each frame would move its own way.
+    """
+
+    def __init__(self, subject: Subject, size: float):
+        normals = vertex_normals(subject.vertices, subject.faces)
+        place = np.c_[subject.vertices / size, normals / 0.7]
+        _, first, self.cell = np.unique(np.round(place).astype(int), axis=0, return_index=True, return_inverse=True)
+        self.cell = self.cell.ravel()
+        count = np.bincount(self.cell)
+        middle = np.stack([np.bincount(self.cell, place[:, i]) / count for i in range(6)], 1)
+        self.near = np.exp(-0.5 * cdist(middle, middle, "sqeuclidean"))
+
+    def shared(self, vertex: Int[Array, "n"], value: Float[Array, "n"], doubt: float) -> Float[Array, "v"]:
+        """Of each vertex the mean of the values given around it, as if `doubt` more of them were zero."""
+        of = self.cell[vertex]
+        total, count = (np.bincount(of, w, minlength=len(self.near)) for w in (value, np.ones(len(value))))
+        return (self.near @ total / (self.near @ count + doubt))[self.cell]
+
+
+def metres_of_a_pixel(video: PartVideo) -> float:
+    """How large a pixel is at the person, middle frame."""
+    assert video.root is not None
+    sizes = [np.linalg.norm(root - camera.eye) / camera.K[0, 0] for root, camera in zip(video.root, video.cameras)]
+    return float(np.median(sizes))
+
+
 class Aligned(NamedTuple):
     """Poses on the masks, and how well each frame's outline lies there."""
 
@@ -181,20 +214,23 @@ def align(
     sigma = np.r_[np.full(params - 3, np.radians(settings.prior)), np.full(3, settings.root)]
     scale = video.masks.shape[1] / 256
     outlines = [Outline(mask) for mask in video.masks]
-    edge, offset = np.zeros(frames), 0.0
+    edge, beyond = np.zeros(frames), np.zeros(len(subject.vertices))
+    cells = ShapeCells(subject, settings.cell * metres_of_a_pixel(video) * scale)
     cuts = scale * np.geomspace(40.0, 3.0, settings.rounds)
     for number, cut in enumerate(cuts):
         first, colored = number == 0, number >= settings.rounds - settings.colored
         views = [_view(video, subject, f, R[f], root[f], near if first else None) for f in range(frames)]
         H, b = np.zeros((frames, params, params)), np.zeros((frames, params))
-        away = []
+        away: list[Array] = []
+        corners: list[Array] = []
         for f, view in enumerate(views):
-            edge[f], r = _add_outline(
-                H[f], b[f], view, video, f, subject, outlines[f], moving, cut, settings.outline * scale, near, offset
+            edge[f], r, corner = _add_outline(
+                H[f], b[f], view, video, f, subject, outlines[f], moving, cut, settings.outline * scale, near, beyond
             )
             away.append(r)
-        # masks all too large or small are no reason to come nearer or step back
-        offset = float(np.median(np.concatenate(away))) if cut < 15 * scale else 0.0
+            corners.append(corner)
+        if cut < 15 * scale:
+            beyond = cells.shared(np.concatenate(corners), np.concatenate(away), settings.doubt)
         if colored:
             _add_colors(H, b, views, video, subject, part, moving, settings.color)
         delta = axis_angle_from_matrix(np.swapaxes(given, -1, -2) @ R)[:, moving].reshape(frames, -1)
@@ -252,15 +288,16 @@ def _view(
 
 def _add_outline(
     H: Array, b: Array, view: _View, video: PartVideo, f: int, subject: Subject, mask: Outline,
-    moving: Int[Array, "m"], cut: float, sigma: float, near: Bool[Array, "faces"], offset: float,
-) -> tuple[float, Float[Array, "n"]]:  # fmt: skip
-    """Add the outline term of one frame, the mask `offset` pixels outside of the template.
+    moving: Int[Array, "m"], cut: float, sigma: float, near: Bool[Array, "faces"], beyond: Float[Array, "v"],
+) -> tuple[float, Float[Array, "n"], Int[Array, "n"]]:  # fmt: skip
+    """Add the outline term of one frame, the person `beyond` (metres) the template's vertices.
 
-    Returns the mean distance of the outlines near the part, and how far outside the mask's pixels are.
+    Returns the mean distance of the outlines near the part, how far outside (metres) the mask's pixels are, and the
+    vertices that they belong to.
     """
     template, camera = view.outline, video.cameras[f]
     if len(template.at) == 0 or len(mask.at) == 0:
-        return np.inf, np.zeros(0)
+        return np.inf, np.zeros(0), np.zeros(0, int)
     there, d_there = template.nearest(mask, cut)
     back, d_back = mask.nearest(template, cut)
     inside = ((template.at > 0) & (template.at < camera.size)).all(1)
@@ -271,19 +308,21 @@ def _add_outline(
     face = view.drawn.face[template.pixels[p, 0], template.pixels[p, 1]]
     n = mask.normals[q]
     r = ((mask.at[q] - template.at[p] + view.came[p]) * n).sum(1)
-    away, r = r, r - offset
     weight = 1 / (1 + (length / cut) ** 2) ** 2 / sigma**2
     if view.came.any():
         weight = weight * near[face]
     corner = subject.faces[face, 0]  # stands for the pixel: its derivative varies slowly over a face
+    pixels = np.linalg.norm(project_derivative(camera, view.posed[corner])[:, 0], axis=1)  # of a metre
+    away, r = r / pixels, r - beyond[corner] * pixels
     g = np.einsum("ni,nij->nj", n, project_derivative(camera, view.posed[corner]))
     J = increments_moved(subject, corner, view.G, view.B, g, moving)
     H += (J * weight[:, None]).T @ J
     b += (J * weight[:, None]).T @ r
     close = near[face] & np.isfinite(length)
     if not close.any():
-        return np.inf, np.zeros(0)
-    return float(length[close].mean()), away[close & (length < cut)]
+        return np.inf, np.zeros(0), np.zeros(0, int)
+    near_by = close & (length < cut)
+    return float(length[close].mean()), away[near_by], corner[near_by]
 
 
 def outline_offset(video: PartVideo, subject: Subject, frames: int = 8) -> float:
@@ -346,7 +385,7 @@ def _add_colors(
         if len(at) == 0:
             continue
         r = r - np.median(r, 0)  # exposure
-        weight = 1 / (1 + (r**2).sum(1) / sigma**2) ** 2 / sigma**2
+        weight = 1 / (1 + (r**2).sum(1) / sigma**2) ** 2 / sigma**2 * _share_of_pixel(pixels)
         jac = project_derivative(video.cameras[f], views[f].posed[at])
         dy, dx = (_bilinear(slope, pixels) for slope in np.gradient(image, axis=(0, 1)))
         for c in range(3):
@@ -354,6 +393,12 @@ def _add_colors(
             J = increments_moved(subject, at, views[f].G, views[f].B, g, moving)
             H[f] += (J * weight[:, None]).T @ J
             b[f] += (J * weight[:, None]).T @ r[:, c]
+
+
+def _share_of_pixel(pixels: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    """One over the number of points that share a pixel: a head's many vertices know no more than its pixels do."""
+    _, of, count = np.unique(np.floor(pixels).astype(int), axis=0, return_inverse=True, return_counts=True)
+    return 1 / count[of.ravel()]
 
 
 def _bilinear(image: Float[Array, "h w 3"], pixels: Float[Array, "n 2"]) -> Float[Array, "n 3"]:

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from train.networks import PartNetworks
+from train.pose_correction import PoseCorrection
 from train.template import TemplateGrid
 
 
@@ -30,6 +31,7 @@ class PartField(nn.Module):
     high: Float[Tensor, "3"]
     appearance: nn.Embedding  # l_i, one row per frame
     reference: Float[Tensor, "l"]  # the code that the fused person is shown with
+    poses: PoseCorrection | None  # learned with the field where poses are refined; None once they are known
 
     def __init__(
         self,
@@ -43,6 +45,7 @@ class PartField(nn.Module):
         self.register_buffer("low", low)
         self.register_buffer("high", high)
         self.geometry, self.appearance, self.color_network, self.displacement = networks
+        self.poses = None
         self.register_buffer("reference", torch.zeros_like(self.appearance.weight[0]).detach())
 
     def unit(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

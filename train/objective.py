@@ -129,9 +129,12 @@ def render_rays(
     geometry's own. With NeuS's, F_s is evaluated at all section ends (values only). Normal, Eikonal and colour are evaluated in the
     `shaded` sections with the largest weights; their colours are scaled to the opacity of the whole ray.
     """
-    ends = jittered(rays.ends[chosen], u)
+    frame, ends = rays.frame[chosen], rays.ends[chosen]
+    if field.poses is not None:
+        row = rays.row[chosen]
+        ends = field.poses(ends, frame, rays.joints[row], rays.weights[row])
+    ends = jittered(ends, u)
     batch, count, _ = ends.shape
-    frame = rays.frame[chosen]
 
     # T_nr (Eq. 3, 4) is smooth on the scale of a section: evaluate some ends, interpolate the others
     knots = torch.arange(0, count, preset.displaced_every, device=ends.device)
@@ -200,6 +203,8 @@ def losses(
     L_E = eikonal_loss(drawn.gradient)
     L_nr = displacement_loss(drawn.displacement)
     loss = L_rgb + preset.mask_weight * L_mask + preset.eikonal_weight * L_E + part.displacement_weight * L_nr
+    if field.poses is not None:
+        loss = loss + preset.pose_weight * field.poses.prior()
     L_extra = None if extra is None else extra(drawn.ends.reshape(-1, 3), drawn.distance.reshape(-1))
     if L_extra is not None:
         loss = loss + L_extra

@@ -54,6 +54,9 @@ class Preset:
     grid_rate: float = 4e-3  # learning rate of planes or hash tables
     network_rate: float = 2e-3  # of the networks and codes
     displacement_rate: float = 3e-4  # of T_nr and its codes: geometry settles first
+    pose_rate: float = 0.1  # of poses, where they are refined: pixels, of a point a metre from its joint
+    pose_begin: float = 0.15  # share of the steps before they move: first the field shows somebody
+    pose_weight: float = 0.1  # of their prior
     warm_up: int = 100  # steps
     last_rate: float = 0.05  # of the first, reached exponentially
     beta_until: float = 0.8  # share of the steps over which beta shrinks

@@ -1,9 +1,10 @@
 """Refinement of a capture before training: real captures have noisy poses, and masks all too large or too small.
 
 A field learnt from poses that are off is blurred, one learnt from masks that are off is fat or thin. Both are
-measured against the outline of the template, which is the registered person. Poses are moved onto the masks
-(train/align.py), frames that stay off are left out. Masks whose outline lies outside or inside of the template's
-in the same way in body and hands are shrunk or grown by as much, and pixels near their edge supervise nothing.
+measured against the outline of the template, which is the registered person. Masks whose outline lies outside or
+inside of the template's in the same way in body and hands are redrawn (train/masks.py), and pixels that stay unsure
+supervise nothing. Poses are moved onto the masks (train/align.py), frames that stay off are left out; what is left
+is learned with the field (train/pose_correction.py).
 
 What was refined lies in the run's folder, refined_PART.npz; who reads the capture for a run reads it `with_refined`.
 """
@@ -20,22 +21,16 @@ from jaxtyping import Bool, Float, Int
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.npz import read_npz
-from avatar.rasterise import rasterise
-from avatar.skeleton import skin_transforms
-from avatar.skinning import skin_points
 from train.align import AlignSettings, align, outline_offset
-from train.capture import Capture, PartVideo, Subject, read_capture
-from train.cells import distance_to
+from train.capture import PARTS, Capture, PartVideo, read_capture
 from train.check import MISALIGNED, outline_errors
+from train.masks import believed_offset, mask_offsets, pixels_off, redrawn
 from train.workers import Tell
 
 Array = np.ndarray
 
 ROUNDS = AlignSettings().rounds  # of each video
 CHOICES = ("auto", "on", "off")
-MASKS_OFF = 0.9  # pixels of an image 256 high: masks that are off by less are believed (clean ones: .1 to .5)
-MEASURED_AGAIN = 2
-UNSURE = 1.0  # pixels on both sides of a corrected mask's edge that supervise nothing
 
 
 @dataclass(frozen=True)
@@ -76,7 +71,7 @@ def refine_capture(
     masks_off = believed_offset(offsets | {part: facts[part]["masks_off_px"] for part in facts})
     if masks_off:
         word = "large" if masks_off > 0 else "small"
-        say(f"masks are {abs(masks_off):.1f} px too {word}: corrected, pixels near their edge supervise nothing")
+        say(f"masks are {abs(masks_off):.1f} px too {word}: redrawn, pixels that stay unsure supervise nothing")
     if wanted or masks_off:
         facts["masks_off_px"] = round(masks_off, 3)
         for part in capture.videos:
@@ -86,40 +81,13 @@ def refine_capture(
     return facts
 
 
-def mask_offsets(videos: Mapping[str, PartVideo], subject: Subject) -> dict[str, float]:
-    """How far each posed video's masks are outside of the template, pixels of an image 256 high.
-
-    The nearest pixel of an outline is nearer than the one across (four fifths, of 2 pixels): masks that are off are
-    corrected by what was found and measured again.
-    """
-    offsets = {part: outline_offset(video, subject) for part, video in videos.items()}
-    for _ in range(MEASURED_AGAIN if believed_offset(offsets) else 0):
-        middle = believed_offset(offsets)
-        offsets = {part: middle + outline_offset(corrected(video, middle), subject) for part, video in videos.items()}
-    return offsets
-
-
-def corrected(video: PartVideo, masks_off: float) -> PartVideo:
-    """The video with masks that are so far outside (pixels of an image 256 high) shrunk, or grown if negative."""
-    if not masks_off:
-        return video
-    return replace(video, masks=regrown(video.masks, -masks_off * video.masks.shape[1] / 256))
-
-
-def believed_offset(offsets: Mapping[str, float]) -> float:
-    """How far all masks are off, pixels of an image 256 high: the median over the posed videos, or 0 if small.
-
-    Loose clothes are outside of the template too, but not on hands: two of three videos do not see them.
-    """
-    middle = float(np.median(list(offsets.values())))
-    return middle if abs(middle) > MASKS_OFF else 0.0
-
-
 def refine_part(job: RefineJob, tell: Tell) -> dict:
     """Align one video's poses with its masks and write them; returns what run.json says of it."""
     path = refined_path(Path(job.folder), job.part)
     capture = read_capture(job.capture)
-    video, subject = corrected(capture.videos[job.part], job.masks_off), capture.subject
+    video, subject = capture.videos[job.part], capture.subject
+    if job.masks_off:
+        video = replace(video, masks=redrawn(video, subject, pixels_off(video, job.masks_off)).masks)
     assert video.axis_angle is not None and video.root is not None
     aligned = align(video, subject, AlignSettings(), lambda number, *_: tell.step(number + 1, "poses onto masks"))
     kept = frames_on_the_mask(aligned.edge)
@@ -162,6 +130,46 @@ def with_refined(capture: Capture, folder: Path) -> Capture:
     return replace(capture, videos=videos)
 
 
+def poses_refined(folder: Path, part: str) -> bool:
+    """Whether the poses of a part's video were moved, and not its masks alone."""
+    path = refined_path(folder, part)
+    return path.exists() and "axis_angle" in read_npz(path, "refined poses", ("frames",))
+
+
+def write_learned(folder: Path, part: str, video: PartVideo) -> None:
+    """Keep the poses that the training of a part ended with, beside those that it began with: it may be resumed."""
+    assert video.axis_angle is not None and video.root is not None
+    with whole_file(_learned_path(folder, part)) as file:
+        np.savez(file, allow_pickle=False, axis_angle=video.axis_angle, root=video.root)
+
+
+def with_learned(capture: Capture, folder: Path) -> Capture:
+    """The capture `with_refined`, in the poses that training ended with where it learned them."""
+    videos = dict(capture.videos)
+    for part, video in capture.videos.items():
+        path = _learned_path(folder, part)
+        if path.exists():
+            videos[part] = replace(video, **read_npz(path, "learned poses", ("axis_angle", "root")))
+    return replace(capture, videos=videos)
+
+
+def copy_refined(partial: Path, folder: Path) -> None:
+    """What was refined, into the run's folder, with the poses that training ended with."""
+    for part in PARTS:
+        path, learned = refined_path(partial, part), _learned_path(partial, part)
+        if not path.exists():
+            continue
+        fields = read_npz(path, "refined poses", ("frames", "masks_off"))
+        if learned.exists():
+            fields |= read_npz(learned, "learned poses", ("axis_angle", "root"))
+        with whole_file(refined_path(folder, part)) as file:
+            np.savez_compressed(file, allow_pickle=False, **fields)
+
+
+def _learned_path(folder: Path, part: str) -> Path:
+    return folder / f"learned_{part}.npz"
+
+
 def read_refined(path: Path, video: PartVideo) -> PartVideo:
     """A video with the refined poses and masks of a file.
 
@@ -182,12 +190,15 @@ def read_refined(path: Path, video: PartVideo) -> PartVideo:
     video = _with_poses(video, axis_angle, root, kept)
     if masks_off == 0:
         return video
-    count = video.masks.size
-    packed = fields.get("unsure")
+    masks, unsure = (_unpacked(path, fields.get(name), name, video.masks.shape) for name in ("masks", "unsure"))
+    return replace(video, masks=masks, unsure=unsure)
+
+
+def _unpacked(path: Path, packed: Array | None, name: str, shape: tuple[int, ...]) -> Bool[Array, "frames h w"]:
+    count = int(np.prod(shape))
     if packed is None or packed.dtype != np.uint8 or len(packed) != -(-count // 8):
-        raise AssetError(f"{path}: unsure should be {count} bits")
-    unsure = np.unpackbits(packed, count=count).astype(bool).reshape(video.masks.shape)
-    return replace(video, masks=regrown(video.masks, -float(masks_off)), unsure=unsure)
+        raise AssetError(f"{path}: {name} should be {count} bits")
+    return np.unpackbits(packed, count=count).astype(bool).reshape(shape)
 
 
 def _with_poses(video: PartVideo, axis_angle: Array | None, root: Array | None, kept: Int[Array, "k"]) -> PartVideo:
@@ -205,46 +216,14 @@ def _correct_masks(capture: Capture, part: str, path: Path, masks_off: float) ->
     fields: dict[str, Array] = {"frames": np.arange(len(video.images))}
     if found.exists():
         fields = read_npz(found, "refined poses", ("frames", "axis_angle", "root"))
-    pixels = masks_off * video.masks.shape[1] / 256
+    pixels = pixels_off(video, masks_off)
     fields["masks_off"] = np.array(pixels)
     if pixels:
         kept = fields["frames"]
         poses = (None, None) if video.axis_angle is None or video.root is None else (
             fields.get("axis_angle", video.axis_angle), fields.get("root", video.root))  # fmt: skip
         video = _with_poses(video, *poses, kept)
-        fields["unsure"] = np.packbits(unsure_pixels(video, capture.subject, pixels))
+        fields |= {name: np.packbits(bits) for name, bits in redrawn(video, capture.subject, pixels)._asdict().items()}
     with whole_file(path) as file:
         np.savez_compressed(file, allow_pickle=False, **fields)
     found.unlink(missing_ok=True)
-
-
-def unsure_pixels(video: PartVideo, subject: Subject, masks_off: float) -> Bool[Array, "frames h w"]:
-    """Pixels that may show the person or not: near the corrected edge, and where only the template sees a limb.
-
-    An eroded mask has lost what is thinner than it was eroded by, and growing does not bring it back.
-    """
-    unsure = np.abs(signed_pixels(video.masks) + masks_off) < UNSURE
-    if video.axis_angle is None or video.root is None or masks_off > 0:
-        return unsure
-    grown = regrown(video.masks, -masks_off)
-    for f, camera in enumerate(video.cameras):
-        B = skin_transforms(video.axis_angle[f], subject.joints, video.root[f])
-        drawn = rasterise(skin_points(subject.vertices, subject.skin, B), subject.faces, camera)
-        unsure[f] |= (drawn.face >= 0) & ~grown[f]
-    return unsure
-
-
-def signed_pixels(masks: Bool[Array, "frames h w"]) -> Float[Array, "frames h w"]:
-    """Distance of every pixel centre to the mask's edge, negative inside; the edge runs between two pixels."""
-    out = np.empty(masks.shape)
-    for f, mask in enumerate(masks):
-        if mask.all() or not mask.any():
-            out[f] = -np.inf if mask.all() else np.inf
-            continue
-        out[f] = np.where(mask, 0.5 - distance_to(~mask), distance_to(mask) - 0.5)
-    return out
-
-
-def regrown(masks: Bool[Array, "frames h w"], pixels: float) -> Bool[Array, "frames h w"]:
-    """Masks grown by so many pixels, shrunk if negative."""
-    return signed_pixels(masks) < pixels

@@ -29,11 +29,21 @@ from train.interrupt import prompt_stop
 from train.log import TrainingLog, tensorboard_installed
 from train.objective import RayTensors, StepReport, ray_tensors
 from train.parts import part_boxes
+from train.pose_correction import PoseCorrection
 from train.prefit import fit_template
 from train.preset import PartPreset, Preset
 from train.preview import Preview, part_preview
 from train.rays import part_rays
-from train.refine import ROUNDS, RefineJob, refine_capture, with_refined
+from train.refine import (
+    ROUNDS,
+    RefineJob,
+    copy_refined,
+    poses_refined,
+    refine_capture,
+    with_learned,
+    with_refined,
+    write_learned,
+)
 from train.register import Registration, similarity_from_landmarks
 from train.rigid import with_rigid_head
 from train.session import Session, alone, capture_digest, digest_of, open_session
@@ -142,7 +152,7 @@ def _compose(
 ) -> None:  # fmt: skip
     """From trained parts to the run folder; under torchrun the work of one rank."""
     out, partial = session.out, session.partial
-    capture = with_refined(capture, partial)
+    capture = with_learned(with_refined(capture, partial), partial)
     seconds = {name: fact["seconds"] for name, fact in facts.items()}
     names, settings = part_names(preset), part_presets(preset)
     fields = [run_folder.read_part(partial / f"{name}.pt", capture.subject, i, settings[i])
@@ -160,8 +170,7 @@ def _compose(
         run_folder.write_codes(folder / "codes.npz", dict(zip(names, fields)))
         for name, field in zip(names, fields):
             run_folder.write_part(folder / f"{name}.pt", field)
-        for path in partial.glob("refined_*.npz"):
-            shutil.copyfile(path, folder / path.name)
+        copy_refined(partial, folder)
         for name in ("logs", "preview"):
             if (partial / name).is_dir():
                 shutil.copytree(partial / name, folder / name)
@@ -281,6 +290,8 @@ def train_part(job: PartJob, tell: Tell) -> dict:
     torch.manual_seed(job.seed * 4 + job.index)
     ready = (single_ready if preset.single else part_ready)(job, capture, tell)
     field, rays, frames = ready.field, ready.rays, len(ready.field.appearance.weight)
+    if not preset.single and poses_refined(folder, name):
+        field.poses = PoseCorrection(capture.videos[name], capture.subject).to(rays.ends.device)
     if preset.prefit and not (job.resume and checkpoint.exists()):
         off = fit_template(field, preset.prefit, seed=job.seed)
         tell.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
@@ -322,6 +333,10 @@ def train_part(job: PartJob, tell: Tell) -> dict:
     }
     if preset.single:
         show_as_in_the_body_video(field, capture)
+    if field.poses is not None:
+        facts["poses_learned_deg"] = round(field.poses.degrees(), 3)
+        _keep_poses(job, field, rays, capture.videos[name])
+        tell.say(f"{name}: poses learned with the field, {facts['poses_learned_deg']:.2f} degrees from the aligned ones")
     if job.ranks.writes:
         run_folder.write_part(folder / f"{name}.pt", field.cpu())
         with whole_file(done, "w") as file:  # from now on resuming passes this part by
@@ -332,6 +347,18 @@ def train_part(job: PartJob, tell: Tell) -> dict:
         f"{_memory_text(memory)}"
     )
     return facts
+
+
+def _keep_poses(job: PartJob, field: PartField, rays: RayTensors, video: PartVideo) -> None:
+    """Write the poses that were learned, and the body's rays under them for stage 2; the field forgets them."""
+    assert field.poses is not None
+    poses, field.poses = field.poses, None
+    if not job.ranks.writes:
+        return
+    if job.name == "body":
+        ends = poses.moved(rays.ends, rays.frame, rays.row, rays.joints, rays.weights)
+        write_rays(Path(job.folder) / "body.rays", replace(rays, ends=ends))
+    write_learned(Path(job.folder), job.name, poses.corrected(video))
 
 
 def part_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:

@@ -35,13 +35,17 @@ def optimiser_of(field: PartField, preset: Preset) -> torch.optim.Adam:
     grids = [table for module in field.modules() if isinstance(module, TriPlane | HashGrid)
              for table in module.parameters(recurse=False)]  # fmt: skip
     moves = list(field.displacement.parameters())
-    taken = {id(p) for p in grids + moves}
+    poses = [] if field.poses is None else list(field.poses.parameters())
+    taken = {id(p) for p in grids + moves + poses}
     others = [p for p in field.parameters() if id(p) not in taken]
     groups = [
         {"params": grids, "lr": preset.grid_rate},
         {"params": moves, "lr": preset.displacement_rate},
         {"params": others, "lr": preset.network_rate},
     ]
+    if field.poses is not None:
+        rate = preset.pose_rate * field.poses.pixel
+        groups.append({"params": poses, "lr": rate, "begin": preset.pose_begin, "betas": (0.99, 0.999)})
     first, second, epsilon = preset.adam
     return torch.optim.Adam(groups, betas=(first, second), eps=epsilon, fused=True)
 
@@ -96,7 +100,8 @@ def train_field(
             rung = at.iteration if extra is None else part.iterations  # stage 2 stays where the ladders ended
             scale, beta = rate_at(at.iteration, part, preset), beta_at(rung, part, preset)
             for group, rate in zip(optimiser.param_groups, first_rates):
-                group["lr"] = rate * scale
+                waits = at.iteration < group.get("begin", 0.0) * part.iterations
+                group["lr"] = 0.0 if waits else rate * scale
             open_levels(field, rung / part.iterations)
             chosen = choose_rays(frame_counts, preset, generator)
             u = torch.rand(preset.rays, generator=generator)

@@ -19,6 +19,7 @@ from train.objective import losses, ray_tensors
 from train.parts import part_boxes
 from train.preset import DEMO
 from train.rays import part_rays
+from train.refine import with_refined
 from train.single import single_part
 from train.surface import extract_surface
 from train.template import TemplateGrid, surface_cloud, template_grid, visible_faces
@@ -186,6 +187,26 @@ def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
     (out / "hand_left.pt").write_bytes(b"not a part")
     with pytest.raises(AssetError, match=r"hand_left\.pt: expected a trained part"):
         run_folder.read_run(out)
+
+
+def test_a_run_whose_poses_are_refined_says_so_and_keeps_them(capture, tmp_path, monkeypatch):
+    """They are aligned before training and learned with the field; the head's video has none."""
+    monkeypatch.setitem(__import__("train.preset").preset.PRESETS, "demo", TINY)
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    out = tmp_path / "run"
+    threads = torch.get_num_threads()
+    try:
+        assert main([str(capture.path), "-o", str(out), "--refine-poses", "on"]) == 0
+    finally:
+        torch.set_num_threads(threads)
+    run = run_folder.read_run(out)
+    assert run.provenance["parts"]["body"]["poses_learned_deg"] > 0
+    assert "poses_learned_deg" not in run.provenance["parts"]["head"]
+    assert set(run.provenance["refined"]) >= {"body", "hand_left", "hand_right"}
+    for name in ("body", "hand_left"):
+        video = with_refined(capture, out).videos[name]
+        assert np.abs(video.axis_angle[0] - capture.videos[name].axis_angle[0]).max() > 1e-4
+    assert run.field.field(0).poses is None
 
 
 class Hollow(FusedField):
