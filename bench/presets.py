@@ -28,10 +28,10 @@ from train.capture import PARTS, read_capture
 from train.distributed import ALONE
 from train.field import PartField
 from train.objective import RayTensors, beta_at, render_rays
+from train.part_job import PartJob, part_ready
 from train.prefit import fit_template
 from train.preset import PRESETS, PartPreset, Preset
 from train.register import similarity_from_landmarks
-from train.stages import PartJob, part_ready
 from train.trainer import peak_memory, train_field
 from train.workers import Tell
 

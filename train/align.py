@@ -3,12 +3,14 @@
 The template is the registered person, so its outline is known from the start. Per frame, with increments d of the
 joints' rotations (R_j exp d_j) and of the root, least squares of
 
-    sum over outline pixels  (n . (q - p(d)))^2 / s^2          p on the template's outline, q on the mask's, n normal
+    sum over outline pixels  (n . (q - p(d)) - e)^2 / s^2      p on the template's outline, q on the mask's, n normal
     + sum over samples       |I(p(d)) - mean colour|^2 / s_c^2  the same spot has one colour in all frames
     + |d from the given pose|^2 / s_prior^2
     + |second difference in time|^2 / s_smooth^2                people move smoothly; robust, jumps are let through
 
-is solved by Gauss-Newton for all frames at once: frames meet only in the last term, the system is banded.
+is solved by Gauss-Newton for all frames at once: frames meet only in the last term, the system is banded. After each
+round e, how far the person stands off the template there, becomes what the frames agree on: clothes, hair and masks
+that are all too large are no error of a pose.
 """
 
 from collections.abc import Callable
@@ -17,18 +19,18 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy import ndimage, signal
+from scipy import ndimage
 from scipy.linalg import solveh_banded
-from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
 
-from avatar.camera import Camera, project
+from avatar.camera import project
 from avatar.rasterise import Fragments, rasterise
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import PARENTS, joint_transforms, skin_transforms
-from avatar.skinning import SkinWeights, skin_points
+from avatar.skinning import skin_points
 from train.capture import PARTS, PartVideo, Subject
+from train.increments import increments_moved, metres_of_a_pixel, moving_joints, project_derivative
 from train.mesh import vertex_normals
+from train.outline import Outline, ShapeCells, placement
 
 Array = np.ndarray
 
@@ -46,138 +48,6 @@ class AlignSettings:
     doubt: float = 10.0  # outline pixels that have to agree before the shape is believed to be off
     rounds: int = 12
     colored: int = 5  # of them, the last ones use colours too
-
-
-def descends() -> Bool[Array, "52 52"]:
-    """[k, j]: joint k is j or hangs from it."""
-    out = np.eye(52, dtype=bool)
-    for k in range(1, 52):
-        out[k] |= out[PARENTS[k]]
-    return out
-
-
-DESCENDS = descends()
-
-
-def moving_joints(subject: Subject, part: int, video: PartVideo, *, least: float = 20.0) -> Int[Array, "m"]:
-    """Joints whose turning shows in the video: some vertex of the part moves `least` pixels a radian or more."""
-    assert video.axis_angle is not None and video.root is not None
-    chosen = np.ones(len(subject.rest), bool) if part == 0 else subject.part == part
-    skin = SkinWeights(subject.skin.joints[chosen], subject.skin.weights[chosen])
-    share = np.zeros((int(chosen.sum()), 52))
-    np.put_along_axis(share, skin.joints, skin.weights, 1)
-    moves = share @ DESCENDS  # how much of a vertex follows joint j
-    away = np.linalg.norm(subject.rest[chosen][:, None] - subject.joints, axis=2)
-    camera = video.cameras[0]
-    depth = max(float((camera.camera_from_world[:3] @ np.append(video.root[0], 1))[2]), 0.1)
-    return np.flatnonzero((moves * away).max(0) * camera.K[0, 0] / depth >= least)
-
-
-def increments_moved(
-    subject: Subject, vertices: Int[Array, "n"], G: Float[Array, "52 4 4"], B: Float[Array, "52 4 4"],
-    g: Float[Array, "n 3"], moving: Int[Array, "m"],
-) -> Float[Array, "n p"]:  # fmt: skip
-    """Derivative of g . x, x skinned template vertices, to the increments of the moving joints and of the root.
-
-        dx / dd_j = sum_k w_k [k hangs from j] (G_j e) x (B_k x - position of j)
-    """
-    joints, weights, points = subject.skin.joints[vertices], subject.skin.weights[vertices], subject.vertices[vertices]
-    placed = np.einsum("nkij,nj->nki", B[joints, :3, :3], points) + B[joints, :3, 3]
-    hangs = DESCENDS[joints][:, :, moving] * weights[:, :, None]  # n 4 m
-    arm = np.einsum("nkm,nki->nmi", hangs, placed) - hangs.sum(1)[:, :, None] * G[moving, :3, 3]
-    turn = np.cross(arm, g[:, None])  # (w x a) . g = w . (a x g)
-    turned = np.einsum("nmi,mij->nmj", turn, G[moving, :3, :3])
-    return np.concatenate([turned.reshape(len(points), -1), g], 1)
-
-
-def project_derivative(camera: Camera, points: Float[Array, "n 3"]) -> Float[Array, "n 2 3"]:
-    """Derivative of the pixel position to the world point; lens distortion left out."""
-    R = camera.camera_from_world[:3, :3]
-    x, y, z = (points @ R.T + camera.camera_from_world[:3, 3]).T
-    o = np.zeros_like(z)
-    fx, fy, skew = camera.K[0, 0], camera.K[1, 1], camera.K[0, 1]
-    rows = np.stack([np.stack([fx / z, skew / z, -(fx * x + skew * y) / z**2], 1),
-                     np.stack([o, fy / z, -fy * y / z**2], 1)], 1)  # fmt: skip
-    return rows @ R
-
-
-class Outline:
-    """Outline pixels of an area with their outward normals."""
-
-    def __init__(self, area: Bool[Array, "h w"]):
-        edge = area & ~np.asarray(ndimage.binary_erosion(area, border_value=1), bool)
-        smooth = ndimage.gaussian_filter(area.astype(np.float32), 1.5, mode="nearest")
-        slope = np.stack(np.gradient(smooth)[::-1], -1)
-        self.pixels = np.argwhere(edge)
-        self.at = self.pixels[:, ::-1] + 0.5  # x, y
-        n = -slope[self.pixels[:, 0], self.pixels[:, 1]]
-        self.normals = n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-6)
-
-    def nearest(self, other: "Outline", bend: float) -> tuple[Int[Array, "n"], Float[Array, "n"]]:
-        """For each pixel of ours the nearest of `other` with a like normal, and how far it is in pixels."""
-        # a k-d tree moves a split beside equal points to the next float; next to 0 that is a denormal, and where
-        # those are flushed (train.trainer.flushed_denormals) the tree would grow for ever: keep away from 0
-        far = 1e5
-        tree = KDTree(np.c_[other.at, bend * other.normals] + far)
-        index = np.asarray(tree.query(np.c_[self.at, bend * self.normals] + far)[1])
-        return index, np.linalg.norm(other.at[index] - self.at, axis=1)
-
-
-def placement(
-    template: Bool[Array, "H W"], mask: Bool[Array, "h w"], centre: Float[Array, "2"], near: float
-) -> tuple[float, Float[Array, "2"]]:
-    """The turn (radians) about `centre` and the shift (x, y; pixels) that cover the mask best with a silhouette.
-
-    The template is drawn on a canvas three times the image, the image in its middle. Counted are template
-    pixels on the mask less those beside it within the image; shifts are taxed by their square over `near`,
-    turns alike over 10 degrees. Half resolution is enough: outlines are what is matched afterwards.
-    """
-    h, w = mask[::2, ::2].shape
-    half, vote_of = template[::2, ::2].astype(np.float32), (2.0 * mask[::2, ::2] - 1)[::-1, ::-1]
-    best: tuple[float, float, Array] = (-np.inf, 0.0, np.zeros(2))
-    for degrees in (-16.0, -8.0, 0.0, 8.0, 16.0):
-        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-        back = np.array([[c, -s], [s, c]])  # of (row, column): output to input
-        middle = centre[::-1] / 2
-        turned = ndimage.affine_transform(half, back, offset=tuple(middle - back @ middle), order=0)  # pyright: ignore if degrees else half
-        vote = signal.fftconvolve(turned, vote_of, mode="valid")
-        dy, dx = h - np.arange(vote.shape[0])[:, None], w - np.arange(vote.shape[1])[None, :]
-        tax = 0.02 * (4 * (dy**2 + dx**2) / near**2 + (degrees / 10) ** 2)
-        taxed = vote / max(float(mask.sum()) / 4, 1.0) - tax
-        i, j = np.unravel_index(taxed.argmax(), vote.shape)
-        if taxed[i, j] > best[0]:
-            best = taxed[i, j], np.radians(degrees), 2.0 * np.array([w - j, h - i])
-    return best[1], best[2]
-
-
-class ShapeCells:
-    """Patches of the template: what all frames agree on there is the person's shape, no error of a pose.
-
-    Clothes and hair stand off the template; masks may be too large or small everywhere. Were the poses to answer for
-    that, each frame would move its own way.
-    """
-
-    def __init__(self, subject: Subject, size: float):
-        normals = vertex_normals(subject.vertices, subject.faces)
-        place = np.c_[subject.vertices / size, normals / 0.7]
-        _, first, self.cell = np.unique(np.round(place).astype(int), axis=0, return_index=True, return_inverse=True)
-        self.cell = self.cell.ravel()
-        count = np.bincount(self.cell)
-        middle = np.stack([np.bincount(self.cell, place[:, i]) / count for i in range(6)], 1)
-        self.near = np.exp(-0.5 * cdist(middle, middle, "sqeuclidean"))
-
-    def shared(self, vertex: Int[Array, "n"], value: Float[Array, "n"], doubt: float) -> Float[Array, "v"]:
-        """Of each vertex the mean of the values given around it, as if `doubt` more of them were zero."""
-        of = self.cell[vertex]
-        total, count = (np.bincount(of, w, minlength=len(self.near)) for w in (value, np.ones(len(value))))
-        return (self.near @ total / (self.near @ count + doubt))[self.cell]
-
-
-def metres_of_a_pixel(video: PartVideo) -> float:
-    """How large a pixel is at the person, middle frame."""
-    assert video.root is not None
-    sizes = [np.linalg.norm(root - camera.eye) / camera.K[0, 0] for root, camera in zip(video.root, video.cameras)]
-    return float(np.median(sizes))
 
 
 class Aligned(NamedTuple):
@@ -312,9 +182,10 @@ def _add_outline(
     if view.came.any():
         weight = weight * near[face]
     corner = subject.faces[face, 0]  # stands for the pixel: its derivative varies slowly over a face
-    pixels = np.linalg.norm(project_derivative(camera, view.posed[corner])[:, 0], axis=1)  # of a metre
+    moves = project_derivative(camera, view.posed[corner])
+    pixels = np.linalg.norm(moves[:, 0], axis=1)  # of a metre
     away, r = r / pixels, r - beyond[corner] * pixels
-    g = np.einsum("ni,nij->nj", n, project_derivative(camera, view.posed[corner]))
+    g = np.einsum("ni,nij->nj", n, moves)
     J = increments_moved(subject, corner, view.G, view.B, g, moving)
     H += (J * weight[:, None]).T @ J
     b += (J * weight[:, None]).T @ r

@@ -22,8 +22,8 @@ from avatar.rasterise import rasterise
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
-from train.align import project_derivative
 from train.capture import PartVideo, Subject
+from train.increments import project_derivative
 from train.register import Anchors
 
 Array = np.ndarray

@@ -23,8 +23,8 @@ from torch import Tensor, nn
 
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import joint_transforms, skin_transforms
-from train.align import DESCENDS, metres_of_a_pixel, moving_joints
 from train.capture import PARTS, PartVideo, Subject
+from train.increments import DESCENDS, metres_of_a_pixel, moving_joints
 
 Array = np.ndarray
 

@@ -1,98 +1,49 @@
 """The stages of a training run (TotalSelfScan, 3.4): parts first, each from its own video; then one person."""
 
 import io
-import json
 import os
 import platform
 import shutil
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
 
 from avatar.errors import AssetError
-from avatar.files import whole_file, whole_folder
+from avatar.files import whole_folder
 from avatar.progress import Progress, ProgressBoard
 from train import run as run_folder
-from train.capture import Capture, PartVideo, Subject, read_capture, read_subject, write_subject
-from train.checkpoint import Position
+from train.capture import Capture, read_capture, write_subject
 from train.compose import compose
 from train.distributed import Ranks, join_ranks
-from train.field import PartField
 from train.hull import with_hair
 from train.interrupt import prompt_stop
-from train.log import TrainingLog, tensorboard_installed
-from train.objective import RayTensors, StepReport, ray_tensors
-from train.parts import part_boxes
-from train.pose_correction import PoseCorrection
-from train.prefit import fit_template
-from train.preset import PartPreset, Preset
-from train.preview import Preview, part_preview
-from train.rays import part_rays
+from train.log import tensorboard_installed
+from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
+from train.preset import Preset
 from train.refine import (
     ROUNDS,
     RefineJob,
     copy_refined,
-    poses_refined,
     refine_capture,
     with_learned,
     with_refined,
-    write_learned,
 )
 from train.register import Registration, similarity_from_landmarks
 from train.rigid import with_rigid_head
 from train.session import Session, alone, capture_digest, digest_of, open_session
-from train.single import part_names, part_presets, show_as_in_the_body_video, single_rays, single_template
-from train.template import SurfaceCloud, neck_height, surface_cloud, template_grid, visible_faces
-from train.trainer import peak_memory, train_field
-from train.union import read_rays, write_rays
+from train.single import part_names, part_presets
+from train.trainer import peak_memory
+from train.union import read_rays
 from train.workers import Tell, run_jobs
 
 Array = np.ndarray
 
 AFTER = 0.2  # time of what follows stage 1, as a share of it, for the time left; demo on two cores
-
-
-@dataclass(frozen=True)
-class PartJob:
-    """What the training of one part is told; a worker process gets it whole."""
-
-    capture: str
-    index: int  # into PARTS
-    preset: Preset
-    canonical_from_head: Array
-    folder: str  # RUN.partial
-    device: str
-    seed: int
-    resume: bool
-    threads: int
-    save_every: float  # seconds between checkpoints
-    preview_every: int  # steps between previews; 0: none
-    ranks: Ranks
-
-    @property
-    def name(self) -> str:
-        """What files and reports call it."""
-        return part_names(self.preset)[self.index]
-
-    @property
-    def settings(self) -> PartPreset:
-        """The part's own numbers."""
-        return part_presets(self.preset)[self.index]
-
-
-class Ready(NamedTuple):
-    """A part before its first step."""
-
-    field: PartField
-    rays: RayTensors
-    flagged: float  # share of the rays left out as ambiguous
-    preview: Preview | None
 
 
 def train(
@@ -163,7 +114,7 @@ def _compose(
         rays = None if preset.single else read_rays(partial / "body.rays", torch.device(device))
         surface, tables, composition = compose(
             capture, fields, preset, landmarks, seed, seconds, _say, rays=rays, checkpoint=partial / "union.ckpt",
-            resume=session.resumed, report=lambda step, report: progress.update(step, _note(report)),
+            resume=session.resumed, report=lambda step, report: progress.update(step, step_note(report)),
         )  # fmt: skip
         if not preset.single:
             shutil.copyfile(partial / "body.pt", folder / "body_stage1.pt")
@@ -193,14 +144,14 @@ def _compose(
                 "canonical_pose": "hips opened 30 degrees about z (avatar.skeleton.BIG_POSE)",
                 "seconds": {name: round(value, 1) for name, value in seconds.items()},
                 "peak_memory_mb": {name: fact["peak_memory_mb"] for name, fact in facts.items()}
-                | {"composition": _megabytes(memory)},
+                | {"composition": megabytes(memory)},
                 "parts": facts,
                 "refined": refined,
                 **composition,
             },
         )
     shutil.rmtree(partial, ignore_errors=True)
-    _say(f"{out}: {len(surface.vertices)} surface vertices, {seconds['all']:.0f} s, {_memory_text(memory)}")
+    _say(f"{out}: {len(surface.vertices)} surface vertices, {seconds['all']:.0f} s, {memory_text(memory)}")
 
 
 def _register_landmarks(capture: Capture, say: Callable[[str], None]) -> Registration:
@@ -275,145 +226,6 @@ def _train_parts(
         return run_jobs(jobs, train_part, board, workers)
     finally:
         board.close()
-
-
-def train_part(job: PartJob, tell: Tell) -> dict:
-    """Train one part from its video and leave PART.pt and PART.ckpt; returns what run.json says of it."""
-    name, folder, preset, part_preset = job.name, Path(job.folder), job.preset, job.settings
-    checkpoint, done = folder / f"{name}.ckpt", folder / f"{name}.json"
-    if job.resume and done.exists():
-        return json.loads(done.read_text("utf-8"))
-    torch.set_num_threads(job.threads)
-    began, cpu = time.monotonic(), time.process_time()
-    capture = with_refined(read_capture(job.capture), folder)
-    capture = replace(capture, subject=read_subject(folder / "subject.npz", capture.subject.name))
-    torch.manual_seed(job.seed * 4 + job.index)
-    ready = (single_ready if preset.single else part_ready)(job, capture, tell)
-    field, rays, frames = ready.field, ready.rays, len(ready.field.appearance.weight)
-    if not preset.single and poses_refined(folder, name):
-        field.poses = PoseCorrection(capture.videos[name], capture.subject).to(rays.ends.device)
-    if preset.prefit and not (job.resume and checkpoint.exists()):
-        off = fit_template(field, preset.prefit, seed=job.seed)
-        tell.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
-    if name == "body" and job.ranks.writes:
-        write_rays(folder / "body.rays", rays)  # for stage 2 and Eq. 8
-    prepared = time.monotonic() - began
-    tell.say(
-        f"{name}: {len(rays.ends)} rays of {frames} frames, {ready.flagged:.1%} left out as ambiguous, "
-        f"prepared in {prepared:.0f} s"
-    )
-    last: dict[str, float] = {}
-
-    def report(iteration: int, step: StepReport) -> None:
-        last.update(vars(step))
-        tell.step(iteration, _note(step))
-
-    at = Position()
-    log = TrainingLog(folder / "logs", name) if job.ranks.writes else None
-    try:
-        train_field(
-            field, rays, part_preset, preset, seed=job.seed, checkpoint=checkpoint,
-            resume=job.resume, save_every=job.save_every, report=report, log=log, preview=ready.preview,
-            ranks=job.ranks, at=at,
-        )  # fmt: skip
-    finally:
-        if log is not None:
-            log.close()
-    memory = peak_memory(job.device)
-    facts = {
-        "rays": len(rays.ends),
-        "flagged": round(ready.flagged, 5),
-        "steps": part_preset.iterations,
-        "skipped": at.skipped,
-        "last": {key: round(value, 5) for key, value in last.items()},
-        "seconds": round(prepared + at.seconds, 1),
-        "seconds_preparing": round(prepared, 1),
-        "cpu_seconds": round(time.process_time() - cpu, 1),  # of the last sitting
-        "peak_memory_mb": _megabytes(memory),
-    }
-    if preset.single:
-        show_as_in_the_body_video(field, capture)
-    if field.poses is not None:
-        facts["poses_learned_deg"] = round(field.poses.degrees(), 3)
-        _keep_poses(job, field, rays, capture.videos[name])
-        tell.say(f"{name}: poses learned with the field, {facts['poses_learned_deg']:.2f} degrees from the aligned ones")
-    if job.ranks.writes:
-        run_folder.write_part(folder / f"{name}.pt", field.cpu())
-        with whole_file(done, "w") as file:  # from now on resuming passes this part by
-            json.dump(facts, file)
-    psnr = f"PSNR {last['psnr']:.1f} dB, " if last else ""
-    tell.say(
-        f"{name}: {part_preset.iterations} steps, {psnr}{at.skipped} skipped, {facts['seconds']:.0f} s, "
-        f"{_memory_text(memory)}"
-    )
-    return facts
-
-
-def _keep_poses(job: PartJob, field: PartField, rays: RayTensors, video: PartVideo) -> None:
-    """Write the poses that were learned, and the body's rays under them for stage 2; the field forgets them."""
-    assert field.poses is not None
-    poses, field.poses = field.poses, None
-    if not job.ranks.writes:
-        return
-    if job.name == "body":
-        ends = poses.moved(rays.ends, rays.frame, rays.row, rays.joints, rays.weights)
-        write_rays(Path(job.folder) / "body.rays", replace(rays, ends=ends))
-    write_learned(Path(job.folder), job.name, poses.corrected(video))
-
-
-def part_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
-    """A part's untrained field in its box, and the rays of its video."""
-    name, preset, settings, device = job.name, job.preset, job.settings, torch.device(job.device)
-    subject, part = capture.subject, part_boxes(capture.subject)[job.index]
-    canonical_from_head = job.canonical_from_head if name == "head" else None
-    video = capture.videos[name]
-    cloud = surface_cloud(subject, job.index, visible_faces(subject), settings.spacing)
-    template = template_grid(cloud, part.extent.low, part.extent.high, settings.cell,
-                             (subject, neck_height(subject)) if name == "head" else None)  # fmt: skip
-    field = run_folder.build_field(subject, job.index, settings, template, len(video.images)).to(device)
-    rays = part_rays(
-        video, subject, cloud, part, settings.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame,
-        canonical_from_head=canonical_from_head, rng=np.random.default_rng([job.seed, job.index]),
-        background=settings.background,
-    )  # fmt: skip
-    preview = _preview(job, video, subject, cloud, canonical_from_head)
-    return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, preview)
-
-
-def single_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
-    """The single network (ablation), untrained, and the rays of all four videos; its preview is the body's."""
-    device = torch.device(job.device)
-    frames = sum(len(video.images) for video in capture.videos.values())
-    rays, cloud, flagged = single_rays(capture, job.preset, job.canonical_from_head, job.seed, device)
-    template = single_template(capture, cloud, job.settings.cell)
-    field = run_folder.build_field(capture.subject, 0, job.settings, template, frames).to(device)
-    preview = _preview(job, capture.videos["body"], capture.subject, cloud, None)
-    return Ready(field, rays, flagged, preview)
-
-
-def _preview(
-    job: PartJob, video: PartVideo, subject: Subject, cloud: SurfaceCloud, canonical_from_head: Array | None
-) -> Preview | None:
-    if not (job.preview_every and job.ranks.writes):
-        return None
-    path = Path(job.folder) / "preview" / f"{job.name}.png"
-    return part_preview(path, video, subject, cloud, part_boxes(subject)[job.index], job.settings.band, job.preset,
-                        canonical_from_head, torch.device(job.device), job.preview_every)  # fmt: skip
-
-
-def _note(step: StepReport) -> str:
-    return (
-        f"loss {step.loss:.4f}  PSNR {step.psnr:.1f} dB  |grad| {step.slope:.2f}  "
-        f"T_nr {step.displacement * 1000:.1f} mm"
-    )
-
-
-def _megabytes(memory: int | None) -> int | None:
-    return None if memory is None else round(memory / 1e6)
-
-
-def _memory_text(memory: int | None) -> str:
-    return "peak memory unknown here" if memory is None else f"peak memory {memory / 1e9:.2f} GB"
 
 
 def _say(text: str) -> None:

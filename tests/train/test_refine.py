@@ -15,20 +15,12 @@ from avatar.rasterise import rasterise
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import skin_points
-from train.align import (
-    AlignSettings,
-    Outline,
-    ShapeCells,
-    _share_of_pixel,
-    align,
-    increments_moved,
-    moving_joints,
-    outline_offset,
-    placement,
-)
+from train.align import AlignSettings, _share_of_pixel, align, outline_offset
 from train.capture import read_capture
+from train.increments import increments_moved, moving_joints
 from train.masks import regrown
 from train.mesh import vertex_normals
+from train.outline import Outline, ShapeCells, placement
 from train.parts import part_boxes
 from train.preset import DEMO
 from train.preview import part_preview
