@@ -95,7 +95,8 @@ def main(argv: list[str]) -> int:
         "--refine-poses",
         choices=CHOICES,
         default="auto",
-        help="move noisy poses onto the masks first; auto: videos whose outlines do not meet (default: auto)",
+        help="move noisy poses onto the masks first, then learn what is left with the field; "
+        "auto: videos whose outlines do not meet (default: auto)",
     )
     parser.add_argument(
         "--single",
