@@ -87,7 +87,7 @@ def train_part(job: PartJob, tell: Tell) -> dict:
     torch.manual_seed(job.seed * 4 + job.index)
     ready = (single_ready if preset.single else part_ready)(job, capture, tell)
     field, rays, frames = ready.field, ready.rays, len(ready.field.appearance.weight)
-    if not preset.single and poses_refined(folder, name):
+    if not preset.single and poses_refined(folder, name):  # a single network's rays are of four videos: as aligned
         field.poses = PoseCorrection(capture.videos[name], capture.subject).to(rays.ends.device)
     if preset.prefit and not (job.resume and checkpoint.exists()):
         off = fit_template(field, preset.prefit, seed=job.seed)

@@ -17,6 +17,7 @@ from train.fused import FusedField
 from train.networks.triplane import TriPlaneNetworks
 from train.objective import losses, ray_tensors
 from train.parts import part_boxes
+from train.pose_correction import PoseCorrection
 from train.preset import DEMO
 from train.rays import part_rays
 from train.refine import with_refined
@@ -64,19 +65,30 @@ def test_cached_sections_begin_outside_the_template_and_the_hits_lie_on_it(captu
     assert len(rays.ends) > 100
 
 
-def test_resumed_training_equals_training_never_stopped(hand, tmp_path):
+@pytest.mark.parametrize("learns_poses", [False, True])
+def test_resumed_training_equals_training_never_stopped(capture, hand, tmp_path, learns_poses):
     build, rays = hand
+    preset = replace(TINY, pose_begin=0.0)
+
+    def field():
+        built = build()
+        if learns_poses:
+            built.poses = PoseCorrection(capture.videos["hand_left"], capture.subject)
+        return built
+
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        whole, halves, again = build(), build(), build()
-        train_field(whole, rays, TINY.parts[2], TINY, seed=3)
+        whole, halves, again = field(), field(), field()
+        train_field(whole, rays, TINY.parts[2], preset, seed=3)
         path = tmp_path / "half.ckpt"
-        train_field(halves, rays, TINY.parts[2], TINY, seed=3, checkpoint=path, stop_after=3)
-        train_field(again, rays, TINY.parts[2], TINY, seed=3, checkpoint=path, resume=True)
+        train_field(halves, rays, TINY.parts[2], preset, seed=3, checkpoint=path, stop_after=3)
+        train_field(again, rays, TINY.parts[2], preset, seed=3, checkpoint=path, resume=True)
     finally:
         torch.set_num_threads(threads)
-    for name, value in whole.state_dict().items():
+    state = whole.state_dict()
+    assert ("poses.increments" in state) == learns_poses
+    for name, value in state.items():
         assert torch.equal(value, again.state_dict()[name]), name
 
 
