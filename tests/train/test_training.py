@@ -54,6 +54,18 @@ def hand(capture):
     return field, ray_tensors(rays, cloud, torch.device("cpu"))
 
 
+def tiny_run(capture, out, monkeypatch, *options):
+    """What `selfscan train` with these options leaves, parts trained one after the other in this process."""
+    monkeypatch.setitem(__import__("train.preset").preset.PRESETS, "demo", TINY)
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    threads = torch.get_num_threads()
+    try:
+        assert main([str(capture.path), "-o", str(out), *options]) == 0
+    finally:
+        torch.set_num_threads(threads)
+    return run_folder.read_run(out)
+
+
 def test_cached_sections_begin_outside_the_template_and_the_hits_lie_on_it(capture, hand):
     build, rays = hand
     field = build()
@@ -173,15 +185,7 @@ def test_displaced_knots_cover_every_end(hand):
 
 
 def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("train.preset").preset.PRESETS, "demo", TINY)
-    monkeypatch.setattr("os.cpu_count", lambda: 1)  # parts one after the other, in this process
-    out = tmp_path / "run"
-    threads = torch.get_num_threads()
-    try:
-        assert main([str(capture.path), "-o", str(out), "--seed", "1"]) == 0
-    finally:
-        torch.set_num_threads(threads)
-    run = run_folder.read_run(out)
+    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--seed", "1")
     points = torch.as_tensor(run.surface.vertices, dtype=torch.float32)
     assert run.field.distance(points).abs().quantile(0.95) < 0.003
     torch.testing.assert_close(run.field.shares(points).sum(1), torch.ones(len(points)))
@@ -194,29 +198,21 @@ def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
     assert not (tmp_path / "run.partial").exists()
     assert run.provenance["body_licence"] == "a licence of the body's own"
     assert run.provenance["subject_licence"] == "not stated by the capture"
-    assert (out / "preview" / "head.png").exists() and (out / "logs" / "hand_left.csv").exists()
+    assert (run.path / "preview" / "head.png").exists() and (run.path / "logs" / "hand_left.csv").exists()
 
-    (out / "hand_left.pt").write_bytes(b"not a part")
+    (run.path / "hand_left.pt").write_bytes(b"not a part")
     with pytest.raises(AssetError, match=r"hand_left\.pt: expected a trained part"):
-        run_folder.read_run(out)
+        run_folder.read_run(run.path)
 
 
 def test_a_run_whose_poses_are_refined_says_so_and_keeps_them(capture, tmp_path, monkeypatch):
     """They are aligned before training and learned with the field; the head's video has none."""
-    monkeypatch.setitem(__import__("train.preset").preset.PRESETS, "demo", TINY)
-    monkeypatch.setattr("os.cpu_count", lambda: 1)
-    out = tmp_path / "run"
-    threads = torch.get_num_threads()
-    try:
-        assert main([str(capture.path), "-o", str(out), "--refine-poses", "on"]) == 0
-    finally:
-        torch.set_num_threads(threads)
-    run = run_folder.read_run(out)
+    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--refine-poses", "on")
     assert run.provenance["parts"]["body"]["poses_learned_deg"] > 0
     assert "poses_learned_deg" not in run.provenance["parts"]["head"]
     assert set(run.provenance["refined"]) >= {"body", "hand_left", "hand_right"}
     for name in ("body", "hand_left"):
-        video = with_refined(capture, out).videos[name]
+        video = with_refined(capture, run.path).videos[name]
         assert np.abs(video.axis_angle[0] - capture.videos[name].axis_angle[0]).max() > 1e-4
     assert run.field.field(0).poses is None
 
@@ -261,15 +257,7 @@ def test_a_capture_without_a_field_is_refused_by_name(capture, tmp_path):
 
 
 def test_a_single_network_has_the_parameters_rays_and_steps_of_the_four_parts(capture, tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("train.preset").preset.PRESETS, "demo", TINY)
-    monkeypatch.setattr("os.cpu_count", lambda: 1)
-    out = tmp_path / "run"
-    threads = torch.get_num_threads()
-    try:
-        assert main([str(capture.path), "-o", str(out), "--single", "--preview", "0"]) == 0
-    finally:
-        torch.set_num_threads(threads)
-    run = run_folder.read_run(out)
+    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--single", "--preview", "0")
     assert len(run.field.fields) == 1 and run.provenance["parts"]["single"]["steps"] == 4 * 6
     field = run.field.field(0)
     assert len(field.appearance.weight) == sum(len(video.images) for video in capture.videos.values())
