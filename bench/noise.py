@@ -2,7 +2,7 @@
 
 `python -m bench.noise OUT --capture CAP` copies the capture with noise added, trains each copy and scores the run
 on the held-out pictures of the capture itself, whose poses are exact. Every step leaves a file in OUT; what is
-there already is not done again. OUT/noise.json and OUT/noise.md say how many dB each noise costs.
+there already is not done again. OUT/noise.json and OUT/noise.md say how many dB each noise costs, of all rows in OUT.
 """
 
 import argparse
@@ -25,6 +25,7 @@ from train.capture import PARTS
 
 ALLOWED = 0.5  # dB that a noise may cost with refinement on
 REGIONS = ("total", "head", "hands")
+CHOICES = ("off", "auto", "on")  # of refinement
 
 
 @dataclass(frozen=True)
@@ -91,11 +92,10 @@ def _regrow(path: Path, grow: int) -> None:
     Image.fromarray(255 * np.asarray(changed, np.uint8)).save(path)
 
 
-def run_rows(
+def make_rows(
     out: Path, capture: Path, names: list[str], refine: list[str], *, seed: int, poses: int | None, extra: list[str]
-) -> list[dict]:  # fmt: skip
-    """Train and score every noise with every choice of refinement; done ones are read."""
-    rows = []
+) -> None:  # fmt: skip
+    """Train and score every noise with every choice of refinement, those not done before."""
     for noise in (n for n in NOISES if n.name in names):
         given = out / f"capture_{noise.name}"
         for choice in refine:
@@ -110,8 +110,18 @@ def run_rows(
                     )
                 few = [] if poses is None else ["--poses", poses]
                 _selfscan("eval", run, capture, "--json", score, *few)
-            quality = json.loads(score.read_text("utf-8"))
-            rows.append({"noise": noise.name, "says": noise.says, "refine": choice, **numbers(quality)})
+
+
+def rows_in(out: Path) -> list[dict]:
+    """All rows that were scored in OUT."""
+    rows = []
+    for noise in NOISES:
+        for choice in CHOICES:
+            score = out / f"{noise.name}_{choice}.json"
+            if score.exists():
+                quality = json.loads(score.read_text("utf-8"))
+                commit = quality.get("machine", {}).get("commit")
+                rows.append({"noise": noise.name, "says": noise.says, "refine": choice, "commit": commit, **numbers(quality)})
     return rows
 
 
@@ -143,15 +153,15 @@ def markdown(rows: list[dict], command: str) -> str:
         f"Novel-pose PSNR (dB) and, in brackets, dB lost against the capture as it is. Allowed: {ALLOWED} dB.",
         f"Command: `{command}`",
         "",
-        "| noise | refinement | total | head | hands | P2S cm | met |",
-        "|---|---|---|---|---|---|---|",
+        "| noise | refinement | total | head | hands | P2S cm | met | commit |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         cells = [f"{row[name]:.2f} ({row.get(f'{name}_lost', 0):+.2f})" if row[name] is not None else "-"
                  for name in REGIONS]  # fmt: skip
         met = {True: "yes", False: "no", None: ""}[row.get("met")]
         p2s = "-" if row["p2s_cm"] is None else f"{row['p2s_cm']:.3f}"
-        lines.append(f"| {row['says']} | {row['refine']} | {' | '.join(cells)} | {p2s} | {met} |")
+        lines.append(f"| {row['says']} | {row['refine']} | {' | '.join(cells)} | {p2s} | {met} | {row.get('commit') or ''} |")
     return "\n".join(lines) + "\n"
 
 
@@ -177,7 +187,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--noise", nargs="+", choices=[n.name for n in NOISES], default=[n.name for n in NOISES]
     )
-    parser.add_argument("--refine", nargs="+", choices=["off", "on", "auto"], default=["off", "auto"])
+    parser.add_argument("--refine", nargs="+", choices=CHOICES, default=["off", "auto"])
     parser.add_argument("--poses", type=int, help="score only that many poses of each held-out set")
     parser.add_argument("--iterations", type=int, help="steps per part, instead of the preset's")
     parser.add_argument("--seed", type=int, default=0)
@@ -186,8 +196,9 @@ def main(argv: list[str]) -> int:
         raise AssetError(f"{options.capture}: expected a capture with truth/, made by `selfscan synth`")
     options.out.mkdir(parents=True, exist_ok=True)
     extra = [] if options.iterations is None else ["--iterations", str(options.iterations)]
-    rows = lost(run_rows(options.out, options.capture, options.noise, options.refine, seed=options.seed,
-                         poses=options.poses, extra=extra))  # fmt: skip
+    make_rows(options.out, options.capture, options.noise, options.refine, seed=options.seed, poses=options.poses,
+              extra=extra)  # fmt: skip
+    rows = lost(rows_in(options.out))
     text = markdown(rows, "python -m bench.noise " + " ".join(argv))
     _write(options.out / "noise.json", json.dumps({"format": "selfscan-noise", "rows": rows}, indent=1))
     _write(options.out / "noise.md", text)
