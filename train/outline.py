@@ -4,12 +4,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage, signal
 from scipy.spatial import KDTree
-from scipy.spatial.distance import cdist
 
 from train.capture import Subject
 from train.mesh import vertex_normals
 
 Array = np.ndarray
+
+REACH = 3.5  # standard deviations, from where on patches of the surface know nothing of each other
 
 
 class Outline:
@@ -72,14 +73,15 @@ class ShapeCells:
     def __init__(self, subject: Subject, size: float):
         normals = vertex_normals(subject.vertices, subject.faces)
         place = np.c_[subject.vertices / size, normals / 0.7]
-        _, first, self.cell = np.unique(np.round(place).astype(int), axis=0, return_index=True, return_inverse=True)
+        _, self.cell = np.unique(np.round(place).astype(int), axis=0, return_inverse=True)
         self.cell = self.cell.ravel()
         count = np.bincount(self.cell)
-        middle = np.stack([np.bincount(self.cell, place[:, i]) / count for i in range(6)], 1)
-        self.near = np.exp(-0.5 * cdist(middle, middle, "sqeuclidean"))
+        tree = KDTree(np.stack([np.bincount(self.cell, place[:, i]) / count for i in range(6)], 1))
+        self.near = tree.sparse_distance_matrix(tree, REACH, output_type="coo_matrix").tocsr()
+        self.near.data = np.exp(-0.5 * self.near.data**2)
 
     def shared(self, vertex: Int[Array, "n"], value: Float[Array, "n"], doubt: float) -> Float[Array, "v"]:
         """Of each vertex the mean of the values given around it, as if `doubt` more of them were zero."""
         of = self.cell[vertex]
-        total, count = (np.bincount(of, w, minlength=len(self.near)) for w in (value, np.ones(len(value))))
+        total, count = (np.bincount(of, w, minlength=self.near.shape[0]) for w in (value, np.ones(len(value))))
         return (self.near @ total / (self.near @ count + doubt))[self.cell]

@@ -23,11 +23,7 @@ from train.prefit import fit_template
 from train.preset import PartPreset, Preset
 from train.preview import Preview, part_preview
 from train.rays import part_rays
-from train.refine import (
-    poses_refined,
-    with_refined,
-    write_learned,
-)
+from train.refine import poses_refined, with_refined, write_learned
 from train.single import part_names, part_presets, show_as_in_the_body_video, single_rays, single_template
 from train.template import SurfaceCloud, neck_height, surface_cloud, template_grid, visible_faces
 from train.trainer import peak_memory, train_field

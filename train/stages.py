@@ -25,14 +25,7 @@ from train.interrupt import prompt_stop
 from train.log import tensorboard_installed
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
 from train.preset import Preset
-from train.refine import (
-    ROUNDS,
-    RefineJob,
-    copy_refined,
-    refine_capture,
-    with_learned,
-    with_refined,
-)
+from train.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
 from train.register import Registration, similarity_from_landmarks
 from train.rigid import with_rigid_head
 from train.session import Session, alone, capture_digest, digest_of, open_session
