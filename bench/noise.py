@@ -139,9 +139,10 @@ def lost(rows: list[dict]) -> list[dict]:
         return rows
     out = []
     for row in rows:
-        losses = {f"{name}_lost": round(reference[name] - row[name], 2) for name in REGIONS
+        losses = {f"{name}_lost": reference[name] - row[name] for name in REGIONS
                   if reference[name] is not None and row[name] is not None}  # fmt: skip
-        out.append(row | losses | {"met": all(value < ALLOWED for value in losses.values())})
+        met = all(value < ALLOWED for value in losses.values())
+        out.append(row | {name: round(value, 3) for name, value in losses.items()} | {"met": met})
     return out
 
 
@@ -157,7 +158,7 @@ def markdown(rows: list[dict], command: str) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
-        cells = [f"{row[name]:.2f} ({row.get(f'{name}_lost', 0):+.2f})" if row[name] is not None else "-"
+        cells = [f"{row[name]:.2f} ({row.get(f'{name}_lost', 0):+.3f})" if row[name] is not None else "-"
                  for name in REGIONS]  # fmt: skip
         met = {True: "yes", False: "no", None: ""}[row.get("met")]
         p2s = "-" if row["p2s_cm"] is None else f"{row['p2s_cm']:.3f}"

@@ -63,4 +63,4 @@ def test_the_page_holds_every_row_that_was_scored_and_judges_it_against_the_clea
     assert rows["poses", "auto"]["total_lost"] == 0.4 and rows["poses", "auto"]["met"]
     assert rows["poses", "off"]["hands_lost"] == 7.2 and not rows["poses", "off"]["met"]
     page = markdown(list(rows.values()), "python -m bench.noise out")
-    assert "| 2 degrees of pose noise | auto | 28.20 (+0.40) | 25.40 (+0.40) | 24.70 (+0.20) | 0.200 | yes | abc1234 |" in page
+    assert "| 2 degrees of pose noise | auto | 28.20 (+0.400) | 25.40 (+0.400) | 24.70 (+0.200) | 0.200 | yes | abc1234 |" in page
