@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
+from scipy import ndimage
 from skimage.segmentation import random_walker
 
 from avatar.rasterise import rasterise
@@ -27,6 +28,7 @@ Array = np.ndarray
 BELIEVED = 0.9  # pixels of an image 256 high: masks that are off by less are believed (clean ones: .1 to .5)
 MEASURED_AGAIN = 2
 MARGIN = 1.0  # pixels beyond the expected edge from where a pixel is surely on its side
+CONTRAST = 130.0  # beta of the random walk: how little it likes to cross edges of colour, at the picture's deviation
 UNSURE = 0.25  # probabilities of being the person within this of a half supervise nothing
 
 
@@ -89,12 +91,19 @@ def edge_by_colors(
     if not (person.any() and beside.any()):
         grown = away < -pixels
         return grown, np.abs(away + pixels) < MARGIN
+    labels = np.where(person, 1, np.where(beside, 2, 0))
+    near = np.asarray(ndimage.binary_dilation(labels == 0, iterations=2), bool)  # farther seeds decide nothing
+    window = ndimage.find_objects(near.astype(int))[0]
+    colors = image / 255.0
+    beta = CONTRAST * colors[window].std() / max(colors.std(), 1e-6)  # what is walked on is scaled by the deviation of its colours
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a pixel that no seed reaches keeps probability 0 of either: unsure
-        probability = random_walker(
-            image.astype(np.float64) / 255, np.where(person, 1, np.where(beside, 2, 0)), beta=130, mode="cg_j",
-            tol=1e-3, return_full_prob=True, channel_axis=-1,
+        walked = random_walker(
+            colors[window], np.where(near, labels, -1)[window], beta=beta, mode="cg_j", tol=1e-3,
+            return_full_prob=True, channel_axis=-1,
         )  # fmt: skip
+    probability = np.stack([person, beside]).astype(float)
+    probability[(slice(None), *window)][:, near[window]] = walked[:, near[window]]
     share = probability[0] / np.maximum(probability.sum(0), 1e-9)
     share = np.where(probability.sum(0) > 1e-6, share, 0.5)
     found = share > 0.5

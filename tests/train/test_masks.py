@@ -85,3 +85,13 @@ def test_a_mask_without_an_edge_stays_as_it_is(full):
     mask = np.full((20, 20), full)
     found, unsure = edge_by_colors(np.zeros((20, 20, 3), np.uint8), mask, -2.0, np.zeros_like(mask))
     assert np.array_equal(found, mask) and not unsure.any()
+
+
+@pytest.mark.parametrize("value", [0, 200])
+def test_a_picture_of_one_colour_leaves_the_rim_unsure_and_the_mask_as_it_was_told(value):
+    person = np.zeros((40, 40), bool)
+    person[12:28, 12:28] = True
+    found, unsure = edge_by_colors(np.full((40, 40, 3), value, np.uint8), person, -2.0, np.zeros_like(person))
+    away = signed_pixels(person[None])[0]
+    assert found[person].all() and not (found | unsure)[away > 3].any()
+    assert unsure.any() and (away[found] < 2.5).all()
