@@ -11,7 +11,9 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import skin_transforms
 from train import run as run_folder
 from train.capture import PARTS, read_capture
+from train.distributed import Ranks
 from train.objective import losses, ray_tensors
+from train.part_job import PartJob, _keep_poses
 from train.parts import part_boxes
 from train.pose_correction import PoseCorrection
 from train.preset import DEMO
@@ -19,6 +21,7 @@ from train.rays import part_rays
 from train.refine import copy_refined, poses_refined, refined_path, with_learned, with_refined, write_learned
 from train.template import surface_cloud, template_grid, visible_faces
 from train.trainer import train_field
+from train.union import read_rays
 
 ONE = torch.tensor([1.0, 0, 0, 0])  # weights: the first bone alone
 
@@ -179,3 +182,18 @@ def test_a_run_holds_the_poses_that_training_ended_with_and_going_on_those_it_be
     np.testing.assert_array_equal(final.videos["body"].root, ended.root)
     assert sorted(path.name for path in run.iterdir()) == ["refined_body.npz", "refined_head.npz"]
     assert set(PARTS) == set(final.videos)
+
+
+def test_after_the_body_stage_2_gets_the_rays_of_the_poses_that_were_learned(capture, tmp_path):
+    """And composition their poses; the field itself forgets them, so that PART.pt is as of any other training."""
+    video, subject = capture.videos["body"], capture.subject
+    field, rays = hand(capture)  # which rays they are does not matter
+    poses = field.poses = planted(video, subject, 0.5)
+    job = PartJob(str(capture.path), 0, DEMO, np.eye(4), str(tmp_path), "cpu", 0, False, 1, 120.0, 0, Ranks())
+    _keep_poses(job, field, rays, video)
+    assert field.poses is None
+    kept = read_rays(tmp_path / "body.rays", torch.device("cpu"))
+    assert torch.equal(kept.ends, poses.moved(rays.ends, rays.frame, rays.row, rays.joints, rays.weights))
+    assert not torch.equal(kept.ends, rays.ends) and torch.equal(kept.color, rays.color)
+    composed = with_learned(capture, tmp_path).videos["body"]
+    np.testing.assert_array_equal(composed.axis_angle, poses.corrected(video).axis_angle)
