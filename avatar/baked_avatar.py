@@ -22,17 +22,19 @@ class Level:
 
     positions: Float32[np.ndarray, "vertices 3"]  # canonical, metres
     normals: Float32[np.ndarray, "vertices 3"]  # canonical, unit
-    uv: Float32[np.ndarray, "vertices 2"]  # as in glTF: v downwards, (0, 0) the image's top left corner
+    # as in glTF: v downwards, (0, 0) the image's top left corner
+    uv: Float32[np.ndarray, "vertices 2"]
     faces: UInt32[np.ndarray, "faces 3"]
     joints: UInt8[np.ndarray, "vertices 4"]
     weights: UInt8[np.ndarray, "vertices 4"]  # rows sum to 255
-    view_dir: Float32[
-        np.ndarray, "vertices 3"
-    ]  # global view direction (Eq. 14), canonical, camera to surface, unit
-    view_q: Float32[np.ndarray, "vertices 6"]  # Q as xx, xy, xz, yy, yz, zz; positive semi-definite
-    view_seen: Float32[np.ndarray, " vertices"]  # v in [0, 1], 0 where no camera looked
+    view_dir: Float32[np.ndarray, "vertices 3"]  # global view direction (Eq. 14), canonical, camera to surface, unit
+    # Q as xx, xy, xz, yy, yz, zz; positive semi-definite
+    view_q: Float32[np.ndarray, "vertices 6"]
+    # v in [0, 1], 0 where no camera looked
+    view_seen: Float32[np.ndarray, " vertices"]
     base_color: UInt8[np.ndarray, "height width 3"]  # sRGB
-    features: UInt8[np.ndarray, "feature_height feature_width planes"] | None  # 4 or 8, linear, f = value / 255
+    # 4 or 8, linear, f = value / 255
+    features: UInt8[np.ndarray, "feature_height feature_width planes"] | None
 
 
 @dataclass(frozen=True)
@@ -68,16 +70,21 @@ class Avatar:
 
     name: str
     joint_positions: Float[np.ndarray, "52 3"]  # pose 0, pelvis at the origin, metres
-    canonical_pose: Float[np.ndarray, "52 3"]  # axis-angle, the pose that the levels are stored in
+    # axis-angle, the pose that the levels are stored in
+    canonical_pose: Float[np.ndarray, "52 3"]
     levels: tuple[Level, ...]  # finest first
-    network: ViewNetwork | None  # colour = clamp(base + A |t'| y / (1 + |y|))
+    # colour = clamp(base + A |t'| y / (1 + |y|))
+    network: ViewNetwork | None
     linear: Float32[np.ndarray, "features 3 3"] | None  # colour = clamp(base + (sum_i f_i M_i) t')
-    amplitude: float  # A, the largest change of colour per unit of |t'|
+    # A, the largest change of colour per unit of |t'|
+    amplitude: float
     default_view: Literal["network", "linear", "off"]
-    provenance: dict[str, Any]  # preset, data, body licence, measured accuracy ...: anything JSON holds
+    # preset, data, body licence, measured accuracy ...: anything JSON holds
+    provenance: dict[str, Any]
 
 
-LEVEL_ARRAYS = {  # field: dtype and shape, -1 for any size
+# field: dtype and shape, -1 for any size
+LEVEL_ARRAYS = {
     "positions": ("float32", (-1, 3)),
     "normals": ("float32", (-1, 3)),
     "uv": ("float32", (-1, 2)),
@@ -180,9 +187,7 @@ def check_avatar(avatar: Avatar) -> None:
         raise ValueError(f"default_view should be one of {VIEW_MODES}, is {avatar.default_view!r}")
     if avatar.default_view != "off":
         if getattr(avatar, avatar.default_view) is None:
-            raise ValueError(
-                f"default_view is {avatar.default_view!r}, but the avatar has no {avatar.default_view}"
-            )
+            raise ValueError(f"default_view is {avatar.default_view!r}, but the avatar has no {avatar.default_view}")
         if avatar.levels[0].features is None:
             raise ValueError(f"default_view is {avatar.default_view!r}, but levels[0] has no features")
 

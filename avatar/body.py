@@ -40,8 +40,10 @@ class Body:
     uv_faces: Int[Array, "faces 3"] | None
     pose_directions: Float[Array, "vertices 3 459"] | None  # against R - I of joints 1-51, row-major
     licence: str
-    origin: Float[Array, "3"]  # where the file puts the pelvis joint: added to AMASS trans
-    hands: HandSpace | None = None  # merged SMPL+H models have it
+    # where the file puts the pelvis joint: added to AMASS trans
+    origin: Float[Array, "3"]
+    # merged SMPL+H models have it
+    hands: HandSpace | None = None
 
 
 @cache
@@ -64,9 +66,7 @@ def shaped(body: Body, betas: Float[Array, "n"]) -> Body:
         raise ValueError(f"{count} shape coefficients, but {body.name} has {body.shape_directions.shape[2]}")
     vertices = body.vertices + body.shape_directions[:, :, :count] @ betas
     joints = body.joints + body.joint_directions[:, :, :count] @ betas
-    return replace(
-        body, vertices=vertices - joints[0], joints=joints - joints[0], origin=body.origin + joints[0]
-    )
+    return replace(body, vertices=vertices - joints[0], joints=joints - joints[0], origin=body.origin + joints[0])
 
 
 def read_body(path: Path | str) -> Body:
@@ -84,9 +84,7 @@ def read_body(path: Path | str) -> Body:
     count = len(vertices)
     faces = _field(path, fields, "f", (None, 3)).astype(np.int64)
     if faces.min() < 0 or faces.max() >= count:
-        raise AssetError(
-            f"{path}: f should index {count} vertices, holds {int(faces.min())}..{int(faces.max())}"
-        )
+        raise AssetError(f"{path}: f should index {count} vertices, holds {int(faces.min())}..{int(faces.max())}")
     weights = _field(path, fields, "weights", (count, 52))
     try:
         skin = strongest_four(weights)
@@ -119,9 +117,23 @@ def read_body(path: Path | str) -> Body:
         uv_faces = _field(path, fields, "ft", (len(faces), 3)).astype(np.int64)
     pose = _field(path, fields, "posedirs", (count, 3, 459)) if "posedirs" in fields else None
     if pose is not None and not pose.any():
-        pose = None  # a body that has no pose correctives stores zeros to keep the format
-    return Body(path.stem, vertices - joints[0], faces, skin, joints - joints[0], shapes, joint_directions, uv, uv_faces,
-                pose, "the licence of your own model file", joints[0], _hand_space(path, fields))  # fmt: skip
+        # a body that has no pose correctives stores zeros to keep the format
+        pose = None
+    return Body(
+        path.stem,
+        vertices - joints[0],
+        faces,
+        skin,
+        joints - joints[0],
+        shapes,
+        joint_directions,
+        uv,
+        uv_faces,
+        pose,
+        "the licence of your own model file",
+        joints[0],
+        _hand_space(path, fields),
+    )
 
 
 def _model_fields(path: Path) -> dict[str, Array]:
@@ -130,9 +142,7 @@ def _model_fields(path: Path) -> dict[str, Array]:
         return read_npz(path, "an SMPL+H model")
     content = read_pickle(path, "an SMPL+H model")
     if type(content) is not dict or not all(isinstance(name, str) for name in content):
-        raise AssetError(
-            f"{path}: expected an SMPL+H model, a dict of arrays, found a {type(content).__name__}"
-        )
+        raise AssetError(f"{path}: expected an SMPL+H model, a dict of arrays, found a {type(content).__name__}")
     return {name: value for name, value in content.items() if isinstance(value, Array)}
 
 
@@ -143,9 +153,7 @@ def _hand_space(path: Path, fields: dict[str, Array]) -> HandSpace | None:
     mean = np.stack([_field(path, fields, name, (45,)) for name in names[:2]])
     left, right = (_field(path, fields, name, (None, 45)) for name in names[2:])
     if len(left) != len(right):
-        raise AssetError(
-            f"{path}: hands_componentsr should be {left.shape} as hands_componentsl, is {right.shape}"
-        )
+        raise AssetError(f"{path}: hands_componentsr should be {left.shape} as hands_componentsl, is {right.shape}")
     return HandSpace(mean, np.stack([left, right]))
 
 
@@ -155,12 +163,11 @@ def _field(path: Path, fields: dict[str, Array], name: str, shape: tuple[int | N
     array = fields[name]
     if array.dtype.kind not in "fiu":
         raise AssetError(f"{path}: {name} should be numbers, is {array.dtype}")
-    if array.ndim != len(shape) or any(
-        want is not None and want != have for want, have in zip(shape, array.shape)
-    ):
+    if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, array.shape)):
         expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
         raise AssetError(f"{path}: {name} should be {expected}, is {array.shape}")
-    array = array.astype(np.float64) if name != "posedirs" else array  # posedirs are 74 MB as they are
+    # posedirs are 74 MB as they are
+    array = array.astype(np.float64) if name != "posedirs" else array
     if not np.isfinite(array).all():
         raise AssetError(
             f"{path}: {name} is not finite, first at {tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])}"

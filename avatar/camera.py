@@ -73,9 +73,7 @@ def orbit_camera(
     fov: float | int = 0.61,  # radians; 35 degrees
 ) -> Camera:
     """Camera on a sphere round `target`; azimuth 0 looks at the chest (from +z), growing towards +x; radians."""
-    direction = np.array(
-        [np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)]
-    )
+    direction = np.array([np.sin(azimuth) * np.cos(elevation), np.sin(elevation), np.cos(azimuth) * np.cos(elevation)])
     target = np.asarray(target, np.float64)
     return Camera(pinhole(size, fov), look_at(target + distance * direction, target), size)
 
@@ -106,7 +104,8 @@ def pixel_rays(
     K = camera.K
     y = (pixels[:, 1] - K[1, 2]) / K[1, 1]
     x = (pixels[:, 0] - K[0, 2] - K[0, 1] * y) / K[0, 0]
-    if camera.distortion.any():  # fixed-point inverse of the distortion; contracts for every lens one can buy
+    # fixed-point inverse of the distortion; contracts for every lens one can buy
+    if camera.distortion.any():
         x0, y0 = x, y
         for _ in range(20):
             dx, dy = _distorted(x, y, camera.distortion)
@@ -205,9 +204,7 @@ def read_cameras(path: Path | str) -> list[Camera]:
     if not len(K) == len(pose) == len(distortion) or len(K) == 0:
         found = f"{len(K)}, {len(pose)}, {len(distortion)}"
         raise AssetError(f"{path}: K, camera_from_world and distortion should be equally many, are {found}")
-    return [
-        checked_camera(f"{path}, camera {i}", K[i], pose[i], fields["size"], distortion[i]) for i in range(len(K))
-    ]
+    return [checked_camera(f"{path}, camera {i}", K[i], pose[i], fields["size"], distortion[i]) for i in range(len(K))]
 
 
 def checked_camera(place: str, K: object, pose: object, size: object, distortion: object) -> Camera:
@@ -222,13 +219,9 @@ def checked_camera(place: str, K: object, pose: object, size: object, distortion
         try:
             array = np.asarray(value, np.float64)
         except (TypeError, ValueError):
-            raise AssetError(
-                f"{place}: {name} should be numbers of shape {shape}, is {str(value)[:60]}"
-            ) from None
+            raise AssetError(f"{place}: {name} should be numbers of shape {shape}, is {str(value)[:60]}") from None
         if array.shape != shape or not np.isfinite(array).all():
-            raise AssetError(
-                f"{place}: {name} should be finite and of shape {shape}, is {str(array.tolist())[:60]}"
-            )
+            raise AssetError(f"{place}: {name} should be finite and of shape {shape}, is {str(array.tolist())[:60]}")
         arrays[name] = array
     K_, pose_, size_ = arrays["K"], arrays["camera_from_world"], arrays["size"]
     if not (K_[0, 0] > 0 and K_[1, 1] > 0):

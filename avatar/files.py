@@ -55,9 +55,7 @@ def whole_folder(path: Path | str) -> Iterator[Path]:
     if path.exists() and not path.is_dir():
         raise AssetError(f"{path}: expected a folder or nothing, found a file")
     if path.is_dir() and any(path.iterdir()) and not (path / mark).exists():
-        raise AssetError(
-            f"{path}: expected an empty or absent folder, found other files; choose another place"
-        )
+        raise AssetError(f"{path}: expected an empty or absent folder, found other files; choose another place")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))

@@ -35,9 +35,7 @@ def read_npz(path: Path | str, what: str, required: Collection[str] = ()) -> dic
     except FileNotFoundError:
         raise AssetError(f"{path}: no such file; expected {what} (.npz)") from None
     except UNREADABLE as error:
-        raise AssetError(
-            f"{path}: expected {what} (.npz), found: {str(error) or type(error).__name__}"
-        ) from None
+        raise AssetError(f"{path}: expected {what} (.npz), found: {str(error) or type(error).__name__}") from None
     absent = set(required) - fields.keys()
     if absent:
         raise AssetError(f"{path}: no {sorted(absent)}; the file has {sorted(fields)}")

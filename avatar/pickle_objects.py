@@ -50,7 +50,8 @@ ADMITTED: dict[Name, str] = {
     Name("chumpy.ch", "Ch"): "ch",
     Name("chumpy.reordering", "Select"): "select",
 }
-RECORDS = ("csc", "csr", "ch", "select")  # objects whose state is a dict of fields
+# objects whose state is a dict of fields
+RECORDS = ("csc", "csr", "ch", "select")
 
 
 def pairs(items: list[Any]) -> dict[Any, Any]:
@@ -149,7 +150,8 @@ def fill(source: Source, target: Any, state: Any) -> None:
         elif isinstance(target, Built) and target.kind == "array" and target.value is None:
             _, shape, dtype, by_columns, data = state
             dtype = dtype_of(dtype)
-            if dtype is None:  # an array of objects: its list
+            # an array of objects: its list
+            if dtype is None:
                 if type(data) is not list or not valid_shape(shape) or product(shape) != len(data):
                     raise ValueError("objects that do not fill the array")
                 target.value = data

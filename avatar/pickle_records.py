@@ -15,7 +15,8 @@ class Settling:
 
     def __init__(self, source: Source):
         self.source = source
-        self.done: dict[int, Any] = {}  # by id; `kept` keeps every object alive
+        # by id; `kept` keeps every object alive
+        self.done: dict[int, Any] = {}
         self.kept: list[Any] = []
         self.open: set[int] = set()
 

@@ -106,9 +106,7 @@ def plain_items(arguments: tuple) -> list[Any]:
 
 
 def valid_shape(shape: Any) -> bool:
-    return (
-        type(shape) is tuple and len(shape) <= 8 and all(type(n) is int and 0 <= n < 1 << 40 for n in shape)
-    )
+    return type(shape) is tuple and len(shape) <= 8 and all(type(n) is int and 0 <= n < 1 << 40 for n in shape)
 
 
 def product(shape: tuple) -> int:

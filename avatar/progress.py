@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from io import TextIOBase
-from typing import TextIO, TypeVar
+from typing import NamedTuple, TextIO, TypeVar
 
 T = TypeVar("T")
 
@@ -36,9 +36,7 @@ class Progress:
         text = f"{self.label} {done}/{self.total}  {spent:.0f} s, {left:.0f} s left  {note}".rstrip()
         if self.live:
             filled = int(24 * done / max(self.total, 1))
-            self.stream.write(
-                f"\r\x1b[K[{'#' * filled}{'.' * (24 - filled)}] {text}" + ("\n" if last else "")
-            )
+            self.stream.write(f"\r\x1b[K[{'#' * filled}{'.' * (24 - filled)}] {text}" + ("\n" if last else ""))
         else:
             self.stream.write(text + "\n")
         self.stream.flush()
@@ -58,8 +56,10 @@ def progress(items: Iterable[T], label: str, total: int | None = None) -> Iterat
 @dataclass
 class _Job:
     total: int
-    began: float | None = None  # when work on it began, preparation included
-    first: tuple[float, int] | None = None  # time and count of its first report: preparation is over
+    # when work on it began, preparation included
+    began: float | None = None
+    # time and count of its first report: preparation is over
+    first: tuple[float, int] | None = None
     last: tuple[float, int] | None = None
     ended: float | None = None
     note: str = ""
@@ -82,7 +82,8 @@ class ProgressBoard:
         self.clock, self.workers, self.after = clock, workers, after
         self.jobs = {name: _Job(total) for name, total in totals.items()}
         self.began = self.shown = clock()
-        self.drawn = 0  # lines on the terminal that the next drawing replaces
+        # lines on the terminal that the next drawing replaces
+        self.drawn = 0
 
     def begin(self, name: str) -> None:
         self.jobs[name].began = self.clock()
@@ -153,7 +154,8 @@ class ProgressBoard:
             return None
         rate = sum(rates) / len(rates)
         preparation = sum(preparations) / max(len(preparations), 1)
-        waiting, free = [], []  # seconds of each job still to begin; when each worker is free
+        # seconds of each job still to begin; when each worker is free
+        waiting, free = [], []
         for job in self.jobs.values():
             if job.ended is not None:
                 continue
@@ -210,3 +212,11 @@ def _left_text(seconds: float | None) -> str:
 def _bar(share: float) -> str:
     filled = int(16 * share)
     return f"[{'#' * filled}{'.' * (16 - filled)}]"
+
+
+class Reporter(NamedTuple):
+    """How a job reports its progress; in a worker process both go to the parent."""
+
+    say: Callable[[str], None]  # a line that stays
+    # a count and a note, as often as wished
+    step: Callable[[int, str], None]

@@ -107,9 +107,7 @@ def normalised_quaternion(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b 
         ValueError: a quaternion is zero or not finite; it has no direction to keep.
     """
     q = np.asarray(quaternion, np.float64)
-    largest = np.max(
-        np.abs(q), -1, keepdims=True
-    )  # scaling first keeps 1e-200 and 1e200 from under- or overflow
+    largest = np.max(np.abs(q), -1, keepdims=True)  # scaling first keeps 1e-200 and 1e200 from under- or overflow
     if not np.all(np.isfinite(largest)) or not np.all(largest > 0):
         raise ValueError("a quaternion is zero or not finite")
     q = q / largest
@@ -130,9 +128,7 @@ def quaternion_inverse(quaternion: Float[Array, "*b 4"]) -> Float[Array, "*b 4"]
     return np.asarray(quaternion, np.float64) * np.array([-1.0, -1, -1, 1])
 
 
-def slerp(
-    a: Float[Array, "*b 4"], b: Float[Array, "*b 4"], t: Float[Array, "*b"] | float
-) -> Float[Array, "*b 4"]:
+def slerp(a: Float[Array, "*b 4"], b: Float[Array, "*b 4"], t: Float[Array, "*b"] | float) -> Float[Array, "*b 4"]:
     """Constant-speed interpolation from a (t = 0) to b (t = 1) on the shorter arc (Shoemake 1985).
 
     The angle comes from atan2(|a - b|, |a + b|), exact for nearly equal and nearly opposite rotations alike;
@@ -150,9 +146,7 @@ def slerp(
     return normalised_quaternion(wa[..., None] * a + wb[..., None] * b)
 
 
-def nearest_axis_angle(
-    axis_angle: Float[Array, "*b 3"], reference: Float[Array, "*b 3"]
-) -> Float[Array, "*b 3"]:
+def nearest_axis_angle(axis_angle: Float[Array, "*b 3"], reference: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
     """The vector of the same rotation that lies closest to `reference` (v + 2 pi n axis).
 
     Keeps a sequence continuous where the angle passes pi: near pi the two signs of the axis are almost the

@@ -12,7 +12,8 @@ class Registration(NamedTuple):
     """A transform target_from_source and how well it fits."""
 
     transform: Float[Array, "4 4"]
-    residual: float  # metres, root mean square (landmarks) or median (surfaces)
+    # metres, root mean square (landmarks) or median (surfaces)
+    residual: float
 
 
 def similarity_from_landmarks(source: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Registration:
@@ -31,9 +32,7 @@ def similarity_from_landmarks(source: Float[Array, "n 3"], target: Float[Array, 
     for name, points in (("source", a), ("target", b)):
         spread = np.linalg.svd(points, compute_uv=False)
         if not spread[0] > 0 or spread[1] < 1e-3 * spread[0]:
-            raise ValueError(
-                f"landmarks: the {name} points lie on a line; the rotation about it is undetermined"
-            )
+            raise ValueError(f"landmarks: the {name} points lie on a line; the rotation about it is undetermined")
     U, D, Vt = np.linalg.svd(b.T @ a)
     mirrored = np.linalg.det(U @ Vt) < 0
     if mirrored and D[2] > 0.05 * D[1]:

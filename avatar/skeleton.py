@@ -38,7 +38,8 @@ def _depths() -> tuple[np.ndarray, ...]:
     return tuple(np.flatnonzero(depth == d) for d in range(1, depth.max() + 1))
 
 
-DEPTHS = _depths()  # joints by their distance from the pelvis, nearest first, the pelvis left out
+# joints by their distance from the pelvis, nearest first, the pelvis left out
+DEPTHS = _depths()
 
 
 def _big_pose() -> np.ndarray:
@@ -47,7 +48,8 @@ def _big_pose() -> np.ndarray:
     return pose
 
 
-BIG_POSE = _big_pose()  # canonical pose of the fields: both hips opened 30 degrees about z
+# canonical pose of the fields: both hips opened 30 degrees about z
+BIG_POSE = _big_pose()
 BIG_POSE.setflags(write=False)
 PARENTS.setflags(write=False)
 
@@ -69,7 +71,8 @@ def joint_transforms(
     local[..., 0, :3, 3] = joints[0] if root is None else root
     local[..., 3, 3] = 1
     world = local.copy()
-    for joints_of_depth in DEPTHS:  # all joints equally far from the pelvis at once: twice as fast as one by one
+    # all joints equally far from the pelvis at once: twice as fast as one by one
+    for joints_of_depth in DEPTHS:
         parents = PARENTS[joints_of_depth]
         world[..., joints_of_depth, :, :] = world[..., parents, :, :] @ local[..., joints_of_depth, :, :]
     return world

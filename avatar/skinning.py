@@ -19,7 +19,8 @@ from avatar.rotation import matrix_from_quaternion, quaternion_from_matrix
 Array = np.ndarray
 
 SINGULAR = (
-    0.02  # |det| of a blended matrix under which its inverse is refused: B moves points by < 1/50 of volume
+    # |det| of a blended matrix under which its inverse is refused: B moves points by < 1/50 of volume
+    0.02
 )
 
 
@@ -44,9 +45,7 @@ def strongest_four(dense: Float[Array, "points bones"]) -> SkinWeights:
     weights = np.take_along_axis(dense, order, 1)
     total = weights.sum(1, keepdims=True)
     if not (total > 1e-8).all():
-        raise ValueError(
-            f"skin weights of point {int(np.argmin(total))} sum to {float(total.min()):.3g}, expected 1"
-        )
+        raise ValueError(f"skin weights of point {int(np.argmin(total))} sum to {float(total.min()):.3g}, expected 1")
     return SkinWeights(order, (weights / total).astype(np.float32))
 
 

@@ -1,11 +1,14 @@
-"""Reading a texture in NumPy, exactly as OpenGL's bilinear filter reads it, and its mipmaps as the player draws them."""
+"""Reading a texture in NumPy, exactly as OpenGL's bilinear filter reads it,
+and its mipmaps as the player draws them.
+"""
 
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 from PIL import Image
 
 Array = np.ndarray
-Texels = UInt8[Array, "_ _ channels"]  # of a size of its own
+# of a size of its own
+Texels = UInt8[Array, "_ _ channels"]
 
 
 def sample_texture(
@@ -42,7 +45,8 @@ def mipmaps(image: Texels, levels: int) -> list[Texels]:
     if image.shape[2] > 4:
         first, second = (mipmaps(part, levels) for part in (image[..., :4], image[..., 4:]))
         return [np.concatenate(pair, axis=2) for pair in zip(first, second, strict=True)]
-    mode = {1: "L", 3: "RGB", 4: "RGBX"}[image.shape[2]]  # of RGBA Pillow would weight the texels by the last one
+    # of RGBA Pillow would weight the texels by the last one
+    mode = {1: "L", 3: "RGB", 4: "RGBX"}[image.shape[2]]
     out = [image]
     current = Image.frombuffer(mode, image.shape[1::-1], np.ascontiguousarray(image), "raw", mode, 0, 1)
     for _ in range(levels - 1):

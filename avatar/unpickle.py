@@ -17,8 +17,10 @@ from avatar.errors import AssetError
 from avatar.pickle_machine import Machine
 from avatar.pickle_values import Refused
 
-MAX_BYTES = 1 << 29  # of a file, and of all arrays made from it
-MAX_STEPS = 1_000_000  # a step makes at most one object, of a few hundred bytes
+# of a file, and of all arrays made from it
+MAX_BYTES = 1 << 29
+# a step makes at most one object, of a few hundred bytes
+MAX_STEPS = 1_000_000
 
 
 def read_pickle(path: Path | str, what: str) -> Any:

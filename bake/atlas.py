@@ -21,9 +21,11 @@ from avatar.errors import AssetError
 class Unwrapped(NamedTuple):
     """A mesh cut into charts: an atlas vertex is one vertex of the mesh in one chart."""
 
-    source: Integer[np.ndarray, "corners"]  # the vertex each atlas vertex copies
+    # the vertex each atlas vertex copies
+    source: Integer[np.ndarray, "corners"]
     uv: Float[np.ndarray, "corners 2"]  # [0, 1], v down as in glTF
-    faces: Integer[np.ndarray, "faces 3"]  # of atlas vertices; the order is the input's, part by part
+    # of atlas vertices; the order is the input's, part by part
+    faces: Integer[np.ndarray, "faces 3"]
     face_part: Integer[np.ndarray, "faces"]
     charts: int
     utilisation: float  # share of the atlas that charts cover
@@ -52,13 +54,12 @@ def unwrap(
         raise ValueError("vertices to unwrap are not finite")
     with tempfile.TemporaryDirectory() as folder:
         given, found = Path(folder, "in.npz"), Path(folder, "out.npz")
-        np.savez(
-            given, vertices=vertices, faces=faces, part=face_part, density=density, size=size, padding=padding
-        )
+        np.savez(given, vertices=vertices, faces=faces, part=face_part, density=density, size=size, padding=padding)
         try:
             done = subprocess.run(
                 [sys.executable, "-m", "bake.atlas", str(given), str(found), str(int(np.ceil(seconds)))],
-                timeout=10 * seconds,  # of the clock, which on a busy machine says little of the mesh
+                # of the clock, which on a busy machine says little of the mesh
+                timeout=10 * seconds,
                 capture_output=True,
                 text=True,
                 cwd=Path(__file__).parent.parent,
@@ -121,9 +122,7 @@ def pack(
     source, uv, triangles, parts, start, charts = [], [], [], [], 0, 0
     for i, (part, own, kept) in enumerate(used):
         mapping, indices, coordinates = atlas[i]
-        mapping, indices, coordinates = adopt_orphans(
-            atlas, i, mapping, indices.astype(np.int64), coordinates
-        )
+        mapping, indices, coordinates = adopt_orphans(atlas, i, mapping, indices.astype(np.int64), coordinates)
         source.append(kept[mapping])
         uv.append(coordinates)
         triangles.append(indices + start)

@@ -11,14 +11,13 @@ import numpy as np
 from jaxtyping import Float, Integer
 from scipy.spatial import KDTree
 
-from avatar.avatar_file import Avatar, write_avatar
 from avatar.errors import AssetError
+from avatar.gltf.avatar_file import Avatar, write_avatar
 from avatar.skeleton import BIG_POSE
 from avatar.skinning import dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
 from bake.field import NumpyField, numpy_field
-from bake.field_onnx import is_exportable, write_field
 from bake.level import (
     BakedLevel,
     Carried,
@@ -33,10 +32,11 @@ from bake.level import (
 )
 from bake.network import AMPLITUDE, Distilled, distil, write_onnx
 from bake.options import BakeOptions
-from bake.surface import Extraction, Mesh, enclosed_volume, extract
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
-from train.capture import PARTS
-from train.solid import solid_inside
+from capture.folder import PARTS
+from capture.solid import solid_inside
+from geometry.isosurface import Extraction, Mesh, enclosed_volume, extract
+from train.field_onnx import is_exportable, write_field
 
 
 def bake(
@@ -164,7 +164,8 @@ def run_surface(surface: Any, joint_count: int) -> Origin:
     vertices = np.asarray(surface.vertices, np.float64)
     faces = np.asarray(surface.faces, np.int64)
     if enclosed_volume(Mesh(vertices, faces)) < 0:
-        faces = faces[:, ::-1]  # only the normals of a run's surface are promised to face outwards
+        # only the normals of a run's surface are promised to face outwards
+        faces = faces[:, ::-1]
     cone = view_cone(
         np.asarray(surface.view_count, np.float64),
         np.asarray(surface.view_mean, np.float64),
@@ -258,9 +259,7 @@ def measured(
         f"{options.image} px (worst {score.per_view[worst]:.1f}: {worst})"
     )
     for mode, db in score.view_db.items():
-        apart = ", ".join(
-            f"{group.replace('_', ' ')}s {one[mode]:.1f}" for group, one in score.group_db.items()
-        )
+        apart = ", ".join(f"{group.replace('_', ' ')}s {one[mode]:.1f}" for group, one in score.group_db.items())
         clock.report(f"  cone field against {mode}: {db:.1f} dB ({apart})")
     return {
         "pixels": score.pixels,

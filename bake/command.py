@@ -22,12 +22,8 @@ def main(argv: list[str]) -> int:
         prog="selfscan bake", description=HELP, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("run", type=Path, metavar="RUN", help="run folder, as `selfscan train` writes it")
-    parser.add_argument(
-        "-o", dest="out", type=Path, required=True, metavar="NAME.glb", help="avatar file to write"
-    )
-    parser.add_argument(
-        "--faces", type=int, default=30_000, help="triangles of the finest level (%(default)s)"
-    )
+    parser.add_argument("-o", dest="out", type=Path, required=True, metavar="NAME.glb", help="avatar file to write")
+    parser.add_argument("--faces", type=int, default=30_000, help="triangles of the finest level (%(default)s)")
     parser.add_argument("--texture", type=int, default=2048, help="its atlas, texels per side (%(default)s)")
     parser.add_argument(
         "--quality",

@@ -6,22 +6,27 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Integer
 
-from train.harmonic import anchored, fill_harmonic
+from geometry.harmonic import anchored, fill_harmonic
 
 # a field's sRGB in [0, 1] at points, seen along unit directions from the camera to the point
 ColorFunction = Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
 
-REACH = 1.6  # standard deviations of the seen directions at which the clamp has bent them by 1/sqrt(2)
-FLOOR = np.radians(3.0)  # a vertex seen from one direction only still has a cone of this width
-FEWEST, ENOUGH = 5.0, 20.0  # observations between which visibility rises from 0 to 1
-OPPOSED = 0.05  # |mean| below which the directions cancel and their mean means nothing
+# standard deviations of the seen directions at which the clamp has bent them by 1/sqrt(2)
+REACH = 1.6
+# a vertex seen from one direction only still has a cone of this width
+FLOOR = np.radians(3.0)
+# observations between which visibility rises from 0 to 1
+FEWEST, ENOUGH = 5.0, 20.0
+# |mean| below which the directions cancel and their mean means nothing
+OPPOSED = 0.05
 
 
 class ViewCone(NamedTuple):
     """What the training saw of each point, in the canonical frame."""
 
     direction: Float[np.ndarray, "n 3"]  # unit, from camera to surface, canonical
-    metric: Float[np.ndarray, "n 6"]  # Q: xx, xy, xz, yy, yz, zz; zero across the direction
+    # Q: xx, xy, xz, yy, yz, zz; zero across the direction
+    metric: Float[np.ndarray, "n 6"]
     seen: Float[np.ndarray, "n"]  # [0, 1]
 
 

@@ -31,9 +31,7 @@ def numpy_field(field: Field, *, piece: int = 1 << 16) -> NumpyField:
     def ask(function: Callable[..., torch.Tensor], *arrays: np.ndarray) -> np.ndarray:
         pieces = []
         for start in range(0, len(arrays[0]), piece):
-            tensors = [
-                torch.from_numpy(np.ascontiguousarray(a[start : start + piece], np.float32)) for a in arrays
-            ]
+            tensors = [torch.from_numpy(np.ascontiguousarray(a[start : start + piece], np.float32)) for a in arrays]
             pieces.append(function(*tensors).detach().cpu().numpy().astype(np.float64))
         return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 

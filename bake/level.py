@@ -6,25 +6,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Integer
 
-from avatar.avatar_file import Level
+from avatar.gltf.avatar_file import Level
 from avatar.skeleton import BIG_POSE, joint_transforms
 from avatar.texture import mip_levels, mipmaps
 from bake import measure
 from bake.atlas import Unwrapped, unwrap
 from bake.cone import ViewCone, interpolated
-from bake.decimate import Enlargement, balanced, decimate, find_faults
 from bake.field import NumpyField
 from bake.network import Distilled, SurfacePoints
 from bake.options import BakeOptions
 from bake.seams import ChartEdges, chart_edges, equalised, seam_steps
 from bake.skin import quantised, transferred_weights
-from bake.surface import Extraction, Mesh, project_to_zero
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
-from bake.transfer import match_surface
-from train.capture import PARTS
-from train.mesh import face_areas
+from capture.folder import PARTS
+from geometry.decimate import Enlargement, balanced, decimate, find_faults
+from geometry.isosurface import Extraction, Mesh, project_to_zero
+from geometry.mesh import face_areas
+from geometry.transfer import match_surface
 
-SEAM_GOAL = 3.8  # bytes: 99 of 100 colour steps across chart edges are below it in every mip
+# bytes: 99 of 100 colour steps across chart edges are below it in every mip
+SEAM_GOAL = 3.8
 
 
 class Charted(NamedTuple):
@@ -62,7 +63,8 @@ class Carried(NamedTuple):
     weights: Float[np.ndarray, "n joints"]
     cone: ViewCone
     part: Integer[np.ndarray, "n"]
-    filled: int  # rows of weights that found no source nearby facing the same way
+    # rows of weights that found no source nearby facing the same way
+    filled: int
 
 
 def carried(origin: Origin, mesh: Mesh, normals: Float[np.ndarray, "n 3"]) -> Carried:
@@ -71,9 +73,7 @@ def carried(origin: Origin, mesh: Mesh, normals: Float[np.ndarray, "n 3"]) -> Ca
     corners = origin.faces[match.face]
     weights, filled = transferred_weights(match, mesh.faces, origin.faces, origin.weights)
     nearest = np.take_along_axis(corners, match.barycentric.argmax(1)[:, None], 1)[:, 0]
-    return Carried(
-        weights, interpolated(origin.cone, corners, match.barycentric), origin.part[nearest], filled
-    )
+    return Carried(weights, interpolated(origin.cone, corners, match.barycentric), origin.part[nearest], filled)
 
 
 def enlargements(joints: Float[np.ndarray, "52 3"], options: BakeOptions) -> list[Enlargement]:
@@ -265,9 +265,7 @@ def surface_points(field: NumpyField, level: Level, origin: Origin, options: Bak
     normals = (weight[:, :, None] * level.normals[corners]).sum(1)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
     points = (weight[:, :, None] * mesh.vertices[corners]).sum(1)
-    points, _ = project_to_zero(
-        field.distance, field.normal, points, reach=0.004, steps=2, directions=normals
-    )
+    points, _ = project_to_zero(field.distance, field.normal, points, reach=0.004, steps=2, directions=normals)
     cone = ViewCone(
         level.view_dir.astype(np.float64), level.view_q.astype(np.float64), level.view_seen.astype(np.float64)
     )
@@ -306,7 +304,8 @@ def level_line(number: int, facts: dict[str, Any]) -> str:
     """One line of progress on a level."""
     return (
         f"level {number}: {facts['faces']} triangles, {facts['charts']} charts in {facts['texture']} px, "
-        f"{facts['field_to_mesh_mm']['mean']:.3f} mm from the field, chart edges step {facts['seam_step']['median']:.1f} "
+        f"{facts['field_to_mesh_mm']['mean']:.3f} mm from the field, chart edges step "
+        f"{facts['seam_step']['median']:.1f} "
         f"(p99 {facts['seam_step']['p99']:.1f}) of 255"
     )
 

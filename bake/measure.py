@@ -7,14 +7,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 from scipy.ndimage import binary_erosion
 
-from avatar.avatar_file import Avatar
 from avatar.camera import Camera, orbit_camera, pixel_rays
+from avatar.gltf.avatar_file import Avatar
 from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, skin_points, strongest_four
 from bake.cone import ColorFunction, ViewCone, clamped_tangent, cone_direction, interpolated
-from bake.surface import Mesh, PointFunction, project_to_zero
 from bake.truth import Errors, errors_of, modes_of, sum_of
-from train.mesh import face_areas
+from geometry.isosurface import Mesh, PointFunction, project_to_zero
+from geometry.mesh import face_areas
 
 HEAD, LEFT_WRIST, RIGHT_WRIST = 15, 20, 21
 LEFT_MIDDLE, RIGHT_MIDDLE = 25, 40
@@ -27,7 +27,8 @@ class View(NamedTuple):
     axis_angle: Float[np.ndarray, "52 3"]
     root: Float[np.ndarray, "3"]
     camera: Camera
-    group: str = "novel_view"  # or novel_pose: scores are told apart by it
+    # or novel_pose: scores are told apart by it
+    group: str = "novel_view"
 
 
 class FieldSurface(NamedTuple):
@@ -84,7 +85,8 @@ class FieldImage(NamedTuple):
     """The field drawn in a view."""
 
     paper: Float[np.ndarray, "height width 3"]  # [0, 1], field at d_bar
-    cone: Float[np.ndarray, "height width 3"] | None  # field at d', where asked
+    # field at d', where asked
+    cone: Float[np.ndarray, "height width 3"] | None
     mask: Bool[np.ndarray, "height width"]
 
 
@@ -105,9 +107,7 @@ def draw_field(
     points = (weight[:, :, None] * surface.mesh.vertices[corners]).sum(1)
     normals = (weight[:, :, None] * surface.normals[corners]).sum(1)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-    points, _ = project_to_zero(
-        surface.distance, _no_normals, points, reach=0.003, steps=2, directions=normals
-    )
+    points, _ = project_to_zero(surface.distance, _no_normals, points, reach=0.003, steps=2, directions=normals)
     cone = interpolated(surface.cone, corners, weight)
     paper = np.zeros((*mask.shape, 3))
     paper[mask] = surface.color(points, cone.direction)
@@ -137,9 +137,12 @@ def scored_mask(mask: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "hei
 class Score(NamedTuple):
     """PSNR in decibels over the eroded masks; infinite where pictures are the same."""
 
-    paper_db: float  # baked paper mode against the field at d_bar, pooled over all views
-    view_db: dict[str, float]  # each mode against the cone field, pooled
-    group_db: dict[str, dict[str, float]]  # the same by group of views: paper mode against d_bar is "paper"
+    # baked paper mode against the field at d_bar, pooled over all views
+    paper_db: float
+    # each mode against the cone field, pooled
+    view_db: dict[str, float]
+    # the same by group of views: paper mode against d_bar is "paper"
+    group_db: dict[str, dict[str, float]]
     per_view: dict[str, float]  # paper mode, by view
     pixels: int
 
@@ -179,7 +182,8 @@ def compare(
             return fragments.face, fragments.barycentric
 
         renderers = {mode: Renderer(context, [avatar], views[0].camera.size, view=mode) for mode in modes}
-        for view in views:  # each is scored before the next: pictures of many views would fill the memory
+        # each is scored before the next: pictures of many views would fill the memory
+        for view in views:
             field = draw_field(surface, view, draw, with_cone=len(modes) > 1)
             inside, into = scored_mask(field.mask), errors[view.group]
             for mode, renderer in renderers.items():

@@ -2,7 +2,8 @@
 
     colour = clamp(base + A |t'| y / (1 + |y|)),   y = W2 relu(W1 x + b1) + b2,   x = [f (4), t' (3), |t'|]
 
-f are four 8-bit features of the surface point (eight, and a second hidden layer, in high quality). The teacher's residual is C(x, d') - C(x, d_bar), so at
+f are four 8-bit features of the surface point (eight, and a second hidden layer, in high quality). The teacher's
+residual is C(x, d') - C(x, d_bar), so at
 d = d_bar the result is the paper's colour whatever the weights. A linear residual (sum f_i M_i) t' over the
 same features is always fitted as well, and ships alone where the network gains less than 0.3 dB over it.
 """
@@ -14,12 +15,14 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-import torch._dynamo  # now, before any GL context: it loads an LLVM that crashes when Mesa's came first
+
+# now, before any GL context: it loads an LLVM that crashes when Mesa's came first
+import torch._dynamo
 from jaxtyping import Float, Integer, UInt8
 from torch import nn
 
-from avatar.avatar_file import ViewNetwork
 from avatar.files import whole_file
+from avatar.gltf.avatar_file import ViewNetwork
 from bake.cone import (
     ColorFunction,
     ViewCone,
@@ -30,8 +33,10 @@ from bake.cone import (
 )
 
 AMPLITUDE = 0.6
-GAIN_DB = 0.3  # what a mode must gain over the simpler one to be shipped
-INVISIBLE_DB = 45.0  # a field this close to its own paper mode has nothing to add: 1.4 / 255 rms
+# what a mode must gain over the simpler one to be shipped
+GAIN_DB = 0.3
+# a field this close to its own paper mode has nothing to add: 1.4 / 255 rms
+INVISIBLE_DB = 45.0
 
 
 class SurfacePoints(NamedTuple):
@@ -50,8 +55,10 @@ class Distilled(NamedTuple):
     linear: Float[np.ndarray, "f 3 3"] | None
     default_view: Literal["network", "linear", "off"]
     features: Callable[[SurfacePoints], UInt8[np.ndarray, "n f"]] | None
-    decibels: dict[str, float]  # of each mode against the cone field, on samples kept out of training
-    reason: str = ""  # why this is the default
+    # of each mode against the cone field, on samples kept out of training
+    decibels: dict[str, float]
+    # why this is the default
+    reason: str = ""
 
 
 class FeatureEncoder(nn.Module):
@@ -158,9 +165,7 @@ def distil(
     rng = np.random.default_rng(seed)
     usable = np.flatnonzero(surface.cone.seen > 0.02)
     if len(usable) < 64:
-        return Distilled(
-            None, None, "off", None, {"off": float("inf")}, "no camera saw the surface often enough"
-        )
+        return Distilled(None, None, "off", None, {"off": float("inf")}, "no camera saw the surface often enough")
     surface = SurfacePoints(
         surface.points[usable], surface.normals[usable], surface.base[usable], _rows(surface.cone, usable)
     )
@@ -172,9 +177,7 @@ def distil(
     scores = {"off": decibels(residual[kept])}
     report(f"cone field against its paper mode: {scores['off']:.1f} dB")
     if scores["off"] >= INVISIBLE_DB:
-        reason = (
-            f"within the cone the field is {scores['off']:.1f} dB near its own paper mode: nothing to be seen"
-        )
+        reason = f"within the cone the field is {scores['off']:.1f} dB near its own paper mode: nothing to be seen"
         return Distilled(None, None, "off", None, scores, reason)
 
     torch.manual_seed(seed)
@@ -244,9 +247,7 @@ def _rows(cone: ViewCone, index: Integer[np.ndarray, "n"]) -> ViewCone:
 
 
 def _encoder_inputs(surface: SurfacePoints) -> Float[np.ndarray, "n 12"]:
-    return np.concatenate([surface.points, surface.normals, surface.base, surface.cone.direction], 1).astype(
-        np.float32
-    )
+    return np.concatenate([surface.points, surface.normals, surface.base, surface.cone.direction], 1).astype(np.float32)
 
 
 def write_onnx(path: Path, network: ViewNetwork) -> None:

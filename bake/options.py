@@ -8,20 +8,27 @@ from typing import Literal
 class BakeOptions:
     """Settings of a bake; `selfscan bake` offers the first three."""
 
-    faces: int = 30_000  # triangles of the finest level
+    # triangles of the finest level
+    faces: int = 30_000
     texture: int = 2048  # its atlas, texels per side
-    quality: Literal["normal", "high"] = "normal"  # view network: 4 features, 8-16-3; 8 features, 12-16-16-3
+    # view network: 4 features, 8-16-3; 8 features, 12-16-16-3
+    quality: Literal["normal", "high"] = "normal"
     body_step: float = 0.005  # grid step of the extraction, metres
-    fine_step: float = 0.0025  # the same along the spans of head and hands
+    # the same along the spans of head and hands
+    fine_step: float = 0.0025
     head_density: float = 2.5  # texels per metre, relative to the body's
     hand_density: float = 2.5
-    head_scale: float = 1.8  # blown up so much while triangles are collapsed
+    # blown up so much while triangles are collapsed
+    head_scale: float = 1.8
     hand_scale: float = 2.4
-    samples: int = 160_000  # surface points for the network
+    # surface points for the network
+    samples: int = 160_000
     steps: int = 1200  # of its training
-    image: int = 512  # pixels per side of the pictures that are compared
+    # pixels per side of the pictures that are compared
+    image: int = 512
     seed: int = 0
-    truth_poses: int = 5  # of each held-out set, to choose the default view by
+    # of each held-out set, to choose the default view by
+    truth_poses: int = 5
 
     def __post_init__(self):
         if self.faces < 200:

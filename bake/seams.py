@@ -8,26 +8,32 @@ from scipy.sparse import csr_matrix, diags
 
 from avatar.texture import mipmaps, sample_texture
 from bake.texels import TexelMap, bytes_from_unit
-from train.mesh import half_edges
+from geometry.mesh import half_edges
 
 # weight of keeping a texel as it was sampled: one that shows surface, one that only bilinear filtering reads
 # beside it, and one of the gutter, which nothing but coarser mips reads
 KEEP_INSIDE, KEEP_SKIRT, KEEP_GUTTER = 4.0, 0.1, 0.004
-AGREE = 4.0  # weight of a point on a chart edge looking the same from both sides, at 1024; more where texels are few
+# weight of a point on a chart edge looking the same from both sides, at 1024; more where texels are few
+AGREE = 4.0
 GROW = (
-    8.0  # as many times more in each coarser mip: fewer points lie along an edge there, and means resist more
+    # as many times more in each coarser mip: fewer points lie along an edge there, and means resist more
+    8.0
 )
 STEP = 1.5 / 255
-FURTHER = 8 * (8,)  # short rounds, each urging a little more: no further than the goal
-URGE, URGE_FURTHER = 3.0, 1.5  # most that one round makes a point count more
-DENSE = 3  # between points farther apart two bilinear images can differ much more than at them
+# short rounds, each urging a little more: no further than the goal
+FURTHER = 8 * (8,)
+# most that one round makes a point count more
+URGE, URGE_FURTHER = 3.0, 1.5
+# between points farther apart two bilinear images can differ much more than at them
+DENSE = 3
 
 
 class ChartEdges(NamedTuple):
     """Edges of the mesh that lie on the border of a chart, as both charts see them."""
 
     left: Integer[np.ndarray, "edges 2"]  # atlas vertices at its two ends
-    right: Integer[np.ndarray, "edges 2"]  # the same two ends in the other chart
+    # the same two ends in the other chart
+    right: Integer[np.ndarray, "edges 2"]
 
 
 def chart_edges(
@@ -75,9 +81,12 @@ class _Mip(NamedTuple):
     """One mip: its texels that matter are those read here, and those above one that a finer mip reads."""
 
     texels: Integer[np.ndarray, "n"]  # row * size + column, ascending
-    agree: csr_matrix  # points on edges x texels: left side minus right side
-    finer: csr_matrix | None  # texels x the finer mip's texels: mean of 2 x 2
-    rest: Float[np.ndarray, "n 1"]  # share of a texel in this mip that no finer mip reads
+    # points on edges x texels: left side minus right side
+    agree: csr_matrix
+    # texels x the finer mip's texels: mean of 2 x 2
+    finer: csr_matrix | None
+    # share of a texel in this mip that no finer mip reads
+    rest: Float[np.ndarray, "n 1"]
     weight: float  # by which the rows of `agree` are multiplied
 
 
@@ -100,8 +109,8 @@ def equalised(
     by conjugate gradients, `rounds` of them; then what left [0, 1] is held at its bound, points that still differ
     by more than STEP count up to nine times, and the others are solved again. The mips are means of 2 x 2 texels, as
     the player makes them, so a coarse mip is closed mostly by what lies in the gutters, which the finest never shows.
-    Texels that only a coarse mip reads enter through their mean alone: they are one unknown, and its change goes to each
-    by 1 / keep.
+    Texels that only a coarse mip reads enter through their mean alone: they are one unknown, and its change goes to
+    each by 1 / keep.
 
     With a `goal` (bytes) the rounds of FURTHER follow while the 99th percentile of the steps lies above it in any mip,
     and what a point that differs counts grows from round to round.
@@ -207,10 +216,7 @@ def _urges(
 
 def _urged(chain: list[_Mip], urges: list[Float[np.ndarray, "_"]]) -> list[_Mip]:
     """The mips with their points weighted up."""
-    return [
-        mip._replace(agree=csr_matrix(diags(urge) @ mip.agree))
-        for mip, urge in zip(chain, urges, strict=True)
-    ]
+    return [mip._replace(agree=csr_matrix(diags(urge) @ mip.agree)) for mip, urge in zip(chain, urges, strict=True)]
 
 
 def _largest(
@@ -254,9 +260,7 @@ def _chain(uv: Float[np.ndarray, "corners 2"], edges: ChartEdges, size: int, lev
             place = np.searchsorted(texels, read)[place]
             parent = np.searchsorted(texels, above)
             shape = (len(texels), len(below))
-            finer = csr_matrix(
-                (np.full(len(below), 0.25, np.float32), (parent, np.arange(len(below)))), shape
-            )
+            finer = csr_matrix((np.full(len(below), 0.25, np.float32), (parent, np.arange(len(below)))), shape)
             rest = (1 - 0.25 * np.bincount(parent, minlength=len(texels))).astype(np.float32)[:, None]
         weight = float(np.sqrt(AGREE * 1024 / size * GROW**number))
         values = (weight * values).astype(np.float32)

@@ -5,19 +5,15 @@ from jaxtyping import Bool, Float, Integer, UInt8
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from bake.transfer import Match
-from train.harmonic import fill_harmonic
-from train.mesh import component_labels, half_edges
+from geometry.harmonic import fill_harmonic
+from geometry.mesh import component_labels, half_edges
+from geometry.transfer import Match
 
 # the limb a joint moves: torso and head, each leg, each arm, each finger
-LIMBS = np.array(
-    [0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 3, 4, 0, 3, 4, 3, 4, 3, 4, *np.repeat(np.arange(5, 15), 3)]
-)
+LIMBS = np.array([0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 3, 4, 0, 3, 4, 3, 4, 3, 4, *np.repeat(np.arange(5, 15), 3)])
 
 
-def strayed(
-    weights: Float[np.ndarray, "n joints"], faces: Integer[np.ndarray, "faces 3"]
-) -> Bool[np.ndarray, "n"]:
+def strayed(weights: Float[np.ndarray, "n joints"], faces: Integer[np.ndarray, "faces 3"]) -> Bool[np.ndarray, "n"]:
     """Vertices that follow a limb from which they are cut off: each limb moves one piece of the mesh, its largest,
     and an islet of it on another finger or across an armpit came from the wrong side."""
     limb = np.stack([weights[:, k == LIMBS].sum(1) for k in range(LIMBS.max() + 1)], 1).argmax(1)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Integer, UInt8
 
-from train.cells import nearest_marked
+from geometry.cells import nearest_marked
 
 # where in a texel the colour is sampled: its centre, then three places around it
 JITTER = np.array([[0.0, 0.0], [-0.1, -0.37], [0.37, 0.1], [-0.27, 0.27]])
@@ -19,9 +19,11 @@ SKIRT = 1.5
 class TexelMap(NamedTuple):
     """The texels of an atlas that show surface, in row-major order."""
 
-    index: Integer[np.ndarray, "texels"]  # row * size + column; row 0 is v = 0
+    # row * size + column; row 0 is v = 0
+    index: Integer[np.ndarray, "texels"]
     face: Integer[np.ndarray, "texels"]
-    inside: Bool[np.ndarray, "texels"]  # centre inside its triangle; others are the charts' skirt
+    # centre inside its triangle; others are the charts' skirt
+    inside: Bool[np.ndarray, "texels"]
     size: int
 
     def rows(self, chosen: Integer[np.ndarray, "rows"]) -> "TexelMap":
@@ -64,13 +66,15 @@ def rasterise_charts(
         row = low[face, 1] + local // extent[face, 0]
         centre = np.stack([column + 0.5, row + 0.5], 1)
         inset = _depth(lines, face, centre)
-        close = inset > -skirt  # nothing farther from a line is nearer to its triangle
+        # nothing farther from a line is nearer to its triangle
+        close = inset > -skirt
         texel, face, centre, inset = (row * size + column)[close], face[close], centre[close], inset[close]
         outside = np.flatnonzero(inset < 0)
         inset[outside] = -_away(corners, face[outside], centre[outside])
         close = inset > -skirt
         texel, face, inset = texel[close], face[close], inset[close].astype(np.float32)
-        order = np.lexsort((-face, inset))  # deepest last; ties go to the lower face
+        # deepest last; ties go to the lower face
+        order = np.lexsort((-face, inset))
         texel, face, inset = texel[order], face[order], inset[order]
         deeper = inset > depth[texel]
         texel, face, inset = texel[deeper], face[deeper], inset[deeper]

@@ -14,7 +14,7 @@ from scipy.ndimage import binary_erosion
 
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
-from bake.held_out import PART_ID, SETS, HeldOutView, read_capture_facts, read_held_out
+from capture.held_out import PART_ID, SETS, HeldOutView, read_capture_facts, read_held_out
 from player.context import Context, open_context
 from player.renderer import Renderer
 
@@ -26,7 +26,8 @@ REGIONS = {
     "left_hand": "hand_left",
     "right_hand": "hand_right",
 }  # view of each
-TIE_DB = 0.005  # less than the third digit after the point that is told: the simpler mode stands
+# less than the third digit after the point that is told: the simpler mode stands
+TIE_DB = 0.005
 
 
 class TrueViews(NamedTuple):

@@ -16,14 +16,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-BUSY = 0.1  # of the machine used by others: timings are then no more than hints
+# of the machine used by others: timings are then no more than hints
+BUSY = 0.1
 
 
 class Turn(NamedTuple):
     """Milliseconds of each frame of one turn."""
 
     wall: Float[np.ndarray, "frames"]
-    cpu: Float[np.ndarray, "frames"]  # all threads of the process
+    # all threads of the process
+    cpu: Float[np.ndarray, "frames"]
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,8 @@ def alternate(
         raise ValueError(f"{len(programs)} programs and {least} rounds give nothing to time")
     rng = np.random.default_rng(seed)
     turns: dict[str, list[Turn]] = {name: [] for name in programs}
-    for turn in programs.values():  # what is made or compiled at first use is not timed
+    # what is made or compiled at first use is not timed
+    for turn in programs.values():
         turn(0)
     end, rounds = time.perf_counter() + seconds, 0
     while rounds < most and (rounds < least or time.perf_counter() < end):
@@ -123,9 +126,7 @@ class Quiet:
         self.others: float | None = None
         if now is not None and self.start is not None:
             busy, whole = (b - a for a, b in zip(self.start, now, strict=True))
-            self.others = round(
-                float(np.clip((busy - (own_seconds() - self.begun)) / max(whole, 1e-9), 0, 1)), 3
-            )
+            self.others = round(float(np.clip((busy - (own_seconds() - self.begun)) / max(whole, 1e-9), 0, 1)), 3)
 
 
 def machine_seconds() -> tuple[float, float] | None:

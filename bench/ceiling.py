@@ -16,11 +16,11 @@ from avatar.npz import read_npz
 from avatar.skeleton import BIG_POSE
 from bench.field_view import Picture, PosableSurface
 from bench.held_out import TrueMesh
-from bench.synth.light import light_of
-from bench.synth.photo import Studio
-from bench.synth.subject import Subject
+from capture.folder import read_subject
 from player.raster import Rasteriser
-from train.capture import read_subject
+from synth.light import light_of
+from synth.photo import Studio
+from synth.subject import Subject
 from train.skin import CanonicalSkin
 
 

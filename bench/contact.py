@@ -18,12 +18,14 @@ from bench.drawer import Drawer
 from bench.held_out import HeldOutView, read_capture_facts, read_held_out
 
 WIDTH = 1600  # pixels of a sheet
-LARGEST = 1_500_000  # bytes of a sheet's PNG; a larger one is scaled down until it fits
+# bytes of a sheet's PNG; a larger one is scaled down until it fits
+LARGEST = 1_500_000
 LABEL = 22  # pixels of a line of text
 GROUND = (24, 24, 26)
 INK = (225, 225, 225)
 VIEW_TITLE = {"body": "", "head": "face", "hand_left": "left hand", "hand_right": "right hand"}
-SAMPLES = 2  # pictures of field and avatar take 2 x 2 samples a pixel: the truth is smoothed as well
+# pictures of field and avatar take 2 x 2 samples a pixel: the truth is smoothed as well
+SAMPLES = 2
 
 
 def spread_poses(views: Sequence[HeldOutView], view: str, count: int) -> list[HeldOutView]:
@@ -44,16 +46,10 @@ def contact_sheet(run: Path | None, avatar: Path | None, capture: Path, out: Pat
         for kind, count in (("body", 2 * pairs), ("head", 4), ("hand_left", 2), ("hand_right", 2)):
             for view in spread_poses(views, kind, count):
                 tiles = [view.image()]
-                tiles += [
-                    d.draw(view.axis_angle, view.root, view.camera, SAMPLES).colour for d in drawers.values()
-                ]
-                rows.append(
-                    cropped(tiles, square_about(view.mask() if kind == "body" else view.parts() > 0, kind))
-                )
+                tiles += [d.draw(view.axis_angle, view.root, view.camera, SAMPLES).colour for d in drawers.values()]
+                rows.append(cropped(tiles, square_about(view.mask() if kind == "body" else view.parts() > 0, kind)))
                 names = ["truth", *drawers]
-                titles.append(
-                    [f"{VIEW_TITLE[kind]} {name}, pose {view.pose_index}".strip() for name in names]
-                )
+                titles.append([f"{VIEW_TITLE[kind]} {name}, pose {view.pose_index}".strip() for name in names])
         heading = f"{facts.get('subject', capture.name)}, {facts.get('light', '?')} light, novel poses"
         save_sheet(out, sheet(rows, titles, heading, columns=2))
     finally:
@@ -79,9 +75,7 @@ def cropped(
     return [np.round(np.clip(tile[where], 0, 1) * 255).astype(np.uint8) for tile in tiles]
 
 
-def sheet(
-    rows: list[list[np.ndarray]], titles: list[list[str]], heading: str, *, columns: int
-) -> Image.Image:
+def sheet(rows: list[list[np.ndarray]], titles: list[list[str]], heading: str, *, columns: int) -> Image.Image:
     """Groups of tiles (each row of `rows`) laid out `columns` groups to a line, each tile under its title."""
     widest = max(len(row) for row in rows)
     gap = 4
@@ -120,7 +114,8 @@ def save_sheet(out: Path, page: Image.Image) -> None:
 
 def film_sheet(film: Path, out: Path, *, frames: int = 24, columns: int = 6) -> None:
     """Frames of a film, evenly spread, in a grid."""
-    import av  # only when a film is read: its wheel bundles encoders under other licences
+    # only when a film is read: its wheel bundles encoders under other licences
+    import av
 
     with av.open(str(film)) as container:
         pictures = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]

@@ -20,7 +20,8 @@ from avatar.errors import AssetError
 @dataclass(frozen=True)
 class Stage:
     name: str
-    product: Path  # written whole or not at all by the stage, last of what it writes
+    # written whole or not at all by the stage, last of what it writes
+    product: Path
     run: Callable[[], object]
 
 
@@ -87,9 +88,7 @@ def run_stages(todo: list[Stage]) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m bench.demo", description="The whole path on the built-in person."
-    )
+    parser = argparse.ArgumentParser(prog="python -m bench.demo", description="The whole path on the built-in person.")
     parser.add_argument("out", type=Path, nargs="?", default=Path("out/demo"), help="folder (%(default)s)")
     options = parser.parse_args(argv)
     start = time.perf_counter()

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from avatar.avatar_file import Avatar, Level, read_avatar
 from avatar.camera import Camera
+from avatar.gltf.avatar_file import Avatar, Level, read_avatar
 from avatar.skinning import SkinWeights
 from bench import metrics
 from bench.field_view import Directions, FieldView, Picture, PosableSurface, averaged
@@ -63,9 +63,7 @@ class Drawer:
             pose = axis_angle, root
             return drawn_where(self.field, self.raster, pose, camera, samples, where, self.directions)
         if self.field is not None:
-            return self.field.draw(
-                self.raster, axis_angle, root, camera, samples=samples, directions=self.directions
-            )
+            return self.field.draw(self.raster, axis_angle, root, camera, samples=samples, directions=self.directions)
         assert self.avatar is not None
         size = (samples * camera.size[0], samples * camera.size[1])
         if size not in self.renderers:

@@ -29,7 +29,8 @@ from train.run import Run
 Directions = Literal["global", "own", "cone"]
 
 CHUNK = 1 << 16  # field queries at once
-FARTHEST = 0.002  # metres: a vertex is not moved farther than this in one step onto the zero set
+# metres: a vertex is not moved farther than this in one step onto the zero set
+FARTHEST = 0.002
 CLOSE = 5e-5  # metres: nearer than this counts as on it
 
 
@@ -55,9 +56,7 @@ class PosableSurface:
     joints: Float[np.ndarray, "52 3"]  # pose 0
     canonical_pose: Float[np.ndarray, "52 3"]
 
-    def posed(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "v 3"]:
+    def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]) -> Float[np.ndarray, "v 3"]:
         return skin_points(self.vertices, self.skin, self.transforms(axis_angle, root))
 
     def transforms(
@@ -89,7 +88,8 @@ class FieldView:
             np.asarray(a, np.float64) for a in (s.view_count, s.view_mean, s.view_covariance, s.normals)
         )
         self.cone = view_cone(count, mean, covariance, normals, self.surface.faces)
-        self.last_pose: tuple[bytes, np.ndarray] = (b"", np.zeros((0, 3)))  # several pictures show one pose
+        # several pictures show one pose
+        self.last_pose: tuple[bytes, np.ndarray] = (b"", np.zeros((0, 3)))
 
     @one_thread()
     def draw(
@@ -131,9 +131,7 @@ class FieldView:
                 direction = cone_direction(clamped_tangent(direction, seen), seen)
         return shaded(cover, chosen, self.colour(points, direction), samples)
 
-    def posed(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "v 3"]:
+    def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]) -> Float[np.ndarray, "v 3"]:
         """Posed vertices of its own surface; the last pose is kept."""
         key = np.concatenate([np.ravel(axis_angle), root]).tobytes()
         if self.last_pose[0] != key:
@@ -153,9 +151,7 @@ class FieldView:
         return out
 
 
-def on_zero_set(
-    field: FusedField, points: Float[np.ndarray, "n 3"], steps: int = 2
-) -> Float[np.ndarray, "n 3"]:
+def on_zero_set(field: FusedField, points: Float[np.ndarray, "n 3"], steps: int = 2) -> Float[np.ndarray, "n 3"]:
     """Points near the surface moved along the gradient onto the zero set: Newton steps, each at most FARTHEST."""
     moved = torch.as_tensor(points, dtype=torch.float32).clone()
     with torch.no_grad():
@@ -178,11 +174,10 @@ def faces_in_picture(
     pixels, depth = project(camera, vertices)
     width, height = camera.size
     front = depth > 1e-6
-    beyond = np.stack(
-        [pixels[:, 0] < 0, pixels[:, 0] > width, pixels[:, 1] < 0, pixels[:, 1] > height], axis=-1
-    )
+    beyond = np.stack([pixels[:, 0] < 0, pixels[:, 0] > width, pixels[:, 1] < 0, pixels[:, 1] > height], axis=-1)
     code = (beyond * np.array([1, 2, 4, 8], np.uint8)).sum(-1, dtype=np.uint8)
-    code[~front] = 0  # its pixel means nothing: left to the rasteriser, which clips
+    # its pixel means nothing: left to the rasteriser, which clips
+    code[~front] = 0
     a, b, c = faces.T
     return faces[(code[a] & code[b] & code[c]) == 0]
 
@@ -215,7 +210,8 @@ def averaged(image: Float[np.ndarray, "a b 3"], mask: Bool[np.ndarray, "a b"], s
     if samples == 1:
         return Picture(image, mask)
     total, cover = np.zeros_like(image[::samples, ::samples]), 0
-    for i in range(samples):  # strided sums: ten times as fast as the mean over two axes of blocks
+    # strided sums: ten times as fast as the mean over two axes of blocks
+    for i in range(samples):
         for j in range(samples):
             total += image[i::samples, j::samples]
             cover = cover + mask[i::samples, j::samples]

@@ -1,4 +1,4 @@
-"""The ground truth of a synthetic capture: the subject's own mesh; bake/held_out.py reads the pictures.
+"""The ground truth of a synthetic capture: the subject's own mesh; capture/held_out.py reads the pictures.
 
 truth/rest.npz                 the subject's mesh in pose 0 with its own rig weights, parts, hair, visible faces
 """
@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from bake.held_out import (
+from capture.held_out import (
     PART_ID,
     SETS,
     VIEWS,
@@ -37,11 +37,10 @@ class TrueMesh:
     joints: Float[np.ndarray, "52 3"]
     part: Int[np.ndarray, "v"]  # PART_ID
     hair: Bool[np.ndarray, "v"]
-    visible: Bool[np.ndarray, "f"]  # seen from outside in pose 0
+    # seen from outside in pose 0
+    visible: Bool[np.ndarray, "f"]
 
-    def posed(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "v 3"]:
+    def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]) -> Float[np.ndarray, "v 3"]:
         transforms = skin_transforms(axis_angle, self.joints, root, rest=np.zeros((52, 3)))
         return skin_points(self.vertices, self.skin, transforms)
 

@@ -45,5 +45,6 @@ def cpu_name() -> str:
             if line.startswith("model name"):
                 return line.split(":", 1)[1].strip()
     except OSError:
-        pass  # not Linux: the platform module's word has to do
+        # not Linux: the platform module's word has to do
+        pass
     return platform.processor() or platform.machine()

@@ -14,7 +14,8 @@ from jaxtyping import Bool, Float
 from skimage.metrics import structural_similarity
 
 SSIM_WINDOW = 7  # pixels, scikit-image's default: uniform window
-FLIP_REACH = 21  # pixels: twice FLIP's widest filter, feature after colour
+# pixels: twice FLIP's widest filter, feature after colour
+FLIP_REACH = 21
 LPIPS_REASON = "LPIPS needs network weights under their own licence; none are shipped"
 
 
@@ -25,11 +26,7 @@ class Score(NamedTuple):
     reason: str = ""
 
     def text(self, digits: int = 2) -> str:
-        return (
-            f"{self.value:.{digits}f}"
-            if self.value is not None
-            else ("inf" if "infinite" in self.reason else "-")
-        )
+        return f"{self.value:.{digits}f}" if self.value is not None else ("inf" if "infinite" in self.reason else "-")
 
 
 @dataclass

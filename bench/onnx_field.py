@@ -1,4 +1,4 @@
-"""The trained field without torch: RUN/fields.onnx (bake/field_onnx.py) asked through ONNX Runtime, and drawn."""
+"""The trained field without torch: RUN/fields.onnx (train/field_onnx.py) asked through ONNX Runtime, and drawn."""
 
 from pathlib import Path
 
@@ -12,13 +12,14 @@ from avatar.npz import read_npz
 from avatar.skinning import SkinWeights
 from bake.cone import view_cone
 from bake.measure import FieldImage, FieldSurface, View, draw_field
-from bake.surface import Mesh
+from geometry.isosurface import Mesh
 from player.context import open_context
 from player.raster import Rasteriser
 
 INPUTS = {"points": ["n", 3], "directions": ["n", 3]}
 OUTPUTS = {"distance": ["n"], "normal": ["n", 3], "color": ["n", 3]}
-PIECE = 1 << 15  # points at once, so that memory stays bounded
+# points at once, so that memory stays bounded
+PIECE = 1 << 15
 
 
 class OnnxField:
@@ -34,7 +35,8 @@ class OnnxField:
             raise AssetError(f"{path}: no such file; `selfscan bake` writes it into the run folder")
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
-        options.log_severity_level = 4  # what it has to say is in the exception
+        # what it has to say is in the exception
+        options.log_severity_level = 4
         try:
             self.session = onnxruntime.InferenceSession(
                 self.path.read_bytes(), options, providers=["CPUExecutionProvider"]
@@ -52,21 +54,18 @@ class OnnxField:
 
     def distance(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         """Signed distance, metres, negative inside."""
-        return self.ask("distance", points, np.zeros_like(points))  # no direction: no more than the distance
+        # no direction: no more than the distance
+        return self.ask("distance", points, np.zeros_like(points))
 
     def normal(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Unit gradient of the distance."""
         return self.ask("normal", points, np.tile([0.0, 0.0, 1.0], (len(points), 1)))
 
-    def color(
-        self, points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
-    ) -> Float[np.ndarray, "n 3"]:
+    def color(self, points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """sRGB in [0, 1] of points seen along unit directions, from the camera to the point."""
         return self.ask("color", points, directions)
 
-    def ask(
-        self, output: str, points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
-    ) -> np.ndarray:
+    def ask(self, output: str, points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> np.ndarray:
         pieces = []
         for start in range(0, max(len(points), 1), PIECE):
             asked = {
@@ -92,9 +91,7 @@ def field_surface(run: Path | str) -> FieldSurface:
     for name, width in shapes.items():
         rows = len(surface["faces"]) if name == "faces" else count
         if surface[name].shape != (rows, width):
-            raise AssetError(
-                f"{run / 'surface.npz'}: {name} should be ({rows}, {width}), is {surface[name].shape}"
-            )
+            raise AssetError(f"{run / 'surface.npz'}: {name} should be ({rows}, {width}), is {surface[name].shape}")
     if surface["view_count"].shape != (count,) or surface["faces"].max(initial=0) >= count:
         raise AssetError(f"{run / 'surface.npz'}: view_count and faces should fit {count} vertices")
     joints = read_npz(run / "subject.npz", "the template of a run", ("joints",))["joints"].astype(np.float64)

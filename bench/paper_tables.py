@@ -15,9 +15,7 @@ def _row(names: tuple[str, ...], *numbers: float) -> Scores:
     """Numbers in the order of the paper's columns: head, hands, total, each with `names`."""
     width = len(names)
     assert len(numbers) == width * len(REGIONS)
-    return {
-        region: dict(zip(names, numbers[i * width : (i + 1) * width])) for i, region in enumerate(REGIONS)
-    }
+    return {region: dict(zip(names, numbers[i * width : (i + 1) * width])) for i, region in enumerate(REGIONS)}
 
 
 QUOTED_GEOMETRY = {  # table 1

@@ -28,9 +28,11 @@ CONVOLUTIONS = (
     (8, 384, 256, 3, 1, 1, False),
     (10, 256, 256, 3, 1, 1, False),
 )
-SHIFT = (-0.030, -0.088, -0.188)  # of colours in [-1, 1], ImageNet's mean and deviation there
+# of colours in [-1, 1], ImageNet's mean and deviation there
+SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
-SMALLEST = 31  # pixels of a side: below it a pooling layer has nothing left
+# pixels of a side: below it a pooling layer has nothing left
+SMALLEST = 31
 
 
 class Perceptual(nn.Module):
@@ -39,8 +41,7 @@ class Perceptual(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.convolutions = nn.ModuleList(
-            nn.Conv2d(into, out, kernel, stride, padding)
-            for _, into, out, kernel, stride, padding, _ in CONVOLUTIONS
+            nn.Conv2d(into, out, kernel, stride, padding) for _, into, out, kernel, stride, padding, _ in CONVOLUTIONS
         )
         self.linear = nn.ParameterList(torch.zeros(out) for _, _, out, *_ in CONVOLUTIONS)
         self.register_buffer("shift", torch.tensor(SHIFT)[:, None, None])

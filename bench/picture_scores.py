@@ -22,9 +22,7 @@ from bench.held_out import PART_ID, HeldOutView, TrueMesh
 Perceive = Callable[[Float[np.ndarray, "h w 3"], Float[np.ndarray, "_ _ 3"]], metrics.Score]  # LPIPS
 
 # pose, root, camera, squared samples a pixel, pixels that are looked at (others may be left black)
-Draw = Callable[
-    [Float[np.ndarray, "52 3"], Float[np.ndarray, "3"], Camera, int, Bool[np.ndarray, "h w"]], Picture
-]
+Draw = Callable[[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"], Camera, int, Bool[np.ndarray, "h w"]], Picture]
 
 REGIONS = ("head", "left_hand", "right_hand", "total")
 VIEW_REGION = {"body": "total", "head": "head", "hand_left": "left_hand", "hand_right": "right_hand"}
@@ -34,9 +32,11 @@ REGION_PART = {
     "right_hand": PART_ID["hand_right"],
 }
 BOX_MARGIN = 0.02  # metres round the posed true region
-SAMPLES = 2  # squared rays a pixel of ours; the truth is smoothed as well, by 3 x 3
+# squared rays a pixel of ours; the truth is smoothed as well, by 3 x 3
+SAMPLES = 2
 DILATION = 5  # pixels of the true part mask
-T_POSE = np.radians(5.0)  # a frame whose joints all turn less is a T-pose frame
+# a frame whose joints all turn less is a T-pose frame
+T_POSE = np.radians(5.0)
 
 
 @dataclass
@@ -68,7 +68,8 @@ class ImageScores:
     ) -> None:
         where = metrics.rectangle(box)
         if where is None:
-            return  # the region is outside this picture
+            # the region is outside this picture
+            return
         self.box.add(truth, image, box)
         self.mask.add(truth, image, mask)
         self.ssim.append(metrics.ssim(truth[where], image[where]))
@@ -85,9 +86,7 @@ class ImageScores:
         }
 
 
-def box_pixels(
-    camera: Camera, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
-) -> Bool[np.ndarray, "h w"]:
+def box_pixels(camera: Camera, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "h w"]:
     """Pixels whose rays meet an axis-aligned box (slab test, Kay and Kajiya 1986)."""
     origins, directions = pixel_rays(camera)
     safe = np.where(np.abs(directions) > 1e-12, directions, 1e-12)
@@ -101,7 +100,8 @@ class Region(NamedTuple):
     """Where one region of one picture is compared."""
 
     mask: Bool[np.ndarray, "h w"]  # its true pixels
-    around: Bool[np.ndarray, "h w"]  # the pixels looked at; both pictures are black elsewhere
+    # the pixels looked at; both pictures are black elsewhere
+    around: Bool[np.ndarray, "h w"]
 
 
 def region_of(view: HeldOutView, region: str) -> Region:
@@ -117,7 +117,8 @@ class SetScores(NamedTuple):
 
     scored: dict[str, ImageScores]
     t_pose: dict[str, ImageScores]
-    few: dict[str, ImageScores]  # those of `scored` that are of the few poses
+    # those of `scored` that are of the few poses
+    few: dict[str, ImageScores]
 
 
 def score_images(
@@ -131,9 +132,7 @@ def score_images(
     few: Set[int] = frozenset(),
 ) -> SetScores:
     """Draw and score every picture of a set; those of the `few` pose indices are also gathered by themselves."""
-    scores = SetScores(
-        {region: ImageScores() for region in REGIONS}, {}, {region: ImageScores() for region in REGIONS}
-    )
+    scores = SetScores({region: ImageScores() for region in REGIONS}, {}, {region: ImageScores() for region in REGIONS})
     vertices_of = {region: np.flatnonzero(mesh.part == part) for region, part in REGION_PART.items()}
     vertices_of["total"] = np.unique(mesh.faces)
     posed: tuple[int, np.ndarray] = (-1, np.zeros((0, 3)))

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from avatar.skinning import SkinWeights
-from bench import geometry
+from bench import surface_distance as geometry
 from bench.field_view import PosableSurface
 from bench.held_out import TrueMesh
 from bench.picture_scores import REGION_PART
@@ -62,7 +62,8 @@ class Distances:
 
     to_truth: list[np.ndarray] = field(default_factory=list)
     to_surface: list[np.ndarray] = field(default_factory=list)
-    hair_to_truth: list[np.ndarray] = field(default_factory=list)  # is the nearest true surface hair
+    # is the nearest true surface hair
+    hair_to_truth: list[np.ndarray] = field(default_factory=list)
     hair_to_surface: list[np.ndarray] = field(default_factory=list)
 
     def merged(self, other: "Distances") -> "Distances":
@@ -93,9 +94,7 @@ class PosedPair(NamedTuple):
     index: geometry.TriangleIndex
 
 
-def posed_pair(
-    case: GeometryCase, truth_posed: Float[np.ndarray, "v 3"], posed: Float[np.ndarray, "w 3"]
-) -> PosedPair:
+def posed_pair(case: GeometryCase, truth_posed: Float[np.ndarray, "v 3"], posed: Float[np.ndarray, "w 3"]) -> PosedPair:
     return PosedPair(
         truth_posed,
         posed,

@@ -24,7 +24,6 @@ from bake.truth import better_mode, scores_by_mode, some_poses
 from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
 from bench.field_view import one_thread
-from bench.geometry import triangle_index
 from bench.held_out import SETS, HeldOutView, TrueMesh, read_capture_facts, read_held_out, read_true_mesh
 from bench.machine import machine
 from bench.perceptual import read_perceptual
@@ -42,13 +41,16 @@ from bench.posed_geometry import (
 from bench.quality_table import PAPER, markdown, print_table
 from bench.region_scores import gather, regions_of
 from bench.remeasure import remeasured
-from bench.synth.surface import visible_faces
+from bench.surface_distance import triangle_index
 from player.context import open_context
+from synth.surface import visible_faces
 from train.run import read_run
 
-FIELD_POSES = 3  # of each held-out set on which an avatar is compared with its run's field
+# of each held-out set on which an avatar is compared with its run's field
+FIELD_POSES = 3
 CAPTURE_FACTS = ("subject", "light", "sheen", "pose_noise_deg", "seed", "size", "registration")
-BESIDE = 4  # rows beside the main ones take each 4th sample, in every pose
+# rows beside the main ones take each 4th sample, in every pose
+BESIDE = 4
 
 
 def tell(text: str) -> None:
@@ -259,12 +261,8 @@ def eval_main(argv: list[str]) -> int:
         "avatar every view mode side by side.",
         epilog="example: selfscan eval out/run out/capture --json quality.json",
     )
-    parser.add_argument(
-        "subject", metavar="RUN_OR_AVATAR", type=Path, help="run folder, or avatar file (.glb)"
-    )
-    parser.add_argument(
-        "capture", metavar="CAPTURE", type=Path, help="capture folder with truth/ (selfscan synth)"
-    )
+    parser.add_argument("subject", metavar="RUN_OR_AVATAR", type=Path, help="run folder, or avatar file (.glb)")
+    parser.add_argument("capture", metavar="CAPTURE", type=Path, help="capture folder with truth/ (selfscan synth)")
     parser.add_argument("--json", metavar="FILE", type=Path, help="write every number here as well")
     parser.add_argument("--markdown", metavar="FILE", type=Path, help="write the table here as Markdown")
     parser.add_argument(

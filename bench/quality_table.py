@@ -16,8 +16,7 @@ from bench.paper_tables import PAPER_GEOMETRY, PAPER_IMAGE, REGIONS
 
 # its crops are unknown: PSNR is context, no bar
 PAPER: dict[str, dict[str, float | None]] = {
-    region: {**PAPER_GEOMETRY["ours"][region], **PAPER_IMAGE["ours"][region], "flip": None}
-    for region in REGIONS
+    region: {**PAPER_GEOMETRY["ours"][region], **PAPER_IMAGE["ours"][region], "flip": None} for region in REGIONS
 }
 
 COLUMNS = (
@@ -38,9 +37,7 @@ def table_rows(result: dict[str, Any]) -> list[list[str]]:
     rows = []
     for name in SETS:
         for region in ("head", "left_hand", "right_hand", "hands", "total"):
-            rows.append(
-                [f"{name.replace('_', ' ')}: {region.replace('_', ' ')}", *cells(result[name][region])]
-            )
+            rows.append([f"{name.replace('_', ' ')}: {region.replace('_', ' ')}", *cells(result[name][region])])
             if name == "novel_pose" and region in PAPER:
                 rows.append([f"  paper: {region}", *cells(PAPER[region])])
     beside = result["beside"]
@@ -57,9 +54,7 @@ def table_rows(result: dict[str, Any]) -> list[list[str]]:
                 rows.append([f"{label}: {region}", *cells(beside[name][region])])
     for apart in ("without_hair", "hair"):
         if apart in result["novel_pose"]["head"]:
-            rows.append(
-                [f"novel pose: head {apart.replace('_', ' ')}", *cells(result["novel_pose"]["head"][apart])]
-            )
+            rows.append([f"novel pose: head {apart.replace('_', ' ')}", *cells(result["novel_pose"]["head"][apart])])
     return rows
 
 
@@ -159,7 +154,8 @@ def people_table(results: list[dict[str, Any]]) -> str:
         "# Quality",
         "",
         "Made by `python -m bench.quality_table` from files of `selfscan eval --json`. Held-out poses; P2S from our",
-        "surface to the truth and Chamfer, both directions' mean, on the surface that can be seen from outside, without",
+        "surface to the truth and Chamfer, both directions' mean, on the surface that can be seen from outside, "
+        "without",
         "ICP; PSNR of the pooled error over the rays that meet the region's box, SSIM and FLIP on its rectangle, head",
         "and hands from close-ups. The head's distances include the hair. The paper's people and crops are others: its",
         "distances are the bar, its PSNR and SSIM are context. Lights are apart: a fixed one is baked into the person.",
@@ -228,12 +224,8 @@ def region_table(results: list[dict[str, Any]], region: str) -> list[str]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        prog="python -m bench.quality_table", description="Quality of many people."
-    )
-    parser.add_argument(
-        "results", nargs="+", type=Path, metavar="JSON", help="files of `selfscan eval --json`"
-    )
+    parser = argparse.ArgumentParser(prog="python -m bench.quality_table", description="Quality of many people.")
+    parser.add_argument("results", nargs="+", type=Path, metavar="JSON", help="files of `selfscan eval --json`")
     parser.add_argument("-o", dest="out", type=Path, required=True, metavar="TABLE.md")
     options = parser.parse_args(argv)
     results = []

@@ -15,11 +15,11 @@ from avatar.skinning import strongest_four
 from bake import measure
 from bake.bake import run_surface, told
 from bake.field import numpy_field
-from bake.held_out import HeldOutView
 from bake.level import rounded
-from bake.surface import Mesh
-from train.capture import PARTS
-from train.mesh import face_areas
+from capture.folder import PARTS
+from capture.held_out import HeldOutView
+from geometry.isosurface import Mesh
+from geometry.mesh import face_areas
 
 
 def field_surface(run: Any) -> measure.FieldSurface:
@@ -96,9 +96,7 @@ def level_again(level: Level, surface: measure.FieldSurface, run: Any) -> dict[s
     for number in np.unique(part):
         own = part == number
         square = 1e6 * areas[own].sum()
-        out["texel_mm_by_part"][PARTS[number]] = rounded(
-            float(np.sqrt(square / max(texels[own].sum(), 1e-9)))
-        )
+        out["texel_mm_by_part"][PARTS[number]] = rounded(float(np.sqrt(square / max(texels[own].sum(), 1e-9))))
         out["triangle_mm_by_part"][PARTS[number]] = rounded(float(np.sqrt(square / own.sum())))
     return out
 

@@ -14,11 +14,12 @@ import numpy as np
 from jaxtyping import Float
 from PIL import Image
 
-from avatar.avatar_file import Avatar, read_avatar
 from avatar.camera import Camera, orbit_camera
 from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
-from avatar.motion import builtin_motion, fitted
+from avatar.gltf.avatar_file import Avatar, read_avatar
+from avatar.motion.clip import fitted
+from avatar.motion.read import builtin_motion
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from bench.alternating import Quiet, warning
@@ -33,7 +34,8 @@ from player.renderer import Pose
 
 FRAMES = 4
 SIZE = (512, 512)
-CROP = 0.03  # metres round the person where pictures are compared
+# metres round the person where pictures are compared
+CROP = 0.03
 
 
 @dataclass(frozen=True)
@@ -62,9 +64,7 @@ def bench(
         rungs = rungs_of(avatar)
         full = frames[0].camera.size
         with Quiet() as quiet:
-            timings = time_rungs(
-                context, avatar, rungs, [(f.pose, f.camera) for f in frames], full, rounds=rounds
-            )
+            timings = time_rungs(context, avatar, rungs, [(f.pose, f.camera) for f in frames], full, rounds=rounds)
         pictures = {rung.name: rung_pictures(context, avatar, rung, frames) for rung in rungs}
         rows = [row_of(rung.name, t.ms, t.bytes) for rung, t in zip(rungs, timings, strict=True)]
         for row, timing in zip(rows, timings, strict=True):
@@ -141,9 +141,7 @@ def motion_frames(avatar: Avatar, count: int = FRAMES) -> list[Frame]:
     for i in chosen.round().astype(int):
         target = clip.root[i] + [0, 0.5 * height + standing[:, 1].min(), 0]
         camera = orbit_camera(target, 1.9 * height, 0.25, 0.05, SIZE)
-        frames.append(
-            Frame((clip.axis_angle[i].astype(np.float64), clip.root[i].astype(np.float64)), camera, None)
-        )
+        frames.append(Frame((clip.axis_angle[i].astype(np.float64), clip.root[i].astype(np.float64)), camera, None))
     return frames
 
 
@@ -175,9 +173,7 @@ def bench_main(argv: list[str]) -> int:
     )
     parser.add_argument("avatar", metavar="AVATAR", type=Path, help="avatar file (.glb)")
     parser.add_argument("--run", type=Path, help="run folder it was baked from: adds the field as a rung")
-    parser.add_argument(
-        "--capture", type=Path, help="capture folder with truth/: held-out poses and true pictures"
-    )
+    parser.add_argument("--capture", type=Path, help="capture folder with truth/: held-out poses and true pictures")
     parser.add_argument("-o", dest="out", metavar="DIR", type=Path, required=True, help="folder to write")
     parser.add_argument("--rounds", type=int, default=20, help="timed frames for each rung (%(default)s)")
     parser.add_argument("--frames", type=int, default=FRAMES, help="pictures compared (%(default)s)")
@@ -196,10 +192,7 @@ def bench_main(argv: list[str]) -> int:
     )
     for row in result["rungs"]:
         psnr = "same" if row["psnr_db"] is None else f"{row['psnr_db']:.2f} dB"
-        print(
-            f"{row['name']:36}{row['ms_median']:10.2f} ms{psnr:>12}"
-            + ("  dominated" if row["dominated"] else "")
-        )
+        print(f"{row['name']:36}{row['ms_median']:10.2f} ms{psnr:>12}" + ("  dominated" if row["dominated"] else ""))
     if result["warning"]:
         print(result["warning"])
     print(f"wrote {options.out}/bench.md")

@@ -29,7 +29,8 @@ def markdown(result: dict[str, Any]) -> str:
         *([f"> **{result['warning']}**", ""] if result["warning"] else []),
         f"{m['cpu']}, {m['cores']} cores, {m['renderer']} ({m['context']}); {width} x {height} px, "
         f"{result['frames']} frames, {result['rounds']} alternating rounds, load {number(m['load_average'], 1)}. "
-        f"PSNR, SSIM and FLIP against `{result['best_rung']}`; *faster*: than `{result['best_baked_rung']}`, median of the "
+        f"PSNR, SSIM and FLIP against `{result['best_rung']}`; *faster*: than `{result['best_baked_rung']}`, median "
+        "of the "
         "rounds' ratios; *dominated*: another rung is no slower and no less exact.",
         "",
         "| rung | ms median | p95 | faster | MB | PSNR dB | SSIM | FLIP |"
@@ -63,7 +64,8 @@ def plot(result: dict[str, Any], path: Path) -> None:
 
     rows = result["rungs"]
     finite = [row["psnr_db"] for row in rows if row["psnr_db"] is not None]
-    top = (max(finite) if finite else 40.0) + 3.0  # where the best rung, equal to itself, is drawn
+    # where the best rung, equal to itself, is drawn
+    top = (max(finite) if finite else 40.0) + 3.0
     figure = Figure(figsize=(9, 4.5), dpi=110, layout="constrained")
     axes, names = figure.subplots(1, 2, gridspec_kw={"width_ratios": [2.2, 1]})
     points = [(row["ms_median"], row["psnr_db"] if row["psnr_db"] is not None else top, row) for row in rows]
@@ -80,9 +82,7 @@ def plot(result: dict[str, Any], path: Path) -> None:
     axes.set_xscale("log")
     axes.margins(x=0.1, y=0.12)
     axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
-    few = 3 * min(x for x, _, _ in points) > max(
-        x for x, _, _ in points
-    )  # under a third of a decade: label all ticks
+    few = 3 * min(x for x, _, _ in points) > max(x for x, _, _ in points)  # under a third of a decade: label all ticks
     axes.xaxis.set_minor_formatter(FormatStrFormatter("%g") if few else NullFormatter())
     axes.set_xlabel("ms per frame (median)")
     axes.set_ylabel(f"PSNR dB against {result['best_rung']} (its own point is on top)", fontsize=8)
@@ -101,9 +101,7 @@ def rung_sheet(result: dict[str, Any], pictures: dict, crops: list, truths: list
     for row in result["rungs"]:
         tiles.append([bytes_of(pictures[row["name"]][0][crops[0]])])
         titles.append([f"{row['name']}: {row['ms_median']:.1f} ms"])
-    return sheet(
-        tiles, titles, f"{result['avatar']}: rungs of accuracy against time", columns=min(6, len(tiles))
-    )
+    return sheet(tiles, titles, f"{result['avatar']}: rungs of accuracy against time", columns=min(6, len(tiles)))
 
 
 def bytes_of(picture: Float[np.ndarray, "h w 3"]) -> np.ndarray:

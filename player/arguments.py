@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from avatar.hands import HANDS
+from avatar.motion.hands import HANDS
 from player.scenes.effects import Background
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")

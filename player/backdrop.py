@@ -37,7 +37,8 @@ class Backdrop:
         texture = made.textures["background color"]
         if self.source is not None:
             return texture.mglo, self.source.number(seconds)
-        turned = np.round(camera.camera_from_world[:3, :3], 9) + 0.0  # rounding is no turn; 0 and -0 are one
+        # rounding is no turn; 0 and -0 are one
+        turned = np.round(camera.camera_from_world[:3, :3], 9) + 0.0
         return texture.mglo, camera.K.tobytes(), turned.tobytes()
 
     def fresh(self, content: tuple) -> bool:

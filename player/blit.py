@@ -14,7 +14,8 @@ from player.context import Context
 
 READ_FRAMEBUFFER, DRAW_FRAMEBUFFER = 0x8CA8, 0x8CA9
 COLOR_BUFFER_BIT, NEAREST = 0x4000, 0x2600
-Box = tuple[int, int, int, int]  # left, first row, right, end row, in rows as GL counts them
+# left, first row, right, end row, in rows as GL counts them
+Box = tuple[int, int, int, int]
 
 
 class Blit:

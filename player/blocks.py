@@ -3,12 +3,15 @@
 import moderngl
 import numpy as np
 
-STD140 = {  # GLSL type: (numpy format, size, alignment), OpenGL 4.6 section 7.6.2.2
+# GLSL type: (numpy format, size, alignment), OpenGL 4.6 section 7.6.2.2
+STD140 = {
     "float": ("f4", 4, 4),
     "vec3": (("f4", (3,)), 12, 16),
     "vec4": (("f4", (4,)), 16, 16),
-    "mat4": (("f4", (4, 4)), 64, 16),  # stored by columns: assign matrix.T
-    "mat4x3": (("f4", (3, 4)), 48, 16),  # declared row_major: the three rows of [R | t], assign matrix[:3]
+    # stored by columns: assign matrix.T
+    "mat4": (("f4", (4, 4)), 64, 16),
+    # declared row_major: the three rows of [R | t], assign matrix[:3]
+    "mat4x3": (("f4", (3, 4)), 48, 16),
     "vec4[52]": (("f4", (52, 4)), 52 * 16, 16),
     "mat4x3[52]": (("f4", (52, 3, 4)), 52 * 48, 16),
 }
@@ -36,7 +39,8 @@ BINDING = {"Frame": (FRAME, 0), "Bones": (BONES, 1), "Turns": (TURNS, 2), "Duals
 def bind_block(program: moderngl.Program, name: str) -> None:
     """Give a block its binding point; refuse if GLSL and Python disagree on its size."""
     if name not in program:
-        return  # the compiler removed a block this variant never reads
+        # the compiler removed a block this variant never reads
+        return
     block, (dtype, binding) = program[name], BINDING[name]
     assert isinstance(block, moderngl.UniformBlock), f"{name} is a {type(block).__name__}"
     if block.size != dtype.itemsize:

@@ -29,7 +29,8 @@ Array = np.ndarray
 # eye (3), target (3), up (3), log of the two focal lengths, skew, principal point from the middle;
 # the last five in image heights, so that any image size shows the same vertical field of view
 Key = Float[Array, "14"]
-SHORTEST = 1e-6  # metres from eye to target under which no direction is left
+# metres from eye to target under which no direction is left
+SHORTEST = 1e-6
 
 
 @dataclass(frozen=True)
@@ -87,9 +88,7 @@ class CameraPath:
         if not (len(times) == len(cameras) > 0 and (np.diff(times) > 0).all()):
             raise ValueError(f"{len(cameras)} cameras need as many growing times, are {times.tolist()}")
         ahead = np.broadcast_to(np.asarray(distances, np.float64), len(times))
-        return CameraPath(
-            times, np.stack([key_of(camera, float(d)) for camera, d in zip(cameras, ahead, strict=True)])
-        )
+        return CameraPath(times, np.stack([key_of(camera, float(d)) for camera, d in zip(cameras, ahead, strict=True)]))
 
     @staticmethod
     def read(path: Path | str) -> "CameraPath":
@@ -170,9 +169,7 @@ def read_json(path: Path | str) -> Any:
         raise AssetError(f"{path}: expected a camera or a camera path (JSON), found: {error}") from None
 
 
-def slopes_at(
-    times: Float[Array, "keys"], values: Float[Array, "keys numbers"]
-) -> Float[Array, "keys numbers"]:
+def slopes_at(times: Float[Array, "keys"], values: Float[Array, "keys numbers"]) -> Float[Array, "keys numbers"]:
     """Derivatives of the parabolas through each key and its neighbours; at the ends, of the same parabola."""
     if len(times) < 3:
         return np.repeat(np.diff(values, axis=0) / np.diff(times)[:, None], len(times), axis=0)

@@ -48,10 +48,12 @@ class EglDevice:
     index: int  # position in eglQueryDevicesEXT
     handle: int
     drm: str | None  # DRM node, as /dev/dri/card0
-    cuda: int | None  # CUDA ordinal, where the driver tells it
+    # CUDA ordinal, where the driver tells it
+    cuda: int | None
     software: bool  # Mesa's own rasteriser, not a GPU
     render_node: str | None = None  # as /dev/dri/renderD128
-    model: str | None = None  # maker and name of the card, where the driver tells it
+    # maker and name of the card, where the driver tells it
+    model: str | None = None
 
     def is_gpu(self, gpu: int | str) -> bool:
         """Whether --gpu means this device: a CUDA ordinal, else a position; or one of its DRM nodes."""
@@ -77,7 +79,8 @@ class Driver:
     make_current: Callable[[], None]
     let_go: Callable[[], None]
     destroy: Callable[[], None]
-    keep: list[object] = field(default_factory=list)  # memory the driver still writes to
+    # memory the driver still writes to
+    keep: list[object] = field(default_factory=list)
 
 
 class Loader:
@@ -296,9 +299,7 @@ class Egl:
             cuda, value = None, c_void_p()
             if "EGL_NV_device_cuda" in known and attribute(handle, EGL_CUDA_DEVICE, byref(value)):
                 cuda = value.value or 0
-            node = (
-                text(handle, EGL_DRM_RENDER_NODE_FILE) if "EGL_EXT_device_drm_render_node" in known else None
-            )
+            node = text(handle, EGL_DRM_RENDER_NODE_FILE) if "EGL_EXT_device_drm_render_node" in known else None
             named = "EGL_EXT_device_query_name" in known
             names = [text(handle, name) for name in (EGL_VENDOR, EGL_RENDERER)] if named else []
             model = " ".join(name.decode("utf-8", "replace") for name in names if name)
@@ -318,10 +319,7 @@ class Egl:
         """A 3.3 core context with no surface. An OSError says which call refused and why."""
         lib = self.library
         name = str(device) if device else "EGL surfaceless"
-        if (
-            platform == EGL_PLATFORM_SURFACELESS
-            and "EGL_MESA_platform_surfaceless" not in self.client_extensions
-        ):
+        if platform == EGL_PLATFORM_SURFACELESS and "EGL_MESA_platform_surfaceless" not in self.client_extensions:
             raise OSError("this EGL has no EGL_MESA_platform_surfaceless")
         get_display = self.function("eglGetPlatformDisplayEXT", c_void_p, c_uint, c_void_p, POINTER(c_int))
         display = get_display(platform, device.handle if device else None, None)
@@ -369,7 +367,8 @@ def osmesa_driver() -> Driver:
     context = lib.OSMesaCreateContextAttribs((c_int * len(OSMESA_CONTEXT))(*OSMESA_CONTEXT), None)
     if not context:
         raise OSError("OSMesaCreateContextAttribs: no 3.3 core context")
-    canvas = (c_ubyte * (16 * 16 * 4))()  # OSMesa wants some memory to call its screen
+    # OSMesa wants some memory to call its screen
+    canvas = (c_ubyte * (16 * 16 * 4))()
 
     def make_current() -> None:
         if not lib.OSMesaMakeCurrent(context, canvas, 0x1401, 16, 16):

@@ -44,7 +44,8 @@ class Counts:
         self._bound: dict[tuple[str, int], int] = {}
         self._extents: dict[int, tuple[int, int]] = {}  # of textures
         self._max_level: dict[int, int] = {}
-        self._thunks: list[object] = []  # ctypes callbacks die with their last reference
+        # ctypes callbacks die with their last reference
+        self._thunks: list[object] = []
 
     def objects(self) -> dict[str, int]:
         """Live objects by kind, without the kinds that have none."""
@@ -102,9 +103,7 @@ class Counts:
         if name == "glRenderbufferStorage":
             return self._thunk(address, None, (c_uint, c_uint, c_int, c_int), self._renderbuffer)
         if name == "glRenderbufferStorageMultisample":
-            return self._thunk(
-                address, None, (c_uint, c_int, c_uint, c_int, c_int), self._renderbuffer_samples
-            )
+            return self._thunk(address, None, (c_uint, c_int, c_uint, c_int, c_int), self._renderbuffer_samples)
         return address
 
     def _thunk(self, address: int, result, argument_types: tuple, after: Callable[..., object]) -> int:
@@ -200,9 +199,7 @@ class Counts:
         levels = self._sizes.get(("texture", name), {})
         width, height = self._extents.get(name, (1, 1))
         texel = levels.get(0, 0) // (width * height)
-        for level in range(
-            1, min(self._max_level.get(name, 1000), (max(width, height)).bit_length() - 1) + 1
-        ):
+        for level in range(1, min(self._max_level.get(name, 1000), (max(width, height)).bit_length() - 1) + 1):
             levels[level] = max(width >> level, 1) * max(height >> level, 1) * texel
 
     def _tex_sub_image(self, _target, _level, _x, _y, width, height, _format, _type, _data):

@@ -48,7 +48,8 @@ class Node(NamedTuple):
     """A device file of a graphics card."""
 
     path: str
-    usable: bool  # may be opened for reading and writing
+    # may be opened for reading and writing
+    usable: bool
 
 
 def findings() -> dict[str, Any]:
@@ -158,16 +159,10 @@ def hints(
     software: bool, container: bool,
 ) -> list[str]:  # fmt: skip
     """What to do where a card is there and is not drawn with, one line each."""
-    out = [
-        f"{vendor['file']}: its driver does not load: {vendor['wrong']}"
-        for vendor in vendors
-        if vendor["wrong"]
-    ]
+    out = [f"{vendor['file']}: its driver does not load: {vendor['wrong']}" for vendor in vendors if vendor["wrong"]]
     closed = [node.path for node in nodes if not node.usable]
     if closed:
-        groups = (
-            "--group-add render" if container else "sudo usermod -aG render,video $USER, then log in again"
-        )
+        groups = "--group-add render" if container else "sudo usermod -aG render,video $USER, then log in again"
         out.append(f"{', '.join(closed)} may not be opened by this user: {groups}")
     has_nvidia = nvidia is not None or any("nvidia" in node.path for node in nodes)
     if has_nvidia and not any(device.cuda is not None for device in devices):
@@ -180,7 +175,9 @@ def hints(
                        '/usr/share/glvnd/egl_vendor.d/10_nvidia.json: {"file_format_version": "1.0.0", "ICD": '
                        '{"library_path": "libEGL_nvidia.so.0"}}')  # fmt: skip
     elif software and container and not nodes:
-        out.append("no graphics card is visible in this container: --device /dev/dri (Intel, AMD) or --gpus all (NVIDIA)")  # fmt: skip
+        out.append(
+            "no graphics card is visible in this container: --device /dev/dri (Intel, AMD) or --gpus all (NVIDIA)"
+        )
     hardware = [device for device in devices if not device.software]
     if software and hardware and not out:
         out.append(f"{hardware[0]} is there and does not draw: see why above; --gpu asks for it alone")
@@ -216,13 +213,9 @@ def report(found: dict[str, Any]) -> str:
     if winner is None:
         lines.append("no context works: nothing can be drawn on this machine yet")
     else:
-        lines.append(
-            f"draws with {winner['name']}: {winner['renderer']}, OpenGL {winner['version']} ({winner['why']})"
-        )
+        lines.append(f"draws with {winner['name']}: {winner['renderer']}, OpenGL {winner['version']} ({winner['why']})")
         if winner["software"]:
-            lines.append(
-                "  this is the processor, not a GPU: right for CI, slower than a driver for your card"
-            )
+            lines.append("  this is the processor, not a GPU: right for CI, slower than a driver for your card")
     lines.append(f"display: {found['display'] or 'none (selfscan render needs none; selfscan play does)'}")
     if found["encoders"]:
         chosen, *refused = found["encoders"]
@@ -320,9 +313,7 @@ def _in_window(avatar: Any, views: Sequence[str], camera: Camera, *, null: bool)
     try:
         size = glfw.get_framebuffer_size(window)
         if tuple(size) != camera.size:
-            raise AssetError(
-                f"the window has {size[0]}x{size[1]} pixels, asked for {camera.size[0]}x{camera.size[1]}"
-            )
+            raise AssetError(f"the window has {size[0]}x{size[1]} pixels, asked for {camera.size[0]}x{camera.size[1]}")
         context: Context = window_context(window, null)
         reader, out = ScreenReader(context), []
         for view in views:

@@ -13,8 +13,13 @@ def doctor_main(argv: list[str]) -> int:
         prog="selfscan doctor",
         description="Which OpenGL contexts work here, which one wins and why, and what is missing.",
     )
-    parser.add_argument("--compare", nargs="?", const="mannequin", metavar="AVATAR",
-                        help="draw one frame (of the built-in body) on EGL, on OSMesa and in a window, and compare them")  # fmt: skip
+    parser.add_argument(
+        "--compare",
+        nargs="?",
+        const="mannequin",
+        metavar="AVATAR",
+        help="draw one frame (of the built-in body) on EGL, on OSMesa and in a window, and compare them",
+    )
     parser.add_argument("--json", metavar="FILE", help="write the findings to a file")
     options = parser.parse_args(argv)
     from player.doctor import compare, findings, report

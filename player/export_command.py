@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from avatar.amass import write_amass
-from avatar.avatar_file import read_avatar
-from avatar.bvh_write import write_bvh
 from avatar.errors import AssetError
-from avatar.gltf_animation import write_animated
-from avatar.motion import Clip, Motion
+from avatar.gltf.animation import write_animated
+from avatar.gltf.avatar_file import read_avatar
+from avatar.motion.amass import write_amass
+from avatar.motion.bvh_write import write_bvh
+from avatar.motion.clip import Clip, Motion
 from avatar.progress import progress
 from player.arguments import add_hands, parse_frames
 from player.motions import BLOCK, frame_range, notes, opened_motion, retargeted
@@ -96,9 +96,7 @@ def export_main(argv: list[str]) -> int:
 def _whole(motion: Motion) -> Clip:
     """All frames at once: these files are written in one piece."""
     firsts = range(0, motion.frames, BLOCK)
-    blocks = [
-        motion.read(k, min(k + BLOCK, motion.frames)) for k in progress(firsts, "frames read", len(firsts))
-    ]
+    blocks = [motion.read(k, min(k + BLOCK, motion.frames)) for k in progress(firsts, "frames read", len(firsts))]
     axis_angle, root = (
         np.concatenate([b.axis_angle for b in blocks]),
         np.concatenate([b.root for b in blocks]),

@@ -7,21 +7,25 @@ from jaxtyping import Float, Int
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, look_at, pinhole
-from avatar.motion import Clip
+from avatar.motion.clip import Clip
 from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 
 Array = np.ndarray
 
 FOV = np.radians(35.0)  # vertical
-ELEVATION = np.radians(4.0)  # a little from above, as one stands before a person
-FLESH = 0.14  # metres of body and clothes beyond the joints; hair above the head joint needs most
-MARGIN = 0.94  # of the image that the avatar may fill
+# a little from above, as one stands before a person
+ELEVATION = np.radians(4.0)
+# metres of body and clothes beyond the joints; hair above the head joint needs most
+FLESH = 0.14
+# of the image that the avatar may fill
+MARGIN = 0.94
 
 
 def pelvis_height(avatar: Avatar) -> float:
     """Height of the pelvis joint above the soles in pose 0, metres."""
-    level = avatar.levels[0]  # the finest: every reading has it
+    # the finest: every reading has it
+    level = avatar.levels[0]
     skin = SkinWeights(level.joints.astype(np.int64), level.weights.astype(np.float32) / np.float32(255))
     joints = avatar.joint_positions.astype(np.float64)
     transforms = skin_transforms(np.zeros((52, 3)), joints, rest=avatar.canonical_pose.astype(np.float64))
@@ -31,14 +35,13 @@ def pelvis_height(avatar: Avatar) -> float:
 def facing(axis_angle: Float[Array, "52 3"], joints: Float[Array, "52 3"]) -> float:
     """Azimuth the chest points to, radians: 0 along +z of the world, growing towards +x."""
     forward = joint_transforms(axis_angle, joints)[0, :3, 2]
-    if np.hypot(forward[0], forward[2]) < 1e-6:  # lying: there is no front seen from the ground
+    # lying: there is no front seen from the ground
+    if np.hypot(forward[0], forward[2]) < 1e-6:
         return 0.0
     return float(np.arctan2(forward[0], forward[2]))
 
 
-def extent(
-    avatar: Avatar, clip: Clip, *, following: bool = False, samples: int = 48
-) -> Float[Array, "points 3"]:
+def extent(avatar: Avatar, clip: Clip, *, following: bool = False, samples: int = 48) -> Float[Array, "points 3"]:
     """World points whose view holds the avatar in (about `samples`) frames of the clip.
 
     following: the points as seen by a camera that goes along with the pelvis, over the ground.

@@ -77,13 +77,16 @@ class Chain:
 def _candidates() -> tuple[np.ndarray, np.ndarray]:
     """The four multiples 4 q_i q of Shepperd (1978) as a linear map of the nine entries of R, and its constant."""
     linear, constant = np.zeros((9, 16)), np.zeros(16)
-    for i in range(3):  # 4 q_i q_i = 1 + R_ii - R_jj - R_kk
+    # 4 q_i q_i = 1 + R_ii - R_jj - R_kk
+    for i in range(3):
         linear[[0, 4, 8], 5 * i] = [1 if i == j else -1 for j in range(3)]
     linear[[0, 4, 8], 15] = 1
     constant[[0, 5, 10, 15]] = 1
-    for i, j in ((0, 1), (0, 2), (1, 2)):  # 4 q_i q_j = R_ij + R_ji
+    # 4 q_i q_j = R_ij + R_ji
+    for i, j in ((0, 1), (0, 2), (1, 2)):
         linear[[3 * i + j, 3 * j + i], 4 * i + j] = linear[[3 * i + j, 3 * j + i], 4 * j + i] = 1
-    for i, (j, k) in enumerate(((2, 1), (0, 2), (1, 0))):  # 4 q_i w = R_jk - R_kj
+    # 4 q_i w = R_jk - R_kj
+    for i, (j, k) in enumerate(((2, 1), (0, 2), (1, 0))):
         linear[3 * j + k, [4 * i + 3, 12 + i]] = 1
         linear[3 * k + j, [4 * i + 3, 12 + i]] = -1
     return linear, constant

@@ -9,7 +9,9 @@ from avatar.skinning import skin_points
 
 
 def mannequin(sex: str = "male", *, texture: int = 512, seed: int = 0) -> Avatar:
-    """The built-in body, painted with a checkered gradient; its view network is random (seeded), its cone 20 degrees."""
+    """The built-in body, painted with a checkered gradient; its view network is random (seeded),
+    its cone 20 degrees.
+    """
     body = builtin_body(sex)
     assert body.uv is not None and body.uv_faces is not None
     rng = np.random.default_rng(seed)
@@ -20,7 +22,8 @@ def mannequin(sex: str = "male", *, texture: int = 512, seed: int = 0) -> Avatar
     positions = skin_points(body.vertices, body.skin, transforms)
     normals = _normals(positions, body.faces)[vertex].astype(np.float32)
     weights = np.floor(body.skin.weights[vertex].astype(np.float64) * 255 + 1e-6).astype(np.int64)
-    weights[:, 0] += 255 - weights.sum(1)  # the heaviest bone takes what rounding left
+    # the heaviest bone takes what rounding left
+    weights[:, 0] += 255 - weights.sum(1)
     joints = np.where(weights > 0, body.skin.joints[vertex], 0)
     y, x = np.mgrid[:texture, :texture] / texture
     checks = (np.floor(24 * x) + np.floor(24 * y)) % 2
@@ -41,9 +44,7 @@ def mannequin(sex: str = "male", *, texture: int = 512, seed: int = 0) -> Avatar
         features=rng.integers(0, 256, (64, 64, 4)).astype(np.uint8),
     )
     shapes = {"w1": (16, 8), "b1": (16,), "w2": (3, 16), "b2": (3,)}
-    network = ViewNetwork(
-        **{name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
-    )
+    network = ViewNetwork(**{name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()})
     linear = (0.2 * rng.normal(size=(4, 3, 3))).astype(np.float32)
     return Avatar(
         name=f"mannequin {sex}",

@@ -3,7 +3,8 @@
 import ctypes
 
 M_MMAP_THRESHOLD = -3
-LARGE = 4 << 20  # bytes: more than a frame, less than an atlas
+# bytes: more than a frame, less than an atlas
+LARGE = 4 << 20
 
 
 def give_back_freed_memory() -> None:

@@ -8,11 +8,13 @@ import numpy as np
 from avatar.baked_avatar import Avatar
 from avatar.body import read_body
 from avatar.errors import AssetError
-from avatar.hands import with_hands
-from avatar.motion import Clip, Motion, fitted, read_motion
+from avatar.motion.clip import Clip, Motion, fitted
+from avatar.motion.hands import with_hands
+from avatar.motion.read import read_motion
 from player.framing import pelvis_height
 
-BLOCK = 256  # frames read at once: memory does not grow with the film
+# frames read at once: memory does not grow with the film
+BLOCK = 256
 SPACING = 1.0  # metres between several avatars, side by side
 
 
@@ -52,9 +54,7 @@ def frame_range(
     start, stop = start or 0, motion.frames if stop is None else stop
     if stop > motion.frames or start >= stop:
         asked = f"frame {start}" if stop == start + 1 else f"frames {start}:{stop}"
-        raise AssetError(
-            f"{motion.name}: {asked} asked for, it has {motion.frames} (0 to {motion.frames - 1})"
-        )
+        raise AssetError(f"{motion.name}: {asked} asked for, it has {motion.frames} (0 to {motion.frames - 1})")
     return start, stop
 
 

@@ -18,9 +18,12 @@ from player.blocks import BONES, DUALS, FRAME, TURNS
 from player.scenes.effects import VIEWS, Background, Effects
 
 STAGE = {"off": 0, "vertex": 1, "linear": 2, "network": 2}
-MIN_HEIGHT = 40  # pixels; view dependence of a smaller avatar cannot be seen
-SAMPLES = 4  # of MSAA: asked for as a number, never as the device's maximum, so that machines agree
-TILE = 16  # pixels a side; FXAA runs on the tiles that an avatar can reach
+# pixels; view dependence of a smaller avatar cannot be seen
+MIN_HEIGHT = 40
+# of MSAA: asked for as a number, never as the device's maximum, so that machines agree
+SAMPLES = 4
+# pixels a side; FXAA runs on the tiles that an avatar can reach
+TILE = 16
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,8 @@ class Resource:
     name: str
     kind: str  # buffer, texture, framebuffer, renderbuffer
     bytes: int
-    shape: tuple[int, ...] = ()  # what else it depends on: pixels and samples, or the level of detail
+    # what else it depends on: pixels and samples, or the level of detail
+    shape: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,8 @@ class Pass:
     """One step of a frame, or a word on why it is not in the plan (asked False)."""
 
     name: str
-    kind: str  # background | avatar | view | antialiasing
+    # background | avatar | view | antialiasing
+    kind: str
     why: str
     asked: bool = True
     avatar: int = -1
@@ -80,8 +85,10 @@ class Plan:
 class Canvas:
     """Where a plan is to run: facts of the device and of the image, none of them a GL object."""
 
-    size: tuple[int, int] | None  # pixels; None: a window that has not said yet
-    own_image: bool = True  # False: a window is drawn into
+    # pixels; None: a window that has not said yet
+    size: tuple[int, int] | None
+    # False: a window is drawn into
+    own_image: bool = True
     software: bool = True
     max_samples: int = SAMPLES
     panorama: tuple[int, int] | None = None  # width and height of an HDR background's picture

@@ -41,32 +41,27 @@ def play_parser() -> argparse.ArgumentParser:
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "avatar", nargs="*", metavar="AVATAR", help="avatar file (.glb); several stand side by side"
-    )
-    parser.add_argument(
-        "--scene", metavar="FILE", help="scene file (.toml) instead of AVATAR, --motion and --live"
-    )
+    parser.add_argument("avatar", nargs="*", metavar="AVATAR", help="avatar file (.glb); several stand side by side")
+    parser.add_argument("--scene", metavar="FILE", help="scene file (.toml) instead of AVATAR, --motion and --live")
     parser.add_argument("--motion", action="append", metavar="FILE",
                         help="pose file, EasyMocap folder, counting (default) or walking: one for all avatars, or "
                         "once for each, in order")  # fmt: skip
-    parser.add_argument("--at", type=parse_place, action="append", metavar="X,Y,Z[,DEG]",
-                        help="where an avatar stands, metres, and how it is turned; once for each, in order")  # fmt: skip
+    parser.add_argument(
+        "--at",
+        type=parse_place,
+        action="append",
+        metavar="X,Y,Z[,DEG]",
+        help="where an avatar stands, metres, and how it is turned; once for each, in order",
+    )
     parser.add_argument("--capture", metavar="CAPTURE",
                         help="look through the cameras of this capture, its video behind the avatar")  # fmt: skip
-    parser.add_argument(
-        "--part", choices=PARTS, default="body", help="which video of the capture (default: body)"
-    )
+    parser.add_argument("--part", choices=PARTS, default="body", help="which video of the capture (default: body)")
     parser.add_argument("--camera-path", metavar="FILE", help="a path of camera keys (.json) to look along")
-    parser.add_argument(
-        "--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for"
-    )
+    parser.add_argument("--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for")
     add_hands(parser)
     parser.add_argument("--size", type=parse_size, metavar="WxH", help="of the window (default: 1280x800)")
     parser.add_argument("--view", choices=("auto", *VIEWS), help="view dependence: off is the paper")
-    parser.add_argument(
-        "--skinning", choices=SKINNINGS, help="lbs (default), or dual quaternions, which keep volume"
-    )
+    parser.add_argument("--skinning", choices=SKINNINGS, help="lbs (default), or dual quaternions, which keep volume")
     parser.add_argument("--antialiasing", choices=ANTIALIASINGS, help="default: none")
     parser.add_argument("--background", type=parse_background, metavar="#rrggbb|FILE",
                         help="colour (default #2b2d33), a picture, film or panorama (.hdr)")  # fmt: skip
@@ -109,9 +104,7 @@ def check_options(parser: argparse.ArgumentParser, options: argparse.Namespace) 
     """Stop with a usage message where options exclude each other."""
     if bool(options.scene) == bool(options.avatar):
         parser.error("give AVATAR or --scene")
-    if options.scene and (
-        options.motion or options.live or options.at or options.body or options.hands != "file"
-    ):
+    if options.scene and (options.motion or options.live or options.at or options.body or options.hands != "file"):
         parser.error("--motion, --live, --at, --body and --hands are in the scene file")
     if (
         options.live is None
@@ -168,7 +161,9 @@ def _avatars(options: argparse.Namespace) -> tuple[SceneAvatar, ...]:
 def play_scene(scene: Scene, options: argparse.Namespace, script: Sequence[str] | None) -> int:
     """Open the scene's files and sources, then the window."""
     from player.window.show import opened_show, read_avatars
-    from player.window.window import play  # glfw only when a window is asked for
+
+    # glfw only when a window is asked for
+    from player.window.window import play
 
     avatars = read_avatars(scene)
     with ExitStack() as sources:

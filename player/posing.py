@@ -18,16 +18,16 @@ from player import kinematics
 class PosedBones(NamedTuple):
     view_from_canonical: Float[np.ndarray, "52 4 4"]
     centers: Float[np.ndarray, "52 3"]  # joints in view space, metres
-    radii: Float[
-        np.ndarray, "52"
-    ]  # of the sphere about each joint that holds all its bone moves; < 0: nothing
+    radii: Float[np.ndarray, "52"]  # of the sphere about each joint that holds all its bone moves; < 0: nothing
 
 
 class Reach(NamedTuple):
     """What the bone spheres reach, a bound on every vertex: skinning stays inside the spheres' convex hull."""
 
-    depth: Float[np.ndarray, "2"]  # nearest and farthest, metres along the optical axis
-    box: Float[np.ndarray, "4"]  # left, top, right, bottom, pixels; infinite when the eye is inside a sphere
+    # nearest and farthest, metres along the optical axis
+    depth: Float[np.ndarray, "2"]
+    # left, top, right, bottom, pixels; infinite when the eye is inside a sphere
+    box: Float[np.ndarray, "4"]
 
     def shows(self, camera: Camera) -> bool:
         """Whether any of it can be in front of the camera and inside the image."""
@@ -51,9 +51,7 @@ class Poser:
             distance = np.linalg.norm(level.positions[moved] - canonical[joint, :3, 3], axis=1)
             np.maximum.at(self.radii, joint, distance)
 
-    def posed(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], camera: Camera
-    ) -> PosedBones:
+    def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], camera: Camera) -> PosedBones:
         """The bones in a pose, seen from the camera.
 
         Raises:
@@ -100,4 +98,5 @@ def reach(bones: PosedBones, camera: Camera) -> Reach:
     return Reach(bounds, np.array(box))
 
 
-_VIEW_FROM_CAMERA = np.array([[1.0], [-1.0], [-1.0], [1.0]])  # OpenGL looks down -z with +y up
+# OpenGL looks down -z with +y up
+_VIEW_FROM_CAMERA = np.array([[1.0], [-1.0], [-1.0], [1.0]])

@@ -14,15 +14,18 @@ from avatar.camera import Camera, clip_from_view, view_from_world
 from player.context import Context
 from player.shader import compile_program, uniform
 
-MAX_FACES = 1 << 24  # a float32 counts no further
+# a float32 counts no further
+MAX_FACES = 1 << 24
 
 
 class Fragments(NamedTuple):
     """One image of triangles; row 0 is the top."""
 
     face: Int[np.ndarray, "height width"]  # index into faces, -1 where nothing is
-    barycentric: Float[np.ndarray, "height width 3"]  # perspective-correct, sums to 1; 0 where nothing is
-    depth: Float[np.ndarray, "height width"]  # metres along the optical axis; inf where nothing is
+    # perspective-correct, sums to 1; 0 where nothing is
+    barycentric: Float[np.ndarray, "height width 3"]
+    # metres along the optical axis; inf where nothing is
+    depth: Float[np.ndarray, "height width"]
 
 
 def clip_planes(depth: Float[np.ndarray, "points"]) -> tuple[float, float] | None:
@@ -88,9 +91,7 @@ class Rasteriser:
         self._use_target((width, height))
         self._use_vertices(points.astype(np.float32)[faces])
         assert self.vertex_array is not None and self.target is not None
-        uniform(self.program, "clip_from_view").write(
-            clip_from_view(camera, *planes).T.astype("f4").tobytes()
-        )
+        uniform(self.program, "clip_from_view").write(clip_from_view(camera, *planes).T.astype("f4").tobytes())
         gl.enable_only(moderngl.DEPTH_TEST | (moderngl.CULL_FACE if cull else 0))
         gl.front_face, gl.cull_face = "ccw", "back"
         self.target.clear()

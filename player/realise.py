@@ -34,11 +34,11 @@ class Realised:
         self.renderbuffers: dict[str, moderngl.Renderbuffer] = {}
         self.framebuffers: dict[str, moderngl.Framebuffer] = {}
         self.programs: dict[Variant, moderngl.Program] = {}
-        self.arrays: dict[str, moderngl.VertexArray] = {}  # by name of the pass
-        self._made_of: dict[str, tuple[Any, ...]] = {}  # what each vertex array was made of
-        self._orders: dict[
-            int, tuple[np.ndarray, np.ndarray]
-        ] = {}  # draw_order of an avatar, while it is made
+        # by name of the pass
+        self.arrays: dict[str, moderngl.VertexArray] = {}
+        # what each vertex array was made of
+        self._made_of: dict[str, tuple[Any, ...]] = {}
+        self._orders: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # draw_order of an avatar, while it is made
 
     def become(self, plan: Plan, panorama: Float32[np.ndarray, "height width 3"] | None = None) -> list[Pass]:
         """Release what the plan lacks, make what it adds. Returns the passes that were never drawn: warm them.
@@ -50,18 +50,15 @@ class Realised:
         for name in list(self.arrays):
             if name not in asked or self._made_of[name][0] != asked[name]:
                 self.arrays.pop(name).release()
-        self.context.leave_framebuffer()  # none of ours is freed while bound
+        # none of ours is freed while bound
+        self.context.leave_framebuffer()
         for things in (self.framebuffers, self.textures, self.renderbuffers, self.buffers):
             for name in gone:
                 if name in things:
                     things.pop(name).release()
         for variant in [variant for variant in self.programs if variant not in plan.variants]:
             self.programs.pop(variant).release()
-        new = [
-            resource
-            for resource in plan.resources.values()
-            if self.plan.resources.get(resource.name) != resource
-        ]
+        new = [resource for resource in plan.resources.values() if self.plan.resources.get(resource.name) != resource]
         for resource in sorted(new, key=lambda resource: resource.kind == "framebuffer"):  # attachments first
             self._make(resource, panorama)
         self._orders.clear()

@@ -58,8 +58,11 @@ def render_parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("avatar", nargs="*", metavar="AVATAR", help="avatar file (.glb); several stand side by side")
     add("--scene", metavar="FILE", help="scene file (.toml) instead of AVATAR and --motion")
-    add("--motion", metavar="FILE",
-        help="pose file (.npz, .pkl, .bvh, .glb, .vrma ...), EasyMocap folder, or: counting, walking (default: T-pose)")  # fmt: skip
+    add(
+        "--motion",
+        metavar="FILE",
+        help="pose file (.npz, .pkl, .bvh, .glb, .vrma ...), EasyMocap folder, or: counting, walking (default: T-pose)",
+    )
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--frame", type=frame_number, metavar="N",
                        help="only this frame; with a turntable, the one that is shown from all sides")  # fmt: skip
@@ -67,9 +70,7 @@ def render_parser() -> argparse.ArgumentParser:
     add("--camera", metavar="front|orbit|turntable|FILE",
         help="fitted to the avatar (default: front); a camera or a camera path (.json); cameras.npz or the folder "
         "of a capture, CAPTURE:head for its head video")  # fmt: skip
-    add(
-        "--seconds", type=positive, metavar="S", help="one turn of orbit (default: the film) or turntable (6)"
-    )
+    add("--seconds", type=positive, metavar="S", help="one turn of orbit (default: the film) or turntable (6)")
     add("--size", type=parse_size, metavar="WxH", help="pixels (default: the camera file's, else 640x640)")
     add("--background", type=parse_background, metavar="#rrggbb|transparent|FILE",
         help="colour (default #2b2d33), nothing, a picture, film or panorama (.hdr)")  # fmt: skip
@@ -140,7 +141,8 @@ def render_main(argv: list[str]) -> int:
             try:
                 stage = reading.result()
             finally:
-                del reading  # if it failed it keeps its error, and that this frame with all that is open
+                # if it failed it keeps its error, and that this frame with all that is open
+                del reading
             return filmed(options, kind, stage, context)
         finally:
             if context is not None:
@@ -149,9 +151,7 @@ def render_main(argv: list[str]) -> int:
 
 def filmed(options: argparse.Namespace, kind: str, stage: Stage, context: Context | None) -> int:
     """Draw what the options ask for, from an opened scene, with this context (None: workers draw)."""
-    stage.scene = replace(
-        stage.scene, effects=effects_for(options.quality, stage.scene.effects, stage.avatars)
-    )
+    stage.scene = replace(stage.scene, effects=effects_for(options.quality, stage.scene.effects, stage.avatars))
     if options.frame is not None and stage.camera.kind == "turntable" and stage.still is None:
         frame_range(stage, options.frame, None, single=True)
         stage.hold(options.frame)
@@ -216,9 +216,7 @@ def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Ef
     return effects
 
 
-def filmed_at_once(
-    shot: Shot, stage: Stage, context: Context | None, path: Path, options: argparse.Namespace
-) -> int:
+def filmed_at_once(shot: Shot, stage: Stage, context: Context | None, path: Path, options: argparse.Namespace) -> int:
     """Draw straight into the file."""
     drawn = Set(shot, stage, context)
     try:
@@ -238,13 +236,12 @@ def filmed_at_once(
     return 0
 
 
-def filmed_in_parts(
-    shot: Shot, stage: Stage, context: Context | None, path: Path, options: argparse.Namespace
-) -> int:
+def filmed_in_parts(shot: Shot, stage: Stage, context: Context | None, path: Path, options: argparse.Namespace) -> int:
     """Draw the parts that are missing, here or on a cluster, and join them when all are there."""
     kind = film_kind(path)
     tried: list[str] = []
-    if kind in VIDEO:  # chosen once, or two machines might choose differently
+    # chosen once, or two machines might choose differently
+    if kind in VIDEO:
         from player.filming.encoder import chosen_encoder
 
         alpha = shot.transparent and kind != ".mp4"
@@ -301,9 +298,7 @@ def drawn_by_workers(address: str, shot: Shot, parts: Parts) -> list[str]:
     try:
         from player.filming.cluster import film_on
     except ModuleNotFoundError as error:
-        raise AssetError(
-            f"--workers needs the package {error.name!r}: pip install 'selfscan[cluster]'"
-        ) from None
+        raise AssetError(f"--workers needs the package {error.name!r}: pip install 'selfscan[cluster]'") from None
 
     missing = parts.missing()
     report, frames = Progress("frames", sum(b - a for a, b in missing)), 0
@@ -337,11 +332,7 @@ def view_names(renderer: Renderer) -> list[str]:
     """The view mode of each avatar, as the plan resolved it."""
     names = []
     for index in range(len(renderer.avatars)):
-        modes = [
-            p.name.split(": view ")[1]
-            for p in renderer.plan.passes
-            if p.avatar == index and ": view " in p.name
-        ]
+        modes = [p.name.split(": view ")[1] for p in renderer.plan.passes if p.avatar == index and ": view " in p.name]
         names += modes or ["off"]
     return names
 

@@ -25,9 +25,11 @@ from player.tiles import Patches, covered, rectangles
 
 Pose = tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]]  # axis-angle, pelvis joint in world
 
-MARGIN = 2  # pixels round an avatar that antialiasing can change
+# pixels round an avatar that antialiasing can change
+MARGIN = 2
 BULGE = (
-    1.5  # dual quaternions leave the hull of the bones' spheres: by less than half of what the bones disagree
+    # dual quaternions leave the hull of the bones' spheres: by less than half of what the bones disagree
+    1.5
 )
 
 
@@ -218,7 +220,8 @@ class Renderer:
             times = []
             for _ in range(repeats if drawn.runs else 0):
                 if drawn.item.kind == "antialiasing":
-                    self._frame(self.last)  # it filters a whole picture
+                    # it filters a whole picture
+                    self._frame(self.last)
                 self.context.gl.finish()
                 start = time.perf_counter()
                 self._frame(self.last, only=drawn.item)
@@ -254,10 +257,9 @@ class Renderer:
         reaches = [reach(self._bulging(one), camera) for one in bones]
         shown = [r.shows(camera) for r in reaches]
         tall = [bool(r.box[3] - r.box[1] >= MIN_HEIGHT) for r in reaches]
-        planes = clip_planes(
-            np.array([r.depth for r, seen in zip(reaches, shown, strict=True) if seen]).ravel()
-        )
-        if only is None or only.kind != "antialiasing":  # that one filters what is there
+        planes = clip_planes(np.array([r.depth for r, seen in zip(reaches, shown, strict=True) if seen]).ravel())
+        # that one filters what is there
+        if only is None or only.kind != "antialiasing":
             moment.framebuffer.viewport = (0, 0, *camera.size)
             moment.framebuffer.use()
             moment.framebuffer.clear(color=self.background.color)
@@ -287,7 +289,8 @@ class Renderer:
         """The bones with spheres that hold what they move, in the skinning asked for."""
         if self.effects.skinning == "lbs":
             return bones
-        return bones._replace(radii=BULGE * bones.radii)  # -1, a bone that moves nothing, stays negative
+        # -1, a bone that moves nothing, stays negative
+        return bones._replace(radii=BULGE * bones.radii)
 
     def _decision(self, item: Pass, moment: Moment, shown: list[bool], tall: list[bool]) -> tuple[bool, str]:
         """Whether a pass runs in this frame, and why or why not."""
@@ -347,10 +350,12 @@ class Renderer:
         self, item: Pass, moment: Moment, bones: list[PosedBones], reaches: list[Reach], shown: list[bool]
     ) -> None:
         made, target = self.made, moment.framebuffer
-        if item.variant is None:  # MSAA: the mean of the samples, where avatars are
+        # MSAA: the mean of the samples, where avatars are
+        if item.variant is None:
             image, box = made.framebuffers["image"], _box(reaches, shown, moment.camera)
             self.blit(made.framebuffers["samples"], image, box)
-            if target is not image:  # a window may have another format, which only a plain copy allows
+            # a window may have another format, which only a plain copy allows
+            if target is not image:
                 self.blit(image, target, box, turned=None if moment.flipped else moment.camera.size[1])
             target.use()
             return
@@ -376,7 +381,8 @@ class Renderer:
 
     def _write_frame(self, camera: Camera, planes: tuple[float, float], flipped: bool) -> None:
         clip = clip_from_view(camera, *planes)
-        if flipped:  # row 0 of the image is the top: draw upside down instead of turning every image round
+        # row 0 of the image is the top: draw upside down instead of turning every image round
+        if flipped:
             clip[1] = -clip[1]
         self.context.gl.front_face = "cw" if flipped else "ccw"
         frame = np.zeros((), FRAME)
@@ -412,9 +418,7 @@ class Renderer:
 
     def _become(self) -> None:
         info = self.context.gl.info
-        largest = max(
-            *(self.size or (1, 1)), *(max(self.made.level_of(a).base_color.shape) for a in self.avatars)
-        )
+        largest = max(*(self.size or (1, 1)), *(max(self.made.level_of(a).base_color.shape) for a in self.avatars))
         if largest > info["GL_MAX_TEXTURE_SIZE"]:
             raise ValueError(
                 f"{largest} pixels across; {self.context.renderer} holds at most {info['GL_MAX_TEXTURE_SIZE']}"

@@ -14,9 +14,7 @@ import moderngl
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"\s*$')
 CONDITION = re.compile(r"^\s*#\s*(?:if|elif)\b(.*)$", re.MULTILINE)
 NAME = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
-PLACE = re.compile(
-    r"^(?:(?:ERROR|WARNING):\s*)?(\d+)[:(](\d+)\)?", re.MULTILINE
-)  # 0:12(3) | 0(12) | ERROR: 0:12
+PLACE = re.compile(r"^(?:(?:ERROR|WARNING):\s*)?(\d+)[:(](\d+)\)?", re.MULTILINE)  # 0:12(3) | 0(12) | ERROR: 0:12
 
 
 class ShaderError(RuntimeError):
@@ -45,7 +43,8 @@ def assembled(
         text = shader_source(file, generated).splitlines()
         if number:
             lines.append(f"#line 1 {number}")
-        branches: list[bool] = []  # of the open #ifs: is this one compiled?
+        # of the open #ifs: is this one compiled?
+        branches: list[bool] = []
         for at, line in enumerate(text, 1):
             _follow(line, branches, defines)
             include = INCLUDE.match(line)

@@ -1,7 +1,7 @@
 """Ctrl-C between frames.
 
-A KeyboardInterrupt that Python raises while OpenGL calls back into it (player/counting.py) is dropped by ctypes, and the
-OpenGL call with it. So while frames are drawn the wish to stop is only noted, and taken up when a frame is whole.
+A KeyboardInterrupt that Python raises while OpenGL calls back into it (player/counting.py) is dropped by ctypes, and
+the OpenGL call with it. So while frames are drawn the wish to stop is only noted, and taken up when a frame is whole.
 """
 
 import signal

@@ -10,7 +10,8 @@ from avatar.baked_avatar import Level
 from avatar.camera import Camera
 from player.plan import TILE
 
-LARGEST = 0.10  # metres; patches of the surface are split until they fit a ball of this radius
+# metres; patches of the surface are split until they fit a ball of this radius
+LARGEST = 0.10
 
 
 class Patches:
@@ -50,7 +51,8 @@ class Patches:
         dual: the blend of screws bulges out of the hull by at most half of what the bones disagree.
         """
         rows = view_from_canonical[self.joints, :3]
-        points = np.einsum("nij,nj->ni", rows, self.centers) * (1.0, -1.0, -1.0)  # x right, y down, depth
+        # x right, y down, depth
+        points = np.einsum("nij,nj->ni", rows, self.centers) * (1.0, -1.0, -1.0)
         radii = self.radii
         if dual:
             spread = np.maximum.reduceat(points, self.first) - np.minimum.reduceat(points, self.first)
@@ -76,9 +78,7 @@ def covered(
     """Tiles that boxes, grown by `margin` pixels, touch."""
     tiles = np.zeros((-(-size[1] // TILE), -(-size[0] // TILE)), bool)
     rows, columns = tiles.shape
-    ends = np.clip(
-        boxes + np.array([-margin, -margin, margin, margin]), -TILE, TILE * (max(rows, columns) + 1)
-    )
+    ends = np.clip(boxes + np.array([-margin, -margin, margin, margin]), -TILE, TILE * (max(rows, columns) + 1))
     cells = np.floor(ends / TILE).astype(int)
     for left, top, right, bottom in cells.tolist():
         tiles[max(top, 0) : max(bottom + 1, 0), max(left, 0) : max(right + 1, 0)] = True

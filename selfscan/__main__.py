@@ -27,9 +27,12 @@ judge it
   bench   AVATAR -o DIR                  accuracy against time on this machine
   doctor                                 which OpenGL context works here, and what is missing
 
-`selfscan COMMAND --help` explains a command, `selfscan --version` says which this is. Try `selfscan render avatar.glb --motion counting -o film.mp4`.
+`selfscan COMMAND --help` explains a command, `selfscan --version` says which this is. Try `selfscan render avatar.glb
+--motion counting -o film.mp4`.
 """
-DRAWING = ("render", "play")  # commands that hold decoded images
+PACKAGES = ("avatar", "geometry", "capture", "train", "player", "bake", "shaders", "synth", "bench", "experiments")
+# commands that hold decoded images
+DRAWING = ("render", "play")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -59,11 +62,11 @@ def main(argv: list[str] | None = None) -> int:
 def _dispatch(name: str, rest: list[str]) -> int:
     try:
         if name == "synth":
-            from bench.synth.command import main as run
+            from synth.command import main as run
         elif name == "import":
-            from train.imports.command import main as run
+            from capture.imports.command import main as run
         elif name == "check":
-            from train.check.command import main as run
+            from capture.check.command import main as run
         elif name == "train":
             from train.command import main as run
         elif name == "bake":
@@ -88,14 +91,7 @@ def _dispatch(name: str, rest: list[str]) -> int:
             print(f"selfscan: no command {name!r}; `selfscan --help` lists them", file=sys.stderr)
             return 2
     except ModuleNotFoundError as error:
-        if error.name and error.name.split(".")[0] in (
-            "avatar",
-            "train",
-            "bake",
-            "player",
-            "bench",
-            "shaders",
-        ):
+        if error.name and error.name.split(".")[0] in PACKAGES:
             raise
         raise AssetError(f"needs the package {error.name!r}: pip install {_extra(name)}") from None
     if name in DRAWING:

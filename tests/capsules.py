@@ -12,8 +12,8 @@ import torch
 from avatar.body import builtin_body
 from avatar.skeleton import BIG_POSE, LEFT_HAND, PARENTS, RIGHT_HAND, joint_transforms
 from avatar.skinning import SkinWeights
-from bake.surface import Mesh, extract
-from train.capture import Subject
+from capture.folder import Subject
+from geometry.isosurface import Mesh, extract
 
 BODY, HEAD, LEFT, RIGHT = range(4)
 
@@ -124,7 +124,14 @@ def make_run(sheen: float = 0.0, step: float = 0.010, fine: float = 0.005) -> Si
         view_covariance=variance.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]],
     )
     subject = Subject(
-        "capsules", vertices, vertices, faces, surface.skin, joints, part.astype(np.int64), np.zeros(len(vertices), bool)
+        "capsules",
+        vertices,
+        vertices,
+        faces,
+        surface.skin,
+        joints,
+        part.astype(np.int64),
+        np.zeros(len(vertices), bool),
     )
     provenance = {"subject": "capsules", "preset": "analytic"}
     return SimpleNamespace(field=field, surface=surface, subject=subject, provenance=provenance)

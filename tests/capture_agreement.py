@@ -5,7 +5,7 @@ import numpy as np
 from avatar.camera import project
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
-from train.capture import Capture, read_capture
+from capture.folder import Capture, read_capture
 
 
 def posed(capture: Capture, part: str, frame: int) -> np.ndarray:
@@ -14,7 +14,9 @@ def posed(capture: Capture, part: str, frame: int) -> np.ndarray:
     return skin_points(subject.rest, subject.skin, B)
 
 
-def assert_same_capture(out, source: Capture, *, metres: float = 1e-6, pixels: float = 1e-4, raw: bool = True) -> Capture:
+def assert_same_capture(
+    out, source: Capture, *, metres: float = 1e-6, pixels: float = 1e-4, raw: bool = True
+) -> Capture:
     found = read_capture(out)
     np.testing.assert_allclose(found.subject.rest, source.subject.rest, atol=metres)
     np.testing.assert_allclose(found.subject.joints, source.subject.joints, atol=metres)
@@ -44,7 +46,7 @@ def assert_same_capture(out, source: Capture, *, metres: float = 1e-6, pixels: f
 
 def head_pixels(capture: Capture, frame: int) -> np.ndarray:
     """The template's head as the frame's camera sees it, through the landmarks."""
-    from train.register import similarity_from_landmarks
+    from geometry.register import similarity_from_landmarks
 
     video, subject = capture.videos["head"], capture.subject
     fit = similarity_from_landmarks(subject.vertices[video.landmark_vertices], video.landmarks)

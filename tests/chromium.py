@@ -50,12 +50,8 @@ class _Handler(BaseHTTPRequestHandler):
         prefix = next((p for p in sorted(self.files, key=len)[::-1] if path.startswith(p)), None)
         content = self.files.get(prefix, b"") if prefix else None
         if isinstance(content, Path):
-            place = (
-                (content / path[len(prefix or "") :].lstrip("/")).resolve() if content.is_dir() else content
-            )
-            content = (
-                place.read_bytes() if place.is_file() and place.is_relative_to(content.resolve()) else None
-            )
+            place = (content / path[len(prefix or "") :].lstrip("/")).resolve() if content.is_dir() else content
+            content = place.read_bytes() if place.is_file() and place.is_relative_to(content.resolve()) else None
         self.send_response(404 if content is None else 200)
         self.send_header("Content-Type", KINDS.get(Path(path).suffix, "application/octet-stream"))
         self.send_header("Content-Length", str(len(content or b"")))
@@ -91,8 +87,7 @@ def three_frames(
         "clip_from_view": clip_from_view(camera, 0.05, 50.0).tolist(),
         "background": background,
         "rotations": [
-            dict(zip(JOINTS, quaternion_from_axis_angle(axis_angle).tolist(), strict=True))
-            for axis_angle, _ in poses
+            dict(zip(JOINTS, quaternion_from_axis_angle(axis_angle).tolist(), strict=True)) for axis_angle, _ in poses
         ],
         "places": [root.tolist() for _, root in poses],
     }

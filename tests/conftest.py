@@ -48,9 +48,7 @@ def within(record_property):
 
 
 def pytest_addoption(parser):
-    parser.addoption(
-        "--hard-cases-report", metavar="FILE", help="write what tests/hard_cases measured to FILE"
-    )
+    parser.addoption("--hard-cases-report", metavar="FILE", help="write what tests/hard_cases measured to FILE")
 
 
 class HardCases:
@@ -70,7 +68,8 @@ class HardCases:
         lines = [
             "# Hard cases, measured",
             "",
-            "Written by `make hard-cases`. Each row is one fact; *cases* counts its parametrised values; *worst* is the",
+            "Written by `make hard-cases`. Each row is one fact; *cases* counts its parametrised values; *worst* is "
+            "the",
             "largest error measured against the *bound* that the test asserts. Rows without a number assert an exact",
             "value, a flag or a refusal that names the file and field.",
             "",

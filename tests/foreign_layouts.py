@@ -13,7 +13,7 @@ from avatar.camera import project
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import BIG_POSE, PARENTS, skin_transforms
 from avatar.skinning import dense_weights, skin_points
-from train.capture import Capture, PartVideo
+from capture.folder import Capture, PartVideo
 
 HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # pixel centres lie on whole numbers out there
 FIRST = {"body": 500, "head": 0, "hand_left": 480, "hand_right": 7}  # number of the first frame
@@ -70,7 +70,7 @@ def write_authors(capture: Capture, root: Path) -> Path:
 
 
 def _head_from_canonical(capture: Capture) -> np.ndarray:
-    from train.register import similarity_from_landmarks
+    from geometry.register import similarity_from_landmarks
 
     video = capture.videos["head"]
     return similarity_from_landmarks(capture.subject.vertices[video.landmark_vertices], video.landmarks).transform
@@ -78,7 +78,11 @@ def _head_from_canonical(capture: Capture) -> np.ndarray:
 
 def _write_authors_body(capture: Capture, video: PartVideo, part: str, folder: Path) -> None:
     subject = capture.subject
-    members = np.arange(len(subject.rest)) if part == "body" else np.flatnonzero(subject.part == (2 if part == "hand_left" else 3))
+    members = (
+        np.arange(len(subject.rest))
+        if part == "body"
+        else np.flatnonzero(subject.part == (2 if part == "hand_left" else 3))
+    )
     names = []
     for i in range(len(video.images)):
         stem = f"{FIRST[part] + i:06d}"  # a string: zeros count
@@ -101,13 +105,20 @@ def _write_authors_body(capture: Capture, video: PartVideo, part: str, folder: P
         numbers(folder / f"vertices/{stem}.npy", skin_points(subject.rest, subject.skin, B)[members].astype("f4"))
     camera = video.cameras[0]
     T = camera.camera_from_world[:3, 3:] * (1000 if part == "body" else 1)
-    cams = {"K": [camera.K - HALF], "D": [camera.distortion[:, None]], "R": [camera.camera_from_world[:3, :3]], "T": [T]}
+    cams = {
+        "K": [camera.K - HALF],
+        "D": [camera.distortion[:, None]],
+        "R": [camera.camera_from_world[:3, :3]],
+        "T": [T],
+    }
     object_array(folder / "annots.npy", {"cams": cams, "ims": [{"ims": [name]} for name in names]})
     lbs = folder / "lbs"
     numbers(lbs / "joints.npy", subject.joints + J0)
     numbers(lbs / "parents.npy", PARENTS)
     numbers(lbs / "faces.npy", subject.faces.astype("i4"))
-    canonical = skin_points(subject.rest, subject.skin, skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3))))
+    canonical = skin_points(
+        subject.rest, subject.skin, skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))
+    )
     numbers(lbs / "bigpose_vertices.npy", canonical[members] + J0)
 
 
@@ -138,11 +149,16 @@ def write_cameras_yaml(folder: Path, name: str, K, distortion, R, T) -> None:
     (folder / "intri.yml").write_text(head + opencv_matrix(f"K_{name}", K) + opencv_matrix(f"dist_{name}", distortion))
     rodrigues = axis_angle_from_matrix(R)[:, None]
     (folder / "extri.yml").write_text(
-        head + opencv_matrix(f"R_{name}", rodrigues) + opencv_matrix(f"Rot_{name}", R) + opencv_matrix(f"T_{name}", T[:, None])
+        head
+        + opencv_matrix(f"R_{name}", rodrigues)
+        + opencv_matrix(f"Rot_{name}", R)
+        + opencv_matrix(f"T_{name}", T[:, None])
     )
 
 
-def write_easymocap(capture: Capture, root: Path, body, *, hands: str = "apart", turn: np.ndarray | None = None) -> Path:
+def write_easymocap(
+    capture: Capture, root: Path, body, *, hands: str = "apart", turn: np.ndarray | None = None
+) -> Path:
     """body, hand_left, hand_right as EasyMocap leaves them; head as images only; masks in root/masks.
 
     `hands`: "apart" (63 + 45 + 45 offsets from the mean), "pca" (63 + 12 + 12 coefficients), "old" (78 numbers, 6 + 6),

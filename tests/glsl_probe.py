@@ -28,7 +28,9 @@ def probe(context, includes, expression, inputs, generated=None, uniforms=None, 
     gl_Position = vec4(2.0 * cell / vec2({WIDTH}, {height}) - 1.0, 0.0, 1.0);"""
     attributes = "\n".join(f"in {kind} {name};" for name, kind in kinds.items())
     if stage == "vertex":
-        vertex = f"{block}{include}\n{attributes}\nflat out vec4 result;\nvoid main() {{ {place}\n result = {expression}; }}"
+        vertex = (
+            f"{block}{include}\n{attributes}\nflat out vec4 result;\nvoid main() {{ {place}\n result = {expression}; }}"
+        )
         fragment = "flat in vec4 result;\nout vec4 value;\nvoid main() { value = result; }"
     else:
         outs = "\n".join(f"flat out {kind} {name}_;" for name, kind in kinds.items())
@@ -36,9 +38,7 @@ def probe(context, includes, expression, inputs, generated=None, uniforms=None, 
         vertex = f"{attributes}\n{outs}\nvoid main() {{ {place}\n {copies} }}"
         ins = "\n".join(f"flat in {kind} {name}_;" for name, kind in kinds.items())
         names = " ".join(f"{kind} {name} = {name}_;" for name, kind in kinds.items())
-        fragment = (
-            f"{block}{include}\n{ins}\nout vec4 value;\nvoid main() {{ {names}\n value = {expression}; }}"
-        )
+        fragment = f"{block}{include}\n{ins}\nout vec4 value;\nvoid main() {{ {names}\n value = {expression}; }}"
     sources = {"probe.vert": "#version 330\n" + vertex, "probe.frag": "#version 330\n" + fragment}
     program = compile_program(gl, "probe.vert", "probe.frag", {}, {**(generated or {}), **sources})
     for name, binding in (("Frame", 0), ("Bones", 1), ("Turns", 2), ("Duals", 3)):

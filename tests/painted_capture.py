@@ -12,9 +12,9 @@ from avatar.files import whole_folder
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_normals, skin_points
-from train.capture import PARTS, read_subject
+from capture.folder import PARTS, read_subject
+from capture.template import surface_cloud
 from train.rays import Band, march
-from train.template import surface_cloud
 
 
 def write_capture(out: Path, *, size: int = 48, frames: int = 4) -> Path:

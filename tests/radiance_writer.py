@@ -25,9 +25,7 @@ def runs(row):
             continue
         end = at + 1
         while (
-            end < len(row)
-            and end - at < 128
-            and not (end + 2 < len(row) and row[end] == row[end + 1] == row[end + 2])
+            end < len(row) and end - at < 128 and not (end + 2 < len(row) and row[end] == row[end + 1] == row[end + 2])
         ):
             end += 1
         out += bytes([end - at]) + bytes(row[at:end])

@@ -13,7 +13,7 @@ from train.field import PartField
 from train.networks.triplane import TriPlaneNetworks, build
 from train.objective import RayTensors
 from train.preset import DEMO
-from train.template import TemplateGrid
+from train.template_grid import TemplateGrid
 from train.trainer import train_field
 
 STEPS, RAYS = 12, 63  # an odd batch: shares of 32 and 31
@@ -61,9 +61,7 @@ def main(out: str) -> None:
         report=lambda i, step: losses.append(step.loss),
     )
     if ranks.writes:
-        torch.save(
-            {"before": before, "after": field.state_dict(), "loss": losses[-1], "count": ranks.count}, out
-        )
+        torch.save({"before": before, "after": field.state_dict(), "loss": losses[-1], "count": ranks.count}, out)
     leave_ranks()
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from avatar.avatar_file import read_avatar
+from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import JOINTS
 from selfscan.__main__ import main
 
@@ -15,15 +15,9 @@ from selfscan.__main__ import main
 def out(tmp_path_factory) -> Path:
     """A capture, a run and an avatar of the built-in person, made by the commands themselves."""
     out = tmp_path_factory.mktemp("whole")
-    assert (
-        main(["synth", "builtin", str(out / "capture"), "--size", "128", "--frames", "16", "--seed", "1"])
-        == 0
-    )
+    assert main(["synth", "builtin", str(out / "capture"), "--size", "128", "--frames", "16", "--seed", "1"]) == 0
     assert main(["train", str(out / "capture"), "-o", str(out / "run"), "--iterations", "150"]) == 0
-    assert (
-        main(["bake", str(out / "run"), "-o", str(out / "a.glb"), "--faces", "12000", "--texture", "1024"])
-        == 0
-    )
+    assert main(["bake", str(out / "run"), "-o", str(out / "a.glb"), "--faces", "12000", "--texture", "1024"]) == 0
     return out
 
 
@@ -43,12 +37,7 @@ def test_the_avatar_is_whole(out):
 
 def test_the_avatar_is_near_the_person_it_was_filmed_from(out):
     """Held-out poses, few steps, 128 px: far from the demo's numbers, near enough that a broken stage shows."""
-    assert (
-        main(
-            ["eval", str(out / "run"), str(out / "capture"), "--poses", "4", "--json", str(out / "run.json")]
-        )
-        == 0
-    )
+    assert main(["eval", str(out / "run"), str(out / "capture"), "--poses", "4", "--json", str(out / "run.json")]) == 0
     scores = json.loads((out / "run.json").read_text())["novel_pose"]
     assert scores["total"]["p2s_cm"] < 0.8
     assert scores["hands"]["p2s_cm"] < 0.5

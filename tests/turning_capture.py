@@ -7,10 +7,10 @@ import numpy as np
 from painted_capture import write_capture
 
 from avatar.camera import Camera, look_at, pinhole
-from avatar.rasterise import rasterise
 from avatar.skeleton import BIG_POSE
-from train.capture import PARTS, Capture, read_capture
-from train.check.silhouette import posed_template
+from capture.check.silhouette import posed_template
+from capture.folder import PARTS, Capture, read_capture
+from geometry.rasterise import rasterise
 
 TURN = 12  # frames of each video
 
@@ -34,8 +34,14 @@ def turning_capture(folder: Path) -> Capture:
             cameras.append(Camera(K, look_at(middle + far * np.array(across), middle, (1, 2, 0)), size))
         pose = {"axis_angle": np.tile(BIG_POSE, (TURN, 1, 1)), "root": np.tile(subject.joints[0], (TURN, 1))}
         blank = np.zeros((TURN, 64, 64), bool)
-        found = with_video(found, part, cameras=tuple(cameras), masks=blank, images=np.zeros((TURN, 64, 64, 3), np.uint8),
-                           **(pose if part != "head" else {}))  # fmt: skip
+        found = with_video(
+            found,
+            part,
+            cameras=tuple(cameras),
+            masks=blank,
+            images=np.zeros((TURN, 64, 64, 3), np.uint8),
+            **(pose if part != "head" else {}),
+        )
         masks, images = [], []
         vertices = posed_template(found, part, 0)
         for frame in range(TURN):

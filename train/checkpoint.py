@@ -16,8 +16,10 @@ class Position:
     """How far a training is."""
 
     iteration: int = 0
-    skipped: int = 0  # steps that were not finite
-    seconds: float = 0.0  # of training, over all sittings
+    # steps that were not finite
+    skipped: int = 0
+    # of training, over all sittings
+    seconds: float = 0.0
 
 
 def save_checkpoint(

@@ -8,10 +8,10 @@ from dataclasses import replace
 import torch
 
 from avatar.errors import AssetError
+from capture.repair.refine import CHOICES
 from train.distributed import leave_ranks
 from train.interrupt import Stopped
 from train.preset import PRESETS, shortened
-from train.refine import CHOICES
 from train.stages import train
 
 DESCRIPTION = """\
@@ -55,28 +55,18 @@ def main(argv: list[str]) -> int:
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument(
-        "capture", metavar="CAPTURE", help="folder made by `selfscan synth` or `selfscan import`"
-    )
-    parser.add_argument(
-        "-o", "--out", metavar="RUN", required=True, help="run folder to write, whole or not at all"
-    )
+    parser.add_argument("capture", metavar="CAPTURE", help="folder made by `selfscan synth` or `selfscan import`")
+    parser.add_argument("-o", "--out", metavar="RUN", required=True, help="run folder to write, whole or not at all")
     parser.add_argument("--preset", choices=sorted(PRESETS), default="demo", help="see above (default: demo)")
-    parser.add_argument(
-        "--device", choices=["cpu", "cuda"], default="cpu", help="where to compute (default: cpu)"
-    )
-    parser.add_argument(
-        "--resume", action="store_true", help="go on from the checkpoints of an interrupted training"
-    )
+    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="where to compute (default: cpu)")
+    parser.add_argument("--resume", action="store_true", help="go on from the checkpoints of an interrupted training")
     parser.add_argument(
         "--force",
         action="store_true",
         help="begin anew; an existing RUN is replaced once the new one is complete",
     )
     parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
-    parser.add_argument(
-        "--iterations", type=int, metavar="N", help="optimiser steps per part, instead of the preset's"
-    )
+    parser.add_argument("--iterations", type=int, metavar="N", help="optimiser steps per part, instead of the preset's")
     parser.add_argument(
         "--save-every",
         type=float,

@@ -1,6 +1,7 @@
 """The composition of four trained parts into one person with one surface (TotalSelfScan, 3.3).
 
-In order: the head's place on the body (Eq. 5, then the body's pixels), the body refined to meet the parts (stage 2, Eq. 7 and 13), the
+In order: the head's place on the body (Eq. 5, then the body's pixels), the body refined to meet the parts (stage 2,
+Eq. 7 and 13), the
 fused field's zero set as a mesh, the directions it was seen from (Eq. 14), and the parts' appearance codes (Eq. 8).
 """
 
@@ -15,23 +16,24 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights
+from capture.folder import PARTS, Capture, Subject
+from capture.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
+from geometry.mesh import vertex_normals
+from geometry.register import Anchors, Registration, refine_by_surfaces
 from train.appearance import match_appearance, overlap_rays
-from train.capture import PARTS, Capture, Subject
 from train.field import PartField
 from train.fused import FusedField
-from train.mesh import vertex_normals
 from train.objective import RayTensors, StepReport
 from train.parts import eq9_shares, part_boxes, part_weight
 from train.photometric import ColoredHead, refine_on_video
 from train.preset import Preset
-from train.register import Anchors, Registration, refine_by_surfaces
 from train.skin import CanonicalSkin
 from train.surface import Surface, extract_surface, fill_from_neighbours
 from train.union import train_union, zero_level
-from train.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
 
 Array = np.ndarray
-Say = Callable[[str], None]  # takes the lines that tell how far the work is
+# takes the lines that tell how far the work is
+Say = Callable[[str], None]
 
 
 def compose(
@@ -88,12 +90,8 @@ def compose(
 
     if rays is not None:
         began = time.monotonic()
-        here: dict[str, Any] = {
-            name: value if value is None else value.cpu() for name, value in vars(rays).items()
-        }
-        facts["appearance"] = match_appearances(
-            fused, RayTensors(**here), vertices, tables, preset, seed, say
-        )
+        here: dict[str, Any] = {name: value if value is None else value.cpu() for name, value in vars(rays).items()}
+        facts["appearance"] = match_appearances(fused, RayTensors(**here), vertices, tables, preset, seed, say)
         seconds["appearance"] = time.monotonic() - began
     return surface, tables, facts
 
@@ -147,9 +145,7 @@ def match_appearances(
         seen = torch.as_tensor(tables[index].count[nearest] > 0)
         points, directions = points[seen], directions[seen]
         if len(points) < 50:
-            say(
-                f"{PARTS[index]}: only {len(points)} rays in the overlap that its video saw; code stays the mean"
-            )
+            say(f"{PARTS[index]}: only {len(points)} rays in the overlap that its video saw; code stays the mean")
             continue
         before, after = match_appearance(
             fused,
@@ -161,9 +157,7 @@ def match_appearances(
             seed=seed,
         )
         matched[PARTS[index]] = {"before": round(before, 4), "after": round(after, 4), "rays": len(points)}
-        say(
-            f"{PARTS[index]}: overlap colours (Eq. 8) {before:.3f} -> {after:.3f} of the body's, {len(points)} rays"
-        )
+        say(f"{PARTS[index]}: overlap colours (Eq. 8) {before:.3f} -> {after:.3f} of the body's, {len(points)} rays")
     return matched
 
 

@@ -33,9 +33,7 @@ def inverse_transforms(
     return out, ok
 
 
-def apply_rows(
-    rows: Float[Array, "s 3 4"], index: Int[Array, "n"], points: Float[Array, "n 3"]
-) -> Float[Array, "n 3"]:
+def apply_rows(rows: Float[Array, "s 3 4"], index: Int[Array, "n"], points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
     """rows[index] @ [points, 1]."""
     chosen = rows[index]
     return np.einsum("nij,nj->ni", chosen[:, :, :3], points) + chosen[:, :, 3]
@@ -75,7 +73,8 @@ def canonical_from_posed(
 def canonical_directions(
     directions: Float[Tensor, "n 3"], weights: Float[Tensor, "n 4"], bones: Float[Tensor, "n 4 4"]
 ) -> Float[Tensor, "n 3"]:
-    """R^T d with R the hemisphere-aligned quaternion blend: avatar.skinning.blended_rotations, in torch, a bone set per point.
+    """R^T d with R the hemisphere-aligned quaternion blend: avatar.skinning.blended_rotations, in torch,
+    a bone set per point.
 
     `bones` are the unit quaternions (xyzw) of the four bones of each point, heaviest first.
     """
@@ -97,11 +96,10 @@ class Displacement(nn.Module):
     """
 
     code: nn.Embedding
-    mean_grid: Float[Tensor, "3 side side side"]  # axes x, y, z of the unit box; zero until `settle`
+    # axes x, y, z of the unit box; zero until `settle`
+    mean_grid: Float[Tensor, "3 side side side"]
 
-    def __init__(
-        self, code: nn.Embedding, trunk: nn.Module, *, width: int, frequencies: int, reach: float
-    ):
+    def __init__(self, code: nn.Embedding, trunk: nn.Module, *, width: int, frequencies: int, reach: float):
         super().__init__()
         self.reach, self.frequencies = reach, frequencies
         self.code = code
@@ -134,8 +132,7 @@ class Displacement(nn.Module):
 
     def mean(self, unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Mean over all frames' codes, from the grid that `settle` stored; zero before."""
-        at = unit.flip(-1)[None, :, None, None]  # grid_sample counts its last axis first
-        sampled = torch.nn.functional.grid_sample(
-            self.mean_grid[None], at, padding_mode="border", align_corners=True
-        )
+        # grid_sample counts its last axis first
+        at = unit.flip(-1)[None, :, None, None]
+        sampled = torch.nn.functional.grid_sample(self.mean_grid[None], at, padding_mode="border", align_corners=True)
         return sampled[0, :, :, 0, 0].T

@@ -8,14 +8,15 @@ from torch import Tensor, nn
 
 from train.networks import PartNetworks
 from train.pose_correction import PoseCorrection
-from train.template import TemplateGrid
+from train.template_grid import TemplateGrid
 
 
 class FieldSample(NamedTuple):
     """F_s at a point."""
 
     distance: Float[Tensor, "n"]  # metres, negative inside
-    feature: Float[Tensor, "n z"]  # geometry feature, read by the colour network
+    # geometry feature, read by the colour network
+    feature: Float[Tensor, "n z"]
 
 
 class PartField(nn.Module):
@@ -30,8 +31,10 @@ class PartField(nn.Module):
     low: Float[Tensor, "3"]  # the part's box, metres
     high: Float[Tensor, "3"]
     appearance: nn.Embedding  # l_i, one row per frame
-    reference: Float[Tensor, "l"]  # the code that the fused person is shown with
-    poses: PoseCorrection | None  # learned with the field where poses are refined; None once they are known
+    # the code that the fused person is shown with
+    reference: Float[Tensor, "l"]
+    # learned with the field where poses are refined; None once they are known
+    poses: PoseCorrection | None
 
     def __init__(
         self,

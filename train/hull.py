@@ -20,21 +20,28 @@ from skimage.measure import marching_cubes
 from avatar.camera import Camera, project
 from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
 from avatar.skinning import SkinWeights
-from train.capture import PARTS, Capture, PartVideo, Subject
-from train.cells import distance_to
-from train.template import TemplateGrid, neck_height, surface_cloud, template_grid, visible_faces
+from capture.folder import PARTS, Capture, PartVideo, Subject
+from capture.template import neck_height, surface_cloud, visible_faces
+from geometry.cells import distance_to
+from train.template_grid import TemplateGrid, template_grid
 
 Array = np.ndarray
 
 HEAD = JOINTS.index("head")
 CELL = 0.006  # metres, of the carved grid
-AROUND = (0.10, 0.25, 0.10)  # metres beyond the head that hair may hang, x, y (down), z
-AGAINST = 0.1  # a cell is empty when more of the views that see it show background there
-SEEN_BY = 8  # views at least; what fewer see is taken for empty
-ERODED = 0.006  # metres: the hull lies outside the hair, and masks are a pixel or two off
+# metres beyond the head that hair may hang, x, y (down), z
+AROUND = (0.10, 0.25, 0.10)
+# a cell is empty when more of the views that see it show background there
+AGAINST = 0.1
+# views at least; what fewer see is taken for empty
+SEEN_BY = 8
+# metres: the hull lies outside the hair, and masks are a pixel or two off
+ERODED = 0.006
 FARTHEST = 0.12  # metres: no hair stands farther off
-STANDS_OFF = 0.015  # metres: farther than this off the template is hair
-LEAST = 1e-4  # cubic metres, a tenth of a litre: less standing off is an ear, a collar, a hull's hollow
+# metres: farther than this off the template is hair
+STANDS_OFF = 0.015
+# cubic metres, a tenth of a litre: less standing off is an ear, a collar, a hull's hollow
+LEAST = 1e-4
 
 
 class View(NamedTuple):
@@ -67,9 +74,7 @@ def _moved(mask: Array, camera: Camera, frame_from_canonical: Array) -> View:
     return View(mask, replace(camera, camera_from_world=pose))
 
 
-def background_share(
-    points: Float[Array, "n 3"], views: Sequence[View]
-) -> tuple[Float[Array, "n"], Int[Array, "n"]]:
+def background_share(points: Float[Array, "n 3"], views: Sequence[View]) -> tuple[Float[Array, "n"], Int[Array, "n"]]:
     """Of the views whose picture holds a point the share that shows background there, and how many views hold it."""
     against, seen = np.zeros(len(points)), np.zeros(len(points), int)
     for view in views:
@@ -154,9 +159,7 @@ def hair_mesh(hair: Hair) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"]]:
     return (vertices - 1) * hair.cell + hair.low, faces.astype(np.int64)
 
 
-def closed_grid(
-    subject: Subject, low: Float[Array, "3"], high: Float[Array, "3"], neck: float
-) -> TemplateGrid:
+def closed_grid(subject: Subject, low: Float[Array, "3"], high: Float[Array, "3"], neck: float) -> TemplateGrid:
     """The template's distance round the head, negative in its cavities and in the body that the box cuts open.
 
     The flood fill of `template_grid` closes mouth and eye sockets; under the neck, where it leaks in through the
@@ -191,9 +194,7 @@ def joined(
         rest=np.concatenate([subject.rest, rest]),
         vertices=np.concatenate([subject.vertices, vertices]),
         faces=np.concatenate([kept, place[faces]]),
-        skin=SkinWeights(
-            np.concatenate([subject.skin.joints, bones]), np.concatenate([subject.skin.weights, weights])
-        ),
+        skin=SkinWeights(np.concatenate([subject.skin.joints, bones]), np.concatenate([subject.skin.weights, weights])),
         part=np.concatenate([subject.part, part]),
         hair=np.concatenate([subject.hair, np.ones(len(vertices), bool)]),
     )

@@ -81,7 +81,8 @@ def signals_wait() -> Iterator[None]:
 
     Otherwise a Ctrl-C during a child's imports would end it with a traceback.
     """
-    if not hasattr(signal, "pthread_sigmask"):  # Windows has no signal mask
+    # Windows has no signal mask
+    if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)

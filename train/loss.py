@@ -37,9 +37,7 @@ def mask_loss(log_transmittance: Float[Tensor, "rays"], mask: Float[Tensor, "ray
     return torch.where(mask > 0.5, missed.clamp_min(0), hit).mean()
 
 
-def mask_logit_loss(
-    lowest: Float[Tensor, "rays"], mask: Float[Tensor, "rays"], rho: float
-) -> Float[Tensor, ""]:
+def mask_logit_loss(lowest: Float[Tensor, "rays"], mask: Float[Tensor, "rays"], rho: float) -> Float[Tensor, ""]:
     """L_mask of Eq. 11 as printed: BCE(sigmoid(-rho s), M) with s the lowest distance on the ray, from logits.
 
     Divided by rho, so that the gradient stays that of a distance while rho climbs.

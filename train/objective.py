@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from capture.template import SurfaceCloud
 from train.deform import canonical_directions
 from train.field import PartField, unit_normals
 from train.loss import (
@@ -24,7 +25,6 @@ from train.networks.paper import PaperGeometry
 from train.preset import PartPreset, Preset
 from train.rays import TrainingRays
 from train.render import crossing, density_weights, jittered, section_lengths, section_weights
-from train.template import SurfaceCloud
 
 # another term of the loss: takes canonical points (n, 3) and F_s there (n), the latter with its graph
 Extra = Callable[[Tensor, Tensor], Tensor]
@@ -41,7 +41,8 @@ class RayTensors:
     color: Float[Tensor, "rays 3"]
     mask: Float[Tensor, "rays"]
     bones: Float[Tensor, "frames 52 4"] | None
-    joints: Int[Tensor, "samples 4"]  # of the template samples, heaviest bone first
+    # of the template samples, heaviest bone first
+    joints: Int[Tensor, "samples 4"]
     weights: Float[Tensor, "samples 4"]
 
 
@@ -64,9 +65,7 @@ def rho_at(iteration: int, part: PartPreset) -> float:
     return 50.0 * 2 ** min(10 * iteration // part.iterations, 5)
 
 
-def choose_rays(
-    frame_counts: Int[Tensor, "frames"], preset: Preset, generator: torch.Generator
-) -> Int[Tensor, "b"]:
+def choose_rays(frame_counts: Int[Tensor, "frames"], preset: Preset, generator: torch.Generator) -> Int[Tensor, "b"]:
     """Indices of a batch of rays; `frame_counts` says how many rays each frame has, which lie in order of frame."""
     if not preset.one_frame:
         return torch.randint(int(frame_counts.sum()), (preset.rays,), generator=generator)
@@ -76,9 +75,7 @@ def choose_rays(
     return first + torch.randint(count, (preset.rays,), generator=generator)
 
 
-def directions_at(
-    rays: RayTensors, chosen: Int[Tensor, "b"], row: Int[Tensor, "b k"]
-) -> Float[Tensor, "b k 3"]:
+def directions_at(rays: RayTensors, chosen: Int[Tensor, "b"], row: Int[Tensor, "b k"]) -> Float[Tensor, "b k 3"]:
     """View directions in the canonical frame at sections of the chosen rays; `row` is the sample each follows."""
     direction = rays.direction[chosen][:, None].expand(*row.shape, 3)
     if rays.bones is None:
@@ -94,29 +91,37 @@ def directions_at(
 class StepReport:
     """Numbers of one step, for the log."""
 
-    loss: float  # the sum of the terms, weighted
+    # the sum of the terms, weighted
+    loss: float
     color: float  # L_rgb
     mask: float  # L_mask
     eikonal: float  # L_E
     displacement: float  # L_nr, mean |T_nr|, metres
-    extra: float  # the extra term (L_g, Eq. 7), with its weight
-    psnr: float  # dB, of the rays on the person
+    # the extra term (L_g, Eq. 7), with its weight
+    extra: float
+    # dB, of the rays on the person
+    psnr: float
     slope: float  # mean |grad F_s|
-    saturated: float  # share of shaded points whose correction is beyond 5 cm
+    # share of shaded points whose correction is beyond 5 cm
+    saturated: float
 
 
 class Rendered(NamedTuple):
     """A batch of rays drawn through the field, with what the losses ask of it."""
 
     color: Float[Tensor, "b 3"]  # on black
-    log_transmittance: Float[Tensor, "b"]  # opacity = 1 - exp of it
-    share: Float[Tensor, "b k"]  # of each shaded section; sums to 1
+    # opacity = 1 - exp of it
+    log_transmittance: Float[Tensor, "b"]
+    # of each shaded section; sums to 1
+    share: Float[Tensor, "b k"]
     ends: Float[Tensor, "b ends 3"]  # canonical, after T_nr
     distance: Float[Tensor, "b ends"]  # F_s there
-    shaded: Float[Tensor, "n 3"]  # points that were given a colour, b k of them
+    # points that were given a colour, b k of them
+    shaded: Float[Tensor, "n 3"]
     shaded_distance: Float[Tensor, "n"]
     gradient: Float[Tensor, "n 3"]  # grad F_s there
-    displacement: Float[Tensor, "m 3"]  # T_nr where it was evaluated
+    # T_nr where it was evaluated
+    displacement: Float[Tensor, "m 3"]
 
 
 def render_rays(
@@ -126,7 +131,8 @@ def render_rays(
     """Volume rendering of the chosen rays (Eq. 1-4), u in [0, 1) the jitter of each.
 
     With VolSDF's density F_s, normal and colour are evaluated once, where each section begins, and `beta` is the
-    geometry's own. With NeuS's, F_s is evaluated at all section ends (values only). Normal, Eikonal and colour are evaluated in the
+    geometry's own. With NeuS's, F_s is evaluated at all section ends (values only). Normal, Eikonal and colour are
+    evaluated in the
     `shaded` sections with the largest weights; their colours are scaled to the opacity of the whole ray.
     """
     frame, ends = rays.frame[chosen], rays.ends[chosen]

@@ -10,8 +10,11 @@ import numpy as np
 import torch
 
 from avatar.files import whole_file
+from avatar.progress import Reporter
+from capture.folder import Capture, PartVideo, Subject, read_capture, read_subject
+from capture.repair.refine import poses_refined, with_refined, write_learned
+from capture.template import SurfaceCloud, neck_height, surface_cloud, visible_faces
 from train import run as run_folder
-from train.capture import Capture, PartVideo, Subject, read_capture, read_subject
 from train.checkpoint import Position
 from train.distributed import Ranks
 from train.field import PartField
@@ -23,12 +26,10 @@ from train.prefit import fit_template
 from train.preset import PartPreset, Preset
 from train.preview import Preview, part_preview
 from train.rays import part_rays
-from train.refine import poses_refined, with_refined, write_learned
 from train.single import part_names, part_presets, show_as_in_the_body_video, single_rays, single_template
-from train.template import SurfaceCloud, neck_height, surface_cloud, template_grid, visible_faces
+from train.template_grid import template_grid
 from train.trainer import peak_memory, train_field
 from train.union import write_rays
-from train.workers import Tell
 
 Array = np.ndarray
 
@@ -47,7 +48,8 @@ class PartJob:
     resume: bool
     threads: int
     save_every: float  # seconds between checkpoints
-    preview_every: int  # steps between previews; 0: none
+    # steps between previews; 0: none
+    preview_every: int
     ranks: Ranks
 
     @property
@@ -70,7 +72,7 @@ class Ready(NamedTuple):
     preview: Preview | None
 
 
-def train_part(job: PartJob, tell: Tell) -> dict:
+def train_part(job: PartJob, tell: Reporter) -> dict:
     """Train one part from its video and leave PART.pt and PART.ckpt; returns what run.json says of it."""
     name, folder, preset, part_preset = job.name, Path(job.folder), job.preset, job.settings
     checkpoint, done = folder / f"{name}.ckpt", folder / f"{name}.json"
@@ -83,13 +85,15 @@ def train_part(job: PartJob, tell: Tell) -> dict:
     torch.manual_seed(job.seed * 4 + job.index)
     ready = (single_ready if preset.single else part_ready)(job, capture, tell)
     field, rays, frames = ready.field, ready.rays, len(ready.field.appearance.weight)
-    if not preset.single and poses_refined(folder, name):  # a single network's rays are of four videos: as aligned
+    # a single network's rays are of four videos: as aligned
+    if not preset.single and poses_refined(folder, name):
         field.poses = PoseCorrection(capture.videos[name], capture.subject).to(rays.ends.device)
     if preset.prefit and not (job.resume and checkpoint.exists()):
         off = fit_template(field, preset.prefit, seed=job.seed)
         tell.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
     if name == "body" and job.ranks.writes:
-        write_rays(folder / "body.rays", rays)  # for stage 2 and Eq. 8
+        # for stage 2 and Eq. 8
+        write_rays(folder / "body.rays", rays)
     prepared = time.monotonic() - began
     tell.say(
         f"{name}: {len(rays.ends)} rays of {frames} frames, {ready.flagged:.1%} left out as ambiguous, "
@@ -129,10 +133,13 @@ def train_part(job: PartJob, tell: Tell) -> dict:
     if field.poses is not None:
         facts["poses_learned_deg"] = round(field.poses.degrees(), 3)
         _keep_poses(job, field, rays, capture.videos[name])
-        tell.say(f"{name}: poses learned with the field, {facts['poses_learned_deg']:.2f} degrees from the aligned ones")
+        tell.say(
+            f"{name}: poses learned with the field, {facts['poses_learned_deg']:.2f} degrees from the aligned ones"
+        )
     if job.ranks.writes:
         run_folder.write_part(folder / f"{name}.pt", field.cpu())
-        with whole_file(done, "w") as file:  # from now on resuming passes this part by
+        # from now on resuming passes this part by
+        with whole_file(done, "w") as file:
             json.dump(facts, file)
     psnr = f"PSNR {last['psnr']:.1f} dB, " if last else ""
     tell.say(
@@ -154,7 +161,7 @@ def _keep_poses(job: PartJob, field: PartField, rays: RayTensors, video: PartVid
     write_learned(Path(job.folder), job.name, poses.corrected(video))
 
 
-def part_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
+def part_ready(job: PartJob, capture: Capture, tell: Reporter) -> Ready:
     """A part's untrained field in its box, and the rays of its video."""
     name, preset, settings, device = job.name, job.preset, job.settings, torch.device(job.device)
     subject, part = capture.subject, part_boxes(capture.subject)[job.index]
@@ -173,7 +180,7 @@ def part_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
     return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, preview)
 
 
-def single_ready(job: PartJob, capture: Capture, tell: Tell) -> Ready:
+def single_ready(job: PartJob, capture: Capture, tell: Reporter) -> Ready:
     """The single network (ablation), untrained, and the rays of all four videos; its preview is the body's."""
     device = torch.device(job.device)
     frames = sum(len(video.images) for video in capture.videos.values())

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from train.capture import PARTS, Subject
+from capture.folder import PARTS, Subject
 
 Array = np.ndarray
 
@@ -39,7 +39,8 @@ class Part:
 
     name: str
     extent: Box
-    speaks: Box | None  # None: the body, which covers everyone
+    # None: the body, which covers everyone
+    speaks: Box | None
     overlap: float  # d_s, metres
 
 
@@ -59,7 +60,8 @@ def part_boxes(subject: Subject) -> tuple[Part, ...]:
         low, high = covered.min(0).copy(), covered.max(0).copy()
         stand_off = overlap + 0.03
         if name == "head":
-            stand_off = overlap + 0.02  # and the networks' box reaches as far: nobody speaks where it never learnt
+            # and the networks' box reaches as far: nobody speaks where it never learnt
+            stand_off = overlap + 0.02
             # the neck below: Eq. 9 starts under the lowest skin of the head, hair hanging deeper or not
             low[1] = max(low[1], vertices[:, 1].min())
             speaks_low, speaks_high = low - stand_off, high + stand_off

@@ -18,30 +18,37 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from avatar.camera import Camera, project
-from avatar.rasterise import rasterise
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
-from train.capture import PartVideo, Subject
-from train.increments import project_derivative
-from train.register import Anchors
+from capture.folder import PartVideo, Subject
+from capture.repair.increments import project_derivative
+from geometry.rasterise import rasterise
+from geometry.register import Anchors
 
 Array = np.ndarray
 
 HEAD = JOINTS.index("head")
-FINER = 2  # drawn so many times finer than the frame, then averaged
-RIM = 4  # pixels around the drawn head that count: farther is background or someone else
-LARGEST = 160  # pixels a side of the head's crop; larger ones are averaged down
-PIXEL = 0.3  # standard deviation of a pixel's residual: neighbours err together, so more than the noise
-OUTLIER = 0.2  # residuals beyond it lose their weight: a hand before the face, light that differs
-ARM = 0.1  # metres; rotation and scale are counted at this distance, so that all unknowns are alike in size
+# drawn so many times finer than the frame, then averaged
+FINER = 2
+# pixels around the drawn head that count: farther is background or someone else
+RIM = 4
+# pixels a side of the head's crop; larger ones are averaged down
+LARGEST = 160
+# standard deviation of a pixel's residual: neighbours err together, so more than the noise
+PIXEL = 0.3
+# residuals beyond it lose their weight: a hand before the face, light that differs
+OUTLIER = 0.2
+# metres; rotation and scale are counted at this distance, so that all unknowns are alike in size
+ARM = 0.1
 
 
 class ColoredHead(NamedTuple):
     """What the head's field shows at the template's head."""
 
     vertices: Int[Array, "n"]  # of the template
-    points: Float[Array, "n 3"]  # where the field shows them, in the frame that the similarity moves
+    # where the field shows them, in the frame that the similarity moves
+    points: Float[Array, "n 3"]
     colors: Float[Array, "n 3"]  # sRGB, [0, 1]
 
 
@@ -49,7 +56,8 @@ class VideoFit(NamedTuple):
     """Where the body's video has the head."""
 
     transform: Float[Array, "4 4"]  # canonical_from_head_field, a similarity
-    before: float  # root of the mean rho over coverage and colour (0 to 1), at the start
+    # root of the mean rho over coverage and colour (0 to 1), at the start
+    before: float
     after: float
 
 
@@ -68,9 +76,7 @@ def refine_on_video(
     colors = np.zeros((len(subject.vertices), 3))
     colors[head.vertices] = head.colors
     scene = _Scene(subject, np.asarray(shown[subject.faces].all(1), bool), colors[subject.faces].mean(1))
-    chosen = np.unique(
-        np.linspace(0, len(video.images), min(frames, len(video.images)), endpoint=False).astype(int)
-    )
+    chosen = np.unique(np.linspace(0, len(video.images), min(frames, len(video.images)), endpoint=False).astype(int))
     transform, tried = start, []
     for _ in range(rounds + 1):
         placed = subject.vertices.copy()
@@ -90,10 +96,9 @@ def refine_on_video(
             break
     before, after = tried[0][0], tried[-1][0]
     answer = tried[-1][1]
-    if not after <= 1.05 * before:  # the anchors and a changing set of pixels may cost a little
-        raise ValueError(
-            f"the pixels of the body's video fit worse than before ({before:.4f} -> {after:.4f})"
-        )
+    # the anchors and a changing set of pixels may cost a little
+    if not after <= 1.05 * before:
+        raise ValueError(f"the pixels of the body's video fit worse than before ({before:.4f} -> {after:.4f})")
     moved = (head.points @ (answer - start)[:3, :3].T + (answer - start)[:3, 3]).astype(float)
     shift = float(np.linalg.norm(moved, axis=1).max())
     if shift > most:
@@ -169,13 +174,9 @@ def _add_frame(
     y, x, face = y[keep], x[keep], face[keep]
     corners = subject.faces[face]
     turn = B[HEAD, :3, :3]  # the head follows its bone (Eq. 4)
-    motion = (
-        project_derivative(camera, posed[corners].mean(1)) @ turn @ _moves(placed[corners].mean(1), centre)
-    )
+    motion = project_derivative(camera, posed[corners].mean(1)) @ turn @ _moves(placed[corners].mean(1), centre)
 
-    def add(
-        drawn: Float[Array, "h w"], seen: Float[Array, "h w"], where: Bool[Array, "n"]
-    ) -> tuple[float, int]:
+    def add(drawn: Float[Array, "h w"], seen: Float[Array, "h w"], where: Bool[Array, "n"]) -> tuple[float, int]:
         at = y[where], x[where]
         slope_y, slope_x = np.gradient(drawn)
         r = (seen - drawn)[at]
@@ -192,9 +193,7 @@ def _add_frame(
     if inside.any():
         for channel in range(3):
             drawn_, seen = (_blurred(a[..., channel], 0.6) for a in (colors, image))
-            light = np.median(
-                (seen - drawn_)[y[inside], x[inside]]
-            )  # exposure and light differ between the videos
+            light = np.median((seen - drawn_)[y[inside], x[inside]])  # exposure and light differ between the videos
             more = add(drawn_ + light, seen, inside)
             error, count = error + more[0], count + more[1]
     return error, count

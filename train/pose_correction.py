@@ -1,4 +1,5 @@
-"""Poses learned with the field: what is left of pose errors after alignment (train/align.py) is taken out by gradients.
+"""Poses learned with the field: what is left of pose errors after alignment (capture/repair/align.py) is taken out
+by gradients.
 
 Section ends of a video's rays are canonical and cached, so a correction of a frame's pose has to move them there. With
 small turns d_j of the joints (R_j exp d_j) and a shift s of the root, a point x that follows bone k moves, to first
@@ -6,7 +7,8 @@ order and in the canonical frame of that bone, by the twist
 
     -(w x x + v),   w = sum over j above k of a_jk,   v = R_k^T s - sum over j above k of a_jk x p_jk
 
-with a_jk = R_k^T G_j d_j and p_jk = B_k^-1 p_j (G_j turn and p_j place of joint j in the world, B_k posed_from_canonical
+with a_jk = R_k^T G_j d_j and p_jk = B_k^-1 p_j (G_j turn and p_j place of joint j in the world, B_k
+posed_from_canonical
 of bone k, R_k its turn). Twists are linear in the increments, and their matrices are fixed: a step costs one small
 product per frame and four blended twists per point, as skin weights blend bones.
 
@@ -23,18 +25,20 @@ from torch import Tensor, nn
 
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import joint_transforms, skin_transforms
-from train.capture import PARTS, PartVideo, Subject
-from train.increments import DESCENDS, metres_of_a_pixel, moving_joints
+from capture.folder import PARTS, PartVideo, Subject
+from capture.repair.increments import DESCENDS, metres_of_a_pixel, moving_joints
 
 Array = np.ndarray
 
-SPREAD = 1.0  # degrees, and SPREAD centimetres of the root: standard deviation of what alignment leaves
+# degrees, and SPREAD centimetres of the root: standard deviation of what alignment leaves
+SPREAD = 1.0
 
 
 class PoseCorrection(nn.Module):
     """Increments of every frame's moving joints and root, learned by the losses of the field."""
 
-    twists: Float[Tensor, "frames bones 6 p"]  # (w, v) of each bone's points for unit increments
+    # (w, v) of each bone's points for unit increments
+    twists: Float[Tensor, "frames bones 6 p"]
     moving: Int[Tensor, "m"]
 
     def __init__(self, video: PartVideo, subject: Subject):
@@ -84,8 +88,7 @@ class PoseCorrection(nn.Module):
     ) -> Float[Tensor, "rays e 3"]:  # fmt: skip
         """The cached section ends of a whole video under the poses that were learned."""
         pieces = [
-            self(e, f, joints[r], weights[r])
-            for e, f, r in zip(ends.split(4096), frame.split(4096), row.split(4096))
+            self(e, f, joints[r], weights[r]) for e, f, r in zip(ends.split(4096), frame.split(4096), row.split(4096))
         ]
         return torch.cat(pieces)
 
@@ -106,7 +109,8 @@ def frame_twists(
     places = np.einsum("kab,kmb->kma", into, G[moving][:, :3, 3] - B[:, None, :3, 3])
     out = np.zeros((52, 6, 3 * m + 3))
     out[:, :3, :-3] = axes.transpose(0, 2, 1, 3).reshape(52, 3, -1)
-    moments = -np.cross(np.swapaxes(axes, 2, 3), places[:, :, None])  # k m c a: -(a x p) for each column of a
+    # k m c a: -(a x p) for each column of a
+    moments = -np.cross(np.swapaxes(axes, 2, 3), places[:, :, None])
     out[:, 3:, :-3] = moments.transpose(0, 3, 1, 2).reshape(52, 3, -1)
     out[:, 3:, -3:] = into
     return out

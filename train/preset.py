@@ -16,12 +16,16 @@ class PartPreset:
     iterations: int  # optimiser steps
     cell: float  # template distance grid, metres
     spacing: float  # template samples on this part, metres
-    band: Band  # where surfaces are looked for
-    beta: tuple[float, float]  # width of the surface in rendering, first and last, metres; of NeuS alone
+    # where surfaces are looked for
+    band: Band
+    # width of the surface in rendering, first and last, metres; of NeuS alone
+    beta: tuple[float, float]
     displacement_reach: float  # |T_nr| at most, metres
-    displacement_weight: float  # lambda_2, per metre of T_nr (supplement: .01, hands .001)
+    # lambda_2, per metre of T_nr (supplement: .01, hands .001)
+    displacement_weight: float
     networks: TriPlaneNetworks | HashNetworks | PaperNetworks
-    background: float = 1.0  # share of the cached pixels that may lie beside the person, at most
+    # share of the cached pixels that may lie beside the person, at most
+    background: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -41,32 +45,48 @@ class Preset:
     """Settings of a training run."""
 
     name: str
-    parts: tuple[PartPreset, ...]  # in the order of capture.PARTS
+    # in the order of capture.PARTS
+    parts: tuple[PartPreset, ...]
     density: Literal["neus", "volsdf"] = "neus"  # train/render.py; VolSDF's width is learned
-    color_loss: Literal["absolute", "norm"] = "absolute"  # L_rgb: mean |difference|, or Eq. 11 as printed
-    mask_loss: Literal["opacity", "lowest"] = "opacity"  # L_mask: of what is drawn, or Eq. 11 as printed
+    # L_rgb: mean |difference|, or Eq. 11 as printed
+    color_loss: Literal["absolute", "norm"] = "absolute"
+    # L_mask: of what is drawn, or Eq. 11 as printed
+    mask_loss: Literal["opacity", "lowest"] = "opacity"
     rays: int = 1024  # per step
-    one_frame: bool = False  # all rays of a step from one frame, or from any
-    rays_per_frame: int = 8000  # cached of each frame; a texture between the pixels of fewer is never learnt
+    # all rays of a step from one frame, or from any
+    one_frame: bool = False
+    # cached of each frame; a texture between the pixels of fewer is never learnt
+    rays_per_frame: int = 8000
     sections: int = 12  # per ray
-    shaded: int = 3  # sections with the largest weights get normal and colour
-    displaced_every: int = 4  # T_nr is evaluated at every n-th section end and linear between
-    grid_rate: float = 4e-3  # learning rate of planes or hash tables
-    network_rate: float = 2e-3  # of the networks and codes
-    displacement_rate: float = 3e-4  # of T_nr and its codes: geometry settles first
-    pose_rate: float = 0.1  # of poses, where they are refined: pixels, of a point a metre from its joint
-    pose_begin: float = 0.15  # share of the steps before they move: first the field shows somebody
+    # sections with the largest weights get normal and colour
+    shaded: int = 3
+    # T_nr is evaluated at every n-th section end and linear between
+    displaced_every: int = 4
+    # learning rate of planes or hash tables
+    grid_rate: float = 4e-3
+    # of the networks and codes
+    network_rate: float = 2e-3
+    # of T_nr and its codes: geometry settles first
+    displacement_rate: float = 3e-4
+    # of poses, where they are refined: pixels, of a point a metre from its joint
+    pose_rate: float = 0.1
+    # share of the steps before they move: first the field shows somebody
+    pose_begin: float = 0.15
     pose_weight: float = 0.1  # of their prior
     warm_up: int = 100  # steps
-    last_rate: float = 0.05  # of the first, reached exponentially
+    # of the first, reached exponentially
+    last_rate: float = 0.05
     beta_until: float = 0.8  # share of the steps over which beta shrinks
     clip: float = 1.0  # gradient norm
     mask_weight: float = 0.1
     eikonal_weight: float = 0.1  # lambda_1 (supplement)
-    adam: tuple[float, float, float] = (0.9, 0.99, 1e-15)  # its two betas and epsilon
-    prefit: int = 0  # steps that fit F_s to the template before training, where it does not begin there
+    # its two betas and epsilon
+    adam: tuple[float, float, float] = (0.9, 0.99, 1e-15)
+    # steps that fit F_s to the template before training, where it does not begin there
+    prefit: int = 0
     surface_cells: tuple[float, float, float] = (0.006, 0.0035, 0.0025)  # metres: body, head, hands
-    single: bool = False  # one network for everyone (train/single.py), instead of four parts
+    # one network for everyone (train/single.py), instead of four parts
+    single: bool = False
     union: UnionPreset = UnionPreset()
     appearance_steps: int = 200  # Eq. 8, per part
     appearance_rate: float = 1e-2  # its learning rate
@@ -117,18 +137,14 @@ FAST = Preset(
     appearance_steps=500,
 )
 
-_PAPER_HAND = PartPreset(
-    100_000, 0.002, 0.002, Band(0.1, 0.1, 0.01), (0.1, 0.1), 0.005, 0.001, PaperNetworks(), 0.3
-)
+_PAPER_HAND = PartPreset(100_000, 0.002, 0.002, Band(0.1, 0.1, 0.01), (0.1, 0.1), 0.005, 0.001, PaperNetworks(), 0.3)
 
 # The supplement's numbers; where it is silent, the authors' code's (bands, |T_nr| at most, rays of one frame)
 PAPER = Preset(
     "paper",
     (
         PartPreset(100_000, 0.01, 0.01, Band(0.1, 0.1, 0.01), (0.1, 0.1), 0.05, 0.01, PaperNetworks(), 0.3),
-        PartPreset(
-            100_000, 0.003, 0.003, Band(0.04, 0.04, 0.005), (0.1, 0.1), 0.05, 0.01, PaperNetworks(), 0.3
-        ),
+        PartPreset(100_000, 0.003, 0.003, Band(0.04, 0.04, 0.005), (0.1, 0.1), 0.05, 0.01, PaperNetworks(), 0.3),
         _PAPER_HAND,
         _PAPER_HAND,
     ),

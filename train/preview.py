@@ -12,13 +12,13 @@ from avatar.files import whole_file
 from avatar.png import encode_png
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from train.capture import PARTS, PartVideo, Subject
+from capture.folder import PARTS, PartVideo, Subject
+from capture.template import SurfaceCloud
 from train.field import PartField, unit_normals
 from train.objective import RayTensors, ray_tensors, render_rays
 from train.parts import Part
 from train.preset import Preset
 from train.rays import Band, part_rays
-from train.template import SurfaceCloud
 
 Array = np.ndarray
 
@@ -37,7 +37,8 @@ class Preview:
         self, path: Path, rays: RayTensors, pixels: Int[Array, "rays 2"], observed: UInt8[Array, "h w 3"],
         every: int,
     ):  # fmt: skip
-        self.path, self.every = path, every  # a PNG file; steps between two pictures
+        # a PNG file; steps between two pictures
+        self.path, self.every = path, every
         self.rays, self.pixels, self.observed = rays, pixels, observed
 
     def draw(self, field: PartField, beta: float, preset: Preset) -> UInt8[Array, "h wide 3"]:
@@ -86,7 +87,8 @@ def part_preview(
     pixels = np.floor(at).astype(np.int64)[:, ::-1]
     tensors = ray_tensors(rays, cloud, device)
     bones = tensors.bones
-    if bones is not None:  # the codes of T_nr and F_c are the video's: so are the frame numbers
+    # the codes of T_nr and F_c are the video's: so are the frame numbers
+    if bones is not None:
         bones = bones.expand(frame + 1, *bones.shape[1:])
     tensors = replace(tensors, frame=torch.full_like(tensors.frame, frame), bones=bones)
     observed = small.images[0] * small.masks[0][..., None]
@@ -135,7 +137,8 @@ def _thinned(video: PartVideo, frame: int, box: tuple[int, int, int, int]) -> Pa
     mask = video.masks[frame][top:bottom:step, left:right:step]
     camera = video.cameras[frame]
     small_from_pixel = np.diag([1 / step, 1 / step, 1.0])
-    small_from_pixel[:2, 2] = 0.5 - (np.array([left, top]) + 0.5) / step  # centres lie at .5 in both
+    # centres lie at .5 in both
+    small_from_pixel[:2, 2] = 0.5 - (np.array([left, top]) + 0.5) / step
     size = (mask.shape[1], mask.shape[0])
     camera = Camera(small_from_pixel @ camera.K, camera.camera_from_world, size, camera.distortion)
     one = slice(frame, frame + 1)
@@ -143,7 +146,8 @@ def _thinned(video: PartVideo, frame: int, box: tuple[int, int, int, int]) -> Pa
         video, images=image[None], masks=mask[None], cameras=(camera,),
         axis_angle=None if video.axis_angle is None else video.axis_angle[one],
         root=None if video.root is None else video.root[one],
-        unsure=None,  # the picture has no holes
+        # the picture has no holes
+        unsure=None,
     )  # fmt: skip
 
 

@@ -15,11 +15,11 @@ from avatar.camera import pixel_rays
 from avatar.rotation import quaternion_from_matrix
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_normals, skin_points
-from train.capture import PARTS, PartVideo, Subject
-from train.cells import distance_to
+from capture.folder import PARTS, PartVideo, Subject
+from capture.template import SurfaceCloud, sample_grid, signed
+from geometry.cells import distance_to
 from train.deform import apply_rows, canonical_from_posed, inverse_transforms
 from train.parts import Part
-from train.template import SurfaceCloud, sample_grid, signed
 
 Array = np.ndarray
 
@@ -28,9 +28,12 @@ Array = np.ndarray
 class Band:
     """How far from the template a surface is looked for, metres."""
 
-    outside: float  # rays enter the band here
-    inside: float  # and leave it this deep under the template
-    step: float  # march step within the band
+    # rays enter the band here
+    outside: float
+    # and leave it this deep under the template
+    inside: float
+    # march step within the band
+    step: float
 
 
 @dataclass(frozen=True)
@@ -38,13 +41,17 @@ class TrainingRays:
     """Rays with their cached section ends, all canonical; R rays, E ends each."""
 
     ends: Float[Array, "rays ends 3"]  # canonical, metres
-    row: Int[Array, "rays ends"]  # template sample that each end follows
-    direction: Float[Array, "rays 3"]  # unit, away from the camera; world (body, hands) or canonical (head)
+    # template sample that each end follows
+    row: Int[Array, "rays ends"]
+    # unit, away from the camera; world (body, hands) or canonical (head)
+    direction: Float[Array, "rays 3"]
     frame: Int[Array, "rays"]
     color: Float[Array, "rays 3"]  # sRGB in [0, 1], black outside the mask
     mask: Float[Array, "rays"]
-    bones: Float[Array, "frames 52 4"] | None  # posed_from_canonical, xyzw; None: rigid, canonical directions
-    flagged: float  # share of rays left out because their map to the canonical pose did not settle
+    # posed_from_canonical, xyzw; None: rigid, canonical directions
+    bones: Float[Array, "frames 52 4"] | None
+    # share of rays left out because their map to the canonical pose did not settle
+    flagged: float
 
 
 def march(
@@ -121,15 +128,11 @@ class PosedTemplate(NamedTuple):
 
     points: Float[Array, "thin 3"]  # of the thinned samples
     normals: Float[Array, "thin 3"]
-    inverse: (
-        Float[Array, "samples 3 4"] | None
-    )  # canonical_from_posed of every sample; None: rays are canonical
+    inverse: Float[Array, "samples 3 4"] | None  # canonical_from_posed of every sample; None: rays are canonical
     invertible: Bool[Array, "samples"] | None
 
 
-def posed_template(
-    cloud: SurfaceCloud, thin: Int[Array, "thin"], transforms: Float[Array, "52 4 4"]
-) -> PosedTemplate:
+def posed_template(cloud: SurfaceCloud, thin: Int[Array, "thin"], transforms: Float[Array, "52 4 4"]) -> PosedTemplate:
     """The samples skinned to the world with their inverse maps (Eq. 3); points and normals of the `thin` ones."""
     skin = SkinWeights(cloud.skin.joints[thin], cloud.skin.weights[thin])
     inverse, invertible = inverse_transforms(cloud.skin, transforms)
@@ -163,7 +166,8 @@ def part_rays(
     # the march needs the template to a few millimetres only: a quarter of the samples, twice as far apart
     thin = np.arange(0, len(cloud.points), 4)
     grid = sample_grid(cloud, part.extent.low - 0.02, part.extent.high + 0.02, cloud.spacing)
-    settled = max(1e-4, 0.25 * cloud.spacing)  # neighbouring samples differ by this much near a joint
+    # neighbouring samples differ by this much near a joint
+    settled = max(1e-4, 0.25 * cloud.spacing)
     tried = dropped = 0
     for frame in range(frames):
         mask = video.masks[frame]
@@ -187,9 +191,7 @@ def part_rays(
         if canonical_from_head is not None:
             origins = origins @ canonical_from_head[:3, :3].T + canonical_from_head[:3, 3]
             directions = directions @ canonical_from_head[:3, :3].T / scale
-        ray, t, distance, sample = march(
-            origins, directions, posed.points, posed.normals, 2 * cloud.gap[thin], band
-        )
+        ray, t, distance, sample = march(origins, directions, posed.points, posed.normals, 2 * cloud.gap[thin], band)
         sample = thin[sample]
         if len(ray) == 0:
             continue
@@ -197,9 +199,7 @@ def part_rays(
         if posed.inverse is None or posed.invertible is None:
             row, ok, canonical = sample, np.ones(len(ray), bool), at
         else:
-            row, canonical, ok = canonical_from_posed(
-                at, sample, posed.inverse, grid.nearest, settled=settled
-            )
+            row, canonical, ok = canonical_from_posed(at, sample, posed.inverse, grid.nearest, settled=settled)
             ok &= posed.invertible[row]
         trains, doubtful, keep = _choose_steps(ray, distance, canonical, ok, part, band)
         tried, dropped = tried + trains, dropped + doubtful
@@ -211,16 +211,22 @@ def part_rays(
         step, into = spread_ends(counts, ends)
         at_step = begin[:, None] + step
         which = ray[begin]
-        end = (
-            origins[which][:, None] + (t[at_step] + into * band.step)[..., None] * directions[which][:, None]
-        )
+        end = origins[which][:, None] + (t[at_step] + into * band.step)[..., None] * directions[which][:, None]
         if posed.inverse is not None:
             end = apply_rows(posed.inverse, row[at_step].ravel(), end.reshape(-1, 3)).reshape(end.shape)
         pixel = pixels[which]
         lit = mask[pixel[:, 0], pixel[:, 1]]
         color = video.images[frame][pixel[:, 0], pixel[:, 1]] / np.float32(255) * lit[:, None]
-        kept.append((end.astype(np.float32), row[at_step].astype(np.int32), directions[which].astype(np.float32),
-                     np.full(len(which), frame, np.int32), color.astype(np.float32), lit.astype(np.float32)))  # fmt: skip
+        kept.append(
+            (
+                end.astype(np.float32),
+                row[at_step].astype(np.int32),
+                directions[which].astype(np.float32),
+                np.full(len(which), frame, np.int32),
+                color.astype(np.float32),
+                lit.astype(np.float32),
+            )
+        )
     if not kept:
         raise ValueError(f"no ray of the {video.part} video meets the template inside the {part.name} box")
     end, row, direction, of_frame, color, lit = (np.concatenate([rows[i] for rows in kept]) for i in range(6))

@@ -28,7 +28,8 @@ class Weights(NamedTuple):
     """What each section of a ray contributes."""
 
     weights: Float[Tensor, "rays sections"]
-    log_transmittance: Float[Tensor, "rays"]  # of the whole ray; opacity = 1 - exp of it
+    # of the whole ray; opacity = 1 - exp of it
+    log_transmittance: Float[Tensor, "rays"]
 
 
 def section_weights(
@@ -47,9 +48,7 @@ def section_weights(
     return _accumulated(passed)
 
 
-def laplace_density(
-    distance: Float[Tensor, "*batch"], beta: float | Float[Tensor, ""]
-) -> Float[Tensor, "*batch"]:
+def laplace_density(distance: Float[Tensor, "*batch"], beta: float | Float[Tensor, ""]) -> Float[Tensor, "*batch"]:
     """sigma, VolSDF's density, per metre: 1/beta deep inside, 1/(2 beta) on the surface, 0 far outside.
 
     Each branch sees 0 on the other's side: `where` computes both, and an exponential that overflows where it is
@@ -88,7 +87,8 @@ def _accumulated(passed: Float[Tensor, "rays sections"]) -> Weights:
     """Weights from log(1 - alpha) of the sections: each is a difference of two transmittances."""
     log_t = torch.cumsum(passed, 1)
     before = F.pad(log_t[:, :-1], (1, 0))
-    total = log_t[:, -1] if passed.shape[1] else passed.sum(1)  # a ray of one end has no section
+    # a ray of one end has no section
+    total = log_t[:, -1] if passed.shape[1] else passed.sum(1)
     return Weights(before.exp() * -torch.expm1(passed), total)
 
 

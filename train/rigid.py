@@ -7,7 +7,7 @@ import torch
 
 from avatar.skeleton import JOINTS
 from avatar.skinning import dense_weights, strongest_four
-from train.capture import PARTS, Subject
+from capture.folder import PARTS, Subject
 from train.parts import part_boxes, part_weight
 
 HEAD = JOINTS.index("head")

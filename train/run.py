@@ -9,7 +9,8 @@ import torch
 
 from avatar.errors import AssetError
 from avatar.skinning import SkinWeights
-from train.capture import PARTS, Subject, read_subject
+from capture.folder import PARTS, Subject, read_subject
+from capture.views import ViewStatistics
 from train.field import PartField
 from train.fused import FusedField
 from train.networks import hash, paper, triplane
@@ -20,8 +21,7 @@ from train.parts import part_boxes
 from train.preset import PRESETS, PartPreset, Preset
 from train.single import part_names, part_presets
 from train.surface import Surface
-from train.template import TemplateGrid
-from train.views import ViewStatistics
+from train.template_grid import TemplateGrid
 
 FORMAT, VERSION = "selfscan-run", 1
 
@@ -37,9 +37,7 @@ class Run:
     provenance: dict  # all of run.json
 
 
-def build_field(
-    subject: Subject, index: int, preset: PartPreset, template: TemplateGrid, frames: int
-) -> PartField:
+def build_field(subject: Subject, index: int, preset: PartPreset, template: TemplateGrid, frames: int) -> PartField:
     """An untrained field of part `index`."""
     extent = part_boxes(subject)[index].extent
     low, high = (torch.tensor(edge, dtype=torch.float32) for edge in (extent.low, extent.high))
@@ -77,9 +75,7 @@ def read_part(path: Path, subject: Subject, index: int, preset: PartPreset) -> P
     except FileNotFoundError:
         raise AssetError(f"{path}: no such file; expected a part of a run made by `selfscan train`") from None
     except Exception as error:  # torch.load raises whatever the broken pickle or zip leads to
-        raise AssetError(
-            f"{path}: expected a trained part, found: {str(error).splitlines()[0][:200]}"
-        ) from None
+        raise AssetError(f"{path}: expected a trained part, found: {str(error).splitlines()[0][:200]}") from None
     return field
 
 
@@ -127,8 +123,16 @@ def read_surface(path: Path) -> Surface:
     except (OSError, ValueError, EOFError) as error:
         raise AssetError(f"{path}: expected a surface (.npz), found: {error}") from None
     count = len(fields.get("vertices", ()))
-    shapes = {"vertices": (count, 3), "normals": (count, 3), "part": (count,), "skin_joints": (count, 4),
-              "skin_weights": (count, 4), "view_count": (count,), "view_mean": (count, 3), "view_covariance": (count, 6)}  # fmt: skip
+    shapes = {
+        "vertices": (count, 3),
+        "normals": (count, 3),
+        "part": (count,),
+        "skin_joints": (count, 4),
+        "skin_weights": (count, 4),
+        "view_count": (count,),
+        "view_mean": (count, 3),
+        "view_covariance": (count, 6),
+    }
     for name, shape in shapes.items():
         if name not in fields or fields[name].shape != shape:
             found = fields[name].shape if name in fields else "nothing"
@@ -157,17 +161,13 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
     try:
         facts = json.loads((path / "run.json").read_text("utf-8"))
     except FileNotFoundError:
-        raise AssetError(
-            f"{path / 'run.json'}: no such file; expected a run folder made by `selfscan train`"
-        ) from None
+        raise AssetError(f"{path / 'run.json'}: no such file; expected a run folder made by `selfscan train`") from None
     except (OSError, ValueError) as error:
         raise AssetError(f"{path / 'run.json'}: expected JSON, found: {error}") from None
     if not isinstance(facts, dict) or facts.get("format") != FORMAT or facts.get("version") != VERSION:
         raise AssetError(f"{path / 'run.json'}: expected format {FORMAT!r} version {VERSION}")
     if facts.get("preset") not in PRESETS:
-        raise AssetError(
-            f"{path / 'run.json'}: preset should be one of {sorted(PRESETS)}, is {facts.get('preset')!r}"
-        )
+        raise AssetError(f"{path / 'run.json'}: preset should be one of {sorted(PRESETS)}, is {facts.get('preset')!r}")
     subject = read_subject(path / "subject.npz", name=str(facts.get("subject", "")))
     settings = facts.get("settings")
     if not isinstance(settings, dict):

@@ -20,8 +20,10 @@ FILE = "session.json"
 class Session:
     """One training, over all its sittings."""
 
-    out: Path  # the run folder, absent until it is complete
-    partial: Path  # checkpoints, logs and previews until then
+    # the run folder, absent until it is complete
+    out: Path
+    # checkpoints, logs and previews until then
+    partial: Path
     resumed: bool
 
 
@@ -66,9 +68,7 @@ def alone(out: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             who = os.pread(file, 20, 0).decode("ascii", "replace").strip() or "unknown"
-            raise AssetError(
-                f"{out}: process {who} is training into it; wait for it, or choose another -o"
-            ) from None
+            raise AssetError(f"{out}: process {who} is training into it; wait for it, or choose another -o") from None
         except OSError:  # a file system without locks
             yield
             return
@@ -112,13 +112,10 @@ def open_session(
         say(f"{out} is finished already; nothing to resume (--force trains it anew)")
         return None
     if interrupted:
-        raise AssetError(
-            f"{partial}: an interrupted training lies here; --resume goes on, --force begins anew"
-        )
+        raise AssetError(f"{partial}: an interrupted training lies here; --resume goes on, --force begins anew")
     if finished and not force:
         raise AssetError(
-            f"{out}: a finished run lies here; --force replaces it once the new one is complete, "
-            "or choose another -o"
+            f"{out}: a finished run lies here; --force replaces it once the new one is complete, or choose another -o"
         )
     if resume:
         say(f"{partial} holds no checkpoint: nothing to resume, training begins")
@@ -132,9 +129,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
-        raise AssetError(
-            f"{path}: expected the settings of an interrupted training, found: {error}"
-        ) from None
+        raise AssetError(f"{path}: expected the settings of an interrupted training, found: {error}") from None
     if not isinstance(content, dict):
         raise AssetError(f"{path}: expected a JSON object, found {type(content).__name__}")
     return content

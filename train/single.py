@@ -15,7 +15,8 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from avatar.skinning import SkinWeights
-from train.capture import PARTS, Capture
+from capture.folder import PARTS, Capture
+from capture.template import SurfaceCloud, neck_height, surface_cloud, visible_faces
 from train.field import PartField
 from train.networks.hash import HashNetworks
 from train.networks.paper import PaperNetworks
@@ -24,15 +25,7 @@ from train.objective import RayTensors, ray_tensors
 from train.parts import part_boxes
 from train.preset import PartPreset, Preset
 from train.rays import part_rays
-from train.template import (
-    SurfaceCloud,
-    TemplateGrid,
-    close_cavities,
-    neck_height,
-    surface_cloud,
-    template_grid,
-    visible_faces,
-)
+from train.template_grid import TemplateGrid, close_cavities, template_grid
 
 Array = np.ndarray
 
@@ -57,21 +50,17 @@ def single_part(preset: Preset) -> PartPreset:
         case TriPlaneNetworks():
             each = [p.networks for p in preset.parts if isinstance(p.networks, TriPlaneNetworks)]
             plane_size, color_size = (
-                round(sum(getattr(n, side) ** 2 for n in each) ** 0.5)
-                for side in ("plane_size", "color_size")
+                round(sum(getattr(n, side) ** 2 for n in each) ** 0.5) for side in ("plane_size", "color_size")
             )
-            networks = replace(
-                networks, plane_size=plane_size, color_size=color_size, width=2 * networks.width
-            )
+            networks = replace(networks, plane_size=plane_size, color_size=color_size, width=2 * networks.width)
         case HashNetworks():
-            finest = min(
-                part.networks.cell for part in preset.parts if isinstance(part.networks, HashNetworks)
-            )
+            finest = min(part.networks.cell for part in preset.parts if isinstance(part.networks, HashNetworks))
             networks = replace(networks, cell=finest, rows=4 * networks.rows, width=2 * networks.width)
         case PaperNetworks():
             networks = replace(networks, width=2 * networks.width)
     steps = sum(part.iterations for part in preset.parts)
-    cell = 0.5 * body.cell  # half the body's: the fingers must stand apart in the template
+    # half the body's: the fingers must stand apart in the template
+    cell = 0.5 * body.cell
     return replace(body, iterations=steps, cell=cell, beta=(body.beta[0], head.beta[1]), networks=networks)
 
 
@@ -130,9 +119,7 @@ def joined_cloud(clouds: list[SurfaceCloud]) -> SurfaceCloud:
     own = [cloud.part == index for index, cloud in enumerate(clouds)]
     join = lambda arrays: np.concatenate([array[mine] for array, mine in zip(arrays, own)])
     points = join([cloud.points for cloud in clouds])
-    skin = SkinWeights(
-        join([cloud.skin.joints for cloud in clouds]), join([cloud.skin.weights for cloud in clouds])
-    )
+    skin = SkinWeights(join([cloud.skin.joints for cloud in clouds]), join([cloud.skin.weights for cloud in clouds]))
     return SurfaceCloud(
         points, join([cloud.normals for cloud in clouds]), skin, join([cloud.part for cloud in clouds]),
         KDTree(points), min(cloud.spacing for cloud in clouds), join([cloud.gap for cloud in clouds]),

@@ -10,11 +10,11 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
-from train.capture import Subject
-from train.closest import closest_on_triangles
-from train.harmonic import anchored, fill_harmonic
-from train.mesh import vertex_normals
-from train.template import blend_skin, sample_faces, visible_faces
+from capture.folder import Subject
+from capture.template import blend_skin, sample_faces, visible_faces
+from geometry.closest import closest_on_triangles
+from geometry.harmonic import anchored, fill_harmonic
+from geometry.mesh import vertex_normals
 
 Array = np.ndarray
 
@@ -22,7 +22,8 @@ Array = np.ndarray
 class CanonicalSkin:
     """Look-up of skin weights on the canonical template of a subject."""
 
-    limit = 0.03  # metres; farther than this a weight is a guess
+    # metres; farther than this a weight is a guess
+    limit = 0.03
 
     def __init__(self, subject: Subject):
         visible = visible_faces(subject)
@@ -80,7 +81,7 @@ class CanonicalSkin:
 
 
 def harmonic_fill(skin: SkinWeights, known: Bool[Array, "v"], faces: Int[Array, "f 3"]) -> SkinWeights:
-    """Weights of the unknown vertices from the known ones, harmonic over the edges (train/harmonic.py).
+    """Weights of the unknown vertices from the known ones, harmonic over the edges (geometry/harmonic.py).
 
     Patches that touch no known vertex keep what they had.
     """

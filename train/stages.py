@@ -15,9 +15,11 @@ import torch
 
 from avatar.errors import AssetError
 from avatar.files import whole_folder
-from avatar.progress import Progress, ProgressBoard
+from avatar.progress import Progress, ProgressBoard, Reporter
+from capture.folder import Capture, read_capture, write_subject
+from capture.repair.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
+from geometry.register import Registration, similarity_from_landmarks
 from train import run as run_folder
-from train.capture import Capture, read_capture, write_subject
 from train.compose import compose
 from train.distributed import Ranks, join_ranks
 from train.hull import with_hair
@@ -25,18 +27,17 @@ from train.interrupt import prompt_stop
 from train.log import tensorboard_installed
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
 from train.preset import Preset
-from train.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
-from train.register import Registration, similarity_from_landmarks
 from train.rigid import with_rigid_head
 from train.session import Session, alone, capture_digest, digest_of, open_session
 from train.single import part_names, part_presets
 from train.trainer import peak_memory
 from train.union import read_rays
-from train.workers import Tell, run_jobs
+from train.workers import run_jobs
 
 Array = np.ndarray
 
-AFTER = 0.2  # time of what follows stage 1, as a share of it, for the time left; demo on two cores
+# time of what follows stage 1, as a share of it, for the time left; demo on two cores
+AFTER = 0.2
 
 
 def train(
@@ -82,9 +83,7 @@ def train(
         say(f"logs, previews and checkpoints: {session.partial}")
         refined = _refine(capture, session, ranks, device, refine_poses, say)
         capture = _own_template(capture, landmarks, session, ranks, say)
-        facts = _train_parts(
-            capture, preset, landmarks, session, ranks, device, seed, save_every, preview_every
-        )
+        facts = _train_parts(capture, preset, landmarks, session, ranks, device, seed, save_every, preview_every)
         if ranks.writes:
             _compose(capture, preset, landmarks, session, device, seed, facts, refined, began)
     return out
@@ -152,9 +151,7 @@ def _register_landmarks(capture: Capture, say: Callable[[str], None]) -> Registr
     video = capture.videos["head"]
     assert video.landmarks is not None and video.landmark_vertices is not None
     landmarks = similarity_from_landmarks(video.landmarks, capture.subject.vertices[video.landmark_vertices])
-    say(
-        f"head frame by {len(video.landmarks)} landmarks (Eq. 6): residual {landmarks.residual * 1000:.1f} mm"
-    )
+    say(f"head frame by {len(video.landmarks)} landmarks (Eq. 6): residual {landmarks.residual * 1000:.1f} mm")
     if landmarks.residual > 0.02:
         raise AssetError(
             f"{capture.path / 'head' / 'landmarks.json'}: landmarks should fit the template within 20 mm, "
@@ -166,14 +163,17 @@ def _register_landmarks(capture: Capture, say: Callable[[str], None]) -> Registr
 def _own_template(
     capture: Capture, landmarks: Registration, session: Session, ranks: Ranks, say: Callable[[str], None]
 ) -> Capture:
-    """The capture with a rigid head and with standing hair joined to its template, written for workers and run folder."""
+    """The capture with a rigid head and with standing hair joined to its template,
+    written for workers and run folder.
+    """
     subject = with_hair(with_rigid_head(capture.subject), with_refined(capture, session.partial), landmarks.transform)
     added = len(subject.rest) - len(capture.subject.rest)
     if added:
         say(f"hair stands off the template: {added} vertices carved from the masks join it")
     if ranks.writes:
         write_subject(session.partial / "subject.npz", subject)
-    ranks.tell(None)  # no rank reads it before it is written
+    # no rank reads it before it is written
+    ranks.tell(None)
     return replace(capture, subject=subject)
 
 
@@ -185,7 +185,7 @@ def _refine(
     if ranks.writes:
         workers = min(2, os.cpu_count() or 1) if device == "cpu" and ranks.count == 1 else 1
 
-        def run(jobs: Mapping[str, RefineJob], work: Callable[[RefineJob, Tell], dict]) -> dict[str, dict]:
+        def run(jobs: Mapping[str, RefineJob], work: Callable[[RefineJob, Reporter], dict]) -> dict[str, dict]:
             board = ProgressBoard(dict.fromkeys(jobs, ROUNDS), workers)
             try:
                 return run_jobs(jobs, work, board, workers) if jobs else {}

@@ -9,27 +9,30 @@ from scipy import sparse
 from skimage.measure import marching_cubes
 
 from avatar.skinning import SkinWeights
-from train.capture import Subject
+from capture.folder import Subject
+from capture.solid import solid_inside
+from geometry.mesh import component_labels, half_edges
 from train.fused import FusedField
-from train.mesh import component_labels, half_edges
 from train.parts import Part
-from train.solid import solid_inside
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Mesh of the fused field in the canonical frame, with Eq. 14's statistics (train/views.py)."""
+    """Mesh of the fused field in the canonical frame, with Eq. 14's statistics (capture/views.py)."""
 
     vertices: Float[Array, "v 3"]
     faces: Int[Array, "f 3"]
     normals: Float[Array, "v 3"]  # unit, gradient of the field
-    part: Int[Array, "v"]  # the part that speaks loudest
+    # the part that speaks loudest
+    part: Int[Array, "v"]
     skin: SkinWeights
     view_count: Float[Array, "v"]  # directions seen
-    view_mean: Float[Array, "v 3"]  # their mean, not normalised; unseen vertices have their neighbours'
-    view_covariance: Float[Array, "v 6"]  # xx xy xz yy yz zz, across the mean direction
+    # their mean, not normalised; unseen vertices have their neighbours'
+    view_mean: Float[Array, "v 3"]
+    # xx xy xz yy yz zz, across the mean direction
+    view_covariance: Float[Array, "v 6"]
 
 
 def grid_axes(parts: tuple[Part, ...], body_cell: float, head_cell: float, hand_cell: float) -> list[Array]:

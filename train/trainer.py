@@ -97,7 +97,8 @@ def train_field(
 
     with deferred_stop() as stop, flushed_denormals():
         while at.iteration < part.iterations:
-            rung = at.iteration if extra is None else part.iterations  # stage 2 stays where the ladders ended
+            # stage 2 stays where the ladders ended
+            rung = at.iteration if extra is None else part.iterations
             scale, beta = rate_at(at.iteration, part, preset), beta_at(rung, part, preset)
             for group, rate in zip(optimiser.param_groups, first_rates):
                 waits = at.iteration < group.get("begin", 0.0) * part.iterations
@@ -117,9 +118,7 @@ def train_field(
             else:
                 at.skipped += 1
                 if at.skipped > max(0.01 * part.iterations, 1):
-                    raise FloatingPointError(
-                        f"{at.skipped} of {at.iteration + 1} steps were not finite, more than 1 %"
-                    )
+                    raise FloatingPointError(f"{at.skipped} of {at.iteration + 1} steps were not finite, more than 1 %")
             at.iteration += 1
             last = at.iteration == part.iterations
             if (log is not None or report is not None) and (at.iteration % REPORT_EVERY == 0 or last):
@@ -144,7 +143,8 @@ def train_field(
             field.reference.copy_(field.appearance.weight.mean(0))
             field.displacement.settle()
         save()
-    if stop.number is not None:  # after the last step: all is saved, but the caller goes no further
+    # after the last step: all is saved, but the caller goes no further
+    if stop.number is not None:
         raise Stopped(stop.number)
     return at.skipped
 

@@ -1,4 +1,6 @@
-"""Stage 2 (TotalSelfScan, 3.3, 3.4): the body is refined to meet the other parts, L_union = L_body + L_g (Eq. 7, 13)."""
+"""Stage 2 (TotalSelfScan, 3.3, 3.4): the body is refined to meet the other parts, L_union = L_body + L_g (Eq. 7,
+13).
+"""
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -12,12 +14,12 @@ from torch import Tensor
 
 from avatar.errors import AssetError
 from avatar.files import whole_file
-from train.capture import PARTS, Subject
+from capture.folder import PARTS, Subject
+from capture.template import sample_faces, visible_faces
+from geometry.mesh import face_normals
 from train.fused import FusedField
-from train.mesh import face_normals
 from train.objective import Extra, RayTensors, StepReport
 from train.preset import PartPreset, Preset
-from train.template import sample_faces, visible_faces
 from train.trainer import train_field
 
 Array = np.ndarray
@@ -27,13 +29,12 @@ class ZeroLevel(NamedTuple):
     """Seeds moved onto a part's displayed surface by Newton's method."""
 
     points: Float[Array, "n 3"]  # canonical, metres
-    arrived: Bool[Array, "n"]  # within a millimetre of the level and 2 cm of the seed
+    # within a millimetre of the level and 2 cm of the seed
+    arrived: Bool[Array, "n"]
     normals: Float[Array, "n 3"]  # unit, canonical
 
 
-def zero_level(
-    fused: FusedField, index: int, seeds: Float[Array, "n 3"], normals: Float[Array, "n 3"]
-) -> ZeroLevel:
+def zero_level(fused: FusedField, index: int, seeds: Float[Array, "n 3"], normals: Float[Array, "n 3"]) -> ZeroLevel:
     """Points where part `index` shows its surface, F(x + mean T_nr(x)) = 0, found from seeds near it."""
     at = torch.as_tensor(seeds, dtype=torch.float32)
     start, gradient = at.clone(), torch.as_tensor(normals, dtype=torch.float32)
@@ -104,9 +105,7 @@ def geometry_loss(
             apart = apart + (distance[chosen] - other).abs().sum()
             count += len(chosen)
         on = body(torch.cat(places)).distance.abs()
-        return preset.union.consistency * apart / max(count, 1) + preset.union.surface * on.sum() / max(
-            len(on), 1
-        )
+        return preset.union.consistency * apart / max(count, 1) + preset.union.surface * on.sum() / max(len(on), 1)
 
     return loss
 

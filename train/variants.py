@@ -23,16 +23,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from avatar.errors import AssetError
-from train.capture import PARTS, Capture
+from capture.folder import PARTS, Capture
+from capture.repair.refine import with_refined
+from capture.views import statistics
 from train.compose import displayed_surface, view_sums, with_views
 from train.field import PartField
 from train.fused import FusedField
 from train.parts import eq9_shares, part_boxes
 from train.preset import PRESETS
-from train.refine import with_refined
 from train.run import Run, read_part
 from train.union import in_overlap
-from train.views import statistics
 
 VARIANTS = ("ours", "landmarks_only", "no_L_g", "no_codes_no_fusion", "no_fusion")
 SEAMS = ("neck", "wrist_left", "wrist_right")  # between the body and PARTS[1:]
@@ -128,9 +128,7 @@ def seam_steps(run: Run) -> dict[str, dict[str, float]]:
     return out
 
 
-def _shown_step(
-    field: FusedField, index: int, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]
-) -> float:
+def _shown_step(field: FusedField, index: int, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> float:
     """Mean change of the displayed colour, of 255, from 1 mm before to 1 mm behind the middle of the overlap."""
     share, slope = _share_and_slope(field, index, points)
     length = slope.norm(dim=1, keepdim=True)

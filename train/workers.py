@@ -10,23 +10,16 @@ import traceback
 from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 from avatar.errors import AssetError
-from avatar.progress import ProgressBoard
+from avatar.progress import ProgressBoard, Reporter
 from train.interrupt import Stopped, deferred_stop, prompt_stop, signals_arrive, signals_wait
 
 T = TypeVar("T")
 
 
-class Tell(NamedTuple):
-    """How a job tells where it is; in a worker process both go to the parent."""
-
-    say: Callable[[str], None]  # a line that stays
-    step: Callable[[int, str], None]  # a count and a note, as often as wished
-
-
-Work = Callable[[T, Tell], dict]
+Work = Callable[[T, Reporter], dict]
 
 
 def run_jobs(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: int) -> dict[str, dict]:
@@ -40,14 +33,15 @@ def run_jobs(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: i
     results = {}
     for name, job in jobs.items():
         board.begin(name)
-        tell = Tell(board.say, lambda done, note: board.update(name, done, note))
+        tell = Reporter(board.say, lambda done, note: board.update(name, done, note))
         results[name] = work(job, tell)
         board.end(name)
     return results
 
 
 def _in_processes(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: int) -> dict[str, dict]:
-    context = multiprocessing.get_context("spawn")  # a forked torch may hang
+    # a forked torch may hang
+    context = multiprocessing.get_context("spawn")
     waiting = list(jobs)
     busy: dict[Connection, tuple[str, BaseProcess]] = {}
     results: dict[str, dict] = {}
@@ -61,7 +55,8 @@ def _in_processes(jobs: Mapping[str, T], work: Work, board: ProgressBoard, worke
                     name = waiting.pop(0)
                     ours, theirs = context.Pipe()
                     process = context.Process(target=_worker, args=(work, jobs[name], theirs), name=name)
-                    multiprocessing.resource_tracker.ensure_running()  # its start would let signals through
+                    # its start would let signals through
+                    multiprocessing.resource_tracker.ensure_running()
                     with signals_wait():
                         process.start()
                     theirs.close()
@@ -100,7 +95,8 @@ def _in_processes(jobs: Mapping[str, T], work: Work, board: ProgressBoard, worke
                     process.join()
                 board.refresh()
     finally:
-        for _, process in busy.values():  # only after a second Ctrl-C or an error here
+        # only after a second Ctrl-C or an error here
+        for _, process in busy.values():
             process.kill()
     if failure is not None:
         raise failure
@@ -111,9 +107,7 @@ def _in_processes(jobs: Mapping[str, T], work: Work, board: ProgressBoard, worke
 
 def _lost(name: str, code: int | None) -> AssetError:
     why = "killed, perhaps for want of memory" if code == -9 else f"exit code {code}"
-    return AssetError(
-        f"{name}: its process ended without a word ({why}); --resume goes on from its checkpoint"
-    )
+    return AssetError(f"{name}: its process ended without a word ({why}); --resume goes on from its checkpoint")
 
 
 def _worker(work: Work, job: object, connection: Connection) -> None:
@@ -128,9 +122,7 @@ def _worker(work: Work, job: object, connection: Connection) -> None:
     try:
         with prompt_stop():
             signals_arrive()
-            facts = work(
-                job, Tell(lambda text: send("say", text), lambda done, note: send("step", done, note))
-            )
+            facts = work(job, Reporter(lambda text: send("say", text), lambda done, note: send("step", done, note)))
             connection.send(("done", facts))
     except Stopped as stopped:
         _last_word(connection, "stopped", stopped.number)
@@ -145,5 +137,6 @@ def _worker(work: Work, job: object, connection: Connection) -> None:
 
 
 def _last_word(connection: Connection, *message) -> None:
-    with contextlib.suppress(OSError):  # no one is left to hear it
+    # no one is left to hear it
+    with contextlib.suppress(OSError):
         connection.send(message)

@@ -17,7 +17,8 @@ from bench.inspect.page import Picture, Section, flattened, png
 FIELD_MEAN = 0.5  # millimetres
 MOST_BYTES = 12e6
 PAPER_DB = 40.0
-FIELD_RANGE, TRUTH_RANGE = 2.0, 10.0  # millimetres, ends of the ramps
+# millimetres, ends of the ramps
+FIELD_RANGE, TRUTH_RANGE = 2.0, 10.0
 
 
 def field_distance(inspector: Inspector) -> Section | None:
@@ -99,9 +100,7 @@ def provenance(inspector: Inspector) -> list[Section]:
             paper >= PAPER_DB,
         )
     size = inspector.path.stat().st_size
-    inspector.check(
-        "size of the file", f"{size / 1e6:.2f} MB", f"at most {MOST_BYTES / 1e6:g} MB", size <= MOST_BYTES
-    )
+    inspector.check("size of the file", f"{size / 1e6:.2f} MB", f"at most {MOST_BYTES / 1e6:g} MB", size <= MOST_BYTES)
     inspector.facts["bytes"] = size
     rest = {key: value for key, value in inspector.avatar.provenance.items() if key != "baked"}
     return [

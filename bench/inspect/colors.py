@@ -46,10 +46,7 @@ def categorical(count: int) -> UInt8[np.ndarray, "count 3"]:
     """Colours of joints: hues a golden section apart, so that numbers near each other differ much."""
     hues = (np.arange(count) * 0.61803398875) % 1
     return np.array(
-        [
-            [round(255 * x) for x in colorsys.hsv_to_rgb(h, 0.55 + 0.3 * (i % 2), 0.95)]
-            for i, h in enumerate(hues)
-        ],
+        [[round(255 * x) for x in colorsys.hsv_to_rgb(h, 0.55 + 0.3 * (i % 2), 0.95)] for i, h in enumerate(hues)],
         np.uint8,
     )
 

@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from avatar.avatar_file import read_avatar
 from avatar.errors import AssetError
 from avatar.files import whole_folder
+from avatar.gltf.avatar_file import read_avatar
 from avatar.progress import progress
 from avatar.skeleton import JOINTS
 from bench.inspect import accuracy_sections as accuracy
@@ -75,9 +75,7 @@ def inspect_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--turns", type=_turns, default=36, metavar="N", help="views of the turntable (default: %(default)s)"
     )
-    parser.add_argument(
-        "--context", choices=("auto", "egl", "osmesa"), default="auto", help="how to reach OpenGL"
-    )
+    parser.add_argument("--context", choices=("auto", "egl", "osmesa"), default="auto", help="how to reach OpenGL")
     return parser
 
 
@@ -113,9 +111,7 @@ def inspect(
     try:
         field = None if run is None else from_run(avatar.levels[0], run)
     except ModuleNotFoundError as error:
-        raise AssetError(
-            f"--run needs the package {error.name!r}: pip install 'selfscan[inspect,train]'"
-        ) from None
+        raise AssetError(f"--run needs the package {error.name!r}: pip install 'selfscan[inspect,train]'") from None
     measured = Measured(
         field=field,
         truth=None if capture is None else from_truth(avatar, avatar.levels[0], capture),
@@ -129,7 +125,8 @@ def inspect(
         topics: list[Callable[[], Any]] = [
             *(partial(topic, inspector) for topic in (drawn.looks, drawn.posed, drawn.levels)),
             lambda: drawn.turntable(inspector, turns),
-            context.release,  # VTK makes contexts of its own: ours draws before, and is gone then
+            # VTK makes contexts of its own: ours draws before, and is gone then
+            context.release,
             lambda: surface.weights(inspector, joints or []),
             *(partial(topic, inspector) for topic in (
                 surface.parts, surface.texels, surface.seams, surface.cones, surface.triangles,
@@ -145,11 +142,7 @@ def inspect(
             (folder / f"{picture.name}.{picture.kind}").write_bytes(picture.data)
         inspection = Inspection(inspector.checks, sections, inspector.facts)
         lines = [f"{path.name}, {len(avatar.levels)} levels, view dependence: {avatar.default_view}"]
-        lines += [
-            f"{what}: {place.name}"
-            for what, place in (("run", run), ("capture", capture))
-            if place is not None
-        ]
+        lines += [f"{what}: {place.name}" for what, place in (("run", run), ("capture", capture)) if place is not None]
         (folder / "inspect.html").write_text(page(avatar.name, lines, inspection.checks, sections), "utf-8")
         facts = inspection.facts | {"checks": [vars(check) for check in inspection.checks]}
         (folder / "inspect.json").write_text(json.dumps(facts, indent=1, allow_nan=False), "utf-8")

@@ -15,7 +15,8 @@ from bench.inspect.views import View, strip
 WINDOWS = {"egl": "vtkEGLRenderWindow", "osmesa": "vtkOSOpenGLRenderWindow"}
 BACKGROUND = (246, 246, 244)
 GREY = (196, 196, 192)
-LIFT = 0.0004  # metres that lines stand off the surface, so as not to sink into it
+# metres that lines stand off the surface, so as not to sink into it
+LIFT = 0.0004
 
 
 class Studio:
@@ -24,7 +25,8 @@ class Studio:
     def __init__(self, views: list[View], kind: str):
         if sys.platform == "linux" and kind in WINDOWS:
             os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", WINDOWS[kind])
-        import pyvista  # VTK reads the variable as it is imported
+        # VTK reads the variable as it is imported
+        import pyvista
 
         self.pyvista, self.views = pyvista, views
         self.plotters = {}
@@ -61,9 +63,7 @@ class Studio:
             plotter.clear_actors()
         near = min(size for size, _ in self.plotters)
         for size, plotter in self.plotters.items():
-            plotter.add_mesh(
-                mesh, show_edges=wire and size[0] == near, edge_color="#404040", line_width=1, **shading
-            )
+            plotter.add_mesh(mesh, show_edges=wire and size[0] == near, edge_color="#404040", line_width=1, **shading)
             if edges is not None:
                 plotter.add_mesh(edges, scalars="rgb", rgb=True, line_width=3, lighting=False)
         return strip([self._from(view) for view in self.views])

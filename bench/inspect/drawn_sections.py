@@ -7,7 +7,8 @@ from bench.inspect.inspection import Inspector
 from bench.inspect.page import Picture, Section, animation, png
 from bench.inspect.views import strip
 
-CHANGE = 8  # times that view dependence is shown
+# times that view dependence is shown
+CHANGE = 8
 
 
 def looks(inspector: Inspector) -> Section:
@@ -76,9 +77,7 @@ def levels(inspector: Inspector) -> Section:
         error = np.square((image.astype(float) - first) / 255).mean()
         decibels = "same" if number == 0 else f"{-10 * np.log10(max(error, 1e-12)):.1f}"
         rows.append((str(number), str(len(level.faces)), f"{level.base_color.shape[1]}", decibels))
-        pictures.append(
-            Picture(f"level_{number}", png(image), "png", f"{len(level.faces)} triangles", width=380)
-        )
+        pictures.append(Picture(f"level_{number}", png(image), "png", f"{len(level.faces)} triangles", width=380))
     return Section(
         "levels",
         "Levels of detail",

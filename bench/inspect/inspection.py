@@ -46,9 +46,7 @@ class Inspector:
         level = self.level if level is None else level
         if self.studio is None:
             self.studio = Studio(self.views, self.context.kind)
-        return self.studio.draw(
-            level.positions.astype(np.float64), level.faces.astype(np.int64), colors, **lines
-        )
+        return self.studio.draw(level.positions.astype(np.float64), level.faces.astype(np.int64), colors, **lines)
 
     def check(self, what: str, value: str, expected: str, good: bool | None) -> None:
         self.checks.append(Check(what, value, expected, good))

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from avatar.baked_avatar import Avatar
-from avatar.motion import Clip, builtin_motion
+from avatar.motion.clip import Clip
+from avatar.motion.read import builtin_motion
 from avatar.skeleton import JOINTS
 from bench.inspect.views import View
 from player.context import Context
@@ -60,9 +61,7 @@ def standing(
         if renderer is None or renderer.target is None or renderer.target.size != view.camera.size:
             if renderer is not None:
                 renderer.release()
-            renderer = Renderer(
-                context, [avatar], view.camera.size, view=mode, level=level, background=BACKGROUND
-            )
+            renderer = Renderer(context, [avatar], view.camera.size, view=mode, level=level, background=BACKGROUND)
         pictures.append(renderer.draw([pose], view.camera)[..., :3])
     assert renderer is not None
     renderer.release()

@@ -23,7 +23,8 @@ SAMPLES = 5  # along a seam edge
 class Welded(NamedTuple):
     """The surface before the atlas cut it: vertices at one place with one skin are one."""
 
-    source: Int[np.ndarray, "v"]  # welded vertex of each vertex of the level
+    # welded vertex of each vertex of the level
+    source: Int[np.ndarray, "v"]
     faces: Int[np.ndarray, "f 3"]
     count: int
 
@@ -32,10 +33,9 @@ class Seams(NamedTuple):
     """Edges whose two triangles lie in different places of the texture."""
 
     edges: Int[np.ndarray, "edges 2"]  # vertices of the level, on one side
-    step: Float[
-        np.ndarray, "mips edges"
-    ]  # largest difference of the two sides' colours along the edge, 0 to 255
-    steps: Float[np.ndarray, "mips samples"]  # of all samples, as bake.seams.seam_steps
+    step: Float[np.ndarray, "mips edges"]  # largest difference of the two sides' colours along the edge, 0 to 255
+    # of all samples, as bake.seams.seam_steps
+    steps: Float[np.ndarray, "mips samples"]
 
 
 class Closedness(NamedTuple):

@@ -13,12 +13,13 @@ from PIL import Image
 from bench.inspect.colors import Legend
 
 STYLE = """
-:root { --ink: #22262b; --soft: #687078; --line: #dcdcd8; --paper: #fbfbfa; --card: #f6f6f4; --good: #2a7d4f; --look: #b35a00 }
+:root { --ink: #22262b; --soft: #687078; --line: #dcdcd8; --paper: #fbfbfa; --card: #f6f6f4; --good: #2a7d4f;
+ --look: #b35a00 }
 * { box-sizing: border-box }
 body { margin: 0; background: var(--paper); color: var(--ink); font: 15px/1.5 system-ui, sans-serif }
 main { max-width: 1240px; margin: 0 auto; padding: 28px 20px 60px }
-h1 { font-size: 26px; margin: 0 0 4px } h2 { font-size: 19px; margin: 40px 0 6px; padding-top: 14px; border-top: 1px solid var(--line) }
-p { margin: 4px 0 12px; max-width: 78ch } .soft { color: var(--soft) }
+h1 { font-size: 26px; margin: 0 0 4px } h2 { font-size: 19px; margin: 40px 0 6px; padding-top: 14px; border-top: 1px
+solid var(--line) } p { margin: 4px 0 12px; max-width: 78ch } .soft { color: var(--soft) }
 nav { display: flex; flex-wrap: wrap; gap: 6px 16px; margin: 14px 0 } nav a { color: #265e9c; text-decoration: none }
 img { display: block; max-width: 100%; height: auto; background: var(--card) }
 figure { margin: 10px 0 16px } figcaption { color: var(--soft); font-size: 13px; margin-top: 4px }
@@ -29,9 +30,11 @@ th { font-weight: 600 } td.good { color: var(--good) } td.look { color: var(--lo
 td.value { overflow-wrap: anywhere; max-width: 70ch }
 .legend { max-width: 560px; margin: 6px 0 10px } .bar { height: 14px; border: 1px solid var(--line) }
 .ticks { display: flex; justify-content: space-between; font-size: 12.5px; color: var(--soft) }
-.named { display: flex; flex-wrap: wrap; gap: 4px 14px; font-size: 13px } .named i { display: inline-block; width: 12px; height: 12px;
+.named { display: flex; flex-wrap: wrap; gap: 4px 14px; font-size: 13px } .named i { display: inline-block;
+ width: 12px; height: 12px;
  margin-right: 5px; border: 1px solid var(--line); vertical-align: -1px }
-@media (prefers-color-scheme: dark) { :root { --ink: #e3e5e7; --soft: #9aa2aa; --line: #3a3f45; --paper: #1b1e22; --card: #25292e;
+@media (prefers-color-scheme: dark) { :root { --ink: #e3e5e7; --soft: #9aa2aa; --line: #3a3f45; --paper:
+ #1b1e22; --card: #25292e;
  --good: #6cc494; --look: #f0a050 } nav a { color: #83b4ea } }
 """
 
@@ -40,11 +43,13 @@ td.value { overflow-wrap: anywhere; max-width: 70ch }
 class Picture:
     """One picture of the page; `data` is an encoded PNG or WebP."""
 
-    name: str  # file name in the folder, without suffix
+    # file name in the folder, without suffix
+    name: str
     data: bytes
     kind: str  # "png" or "webp"
     caption: str
-    width: int | None = None  # pixels on the page, its own where not given
+    # pixels on the page, its own where not given
+    width: int | None = None
 
 
 @dataclass
@@ -56,7 +61,8 @@ class Section:
     text: str
     pictures: list[Picture] = field(default_factory=list)
     legend: Legend | None = None
-    rows: list[tuple[str, ...]] = field(default_factory=list)  # the first is the head
+    # the first is the head
+    rows: list[tuple[str, ...]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -98,9 +104,7 @@ def page(name: str, lines: list[str], checks: list[Check], sections: list[Sectio
         _checks(checks),
     ]
     for section in sections:
-        parts.append(
-            f'<section id="{section.key}"><h2>{_text(section.title)}</h2><p>{_text(section.text)}</p>'
-        )
+        parts.append(f'<section id="{section.key}"><h2>{_text(section.title)}</h2><p>{_text(section.text)}</p>')
         if section.legend is not None:
             parts.append(_legend(section.legend))
         figures = "".join(_figure(picture) for picture in section.pictures)
@@ -116,9 +120,7 @@ def _text(value: object) -> str:
 def _checks(checks: list[Check]) -> str:
     rows = ["<tr><th>What</th><th>Here</th><th>Expected</th><th></th></tr>"]
     for check in checks:
-        mark = {True: '<td class="good">good</td>', False: '<td class="look">look</td>', None: "<td></td>"}[
-            check.good
-        ]
+        mark = {True: '<td class="good">good</td>', False: '<td class="look">look</td>', None: "<td></td>"}[check.good]
         cells = "".join(f"<td>{_text(cell)}</td>" for cell in (check.what, check.value, check.expected))
         rows.append(f"<tr>{cells}{mark}</tr>")
     return f"<table>{''.join(rows)}</table>"
@@ -137,9 +139,7 @@ def _legend(legend: Legend) -> str:
         ticks = "".join(f"<span>{_text(tick)}</span>" for tick in legend.ticks)
         out += f'<div class="bar" style="background:linear-gradient(90deg,{",".join(legend.stops)})"></div>'
         out += f'<div class="ticks">{ticks}</div>'
-    named = "".join(
-        f'<span><i style="background:{color}"></i>{_text(name)}</span>' for color, name in legend.named
-    )
+    named = "".join(f'<span><i style="background:{color}"></i>{_text(name)}</span>' for color, name in legend.named)
     return f'<div class="legend">{out}<div class="named">{named}</div></div>'
 
 
@@ -148,8 +148,7 @@ def _table(rows: list[tuple[str, ...]]) -> str:
         return ""
     head = "".join(f"<th>{_text(cell)}</th>" for cell in rows[0])
     body = "".join(
-        "<tr>" + "".join(f'<td class="value">{_text(cell)}</td>' for cell in row) + "</tr>"
-        for row in rows[1:]
+        "<tr>" + "".join(f'<td class="value">{_text(cell)}</td>' for cell in row) + "</tr>" for row in rows[1:]
     )
     return f"<table><tr>{head}</tr>{body}</table>"
 

@@ -34,9 +34,7 @@ def parts(inspector: Inspector) -> Section:
     share = {name: mesh_facts.share_of_area(inspector.level, part == k) for k, name in enumerate(PARTS)}
     inspector.facts["area_share_by_part"] = share
     image = inspector.draw(part_colors(part.astype(np.int64)))
-    named = tuple(
-        (color, f"{name} ({share[name]:.0%})") for color, name in zip(PART_COLORS, PARTS, strict=True)
-    )
+    named = tuple((color, f"{name} ({share[name]:.0%})") for color, name in zip(PART_COLORS, PARTS, strict=True))
     return Section(
         "parts",
         "Parts",
@@ -62,9 +60,7 @@ def weights(inspector: Inspector, joints: list[str]) -> Section:
     for name in joints:
         values = mesh_facts.joint_weight(inspector.level, JOINTS.index(name))
         image = inspector.draw(ramp(values, 0.0, 1.0))
-        pictures.append(
-            Picture(f"weight_{name}", png(image), "png", f"{name}: weight 0 (dark) to 1 (bright)")
-        )
+        pictures.append(Picture(f"weight_{name}", png(image), "png", f"{name}: weight 0 (dark) to 1 (bright)"))
     used = np.unique(mesh_facts.heaviest_joint(inspector.level))
     absent = [JOINTS[k] for k in range(52) if k not in used]
     inspector.facts["joints_that_move_nothing_most"] = absent
@@ -87,9 +83,7 @@ def texels(inspector: Inspector) -> Section:
     inspector.facts["texel_mm_by_part"] = by_part
     if by_part["body"] and by_part["head"]:
         ratio = by_part["body"] / by_part["head"]
-        inspector.check(
-            "texels of the head, against the body", f"{ratio:.1f} times as dense", "2 to 3", ratio > 1.9
-        )
+        inspector.check("texels of the head, against the body", f"{ratio:.1f} times as dense", "2 to 3", ratio > 1.9)
     high = 2.0 * max([value for value in by_part.values() if value] or [1.0])
     image = inspector.draw(ramp(millimetres, 0.0, high))
     rows = [("part", "median side of a texel, mm")]
@@ -130,9 +124,7 @@ def seams(inspector: Inspector) -> Section:
         for mip, steps in enumerate(seam.steps if len(seam.edges) else []):
             median, p99 = (float(value) for value in np.quantile(steps, [0.5, 0.99]))
             drawn, most = mip < mip_levels(level.base_color.shape), float(steps.max())
-            found.append(
-                {"level": number, "mip": mip, "drawn": drawn, "median": median, "p99": p99, "max": most}
-            )
+            found.append({"level": number, "mip": mip, "drawn": drawn, "median": median, "p99": p99, "max": most})
             rows.append(
                 (
                     str(number),
@@ -163,9 +155,7 @@ def seams(inspector: Inspector) -> Section:
             normals=inspector.level.normals.astype(np.float64),
         )
         near = "seen from near (mip 0)" if mip == 0 else f"seen from {2**mip} times as far (mip {mip})"
-        pictures.append(
-            Picture(f"seams_mip{mip}", png(image), "png", f"colour step of the finest level, {near}")
-        )
+        pictures.append(Picture(f"seams_mip{mip}", png(image), "png", f"colour step of the finest level, {near}"))
     return Section(
         "seams",
         "Chart seams",
@@ -189,9 +179,7 @@ def cones(inspector: Inspector) -> Section:
         "seen_area_share": share,
         "cone_degrees_median": float(np.median(degrees[~never])) if (~never).any() else None,
     }
-    inspector.check(
-        "surface that a camera saw in training", f"{share:.1%}", "the rest keeps the paper's colour", None
-    )
+    inspector.check("surface that a camera saw in training", f"{share:.1%}", "the rest keeps the paper's colour", None)
     cone = inspector.draw(ramp(np.where(never, np.nan, degrees), 0.0, CONE_RANGE))
     sight = inspector.draw(ramp(np.where(never, np.nan, seen), 0.0, 1.0))
     return Section(
@@ -240,9 +228,7 @@ def triangles(inspector: Inspector) -> Section:
         )
     inspector.facts["levels"] = found
     holes = ", ".join(f"{f['open_edges']} and {f['crowded_edges']}" for f in found)
-    inspector.check(
-        "open edges, and edges of more than two triangles, level by level", holes, "0 and 0", good
-    )
+    inspector.check("open edges, and edges of more than two triangles, level by level", holes, "0 and 0", good)
     by_part = {name: median_by_area(millimetres, area * (part == k)) for k, name in enumerate(PARTS)}
     inspector.facts["edge_mm_by_part"] = by_part
     high = 2.0 * max([value for value in by_part.values() if value] or [1.0])

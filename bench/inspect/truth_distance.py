@@ -10,13 +10,14 @@ from avatar.baked_avatar import Avatar, Level
 from avatar.errors import AssetError
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from bench import geometry
+from bench import surface_distance as geometry
 from bench.held_out import read_true_mesh
 
 
 def from_run(level: Level, run: Path) -> Float[np.ndarray, "f"]:
     """`from_field` with the field of a run folder."""
-    from bake.field import numpy_field  # torch: imported before anything draws
+    # torch: imported before anything draws
+    from bake.field import numpy_field
     from train.run import read_run
 
     return from_field(level, numpy_field(read_run(run).field).distance)

@@ -9,7 +9,8 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, orbit_camera
 from avatar.skeleton import JOINTS, joint_transforms
 
-DISTANCE = 4.0  # metres: far, so that lengths in the middle and at the edge compare
+# metres: far, so that lengths in the middle and at the edge compare
+DISTANCE = 4.0
 MARGIN = 1.06
 
 

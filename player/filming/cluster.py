@@ -19,13 +19,15 @@ from player.filming.film import VIDEO, film_kind
 from player.filming.parts import Parts, fingerprint
 from player.filming.shot import Set, Shot
 
-AHEAD = 2  # tasks a worker has in hand or waiting
+# tasks a worker has in hand or waiting
+AHEAD = 2
 
 
 class Drawn(NamedTuple):
     """A part as it comes back from a worker."""
 
-    files: list[tuple[str, bytes]]  # one video without a name, or PNG frames by name
+    # one video without a name, or PNG frames by name
+    files: list[tuple[str, bytes]]
     renderer: str  # GL_RENDERER
     notes: list[str]
 
@@ -104,9 +106,7 @@ def connected(address: str) -> Iterator[Any]:
         return
     try:
         client = (
-            Client(scheduler_file=address, timeout="10s")
-            if Path(address).is_file()
-            else Client(address, timeout="10s")
+            Client(scheduler_file=address, timeout="10s") if Path(address).is_file() else Client(address, timeout="10s")
         )
     except (OSError, ValueError, TimeoutError) as error:
         raise AssetError(f"--workers {address}: no scheduler answers: {error}") from None
@@ -127,7 +127,8 @@ def draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mappin
     """A task: draw some frames of a film. Its files and OpenGL stay open for the next part of the same film."""
     global _drawing
     with _lock:
-        if _drawing is None:  # one thread for all tasks of a process, whatever threads the worker has
+        # one thread for all tasks of a process, whatever threads the worker has
+        if _drawing is None:
             _drawing = ThreadPoolExecutor(1, "selfscan draws")
     return _drawing.submit(_draw_part, shot, part, kind, fingerprints).result()
 

@@ -47,7 +47,8 @@ class Encoder:
     pixel_format: str
     options: tuple[tuple[str, str], ...] = ()
     dial: tuple[str, int, int, int] | None = (
-        None  # the option that sets quality; its value for each of QUALITIES
+        # the option that sets quality; its value for each of QUALITIES
+        None
     )
 
     def at(self, quality: str) -> dict[str, str]:
@@ -71,7 +72,8 @@ HARDWARE = (
 )
 VP9 = (("b", "0"), ("deadline", "realtime"), ("cpu-used", "6"), ("auto-alt-ref", "0"))
 PRORES = (("profile", "4444"),)
-OTHERS = {  # ending and whether it holds alpha
+# ending and whether it holds alpha
+OTHERS = {
     (".webm", False): Encoder("libvpx-vp9", "yuv420p", VP9, ("crf", 36, 24, 14)),
     (".webm", True): Encoder("libvpx-vp9", "yuva420p", VP9, ("crf", 36, 24, 14)),
     (".mov", False): Encoder("prores_ks", "yuv444p10le", PRORES),
@@ -79,9 +81,7 @@ OTHERS = {  # ending and whether it holds alpha
 }
 
 
-def chosen_encoder(
-    kind: str, wanted: str, size: tuple[int, int], *, alpha: bool = False
-) -> tuple[Encoder, list[str]]:
+def chosen_encoder(kind: str, wanted: str, size: tuple[int, int], *, alpha: bool = False) -> tuple[Encoder, list[str]]:
     """The encoder of a film of this kind, and a line on each one that was tried and refused.
 
     wanted is "auto" (a graphics processor's encoder if one really encodes a frame of this size, else software),

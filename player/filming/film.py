@@ -24,7 +24,8 @@ from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 
 Frame = UInt8[np.ndarray, "height width 4"]
-WAITING = 8  # frames that may wait for the encoder before drawing waits for it
+# frames that may wait for the encoder before drawing waits for it
+WAITING = 8
 VIDEO = (".mp4", ".webm", ".mov")
 ALPHA = (".webm", ".mov")  # videos that hold it
 PICTURE_SEQUENCES = {".gif": "GIF", ".webp": "WEBP"}
@@ -39,17 +40,15 @@ def film_kind(path: Path | str) -> str:
     suffix = Path(path).suffix.lower()
     known = {"", ".png", *VIDEO, *PICTURE_SEQUENCES}
     if suffix not in known:
-        raise ValueError(
-            f"{path}: should end in {', '.join(sorted(known - {''}))} or be a folder; ends in {suffix}"
-        )
+        raise ValueError(f"{path}: should end in {', '.join(sorted(known - {''}))} or be a folder; ends in {suffix}")
     return suffix
 
 
 class Film:
     """A film being written: `with Film(path, rate) as film: film.add(image)`. Appears whole or not at all.
 
-    encoder is what `player.filming.encoder.chosen_encoder` takes; quality is draft, good or best. `pieces` are files and the number of frames of each, to
-    be written one after the other instead of one file at `path`.
+    encoder is what `player.filming.encoder.chosen_encoder` takes; quality is draft, good or best. `pieces` are files
+    and the number of frames of each, to be written one after the other instead of one file at `path`.
     """
 
     def __init__(
@@ -69,10 +68,12 @@ class Film:
         self.frames = 0
         self.notes: list[str] = []
         self._queue: queue.Queue[Frame | None] = queue.Queue(WAITING)
-        self._kept: list[Frame] = []  # arrays of our own, read into again and again
+        # arrays of our own, read into again and again
+        self._kept: list[Frame] = []
         self._free: queue.SimpleQueue[Frame] = queue.SimpleQueue()
         self._error: BaseException | None = None
-        self._ended = False  # the drawing side has said that no more frames come
+        # the drawing side has said that no more frames come
+        self._ended = False
         self._thread = threading.Thread(target=self._work, name="film", daemon=True)
 
     def __enter__(self) -> "Film":
@@ -98,7 +99,8 @@ class Film:
 
     def __exit__(self, kind: object, error: BaseException | None, _trace: object) -> None:
         if error is not None:
-            self._error = self._error or error  # the writer stops at the next frame and removes what it began
+            # the writer stops at the next frame and removes what it began
+            self._error = self._error or error
         self._queue.put(None)
         self._thread.join()
         failed, self._error = self._error, None
@@ -106,7 +108,8 @@ class Film:
             if error is None and failed is not None:
                 raise failed
         finally:
-            del failed  # an error that is kept keeps its frames, and with them all files they have open
+            # an error that is kept keeps its frames, and with them all files they have open
+            del failed
 
     def _work(self) -> None:
         try:
@@ -119,7 +122,8 @@ class Film:
                 raise AssetError(f"{self.path}: more frames than its pieces hold")
         except BaseException as error:  # carried over to the drawing thread, which raises it
             self._error = self._error or self._said(error)
-        while not self._ended:  # so that `add` is never left waiting
+        # so that `add` is never left waiting
+        while not self._ended:
             self._ended = self._queue.get() is None
 
     def _said(self, error: BaseException) -> BaseException:
@@ -159,9 +163,7 @@ class Film:
                 for _ in frames:
                     raise AssetError(f"{path}: a .png holds one frame; give a folder or a film")
             elif kind in PICTURE_SEQUENCES:
-                save_sequence(
-                    file, kind, (self._picture(image) for image in chain([first], frames)), self.rate
-                )
+                save_sequence(file, kind, (self._picture(image) for image in chain([first], frames)), self.rate)
             else:
                 self._video(file, kind, first, frames)
 
@@ -185,7 +187,8 @@ class Film:
         return Image.frombytes("RGB", (width, height), image, "raw", "RGBX")
 
     def _video(self, file: IO[Any], kind: str, first: Frame, frames: Iterable[Frame]) -> None:
-        from player.filming.encoder import chosen_encoder, encode, padded_size  # only a film needs it
+        # only a film needs it
+        from player.filming.encoder import chosen_encoder, encode, padded_size
 
         alpha = self.transparent and kind in ALPHA
         size = (first.shape[1], first.shape[0])

@@ -16,7 +16,8 @@ from avatar.errors import AssetError
 from avatar.files import whole_file
 from player.filming.film import VIDEO, film_kind
 
-LENGTH = 240  # frames of a part: eight seconds at 30 a second, and as far apart as key frames may be
+# frames of a part: eight seconds at 30 a second, and as far apart as key frames may be
+LENGTH = 240
 MARK = "film.json"
 
 
@@ -70,13 +71,9 @@ class Parts:
                 held = json.loads(mark.read_text("utf-8"))
                 held = held["film"]
             except (OSError, ValueError, KeyError, TypeError):
-                raise AssetError(
-                    f"{self.folder}: expected parts of a film with {MARK}; move it away"
-                ) from None
+                raise AssetError(f"{self.folder}: expected parts of a film with {MARK}; move it away") from None
             if resume:
-                differing = sorted(
-                    key for key in {*held, *self._film()} if held.get(key) != self._film().get(key)
-                )
+                differing = sorted(key for key in {*held, *self._film()} if held.get(key) != self._film().get(key))
                 if differing:
                     raise AssetError(
                         f"{self.folder}: holds parts of another film ({', '.join(differing)} differ); "

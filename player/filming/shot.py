@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from avatar.errors import AssetError
-from avatar.motion import BUILTIN_MOTIONS
+from avatar.motion.read import BUILTIN_MOTIONS
 from player.context import Context, opened
 from player.filming.film import Film, Frame
 from player.filming.stage import Fit, Stage
@@ -31,7 +31,8 @@ class Shot:
     stop: int
     size: tuple[int, int]
     rate: float
-    fit: Fit | None  # what fitted cameras look at
+    # what fitted cameras look at
+    fit: Fit | None
     hold: int | None = None  # the frame that a turntable holds still
     level: int = 0  # of detail
     encoder: str = "auto"
@@ -78,9 +79,7 @@ def with_whole_paths(scene: Scene) -> Scene:
         return str(Path(name).absolute())
 
     avatars = tuple(
-        replace(
-            actor, path=whole(actor.path) or actor.path, motion=whole(actor.motion), body=whole(actor.body)
-        )
+        replace(actor, path=whole(actor.path) or actor.path, motion=whole(actor.motion), body=whole(actor.body))
         for actor in scene.avatars
     )
     cameras = tuple(replace(camera, path=whole(camera.path)) for camera in scene.cameras)

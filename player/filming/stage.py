@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from avatar.avatar_file import read_avatar
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, read_camera, read_cameras
 from avatar.errors import AssetError
-from avatar.motion import Clip
+from avatar.gltf.avatar_file import read_avatar
+from avatar.motion.clip import Clip
 from player.camera_path import CameraPath, is_path, turntable
 from player.framing import FOV, evenly, extent, facing, fitted_camera, orbit, outermost
 from player.motions import BLOCK, opened_motion, retargeted
@@ -23,19 +23,19 @@ from player.renderer import Pose
 from player.scenes.scene import Scene, SceneCamera
 from player.window.playback import Track
 
-CameraAt = Callable[
-    [int, Float[np.ndarray, "3"]], Camera
-]  # of the frame number and the first avatar's pelvis
+CameraAt = Callable[[int, Float[np.ndarray, "3"]], Camera]  # of the frame number and the first avatar's pelvis
 FITTED = ("front", "orbit", "turntable")
 SIZE = (640, 640)
-TURN = 6.0  # seconds of a turntable's round when nothing on it moves
+# seconds of a turntable's round when nothing on it moves
+TURN = 6.0
 
 
 @dataclass(frozen=True)
 class Fit:
     """What a fitted camera must see, and the side it begins from: found once, then good for every machine."""
 
-    points: Float[np.ndarray, "points 3"]  # world metres, or about the first pelvis for an orbit
+    # world metres, or about the first pelvis for an orbit
+    points: Float[np.ndarray, "points 3"]
     azimuth: float  # radians
 
 
@@ -55,9 +55,7 @@ class Stage:
         self.notes: list[str] = []
         for actor in scene.avatars:
             if actor.live is not None:
-                raise AssetError(
-                    f"{actor.path}: live = {actor.live!r} is for `selfscan play`; a film needs a motion"
-                )
+                raise AssetError(f"{actor.path}: live = {actor.live!r} is for `selfscan play`; a film needs a motion")
             avatar = opened_avatar(actor.path, levels)
             motion = opened_motion(actor.motion, actor.body, actor.hands)
             clip = retargeted(motion, avatar)
@@ -120,7 +118,8 @@ class Stage:
             for k, avatar in enumerate(self.avatars):
                 axis_angle = np.stack([row[k][0] for row in poses])
                 root = np.stack([row[k][1] for row in poses])
-                if following:  # over the ground, along with the first avatar
+                # over the ground, along with the first avatar
+                if following:
                     root = root - np.stack([row[0][1] for row in poses]) * [1.0, 0.0, 1.0]
                 if k == 0 and first == start:
                     azimuth = facing(axis_angle[0], avatar.joint_positions.astype(np.float64))
@@ -170,7 +169,8 @@ def opened_avatar(path: str, levels: int | None = None) -> Avatar:
         from player.mannequin import mannequin
 
         body = mannequin("female" if path.endswith(":female") else "male")
-        return replace(body, default_view="off")  # its view network is random, to test with
+        # its view network is random, to test with
+        return replace(body, default_view="off")
     return read_avatar(path, levels=levels)
 
 

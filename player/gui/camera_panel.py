@@ -15,9 +15,7 @@ def camera_panel(window: "Window") -> None:
     cameras, panels = window.cameras, window.panels
     assert panels is not None
     kinds = cameras.kinds
-    changed, chosen = imgui.combo(
-        "camera", kinds.index(cameras.kind), [NAMES.get(kind, kind) for kind in kinds]
-    )
+    changed, chosen = imgui.combo("camera", kinds.index(cameras.kind), [NAMES.get(kind, kind) for kind in kinds])
     panels.mark("camera")
     if changed:
         cameras.choose(kinds[chosen], window.area_camera())

@@ -15,8 +15,10 @@ from imgui_bundle import imgui
 from player.context import Context
 from player.shader import compile_program, uniform
 
-UNIT = 5  # texture unit, away from those of avatar, picture and text
-LEAST = 1 << 16  # bytes of a buffer, so that it is rarely remade
+# texture unit, away from those of avatar, picture and text
+UNIT = 5
+# bytes of a buffer, so that it is rarely remade
+LEAST = 1 << 16
 
 
 class DrawLists:
@@ -30,7 +32,8 @@ class DrawLists:
         self.vertices = gl.buffer(reserve=LEAST, dynamic=True)
         self.indices = gl.buffer(reserve=LEAST, dynamic=True)
         self.array = self._vertex_array()
-        self.textures: dict[int, moderngl.Texture] = {}  # by the id that draw commands carry
+        # by the id that draw commands carry
+        self.textures: dict[int, moderngl.Texture] = {}
 
     def _vertex_array(self) -> moderngl.VertexArray:
         content = [(self.vertices, "2f4 2f4 4f1", "position", "uv", "color")]
@@ -45,7 +48,8 @@ class DrawLists:
         wide, high = data.display_size
         if not (wide > 0 and high > 0 and size[0] > 0 and size[1] > 0):
             return
-        gl: Any = self.context.gl  # its types know no separate blending of alpha, and no end of a scissor
+        # its types know no separate blending of alpha, and no end of a scissor
+        gl: Any = self.context.gl
         target: Any = framebuffer
         scale = size[0] / wide, size[1] / high
         uniform(self.program, "window").value = (left, top, wide, high)
@@ -89,7 +93,8 @@ class DrawLists:
                 setattr(self, name, buffer)
                 made = True
             elif count:
-                buffer.orphan()  # the list before may still be read
+                # the list before may still be read
+                buffer.orphan()
             if count:
                 buffer.write(ctypes.string_at(source.data_address(), count))
         if made:
@@ -105,9 +110,7 @@ class DrawLists:
             if data.unused_frames > 0:  # else it is still in this frame's lists
                 self._free(data)
             return
-        assert data.format == imgui.ImTextureFormat.rgba32, (
-            "only textures of four bytes a texel are asked for"
-        )
+        assert data.format == imgui.ImTextureFormat.rgba32, "only textures of four bytes a texel are asked for"
         pixels = data.get_pixels_array().reshape(data.height, data.width, 4)
         if asked == imgui.ImTextureStatus.want_create:
             texture = self.context.gl.texture((data.width, data.height), 4, pixels.tobytes())

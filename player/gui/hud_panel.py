@@ -37,9 +37,7 @@ def hud_panel(window: "Window") -> None:
     for number, text in enumerate(lines):
         size = imgui.calc_text_size(text)
         x, y = left + width - size.x - letter, top + 0.5 * letter + number * 1.4 * letter
-        draw.add_rect_filled(
-            imgui.ImVec2(x - 4, y - 2), imgui.ImVec2(x + size.x + 4, y + size.y + 2), PLATE, 3.0
-        )
+        draw.add_rect_filled(imgui.ImVec2(x - 4, y - 2), imgui.ImVec2(x + size.x + 4, y + size.y + 2), PLATE, 3.0)
         draw.add_text(imgui.ImVec2(x, y), INK, text)
 
 
@@ -47,7 +45,8 @@ def joint_mark(window: "Window") -> None:
     """A ring and a name at the picked joint."""
     index, joint = window.selection
     if joint is None or window.camera is None or window.tool is not None:
-        return  # a tool shows in its own way what is selected
+        # a tool shows in its own way what is selected
+        return
     pose, avatar = window.poses[index], window.show.avatars[index]
     place = joint_transforms(pose[0], avatar.joint_positions.astype(np.float64), pose[1])[joint, :3, 3]
     pixel, depth = project(window.camera, place[None])

@@ -41,8 +41,10 @@ RIGHT: Sequence[tuple[str, Panel]] = POSE_PANELS
 OVERLAYS: Sequence[Panel] = (joint_mark, pose_overlay, hud_panel)
 
 FONT = 15.0  # window units
-SIDE, BOTTOM = 19.0, 4.5  # width and height of the panels, in letters' heights
-LEAST = 12.0  # letters' heights that the picture must keep, else there are no panels
+# width and height of the panels, in letters' heights
+SIDE, BOTTOM = 19.0, 4.5
+# letters' heights that the picture must keep, else there are no panels
+LEAST = 12.0
 FIXED = (
     imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_collapse
     | imgui.WindowFlags_.no_bring_to_front_on_focus | imgui.WindowFlags_.no_saved_settings
@@ -64,9 +66,7 @@ MODIFIERS = {
     imgui.Key.left_alt: imgui.Key.mod_alt, imgui.Key.right_alt: imgui.Key.mod_alt,
     imgui.Key.left_super: imgui.Key.mod_super, imgui.Key.right_super: imgui.Key.mod_super,
 }  # fmt: skip
-LETTERS = {
-    ord(letter.upper()): getattr(imgui.Key, letter) for letter in "acvxyz"
-}  # those of text fields' shortcuts
+LETTERS = {ord(letter.upper()): getattr(imgui.Key, letter) for letter in "acvxyz"}  # those of text fields' shortcuts
 
 
 class Panels:
@@ -78,9 +78,7 @@ class Panels:
         imgui.set_current_context(self.imgui)
         self.visible = True  # switched on
         self.drawn = False  # in the last frame
-        self.places: dict[
-            str, tuple[float, float]
-        ] = {}  # middle of each marked widget of the last frame, window units
+        self.places: dict[str, tuple[float, float]] = {}  # middle of each marked widget of the last frame, window units
         self._marking: dict[str, tuple[float, float]] = {}
         io = imgui.get_io()
         io.set_ini_filename("")  # nothing is written beside the user's files
@@ -104,7 +102,8 @@ class Panels:
 
     def _use_clipboard(self) -> None:
         """Text fields copy to and paste from the system's clipboard."""
-        no_window: Any = None  # glfw's clipboard belongs to none since 3.4, its types do not know
+        # glfw's clipboard belongs to none since 3.4, its types do not know
+        no_window: Any = None
 
         def copied(_context: Any) -> str:
             found: Any = glfw.get_clipboard_string(no_window)
@@ -135,7 +134,9 @@ class Panels:
         return self.takes_pointer(over_picture)
 
     def takes_pointer(self, over_picture: bool) -> bool:
-        """The panels' places are known at once; what lies over the picture (a list that opened) since the last frame."""
+        """The panels' places are known at once;
+        what lies over the picture (a list that opened) since the last frame.
+        """
         return self.drawn and (self._io().want_capture_mouse or not over_picture)
 
     def on_key(self, key: int, down: bool) -> bool:

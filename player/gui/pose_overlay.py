@@ -27,7 +27,8 @@ HANDLE = imgui.IM_COL32(255, 150, 40, 235)
 PINNED = imgui.IM_COL32(70, 200, 220, 235)
 BODY = imgui.IM_COL32(240, 240, 240, 200)
 INK = imgui.IM_COL32(0, 0, 0, 200)
-FEWEST = 40.0  # window units from wrist to finger tip from which the fingers' joints are shown
+# window units from wrist to finger tip from which the fingers' joints are shown
+FEWEST = 40.0
 
 
 class Paper:
@@ -37,9 +38,7 @@ class Paper:
         self.camera, self.units = camera, units
         self.draw = imgui.get_background_draw_list()
 
-    def points(
-        self, world: Float[np.ndarray, "n 3"]
-    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+    def points(self, world: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
         pixels, depth = project(self.camera, world)
         return pixels / self.units, depth
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from imgui_bundle import imgui
 
-from avatar.clips import FINGERS
+from avatar.motion.builtin import FINGERS
 from player.pose.fingers import CURL_RANGE, PRESETS, SPREAD_RANGE, Side, finger_name, hand_shape
 from player.pose.ik import LIMBS
 from player.pose.library import BUILTIN
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from player.window.window import Window
 
 SIDES: tuple[Side, Side] = ("left", "right")
-ORDER = sorted(range(52), key=lambda joint: (joint >= 22, joint))  # of the list of joints
+# of the list of joints
+ORDER = sorted(range(52), key=lambda joint: (joint >= 22, joint))
 
 
 def _tool(window: "Window") -> PoseTool:
@@ -29,9 +30,7 @@ def _tool(window: "Window") -> PoseTool:
     return window.tool
 
 
-def _button(
-    window: "Window", text: str, act: Callable[[], object], *, name: str = "", beside: bool = False
-) -> None:
+def _button(window: "Window", text: str, act: Callable[[], object], *, name: str = "", beside: bool = False) -> None:
     """A button that does what may be refused, found by scripts under its name."""
     if beside:
         imgui.same_line()
@@ -80,9 +79,7 @@ def pose_panel(window: "Window") -> None:
     _button(window, "Copy whole", lambda: tool.copy("whole"), name="copy whole")
     if session.copied is not None:
         _button(window, "Paste", tool.paste, beside=True)
-        _button(
-            window, "Paste mirrored", lambda: tool.paste(mirrored=True), name="paste mirrored", beside=True
-        )
+        _button(window, "Paste mirrored", lambda: tool.paste(mirrored=True), name="paste mirrored", beside=True)
     if session.dirty:
         imgui.text_disabled("not saved")
 
@@ -242,11 +239,7 @@ def library_panel(window: "Window") -> None:
     typed["name"] = imgui.input_text("name", typed["name"])[1]
     window.panels.mark("name")
     _button(window, "Keep", lambda: tool.keep(typed["name"]))
-    if (
-        typed["name"]
-        and typed["name"] not in BUILTIN
-        and (tool.library.folder / f"{typed['name']}.npz").is_file()
-    ):
+    if typed["name"] and typed["name"] not in BUILTIN and (tool.library.folder / f"{typed['name']}.npz").is_file():
         _button(window, "Delete", lambda: tool.library.delete(typed["name"]), name="delete pose", beside=True)
     imgui.separator()
     typed["file"] = imgui.input_text_with_hint("file", "name.npz", typed["file"])[1]

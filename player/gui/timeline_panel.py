@@ -71,9 +71,7 @@ def _scrubber(window: "Window") -> None:
 
     if line.a is not None or line.b is not None:
         last = line.frames - 1 if line.b is None else line.b
-        draw.add_rect_filled(
-            imgui.ImVec2(across(line.a or 0), low.y), imgui.ImVec2(across(last), high.y), RANGE
-        )
+        draw.add_rect_filled(imgui.ImVec2(across(line.a or 0), low.y), imgui.ImVec2(across(last), high.y), RANGE)
     session = window.pose_session
     if session is not None:
         y = 0.5 * (low.y + high.y)

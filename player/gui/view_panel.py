@@ -25,9 +25,7 @@ def view_panel(window: "Window") -> None:
         if changed:
             window.draw_otherwise(effects=replace(effects, **{name: known[chosen]}))
     if window.renderer.has_view:
-        _, window.renderer.view_amount = imgui.slider_float(
-            "amount", window.renderer.view_amount, 0.0, 1.0, "%.2f"
-        )
+        _, window.renderer.view_amount = imgui.slider_float("amount", window.renderer.view_amount, 0.0, 1.0, "%.2f")
         panels.mark("amount")
     levels = max(len(avatar.levels) for avatar in window.show.avatars)
     if levels > 1:

@@ -49,7 +49,5 @@ def pose_from_rig(rig: Rig, calibration: Calibration) -> LivePose:
     normal = quaternion_product(quaternion_product(W, turn), quaternion_inverse(W))
     normal[0] = quaternion_product(rig.root_rotation, normal[0])
     hips = np.append(rig.hips, 0.0)
-    carried = quaternion_product(
-        quaternion_product(rig.root_rotation, hips), quaternion_inverse(rig.root_rotation)
-    )
+    carried = quaternion_product(quaternion_product(rig.root_rotation, hips), quaternion_inverse(rig.root_rotation))
     return LivePose(axis_angle_from_quaternion(normal), rig.root + carried[:3])

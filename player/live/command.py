@@ -11,7 +11,8 @@ import numpy as np
 
 from avatar.body import Body, builtin_body, read_body
 from avatar.errors import AssetError
-from avatar.motion import Clip, Motion, fitted, read_motion
+from avatar.motion.clip import Clip, Motion, fitted
+from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 from player.live import json_pose
 from player.live.address import Address, parse_address
@@ -22,7 +23,8 @@ from player.live.vmc import VmcEncoder
 
 BLOCK = 256  # frames read at once
 FASTEST = 1000.0  # frames a second
-CATCH_UP = 1.0  # seconds; a sender that was stopped for longer goes on from now instead of hurrying
+# seconds; a sender that was stopped for longer goes on from now instead of hurrying
+CATCH_UP = 1.0
 
 EXAMPLES = """examples
   selfscan stream counting --to udp:127.0.0.1:39550          (beside: selfscan play me.glb --live udp:39550)
@@ -51,9 +53,7 @@ def add_live_options(parser: argparse.ArgumentParser) -> None:
         help="S seconds after the first pose, take the pose of then for the T-pose (key t does it too)",
     )  # fmt: skip
     live.add_argument("--record", metavar="FILE.npz", help="write what came as an AMASS pose file at the end")
-    live.add_argument(
-        "--latency", metavar="FILE.csv", help="write when each pose was sent, received, applied, drawn"
-    )
+    live.add_argument("--latency", metavar="FILE.csv", help="write when each pose was sent, received, applied, drawn")
 
 
 def source(text: str) -> Address:
@@ -140,9 +140,7 @@ def connected(address: Address) -> socket.socket:
         AssetError: there is no such host.
     """
     try:
-        family, kind, proto, _, place = socket.getaddrinfo(
-            address.host, address.port, type=socket.SOCK_DGRAM
-        )[0]
+        family, kind, proto, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)[0]
         connection = socket.socket(family, kind, proto)
         connection.connect(place)
     except OSError as error:

@@ -17,11 +17,15 @@ class LivePose(NamedTuple):
 class Frame(NamedTuple):
     """What a decoder made of one or more datagrams."""
 
-    content: object  # that its decoder turns into a LivePose
-    received: float  # monotonic seconds on this machine, of the last datagram
+    # that its decoder turns into a LivePose
+    content: object
+    # monotonic seconds on this machine, of the last datagram
+    received: float
     sent: float | None  # seconds on the sender's clock
-    time: float  # of the pose, on this machine's clock: the sender's steps where it has a clock
-    number: int  # counts frames; a frame that is completed by a second datagram keeps its number
+    # of the pose, on this machine's clock: the sender's steps where it has a clock
+    time: float
+    # counts frames; a frame that is completed by a second datagram keeps its number
+    number: int
 
 
 @dataclass
@@ -30,9 +34,13 @@ class Counters:
 
     received: int = 0
     frames: int = 0  # poses
-    malformed: int = 0  # not the protocol, or a number that is not finite; the rest of a VMC bundle is used
+    # not the protocol, or a number that is not finite; the rest of a VMC bundle is used
+    malformed: int = 0
     oversized: int = 0
-    late: int = 0  # older than what was used already
+    # older than what was used already
+    late: int = 0
     duplicate: int = 0
-    other: int = 0  # from a sender that is not the one followed
-    lost: int = 0  # gaps in the sequence numbers (JSON); VMC has none
+    # from a sender that is not the one followed
+    other: int = 0
+    # gaps in the sequence numbers (JSON); VMC has none
+    lost: int = 0

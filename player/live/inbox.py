@@ -27,8 +27,10 @@ from player.live.vmc import VmcDecoder, VmcState, rig_from_state
 
 MOST_WAITING = 512  # frames; two seconds at 240 a second
 LONGEST_DELAY = 1.0  # seconds
-COARSE = 8192.0  # seconds; float32 clocks step by 1 ms from here on, so arrival is the better clock
-JUMP = 1.0  # seconds; a sender's clock that jumps by more against ours is started anew
+# seconds; float32 clocks step by 1 ms from here on, so arrival is the better clock
+COARSE = 8192.0
+# seconds; a sender's clock that jumps by more against ours is started anew
+JUMP = 1.0
 DRIFT = 1e-3  # seconds a second, by which lag may grow
 SILENT = 1.0  # seconds without a datagram
 
@@ -38,7 +40,8 @@ class Facts(NamedTuple):
 
     frames: int
     rate: float  # frames a second, of late
-    age: float | None  # seconds since the last frame came; None: none has
+    # seconds since the last frame came; None: none has
+    age: float | None
     counters: Counters
     tracking: bool
 
@@ -58,7 +61,8 @@ class Inbox:
         self.delay, self.take = delay, take
         self.calibration = identity_calibration()
         self.newest: Frame | None = None
-        self.waiting: deque[Frame] = deque(maxlen=MOST_WAITING)  # by time; only for the buffer
+        # by time; only for the buffer
+        self.waiting: deque[Frame] = deque(maxlen=MOST_WAITING)
         self.arrivals: deque[float] = deque(maxlen=64)
         self.start: tuple[float, float] | None = None  # sender's clock and ours at a common moment
         self.lag = np.inf
@@ -155,9 +159,7 @@ class Inbox:
     def wait(self, after: int, timeout: float | int) -> bool:
         """Wait for a frame later than number `after`; whether there is one."""
         with self.arrived:
-            return self.arrived.wait_for(
-                lambda: self.newest is not None and self.newest.number > after, timeout
-            )
+            return self.arrived.wait_for(lambda: self.newest is not None and self.newest.number > after, timeout)
 
     def pose(self, frame: Frame) -> LivePose:
         """A frame in our joints and world, of the sender's body."""
@@ -202,9 +204,7 @@ class Inbox:
             return after, self.pose(after)
         if at <= before.time:
             return before, self.pose(before)
-        return after, blended(
-            self.pose(before), self.pose(after), (at - before.time) / (after.time - before.time)
-        )
+        return after, blended(self.pose(before), self.pose(after), (at - before.time) / (after.time - before.time))
 
     def facts(self, now: float | int) -> Facts:
         with self.lock:

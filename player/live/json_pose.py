@@ -19,8 +19,10 @@ from player.live.frame import Counters, LivePose
 
 PORT = 39550
 LARGEST = 16384  # bytes; a message has about 3000
-REORDERED = 64  # a sequence number older by more is a restarted sender
-PATIENCE = 1.0  # seconds that the followed sender may be silent before another is followed
+# a sequence number older by more is a restarted sender
+REORDERED = 64
+# seconds that the followed sender may be silent before another is followed
+PATIENCE = 1.0
 
 
 class JsonPose(NamedTuple):
@@ -101,7 +103,8 @@ class JsonDecoder:
 
     def __init__(self):
         self.sender: str | None = None
-        self.heard = -np.inf  # when the followed sender was last heard
+        # when the followed sender was last heard
+        self.heard = -np.inf
         self.newest: int | None = None
         self.recent: deque[tuple[int, float]] = deque(maxlen=2 * REORDERED)
         self.late_in_a_row = 0
@@ -132,7 +135,8 @@ class JsonDecoder:
             if -REORDERED <= ahead < 0 and self.late_in_a_row < REORDERED // 2:
                 late = True
                 counters.late += 1
-                counters.lost = max(counters.lost - 1, 0)  # it was counted as lost when its follower came
+                # it was counted as lost when its follower came
+                counters.lost = max(counters.lost - 1, 0)
                 self.late_in_a_row += 1
             elif ahead < 0 or ahead > 1_000_000:
                 restarted = True

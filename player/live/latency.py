@@ -21,7 +21,8 @@ HEADER = (
 )
 KEPT = 2048  # frames, for the percentiles
 UNIX = 1e9  # seconds; a larger time is Unix time
-BELIEVED = 10.0  # seconds; Unix clocks of two machines that differ by more are not compared
+# seconds; Unix clocks of two machines that differ by more are not compared
+BELIEVED = 10.0
 
 
 class Percentiles(NamedTuple):
@@ -70,10 +71,12 @@ class Latency:
             return "none", np.nan
         if frame.sent > UNIX:
             travelled = frame.received + (time.time() - time.monotonic()) - frame.sent
-            if -1e-3 < travelled < BELIEVED:  # a millisecond: the two clocks are not read at once
+            # a millisecond: the two clocks are not read at once
+            if -1e-3 < travelled < BELIEVED:
                 return "unix", max(travelled, 0.0)
         offset = frame.received - frame.sent
-        if abs(offset - self.quickest) > BELIEVED:  # another clock: a restarted sender
+        # another clock: a restarted sender
+        if abs(offset - self.quickest) > BELIEVED:
             self.quickest = offset
         self.quickest = min(self.quickest, offset)
         return "relative", offset - self.quickest

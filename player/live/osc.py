@@ -9,7 +9,8 @@ import struct
 from collections.abc import Sequence
 from typing import NamedTuple
 
-LARGEST = 32768  # bytes of a packet; a VMC bundle of 55 bones has about 4500
+# bytes of a packet; a VMC bundle of 55 bones has about 4500
+LARGEST = 32768
 MOST_MESSAGES = 1024  # in a packet
 DEEPEST = 8  # bundles within bundles
 IMMEDIATELY = 1  # time tag
@@ -21,7 +22,8 @@ PLAIN = {
     "d": "d",
     "t": "Q",
 }  # types that struct knows, OSC letter to its letter
-VALUELESS = {"T": True, "F": False, "N": None, "I": float("inf")}  # I is "infinitum", an impulse
+# I is "infinitum", an impulse
+VALUELESS = {"T": True, "F": False, "N": None, "I": float("inf")}
 _layouts: dict[bytes, struct.Struct] = {}
 
 
@@ -75,7 +77,8 @@ def _parse(data: bytes, start: int, end: int, messages: list[Message], depth: in
 def _message(data: bytes, start: int, end: int) -> Message | None:
     address, at = _string(data, start, end)
     if at == end:
-        return Message(address, ())  # senders of before 1.0 leave the type letters out
+        # senders of before 1.0 leave the type letters out
+        return Message(address, ())
     if data[at] != 0x2C:  # ","
         raise OscError("no type letters after the address")
     stop = data.find(b"\0", at, end)
@@ -83,7 +86,8 @@ def _message(data: bytes, start: int, end: int) -> Message | None:
     if stop < 0:
         raise OscError("a string that does not end")
     at += (stop - at) // 4 * 4 + 4
-    if letters in _layouts or _remember(letters):  # what VMC sends: one string, then numbers
+    # what VMC sends: one string, then numbers
+    if letters in _layouts or _remember(letters):
         arguments: list = []
         if letters[:1] == b"s":
             text, at = _string(data, at, end)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
-from avatar.motion import Motion
+from avatar.motion.clip import Motion
 from player.framing import pelvis_height
 from player.live.address import Address
 from player.live.frame import LivePose
@@ -17,15 +17,16 @@ from player.live.one_euro import OneEuro
 from player.live.vmc import joint_offsets, leg_length
 from player.renderer import Pose
 
-LOW = 0.05  # metres; a pelvis lower than this was not measured, not even of someone who lies
+# metres; a pelvis lower than this was not measured, not even of someone who lies
+LOW = 0.05
 PATIENCE = 10.0  # seconds that a script waits for a pose
 
 
 class LivePlayback:
     """What the window asks of a playback, from an inbox. Until a pose comes the avatars stand in T-pose.
 
-    The person first seen stands at the world's origin; `calibrate` puts them there again, soles on the ground. The root is scaled by
-    the ratio of leg lengths where the sender tells its own (VMC bone positions, JSON pelvis_height).
+    The person first seen stands at the world's origin; `calibrate` puts them there again, soles on the ground. The
+    root is scaled by the ratio of leg lengths where the sender tells its own (VMC bone positions, JSON pelvis_height).
     """
 
     def __init__(
@@ -43,14 +44,13 @@ class LivePlayback:
         self.inbox, self.address, self.beside, self.clock = inbox, address, beside, clock
         self.motion, self.frame, self.playing = Motion(str(address), 1, 30.0, (), standing), 0, True
         self.heights = [pelvis_height(avatar) for avatar in avatars]
-        self.legs = [
-            leg_length(joint_offsets(avatar.joint_positions.astype(np.float64))) for avatar in avatars
-        ]
+        self.legs = [leg_length(joint_offsets(avatar.joint_positions.astype(np.float64))) for avatar in avatars]
         self.filter = OneEuro(smooth) if smooth is not None else None
         self.latency = latency or Latency()
         self.countdown = calibrate_after
         self.origin: Float[np.ndarray, "3"] | None = None  # in the sender's metres
-        self.stands = False  # whether the pose that sets the origin stands on the ground for certain
+        # whether the pose that sets the origin stands on the ground for certain
+        self.stands = False
         self.shown: LivePose | None = None
         self.sampled: float | None = None
 

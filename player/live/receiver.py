@@ -13,7 +13,8 @@ from avatar.errors import AssetError
 from player.live.address import Address
 from player.live.inbox import Inbox
 
-SO_TIMESTAMPNS = 35  # Linux: the kernel's time of arrival comes with the datagram
+# Linux: the kernel's time of arrival comes with the datagram
+SO_TIMESTAMPNS = 35
 STAMP = struct.Struct("@qq")
 LARGEST_MESSAGE = 65536  # bytes; a WebSocket that sends more is closed
 MOST_CLIENTS = 8
@@ -26,9 +27,7 @@ class UdpListener:
     def __init__(self, address: Address, inbox: Inbox):
         self.inbox, self.closing = inbox, False
         try:
-            family, kind, proto, _, place = socket.getaddrinfo(
-                address.host, address.port, type=socket.SOCK_DGRAM
-            )[0]
+            family, kind, proto, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)[0]
             self.socket = socket.socket(family, kind, proto)
         except OSError as error:
             raise AssetError(f"{address}: {error.strerror or error}") from None
@@ -81,7 +80,8 @@ def arrival(ancillary: list) -> float:
         if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(data) == STAMP.size:
             seconds, nanoseconds = STAMP.unpack(data)
             waited = time.time() - (seconds + 1e-9 * nanoseconds)
-            if 0 <= waited < 1:  # else the wall clock was set meanwhile
+            # else the wall clock was set meanwhile
+            if 0 <= waited < 1:
                 return now - waited
     return now
 

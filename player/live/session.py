@@ -52,9 +52,7 @@ def live_session(
                 calibrate_after=options.calibrate_after,
             )
             print(f"live: {listener.address}", end="")
-            print(
-                " (this machine only)" if options.address.local else ": anyone who reaches this port poses it"
-            )
+            print(" (this machine only)" if options.address.local else ": anyone who reaches this port poses it")
             yield playback
         finally:
             listener.close()

@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from avatar.amass import write_amass
-from avatar.motion import Clip
+from avatar.motion.amass import write_amass
+from avatar.motion.clip import Clip
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 from player.live.frame import LivePose
 
-MOST_FRAMES = 300_000  # about 190 MB, 80 minutes at 60 frames a second
+# about 190 MB, 80 minutes at 60 frames a second
+MOST_FRAMES = 300_000
 USUAL_RATES = (24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 144, 240)
 LONGEST_PAUSE = 2.0  # seconds; a longer silence is cut to this
 
@@ -44,7 +45,8 @@ class Take:
         steps = np.minimum(np.maximum(np.diff(self.times), 0.0), LONGEST_PAUSE)
         rate = even_rate(steps)
         ticks = np.round(np.concatenate([[0.0], np.cumsum(steps)]) * rate).astype(np.int64)
-        last = np.append(np.flatnonzero(np.diff(ticks)), len(ticks) - 1)  # the later of two on one tick
+        # the later of two on one tick
+        last = np.append(np.flatnonzero(np.diff(ticks)), len(ticks) - 1)
         ticks = ticks[last] - ticks[last[0]]
         poses = np.stack([self.poses[i] for i in last]).astype(np.float64)
         axis_angle, root = filled(ticks, poses)

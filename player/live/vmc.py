@@ -21,8 +21,10 @@ from player.live.frame import Counters
 from player.live.osc import Message, OscError, build_bundle, build_message, parse_packet
 
 PORT = 39539
-RESTART = 1.0  # seconds; a clock set back by more was restarted, by less its datagram came late
-REMEMBERED = 16  # datagrams, to know a repeated one
+# seconds; a clock set back by more was restarted, by less its datagram came late
+RESTART = 1.0
+# datagrams, to know a repeated one
+REMEMBERED = 16
 
 _BODY = (
     "Hips LeftUpperLeg RightUpperLeg Spine LeftLowerLeg RightLowerLeg Chest LeftFoot RightFoot UpperChest "
@@ -71,7 +73,8 @@ class Rig(NamedTuple):
     hips: Float[np.ndarray, "3"]  # in the root's frame
     root_rotation: Float[np.ndarray, "4"]
     root: Float[np.ndarray, "3"]
-    leg: float | None  # metres from the pelvis' height to the ankle, along the bones
+    # metres from the pelvis' height to the ankle, along the bones
+    leg: float | None
 
 
 class Arrival(NamedTuple):
@@ -140,11 +143,7 @@ class VmcDecoder:
                     if name in KNOWN:
                         found[name] = pose
             elif address == "/VMC/Ext/T":
-                if (
-                    len(arguments) >= 1
-                    and isinstance(arguments[0], (int, float))
-                    and abs(arguments[0]) < 1e12
-                ):
+                if len(arguments) >= 1 and isinstance(arguments[0], (int, float)) and abs(arguments[0]) < 1e12:
                     clock = float(arguments[0])
                 else:
                     bad = True
@@ -176,7 +175,8 @@ def _pose(arguments: tuple) -> Bone | None:
     try:
         x, y, z, w = numbers[3:]
         if sum(map(abs, numbers)) < 1e6 and x * x + y * y + z * z + w * w > 1e-6:  # false for NaN
-            return tuple(map(float, numbers))  # other number types are read, too
+            # other number types are read, too
+            return tuple(map(float, numbers))
     except TypeError:
         pass
     return None
@@ -195,9 +195,7 @@ def rig_from_state(state: VmcState) -> Rig:
     mirror = np.array([-1, 1, 1, 1, -1, -1, 1.0])
     poses, root = poses * mirror, root * mirror
     rotations = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
-    return Rig(
-        rotations, poses[0, :3], root[3:] / np.linalg.norm(root[3:]), root[:3], leg_length(poses[:, :3])
-    )
+    return Rig(rotations, poses[0, :3], root[3:] / np.linalg.norm(root[3:]), root[:3], leg_length(poses[:, :3]))
 
 
 def leg_length(offsets: Float[np.ndarray, "52 3"]) -> float | None:

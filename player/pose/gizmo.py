@@ -23,7 +23,8 @@ Array = np.ndarray
 PIXELS = 80.0  # radius on the screen
 NEAR_ENOUGH = 9.0  # pixels from a ring that still seize it
 SEGMENTS = 96
-EDGE_ON = 0.25  # sine of the angle between ray and ring's plane below which the wheel is rolled
+# sine of the angle between ray and ring's plane below which the wheel is rolled
+EDGE_ON = 0.25
 VIEW_RING = 3
 Frame = Literal["world", "local"]
 
@@ -43,10 +44,9 @@ class Grab:
     gizmo: Gizmo
     ring: int
     pixel: Float[Array, "2"]  # where it was seized
-    start: Float[Array, "3"]  # unit, from the centre to the point seized, across the axis
-    rolled: (
-        Float[Array, "2"] | None
-    )  # pixels along the tangent per radian; None: measured in the ring's plane
+    # unit, from the centre to the point seized, across the axis
+    start: Float[Array, "3"]
+    rolled: Float[Array, "2"] | None  # pixels along the tangent per radian; None: measured in the ring's plane
 
 
 def gizmo_at(
@@ -128,10 +128,9 @@ def grabbed(gizmo: Gizmo, ring: int, camera: Camera, pixel: Float[Array, "2"]) -
     small = 1e-4
     ends, depth = project(camera, np.stack([place - small * tangent, place + small * tangent]))
     rolled = (ends[1] - ends[0]) / (2 * small)
-    if depth.min() <= 0 or np.linalg.norm(rolled) < 1.0:  # the tangent points at the eye
-        rolled = np.array(
-            [float(np.linalg.norm(gizmo.radii[ring] * camera.K[1, 1] / max(depth.max(), 1e-3))), 0.0]
-        )
+    # the tangent points at the eye
+    if depth.min() <= 0 or np.linalg.norm(rolled) < 1.0:
+        rolled = np.array([float(np.linalg.norm(gizmo.radii[ring] * camera.K[1, 1] / max(depth.max(), 1e-3))), 0.0])
     return Grab(gizmo, ring, np.array(pixel, np.float64), start, rolled)
 
 
@@ -209,9 +208,7 @@ def _met(center: Array, axis: Array, origin: Array, direction: Array) -> Float[A
     return out / length if length > 1e-9 else None
 
 
-def _nearest_on_ring(
-    gizmo: Gizmo, ring: int, camera: Camera, pixel: Float[Array, "2"]
-) -> tuple[float, Array] | None:
+def _nearest_on_ring(gizmo: Gizmo, ring: int, camera: Camera, pixel: Float[Array, "2"]) -> tuple[float, Array] | None:
     """Distance in pixels to the ring's near half, and the world point there."""
     points = ring_points(gizmo, ring)
     shown, depth = project(camera, points)

@@ -18,9 +18,7 @@ def lowest_point(avatar: Avatar, axis_angle: Float[Array, "52 3"]) -> float:
     level = avatar.levels[-1]
     skin = SkinWeights(level.joints.astype(np.int64), level.weights.astype(np.float32) / np.float32(255))
     joints = avatar.joint_positions.astype(np.float64)
-    transforms = skin_transforms(
-        axis_angle, joints, np.zeros(3), rest=avatar.canonical_pose.astype(np.float64)
-    )
+    transforms = skin_transforms(axis_angle, joints, np.zeros(3), rest=avatar.canonical_pose.astype(np.float64))
     return float(skin_points(level.positions.astype(np.float64), skin, transforms)[:, 1].min())
 
 

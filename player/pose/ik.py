@@ -23,7 +23,8 @@ from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 
 Array = np.ndarray
 
-STRAIGHT, BENT = np.radians([8.0, 20.0])  # a rest pose bends its knees and elbows up to 8 degrees, any way
+# a rest pose bends its knees and elbows up to 8 degrees, any way
+STRAIGHT, BENT = np.radians([8.0, 20.0])
 TINY = 1e-9  # metres
 
 
@@ -33,7 +34,8 @@ class Limb(NamedTuple):
     first: int
     middle: int
     end: int
-    pole: tuple[float, float, float]  # in the first joint's frame: knees forwards, elbows backwards
+    # in the first joint's frame: knees forwards, elbows backwards
+    pole: tuple[float, float, float]
 
 
 def _limb(side: str, chain: tuple[str, str, str], pole: tuple[float, float, float]) -> Limb:
@@ -98,7 +100,8 @@ def reach_for(
     if d > TINY:
         cosine = float(np.clip((a * a + d * d - b * b) / (2 * a * d), -1, 1))
     else:
-        cosine = 0.0  # equal bones folded together: any plane through the pole will do
+        # equal bones folded together: any plane through the pole will do
+        cosine = 0.0
     sine = np.sqrt(1 - cosine * cosine)
 
     carried = rotation_between(line, aim)
@@ -158,7 +161,8 @@ def _across(v: Array, line: Array, otherwise: Array) -> Float[Array, "3"]:
         length = float(np.linalg.norm(part))
         if length > 1e-7 * max(float(np.linalg.norm(candidate)), TINY):
             part = part / length
-            part = part - line * (part @ line)  # once more: what the first left is large beside a short part
+            # once more: what the first left is large beside a short part
+            part = part - line * (part @ line)
             return part / np.linalg.norm(part)
     raise AssertionError("an axis lies across every line")
 

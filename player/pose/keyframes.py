@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from avatar.clips import smooth
-from avatar.motion import Clip
+from avatar.motion.builtin import smooth
+from avatar.motion.clip import Clip
 from avatar.rotation import axis_angle_from_quaternion, nearest_axis_angle, quaternion_from_axis_angle, slerp
 
 Array = np.ndarray
@@ -25,9 +25,7 @@ class Pose:
 
     def __post_init__(self):
         for name in ("axis_angle", "root"):
-            value = np.array(
-                getattr(self, name), np.float64
-            )  # a copy: the giver may go on writing to its own
+            value = np.array(getattr(self, name), np.float64)  # a copy: the giver may go on writing to its own
             value.setflags(write=False)
             object.__setattr__(self, name, value)
 
@@ -85,14 +83,10 @@ def between(a: Pose, b: Pose, part: float | int) -> Pose:
     return Pose(joints, a.root + part * (b.root - a.root))
 
 
-def clip_of(
-    keys: Keys, rate: float | int, easing: Easing = "linear", pelvis_height: float | None = None
-) -> Clip:
+def clip_of(keys: Keys, rate: float | int, easing: Easing = "linear", pelvis_height: float | None = None) -> Clip:
     """Every frame from 0 to the last key."""
     poses = [pose_at(keys, frame, easing) for frame in range(keys[-1][0] + 1)]
-    return Clip(
-        np.stack([p.axis_angle for p in poses]), np.stack([p.root for p in poses]), rate, (), pelvis_height
-    )
+    return Clip(np.stack([p.axis_angle for p in poses]), np.stack([p.root for p in poses]), rate, (), pelvis_height)
 
 
 def difference(a: Pose, b: Pose) -> float:

@@ -259,16 +259,8 @@ def check_name(name: str) -> None:
         ValueError: empty, too long, with characters that file systems reserve, ending in a dot or space, or built in.
     """
     reserved = set('/\\:*?"<>|')
-    if (
-        not name.strip()
-        or len(name) > LONGEST_NAME
-        or name != name.strip()
-        or name[0] == "."
-        or name[-1] == "."
-    ):
-        raise ValueError(
-            f"a pose's name should be 1 to {LONGEST_NAME} letters without dots at its ends, is {name!r}"
-        )
+    if not name.strip() or len(name) > LONGEST_NAME or name != name.strip() or name[0] == "." or name[-1] == ".":
+        raise ValueError(f"a pose's name should be 1 to {LONGEST_NAME} letters without dots at its ends, is {name!r}")
     if any(c in reserved or ord(c) < 32 for c in name):
         raise ValueError(f"a pose's name should be without {' '.join(sorted(reserved))}, is {name!r}")
     if name.casefold() in {known.casefold() for known in BUILTIN}:

@@ -33,7 +33,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from avatar.body import builtin_body
-from avatar.clips import FINGERS, MIRROR, finger_axes
+from avatar.motion.builtin import FINGERS, MIRROR, finger_axes
 from avatar.rotation import (
     axis_angle_from_quaternion,
     quaternion_from_axis_angle,
@@ -44,7 +44,8 @@ from avatar.skeleton import JOINTS
 
 Array = np.ndarray
 
-POWER = 4  # of the swing's outline: 2 is an ellipse, infinity a box
+# of the swing's outline: 2 is an ellipse, infinity a box
+POWER = 4
 FREE = 180.0
 
 
@@ -163,7 +164,8 @@ class Limits(NamedTuple):
     """Names, axes and ranges of all 52 joints, both sides."""
 
     names: tuple[tuple[str, str, str], ...]
-    axes: Float[Array, "52 3 3"]  # rows e_f, e_a, e_t, unit, parent's frame in pose 0
+    # rows e_f, e_a, e_t, unit, parent's frame in pose 0
+    axes: Float[Array, "52 3 3"]
     low: Float[Array, "52 3"]  # radians
     high: Float[Array, "52 3"]
 
@@ -193,7 +195,7 @@ def limits() -> Limits:
 
 
 def _finger_frame(finger: str, number: int) -> Float[Array, "3 3"]:
-    """Axes of a joint of the left hand: curl as avatar/clips.py has it, sideways towards the thumb, the bone.
+    """Axes of a joint of the left hand: curl as avatar/motion/builtin.py has it, sideways towards the thumb, the bone.
 
     Thumbs go away from the palm, which for them is the same kind of movement.
     """
@@ -250,7 +252,8 @@ def clamped_angles(angles: Float[Array, "*b 52 3"]) -> Float[Array, "*b 52 3"]:
     table = limits()
     out = np.array(angles, np.float64)
     excess = swing_excess(out)
-    excess[..., 0] = 0.0  # the pelvis is free; its outline is no limit
+    # the pelvis is free; its outline is no limit
+    excess[..., 0] = 0.0
     out[..., :2] /= np.where(excess > 1, excess, 1.0)[..., None]
     out[..., 2] = np.clip(out[..., 2], table.low[:, 2], table.high[:, 2])
     return out

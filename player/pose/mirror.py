@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from avatar.clips import MIRROR
+from avatar.motion.builtin import MIRROR
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS
 
@@ -22,7 +22,8 @@ def _partners() -> np.ndarray:
     return np.array(swapped)
 
 
-PARTNER = _partners()  # the joint on the other side; itself in the middle
+# the joint on the other side; itself in the middle
+PARTNER = _partners()
 PARTNER.setflags(write=False)
 
 

@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from avatar.amass import read_amass, write_amass
 from avatar.errors import AssetError
-from avatar.motion import Clip, fitted, read_motion
+from avatar.motion.amass import read_amass, write_amass
+from avatar.motion.clip import Clip, fitted
+from avatar.motion.read import read_motion
 from avatar.npz import read_npz
 from player.pose.keyframes import Easing, Keys, Pose, clip_of
 
-LONGEST = 20_000  # frames that may become keys, one each, where a file has no key frames of its own
+# frames that may become keys, one each, where a file has no key frames of its own
+LONGEST = 20_000
 KEY_FRAMES, EASING = "key_frames", "key_easing"
 
 
@@ -43,9 +45,7 @@ def read_pose(path: Path | str, frame: int = 0, *, pelvis_height: float | None =
     """
     motion = read_motion(path)
     if not 0 <= frame < motion.frames:
-        raise AssetError(
-            f"{path}: frame {frame} asked for, it has {motion.frames} (0 to {motion.frames - 1})"
-        )
+        raise AssetError(f"{path}: frame {frame} asked for, it has {motion.frames} (0 to {motion.frames - 1})")
     clip = motion.read(frame, frame + 1)
     if pelvis_height is not None:
         clip = fitted(clip, pelvis_height)
@@ -93,9 +93,7 @@ def read_keys(path: Path | str, *, pelvis_height: float | None = None) -> Timeli
             )
         easing = _easing(path, fields)
     elif motion.frames > LONGEST:
-        raise AssetError(
-            f"{path}: {motion.frames} frames are too many to edit, at most {LONGEST}; take one of them"
-        )
+        raise AssetError(f"{path}: {motion.frames} frames are too many to edit, at most {LONGEST}; take one of them")
     clip = motion.read()
     if pelvis_height is not None:
         clip = fitted(clip, pelvis_height)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from avatar.motion import Clip
+from avatar.motion.clip import Clip
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND, joint_transforms
 from player.pose import pose_file
@@ -26,7 +26,8 @@ from player.pose.mirror import PARTNER, mirrored_in_place, onto_other_side
 
 Array = np.ndarray
 
-STEPS = 500  # of undo that are kept
+# of undo that are kept
+STEPS = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +74,14 @@ class PoseSession:
         self.rest = Pose(np.zeros((52, 3)) if axis_angle is None else axis_angle, root)
         self.state = State(self.rest)
         self.saved = self.state
-        self.past: list[tuple[str, State]] = []  # what was done, and the state before it
+        # what was done, and the state before it
+        self.past: list[tuple[str, State]] = []
         self.future: list[tuple[str, State]] = []
-        self.drag: object | None = None  # mark of the drag that the last step belongs to
+        # mark of the drag that the last step belongs to
+        self.drag: object | None = None
         self.limited = True
-        self.auto_key = False  # with keys: each change of the pose is a key at once
+        # with keys: each change of the pose is a key at once
+        self.auto_key = False
         self.pinned: dict[str, Pin] = {}  # limbs whose ends are held in the world
         self.copied: Copied | None = None
         self.rate = rate
@@ -303,7 +307,8 @@ class PoseSession:
         label, state = come_from.pop()
         leave_to.append((label, self.state))
         self.state = state
-        for limb in self.pinned:  # held where it is in the pose that came back
+        # held where it is in the pose that came back
+        for limb in self.pinned:
             self.pin(limb, True)
         return label
 

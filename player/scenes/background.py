@@ -16,8 +16,10 @@ from player.scenes.radiance import read_radiance
 
 Pixels = UInt8[np.ndarray, "_ _ 4"]  # rows, columns
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
-PANORAMA_WIDTH = 4096  # texels at most: a view of 60 degrees then still has 680 of them across
-FAR = 2.0  # seconds; to go further ahead in a film, seek instead of decoding what lies between
+# texels at most: a view of 60 degrees then still has 680 of them across
+PANORAMA_WIDTH = 4096
+# seconds; to go further ahead in a film, seek instead of decoding what lies between
+FAR = 2.0
 
 
 def placed(size: tuple[int, int], into: tuple[int, int], fit: str) -> tuple[int, int, int, int]:
@@ -114,7 +116,8 @@ class Picture:
 class Frames:
     """A folder of pictures, in the order of their names, at a stated rate. The last one stays."""
 
-    opaque = False  # not known before all are read
+    # not known before all are read
+    opaque = False
 
     def __init__(self, background: Background):
         assert background.path is not None
@@ -161,7 +164,8 @@ class Video:
         self.container.seek(origin + max(int(seconds / tick), 0), stream=self.stream)
         self.frames: Iterator = self._decoded()
         self.shown, self.coming = None, next(self.frames, None)
-        if self.coming is None and seconds > 0:  # beyond the end: from the start, to the last frame
+        # beyond the end: from the start, to the last frame
+        if self.coming is None and seconds > 0:
             self._start()
         if self.coming is None:
             raise AssetError(f"{self.path}: holds no frame")

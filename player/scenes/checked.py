@@ -2,7 +2,8 @@
 
     kind: Annotated[str, OneOf(("front", "orbit")), "how the camera stands"] = "front"
 
-player/scenes/scene_file.py checks files against them, player/scenes/scene_schema.py writes them as JSON schema and table.
+player/scenes/scene_file.py checks files against them, player/scenes/scene_schema.py writes them as JSON schema and
+table.
 """
 
 import math
@@ -38,8 +39,10 @@ class Fact(NamedTuple):
 
     name: str
     type: Any
-    optional: bool  # None is allowed: the key may be left out
-    default: Any  # MISSING: it must be given
+    # None is allowed: the key may be left out
+    optional: bool
+    # MISSING: it must be given
+    default: Any
     rules: tuple[Any, ...]
     means: str
 
@@ -49,9 +52,7 @@ def facts(record: type) -> Iterator[Fact]:
     hints = get_type_hints(record, include_extras=True)
     for entry in fields(record):
         kind, *notes = get_args(hints[entry.name])
-        options = (
-            [one for one in get_args(kind) if one is not type(None)] if get_origin(kind) is not tuple else []
-        )
+        options = [one for one in get_args(kind) if one is not type(None)] if get_origin(kind) is not tuple else []
         optional = bool(options) and type(None) in get_args(kind)
         default = entry.default_factory() if entry.default_factory is not MISSING else entry.default
         rules = tuple(note for note in notes if not isinstance(note, str))

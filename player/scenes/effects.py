@@ -64,9 +64,9 @@ class Background:
     ] = "cover"
     rate: Annotated[float, Above(0), "frames per second of a folder of frames; films know theirs"] = 30.0
     exposure: Annotated[float, "of hdr, stops: +1 is twice as bright"] = 0.0
-    turn_deg: Annotated[
-        float, "of hdr, about the vertical: at 0 a camera in front sees the middle of the panorama"
-    ] = 0.0
+    turn_deg: Annotated[float, "of hdr, about the vertical: at 0 a camera in front sees the middle of the panorama"] = (
+        0.0
+    )
 
     def __post_init__(self):
         check(self)
@@ -83,4 +83,5 @@ class Background:
 
 
 PLAIN = Effects()
-STUDIO = Background("color", (43 / 255, 45 / 255, 51 / 255, 1.0))  # where a scene says nothing
+# where a scene says nothing
+STUDIO = Background("color", (43 / 255, 45 / 255, 51 / 255, 1.0))

@@ -56,9 +56,7 @@ def _linear(rgbe: UInt8[np.ndarray, "height width 4"]) -> Float32[np.ndarray, "h
     return out
 
 
-def _scanlines(
-    data: bytes, at: int, height: int, width: int, path: Path
-) -> UInt8[np.ndarray, "height width 4"]:
+def _scanlines(data: bytes, at: int, height: int, width: int, path: Path) -> UInt8[np.ndarray, "height width 4"]:
     """Pixels of all rows; each is coded in runs per channel, or else flat."""
     short = AssetError(f"{path}: the file ends before its {width}x{height} pixels")
     if not (8 <= width < 32768 and data[at : at + 2] == b"\2\2"):
@@ -71,15 +69,14 @@ def _scanlines(
         if len(data) < at + 4:
             raise short
         if data[at : at + 4] != bytes((2, 2, width >> 8, width & 255)):
-            raise AssetError(
-                f"{path}: row {y} should begin with 2, 2 and its width, begins with {data[at : at + 4]!r}"
-            )
+            raise AssetError(f"{path}: row {y} should begin with 2, 2 and its width, begins with {data[at : at + 4]!r}")
         at += 4
         for channel in range(4):
             row, x = out[y, channel], 0
             while x < width:
                 count = data[at] if at < len(data) else 0
-                if count > 128:  # a run of one value
+                # a run of one value
+                if count > 128:
                     count, used = count - 128, 1
                 else:
                     used = count

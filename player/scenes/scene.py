@@ -6,8 +6,8 @@ docs/scenes.md documents the file. Fields here are keys there, `avatars` as [[av
 from dataclasses import dataclass
 from typing import Annotated
 
-from avatar.hands import HANDS
-from avatar.motion import BUILTIN_MOTIONS
+from avatar.motion.hands import HANDS
+from avatar.motion.read import BUILTIN_MOTIONS
 from player.scenes.checked import Above, AtLeast, OneOf, Place, check
 from player.scenes.effects import PLAIN, STUDIO, Background, Effects
 
@@ -19,9 +19,7 @@ MANNEQUINS = ("mannequin", "mannequin:female")
 class SceneAvatar:
     """One avatar on stage."""
 
-    path: Annotated[
-        str, Place(MANNEQUINS), "avatar file (.glb), or mannequin, mannequin:female: the built-in body"
-    ]
+    path: Annotated[str, Place(MANNEQUINS), "avatar file (.glb), or mannequin, mannequin:female: the built-in body"]
     motion: Annotated[
         str | None, Place(BUILTIN_MOTIONS), "pose file, EasyMocap folder, counting or walking; none: T-pose"
     ] = None
@@ -48,15 +46,13 @@ class SceneCamera:
     path: Annotated[
         str | None, Place(), "of file: a camera; of path: keys of a camera path; of capture: its folder"
     ] = None
-    name: Annotated[
-        str | None, "what the window calls it; of capture, the part: body, head, hand_left, hand_right"
-    ] = None
-    seconds: Annotated[
-        float | None, Above(0), "of orbit and turntable: one round; none: the length of the motion"
-    ] = None
-    fov_deg: Annotated[float | None, Above(0), "of the fitted cameras: vertical field of view; none: 35"] = (
+    name: Annotated[str | None, "what the window calls it; of capture, the part: body, head, hand_left, hand_right"] = (
         None
     )
+    seconds: Annotated[float | None, Above(0), "of orbit and turntable: one round; none: the length of the motion"] = (
+        None
+    )
+    fov_deg: Annotated[float | None, Above(0), "of the fitted cameras: vertical field of view; none: 35"] = None
 
     def __post_init__(self):
         check(self)
@@ -73,9 +69,7 @@ class Scene:
     """Everything that render and play show."""
 
     avatars: Annotated[tuple[SceneAvatar, ...], "who is on stage, one [[avatar]] each"]
-    cameras: Annotated[tuple[SceneCamera, ...], "where from, one [[camera]] each; none: front"] = (
-        SceneCamera(),
-    )
+    cameras: Annotated[tuple[SceneCamera, ...], "where from, one [[camera]] each; none: front"] = (SceneCamera(),)
     background: Annotated[Background, "what is behind them"] = STUDIO
     effects: Annotated[Effects, "how they are drawn"] = PLAIN
     size: Annotated[

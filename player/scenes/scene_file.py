@@ -14,15 +14,12 @@ from player.scenes.checked import Color, Fact, Place, broken_rule, facts
 from player.scenes.effects import STUDIO, Background, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
-KeyPath = tuple[str | int, ...]  # ("avatar", 1, "motion") is `motion` of the second [[avatar]]
+# ("avatar", 1, "motion") is `motion` of the second [[avatar]]
+KeyPath = tuple[str | int, ...]
 
 HEADER = re.compile(r"^\s*(\[\[|\[)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
-KEY = re.compile(
-    r"""^\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*="""
-)
-STRINGS = re.compile(
-    r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
-)
+KEY = re.compile(r"""^\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=""")
+STRINGS = re.compile(r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL)
 LARGEST_FILE = 1 << 20  # bytes; a scene is a page of text
 SCALARS = {str: "a string", float: "a number", int: "a whole number"}
 
@@ -155,9 +152,7 @@ class _Reader:
         try:
             return record(**values)
         except ValueError as error:  # rules between keys
-            named = next(
-                (name for name in by_name if name in table and name in str(error).split(":")[0]), None
-            )
+            named = next((name for name in by_name if name in table and name in str(error).split(":")[0]), None)
             self.fail((*at, named) if named else at, str(error))
 
     def background(self, at: KeyPath, table: Mapping[str, Any], values: dict[str, Any]) -> dict[str, Any]:
@@ -193,9 +188,7 @@ class _Reader:
             each = get_args(kind)
             if not isinstance(found, list) or len(found) != len(each):
                 what = SCALARS[each[0]].removeprefix("a ")
-                length = (
-                    f", found {len(found)} of them" if isinstance(found, list) else f", found {_kind(found)}"
-                )
+                length = f", found {len(found)} of them" if isinstance(found, list) else f", found {_kind(found)}"
                 self.fail(at, f"expected {len(each)} {what}s in brackets{length}")
             return tuple(self.typed(at, one, item) for one, item in zip(each, found, strict=True))
         right = type(found) is kind or (kind is float and type(found) is int)  # true is no number
@@ -222,9 +215,7 @@ class _Reader:
 
     def fail(self, at: KeyPath, problem: str) -> NoReturn:
         """Complain about a key, or the nearest table round it that has a line of its own."""
-        line = next(
-            (self.lines[at[:end]] for end in range(len(at), 0, -1) if at[:end] in self.lines), self.last
-        )
+        line = next((self.lines[at[:end]] for end in range(len(at), 0, -1) if at[:end] in self.lines), self.last)
         words = []
         for part in at:
             words.append(f"{words.pop()} {part + 1}" if isinstance(part, int) else part)

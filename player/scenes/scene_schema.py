@@ -1,4 +1,5 @@
-"""docs/scene.schema.json and the tables of docs/scenes.md, written from the dataclasses: `python -m player.scenes.scene_schema`.
+"""docs/scene.schema.json and the tables of docs/scenes.md, written from the dataclasses:
+`python -m player.scenes.scene_schema`.
 
 A test holds the files against this module, so they cannot fall behind what is read.
 """
@@ -120,9 +121,7 @@ def _default(fact: Fact) -> str:
 def with_tables(page: str) -> str:
     """The page with the table after each `<!-- keys of NAME -->` written anew."""
     pattern = re.compile(r"(<!-- keys of (\w*) -->\n)(?:\|[^\n]*\n)*")
-    return pattern.sub(
-        lambda match: match[1] + scene_table(match[2] if match[2] != "scene" else "") + "\n", page
-    )
+    return pattern.sub(lambda match: match[1] + scene_table(match[2] if match[2] != "scene" else "") + "\n", page)
 
 
 def main() -> None:

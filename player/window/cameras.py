@@ -87,12 +87,11 @@ class Cameras:
         turn_seconds: float = TURN_SECONDS,
     ):
         self.orbit, self.path, self.capture, self.kind = orbit, path, capture, kind
-        self.named = dict(
-            named or {}
-        )  # further ones by name: a path, or a camera for each frame (the last stays)
+        self.named = dict(named or {})  # further ones by name: a path, or a camera for each frame (the last stays)
         self.turn_seconds = turn_seconds
         self.walk = Walk(np.zeros(3), 0.0, 0.0)
-        self.keys: list[tuple[float, Camera]] = []  # of the path being recorded
+        # of the path being recorded
+        self.keys: list[tuple[float, Camera]] = []
         if kind not in self.kinds:
             raise ValueError(f"camera should be one of {', '.join(self.kinds)}, is {kind!r}")
 

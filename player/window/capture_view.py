@@ -18,12 +18,13 @@ from PIL import Image, UnidentifiedImageError
 
 from avatar.camera import Camera, read_cameras
 from avatar.errors import AssetError
-from avatar.motion import Clip
+from avatar.motion.clip import Clip
 from avatar.npz import read_npz
 from avatar.similarity import similarity_from_landmarks
 
 PARTS = ("body", "head", "hand_left", "hand_right")
-HEAD_RATE = 10.0  # frames a second; the head's video has no poses that would tell
+# frames a second; the head's video has no poses that would tell
+HEAD_RATE = 10.0
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class CaptureView:
     path: Path
     part: str
     images: tuple[Path, ...]
-    cameras: tuple[Camera, ...]  # one per frame, in the world the avatar stands in
+    # one per frame, in the world the avatar stands in
+    cameras: tuple[Camera, ...]
     axis_angle: Float[np.ndarray, "frames 52 3"]
     root: Float[np.ndarray, "frames 3"]
     rate: float
@@ -73,16 +75,12 @@ def open_capture(path: Path | str, part: str = "body") -> CaptureView:
     if part not in PARTS:
         raise ValueError(f"part should be one of {', '.join(PARTS)}, is {part!r}")
     folder = path / part
-    images = tuple(
-        sorted(p for p in (folder / "images").glob("*") if p.suffix.lower() in (".png", ".jpg", ".jpeg"))
-    )
+    images = tuple(sorted(p for p in (folder / "images").glob("*") if p.suffix.lower() in (".png", ".jpg", ".jpeg")))
     if not images:
         raise AssetError(f"{folder / 'images'}: expected pictures, found none")
     cameras = read_cameras(folder / "cameras.npz")
     if len(cameras) not in (1, len(images)):
-        raise AssetError(
-            f"{folder / 'cameras.npz'}: should hold 1 or {len(images)} cameras, holds {len(cameras)}"
-        )
+        raise AssetError(f"{folder / 'cameras.npz'}: should hold 1 or {len(images)} cameras, holds {len(cameras)}")
     cameras = cameras * len(images) if len(cameras) == 1 else cameras
     if part == "head":
         scale, R, t = head_from_world(path)
@@ -101,9 +99,7 @@ def read_poses(
     arrays = {}
     for name, columns in (("poses", 156), ("trans", 3)):
         if fields[name].shape != (frames, columns) or fields[name].dtype.kind != "f":
-            raise AssetError(
-                f"{path}: {name} should be ({frames}, {columns}) numbers, is {fields[name].shape}"
-            )
+            raise AssetError(f"{path}: {name} should be ({frames}, {columns}) numbers, is {fields[name].shape}")
         bad = np.argwhere(~np.isfinite(fields[name]))
         if len(bad):
             joint = f", joint {bad[0][1] // 3}" if name == "poses" else ""
@@ -134,9 +130,7 @@ def head_from_world(path: Path) -> tuple[float, Float[np.ndarray, "3 3"], Float[
     return scale, fit.transform[:3, :3] / scale, fit.transform[:3, 3]
 
 
-def from_world(
-    camera: Camera, scale: float, R: Float[np.ndarray, "3 3"], t: Float[np.ndarray, "3"]
-) -> Camera:
+def from_world(camera: Camera, scale: float, R: Float[np.ndarray, "3 3"], t: Float[np.ndarray, "3"]) -> Camera:
     """A camera of the head's frame as one of the world."""
     pose = np.eye(4)
     Rc, tc = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]

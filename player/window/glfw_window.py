@@ -50,9 +50,7 @@ def window_context(window: Any, null: bool) -> Context:
         found: Any = glfw.get_proc_address(name)
         return found or 0
 
-    return wrap_context(
-        address, lambda: glfw.make_context_current(window), "glfw null + OSMesa" if null else "window"
-    )
+    return wrap_context(address, lambda: glfw.make_context_current(window), "glfw null + OSMesa" if null else "window")
 
 
 class ScreenReader:
@@ -63,9 +61,7 @@ class ScreenReader:
         self.context = context
         self._read = ctypes.CFUNCTYPE(None, c_int, c_int, c_int, c_int, c_uint, c_uint, c_void_p)(address)
 
-    def read(
-        self, area: tuple[int, int, int, int], size: tuple[int, int]
-    ) -> UInt8[np.ndarray, "height width 4"]:
+    def read(self, area: tuple[int, int, int, int], size: tuple[int, int]) -> UInt8[np.ndarray, "height width 4"]:
         """What is drawn in an area (left, top, width, height) of a window of `size` pixels; row 0 on top, opaque."""
         left, top, width, height = area
         self.context.make_current()

@@ -23,9 +23,7 @@ HELP = (
     "space play/pause  , . step  arrows 1 s  [ ] speed  l loop  a b x range  c camera  r reset  f follow  "
     "v view  s shot  o film  p pose  g panels  q quit"
 )
-HELP_LIVE = (
-    "space pause  t T-pose in 3 s  c camera  r reset  f follow  v view  s shot  o film  g panels  q quit"
-)
+HELP_LIVE = "space pause  t T-pose in 3 s  c camera  r reset  f follow  v view  s shot  o film  g panels  q quit"
 HELP_WALK = "first person: w a s d go  e q up down  drag looks  c next camera"
 WALKING = {  # right, up, ahead
     glfw.KEY_W: (0, 0, 1), glfw.KEY_S: (0, 0, -1), glfw.KEY_A: (-1, 0, 0), glfw.KEY_D: (1, 0, 0),

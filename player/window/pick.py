@@ -17,7 +17,8 @@ class Picked(NamedTuple):
     """A place on an avatar's skin."""
 
     avatar: int
-    joint: int  # the bone that moves the place most
+    # the bone that moves the place most
+    joint: int
     face: int
     point: Float[np.ndarray, "3"]  # world, metres
     distance: float  # metres from the eye

@@ -10,9 +10,11 @@ from avatar.camera import Camera
 from player.context import Context
 from player.shader import compile_program, uniform
 
-UNIT = 6  # texture unit, away from those of the avatar and the text
+# texture unit, away from those of the avatar and the text
+UNIT = 6
 Number = float | int
-Box = tuple[Number, Number, Number, Number]  # left, top, width, height, pixels from the upper left corner
+# left, top, width, height, pixels from the upper left corner
+Box = tuple[Number, Number, Number, Number]
 
 
 class Picture:
@@ -53,16 +55,12 @@ class Picture:
         uniform(self.program, "more").value = (float(d[4]), K[0, 1] / width)
         self._render(box, size, (0.0, 0.0, 0.0, 0.0), under, part)
 
-    def fill(
-        self, color: tuple[float, float, float], box: Box, size: tuple[int, int], *, under: bool = False
-    ) -> None:
+    def fill(self, color: tuple[float, float, float], box: Box, size: tuple[int, int], *, under: bool = False) -> None:
         """Draw a box of one colour."""
         uniform(self.program, "lens").value = (1.0, 1.0, 0.0, 0.0)
         self._render(box, size, (*color, 1.0), under, None)
 
-    def _render(
-        self, box: Box, size: tuple[int, int], plain: tuple[float, ...], under: bool, part: Box | None
-    ) -> None:
+    def _render(self, box: Box, size: tuple[int, int], plain: tuple[float, ...], under: bool, part: Box | None) -> None:
         left, top, width, height = box
         gl: Any = self.context.gl
         uniform(self.program, "rectangle").value = (
@@ -72,9 +70,7 @@ class Picture:
         uniform(self.program, "plain").value = plain
         self.texture.use(UNIT)
         gl.enable_only(moderngl.BLEND if under else 0)
-        gl.blend_func = (
-            (moderngl.ONE_MINUS_DST_ALPHA, moderngl.ONE) if under else (moderngl.ONE, moderngl.ZERO)
-        )
+        gl.blend_func = (moderngl.ONE_MINUS_DST_ALPHA, moderngl.ONE) if under else (moderngl.ONE, moderngl.ZERO)
         if part is not None:
             x, y, w, h = (round(value) for value in part)
             gl.fbo.scissor = (max(x, 0), max(size[1] - y - h, 0), max(w, 0), max(h, 0))

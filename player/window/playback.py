@@ -6,13 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from avatar.motion import Clip
+from avatar.motion.clip import Clip
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from player.live.playback import LivePlayback
 from player.renderer import Pose
 from player.window.timeline import Timeline
 
-BLOCK = 256  # frames read at once; a motion of any length takes the memory of two blocks
+# frames read at once; a motion of any length takes the memory of two blocks
+BLOCK = 256
 
 
 @dataclass
@@ -22,7 +23,8 @@ class Track:
     clip: Callable[[int, int], Clip]
     frames: int
     rate: float
-    start: float = 0.0  # seconds into the motion at which the timeline begins
+    # seconds into the motion at which the timeline begins
+    start: float = 0.0
     at: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))  # metres
     turn: float = 0.0  # radians about y
     name: str = ""
@@ -44,7 +46,8 @@ class Track:
         block = next((clip for start, clip in self._blocks if start == first), None)
         if block is None:
             block = self.clip(first, min(first + BLOCK, self.frames))
-            self._blocks = [*self._blocks[-1:], (first, block)]  # the one before stays, for stepping back
+            # the one before stays, for stepping back
+            self._blocks = [*self._blocks[-1:], (first, block)]
         i = frame - first
         return self.placed((block.axis_angle[i], block.root[i]))
 

@@ -7,7 +7,8 @@ import numpy as np
 if TYPE_CHECKING:
     from player.window.window import Window
 
-CLICK = 4.0  # window units that a click may wander
+# window units that a click may wander
+CLICK = 4.0
 
 
 class Tool(Protocol):
@@ -48,7 +49,8 @@ class Pointer:
     def __init__(self, window: "Window"):
         self.window = window
         self.at: tuple[float, float] = (0.0, 0.0)
-        self.pressed: tuple[int, float, float] | None = None  # button and where it went down
+        # button and where it went down
+        self.pressed: tuple[int, float, float] | None = None
         self.holds = ""
 
     def move(self, x: float | int, y: float | int) -> None:

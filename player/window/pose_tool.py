@@ -38,10 +38,13 @@ from player.pose.session import PoseSession, limb_of
 if TYPE_CHECKING:
     from player.window.window import Window
 
-RADIUS = 75.0  # of the gizmo, window units
-HANDLE = 11.0  # window units round a handle that still seize it
+# of the gizmo, window units
+RADIUS = 75.0
+# window units round a handle that still seize it
+HANDLE = 11.0
 DOT = 8.0
-CLICK = 3.0  # window units that a press on a handle may wander and still be a click
+# window units that a press on a handle may wander and still be a click
+CLICK = 3.0
 CONTROL = (glfw.KEY_LEFT_CONTROL, glfw.KEY_RIGHT_CONTROL, glfw.KEY_LEFT_SUPER, glfw.KEY_RIGHT_SUPER)
 SHIFT = (glfw.KEY_LEFT_SHIFT, glfw.KEY_RIGHT_SHIFT)
 
@@ -91,13 +94,17 @@ class PoseTool:
         )
         self.library = Library()
         self.frame: Frame = "local"
-        self.follow = False  # hands and feet turn with forearm and shin
+        # hands and feet turn with forearm and shin
+        self.follow = False
         self.held: Drag | None = None
-        self.hovered: int | Handle | None = None  # a ring or a handle
+        # a ring or a handle
+        self.hovered: int | Handle | None = None
         self.keys_down: set[int] = set()
         self.typed = {"name": "", "file": ""}  # in the panel's fields
-        self.warned: object = None  # the state of which was said that leaving loses it
-        self.lasted = window.timeline.frames  # of the timeline before, for leaving
+        # the state of which was said that leaving loses it
+        self.warned: object = None
+        # of the timeline before, for leaving
+        self.lasted = window.timeline.frames
 
     # -- places
 
@@ -124,9 +131,7 @@ class PoseTool:
             return None
         pose = self.session.pose
         size = self.units() * RADIUS * (0.55 if joint >= 22 else 1.0)  # fingers are small
-        return gizmo_at(
-            pose.axis_angle, pose.root, self.session.joints, joint, camera, frame=self.frame, pixels=size
-        )
+        return gizmo_at(pose.axis_angle, pose.root, self.session.joints, joint, camera, frame=self.frame, pixels=size)
 
     def place(self, handle: Handle) -> Float[np.ndarray, "3"]:
         return self.session.world()[handle.joint, :3, 3]
@@ -135,7 +140,8 @@ class PoseTool:
         """The handle or ring at a pixel. Handles of ends come first, then rings, then the rest."""
         camera, panels = self.camera(), self.window.panels
         if camera is None or panels is None or not panels.drawn:
-            return None  # nothing is seized that is not shown
+            # nothing is seized that is not shown
+            return None
         places = self.session.world()[[h.joint for h in HANDLES], :3, 3]
         pixels, depth = project(camera, places)
         distance = np.where(depth > 1e-3, np.linalg.norm(pixels - [x, y], axis=1), np.inf) / self.units()
@@ -187,9 +193,7 @@ class PoseTool:
             axis = held.grab.gizmo.axes[held.grab.ring]
             self.session.turn(held.start, joint, axis, held.angle, drag=held)
         elif held.handle is not None and held.offset is not None:
-            self._pull(
-                held.handle, held, on_plane_through(camera, self._start_place(held), pixel) + held.offset
-            )
+            self._pull(held.handle, held, on_plane_through(camera, self._start_place(held), pixel) + held.offset)
 
     def _start_place(self, held: Drag) -> Float[np.ndarray, "3"]:
         """Where the handle was: all of a drag is at that depth."""
@@ -225,9 +229,7 @@ class PoseTool:
         camera = self.camera()
         if camera is None:
             return False
-        near = picked_joint(
-            self.session.world()[:22, :3, 3], camera, np.array([x, y], np.float64), 5.0 * self.units()
-        )
+        near = picked_joint(self.session.world()[:22, :3, 3], camera, np.array([x, y], np.float64), 5.0 * self.units())
         if near is None:
             return False
         self.window.select(self.index, near)
@@ -238,9 +240,7 @@ class PoseTool:
         if self.held is None:
             return False
         held, self.held = self.held, None
-        self.session.put(
-            "cancel", held.start.axis_angle, held.start.root, drag=held, limited=False, hold=False
-        )
+        self.session.put("cancel", held.start.axis_angle, held.start.root, drag=held, limited=False, hold=False)
         self.session.end_drag()
         return True
 
@@ -315,9 +315,7 @@ class PoseTool:
         """The session's frame is the one that the window shows."""
         line = self.window.timeline
         if self.session.keys:
-            line.frames = max(
-                line.frames, round((self.session.keys[-1][0] + 1) * line.rate / self.session.rate)
-            )
+            line.frames = max(line.frames, round((self.session.keys[-1][0] + 1) * line.rate / self.session.rate))
         self.session.seek(int(line.seconds * self.session.rate + 1e-6))
 
     def _pause(self) -> None:
@@ -330,9 +328,7 @@ class PoseTool:
         line = self.window.timeline
         line.playing = False
         if self.session.keys:
-            line.frames = max(
-                line.frames, round((self.session.keys[-1][0] + 1) * line.rate / self.session.rate)
-            )
+            line.frames = max(line.frames, round((self.session.keys[-1][0] + 1) * line.rate / self.session.rate))
         line.seek(int((self.session.frame + 0.5) * line.rate / self.session.rate))
 
     # -- files
@@ -344,9 +340,7 @@ class PoseTool:
             return grounded(self.window.show.avatars[self.index], axis_angle, root)
 
         session = self.session
-        pose = self.library.read(
-            name, root=session.pose.root, pelvis_height=session.pelvis_height, ground=ground
-        )
+        pose = self.library.read(name, root=session.pose.root, pelvis_height=session.pelvis_height, ground=ground)
         session.load_pose(name, pose)
 
     def keep(self, name: str) -> None:

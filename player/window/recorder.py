@@ -11,7 +11,8 @@ from avatar.files import whole_file
 from player.filming.film import Film
 
 FASTEST = 60.0  # frames a second of a film
-MOST_AT_ONCE = 10  # frames of a live film that a late picture stands for
+# frames of a live film that a late picture stands for
+MOST_AT_ONCE = 10
 
 
 class Recorder:

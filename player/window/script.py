@@ -25,7 +25,8 @@ RATE = 30.0
 DRAG_FRAMES = 4
 NUMBERS = {"click": (2, 3), "drag": (4, 5), "move": (2,), "scrub": (1,), "turn": (2,), "near": (1,), "wheel": (1,),
            "size": (2,)}  # fmt: skip
-Step = Callable[["Window"], object]  # what it gives back, if it can be called, is done after the frame's time
+# what it gives back, if it can be called, is done after the frame's time
+Step = Callable[["Window"], object]
 
 
 def steps(script: Sequence[str]) -> list[Step]:
@@ -50,9 +51,7 @@ def _steps(word: str) -> list[Step]:
         return [lambda window: _aim(window, rest), lambda window: window.on_button(0, True),
                 lambda window: window.on_button(0, False)]  # fmt: skip
     if name == "type" and rest:
-        return [
-            lambda window, letter=letter: window.on_text(ord(letter)) for letter in rest.replace("_", " ")
-        ]
+        return [lambda window, letter=letter: window.on_text(ord(letter)) for letter in rest.replace("_", " ")]
     if name in ("down", "up") and rest in KEYS:
         return [lambda window: window.on_key(KEYS[rest], name == "down")]
     try:
@@ -60,9 +59,7 @@ def _steps(word: str) -> list[Step]:
     except ValueError:
         numbers = []
     if len(numbers) not in NUMBERS.get(name, ()):
-        known = (
-            "wait, pose, turn:DX:DY, near:N, size:W:H, click:X:Y, drag:X:Y:X2:Y2, scrub:SECONDS, press:NAME"
-        )
+        known = "wait, pose, turn:DX:DY, near:N, size:W:H, click:X:Y, drag:X:Y:X2:Y2, scrub:SECONDS, press:NAME"
         raise ValueError(f"script: {word!r} is no key; there are {', '.join(KEYS)}, {known}")
     if name == "click":
         button = int(numbers[2]) if len(numbers) > 2 else 0

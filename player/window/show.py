@@ -38,8 +38,10 @@ class Show:
     effects: Effects = field(default_factory=Effects)
     background: Background = STUDIO
     capture: CaptureView | None = None
-    follow: bool = False  # whether the orbit goes along with the first avatar from the start
-    notes: list[str] = field(default_factory=list)  # what was assumed, for printing
+    # whether the orbit goes along with the first avatar from the start
+    follow: bool = False
+    # what was assumed, for printing
+    notes: list[str] = field(default_factory=list)
 
     def fit_orbit(self, size: tuple[int, int]) -> None:
         """Put the orbit in front of the first avatar, so near that a picture of this size holds all of them."""

@@ -8,7 +8,8 @@ import math
 
 LOOPS = ("loop", "to and fro", "once")
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
-LONGEST_STEP = 0.25  # seconds; after a stall the clip goes on where it was
+# seconds; after a stall the clip goes on where it was
+LONGEST_STEP = 0.25
 
 
 class Timeline:
@@ -19,7 +20,8 @@ class Timeline:
             raise ValueError(f"a timeline needs frames and a rate, has {frames} and {rate}")
         self.frames, self.rate = frames, float(rate)
         self.seconds, self.playing, self.speed, self.loop = 0.0, True, 1.0, LOOPS[0]
-        self.backwards = False  # on the way back of "to and fro"
+        # on the way back of "to and fro"
+        self.backwards = False
         self.a: int | None = None
         self.b: int | None = None
 

@@ -1,8 +1,9 @@
 """The window: one frame after the other, and what its keys and panels ask for.
 
-What is shown is a `Show` (player/window/show.py); time is player/window/timeline.py, cameras player/window/cameras.py, keys
-player/window/keys.py, the mouse player/window/pointer.py, panels player/gui/. The same code runs without a display: glfw's null
-platform with OSMesa, driven by a script (player/window/script.py) that calls what glfw calls.
+What is shown is a `Show` (player/window/show.py); time is player/window/timeline.py, cameras player/window/cameras.py,
+keys
+player/window/keys.py, the mouse player/window/pointer.py, panels player/gui/. The same code runs without a display:
+glfw's null platform with OSMesa, driven by a script (player/window/script.py) that calls what glfw calls.
 """
 
 import time
@@ -39,7 +40,8 @@ if TYPE_CHECKING:
     from player.gui.panels import Panels
     from player.pose.session import PoseSession
 
-Area = tuple[int, int, int, int]  # left, top, width, height, pixels of the framebuffer
+# left, top, width, height, pixels of the framebuffer
+Area = tuple[int, int, int, int]
 NOTED = 5.0  # seconds that a message stays
 
 
@@ -80,7 +82,8 @@ class Window:
         self.selection = Selection()
         self.follow, self.help, self.shoot, self.closing = show.follow, False, False, False
         self.film: Recorder | None = None
-        self.tool: Tool | None = None  # takes drags over the picture before the camera does
+        # takes drags over the picture before the camera does
+        self.tool: Tool | None = None
         self.message, self.message_until = "", 0.0
         # the last frame
         self.drawn_size = (0, 0)
@@ -94,9 +97,7 @@ class Window:
         glfw.set_char_callback(self.handle, lambda _w, letter: self.on_text(letter))
         glfw.set_scroll_callback(self.handle, lambda _w, _dx, dy: self.on_wheel(dy))
         glfw.set_cursor_pos_callback(self.handle, lambda _w, x, y: self.on_pointer(x, y))
-        glfw.set_mouse_button_callback(
-            self.handle, lambda _w, button, action, _m: self.on_button(button, bool(action))
-        )
+        glfw.set_mouse_button_callback(self.handle, lambda _w, button, action, _m: self.on_button(button, bool(action)))
 
     @property
     def timeline(self) -> Timeline:
@@ -107,7 +108,8 @@ class Window:
     def on_key(self, key: int, down: bool) -> None:
         """A key went down (or repeats), or up."""
         if self.tool is not None and not down:
-            self.tool.key(key, False)  # also when it was let go over a panel's text field
+            # also when it was let go over a panel's text field
+            self.tool.key(key, False)
         if self.panels is not None and self.panels.on_key(key, down):
             return
         if self.tool is not None and down and self.tool.key(key, True):
@@ -156,9 +158,7 @@ class Window:
             return None
         levels = [a.levels[min(self.level, len(a.levels) - 1)] for a in self.show.avatars]
         found = pick(self.show.avatars, levels, self.poses, self.camera, (x, y))
-        self.selection = (
-            Selection(found.avatar, found.joint) if found else self.selection._replace(joint=None)
-        )
+        self.selection = Selection(found.avatar, found.joint) if found else self.selection._replace(joint=None)
         return found
 
     def select(self, avatar: int, joint: int | None = None) -> None:
@@ -195,7 +195,9 @@ class Window:
         background: Background | None = None,
         level: int | None = None,
     ) -> None:
-        """Draw with other effects, background or level of detail; where that cannot be, it is said and nothing changes."""
+        """Draw with other effects, background or level of detail; where that cannot be,
+        it is said and nothing changes.
+        """
         effects, background = effects or self.effects, background or self.background
         try:
             if level is not None and level != self.level:
@@ -221,7 +223,9 @@ class Window:
         )
 
     def behind(self, background: Background) -> Background:
-        """What the renderer draws first. Where a capture's video may lie behind, the background comes last, under all."""
+        """What the renderer draws first. Where a capture's video may lie behind, the background comes last,
+        under all.
+        """
         return background if self.show.capture is None else Background("transparent")
 
     # -- places
@@ -292,7 +296,8 @@ class Window:
         size = glfw.get_framebuffer_size(self.handle)
         if not (size[0] and size[1]):
             return
-        if size != self.drawn_size:  # OSMesa takes the window's memory when it is made current
+        # OSMesa takes the window's memory when it is made current
+        if size != self.drawn_size:
             glfw.make_context_current(self.handle)
             self.drawn_size = size
         screen = self.context.screen()
@@ -342,9 +347,7 @@ class Window:
             return self.message
         if self.help:
             return HELP_WALK if self.cameras.kind == "walk" else HELP_LIVE if self.playback.live else HELP
-        view = (
-            f"view {'on' if self.renderer.view_amount else 'off'}" if self.renderer.has_view else "paper mode"
-        )
+        view = f"view {'on' if self.renderer.view_amount else 'off'}" if self.renderer.has_view else "paper mode"
         parts = [f"{self.frames_per_second:.0f} fps", self.playback.status(), view]
         if self.cameras.kind != "orbit":
             parts.append(self.cameras.kind)
@@ -426,7 +429,8 @@ def play(
         window = Window(show, size=size, null=null, gui=gui)
     except BaseException:
         show.playback.close()
-        glfw.terminate()  # with the window, where there is one already
+        # with the window, where there is one already
+        glfw.terminate()
         raise
     try:
         print(window.context.attempts[-1])

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from player.window.window import Window
 
 LINE = (1.0, 0.8, 0.2)
-REACH = 6.0  # window units beside the line where it can be grabbed
+# window units beside the line where it can be grabbed
+REACH = 6.0
 
 
 class Wipe:
@@ -21,8 +22,10 @@ class Wipe:
 
     def __init__(self, context: Context, capture: CaptureView):
         self.capture, self.picture = capture, Picture(context)
-        self.part = 0.5  # of the video's width that shows the video alone
-        self.behind = True  # the video is behind the avatar too; else the plain background is
+        # of the video's width that shows the video alone
+        self.part = 0.5
+        # the video is behind the avatar too; else the plain background is
+        self.behind = True
         self.shown = -1  # frame whose picture is uploaded
 
     def move(self, part: float | int) -> None:

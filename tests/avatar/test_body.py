@@ -32,9 +32,7 @@ def test_fingers_hang_from_their_own_wrist_in_smplh_order():
 def test_shape_moves_vertices_and_joints_linearly_and_keeps_the_pelvis():
     body = builtin_body("male")
     once, twice = shaped(body, np.array([0.5])), shaped(body, np.array([1.0]))
-    np.testing.assert_allclose(
-        twice.vertices - body.vertices, 2 * (once.vertices - body.vertices), atol=1e-12
-    )
+    np.testing.assert_allclose(twice.vertices - body.vertices, 2 * (once.vertices - body.vertices), atol=1e-12)
     np.testing.assert_array_equal(twice.joints[0], 0)
 
 
@@ -42,10 +40,13 @@ def write_model(path, **change):
     body = builtin_body("male")
     count = 60
     fields = {
-        "v_template": body.vertices[:count], "f": np.array([[0, 1, 2]], np.uint32), "weights": np.eye(52)[np.arange(count) % 52],
-        "J": body.joints, "shapedirs": np.zeros((count, 3, 16)),
+        "v_template": body.vertices[:count],
+        "f": np.array([[0, 1, 2]], np.uint32),
+        "weights": np.eye(52)[np.arange(count) % 52],
+        "J": body.joints,
+        "shapedirs": np.zeros((count, 3, 16)),
         "kintree_table": np.stack([np.r_[4294967295, PARENTS[1:]], np.arange(52)]).astype(np.uint32),
-    } | change  # fmt: skip
+    } | change
     np.savez(path, **{k: v for k, v in fields.items() if v is not None})
 
 

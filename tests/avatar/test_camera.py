@@ -29,9 +29,7 @@ def test_opengl_matrices_put_a_point_on_the_pixel_of_project(camera):
     undistorted = Camera(camera.K, camera.camera_from_world, camera.size)
     points = np.random.default_rng(0).normal(size=(50, 3)) * 0.5
     pixels, depth = project(undistorted, points)
-    clip = (
-        np.c_[points, np.ones(50)] @ (clip_from_view(undistorted, 0.1, 100.0) @ view_from_world(undistorted)).T
-    )
+    clip = np.c_[points, np.ones(50)] @ (clip_from_view(undistorted, 0.1, 100.0) @ view_from_world(undistorted)).T
     ndc = clip[:, :3] / clip[:, 3:]
     window = np.stack([(ndc[:, 0] + 1) / 2 * 512, 384 - (ndc[:, 1] + 1) / 2 * 384], 1)
     np.testing.assert_allclose(window, pixels, atol=1e-9)

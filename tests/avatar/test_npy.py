@@ -18,9 +18,16 @@ def saved(path, value, **options):
 
 @pytest.mark.parametrize(
     "array",
-    [np.arange(6.0).reshape(2, 3), np.asfortranarray(np.arange(6).reshape(2, 3)), np.arange(3, dtype=">i4"), np.float32(2),
-     np.zeros((0, 3)), np.array(["a", "bc"]), np.array([True, False])],
-)  # fmt: skip
+    [
+        np.arange(6.0).reshape(2, 3),
+        np.asfortranarray(np.arange(6).reshape(2, 3)),
+        np.arange(3, dtype=">i4"),
+        np.float32(2),
+        np.zeros((0, 3)),
+        np.array(["a", "bc"]),
+        np.array([True, False]),
+    ],
+)
 def test_numbers_and_text_come_back_equal(tmp_path, array):
     found = read_npy(saved(tmp_path / "a.npy", array), "numbers")
     assert found.shape == array.shape and found.dtype == array.dtype.newbyteorder("=")
@@ -49,7 +56,9 @@ class Bomb:
 def test_code_in_an_array_is_not_run(tmp_path):
     place = str(tmp_path / "executed")
     path = saved(tmp_path / "a.npy", np.array({"cams": Bomb(place)}, object), allow_pickle=True)
-    with pytest.raises(AssetError, match=r"a\.npy: expected cameras, found: the name '(posix|nt)\.mkdir'.*nothing was run"):
+    with pytest.raises(
+        AssetError, match=r"a\.npy: expected cameras, found: the name '(posix|nt)\.mkdir'.*nothing was run"
+    ):
         read_npy(path, "cameras")
     assert not os.path.exists(place)
 

@@ -6,7 +6,9 @@ from avatar.progress import ProgressBoard, clock_time
 
 
 def test_the_time_left_schedules_what_waits_on_the_workers():
-    """Two workers, 1 s preparation, 0.1 s a step: at 6 s, 5 s each remain, then a waiting job of 11 s; a tenth after."""
+    """Two workers, 1 s preparation, 0.1 s a step: at 6 s, 5 s each remain, then a waiting job of 11 s;
+    a tenth after.
+    """
     now = [0.0]
     board = ProgressBoard(
         {"body": 100, "head": 100, "hand": 100}, 2, after=0.1, stream=io.StringIO(), clock=lambda: now[0]

@@ -240,9 +240,7 @@ FRESH = b"c_codecs\nencode\n(h\x00S'latin1'\ntR0"
     [
         pytest.param(b"}" * (STEPS + 10), id="objects without end"),
         pytest.param(b"(" * (STEPS + 10), id="marks without end"),
-        pytest.param(
-            b"X" + struct.pack("<I", 1 << 20) + b"a" * (1 << 20) + b"q\x000" + FRESH * 2000, id="copies"
-        ),
+        pytest.param(b"X" + struct.pack("<I", 1 << 20) + b"a" * (1 << 20) + b"q\x000" + FRESH * 2000, id="copies"),
         pytest.param(b"r\xff\xff\xff\xff" * 10, id="a far memo"),
         pytest.param(b"N" + b"r\xff\xff\xff\xff" * 10, id="a far memo of something"),
         pytest.param(b"]" + b"\x85" * 5000 + b".", id="deep"),
@@ -250,9 +248,7 @@ FRESH = b"c_codecs\nencode\n(h\x00S'latin1'\ntR0"
     ],
 )
 def test_no_program_takes_more_than_its_share(tmp_path, program, monkeypatch):
-    monkeypatch.setattr(
-        unpickle, "MAX_STEPS", STEPS
-    )  # memory is counted a step: counting a million takes minutes
+    monkeypatch.setattr(unpickle, "MAX_STEPS", STEPS)  # memory is counted a step: counting a million takes minutes
     monkeypatch.setattr(unpickle, "MAX_BYTES", 1 << 26)
     (tmp_path / "a.pkl").write_bytes(program)
     tracemalloc.start()

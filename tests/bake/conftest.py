@@ -17,6 +17,4 @@ def sheen_run():
 @pytest.fixture(scope="session")
 def small():
     """Everything the real bake does, at a size for tests."""
-    return BakeOptions(
-        faces=2000, texture=256, body_step=0.012, fine_step=0.006, samples=6000, steps=150, image=128
-    )
+    return BakeOptions(faces=2000, texture=256, body_step=0.012, fine_step=0.006, samples=6000, steps=150, image=128)

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from avatar.avatar_file import read_avatar
 from avatar.errors import AssetError
+from avatar.gltf.avatar_file import read_avatar
 from bake.bake import BakeOptions, bake_run, check_complete
 from bake.command import main
-from bake.decimate import find_faults
-from bake.surface import Mesh
 from bench.remeasure import remeasured, said_by
-from train.capture import PARTS
+from capture.folder import PARTS
+from geometry.decimate import find_faults
+from geometry.isosurface import Mesh
 
 
 @pytest.fixture(scope="module")
@@ -111,9 +111,7 @@ def part_area(level, run, part):
     """Square metres of a part's triangles, by the nearest vertex of the run's surface."""
     corners = level.positions.astype(float)[level.faces]
     _, nearest = KDTree(run.surface.vertices).query(corners.mean(1))
-    area = 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     return area[run.surface.part[nearest] == PARTS.index(part)].sum()
 
 
@@ -132,7 +130,7 @@ def test_a_hand_that_broke_off_is_named(run):
     surface = run.surface
     body = (surface.part[surface.faces] != 2).all(1)
     with pytest.raises(AssetError, match="hand_left should be one piece"):
-        from bake.surface import compact
+        from geometry.isosurface import compact
 
         check_complete(compact(surface.vertices, surface.faces[body])[0], surface.vertices, surface.part)
     check_complete(Mesh(surface.vertices, surface.faces), surface.vertices, surface.part)

@@ -40,9 +40,7 @@ def test_metric_is_the_inverse_of_the_widened_covariance_in_the_tangent_plane(ba
 @pytest.mark.parametrize("degrees, reached", [(10, 10), (20, 18), (40, 32)])
 def test_directions_as_far_out_as_the_data_are_bent_as_designed(degrees, reached):
     s2 = np.array([[np.sin(np.radians(degrees)) ** 2 / 1.0, 0, 0, 0, 0, 0]])
-    cone = view_cone(
-        np.array([100.0]), np.array([[0, 0, 1.0]]), s2, np.array([[0, 0, -1.0]]), np.array([[0, 0, 0]])
-    )
+    cone = view_cone(np.array([100.0]), np.array([[0, 0, 1.0]]), s2, np.array([[0, 0, -1.0]]), np.array([[0, 0, 0]]))
     direction = np.array([[np.sin(np.radians(degrees)), 0, np.cos(np.radians(degrees))]])
     angle = np.degrees(np.arcsin(np.linalg.norm(clamped_tangent(direction, cone))))
     assert angle <= degrees and angle == pytest.approx(reached, abs=0.2 * degrees)

@@ -2,7 +2,7 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from avatar.avatar_file import ViewNetwork
+from avatar.gltf.avatar_file import ViewNetwork
 from bake.cone import ViewCone, six_from_matrix, tangent_frame
 from bake.network import (
     AMPLITUDE,
@@ -65,9 +65,7 @@ def test_nothing_is_shipped_where_nothing_was_seen():
 )
 def test_simplest_mode_within_three_tenths_of_a_decibel_is_shipped(off, linear, network, mode):
     network_given = random_network()
-    found = choose(
-        {"off": off, "linear": linear, "network": network}, network_given, np.zeros((4, 3, 3)), lambda s: s
-    )
+    found = choose({"off": off, "linear": linear, "network": network}, network_given, np.zeros((4, 3, 3)), lambda s: s)
     assert found.default_view == mode
     assert (found.network is not None) == (mode == "network") and (found.linear is None) == (mode == "off")
 

@@ -6,9 +6,9 @@ from scipy.spatial import KDTree
 from avatar.texture import mipmaps
 from bake import seams
 from bake.atlas import unwrap
-from bake.decimate import decimate
 from bake.seams import chart_edges, equalised, seam_steps
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
+from geometry.decimate import decimate
 
 SIZE, LEVELS = 512, 4
 
@@ -17,9 +17,7 @@ SIZE, LEVELS = 512, 4
 def atlas():
     """A ball in charts with gutters of 8 texels, painted with a pattern that changes within a few texels."""
     mesh = decimate(ball_mesh(step=0.006), 800)
-    found = unwrap(
-        mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), np.ones(1), size=SIZE, padding=8
-    )
+    found = unwrap(mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), np.ones(1), size=SIZE, padding=8)
     texels = rasterise_charts(found.uv, found.faces, SIZE)
     corners = mesh.vertices[found.source]
 
@@ -48,14 +46,10 @@ def test_chart_edges_agree_in_every_mip_in_use(atlas):
 
 def test_texels_away_from_chart_edges_stay_and_those_beside_move_little(atlas):
     found, texels, image, edges = atlas
-    moved = (
-        np.abs(equalised(image, texels, found.uv, edges, LEVELS) - image).max(-1).reshape(-1)[texels.index]
-    )
+    moved = np.abs(equalised(image, texels, found.uv, edges, LEVELS) - image).max(-1).reshape(-1)[texels.index]
     ends = np.concatenate([found.uv[side] for side in edges]).mean(1) * SIZE
     centre = np.stack([texels.index % SIZE, texels.index // SIZE], 1) + 0.5
-    far = (
-        KDTree(ends).query(centre)[0] > 40
-    )  # farther than mip 3 reads from any edge, edges being 30 texels long
+    far = KDTree(ends).query(centre)[0] > 40  # farther than mip 3 reads from any edge, edges being 30 texels long
     assert far.sum() > 1000 and (moved[far] == 0).all()
     assert np.sqrt(np.mean(moved[texels.inside] ** 2)) < 0.02
 

@@ -3,8 +3,8 @@ import pytest
 from capsules import ball_mesh
 
 from bake.skin import quantised, strayed, transferred_weights
-from bake.transfer import match_surface
-from train.harmonic import fill_harmonic
+from geometry.harmonic import fill_harmonic
+from geometry.transfer import match_surface
 
 
 @pytest.mark.parametrize(
@@ -56,9 +56,7 @@ def test_transfer_to_itself_is_exact_and_far_vertices_are_filled_between_their_n
 
 def test_nothing_known_is_refused():
     with pytest.raises(ValueError, match="nothing to fill from"):
-        fill_harmonic(
-            np.ones((4, 1)), np.zeros(4, bool), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-        )
+        fill_harmonic(np.ones((4, 1)), np.zeros(4, bool), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
 
 
 def test_an_islet_of_another_limb_is_inpainted_from_its_own():

@@ -3,9 +3,9 @@ import pytest
 from capsules import ball_mesh
 
 from bake.atlas import unwrap
-from bake.decimate import decimate
 from bake.seams import chart_edges, seam_steps
 from bake.texels import JITTER, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
+from geometry.decimate import decimate
 
 SIZE = 256
 
@@ -39,9 +39,7 @@ def test_every_triangle_keeps_its_corners_and_area(chart):
     assert len(found.faces) == len(mesh.faces)
     given = np.sort(np.sort(mesh.faces, axis=1).view([("", mesh.faces.dtype)] * 3).ravel())
     kept = found.source[found.faces]
-    kept = np.sort(
-        np.sort(kept.astype(mesh.faces.dtype), axis=1).copy().view([("", mesh.faces.dtype)] * 3).ravel()
-    )
+    kept = np.sort(np.sort(kept.astype(mesh.faces.dtype), axis=1).copy().view([("", mesh.faces.dtype)] * 3).ravel())
     assert (given == kept).all()
     assert found.uv.min() >= 0 and found.uv.max() <= 1
 
@@ -59,7 +57,7 @@ def test_dense_part_gets_its_share_of_texels(chart):
 def test_charts_do_not_overlap_and_keep_their_gutter(chart):
     _, _, found = chart
     # components of faces that share atlas vertices are charts; a texel centre lies in one of them only
-    from train.mesh import component_labels
+    from geometry.mesh import component_labels
 
     labels = component_labels(found.faces, len(found.uv))[found.faces[:, 0]]
     texels = rasterise_charts(found.uv, found.faces, SIZE, skirt=1e-6)

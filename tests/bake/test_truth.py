@@ -69,9 +69,7 @@ def distilled(avatar):
 
 
 @pytest.mark.parametrize("truth", ["off", "linear", "network"])
-def test_the_mode_that_made_the_true_pictures_becomes_the_default_and_the_file_says_so(
-    context, tmp_path, truth
-):
+def test_the_mode_that_made_the_true_pictures_becomes_the_default_and_the_file_says_so(context, tmp_path, truth):
     avatar = mannequin()
     write_truth(context, tmp_path / "capture", avatar, truth)
     mode, facts = chosen_view(avatar, distilled(avatar), read_true_views(tmp_path / "capture"))
@@ -98,9 +96,7 @@ def test_errors_are_those_of_the_pixels_inside_the_person(context, tmp_path):
     views = read_true_views(tmp_path / "capture").sets["novel_view"]
     image = views[0].folder / "images" / f"{views[0].name}.png"
     pixels = np.asarray(Image.open(image)).astype(int)
-    Image.fromarray(np.where(pixels > 127, pixels - 51, pixels + 51).astype(np.uint8)).save(
-        image
-    )  # .2 beside
+    Image.fromarray(np.where(pixels > 127, pixels - 51, pixels + 51).astype(np.uint8)).save(image)  # .2 beside
     found = mode_errors(context, avatar, views[:1], ["off"])["off"]
     assert found["total"].count > 300 and found["head"].count == 0 and found["head"].db is None
     assert found["total"].square / found["total"].count == pytest.approx(0.04, rel=1e-4)

@@ -7,19 +7,19 @@ import pytest
 
 import bench.posed_geometry
 import bench.quality
-import bench.synth.surface
-import bench.synth.truth
-from avatar.avatar_file import Avatar, Level, write_avatar
+import synth.surface
+import synth.truth
 from avatar.body import builtin_body
+from avatar.gltf.avatar_file import Avatar, Level, write_avatar
 from avatar.skeleton import BIG_POSE, JOINTS, PARENTS, skin_transforms
 from avatar.skinning import SkinWeights, dense_weights, skin_points
-from bench.synth.light import light_of
-from bench.synth.photo import Studio
-from bench.synth.subject import Subject
-from bench.synth.surface import visible_faces
-from bench.synth.truth import Stand, take_set, write_rest
 from player.context import open_context
 from player.raster import Rasteriser
+from synth.light import light_of
+from synth.photo import Studio
+from synth.subject import Subject
+from synth.surface import visible_faces
+from synth.truth import Stand, take_set, write_rest
 
 
 def byte_weights(skin):
@@ -117,10 +117,10 @@ def oracle_avatar(subject):
 def small_pictures():
     """Held-out pictures of 224 px, and fewer, smaller views to find visible faces by."""
     with pytest.MonkeyPatch.context() as small:
-        small.setattr(bench.synth.truth, "SIZE", 224)
-        small.setattr(bench.synth.truth, "CANDIDATES", 2)
-        small.setattr(bench.synth.surface, "VIEWS", 20)
-        small.setattr(bench.synth.surface, "VIEW_SIZE", 512)
+        small.setattr(synth.truth, "SIZE", 224)
+        small.setattr(synth.truth, "CANDIDATES", 2)
+        small.setattr(synth.surface, "VIEWS", 20)
+        small.setattr(synth.surface, "VIEW_SIZE", 512)
         samples = {"total": 1500, "head": 500, "left_hand": 400, "right_hand": 400}
         small.setattr(bench.posed_geometry, "SAMPLES", samples)
         small.setattr(bench.quality, "SAMPLES", samples)

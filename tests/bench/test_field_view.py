@@ -12,9 +12,9 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import skin_points
 from bench.field_view import FieldView
+from capture.folder import Subject
 from player.context import open_context
 from player.raster import Rasteriser
-from train.capture import Subject
 from train.fused import FusedField
 from train.run import Run
 from train.surface import Surface
@@ -68,8 +68,7 @@ def drawn(view):
     camera = orbit_camera((0, 0, 0), 3.2, 0.4, 0.1, SIZE)
     try:
         pictures = {
-            mode: view.draw(raster, pose, np.zeros(3), camera, directions=mode)
-            for mode in ("global", "own", "cone")
+            mode: view.draw(raster, pose, np.zeros(3), camera, directions=mode) for mode in ("global", "own", "cone")
         }
     finally:
         raster.release()

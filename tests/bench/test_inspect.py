@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 from tiny_avatar import tiny_avatar, tiny_level, unit
 
-from avatar.avatar_file import write_avatar
 from avatar.errors import AssetError
+from avatar.gltf.avatar_file import write_avatar
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from bench.inspect import mesh_facts
@@ -61,9 +61,7 @@ def test_holes_fins_and_loose_pieces_are_counted():
     fin = np.array([[0, 1, 10]], np.uint32)  # a third triangle on the edge of corners 0 and 1
     finned = dataclasses.replace(level, faces=np.concatenate([level.faces, fin]))
     assert mesh_facts.closedness(mesh_facts.weld(finned)).crowded_edges >= 1
-    far = dataclasses.replace(
-        level, positions=level.positions + np.float32(1), faces=level.faces + np.uint32(24)
-    )
+    far = dataclasses.replace(level, positions=level.positions + np.float32(1), faces=level.faces + np.uint32(24))
     doubled = {
         name: np.concatenate([value, getattr(far, name)])
         for name, value in vars(level).items()
@@ -105,9 +103,7 @@ def test_seam_steps_are_those_of_the_colours_painted():
     assert seams.step[0].min() > 0  # noise differs everywhere
 
     plain = np.full((64, 384, 3), 50, np.uint8)
-    plain[:, 64:128] = (
-        57  # one side of the cube in another colour: its four edges step by 7, the others by nothing
-    )
+    plain[:, 64:128] = 57  # one side of the cube in another colour: its four edges step by 7, the others by nothing
     seams = mesh_facts.seams(cube(plain, inset=0.2), welded)
     for step in seams.step[:3]:
         np.testing.assert_array_equal(np.sort(step), [0] * 8 + [7] * 4)
@@ -120,9 +116,7 @@ def test_cone_half_angles_are_those_of_the_clamp():
     q[:, 0] = 1 / np.sin(np.radians(20)) ** 2 - 1  # along x: |t'| <= sin 20 degrees
     q[:, 3] = 1 / np.sin(np.radians(45)) ** 2 - 1  # along y
     level = dataclasses.replace(level, view_dir=d, view_q=q)
-    np.testing.assert_allclose(
-        np.sort(mesh_facts.cone_degrees(level), axis=1), np.tile([20, 45], (24, 1)), atol=1e-4
-    )
+    np.testing.assert_allclose(np.sort(mesh_facts.cone_degrees(level), axis=1), np.tile([20, 45], (24, 1)), atol=1e-4)
     half = dataclasses.replace(level, view_seen=np.full(24, 0.5, np.float32))
     expected = np.degrees(np.arcsin(0.5 * np.sin(np.radians([20, 45]))))
     np.testing.assert_allclose(np.sort(mesh_facts.cone_degrees(half), axis=1)[0], expected, atol=1e-4)
@@ -168,9 +162,7 @@ def write_truth(folder, avatar, offset):
     """A capture whose truth is the avatar's own finest mesh in T-pose, moved."""
     level = avatar.levels[0]
     skin = SkinWeights(level.joints.astype(np.int64), level.weights / np.float32(255))
-    transforms = skin_transforms(
-        np.zeros((52, 3)), avatar.joint_positions, np.zeros(3), rest=avatar.canonical_pose
-    )
+    transforms = skin_transforms(np.zeros((52, 3)), avatar.joint_positions, np.zeros(3), rest=avatar.canonical_pose)
     (folder / "truth").mkdir(parents=True)
     np.savez(
         folder / "truth" / "rest.npz",
@@ -191,9 +183,7 @@ def test_distance_to_the_truth_is_measured_in_t_pose(tmp_path):
     assert from_truth(avatar, avatar.levels[0], tmp_path / "same").max() < 1e-3
     write_truth(tmp_path / "above", avatar, [0, 0.005, 0])
     found = from_truth(avatar, avatar.levels[0], tmp_path / "above")
-    low = (
-        avatar.levels[0].positions[:, 1] < 0.01
-    )  # the bottom lies 5 mm under the moved cube, the top inside its sides
+    low = avatar.levels[0].positions[:, 1] < 0.01  # the bottom lies 5 mm under the moved cube, the top inside its sides
     np.testing.assert_allclose(found[low], 5.0, atol=1e-3)
 
 
@@ -207,16 +197,9 @@ def test_a_page_holds_everything_and_escapes_what_is_not_its_own():
         [Check("size", "1 MB", "12 MB", True), Check("hole", "2", "0", False)],
         [section],
     )
-    assert (
-        "&lt;b&gt;Eve&lt;/b&gt;" in text
-        and "<b>Eve" not in text
-        and "a &lt; b" in text
-        and "&lt;i&gt;" in text
-    )
+    assert "&lt;b&gt;Eve&lt;/b&gt;" in text and "<b>Eve" not in text and "a &lt; b" in text and "&lt;i&gt;" in text
     assert 'src="data:image/png;base64,iVBORw==' in text and "says &quot;hi&quot;" in text
-    assert (
-        re.findall(r'(?:src|href)="(?!data:|#)', text) == [] and "<script" not in text and "url(" not in text
-    )
+    assert re.findall(r'(?:src|href)="(?!data:|#)', text) == [] and "<script" not in text and "url(" not in text
     assert ">good<" in text and ">look<" in text
 
 
@@ -247,8 +230,24 @@ def test_the_folder_holds_a_page_with_every_picture_and_the_numbers(person, tmp_
     text = (out / "inspect.html").read_text()
     pictures = sorted(p.stem for p in out.iterdir() if p.suffix in (".png", ".webp"))
     assert text.count("<img ") == len(pictures)
-    assert {"look_off", "look_network", "look_change", "turntable", "parts", "weights", "weight_left_elbow", "texels", "atlas", "seams_mip0",
-            "cones", "seen", "triangles", "truth", "level_0", "level_1"} <= set(pictures)  # fmt: skip
+    assert {
+        "look_off",
+        "look_network",
+        "look_change",
+        "turntable",
+        "parts",
+        "weights",
+        "weight_left_elbow",
+        "texels",
+        "atlas",
+        "seams_mip0",
+        "cones",
+        "seen",
+        "triangles",
+        "truth",
+        "level_0",
+        "level_1",
+    } <= set(pictures)
     for name in pictures:
         path = next(out.glob(f"{name}.*"))
         with Image.open(path) as image:

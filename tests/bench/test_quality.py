@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_cdt
 
-from avatar.avatar_file import read_avatar
 from avatar.camera import Camera, look_at, pinhole, pixel_rays
 from avatar.errors import AssetError
+from avatar.gltf.avatar_file import read_avatar
 from bench.ceiling import ceiling_surface
 from bench.held_out import read_held_out, read_true_mesh
 from bench.picture_scores import box_pixels, is_t_pose, region_of
@@ -57,13 +57,9 @@ def test_a_perfect_template_has_no_ceiling(oracle):
     capture, _, _ = oracle
     truth = read_true_mesh(capture)
     view = read_held_out(capture, "novel_pose")[0]
-    apart = ceiling_surface(capture, truth).posed(view.axis_angle, view.root) - truth.posed(
-        view.axis_angle, view.root
-    )
+    apart = ceiling_surface(capture, truth).posed(view.axis_angle, view.root) - truth.posed(view.axis_angle, view.root)
     outside = np.unique(truth.faces[truth.visible])
-    assert (
-        np.quantile(np.linalg.norm(apart[outside], axis=1), 0.95) < 5e-4
-    )  # metres; the rest are lips and eyelids
+    assert np.quantile(np.linalg.norm(apart[outside], axis=1), 0.95) < 5e-4  # metres; the rest are lips and eyelids
 
 
 def test_baked_against_field_is_read_from_the_file(result):
@@ -86,37 +82,27 @@ def test_a_view_mode_farther_from_the_truth_loses(oracle):
     capture, path, _ = oracle
     avatar = read_avatar(path)
     level = avatar.levels[0]
-    level = replace(
-        level, view_seen=np.ones_like(level.view_seen), features=np.full((4, 4, 4), 255, np.uint8)
-    )
-    tinted = replace(
-        avatar, levels=(level,), linear=np.full((4, 3, 3), 0.1, np.float32), default_view="linear"
-    )
+    level = replace(level, view_seen=np.ones_like(level.view_seen), features=np.full((4, 4, 4), 255, np.uint8))
+    tinted = replace(avatar, levels=(level,), linear=np.full((4, 3, 3), 0.1, np.float32), default_view="linear")
     found = view_modes(tinted, {name: read_held_out(capture, name) for name in ("novel_pose", "novel_view")})
     assert (found["default"], found["best"]) == ("linear", "off")
     for name in ("novel_pose", "novel_view"):
         scores = found["psnr_db"][name]
         assert scores.keys() == {"off", "vertex", "linear"}
         assert scores["linear"]["total"] < scores["off"]["total"] - 3
-        assert (
-            abs(scores["vertex"]["total"] - scores["linear"]["total"]) < 1
-        )  # linear is smooth across triangles
+        assert abs(scores["vertex"]["total"] - scores["linear"]["total"]) < 1  # linear is smooth across triangles
     lines = view_mode_lines({"view_modes": found})
     assert any(line.startswith("- novel pose, vertex: total") for line in lines)
     assert lines[-1].startswith("- default linear; best here off (nearest to the true pictures: off")
 
 
-def test_the_command_prints_a_table_with_the_papers_row_and_writes_json(
-    oracle, tmp_path, capsys, result, monkeypatch
-):
+def test_the_command_prints_a_table_with_the_papers_row_and_writes_json(oracle, tmp_path, capsys, result, monkeypatch):
     capture, avatar, _ = oracle
     monkeypatch.setattr("bench.quality.evaluate", lambda *_, **__: result)
     assert eval_main([str(avatar), str(capture), "--json", str(tmp_path / "q.json")]) == 0
     printed = capsys.readouterr().out
     assert "paper: total" in printed and "26.15" in printed
-    assert (
-        json.loads((tmp_path / "q.json").read_text())["novel_pose"]["total"] == result["novel_pose"]["total"]
-    )
+    assert json.loads((tmp_path / "q.json").read_text())["novel_pose"]["total"] == result["novel_pose"]["total"]
 
 
 def test_the_markdown_of_one_evaluation_names_what_was_measured(result):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from avatar.avatar_file import read_avatar
+from avatar.gltf.avatar_file import read_avatar
 from bench.contact import LARGEST, WIDTH, contact_sheet, save_sheet, sheet
 from bench.report import bench_main
 from bench.rung_scores import mark_dominated

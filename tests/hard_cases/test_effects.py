@@ -87,9 +87,7 @@ def test_dual_quaternions_of_opposite_hemispheres_blend_as_the_reference(context
     transforms = np.tile(np.eye(4), (52, 1, 1))
     transforms[:, :3, :3] = matrix_from_axis_angle(rng.normal(size=(52, 3)))
     for bone, heaviest in ((1, 0), (3, 2)):
-        transforms[bone, :3, :3] = transforms[heaviest, :3, :3] @ matrix_from_axis_angle(
-            np.array([np.pi - 1e-3, 0, 0])
-        )
+        transforms[bone, :3, :3] = transforms[heaviest, :3, :3] @ matrix_from_axis_angle(np.array([np.pi - 1e-3, 0, 0]))
     transforms[:, :3, 3] = rng.normal(size=(52, 3))
     duals = dual_quaternion_from_transform(transforms) * rng.choice([-1.0, 1.0], (52, 1, 1))
     assert np.abs(transform_from_dual_quaternion(duals) - transforms).max() < 1e-12, "signs change no bone"
@@ -102,9 +100,7 @@ def test_dual_quaternions_of_opposite_hemispheres_blend_as_the_reference(context
     points = rng.normal(size=(500, 3))
     values = {"point": points, "joints": joints, "weights": weights}
     out = probe(context, ["skinning_dual.glsl"], POINT, values, ints=("joints",), stage="vertex")[:, :3]
-    expected = skin_points_dual_quaternion(
-        points, SkinWeights(joints, weights.astype(np.float32)), transforms
-    )
+    expected = skin_points_dual_quaternion(points, SkinWeights(joints, weights.astype(np.float32)), transforms)
     for buffer in buffers:
         buffer.release()
     away = np.abs(out - expected).max(1)

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_high_avatar
 
-from avatar.avatar_file import read_avatar, write_avatar
 from avatar.baked_avatar import check_avatar
 from avatar.errors import AssetError
+from avatar.gltf.avatar_file import read_avatar, write_avatar
 
 SECONDS, BYTES = 1.0, 64 << 20
 
@@ -268,9 +268,7 @@ def test_feature_images_of_two_sizes_are_refused(path, high):
         levels[1]["featureImage2"],
         levels[0]["featureImage2"],
     )
-    refused(
-        path, join_glb(document, binary), r"images\[5\] should be of the size of images\[1\]", memory=False
-    )
+    refused(path, join_glb(document, binary), r"images\[5\] should be of the size of images\[1\]", memory=False)
 
 
 @pytest.mark.parametrize("region", ["header and JSON", "binary"])
@@ -291,9 +289,7 @@ def test_flipped_bytes_of_the_large_network_are_refused_or_still_keep_every_prom
     assert refusals > 10
 
 
-@pytest.mark.parametrize(
-    "place", [f"{OURS}.{key}" for key in ("network.w1", "linear", "levels", "amplitude")]
-)
+@pytest.mark.parametrize("place", [f"{OURS}.{key}" for key in ("network.w1", "linear", "levels", "amplitude")])
 def test_every_part_of_the_extension_may_be_absent_only_where_it_is_optional(path, whole, place):
     document, binary = split_glb(whole)
     holder, key = at(document, place)

@@ -5,12 +5,12 @@ import pytest
 from scipy.spatial import KDTree
 
 from avatar.body import builtin_body
-from avatar.motion import builtin_motion, read_motion
+from avatar.motion.read import builtin_motion, read_motion
 from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_normals, skin_points
-from train.capture import Subject
+from capture.folder import Subject
+from capture.template import surface_cloud, visible_faces
 from train.deform import canonical_from_posed, inverse_transforms
-from train.template import surface_cloud, visible_faces
 
 # region: (part, how far off the skin, settled), metres; a look-up has settled within a quarter of the sample spacing
 REGIONS = {
@@ -24,17 +24,13 @@ BOUNDS = {"body samples in the 3 cm band": 0.02, "body samples up to 5 cm": 0.03
 @pytest.fixture(scope="module")
 def person():
     body = builtin_body("male")
-    big = skin_points(
-        body.vertices, body.skin, skin_transforms(BIG_POSE, body.joints, rest=np.zeros((52, 3)))
-    )
+    big = skin_points(body.vertices, body.skin, skin_transforms(BIG_POSE, body.joints, rest=np.zeros((52, 3))))
     part = np.zeros(len(body.vertices), int)
     heaviest = body.skin.joints[:, 0]
     part[(heaviest == JOINTS.index("head")) | (heaviest == JOINTS.index("neck"))] = 1
     part[(heaviest == 20) | ((heaviest >= 22) & (heaviest < 37))] = 2
     part[(heaviest == 21) | (heaviest >= 37)] = 3
-    return Subject(
-        "builtin", body.vertices, big, body.faces, body.skin, body.joints, part, np.zeros(len(part), bool)
-    )
+    return Subject("builtin", body.vertices, big, body.faces, body.skin, body.joints, part, np.zeros(len(part), bool))
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +75,7 @@ def test_posed_to_canonical_to_posed_returns_or_flags(person, cloud, data, withi
             )
             ok = settled & invertible[row]
             _, again = cloud.tree.query(canonical)
-            posed = skin_points(
-                canonical, SkinWeights(cloud.skin.joints[again], cloud.skin.weights[again]), B
-            )
+            posed = skin_points(canonical, SkinWeights(cloud.skin.joints[again], cloud.skin.weights[again]), B)
             error = np.linalg.norm(posed - points, axis=1)
             worst = max(worst, error[ok & (again == row)].max(initial=0))
             worst_unsettled = max(worst_unsettled, error[ok].max(initial=0))

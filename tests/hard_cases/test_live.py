@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from avatar.amass import read_amass
 from avatar.body import builtin_body
-from avatar.motion import builtin_motion
+from avatar.motion.amass import read_amass
+from avatar.motion.read import builtin_motion
 from avatar.rotation import quaternion_from_axis_angle, quaternion_inverse, quaternion_product
 from avatar.skeleton import PARENTS
-from bench.live_sender import bundle_of_55, spoilt
+from experiments.live_sender import bundle_of_55, spoilt
 from player.live.calibration import calibrated, pose_from_rig
 from player.live.command import encoder, send, timed_poses
 from player.live.frame import LivePose
@@ -21,9 +21,7 @@ from player.live.vmc import Rig
 
 def angles(a, b):
     """Radians between rotations given as axis-angle."""
-    relative = quaternion_product(
-        quaternion_inverse(quaternion_from_axis_angle(a)), quaternion_from_axis_angle(b)
-    )
+    relative = quaternion_product(quaternion_inverse(quaternion_from_axis_angle(a)), quaternion_from_axis_angle(b))
     return 2 * np.arctan2(np.linalg.norm(relative[..., :3], axis=-1), np.abs(relative[..., 3]))
 
 

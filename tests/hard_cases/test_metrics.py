@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from bench.geometry import closest_points, mesh_distance, rigid_alignment, sample_surface, triangle_index
 from bench.metrics import PooledError, flip, lpips, psnr, rectangle, ssim
+from bench.surface_distance import closest_points, mesh_distance, rigid_alignment, sample_surface, triangle_index
 
 IMAGE = np.random.default_rng(0).random((32, 32, 3))
 

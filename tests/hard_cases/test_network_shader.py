@@ -46,10 +46,7 @@ def network(scale1=1.0, scale2=1.0, seed=0, features=4):
     shapes = NETWORK_ARRAYS[features]
     scales = {name: scale1 if name in ("w1", "b1") else scale2 for name in shapes}
     return ViewNetwork(
-        **{
-            n: rng.normal(size=shape).astype(np.float32) * np.float32(scales[n])
-            for n, shape in shapes.items()
-        }
+        **{n: rng.normal(size=shape).astype(np.float32) * np.float32(scales[n]) for n, shape in shapes.items()}
     )
 
 
@@ -139,9 +136,7 @@ def test_linear_in_glsl_equals_float64(context, within, size):
     within(out - exact, 1e-6)
 
 
-EXTREMES = np.array(
-    [0.0, -0.0, 1e-8, -1e-8, 1e4, -1e4, 1 / 3, np.pi, 16777217.0, 1.5e-38, 3.4e38, 7.0], np.float32
-)
+EXTREMES = np.array([0.0, -0.0, 1e-8, -1e-8, 1e4, -1e4, 1 / 3, np.pi, 16777217.0, 1.5e-38, 3.4e38, 7.0], np.float32)
 
 
 def test_every_weight_prints_and_parses_as_the_same_float32(context):
@@ -235,10 +230,7 @@ def test_the_cone_holds_for_every_direction(context, within):
     within(np.maximum(np.linalg.norm(out, axis=1) - 1, 0), 1e-6)
     within(out[:1000], 1e-6)  # along d̄ or against it there is no tangent
     within(
-        out
-        - cone_reference(
-            values["d"], values["mean"], np.hstack([values["q0"], values["q1"]]), values["seen"]
-        ),
+        out - cone_reference(values["d"], values["mean"], np.hstack([values["q0"], values["q1"]]), values["seen"]),
         2e-5,
     )
 

@@ -154,9 +154,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 def test_ten_thousand_frames_grow_neither_objects_nor_memory(within, tmp_path):
     """Drawn, and filmed in parts."""
-    done = subprocess.run(
-        [sys.executable, "-c", LONG_RUN, str(tmp_path)], cwd=ROOT, capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, "-c", LONG_RUN, str(tmp_path)], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     within(int(done.stdout), 4096, "KiB")
 
@@ -171,9 +169,7 @@ def test_egl_osmesa_and_the_window_show_the_same_frame_in_every_view_mode(within
     except NoContextError as error:
         pytest.skip(str(error))  # Mesa 25.1 removed it
     compared = compare(size=256)
-    assert {"egl", "osmesa", "window on the null platform"} <= set(compared["ways"]) and not compared[
-        "broken"
-    ]
+    assert {"egl", "osmesa", "window on the null platform"} <= set(compared["ways"]) and not compared["broken"]
     gaps = [gap for pair in compared["pairs"].values() for gap in pair.values()]
     assert len(gaps) >= 8  # two pairs of four view modes
     within(max(gaps), 1, "/255")
@@ -198,9 +194,7 @@ def test_a_window_minimised_to_nothing_comes_back(tmp_path):
     ):
         out = tmp_path / "a.png"
         arguments = ["mannequin", "--motion", "walking", "--size", "96x160", "--view", "off", "--no-gui"]
-        assert (
-            play_main([*arguments, "--platform", "null", "--script", script, "--screenshot", str(out)]) == 0
-        )
+        assert play_main([*arguments, "--platform", "null", "--script", script, "--screenshot", str(out)]) == 0
         with Image.open(out) as image:
             pictures.append(np.asarray(image)[:130])  # above the line of text, which counts frames per second
     assert len(np.unique(pictures[0].reshape(-1, pictures[0].shape[-1]), axis=0)) > 100

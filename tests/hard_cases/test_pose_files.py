@@ -13,7 +13,7 @@ from tiny_avatar import join_glb
 
 from avatar.body import builtin_body
 from avatar.errors import AssetError
-from avatar.motion import read_motion
+from avatar.motion.read import read_motion
 from avatar.rotation import quaternion_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS
 
@@ -33,9 +33,7 @@ def test_one_bad_number_is_named_by_file_field_frame_and_joint(tmp_path, joint, 
     poses[2, 3 * joint + 1] = bad
     motion = read_motion(save(tmp_path / "walk.npz", poses=poses))
     motion.read(0, 2)
-    with pytest.raises(
-        AssetError, match=rf"walk\.npz: poses is not finite at frame 2, joint {JOINTS[joint]}"
-    ):
+    with pytest.raises(AssetError, match=rf"walk\.npz: poses is not finite at frame 2, joint {JOINTS[joint]}"):
         motion.read(1, 3)
 
 
@@ -48,9 +46,7 @@ def test_one_bad_root_position_is_named(tmp_path):
 
 @pytest.mark.parametrize("columns", [63, 69, 75, 78, 87, 153, 155, 3, 0, 1 << 20])
 def test_ambiguous_column_counts_are_refused_with_the_reason(tmp_path, columns):
-    with pytest.raises(
-        AssetError, match=rf"a\.npz: poses should have 156, 165, 66 or 72 columns, has {columns}"
-    ):
+    with pytest.raises(AssetError, match=rf"a\.npz: poses should have 156, 165, 66 or 72 columns, has {columns}"):
         read_motion(save(tmp_path / "a.npz", poses=np.zeros((3, columns))))
 
 
@@ -65,9 +61,7 @@ def test_understood_column_counts_read_as_52_joints(tmp_path, columns):
 @pytest.mark.parametrize("columns", [78, 87])
 def test_hand_coefficients_are_read_with_the_model_that_explains_them(tmp_path, columns):
     path = save(tmp_path / "a.npz", poses=np.zeros((3, columns)))
-    with pytest.raises(
-        AssetError, match=rf"has {columns}: .*components and the mean of the MANO hands.*--body"
-    ):
+    with pytest.raises(AssetError, match=rf"has {columns}: .*components and the mean of the MANO hands.*--body"):
         read_motion(path)
     body = model_body(tmp_path)
     clip = read_motion(path, body=body).read()  # no coefficient: the mean, once
@@ -328,17 +322,29 @@ def animated_glb() -> tuple[dict, bytes]:
     for k, name in enumerate(JOINTS):
         place = joints[k] - (joints[PARENTS[k]] if k else 0)
         children = [int(c) for c in np.flatnonzero(k == PARENTS)]
-        nodes.append(
-            {"name": name, "translation": place.tolist()} | ({"children": children} if children else {})
-        )
+        nodes.append({"name": name, "translation": place.tolist()} | ({"children": children} if children else {}))
     document = {
-        "asset": {"version": "2.0"}, "nodes": nodes, "buffers": [{"byteLength": len(binary)}],
-        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": 32}, {"buffer": 0, "byteOffset": 32, "byteLength": 128}],
-        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 8, "type": "SCALAR"},
-                      {"bufferView": 1, "componentType": 5126, "count": 8, "type": "VEC4"}],
-        "animations": [{"samplers": [{"input": 0, "output": 1}], "channels": [
-            {"sampler": 0, "target": {"node": JOINTS.index(f"{side}_knee"), "path": "rotation"}} for side in ("left", "right")]}],
-    }  # fmt: skip
+        "asset": {"version": "2.0"},
+        "nodes": nodes,
+        "buffers": [{"byteLength": len(binary)}],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": 32},
+            {"buffer": 0, "byteOffset": 32, "byteLength": 128},
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 8, "type": "SCALAR"},
+            {"bufferView": 1, "componentType": 5126, "count": 8, "type": "VEC4"},
+        ],
+        "animations": [
+            {
+                "samplers": [{"input": 0, "output": 1}],
+                "channels": [
+                    {"sampler": 0, "target": {"node": JOINTS.index(f"{side}_knee"), "path": "rotation"}}
+                    for side in ("left", "right")
+                ],
+            }
+        ],
+    }
     return document, binary
 
 
@@ -348,9 +354,7 @@ def test_a_damaged_animation_gives_an_error_or_finite_frames(tmp_path):
     (tmp_path / "good.glb").write_bytes(join_glb(document, binary))
     assert not refused_or_finite(tmp_path / "good.glb")
     whole, refused = (tmp_path / "good.glb").read_bytes(), 0
-    tail = (
-        len(whole) - len(binary) - 700
-    )  # the animation's JSON and numbers; the rest is mostly digits of places
+    tail = len(whole) - len(binary) - 700  # the animation's JSON and numbers; the rest is mostly digits of places
     for n in range(200):
         damaged = bytearray(whole)
         for place in rng.integers(tail if n % 2 else 20, len(whole), 1 + n % 3):

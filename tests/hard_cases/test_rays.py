@@ -8,6 +8,7 @@ import torch
 from turning_capture import turning_capture, with_video
 
 from avatar.camera import Camera, look_at, pinhole, pixel_rays
+from capture.template import surface_cloud
 from train import run as run_folder
 from train.deform import canonical_directions
 from train.networks.triplane import TriPlaneNetworks
@@ -15,7 +16,7 @@ from train.objective import losses, ray_tensors
 from train.parts import Box, part_boxes
 from train.preset import DEMO
 from train.rays import Band, march, part_rays
-from train.template import surface_cloud, template_grid
+from train.template_grid import template_grid
 from train.trainer import train_field
 
 BAND = Band(0.03, 0.02, 0.005)
@@ -121,7 +122,9 @@ def test_cameras_give_unit_directions_whatever_the_lens(fov, distortion, within)
 @pytest.mark.parametrize("direction", [[0.0, 0, 0], [0, 0, 1], [1e-30, 0, 0]])
 def test_directions_of_any_length_keep_it_in_the_canonical_frame(direction, within):
     d = torch.tensor([direction], dtype=torch.double)
-    bones = torch.nn.functional.normalize(torch.randn(1, 4, 4, generator=torch.Generator().manual_seed(0)).double(), dim=-1)
+    bones = torch.nn.functional.normalize(
+        torch.randn(1, 4, 4, generator=torch.Generator().manual_seed(0)).double(), dim=-1
+    )
     turned = canonical_directions(d, torch.tensor([[0.4, 0.3, 0.2, 0.1]]).double(), bones)
     within(turned.norm() - d.norm(), 1e-15)
 
@@ -143,8 +146,17 @@ PRESET = replace(
 
 
 def _rays(capture, cloud):
-    return part_rays(capture.videos["hand_left"], capture.subject, cloud, part_boxes(capture.subject)[2], PRESET.parts[2].band,
-                     ends=18, per_frame=60, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
+    return part_rays(
+        capture.videos["hand_left"],
+        capture.subject,
+        cloud,
+        part_boxes(capture.subject)[2],
+        PRESET.parts[2].band,
+        ends=18,
+        per_frame=60,
+        canonical_from_head=None,
+        rng=np.random.default_rng(0),
+    )
 
 
 def _field(capture, cloud):

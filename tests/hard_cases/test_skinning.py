@@ -34,9 +34,7 @@ def half_and_half(count: int) -> SkinWeights:
     return SkinWeights(np.tile([0, 1, 0, 0], (count, 1)), np.tile(np.float32([0.5, 0.5, 0, 0]), (count, 1)))
 
 
-RING = np.stack(
-    [np.zeros(32), *(0.04 * f(np.linspace(0, 2 * np.pi, 32, endpoint=False)) for f in (np.cos, np.sin))], 1
-)
+RING = np.stack([np.zeros(32), *(0.04 * f(np.linspace(0, 2 * np.pi, 32, endpoint=False)) for f in (np.cos, np.sin))], 1)
 
 
 @pytest.mark.parametrize("degrees", [0, 30, 90, 120, 150, 170, 179, 180])
@@ -70,9 +68,7 @@ def test_direction_rule_jumps_only_where_a_heavy_pair_passes_half_a_turn(within)
     step = np.degrees(np.arccos(np.clip((np.trace(relative, axis1=1, axis2=2) - 1) / 2, -1, 1)))
     jumps = np.flatnonzero(step > 2)
     assert len(jumps) == 1 and abs(degrees[jumps[0]] - 180) <= 0.5
-    assert (
-        step[jumps[0]] < 2 * np.degrees(np.arctan2(0.4, 0.6)) + 67.5
-    )  # bounded: twice the blend's own angle
+    assert step[jumps[0]] < 2 * np.degrees(np.arctan2(0.4, 0.6)) + 67.5  # bounded: twice the blend's own angle
     assert np.delete(step, jumps).max() < 1.0
 
 
@@ -89,9 +85,7 @@ def random_poses(count: int, seed: int = 0) -> np.ndarray:
 
 
 def test_posed_and_back_is_exact_under_the_same_weights(body, within):
-    canonical = skin_points(
-        body.vertices, body.skin, skin_transforms(BIG_POSE, body.joints, rest=np.zeros((52, 3)))
-    )
+    canonical = skin_points(body.vertices, body.skin, skin_transforms(BIG_POSE, body.joints, rest=np.zeros((52, 3))))
     flagged, worst = 0, 0.0
     for pose in random_poses(100):
         B = skin_transforms(pose, body.joints, root=np.array([0.3, 1.0, -2.0]))
@@ -145,9 +139,7 @@ def test_ten_kilometres_from_the_origin_relative_positions_keep_a_tenth_of_a_pix
     pose = random_poses(1)[0]
     near = skin_points(body.vertices, body.skin, skin_transforms(pose, body.joints, np.zeros(3)))
     far = skin_points(body.vertices, body.skin, skin_transforms(pose, body.joints, np.array([1e4, 0, 1e4])))
-    assert (
-        np.abs(far - near - [1e4, 0, 1e4]).max() < 1e-8
-    )  # float64; the player subtracts the eye before float32
+    assert np.abs(far - near - [1e4, 0, 1e4]).max() < 1e-8  # float64; the player subtracts the eye before float32
 
 
 def test_a_root_spinning_at_1000_radians_per_second_stays_rigid(body):

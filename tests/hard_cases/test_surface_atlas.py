@@ -9,12 +9,12 @@ from capsules import ball_mesh, sphere
 from avatar.errors import AssetError
 from avatar.texture import mipmaps, sample_texture
 from bake.atlas import unwrap
-from bake.decimate import balanced, decimate, find_faults, mend
 from bake.seams import chart_edges, equalised, seam_steps
 from bake.skin import transferred_weights
-from bake.surface import Mesh, compact, extract
 from bake.texels import barycentric, bytes_from_unit, rasterise_charts, spread
-from bake.transfer import match_surface
+from geometry.decimate import balanced, decimate, find_faults, mend
+from geometry.isosurface import Mesh, compact, extract
+from geometry.transfer import match_surface
 
 BOX = np.array([[-0.12, -0.12, -0.12], [0.12, 0.12, 0.12]])
 COARSE = np.zeros(2, bool)
@@ -197,7 +197,9 @@ def test_no_mip_bleeds_across_charts(within, mip):
 
 @pytest.mark.parametrize("thickness", [2.0, 0.9, 0.5, 0.1])
 def test_chart_thinner_than_a_texel_shows_its_own_colour(thickness, within):
-    """A strip (texels wide: `thickness`) beside a large chart of another colour: read along its middle it is its own."""
+    """A strip (texels wide: `thickness`) beside a large chart of another colour:
+    read along its middle it is its own.
+    """
     size = 64
     strip = np.array([[0.1, 0.2], [0.9, 0.2], [0.9, 0.2 + thickness / size], [0.1, 0.2 + thickness / size]])
     block = np.array([[0.1, 0.3], [0.9, 0.3], [0.9, 0.9], [0.1, 0.9]])

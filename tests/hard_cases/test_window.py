@@ -96,7 +96,7 @@ def test_after_30_days_with_a_stall_and_a_clock_set_back_time_goes_on_evenly(win
 
 def test_a_motion_of_30_days_is_stepped_and_scrubbed_frame_by_frame(window):
     """77,760,000 frames: every frame asked for is the frame shown, in the memory of two blocks."""
-    from avatar.motion import Clip
+    from avatar.motion.clip import Clip
 
     def clip(start, stop):
         root = np.zeros((stop - start, 3))

@@ -7,12 +7,13 @@ import pytest
 from node_packages import package_folder, run_node
 from tiny_avatar import join_glb, same, split_glb, tiny_avatar
 
-from avatar.avatar_file import read_avatar, write_avatar
-from avatar.bvh import open_bvh
-from avatar.bvh_write import euler_zxy, write_bvh
 from avatar.errors import AssetError
-from avatar.gltf_animation import rotation_keys, write_animated
-from avatar.motion import Clip, Motion, read_motion
+from avatar.gltf.animation import rotation_keys, write_animated
+from avatar.gltf.avatar_file import read_avatar, write_avatar
+from avatar.motion.bvh import open_bvh
+from avatar.motion.bvh_write import euler_zxy, write_bvh
+from avatar.motion.clip import Clip, Motion
+from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
 from avatar.skeleton import BIG_POSE, JOINTS, PARENTS, joint_transforms, rigid_inverse
 from player.export_command import export_main
@@ -154,9 +155,7 @@ def test_three_js_plays_the_motion_that_was_written(avatar_path, tmp_path):
     avatar, clip = tiny_avatar(), wild_clip()
     write_animated(tmp_path / "moving.glb", avatar_path, clip)
     frames = [0, 1, 7, 8, 23, 39]
-    found = run_node(
-        "interchange/three_joints.mjs", tmp_path / "moving.glb", folder, *(k / 30 for k in frames)
-    )
+    found = run_node("interchange/three_joints.mjs", tmp_path / "moving.glb", folder, *(k / 30 for k in frames))
     quaternions = np.array([frame["quaternions"] for frame in found["frames"]])
     expected = quaternion_from_axis_angle(clip.axis_angle[frames])
     expected *= np.where((expected * quaternions).sum(-1, keepdims=True) < 0, -1, 1)
@@ -232,10 +231,7 @@ def test_every_kind_says_the_same_and_fits_the_avatar_it_was_made_for(avatar_pat
     clips = {}
     for kind in ("npz", "bvh", "glb"):
         out = tmp_path / f"out.{kind}"
-        assert (
-            export(avatar_path, "--motion", "walking", "--frames", ":30", "--hands", "relaxed", "-o", out)
-            == 0
-        )
+        assert export(avatar_path, "--motion", "walking", "--frames", ":30", "--hands", "relaxed", "-o", out) == 0
         clips[kind] = read_motion(out).read()
     for kind in ("bvh", "glb"):
         assert angle_between(clips[kind].axis_angle, clips["npz"].axis_angle).max() < 1e-3

@@ -10,8 +10,8 @@ from chromium import chromium, three_frames
 from node_packages import package_folder
 from scipy import ndimage
 
-from avatar.avatar_file import write_avatar
 from avatar.camera import orbit_camera
+from avatar.gltf.avatar_file import write_avatar
 from player.context import open_context
 from player.mannequin import mannequin
 from player.renderer import Renderer

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from avatar.avatar_file import write_avatar
+from avatar.gltf.avatar_file import write_avatar
 from player.context import NoContextError, open_context
 from player.mannequin import mannequin
 from player.renderer import Renderer

@@ -93,9 +93,7 @@ def test_fxaa_is_its_reference_where_surfaces_end_and_nothing_elsewhere(context,
 def test_fxaa_on_tiles_is_fxaa_on_the_whole_picture(context, avatar, pose, monkeypatch, skinning, size):
     renderer = Renderer(context, [avatar], size, effects=Effects("off", skinning, "fxaa"))
     tiles = renderer.draw([pose], CAMERA)
-    monkeypatch.setattr(
-        renderers, "covered", lambda boxes, size, margin: np.full_like(covered(boxes, size, 0), True)
-    )
+    monkeypatch.setattr(renderers, "covered", lambda boxes, size, margin: np.full_like(covered(boxes, size, 0), True))
     assert np.array_equal(tiles, renderer.draw([pose], CAMERA))
     renderer.release()
 
@@ -107,9 +105,7 @@ def test_edges_get_between_values_and_stay_premultiplied(picture, avatar, antial
     alpha = image[..., 3]
     assert ((alpha > 0) & (alpha < 255)).sum() > 300
     assert set(np.unique(picture("none")[..., 3])) == {0, 255}
-    assert np.abs(image[..., :3] - alpha[..., None]).max() <= 1, (
-        "white, premultiplied, is its alpha: no fringe"
-    )
+    assert np.abs(image[..., :3] - alpha[..., None]).max() <= 1, "white, premultiplied, is its alpha: no fringe"
 
 
 def test_a_black_avatar_on_nothing_has_smooth_edges_too(picture, avatar):

@@ -89,9 +89,7 @@ def test_files_that_are_no_picture_film_or_panorama_are_refused(tmp_path):
         opened_source(Background("video", path=str(tmp_path / "text.mp4")))
     with pytest.raises(AssetError, match=r"empty: expected pictures"):
         opened_source(Background("video", path=str(tmp_path / "empty")))
-    with pytest.raises(
-        AssetError, match=r"square\.hdr: a panorama should be twice as wide as high, is 16x16"
-    ):
+    with pytest.raises(AssetError, match=r"square\.hdr: a panorama should be twice as wide as high, is 16x16"):
         read_panorama(tmp_path / "square.hdr")
     with pytest.raises(ValueError, match="background image needs a path"):
         Background("image")
@@ -106,9 +104,7 @@ def test_files_that_are_no_picture_film_or_panorama_are_refused(tmp_path):
 def test_radiance_comes_back_within_its_mantissa(tmp_path, flat):
     light = sky(64) * 10.0 ** np.linspace(-6, 6, 64)[None, :, None]
     light[0, 0] = 0
-    (tmp_path / "sky.hdr").write_bytes(
-        radiance_bytes(light, flat=flat, magic=b"#?RGBE" if flat else b"#?RADIANCE")
-    )
+    (tmp_path / "sky.hdr").write_bytes(radiance_bytes(light, flat=flat, magic=b"#?RGBE" if flat else b"#?RADIANCE"))
     found = read_radiance(tmp_path / "sky.hdr")
     assert found.shape == (32, 64, 3) and (found[0, 0] == 0).all()
     assert np.abs(found - light).max(where=light > 0, initial=0) > 0

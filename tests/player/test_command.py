@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from avatar.avatar_file import write_avatar
 from avatar.camera import orbit_camera, write_camera
 from avatar.errors import AssetError
+from avatar.gltf.avatar_file import write_avatar
 from player.framing import extent, facing, fitted_camera, orbit, outermost, pelvis_height
 from player.render_command import render_main
 

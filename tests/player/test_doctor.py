@@ -27,7 +27,9 @@ CARDS = [
 
 @pytest.fixture
 def cards(monkeypatch):
-    """The machine's EGL, with our cards in its list: whichever is taken, the software device draws. The handles taken."""
+    """The machine's EGL, with our cards in its list: whichever is taken,
+    the software device draws. The handles taken.
+    """
     real = contexts.Egl()
     software = next(device for device in real.devices() if device.software)
     get_display = real.function("eglGetPlatformDisplayEXT", c_void_p, c_uint, c_void_p, POINTER(c_int))
@@ -83,9 +85,7 @@ def cards(monkeypatch):
 
     names = ("eglQueryString", "eglInitialize", "eglChooseConfig", "eglCreateContext", "eglMakeCurrent",
              "eglDestroyContext", "eglBindAPI", "eglGetError")  # fmt: skip
-    library = SimpleNamespace(
-        eglGetProcAddress=get_address, **{name: getattr(real.library, name) for name in names}
-    )
+    library = SimpleNamespace(eglGetProcAddress=get_address, **{name: getattr(real.library, name) for name in names})
     found = contexts._library
 
     def ours(*wanted):
@@ -122,9 +122,7 @@ def test_a_link_to_a_device_file_is_the_device(cards, tmp_path):
 
 @pytest.mark.parametrize("gpu", [4, 9, "/dev/dri/renderD140"])
 def test_a_gpu_that_is_not_listed_is_refused_with_the_list(cards, gpu):
-    with pytest.raises(
-        NoContextError, match=r"not among .*NVIDIA RTX 4090 /dev/dri/card1 /dev/dri/renderD129 CUDA 0"
-    ):
+    with pytest.raises(NoContextError, match=r"not among .*NVIDIA RTX 4090 /dev/dri/card1 /dev/dri/renderD129 CUDA 0"):
         open_context("auto", gpu)
     assert cards == []
 
@@ -248,9 +246,7 @@ def test_the_files_that_hints_are_made_of_are_read(tmp_path):
     (tmp_path / "dri").mkdir()
     for name in ("dri/renderD128", "dri/card0", "nvidia0", "nvidiactl"):
         (tmp_path / name).write_bytes(b"")
-    assert device_nodes(tmp_path) == [
-        Node(str(tmp_path / name), True) for name in ("dri/renderD128", "nvidia0")
-    ]
+    assert device_nodes(tmp_path) == [Node(str(tmp_path / name), True) for name in ("dri/renderD128", "nvidia0")]
     (tmp_path / "version").write_text("NVRM version: NVIDIA 580\nGCC\n")
     assert nvidia_driver(tmp_path / "version") == "NVRM version: NVIDIA 580"
     assert nvidia_driver(tmp_path / "none") is None

@@ -8,7 +8,7 @@ from PIL import Image
 import player.filming.encoder as encoder_module
 from avatar.camera import orbit_camera
 from avatar.errors import AssetError
-from avatar.motion import builtin_motion
+from avatar.motion.read import builtin_motion
 from player.filming.encoder import X264, Encoder, chosen_encoder, refusal
 from player.filming.film import WAITING, Film, film_kind, straight
 from player.renderer import Renderer
@@ -135,7 +135,9 @@ def test_an_unknown_ending_and_a_bad_rate_are_refused(tmp_path):
 
 @pytest.fixture(scope="module")
 def drawn(context, avatar):
-    """A few frames of the built-in body, walking, on a studio background; detail is in its brightness, as in photographs."""
+    """A few frames of the built-in body, walking, on a studio background; detail is in its brightness,
+    as in photographs.
+    """
     y, x = np.mgrid[:256, :256] / 256
     detail = 40 * ((np.floor(40 * x) + np.floor(40 * y)) % 2)[..., None]
     skin = np.stack([180 + 20 * np.sin(5 * x), 130 + 30 * np.sin(7 * y), 110 + 20 * np.cos(6 * x)], -1)
@@ -149,9 +151,7 @@ def drawn(context, avatar):
     return frames
 
 
-@pytest.mark.parametrize(
-    ("quality", "most", "psnr"), [("draft", 3.0, 32.0), ("good", 2.0, 35.0), ("best", 1.8, 37.0)]
-)
+@pytest.mark.parametrize(("quality", "most", "psnr"), [("draft", 3.0, 32.0), ("good", 2.0, 35.0), ("best", 1.8, 37.0)])
 def test_a_decoded_frame_of_an_mp4_is_near_to_the_png(drawn, tmp_path, quality, most, psnr):
     """Within 2/255 on average, and no channel off on the whole: matrix and range are those of the tag."""
     with Film(tmp_path / "a.mp4", 30.0, encoder="software", quality=quality) as film:

@@ -252,12 +252,8 @@ def test_thousands_of_triangles_make_the_buffers_grow(context, imgui_context):
         draw = imgui.get_background_draw_list()
         for n in range(9000):  # past 65536 vertices the indices need 32 bits
             x, y = n % 200, (n // 200) % 120
-            draw.add_rect_filled(
-                imgui.ImVec2(x, y), imgui.ImVec2(x + 1, y + 1), imgui.IM_COL32(n % 256, 0, 0, 255)
-            )
-            draw.add_rect_filled(
-                imgui.ImVec2(x, y), imgui.ImVec2(x + 1, y + 1), imgui.IM_COL32(n % 256, 7, 0, 255)
-            )
+            draw.add_rect_filled(imgui.ImVec2(x, y), imgui.ImVec2(x + 1, y + 1), imgui.IM_COL32(n % 256, 0, 0, 255))
+            draw.add_rect_filled(imgui.ImVec2(x, y), imgui.ImVec2(x + 1, y + 1), imgui.IM_COL32(n % 256, 7, 0, 255))
 
     lists = DrawLists(context)
     image = drawn_lists(context, imgui_context, lists, 1, show, frames=1)

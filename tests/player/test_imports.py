@@ -9,8 +9,8 @@ import json, sys, time
 import numpy
 start = time.perf_counter()
 import avatar, player
-import avatar.avatar_file, avatar.motion, player.render_command, player.play_command, player.renderer, player.raster, player.doctor
-spent = time.perf_counter() - start
+import avatar.gltf.avatar_file, avatar.motion.clip, player.render_command, player.play_command, player.renderer,
+player.raster, player.doctor spent = time.perf_counter() - start
 print(json.dumps({"modules": sorted({name.split(".")[0] for name in sys.modules}), "seconds": spent}))
 """
 

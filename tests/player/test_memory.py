@@ -40,9 +40,7 @@ def test_a_large_block_goes_back_though_small_ones_were_made_after_it():
     environment = {key: value for key, value in os.environ.items() if not key.startswith("MALLOC_")}
     kept = {
         way: int(
-            subprocess.run(
-                [sys.executable, "-c", KEPT, way], check=True, capture_output=True, env=environment
-            ).stdout
+            subprocess.run([sys.executable, "-c", KEPT, way], check=True, capture_output=True, env=environment).stdout
         )
         for way in ("as it is", "give back")
     }

@@ -14,9 +14,9 @@ from tiny_avatar import tiny_avatar
 
 import player.filming.parts
 import player.render_command as render_command
-from avatar.avatar_file import write_avatar
 from avatar.camera import orbit_camera, write_camera
 from avatar.errors import AssetError
+from avatar.gltf.avatar_file import write_avatar
 from player.camera_path import CameraPath
 from player.filming.film import join_pieces
 from player.filming.parts import Parts, fingerprint
@@ -97,9 +97,7 @@ def test_a_stopped_film_goes_on_and_is_the_film_in_one_go(arguments, films, tmp_
     drawn = []
     with pytest.MonkeyPatch.context() as patch:
         draw = Set.draw
-        patch.setattr(
-            Set, "draw", lambda self, frame, out=None: drawn.append(frame) or draw(self, frame, out)
-        )
+        patch.setattr(Set, "draw", lambda self, frame, out=None: drawn.append(frame) or draw(self, frame, out))
         render_main([*arguments, "-o", str(out), "--resume"])
     assert drawn == list(range(40, 55))  # what was there is not drawn again
     assert sorted(path.name for path in tmp_path.iterdir()) == [name]
@@ -224,9 +222,7 @@ def test_a_part_that_lost_frames_is_noticed(arguments, tmp_path, films):
         join_pieces([(tmp_path / "no.mp4", 1)], tmp_path / "a.mp4", 30.0)
 
 
-@pytest.mark.parametrize(
-    ("start", "stop"), [(0, 1), (0, 20), (0, 21), (5, 55), (20, 40), (19, 21), (39, 120), (7, 8)]
-)
+@pytest.mark.parametrize(("start", "stop"), [(0, 1), (0, 20), (0, 21), (5, 55), (20, 40), (19, 21), (39, 120), (7, 8)])
 def test_every_frame_is_in_one_part_and_in_one_share(start, stop):
     parts = Parts(Path("film.mp4"), start, stop, {})
     frames = [frame for part in parts.ranges for frame in range(*part)]
@@ -241,9 +237,7 @@ def test_every_frame_is_in_one_part_and_in_one_share(start, stop):
 
 def test_a_turntable_and_a_camera_path_are_films(arguments, tmp_path):
     base = [arguments[0], "--motion", "walking", "--size", "33x48"]
-    render_main(
-        [*base, "--frame", "7", "--camera", "turntable", "--seconds", "0.5", "-o", str(tmp_path / "turn")]
-    )
+    render_main([*base, "--frame", "7", "--camera", "turntable", "--seconds", "0.5", "-o", str(tmp_path / "turn")])
     pictures = []
     for file in sorted((tmp_path / "turn").glob("*.png")):
         with Image.open(file) as image:
@@ -288,9 +282,7 @@ def test_what_a_worker_draws_is_what_is_asked_for(arguments, films, tmp_path, mo
     from player.filming.stage import Stage
 
     orders = []
-    monkeypatch.setattr(
-        render_command, "drawn_by_workers", lambda _a, shot, parts: orders.append((shot, parts)) or []
-    )
+    monkeypatch.setattr(render_command, "drawn_by_workers", lambda _a, shot, parts: orders.append((shot, parts)) or [])
     folder, name = Path(arguments[0]).parent, Path(arguments[0]).name
     monkeypatch.chdir(folder)
     with pytest.raises(AssetError, match="expected 15 frames, found 0"):

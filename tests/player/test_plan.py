@@ -33,10 +33,7 @@ def backgrounds(tmp_path_factory):
         Image.fromarray(np.full((8, 12, 3), level, np.uint8)).save(folder / name)
     (folder / "sky.hdr").write_bytes(radiance_bytes(sky(64)))
     paths = {"image": "picture.png", "video": "film", "hdr": "sky.hdr"}
-    return {
-        kind: Background(kind, path=str(folder / paths[kind]) if kind in paths else None)
-        for kind in BACKGROUNDS
-    }
+    return {kind: Background(kind, path=str(folder / paths[kind]) if kind in paths else None) for kind in BACKGROUNDS}
 
 
 def subsets(count=16, seed=5):
@@ -93,9 +90,7 @@ def test_a_leak_is_noticed(avatar, leak):
 def test_an_effect_that_cannot_show_is_the_frame_that_never_asked(
     context, render, avatar, pose, backgrounds, antialiasing, kind
 ):
-    asked = render(
-        avatar, SIZE, effects=Effects("network", "lbs", antialiasing), background=backgrounds[kind]
-    )
+    asked = render(avatar, SIZE, effects=Effects("network", "lbs", antialiasing), background=backgrounds[kind])
     plain = render(avatar, SIZE, effects=Effects("off"), background=backgrounds[kind])
     frames, calls = [], []
     for renderer in (asked, plain):
@@ -116,10 +111,7 @@ def test_msaa_on_a_device_without_it_is_the_plan_without_it(avatar):
     asked = plans.resolve([avatar], canvas, Effects("off", antialiasing="msaa"))
     plain = plans.resolve([avatar], canvas, Effects("off"))
     assert asked.resources == plain.resources and asked.variants == plain.variants
-    assert (
-        asked.passes[-1].why == "the device has 1 samples a pixel, 4 are needed"
-        and not asked.passes[-1].asked
-    )
+    assert asked.passes[-1].why == "the device has 1 samples a pixel, 4 are needed" and not asked.passes[-1].asked
 
 
 def test_a_panorama_is_evaluated_only_when_the_camera_turns(context, render, avatar, pose, backgrounds):
@@ -130,9 +122,7 @@ def test_a_panorama_is_evaluated_only_when_the_camera_turns(context, render, ava
         renderer.draw([pose], camera)
         return context.counts.calls["draw"] - before
 
-    nearer = orbit_camera(
-        (0.1, 0, -0.2), 2.5, 0.5, 0.1, SIZE
-    )  # same direction: the surroundings are far away
+    nearer = orbit_camera((0.1, 0, -0.2), 2.5, 0.5, 0.1, SIZE)  # same direction: the surroundings are far away
     turned = orbit_camera((0.1, 0, -0.2), 2.9, 0.6, 0.1, SIZE)
     assert [draws(camera) for camera in (CAMERA, CAMERA, nearer, turned, turned)] == [2, 1, 1, 2, 1]
     assert renderer.drawn[0].state == "kept" and renderer.drawn[0].why == "kept: the camera has not turned"
@@ -194,9 +184,7 @@ def test_the_level_of_detail_changes_in_place(render, pose, context):
 
 
 @pytest.mark.parametrize("antialiasing", ANTIALIASINGS)
-def test_a_window_of_changing_size_shows_the_same_picture(
-    context, render, avatar, pose, backgrounds, antialiasing
-):
+def test_a_window_of_changing_size_shows_the_same_picture(context, render, avatar, pose, backgrounds, antialiasing):
     """A framebuffer that is not ours stands in for the window: rows count from below, its size may change."""
     wish = Effects("off", antialiasing=antialiasing)
     window = render(avatar, None, effects=wish, background=backgrounds["hdr"])
@@ -205,9 +193,7 @@ def test_a_window_of_changing_size_shows_the_same_picture(
         framebuffer = context.gl.framebuffer([color], depth)
         window.draw_into(framebuffer, [pose], CAMERA.resized(size))
         plan_is_what_lives(context, window, framebuffer=1, renderbuffer=2)
-        raw = np.frombuffer(framebuffer.read(components=4, alignment=1), np.uint8).reshape(*size[::-1], 4)[
-            ::-1
-        ]
+        raw = np.frombuffer(framebuffer.read(components=4, alignment=1), np.uint8).reshape(*size[::-1], 4)[::-1]
         for thing in (framebuffer, color, depth):
             thing.release()
         own = render(avatar, size, effects=wish, background=backgrounds["hdr"])

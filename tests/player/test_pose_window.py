@@ -8,7 +8,7 @@ pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 import glfw
 
 from avatar.camera import project
-from avatar.motion import read_motion
+from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, joint_transforms
 from player.framing import pelvis_height
@@ -202,9 +202,7 @@ def test_panels_set_angles_hands_mirror_copy_and_take_poses(opened):
     assert len(session.past) == 2  # each drag of a slider is one step
     press(window, "left fist", "right peace")
     for side, name in (("left", "fist"), ("right", "peace")):
-        np.testing.assert_allclose(
-            hand_shape(session.pose.axis_angle, side).curl, PRESETS[name].curl, atol=1e-6
-        )
+        np.testing.assert_allclose(hand_shape(session.pose.axis_angle, side).curl, PRESETS[name].curl, atol=1e-6)
     pose = session.pose.axis_angle
     press(window, "mirror")
     np.testing.assert_allclose(session.pose.axis_angle, mirrored_in_place(pose), atol=1e-9)
@@ -230,9 +228,7 @@ def test_keyframes_are_made_played_saved_and_play_as_a_motion(opened, avatar):
     first = session.keys[0][1]
     run(window, "i scrub:0.17 wait")
     assert [f for f, _ in session.keys] == [0, 10] and session.frame == 5
-    a, b, c = (
-        joint_angles(p.axis_angle)[J["right_elbow"], 0] for p in (first, session.pose, session.keys[1][1])
-    )
+    a, b, c = (joint_angles(p.axis_angle)[J["right_elbow"], 0] for p in (first, session.pose, session.keys[1][1]))
     assert c == pytest.approx(1.5, abs=1e-9) and a < b < c
     shown = window.shown_poses()[0][0]
     assert np.array_equal(shown, session.pose.axis_angle)

@@ -24,9 +24,7 @@ def turned(angle, seed=0):
 def test_rotations_equal_the_plain_ones(angle):
     v = turned(angle)
     v[::7] = 0
-    np.testing.assert_allclose(
-        kinematics.rotations(v), matrix_from_axis_angle(v), rtol=0, atol=2e-15 * max(1, angle)
-    )
+    np.testing.assert_allclose(kinematics.rotations(v), matrix_from_axis_angle(v), rtol=0, atol=2e-15 * max(1, angle))
 
 
 @pytest.mark.parametrize("angle", ANGLES)
@@ -53,11 +51,9 @@ def test_posed_bones_and_their_quaternions_are_those_of_the_plain_product():
     camera, pose, root = orbit_camera((0, 0, 0), 3.0, 0.4, 0.2, (64, 64)), turned(0.4, 2), np.ones(3)
     bones = Poser(avatar, avatar.levels[0]).posed(pose, root, camera)
     joint_from_canonical = np.linalg.inv(joint_transforms(avatar.canonical_pose, avatar.joint_positions))
-    plain = (
-        view_from_world(camera) @ joint_transforms(pose, avatar.joint_positions, root) @ joint_from_canonical
-    )
+    plain = view_from_world(camera) @ joint_transforms(pose, avatar.joint_positions, root) @ joint_from_canonical
     np.testing.assert_allclose(bones.view_from_canonical, plain, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(np.abs(quaternions(bones)), np.abs(quaternion_from_matrix(plain[:, :3, :3])), atol=1e-12)  # fmt: skip
+    np.testing.assert_allclose(np.abs(quaternions(bones)), np.abs(quaternion_from_matrix(plain[:, :3, :3])), atol=1e-12)
 
 
 def test_the_reach_of_a_sphere_is_its_silhouette_or_a_little_more():

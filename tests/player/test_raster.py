@@ -23,9 +23,7 @@ def surface_pixels(fragments, vertices, faces, camera):
     """Where avatar.camera.project puts the surface points found, and the pixel centres they were found at."""
     hit = fragments.face >= 0
     rows, columns = np.nonzero(hit)
-    points = (
-        vertices[faces[fragments.face[hit]]] * fragments.barycentric[hit][:, :, None].astype(float)
-    ).sum(1)
+    points = (vertices[faces[fragments.face[hit]]] * fragments.barycentric[hit][:, :, None].astype(float)).sum(1)
     pixels, depth = project(camera, points)
     return pixels, np.stack([columns + 0.5, rows + 0.5], 1), depth, fragments.depth[hit]
 
@@ -92,9 +90,7 @@ def test_size_redraws_the_same_view_on_another_grid(rasteriser, body):
 
 
 def test_all_behind_the_camera_is_an_empty_image(rasteriser, body):
-    behind = Camera(
-        np.array([[50.0, 0, 8], [0, 50, 8], [0, 0, 1]]), look_at((0, 0, -9), (0, 0, -10)), (16, 12)
-    )
+    behind = Camera(np.array([[50.0, 0, 8], [0, 50, 8], [0, 0, 1]]), look_at((0, 0, -9), (0, 0, -10)), (16, 12))
     fragments = rasteriser.draw(*body, behind)
     assert (fragments.face == -1).all() and fragments.depth.shape == (12, 16)
 

@@ -42,9 +42,7 @@ def posed_vertices(avatar, pose, posed=skin_points):
     level = avatar.levels[0]
     skin = SkinWeights(level.joints.astype(int), (level.weights / 255).astype(np.float32))
     joints = avatar.joint_positions.astype(float)
-    return posed(
-        level.positions.astype(float), skin, skin_transforms(pose[0], joints, pose[1], rest=BIG_POSE)
-    )
+    return posed(level.positions.astype(float), skin, skin_transforms(pose[0], joints, pose[1], rest=BIG_POSE))
 
 
 @pytest.mark.parametrize(
@@ -246,9 +244,7 @@ def test_drawing_into_another_framebuffer_is_the_same_picture_upside_down(contex
     for thing in (other, *attachments):
         thing.release()
     renderer.draw_into(renderer.target, [pose], CAMERA)
-    assert np.array_equal(
-        np.frombuffer(renderer.target.read(components=4), np.uint8).reshape(image.shape), image
-    )
+    assert np.array_equal(np.frombuffer(renderer.target.read(components=4), np.uint8).reshape(image.shape), image)
     other = np.abs(image.astype(int) - raw).max(-1) > 1  # contours, outer and inner, round the other way
     assert other.sum() < 0.003 * (image[..., 3] > 0).sum()
 

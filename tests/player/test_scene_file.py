@@ -79,9 +79,7 @@ def test_every_key_arrives(scene_file):
 def test_a_bare_scene_is_one_avatar_before_the_plain_wall(scene_file):
     scene = read_scene(scene_file('[[avatar]]\npath = "mannequin"\n'))
     assert scene == Scene((SceneAvatar("mannequin"),))
-    assert (
-        scene.cameras == (SceneCamera("front"),) and scene.background == STUDIO and scene.effects == Effects()
-    )
+    assert scene.cameras == (SceneCamera("front"),) and scene.background == STUDIO and scene.effects == Effects()
 
 
 def test_colours_are_premultiplied(scene_file):
@@ -91,7 +89,12 @@ def test_colours_are_premultiplied(scene_file):
 
 
 MISTAKES = [  # (what stands in FULL, what stands there instead, line, the complaint)
-    ('"turn_deg" = 30', '"turndeg" = 30', 10, r"avatar 1\.turndeg: unknown key in \[\[avatar\]\]; did you mean turn_deg\?"),
+    (
+        '"turn_deg" = 30',
+        '"turndeg" = 30',
+        10,
+        r"avatar 1\.turndeg: unknown key in \[\[avatar\]\]; did you mean turn_deg\?",
+    ),
     ("[effects]", "[efects]", 26, r"efects: unknown key in a scene; did you mean effects\?"),
     ("exposure", "qqq", 25, r"background\.qqq: unknown key in \[background\]; \[background\] has kind, color, path"),
     ("seconds = 8", 'seconds = "8"', 18, r"camera 1\.seconds: expected a number, found the string '8'"),
@@ -108,7 +111,12 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ('"sky.hdr"', '"sky.exr"', 24, r"background\.path: no such file: .*sky\.exr"),
     ('path = "sky.hdr"\n', "", 22, r"background: background hdr needs a path"),
     ('kind = "hdr"', 'kind = "sky"', 23, r"background\.kind: expected one of color, image, video, hdr, transparent"),
-    ('kind = "hdr"', 'kind = "transparent"\ncolor = "#000000"', 24, r"background\.color: a transparent background takes no color"),
+    (
+        'kind = "hdr"',
+        'kind = "transparent"\ncolor = "#000000"',
+        24,
+        r"background\.color: a transparent background takes no color",
+    ),
     ("exposure = -1", 'color = "red"', 25, r"background\.color: expected #rrggbb or #rrggbbaa, found the string 'red'"),
     ("vmc:0.0.0.0:39539", "osc:1", 14, r"avatar 2\.live: expected vmc:PORT or udp:PORT or ws:PORT, found 'osc:1'"),
     ("start = 1", 'motion = "walking"', 13, r"avatar 2\.motion: motion and live: expected one of them, found both"),
@@ -116,12 +124,10 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ('kind = "front"', 'kind = "file"', 19, r"camera 2: camera file needs a path"),
     ("fov_deg = 40", "fov_deg = 180", 21, r"camera 2\.fov_deg: fov_deg: expected less than 180, found 180"),
     ("fxaa", "smaa", 28, r"effects\.antialiasing: expected one of none, fxaa, msaa, found 'smaa'"),
-]  # fmt: skip
+]
 
 
-@pytest.mark.parametrize(
-    ("right", "wrong", "line", "complaint"), MISTAKES, ids=[wrong for _, wrong, _, _ in MISTAKES]
-)
+@pytest.mark.parametrize(("right", "wrong", "line", "complaint"), MISTAKES, ids=[wrong for _, wrong, _, _ in MISTAKES])
 def test_a_mistake_is_answered_by_line_and_key(scene_file, right, wrong, line, complaint):
     assert FULL.count(right) == 1
     path = scene_file(FULL.replace(right, wrong))
@@ -132,9 +138,7 @@ def test_a_mistake_is_answered_by_line_and_key(scene_file, right, wrong, line, c
 def test_tables_of_the_wrong_kind_and_empty_scenes(scene_file):
     with pytest.raises(AssetError, match=r"toml:1: camera: expected \[\[camera\]\], found a table"):
         read_scene(scene_file('[camera]\n[[avatar]]\npath = "mannequin"'))
-    with pytest.raises(
-        AssetError, match=r"toml:1: effects: expected a table, \[effects\], found the number 3"
-    ):
+    with pytest.raises(AssetError, match=r"toml:1: effects: expected a table, \[effects\], found the number 3"):
         read_scene(scene_file('effects = 3\n[[avatar]]\npath = "mannequin"'))
     with pytest.raises(AssetError, match=r"expected at least one \[\[avatar\]\], found none"):
         read_scene(scene_file(""))

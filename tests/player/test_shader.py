@@ -76,7 +76,9 @@ def test_a_block_of_another_size_is_refused(context):
 
 
 def test_every_shader_begins_with_what_it_is_and_is_listed():
-    """One topic a file: a comment first, short enough to read at once, and a place in the table of shaders/README.md."""
+    """One topic a file: a comment first, short enough to read at once,
+    and a place in the table of shaders/README.md.
+    """
     folder = Path(__file__).parents[2] / "shaders"
     listed = re.findall(r"`([\w*.]+)`", (folder / "README.md").read_text())
     for path in folder.iterdir():
@@ -86,6 +88,4 @@ def test_every_shader_begins_with_what_it_is_and_is_listed():
         first = lines[1] if path.suffix != ".glsl" else lines[0]
         assert first.startswith("// "), f"{path.name} should say what it is first"
         assert len(lines) < 100 and max(map(len, lines)) <= 120, path.name
-        assert any(fnmatch(path.name, pattern) for pattern in listed), (
-            f"{path.name} is not in shaders/README.md"
-        )
+        assert any(fnmatch(path.name, pattern) for pattern in listed), f"{path.name} is not in shaders/README.md"

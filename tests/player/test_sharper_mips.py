@@ -39,9 +39,7 @@ def drawn(avatar, size):
     with_context = open_context()
     try:
         renderer = Renderer(with_context, [avatar], (size, size), view="off")
-        picture = (
-            renderer.draw([(np.zeros((52, 3)), np.zeros(3))], Camera(K, eye, (size, size)))[..., :3] / 255.0
-        )
+        picture = renderer.draw([(np.zeros((52, 3)), np.zeros(3))], Camera(K, eye, (size, size)))[..., :3] / 255.0
         renderer.release()
         return picture, with_context.software
     finally:

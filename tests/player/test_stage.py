@@ -7,9 +7,9 @@ import pytest
 from PIL import Image
 from tiny_avatar import tiny_avatar
 
-from avatar.avatar_file import write_avatar
 from avatar.camera import orbit_camera, project, write_camera, write_cameras
 from avatar.errors import AssetError
+from avatar.gltf.avatar_file import write_avatar
 from player.filming.parts import Parts
 from player.filming.shot import Shot
 from player.filming.stage import Stage, camera_from_option
@@ -50,9 +50,7 @@ def test_cameras_of_a_capture_are_taken_frame_by_frame_and_the_last_one_stays(ti
 def test_what_camera_means_is_seen_from_the_name_and_the_file(tmp_path):
     camera = orbit_camera((0, 0.9, 0), 3.0, 0.5, 0.1, (40, 48))
     write_camera(tmp_path / "camera.json", camera)
-    (tmp_path / "path.json").write_text(
-        json.dumps({"keys": [{"t": 0, "eye": [0, 1, 2], "target": [0, 1, 0]}]})
-    )
+    (tmp_path / "path.json").write_text(json.dumps({"keys": [{"t": 0, "eye": [0, 1, 2], "target": [0, 1, 0]}]}))
     (tmp_path / "capture").mkdir()
     kinds = {
         "front": ("front", None), "orbit": ("orbit", None), "turntable": ("turntable", None),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from avatar.motion import Clip
+from avatar.motion.clip import Clip
 from avatar.rotation import matrix_from_axis_angle
 from player.window.playback import BLOCK, Playback, Track
 from player.window.timeline import LONGEST_STEP, LOOPS, SPEEDS, Timeline
@@ -141,7 +141,5 @@ def test_a_place_turns_the_body_about_the_vertical_and_then_moves_it():
     turned = matrix_from_axis_angle(np.array([0.0, 2.0, 0.0]))
     pose, place = track.pose(0.0)
     assert np.allclose(place, turned @ root[0] + [1, 0, -2], atol=1e-12)
-    assert np.allclose(
-        matrix_from_axis_angle(pose[0]), turned @ matrix_from_axis_angle(axis_angle[0, 0]), atol=1e-12
-    )
+    assert np.allclose(matrix_from_axis_angle(pose[0]), turned @ matrix_from_axis_angle(axis_angle[0, 0]), atol=1e-12)
     assert np.array_equal(pose[1:], axis_angle[0, 1:])

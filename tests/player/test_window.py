@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from avatar.avatar_file import write_avatar
 from avatar.errors import AssetError
+from avatar.gltf.avatar_file import write_avatar
 from player.camera_path import CameraPath
 from player.context import open_context
 from player.framing import extent, facing, fitted_camera
@@ -60,18 +60,12 @@ def test_keys_play_pause_step_scrub_and_reset(shot):
     assert not np.array_equal(paused, shot("space home right right . . . . . ."))
     assert np.array_equal(paused, shot("space home right right turn:90:10 near:2 r"))
     assert np.array_equal(paused, shot("space home right right drag:80:80:120:90 r"))
-    assert np.array_equal(
-        shot("space home right right turn:40:10"), shot("space home right right drag:80:80:120:90")
-    )
+    assert np.array_equal(shot("space home right right turn:40:10"), shot("space home right right drag:80:80:120:90"))
     assert not np.array_equal(paused, shot("space home right right turn:90:10"))
     walk = ("--motion", "walking")
-    still, away, along = (
-        shot(f"space home {keys}", *walk) for keys in ("wait", "right right", "f right right")
-    )
+    still, away, along = (shot(f"space home {keys}", *walk) for keys in ("wait", "right right", "f right right"))
     place = [np.argwhere((image != image[0, 0]).any(-1)).mean(0) for image in (still, away, along)]
-    assert (
-        np.abs(place[0] - place[2]).max() < 6 < np.abs(place[0] - place[1]).max()
-    )  # f goes along with the avatar
+    assert np.abs(place[0] - place[2]).max() < 6 < np.abs(place[0] - place[1]).max()  # f goes along with the avatar
     assert np.array_equal(shot("end"), shot("space home"))  # playing, the clip starts over
 
 
@@ -137,9 +131,7 @@ def test_a_click_picks_and_its_joint_is_named(avatar_path, tmp_path, monkeypatch
         return seen[-1]
 
     monkeypatch.setattr(module.Window, "line", line)
-    screenshot(
-        avatar_path, tmp_path / "a.png", "space home click:92:33 wait drag:80:60:90:60 wait click:3:3 wait"
-    )
+    screenshot(avatar_path, tmp_path / "a.png", "space home click:92:33 wait drag:80:60:90:60 wait click:3:3 wait")
     words = [re.search(r"a: (\w+)", text) for text in seen]
     named = [match[1] for match in words if match]
     assert set(named) == {"head"} and len(named) >= 6 and words[-1] is None

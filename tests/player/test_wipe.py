@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from avatar.amass import write_amass
-from avatar.avatar_file import write_avatar
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, project, write_cameras
 from avatar.errors import AssetError
-from avatar.motion import Clip
+from avatar.gltf.avatar_file import write_avatar
+from avatar.motion.amass import write_amass
+from avatar.motion.clip import Clip
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
 from player.play_command import play_parser, scene_of
@@ -165,10 +165,16 @@ def test_a_head_s_camera_stands_before_the_t_pose(avatar, capture):
         (lambda p: (p / "capture.json").write_text('{"format": "x"}'), "expected a capture folder"),
         (lambda p: [f.unlink() for f in (p / "body/images").iterdir()], "expected pictures, found none"),
         (lambda p: (p / "body/images/000001.png").unlink(), "should hold 1 or 2 cameras, holds 3"),
-        (lambda p: np.savez(p / "body/poses.npz", poses=np.zeros((3, 72)), trans=np.zeros((3, 3))), "should be .3, 156."),
-        (lambda p: np.savez(p / "body/poses.npz", poses=np.full((3, 156), np.nan), trans=np.zeros((3, 3))), "frame 0, joint 0"),
+        (
+            lambda p: np.savez(p / "body/poses.npz", poses=np.zeros((3, 72)), trans=np.zeros((3, 3))),
+            "should be .3, 156.",
+        ),
+        (
+            lambda p: np.savez(p / "body/poses.npz", poses=np.full((3, 156), np.nan), trans=np.zeros((3, 3))),
+            "frame 0, joint 0",
+        ),
     ],
-)  # fmt: skip
+)
 def test_captures_that_do_not_agree_are_refused(capture, tmp_path, spoil, message):
     import shutil
 

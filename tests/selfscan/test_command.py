@@ -107,15 +107,14 @@ def test_a_file_that_is_no_gltf_is_refused(capsys, tmp_path):
     (tmp_path / "b.glb").write_bytes(b"")
     for name in ("a.glb", "b.glb"):
         refused(capsys, "synth", tmp_path / name, tmp_path / "cap", names=(name,))
-        refused(
-            capsys, "render", tmp_path / name, "--motion", "counting", "-o", tmp_path / "a.png", names=(name,)
-        )
+        refused(capsys, "render", tmp_path / name, "--motion", "counting", "-o", tmp_path / "a.png", names=(name,))
 
 
 def test_the_player_side_imports_neither_torch_nor_training():
     """In a fresh process; `selfscan render` must start in the base install."""
     code = (
-        "import sys, avatar, avatar.avatar_file, avatar.motion, avatar.body, player, player.renderer, player.render_command, player.filming.film, selfscan.__main__;"
+        "import sys, avatar, avatar.gltf.avatar_file, avatar.motion.clip, avatar.body, player, player.renderer, "
+        "player.render_command, player.filming.film, selfscan.__main__;"
         "bad = {'torch', 'train', 'bake', 'bench', 'av', 'scipy', 'skimage', 'trimesh'} & set(sys.modules);"
         "sys.exit(repr(bad) if bad else 0)"
     )

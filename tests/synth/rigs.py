@@ -32,9 +32,7 @@ def rig(names=JOINTS, pose=None, turn=None) -> tuple[dict, np.ndarray]:
     data, views, accessors = b"", [], []
     for array, component, kind in arrays:
         views.append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes})
-        accessors.append(
-            {"bufferView": len(views) - 1, "componentType": component, "count": len(array), "type": kind}
-        )
+        accessors.append({"bufferView": len(views) - 1, "componentType": component, "count": len(array), "type": kind})
         data += array.tobytes()
     nodes = []
     for k, name in enumerate(names):

@@ -12,16 +12,16 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from bench.held_out import read_held_out
-from bench.synth.command import SynthConfig, main, synth
-from bench.synth.cutout import cut_out
-from bench.synth.film import plan_videos
-from bench.synth.head_frame import LANDMARK_NOISE, cameras_in_head_frame, seeded_similarity
-from bench.synth.light import light_of
-from bench.synth.photo import Studio
-from bench.synth.subject import PARTS, Subject, read_subject
-from bench.synth.truth import Stand, novel_poses, novel_views, take_set
 from player.context import open_context
 from player.raster import Rasteriser
+from synth.command import SynthConfig, main, synth
+from synth.cutout import cut_out
+from synth.film import plan_videos
+from synth.head_frame import LANDMARK_NOISE, cameras_in_head_frame, seeded_similarity
+from synth.light import light_of
+from synth.photo import Studio
+from synth.subject import PARTS, Subject, read_subject
+from synth.truth import Stand, novel_poses, novel_views, take_set
 
 CONFIG = SynthConfig(size=128, frames=5, truth=False, pose_noise=1.0, seed=3)
 
@@ -58,9 +58,7 @@ def template(captures):
 
 def test_the_template_lies_on_the_surface(captures):
     registration = json.loads((captures[0] / "capture.json").read_text())["registration"]
-    assert (
-        registration["surface_cm"] < 0.21
-    )  # notes/ceiling.md reached .21, hands .06; measured here .16, .04, .05
+    assert registration["surface_cm"] < 0.21  # notes/ceiling.md reached .21, hands .06; measured here .16, .04, .05
     assert registration["hands_cm"] < 0.06
     assert registration["head_cm"] < 0.08
 
@@ -100,9 +98,7 @@ def test_head_cameras_show_what_the_world_cameras_show(rasteriser, person):
     studio = Studio(rasteriser, subject)
     shots = plan_videos(studio, 4, 128)["head"]
     similarity = seeded_similarity(9)
-    head = subject.vertices[
-        subject.skin.weights[:, 0] * (subject.skin.joints[:, 0] == JOINTS.index("head")) == 1
-    ]
+    head = subject.vertices[subject.skin.weights[:, 0] * (subject.skin.joints[:, 0] == JOINTS.index("head")) == 1]
     in_head = head.astype(np.float64) @ similarity[:3, :3].T + similarity[:3, 3]
     moved = cameras_in_head_frame(shots, subject.joints, similarity)
     for i, camera in enumerate(moved):
@@ -160,9 +156,7 @@ def test_held_out_pictures_read_back(rasteriser, person, tmp_path):
     subject = read_subject(person)
     studio = Studio(rasteriser, subject, supersample=1)
     stand = Stand(0.1 * np.random.default_rng(0).standard_normal((52, 3)), np.array([0.5, 0, -2]))
-    names = list(
-        take_set(studio, [stand], tmp_path / "truth" / "novel_pose", light_of("even", "body", 0), 0.0, 0)
-    )
+    names = list(take_set(studio, [stand], tmp_path / "truth" / "novel_pose", light_of("even", "body", 0), 0.0, 0))
     views = read_held_out(tmp_path, "novel_pose")
     assert [view.name for view in views] == names
     vertices = studio.posed(stand.axis_angle, stand.root)
@@ -190,16 +184,22 @@ def test_a_cut_out_quad_keeps_its_opaque_half():
     alpha = np.zeros((64, 64), np.uint8)
     alpha[:, 32:] = 255
     quad = Subject(
-        "quad", vertices, faces, np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32), np.zeros(2, np.int32),
-        (np.zeros((64, 64, 3), np.uint8),), (alpha,), SkinWeights(np.zeros((4, 4), np.int64), np.eye(1, 4, dtype=np.float32).repeat(4, 0)),
-        np.zeros((52, 3), np.float32), np.zeros(4, np.uint8), np.zeros(4, bool), "none",
-    )  # fmt: skip
+        "quad",
+        vertices,
+        faces,
+        np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32),
+        np.zeros(2, np.int32),
+        (np.zeros((64, 64, 3), np.uint8),),
+        (alpha,),
+        SkinWeights(np.zeros((4, 4), np.int64), np.eye(1, 4, dtype=np.float32).repeat(4, 0)),
+        np.zeros((52, 3), np.float32),
+        np.zeros(4, np.uint8),
+        np.zeros(4, bool),
+        "none",
+    )
     cut = cut_out(quad)
     corners = cut.vertices[cut.faces]
-    area = (
-        np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-        / 2
-    )
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
     assert abs(area - 0.005) < 0.0001
     assert corners[..., 0].min() > 0.045
 
@@ -208,14 +208,21 @@ def test_a_textured_quad_is_drawn_texel_by_texel(rasteriser):
     texture = np.random.default_rng(0).integers(0, 256, (8, 8, 3), dtype=np.uint8)
     vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
     quad = Subject(
-        "quad", vertices, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32),
-        np.zeros(2, np.int32), (texture,), (None,), SkinWeights(np.zeros((4, 4), np.int64), np.eye(1, 4, dtype=np.float32).repeat(4, 0)),
-        np.zeros((52, 3), np.float32), np.zeros(4, np.uint8), np.zeros(4, bool), "none",
-    )  # fmt: skip
-    camera = Camera(np.array([[16.0, 0, 4], [0, 16, 4], [0, 0, 1]]), look_at([0, 0, 4], [0, 0, 0]), (8, 8))
-    photo = Studio(rasteriser, quad, 1).take(
-        vertices.astype(np.float64), camera, light_of("even", "body", 0), 0.0
+        "quad",
+        vertices,
+        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+        np.array([[0, 1], [1, 1], [1, 0], [0, 0]], np.float32),
+        np.zeros(2, np.int32),
+        (texture,),
+        (None,),
+        SkinWeights(np.zeros((4, 4), np.int64), np.eye(1, 4, dtype=np.float32).repeat(4, 0)),
+        np.zeros((52, 3), np.float32),
+        np.zeros(4, np.uint8),
+        np.zeros(4, bool),
+        "none",
     )
+    camera = Camera(np.array([[16.0, 0, 4], [0, 16, 4], [0, 0, 1]]), look_at([0, 0, 4], [0, 0, 0]), (8, 8))
+    photo = Studio(rasteriser, quad, 1).take(vertices.astype(np.float64), camera, light_of("even", "body", 0), 0.0)
     assert np.abs(photo.image.astype(int) - texture).max() <= 1  # pixel centres fall on texel centres
     assert (photo.mask == 255).all() and (photo.parts == 1).all()
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.synth.light import light_of, shade
+from synth.light import light_of, shade
 
 RNG = np.random.default_rng(0)
 

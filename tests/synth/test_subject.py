@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from synth import rigs
 
 from avatar.errors import AssetError
-from avatar.gltf import read_gltf
-from avatar.gltf_scene import (
+from avatar.gltf.document import read_gltf
+from avatar.gltf.humanoid import mixamo_names, vrm_names
+from avatar.gltf.scene import (
     node_parents,
     parent_from_node,
     parents_first,
@@ -14,12 +14,12 @@ from avatar.gltf_scene import (
     read_skin,
     world_from_node,
 )
-from avatar.humanoid import mixamo_names, vrm_names
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
-from bench.synth.humanoid import find_joints
-from bench.synth.subject import read_subject
+from synth import rigs
+from synth.humanoid import find_joints
+from synth.subject import read_subject
 
 MIXAMO = ["mixamorig:" + mixamo_names()[joint] for joint in JOINTS]
 
@@ -53,9 +53,7 @@ def test_skinning_is_the_files_own_rig(data, person):
             points = np.c_[primitive.attributes["POSITION"], np.ones(len(weights))]
             posed.append(np.einsum("vij,vj->vi", blended, points)[:, :3])
     # White_M's head has vertices with more than four bones once merged; the strongest four are 4 micrometres off
-    ours = skin_points(
-        subject.vertices, subject.skin, skin_transforms(pose, subject.joints, rest=np.zeros((52, 3)))
-    )
+    ours = skin_points(subject.vertices, subject.skin, skin_transforms(pose, subject.joints, rest=np.zeros((52, 3))))
     expected = np.concatenate(posed) - rest[nodes[0], :3, 3]
     np.testing.assert_allclose(ours, expected, rtol=0, atol=2e-5)
 
@@ -89,10 +87,7 @@ def test_a_rig_that_rests_in_an_a_pose_is_skinned_to_the_t_pose(tmp_path):
     document, _ = rigs.rig(pose=pose)
     subject = read_subject(rigs.write(tmp_path / "a.gltf", document))
     for side in ("left", "right"):
-        arm = [
-            subject.joints[JOINTS.index(f"{side}_{joint}")]
-            for joint in ("shoulder", "elbow", "wrist", "middle1")
-        ]
+        arm = [subject.joints[JOINTS.index(f"{side}_{joint}")] for joint in ("shoulder", "elbow", "wrist", "middle1")]
         assert np.ptp([joint[1] for joint in arm]) < 1e-6
     assert any("skinned to a T-pose" in note for note in subject.notes)
 

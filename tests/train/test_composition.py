@@ -6,12 +6,13 @@ import torch
 from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights, blended_rotations
-from train.closest import closest_on_triangles
+from capture.template import SurfaceCloud, sample_faces
+from geometry.closest import closest_on_triangles
 from train.deform import canonical_directions, inverse_transforms
 from train.parts import Box, Part, part_weight
 from train.skin import harmonic_fill
 from train.surface import fill_from_neighbours, largest_piece
-from train.template import SurfaceCloud, TemplateGrid, sample_faces, template_grid
+from train.template_grid import TemplateGrid, template_grid
 
 BOX = Box(np.array([0.5, -0.3, -0.3]), np.array([1.5, 0.3, 0.3]))
 HAND = Part("hand_left", BOX, BOX, 0.1)
@@ -35,9 +36,7 @@ def _sphere_cloud() -> SurfaceCloud:
     d = np.random.default_rng(0).normal(size=(60000, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     skin = SkinWeights(np.zeros((len(d), 4), int), np.tile(np.float32([1, 0, 0, 0]), (len(d), 1)))
-    return SurfaceCloud(
-        0.1 * d, d, skin, np.zeros(len(d), int), KDTree(0.1 * d), 0.003, np.full(len(d), 0.003)
-    )
+    return SurfaceCloud(0.1 * d, d, skin, np.zeros(len(d), int), KDTree(0.1 * d), 0.003, np.full(len(d), 0.003))
 
 
 def test_template_grid_of_a_sphere_is_its_distance():

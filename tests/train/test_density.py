@@ -13,15 +13,9 @@ BETAS = [1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6]
 
 @pytest.mark.parametrize("beta", BETAS)
 def test_the_density_is_the_laplace_distribution_of_the_depth(beta):
-    s = torch.tensor(
-        [-10.0, -0.1, -2 * beta, -beta / 3, 0.0, beta / 3, 2 * beta, 0.1, 10.0], dtype=torch.double
-    )
-    expected = [
-        (1 - 0.5 * math.exp(x / beta) if x <= 0 else 0.5 * math.exp(-x / beta)) / beta for x in s.tolist()
-    ]
-    torch.testing.assert_close(
-        laplace_density(s, beta), torch.tensor(expected, dtype=torch.double), rtol=1e-12, atol=0
-    )
+    s = torch.tensor([-10.0, -0.1, -2 * beta, -beta / 3, 0.0, beta / 3, 2 * beta, 0.1, 10.0], dtype=torch.double)
+    expected = [(1 - 0.5 * math.exp(x / beta) if x <= 0 else 0.5 * math.exp(-x / beta)) / beta for x in s.tolist()]
+    torch.testing.assert_close(laplace_density(s, beta), torch.tensor(expected, dtype=torch.double), rtol=1e-12, atol=0)
     s = s[2:7].requires_grad_()
     scaled = lambda x: laplace_density(x, beta) * beta
     assert torch.autograd.gradcheck(scaled, s, eps=1e-4 * beta, atol=1e-3 / beta, rtol=1e-3)

@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from avatar.camera import orbit_camera, pixel_rays
 from train.hull import STANDS_OFF, View, background_share, carve, hair_mesh
-from train.template import TemplateGrid
+from train.template_grid import TemplateGrid
 
 RADIUS = 0.1  # metres, of the head, at the origin
 HAIR = np.array([[-0.08, -0.16, -0.16], [0.08, 0.02, -0.03]])  # a block, behind and below
@@ -17,18 +17,14 @@ LOW, HIGH, CELL = np.array([-0.2, -0.25, -0.25]), np.array([0.2, 0.15, 0.2]), 0.
 def ball() -> TemplateGrid:
     axes = [np.arange(LOW[i], HIGH[i] + CELL, CELL) for i in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
-    return TemplateGrid(
-        torch.tensor(np.linalg.norm(grid, axis=-1) - RADIUS).float(), torch.tensor(LOW).float(), CELL
-    )
+    return TemplateGrid(torch.tensor(np.linalg.norm(grid, axis=-1) - RADIUS).float(), torch.tensor(LOW).float(), CELL)
 
 
 def filmed(hair: bool) -> list[View]:
     """Exact silhouettes of the ball, with or without the block, from 30 places on three circles."""
     views = []
     for i in range(30):
-        camera = orbit_camera(
-            np.zeros(3), 1.0, np.radians(12.0 * i), np.radians((-25, 0, 25)[i % 3]), (160, 160), 0.6
-        )
+        camera = orbit_camera(np.zeros(3), 1.0, np.radians(12.0 * i), np.radians((-25, 0, 25)[i % 3]), (160, 160), 0.6)
         origins, directions = pixel_rays(camera)
         along = -(origins * directions).sum(1)
         mask = np.linalg.norm(origins + along[:, None] * directions, axis=1) < RADIUS
@@ -74,9 +70,7 @@ def test_masks_two_pixels_off_add_nothing_to_a_bald_head(pixels):
 def test_carved_hair_is_the_block_less_the_margin():
     found, true = standing(filmed(hair=True)), block()
     assert found is not None
-    assert (
-        found & ~true
-    ).sum() <= 0.12 * true.sum()  # a hull is never smaller, the margin mostly takes it back
+    assert (found & ~true).sum() <= 0.12 * true.sum()  # a hull is never smaller, the margin mostly takes it back
     core = ndimage.binary_erosion(true, iterations=2)
     assert (found & core).sum() >= 0.98 * core.sum()
 

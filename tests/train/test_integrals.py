@@ -145,4 +145,3 @@ def test_neus_of_a_sphere_is_the_closed_form(miss):
     assert weights.sum().item() == pytest.approx(opacity, abs=1e-12)
     if depth is not None:  # int t dT = t T | - int T dt; the light that passes leaves at t = 0
         assert _depth(t, weights) == pytest.approx(depth, abs=1e-6)
-

@@ -8,8 +8,9 @@ import torch
 from painted_capture import write_capture
 from torch import nn
 
+from capture.folder import read_capture
+from capture.template import surface_cloud, visible_faces
 from train import run as run_folder
-from train.capture import read_capture
 from train.networks import hash, paper
 from train.networks.hash import HashGrid, HashNetworks, take_rows
 from train.networks.paper import PaperGeometry, PaperNetworks, SkipLayers
@@ -19,7 +20,7 @@ from train.parts import part_boxes
 from train.prefit import fit_template
 from train.preset import DEMO, FAST, PAPER, shortened
 from train.rays import part_rays
-from train.template import surface_cloud, template_grid, visible_faces
+from train.template_grid import template_grid
 from train.trainer import rate_at, train_field
 
 HALF = torch.tensor([0.5, 1.0, 0.25])
@@ -87,10 +88,7 @@ def test_the_paper_networks_have_as_many_parameters_as_their_layers_say(paper_ne
         return sum(p.numel() for p in network.parameters())
 
     normalised = 8 * 256 + 257  # a magnitude per row of every normalised layer
-    assert (
-        count(paper_networks.geometry)
-        == 39 * 256 + 6 * 65536 + 295 * 256 + 8 * 256 + 257 * 257 + normalised + 1
-    )
+    assert count(paper_networks.geometry) == 39 * 256 + 6 * 65536 + 295 * 256 + 8 * 256 + 257 * 257 + normalised + 1
     assert count(paper_networks.color) == 453 * 256 + 2 * 65536 + 709 * 256 + 4 * 256 + 257 * 3
     codes = 7 * 128
     assert count(paper_networks.displacement) == 167 * 256 + 6 * 65536 + 423 * 256 + 8 * 256 + 257 * 3 + codes
@@ -111,13 +109,9 @@ def test_the_middle_layer_sees_the_input_itself():
 
 
 def test_an_untrained_geometry_is_a_sphere_of_half_the_box(paper_networks):
-    directions = torch.nn.functional.normalize(
-        torch.randn(200, 3, generator=torch.Generator().manual_seed(1)), dim=1
-    )
+    directions = torch.nn.functional.normalize(torch.randn(200, 3, generator=torch.Generator().manual_seed(1)), dim=1)
     with torch.no_grad():
-        value = {
-            r: paper_networks.geometry(r * directions / (HALF / HALF.max()))[0] for r in (0.25, 0.5, 1.0)
-        }
+        value = {r: paper_networks.geometry(r * directions / (HALF / HALF.max()))[0] for r in (0.25, 0.5, 1.0)}
     assert (value[0.25] < 0).all() and (value[1.0] > 0).all()
     # metres per metre (the longest half side is 1 m): 1 on average over the random weights, .2 about it
     slope = (value[1.0] - value[0.25]).mean() / 0.75
@@ -276,9 +270,7 @@ def test_the_finest_cells_of_the_fast_preset_are_two_millimetres_and_seven_tenth
 SMALL = {
     "demo": replace(DEMO, rays=64, warm_up=5),
     "fast": replace(FAST, rays=64, warm_up=5, rays_per_frame=300, grid_rate=5e-3),
-    "paper": replace(
-        PAPER, rays=64, rays_per_frame=300, sections=24, shaded=24, network_rate=2e-3, warm_up=20
-    ),
+    "paper": replace(PAPER, rays=64, rays_per_frame=300, sections=24, shaded=24, network_rate=2e-3, warm_up=20),
 }
 SIZES = {
     "demo": TriPlaneNetworks(plane_size=16, color_size=16),
@@ -365,9 +357,7 @@ def test_rendering_by_density_teaches_the_displacement_and_the_width(hand):
 
 def test_the_fit_to_the_template_brings_a_sphere_onto_the_hand(hand):
     _, _, field, _ = hand("paper")
-    points = field.low + torch.rand(2000, 3, generator=torch.Generator().manual_seed(7)) * (
-        field.high - field.low
-    )
+    points = field.low + torch.rand(2000, 3, generator=torch.Generator().manual_seed(7)) * (field.high - field.low)
 
     def off() -> float:
         with torch.no_grad():

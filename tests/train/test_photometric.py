@@ -7,15 +7,15 @@ import pytest
 import torch
 from painted_capture import write_capture
 
-from avatar.rasterise import rasterise
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
-from train.capture import read_capture
+from capture.folder import read_capture
+from geometry.rasterise import rasterise
+from geometry.register import Anchors
 from train.compose import place_on_surfaces
 from train.parts import part_boxes, part_weight
 from train.photometric import ColoredHead, refine_on_video
-from train.register import Anchors
 from train.rigid import with_rigid_head
 
 SIZE, FINER = 256, 3
@@ -78,9 +78,7 @@ def test_pixels_find_turn_shift_and_scale_of_a_head_that_landmarks_misplaced(cap
     away = similarity([1.5, -1.0, 1.0], [0.002, -0.001, 0.002], 0.98, centre)
     head, points = head_of(capture.subject, away)
     before = np.linalg.norm(head.points - points, axis=1).mean()
-    fit = refine_on_video(
-        capture.subject, head, capture.videos["body"], np.eye(4), loose_anchors(head, points)
-    )
+    fit = refine_on_video(capture.subject, head, capture.videos["body"], np.eye(4), loose_anchors(head, points))
     error = np.linalg.norm(moved(fit.transform, head.points) - points, axis=1).mean()
     assert fit.after < fit.before
     assert before > 0.003 and error < 0.25 * before  # a pixel of this video is 9 mm
@@ -89,9 +87,7 @@ def test_pixels_find_turn_shift_and_scale_of_a_head_that_landmarks_misplaced(cap
 
 def test_a_head_that_stands_right_stays(capture):
     head, points = head_of(capture.subject, np.eye(4))
-    fit = refine_on_video(
-        capture.subject, head, capture.videos["body"], np.eye(4), loose_anchors(head, points)
-    )
+    fit = refine_on_video(capture.subject, head, capture.videos["body"], np.eye(4), loose_anchors(head, points))
     away = np.linalg.norm(moved(fit.transform, points) - points, axis=1)
     assert away.mean() < 0.001 and away.max() < 0.002  # four frames of 9 mm pixels
 

@@ -9,8 +9,10 @@ from painted_capture import write_capture
 
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import skin_transforms
+from capture.folder import PARTS, read_capture
+from capture.repair.refine import copy_refined, poses_refined, refined_path, with_learned, with_refined, write_learned
+from capture.template import surface_cloud, visible_faces
 from train import run as run_folder
-from train.capture import PARTS, read_capture
 from train.distributed import Ranks
 from train.objective import losses, ray_tensors
 from train.part_job import PartJob, _keep_poses
@@ -18,8 +20,7 @@ from train.parts import part_boxes
 from train.pose_correction import PoseCorrection
 from train.preset import DEMO
 from train.rays import part_rays
-from train.refine import copy_refined, poses_refined, refined_path, with_learned, with_refined, write_learned
-from train.template import surface_cloud, template_grid, visible_faces
+from train.template_grid import template_grid
 from train.trainer import train_field
 from train.union import read_rays
 

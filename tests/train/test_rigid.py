@@ -6,7 +6,7 @@ import torch
 from painted_capture import write_capture
 
 from avatar.skinning import dense_weights
-from train.capture import read_capture
+from capture.folder import read_capture
 from train.parts import part_boxes, part_weight
 from train.rigid import HEAD, with_rigid_head
 

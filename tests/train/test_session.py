@@ -89,9 +89,7 @@ def assert_equal_runs(run: Path, other: Path) -> None:
         assert previews[0] == previews[1]
 
 
-@pytest.mark.parametrize(
-    ("number", "group"), [(signal.SIGINT, True), (signal.SIGTERM, True), (signal.SIGTERM, False)]
-)
+@pytest.mark.parametrize(("number", "group"), [(signal.SIGINT, True), (signal.SIGTERM, True), (signal.SIGTERM, False)])
 def test_a_training_stopped_by_a_signal_and_resumed_equals_one_never_stopped(
     capture, never_stopped, tmp_path, number, group
 ):
@@ -166,9 +164,7 @@ def test_an_interrupted_training_is_resumed_only_with_its_own_settings(tmp_path)
 
 def test_an_interrupted_training_is_begun_anew_only_by_force(tmp_path):
     out = interrupted(tmp_path)
-    with pytest.raises(
-        AssetError, match="interrupted training lies here; --resume goes on, --force begins anew"
-    ):
+    with pytest.raises(AssetError, match="interrupted training lies here; --resume goes on, --force begins anew"):
         open_session(out, SETTINGS, resume=False, force=False, say=print)
     session = open_session(out, {**SETTINGS, "seed": 1}, resume=False, force=True, say=print)
     assert session is not None and not session.resumed

@@ -10,8 +10,10 @@ import trimesh
 from painted_capture import write_capture
 
 from avatar.errors import AssetError
+from capture.folder import read_capture
+from capture.repair.refine import with_refined
+from capture.template import surface_cloud, visible_faces
 from train import run as run_folder
-from train.capture import read_capture
 from train.command import main
 from train.fused import FusedField
 from train.networks.triplane import TriPlaneNetworks
@@ -20,18 +22,31 @@ from train.parts import part_boxes
 from train.pose_correction import PoseCorrection
 from train.preset import DEMO
 from train.rays import part_rays
-from train.refine import with_refined
 from train.single import single_part
 from train.surface import extract_surface
-from train.template import TemplateGrid, surface_cloud, template_grid, visible_faces
+from train.template_grid import TemplateGrid, template_grid
 from train.trainer import train_field
 from train.variants import seam_steps
 
 TINY = replace(
-    DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, union=replace(DEMO.union, iterations=6), surface_cells=(0.03, 0.015, 0.008),
-    parts=tuple(replace(p, iterations=6, networks=TriPlaneNetworks(plane_size=16, color_size=16), cell=max(p.cell, 0.006),
-                        spacing=max(p.spacing, 0.006)) for p in DEMO.parts),
-)  # fmt: skip
+    DEMO,
+    rays=64,
+    rays_per_frame=300,
+    warm_up=5,
+    appearance_steps=5,
+    union=replace(DEMO.union, iterations=6),
+    surface_cells=(0.03, 0.015, 0.008),
+    parts=tuple(
+        replace(
+            p,
+            iterations=6,
+            networks=TriPlaneNetworks(plane_size=16, color_size=16),
+            cell=max(p.cell, 0.006),
+            spacing=max(p.spacing, 0.006),
+        )
+        for p in DEMO.parts
+    ),
+)
 
 
 @pytest.fixture(scope="module")
@@ -223,9 +238,7 @@ class Hollow(FusedField):
     def __init__(self, subject):
         torch.nn.Module.__init__(self)  # no parts: one distance for everything
         low, high = subject.vertices.min(0) - 0.08, subject.vertices.max(0) + 0.08
-        self.template = template_grid(
-            surface_cloud(subject, 0, visible_faces(subject), 0.01), low, high, 0.01
-        )
+        self.template = template_grid(surface_cloud(subject, 0, visible_faces(subject), 0.01), low, high, 0.01)
         chest = subject.vertices[(np.abs(subject.vertices[:, :2] - [0, 0.3]) < 0.05).all(1), 2]
         self.axis = torch.tensor([0, 0.3, (chest.min() + chest.max()) / 2], dtype=torch.float32)
 
@@ -239,9 +252,7 @@ class Hollow(FusedField):
 def test_the_surface_is_the_skin_although_the_field_is_hollow_and_a_pinhole_leads_in(capture):
     field = Hollow(capture.subject)
     parts = part_boxes(capture.subject)
-    vertices, faces = extract_surface(
-        field, parts, capture.subject, body_cell=0.008, head_cell=0.008, hand_cell=0.008
-    )
+    vertices, faces = extract_surface(field, parts, capture.subject, body_cell=0.008, head_cell=0.008, hand_cell=0.008)
     depth = -field.template(torch.as_tensor(vertices, dtype=torch.float32)).numpy()
     assert len(vertices) > 1000
     # what is left are folds of the face; a third of all vertices when the hollow stays

@@ -10,8 +10,9 @@ import torch
 from painted_capture import write_capture
 
 from avatar.errors import AssetError
+from capture.folder import read_capture
+from capture.template import surface_cloud, visible_faces
 from train.appearance import match_appearance, overlap_rays
-from train.capture import read_capture
 from train.command import main
 from train.field import PartField
 from train.fused import FusedField
@@ -22,7 +23,7 @@ from train.parts import Box, Part, part_boxes
 from train.preset import DEMO
 from train.rays import part_rays
 from train.run import build_field, read_run
-from train.template import TemplateGrid, surface_cloud, template_grid, visible_faces
+from train.template_grid import TemplateGrid, template_grid
 from train.union import geometry_loss, in_overlap, overlap_surface, train_union, zero_level
 from train.variants import VARIANTS, seam_steps, variant
 
@@ -246,17 +247,13 @@ def test_stage_2_interrupted_and_resumed_equals_stage_2_never_stopped(capture, u
         train_union(whole, capture.subject, rays, preset, seed=3)
         path = tmp_path / "union.ckpt"
         with pytest.raises(KeyboardInterrupt):
-            train_union(
-                halves, capture.subject, rays, preset, seed=3, checkpoint=path, save_every=0.0, report=stop
-            )
+            train_union(halves, capture.subject, rays, preset, seed=3, checkpoint=path, save_every=0.0, report=stop)
         train_union(again, capture.subject, rays, preset, seed=3, checkpoint=path, resume=True)
     finally:
         torch.set_num_threads(threads)
     for name, value in whole.state_dict().items():
         assert torch.equal(value, again.state_dict()[name]), name
-    moved = [
-        name for name, value in whole.state_dict().items() if not torch.equal(value, fused.state_dict()[name])
-    ]
+    moved = [name for name, value in whole.state_dict().items() if not torch.equal(value, fused.state_dict()[name])]
     assert moved and all(name.startswith("fields.0.") for name in moved)
 
 
@@ -307,9 +304,7 @@ def test_variants_differ_from_the_run_in_what_they_name_and_leave_it_alone(captu
     assert other.provenance["registration"] == run.provenance["registration"]
     ours = np.linalg.inv(np.array(run.provenance["head_from_canonical"]))
     landmarks = np.linalg.inv(np.array(other.provenance["head_from_canonical"]))
-    np.testing.assert_allclose(
-        np.array(run.provenance["canonical_from_head_field"]) @ landmarks, ours, atol=1e-9
-    )
+    np.testing.assert_allclose(np.array(run.provenance["canonical_from_head_field"]) @ landmarks, ours, atol=1e-9)
 
     other = got["no_L_g"]
     stage1 = torch.load(run.path / "body_stage1.pt", weights_only=True)["state"]
@@ -335,9 +330,7 @@ def test_variants_differ_from_the_run_in_what_they_name_and_leave_it_alone(captu
             torch.testing.assert_close(shown[own], expected, atol=1e-6, rtol=0)
             reference = other.field.field(index).reference
             mean = run.field.field(index).appearance.weight.mean(0)
-            torch.testing.assert_close(
-                reference, mean if "codes" in name else run.field.field(index).reference
-            )
+            torch.testing.assert_close(reference, mean if "codes" in name else run.field.field(index).reference)
     with pytest.raises(ValueError, match=r"should be one of .*is 'no_head'"):
         variant(run, capture, "no_head")
 

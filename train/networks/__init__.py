@@ -23,7 +23,8 @@ class PartNetworks(NamedTuple):
     geometry: nn.Module  # F_s, Eq. 1
     appearance: nn.Embedding  # l_i, one row per frame
     color: nn.Module  # F_c, Eq. 2
-    displacement: Displacement  # T_nr, Eq. 3 and 4
+    # T_nr, Eq. 3 and 4
+    displacement: Displacement
 
 
 def frame_codes(frames: int, size: int) -> nn.Embedding:

@@ -29,17 +29,17 @@ class HashNetworks:
     rows: int = 2**19  # of a level's table at most
     coarsest: int = 16  # cells along the box's longest side
     first_levels: int = 4  # open from the start
-    opened: float = 0.4  # share of the steps after which all levels are open
+    # share of the steps after which all levels are open
+    opened: float = 0.4
     width: int = 64
-    feature: int = 15  # numbers that F_s hands to F_c
+    # numbers that F_s hands to F_c
+    feature: int = 15
     appearance: int = 16  # of a frame's code l_i
     displacement: int = 16  # of a frame's code phi_i
     reach: float = 0.06  # correction of the template at most, metres
 
 
-def build(
-    networks: HashNetworks, frames: int, half: Float[Tensor, "3"], displacement_reach: float
-) -> PartNetworks:
+def build(networks: HashNetworks, frames: int, half: Float[Tensor, "3"], displacement_reach: float) -> PartNetworks:
     """Untrained networks of a part with `frames` frames; `half` is its box's half size, metres."""
     geometry = HashGeometry(networks, half)
     appearance = frame_codes(frames, networks.appearance)
@@ -102,9 +102,11 @@ class HashGrid(nn.Module):
 
     corners: Int[Tensor, "8 3"]
     aspect: Float[Tensor, "3"]  # the box's sides, of the longest
-    resolution: Float[Tensor, "levels"]  # cells along the longest side
+    # cells along the longest side
+    resolution: Float[Tensor, "levels"]
     last_cell: Int[Tensor, "levels 3"]
-    strides: Int[Tensor, "levels 3"]  # of a plainly stored level
+    # of a plainly stored level
+    strides: Int[Tensor, "levels 3"]
     plain: Int[Tensor, "levels"]  # 1 or 0
     rows: Int[Tensor, "levels"]
     first_row: Int[Tensor, "levels"]
@@ -133,7 +135,8 @@ class HashGrid(nn.Module):
         put("rows", rows, False)
         put("first_row", torch.cumsum(rows, 0) - rows, False)
         self.opened, self.first_levels = networks.opened, min(networks.first_levels, levels)
-        self.open = self.first_levels  # levels that count; the others give zeros
+        # levels that count; the others give zeros
+        self.open = self.first_levels
         self.table = nn.Parameter(1e-4 * (2 * torch.rand(int(rows.sum()), networks.channels) - 1))
 
     def forward(self, unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n d"]:
@@ -189,9 +192,7 @@ class HashGeometry(nn.Module):
         self.reach = networks.reach
         self.grid = HashGrid(networks, half)
         width = networks.width
-        self.trunk = nn.Sequential(
-            nn.Linear(3 + networks.levels * networks.channels, width), nn.Softplus(beta=100)
-        )
+        self.trunk = nn.Sequential(nn.Linear(3 + networks.levels * networks.channels, width), nn.Softplus(beta=100))
         self.correction = nn.Linear(width, 1)
         self.feature = nn.Linear(width, networks.feature)
         nn.init.zeros_(self.correction.weight)

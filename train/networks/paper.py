@@ -32,17 +32,18 @@ class PaperNetworks:
     displacement_layers: int = 8
     point_frequencies: int = 6
     direction_frequencies: int = 4
-    feature: int = 256  # numbers that F_s hands to F_c
+    # numbers that F_s hands to F_c
+    feature: int = 256
     appearance: int = 128  # of a frame's code l_i
     displacement: int = 128  # of a frame's code phi_i
-    radius: float = 0.5  # of the sphere that F_s starts as, in longest half sides of the box
-    beta: float = 0.01  # width of the density at the start, metres; learned. At VolSDF's .1 a hand is a mist
+    # of the sphere that F_s starts as, in longest half sides of the box
+    radius: float = 0.5
+    # width of the density at the start, metres; learned. At VolSDF's .1 a hand is a mist
+    beta: float = 0.01
     lowest_beta: float = 1e-4
 
 
-def build(
-    networks: PaperNetworks, frames: int, half: Float[Tensor, "3"], displacement_reach: float
-) -> PartNetworks:
+def build(networks: PaperNetworks, frames: int, half: Float[Tensor, "3"], displacement_reach: float) -> PartNetworks:
     """Untrained networks of a part with `frames` frames; `half` is its box's half size, metres."""
     geometry = PaperGeometry(networks, half)
     appearance = frame_codes(frames, networks.appearance)
@@ -105,12 +106,14 @@ class PaperGeometry(nn.Module):
             layer = nn.Linear(size, width)
             nn.init.normal_(layer.weight, std=math.sqrt(2 / width))
             nn.init.zeros_(layer.bias)
-            with torch.no_grad():  # the encoding's waves start without effect: a sphere has none
+            # the encoding's waves start without effect: a sphere has none
+            with torch.no_grad():
                 if number == 0:
                     layer.weight[:, 3:] = 0
                 elif size > width:
                     layer.weight[:, width + 3 :] = 0
-                    layer.weight *= math.sqrt(0.5)  # two inputs of like size
+                    # two inputs of like size
+                    layer.weight *= math.sqrt(0.5)
             layers.append(weight_norm(layer))
         self.trunk = SkipLayers(layers, _softplus)
         out = nn.Linear(width, 1 + networks.feature)

@@ -21,15 +21,14 @@ class TriPlaneNetworks:
     color_size: int = 256  # texels of a colour plane's side
     color_channels: int = 8
     width: int = 64
-    feature: int = 15  # numbers that F_s hands to F_c
+    # numbers that F_s hands to F_c
+    feature: int = 15
     appearance: int = 8  # of a frame's code l_i
     displacement: int = 8  # of a frame's code phi_i
     reach: float = 0.06  # correction of the template at most, metres
 
 
-def build(
-    networks: TriPlaneNetworks, frames: int, half: Float[Tensor, "3"], displacement_reach: float
-) -> PartNetworks:
+def build(networks: TriPlaneNetworks, frames: int, half: Float[Tensor, "3"], displacement_reach: float) -> PartNetworks:
     """Untrained networks of a part with `frames` frames; `half` is its box's half size, metres."""
     geometry = TriPlaneGeometry(networks)
     planes = TriPlane(networks.color_channels, networks.color_size)

@@ -85,9 +85,7 @@ def test_a_frame_in_two_datagrams_is_one_frame():
         assert inbox.counters.frames == 10
         take = inbox.take
         inbox.finish()
-        assert np.allclose(
-            take.clip().axis_angle[:, [16, 17], 0], np.arange(10)[:, None] / 10 * [0.4, 0.6], atol=1e-6
-        )
+        assert np.allclose(take.clip().axis_angle[:, [16, 17], 0], np.arange(10)[:, None] / 10 * [0.4, 0.6], atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["vmc", "udp"])
@@ -144,11 +142,7 @@ def test_memory_does_not_grow():
 def test_ten_thousand_packets_of_nonsense_change_nothing(kind):
     rng = np.random.default_rng(0)
     inbox = Inbox(kind, delay=0.02)
-    good = (
-        [bundle(0.7, 1.0), bundle(0.7, 1.1)]
-        if kind == "vmc"
-        else [message(0.7, 1.0, 0), message(0.7, 1.1, 1)]
-    )
+    good = [bundle(0.7, 1.0), bundle(0.7, 1.1)] if kind == "vmc" else [message(0.7, 1.0, 0), message(0.7, 1.1, 1)]
     inbox.feed(good[0], 0.0)
     nonsense = [rng.bytes(rng.integers(0, 300)) for _ in range(5000)]
     nonsense += [good[0][: rng.integers(0, len(good[0]) // 4) * 4 + 2] for _ in range(4000)]  # cut short

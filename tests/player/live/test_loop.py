@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from avatar.amass import read_amass, write_amass
-from avatar.avatar_file import write_avatar
 from avatar.body import builtin_body
 from avatar.errors import AssetError
-from avatar.motion import Clip, builtin_motion, read_motion
+from avatar.gltf.avatar_file import write_avatar
+from avatar.motion.amass import read_amass, write_amass
+from avatar.motion.clip import Clip
+from avatar.motion.read import builtin_motion, read_motion
 from avatar.rotation import matrix_from_axis_angle
 from player.live.address import Address, parse_address
 from player.live.command import connected, encoder, send, stream_main, timed_poses
@@ -277,9 +278,7 @@ def test_pause_holds_a_pose_and_t_takes_the_t_pose(avatar_path, tmp_path, capsys
         posed = play_live(avatar_path, sender.address, tmp_path / "a.png", "pose pose space wait wait h wait")
         assert "frames" in capsys.readouterr().out
         # 3 s at the script's 30 frames a second
-        calibrated = play_live(
-            avatar_path, sender.address, tmp_path / "b.png", "pose t " + "wait " * 92 + "pose"
-        )
+        calibrated = play_live(avatar_path, sender.address, tmp_path / "b.png", "pose t " + "wait " * 92 + "pose")
         now = play_live(avatar_path, sender.address, tmp_path / "c.png", "pose " * 3, "--calibrate", "0")
     still = play_live(avatar_path, f"vmc:{free_port()}", tmp_path / "d.png", "wait")
     assert (posed != still).any(-1).mean() > 0.02
@@ -297,9 +296,7 @@ def test_options_of_live_need_a_source_and_files_and_live_exclude_each_other(ava
 
 def playback_of(avatar, inbox, **options):
     now = [100.0]
-    live = LivePlayback(
-        inbox, Address("udp", "127.0.0.1", 1), [avatar], [np.zeros(3)], clock=lambda: now[0], **options
-    )
+    live = LivePlayback(inbox, Address("udp", "127.0.0.1", 1), [avatar], [np.zeros(3)], clock=lambda: now[0], **options)
     return live, now
 
 
@@ -326,18 +323,14 @@ def test_roots_are_scaled_placed_and_lifted(avatar):
     assert live.poses()[0][1][1] == height  # standing until something comes
 
     def feed(n, root, pelvis_height=None):
-        data = build_pose(
-            np.zeros((52, 3)), np.array(root), time=n / 60, sequence=n, pelvis_height=pelvis_height
-        )
+        data = build_pose(np.zeros((52, 3)), np.array(root), time=n / 60, sequence=n, pelvis_height=pelvis_height)
         inbox.feed(data, 100 + n / 60)
         return live.poses()[0][1]
 
     assert np.allclose(feed(0, [5.0, 1.8, 7.0], 2 * height), [0, 0.9, 0], atol=1e-5)
     assert np.allclose(feed(1, [6.0, 1.8, 7.0], 2 * height), [0.5, 0.9, 0], atol=1e-5)
     live.calibrate()
-    assert np.allclose(
-        feed(2, [6.0, 0.0, 7.0], 2 * height), [0, height, 0], atol=1e-5
-    )  # no height was measured
+    assert np.allclose(feed(2, [6.0, 0.0, 7.0], 2 * height), [0, height, 0], atol=1e-5)  # no height was measured
 
 
 def test_stream_sends_the_motion_and_says_so(moving, capsys):
@@ -354,6 +347,9 @@ def test_stream_sends_the_motion_and_says_so(moving, capsys):
 
 
 def test_the_player_imports_no_live_package_until_asked():
-    code = "import sys, json, player.play_command; print(json.dumps([m for m in sys.modules if m.startswith(('websockets', 'pythonosc'))]))"
+    code = (
+        "import sys, json, player.play_command;"
+        "print(json.dumps([m for m in sys.modules if m.startswith(('websockets', 'pythonosc'))]))"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout) == []

@@ -29,11 +29,16 @@ def theirs(address, *arguments):
 
 def random_arguments(rng):
     makers = {
-        "i": lambda: int(rng.integers(-(2**31), 2**31)), "f": lambda: float(np.float32(rng.normal())),
-        "s": lambda: "".join(rng.choice(list("abcäß漢"), rng.integers(0, 9))), "b": lambda: rng.bytes(rng.integers(1, 9)),
-        "d": lambda: float(rng.normal()), "h": lambda: int(rng.integers(-(2**62), 2**62)),
-        "T": lambda: True, "F": lambda: False, "N": lambda: None,
-    }  # fmt: skip
+        "i": lambda: int(rng.integers(-(2**31), 2**31)),
+        "f": lambda: float(np.float32(rng.normal())),
+        "s": lambda: "".join(rng.choice(list("abcäß漢"), rng.integers(0, 9))),
+        "b": lambda: rng.bytes(rng.integers(1, 9)),
+        "d": lambda: float(rng.normal()),
+        "h": lambda: int(rng.integers(-(2**62), 2**62)),
+        "T": lambda: True,
+        "F": lambda: False,
+        "N": lambda: None,
+    }
     kinds = rng.choice(list(makers), rng.integers(0, 7))
     return [(makers[kind](), str(kind)) for kind in kinds]
 
@@ -112,9 +117,7 @@ def test_bundles_nested_too_deep_are_refused():
 
 def test_any_bytes_give_messages_or_the_one_error():
     rng = np.random.default_rng(2)
-    whole = build_bundle(
-        [build_message("/VMC/Ext/Bone/Pos", "Hips", *[0.1] * 7), build_message("/a", 1, True)]
-    )
+    whole = build_bundle([build_message("/VMC/Ext/Bone/Pos", "Hips", *[0.1] * 7), build_message("/a", 1, True)])
     packets = [rng.bytes(rng.integers(0, 200)) for _ in range(2000)]
     packets += [whole[:n] for n in range(len(whole))]
     for _ in range(3000):

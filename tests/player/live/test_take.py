@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from avatar.amass import read_amass
 from avatar.errors import AssetError
+from avatar.motion.amass import read_amass
 from player.live.frame import Frame, LivePose
 from player.live.latency import HEADER, Latency
 from player.live.one_euro import OneEuro

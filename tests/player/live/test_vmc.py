@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from avatar.motion import builtin_motion
+from avatar.motion.read import builtin_motion
 from avatar.rotation import (
     matrix_from_axis_angle,
     matrix_from_quaternion,
@@ -54,11 +54,7 @@ def random_pose(seed=0, scale=0.8):
 def test_every_joint_has_its_bone():
     pairs = dict(zip(JOINTS, BONES, strict=True))
     assert len(set(BONES)) == 52
-    assert (
-        pairs["pelvis"] == "Hips"
-        and pairs["spine3"] == "UpperChest"
-        and pairs["left_collar"] == "LeftShoulder"
-    )
+    assert pairs["pelvis"] == "Hips" and pairs["spine3"] == "UpperChest" and pairs["left_collar"] == "LeftShoulder"
     assert pairs["left_pinky1"] == "LeftLittleProximal" and pairs["right_ring3"] == "RightRingDistal"
     assert pairs["left_thumb2"] == "LeftThumbIntermediate" and pairs["right_wrist"] == "RightHand"
 
@@ -87,9 +83,7 @@ def test_both_spellings_of_thumbs_and_camel_case_are_read(side, first):
               for names in (("ThumbProximal", "ThumbIntermediate", "ThumbDistal"),
                             ("ThumbMetacarpal", "ThumbProximal", "ThumbDistal"))]  # fmt: skip
     for pose in angles:
-        assert np.allclose(
-            np.linalg.norm(pose.axis_angle[first : first + 3], axis=1), [0.2, 0.4, 0.6], atol=1e-6
-        )
+        assert np.allclose(np.linalg.norm(pose.axis_angle[first : first + 3], axis=1), [0.2, 0.4, 0.6], atol=1e-6)
     assert np.array_equal(
         pose_of(bone("leftUpperLeg", rotation=turns[0])).axis_angle,
         pose_of(bone("LeftUpperLeg", rotation=turns[0])).axis_angle,
@@ -102,9 +96,7 @@ def test_absent_bones_rest_and_unknown_ones_are_ignored():
     assert np.flatnonzero(np.linalg.norm(pose.axis_angle, axis=1)).tolist() == [JOINTS.index("spine1")]
 
 
-@pytest.mark.parametrize(
-    "numbers", [[np.nan] * 7, [np.inf] + [0.0] * 5 + [1.0], [0.0] * 7, [0.0] * 6, [1e30] * 7]
-)
+@pytest.mark.parametrize("numbers", [[np.nan] * 7, [np.inf] + [0.0] * 5 + [1.0], [0.0] * 7, [0.0] * 6, [1e30] * 7])
 def test_a_bone_with_impossible_numbers_is_counted_and_the_rest_used(numbers):
     bad = build_message("/VMC/Ext/Bone/Pos", "Head", *numbers)
     arrival, counters = decoded(build_bundle([bad, bone("Neck", rotation=(1, 0, 0, 0))]))
@@ -177,9 +169,7 @@ def test_calibration_recovers_a_rig_with_turned_bones():
 
 def test_the_root_moves_and_turns_the_pelvis():
     s = np.sqrt(0.5)
-    root = build_message(
-        "/VMC/Ext/Root/Pos", "root", 1.0, 0.0, 0.0, 0.0, s, 0.0, s
-    )  # +90 degrees about y, Unity
+    root = build_message("/VMC/Ext/Root/Pos", "root", 1.0, 0.0, 0.0, 0.0, s, 0.0, s)  # +90 degrees about y, Unity
     pose = pose_of(build_bundle([root, bone("Hips", position=(0, 1, 2))]))
     # ours: -90 degrees about y takes +z to -x
     assert np.allclose(pose.root, [-1 - 2, 1, 0], atol=1e-6)
@@ -189,9 +179,7 @@ def test_the_root_moves_and_turns_the_pelvis():
 def test_leg_length_is_measured_from_the_bones_or_not_at_all():
     packet = VmcEncoder(BODY.joints).encode(*random_pose(), 0.0)
     leg = rig_from_state(decoded(packet)[0].state).leg
-    assert (
-        abs(leg - (-BODY.joints[[7, 8], 1].mean())) < 0.03 * leg
-    )  # legs of the rest pose are almost straight
+    assert abs(leg - (-BODY.joints[[7, 8], 1].mean())) < 0.03 * leg  # legs of the rest pose are almost straight
     assert leg_length(np.zeros((52, 3))) is None
 
 

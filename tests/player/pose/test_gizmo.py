@@ -36,9 +36,7 @@ def some_gizmo(seed=0, frame="local"):
     pose, root = rng.normal(size=(52, 3)) * 0.4, rng.normal(size=3) * 0.2
     joint = int(rng.integers(0, 52))
     place = joint_transforms(pose, JOINTS_AT, root)[joint, :3, 3]
-    camera = orbit_camera(
-        place + rng.normal(size=3) * 0.1, 2.0, rng.uniform(-3, 3), rng.uniform(-1.2, 1.2), SIZE
-    )
+    camera = orbit_camera(place + rng.normal(size=3) * 0.1, 2.0, rng.uniform(-3, 3), rng.uniform(-1.2, 1.2), SIZE)
     gizmo = gizmo_at(pose, root, JOINTS_AT, joint, camera, frame=frame)
     assert gizmo is not None
     return gizmo, camera, pose, root, joint
@@ -90,8 +88,7 @@ def test_the_ring_under_the_pointer_is_picked_and_the_far_half_is_not(seed, ring
     if ring == VIEW_RING or ring_front(gizmo, points, camera)[k]:
         # another ring may cross there, and is as good an answer
         others = [
-            np.linalg.norm(project(camera, ring_points(gizmo, r, 2000))[0] - pixels[k], axis=1).min()
-            for r in range(4)
+            np.linalg.norm(project(camera, ring_points(gizmo, r, 2000))[0] - pixels[k], axis=1).min() for r in range(4)
         ]
         assert found is not None and others[found] <= others[ring] + 2.1
         if all(distance > 12 for r, distance in enumerate(others) if r != ring):
@@ -125,9 +122,7 @@ def test_edge_on_a_drag_is_finite_even_and_goes_with_the_pointer(tilt):
     camera = orbit_camera((0.0, 0.0, 0.0), 2.0, 0.0, tilt, SIZE)
     radius = PIXELS * 2.0 / camera.K[1, 1]
     eye = -camera.eye / np.linalg.norm(camera.eye)
-    gizmo = Gizmo(
-        np.zeros(3), np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], eye]), radius * np.array([1, 1, 1, 1.2])
-    )
+    gizmo = Gizmo(np.zeros(3), np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], eye]), radius * np.array([1, 1, 1, 1.2]))
     seized, _ = project(camera, np.array([[0.0, 0.0, radius]]))
     grab = grabbed(gizmo, 1, camera, seized[0])
     assert (grab.rolled is not None) == (abs(np.sin(tilt)) < 0.2)
@@ -140,10 +135,7 @@ def test_edge_on_a_drag_is_finite_even_and_goes_with_the_pointer(tilt):
     assert 0.5 < angles[-1] < 1.6
     # across the ring it hardly turns
     assert abs(drag_angle(grab, camera, seized[0] + [0.0, 3.0])) < 0.3
-    far = [
-        drag_angle(grab, camera, seized[0] + np.array([x, y]), 0.0)
-        for x, y in ((1e4, 0), (0, 1e4), (0, -1e4))
-    ]
+    far = [drag_angle(grab, camera, seized[0] + np.array([x, y]), 0.0) for x, y in ((1e4, 0), (0, 1e4), (0, -1e4))]
     assert np.isfinite(far).all()
 
 

@@ -66,14 +66,10 @@ def test_out_of_reach_the_end_is_as_near_as_the_limb_gets(seed, limb, beyond):
 @given(seeds, limbs, st.floats(0.0, 2.5))
 def test_where_the_hand_is_already_nothing_changes(seed, limb, bend):
     pose, root, joints, _ = start_pose(seed)
-    pose[LIMBS[limb].middle] = posed({JOINTS[LIMBS[limb].middle]: {"flexion": np.degrees(bend)}})[
-        LIMBS[limb].middle
-    ]
+    pose[LIMBS[limb].middle] = posed({JOINTS[LIMBS[limb].middle]: {"flexion": np.degrees(bend)}})[LIMBS[limb].middle]
     here = places(pose, root, joints)[LIMBS[limb].end]
     out = reach_for(pose, root, joints, limb, here)
-    np.testing.assert_allclose(
-        joint_transforms(out, joints, root), joint_transforms(pose, joints, root), atol=1e-7
-    )
+    np.testing.assert_allclose(joint_transforms(out, joints, root), joint_transforms(pose, joints, root), atol=1e-7)
 
 
 @settings(SOME, max_examples=6)
@@ -85,15 +81,10 @@ def test_a_moving_target_moves_the_limb_continuously(seed, limb):
     at = places(pose, root, joints)
     line = at[chain.end] - at[chain.first]
     sideways = np.cross(line, rng.normal(size=3))
-    ends = [
-        at[chain.first] + s * line + t * sideways / np.linalg.norm(sideways)
-        for s, t in ((0.5, 0.2), (1.6, -0.2))
-    ]
+    ends = [at[chain.first] + s * line + t * sideways / np.linalg.norm(sideways) for s, t in ((0.5, 0.2), (1.6, -0.2))]
     steps = 100
     path = np.linspace(*ends, steps)
-    elbows = np.array(
-        [places(reach_for(pose, root, joints, limb, p), root, joints)[chain.middle] for p in path]
-    )
+    elbows = np.array([places(reach_for(pose, root, joints, limb, p), root, joints)[chain.middle] for p in path])
     step = np.linalg.norm(ends[1] - ends[0]) / steps
     jumps = np.linalg.norm(np.diff(elbows, axis=0), axis=1)
     assert jumps.max() < 3 * np.sqrt(step * np.linalg.norm(line)) and np.median(jumps) < 5 * step

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from avatar.errors import AssetError
-from avatar.motion import read_motion
+from avatar.motion.read import read_motion
 from avatar.skeleton import JOINTS, joint_transforms
 from player.mannequin import mannequin
 from player.pose.ground import grounded, lowest_point
@@ -37,9 +37,7 @@ def test_built_in_poses_look_like_their_names(body):
 
     assert not builtin_pose("T-pose").any()
     assert at("victory")["left_wrist"][1] > at("victory")["head"][1] + 0.2
-    assert (
-        at("waving")["right_wrist"][1] > at("waving")["right_elbow"][1] + 0.15 > at("waving")["left_wrist"][1]
-    )
+    assert at("waving")["right_wrist"][1] > at("waving")["right_elbow"][1] + 0.15 > at("waving")["left_wrist"][1]
     assert at("pointing")["right_wrist"][2] > 0.35
     sitting = at("sitting")
     assert sitting["left_knee"][2] > 0.35 and abs(sitting["left_knee"][1] - sitting["left_hip"][1]) < 0.05
@@ -48,12 +46,7 @@ def test_built_in_poses_look_like_their_names(body):
     assert at("bowing")["head"][2] > 0.35
     thinking = at("thinking")
     assert np.linalg.norm(thinking["right_middle1"] - thinking["head"]) < 0.25
-    assert (
-        abs(at("standing")["left_wrist"][0])
-        < 0.45
-        < at("A-pose")["left_wrist"][0]
-        < at("T-pose")["left_wrist"][0]
-    )
+    assert abs(at("standing")["left_wrist"][0]) < 0.45 < at("A-pose")["left_wrist"][0] < at("T-pose")["left_wrist"][0]
     with pytest.raises(ValueError, match="no built-in pose 'dab'"):
         builtin_pose("dab")
 
@@ -71,9 +64,7 @@ def test_a_kept_pose_comes_back_to_the_last_bit_and_plays(tmp_path):
     other = Pose(pose.axis_angle, pose.root + 1)
     library.write("My pose é 1", other, pelvis_height=0.97)
     assert library.read("My pose é 1", root=ROOT).same(other)
-    assert [p.name for p in (tmp_path / "poses").iterdir()] == [
-        "My pose é 1.npz"
-    ]  # nothing half-written beside
+    assert [p.name for p in (tmp_path / "poses").iterdir()] == ["My pose é 1.npz"]  # nothing half-written beside
     library.write("a", pose)
     assert library.names()[-2:] == ["a", "My pose é 1"]
     library.delete("My pose é 1")

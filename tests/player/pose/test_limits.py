@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avatar.body import builtin_body
-from avatar.clips import relaxed_hands
-from avatar.motion import read_motion
+from avatar.motion.builtin import relaxed_hands
+from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms
 from player.pose.limits import (
@@ -33,9 +33,7 @@ def any_pose(seed, scale=2.0):
 
 def test_every_joint_has_three_named_angles_on_orthonormal_axes_with_zero_inside():
     table = limits()
-    np.testing.assert_allclose(
-        table.axes @ table.axes.swapaxes(1, 2), np.tile(np.eye(3), (52, 1, 1)), atol=1e-12
-    )
+    np.testing.assert_allclose(table.axes @ table.axes.swapaxes(1, 2), np.tile(np.eye(3), (52, 1, 1)), atol=1e-12)
     assert all(len(set(names)) == 3 for names in table.names) and len(table.names) == 52
     assert (table.low < 0).all() and (table.high > 0).all()
     # the widest corner of each swing's outline stays below half a turn, where swing and twist are unique

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from avatar.body import builtin_body
 from avatar.errors import AssetError
-from avatar.motion import read_motion
+from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS
 from player.pose.fingers import PRESETS
@@ -224,9 +224,7 @@ def test_keys_are_met_exactly_and_between_them_joints_turn_evenly():
     assert [f for f, _ in s.keys] == [0, 10, 25]
     for frame, pose in s.keys:
         assert pose_at(s.keys, frame) is pose
-    angles = [
-        joint_angles(pose_at(s.keys, f).axis_angle)[J["left_elbow"], 0] for f in np.arange(0, 10.01, 0.5)
-    ]
+    angles = [joint_angles(pose_at(s.keys, f).axis_angle)[J["left_elbow"], 0] for f in np.arange(0, 10.01, 0.5)]
     np.testing.assert_allclose(np.diff(angles), 0.06, atol=1e-9)
     np.testing.assert_allclose(pose_at(s.keys, 4).root - s.keys[0][1].root, [0.12, 0, 0], atol=1e-12)
     eased = [pose_at(s.keys, f, "smooth").root[0] for f in (0, 1, 5, 9, 10)]
@@ -311,8 +309,8 @@ def test_a_saved_pose_is_a_motion_of_one_frame_fitted_to_whoever_takes_it(tmp_pa
 
 
 def test_any_amass_file_can_be_taken_apart_into_keys_and_broken_ones_change_nothing(tmp_path):
-    from avatar.amass import write_amass
-    from avatar.motion import Clip
+    from avatar.motion.amass import write_amass
+    from avatar.motion.clip import Clip
 
     rng = np.random.default_rng(5)
     clip = Clip(rng.normal(size=(7, 52, 3)) * 0.3, rng.normal(size=(7, 3)), 24.0)

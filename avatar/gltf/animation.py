@@ -1,0 +1,122 @@
+"""An avatar file with a motion inside: glTF animation of the 52 joint nodes, for any program that plays glTF.
+
+Node rotations are SMPL rotations (docs/avatar-format.md), so every frame is one key: a unit quaternion for each
+joint and the place of the pelvis in the world, between keys LINEAR (slerp, glTF 2.0 appendix C). q and -q are the
+same rotation; each key has the sign nearer to the key before, since not every viewer takes the shorter arc.
+A joint that never turns has one key.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from avatar.files import whole_file
+from avatar.gltf.avatar_write import EXTENSION
+from avatar.gltf.document import Gltf, read_gltf
+from avatar.gltf.scene import read_skin
+from avatar.gltf.write import GltfBuilder
+from avatar.motion.clip import Clip
+from avatar.rotation import normalised_quaternion, quaternion_from_axis_angle
+from avatar.skeleton import JOINTS
+
+Array = np.ndarray
+
+# in the animation's extras: metres above the soles of the body that it fits
+PELVIS_HEIGHT = "pelvisHeight"
+
+
+def write_animated(path: Path | str, avatar_path: Path | str, clip: Clip, *, name: str = "motion") -> None:
+    """Write the avatar file `avatar_path` with the clip as its one animation; whole or not at all.
+
+    Everything else stays byte for byte, so the result is still an avatar file; an animation that was there is
+    replaced.
+
+    Raises:
+        AssetError: `avatar_path` is not an avatar file.
+        ValueError: no frames, numbers that are not finite, or so many frames that float32 seconds repeat.
+    """
+    gltf = read_gltf(avatar_path)
+    nodes = _joint_nodes(gltf)
+    document: dict[str, Any] = json.loads(json.dumps(gltf.json))
+    builder = _kept(document, bytes(gltf.buffers[0]))
+    document["animations"] = [_animation(builder, nodes, clip, name)]
+    data = builder.to_bytes(document)
+    with whole_file(path) as file:
+        file.write(data)
+
+
+def _joint_nodes(gltf: Gltf) -> list[int]:
+    """The nodes of the 52 joints; what else an avatar file promises is read_avatar's to check."""
+    if EXTENSION not in gltf.extensions(gltf.json, "glTF"):
+        raise gltf.error("extensions", f"with {EXTENSION}: an avatar comes from `selfscan bake`", None)
+    if len(gltf.buffers) != 1:
+        raise gltf.error("buffers", "one, the file's own", len(gltf.buffers))
+    nodes = list(read_skin(gltf, 0).nodes)
+    names = [gltf.items("nodes")[node].get("name") for node in nodes]
+    if names != list(JOINTS):
+        raise gltf.error("skins[0].joints", "the 52 joints of SMPL+H in order", names)
+    return nodes
+
+
+def rotation_keys(axis_angle: Float[Array, "frames n 3"]) -> Float32[Array, "frames n 4"]:
+    """Unit quaternions, each with the sign nearer to the one a frame before; the first with w >= 0."""
+    q = normalised_quaternion(quaternion_from_axis_angle(axis_angle))
+    turned = (q[1:] * q[:-1]).sum(-1) < 0
+    flips = np.cumsum(turned, axis=0) % 2 == 1
+    first = q[0, :, 3] < 0
+    q[0][first] *= -1
+    q[1:][flips ^ first] *= -1
+    return q.astype(np.float32)
+
+
+def _animation(builder: GltfBuilder, nodes: list[int], clip: Clip, name: str) -> dict[str, Any]:
+    count = len(clip.root)
+    if not count or not (np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()):
+        raise ValueError(f"a clip of {count} frames should have some, all finite")
+    rotations, places = rotation_keys(clip.axis_angle), clip.root.astype(np.float32)
+    times = (np.arange(len(places)) / float(clip.rate)).astype(np.float32)
+    if (np.diff(times) <= 0).any():
+        raise ValueError(f"{count} frames at {clip.rate:g} per second are more than float32 seconds tell apart")
+    every = builder.add_accessor(times, bounds=True)
+    once = builder.add_accessor(times[:1], bounds=True)
+    channels, samplers = [], []
+    for node, path, values in [
+        (nodes[0], "translation", places),
+        *((node, "rotation", np.ascontiguousarray(rotations[:, joint])) for joint, node in enumerate(nodes)),
+    ]:
+        still = bool((values == values[0]).all())
+        output = builder.add_accessor(values[:1] if still else values)
+        samplers.append({"input": once if still else every, "output": output, "interpolation": "LINEAR"})
+        channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": path}})
+    height = {} if clip.pelvis_height is None else {"extras": {PELVIS_HEIGHT: float(clip.pelvis_height)}}
+    return {"name": name, "channels": channels, "samplers": samplers, **height}
+
+
+def _kept(document: dict[str, Any], binary: bytes) -> GltfBuilder:
+    """A builder that holds what the file has; taken out of `document`, where to_bytes puts it back.
+
+    An old animation goes, with its accessors and bytes where they stand at the end, as they are written here.
+    """
+    accessors, views = document.get("accessors", []), document.get("bufferViews", [])
+    old = {
+        index
+        for animation in document.pop("animations", [])
+        for sampler in animation.get("samplers", [])
+        for index in (sampler.get("input"), sampler.get("output"))
+        if isinstance(index, int)
+    }
+    first = min(old, default=len(accessors))
+    if old == set(range(first, len(accessors))) and first:
+        kept = max((accessor.get("bufferView", -1) for accessor in accessors[:first]), default=-1)
+        kept = max([kept, *(image.get("bufferView", -1) for image in document.get("images", []))])
+        accessors, views = accessors[:first], views[: kept + 1]
+        binary = binary[: max(view.get("byteOffset", 0) + view["byteLength"] for view in views)]
+    builder = GltfBuilder()
+    builder.accessors, builder.views, builder.binary = accessors, views, bytearray(binary)
+    builder.images = document.pop("images", [])
+    for key in ("accessors", "bufferViews", "buffers"):
+        document.pop(key, None)
+    return builder

@@ -1,0 +1,250 @@
+"""The avatar file: one .glb that any glTF viewer shows, and that ours shows whole.
+
+Plain glTF holds the finest level: a skinned, unlit, textured mesh in the canonical pose on 52 named joints that
+rest in pose 0. The optional extension SELFSCAN_avatar refers to the rest: coarser levels, feature images, the
+view network, the canonical pose and provenance. docs/avatar-format.md is the byte-level description.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from avatar.baked_avatar import (
+    FEATURES,
+    NETWORK_ARRAYS,
+    VIEW_MODES,
+    Avatar,
+    Level,
+    ViewNetwork,
+    check_avatar,
+    check_level,
+    check_network,
+)
+from avatar.errors import AssetError
+from avatar.gltf.avatar_write import ATTRIBUTES, EXTENSION, VERSION, rigid_inverse, write_avatar
+from avatar.gltf.document import Gltf, read_gltf
+from avatar.gltf.scene import (
+    attribute_accessors,
+    base_color_image,
+    node_parents,
+    primitives,
+    read_skin,
+    triangles,
+    world_from_node,
+)
+from avatar.png import decode_png, png_pixels
+from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+
+__all__ = ["Avatar", "Level", "ViewNetwork", "read_avatar", "write_avatar"]
+
+T = TypeVar("T")
+MAX_LEVELS = 8
+# images that are unpacked at once
+DECODERS = 3
+# of all images together: 200 MB decoded
+MAX_PIXELS = 1 << 26
+
+
+def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
+    """Read an avatar file and check every promise that `Avatar` and `Level` make.
+
+    With `levels` only that many of the finest are decoded: a picture needs one, and the others' atlases cost a third
+    of the time that reading takes. Of the rest only what the file says of them is checked.
+
+    Raises:
+        AssetError: the file is no avatar, or a field is not as promised.
+    """
+    gltf = read_gltf(path)
+    extension = gltf.extensions(gltf.json, "glTF").get(EXTENSION)
+    where = f"extensions.{EXTENSION}"
+    if not isinstance(extension, dict):
+        raise gltf.error(where, "there: an avatar comes from `selfscan bake`", extension)
+    if extension.get("version") != VERSION:
+        raise gltf.error(f"{where}.version", f"{VERSION}", extension.get("version"))
+    for key, kind in (("name", str), ("defaultView", str), ("provenance", dict)):
+        if not isinstance(extension.get(key), kind):
+            raise gltf.error(f"{where}.{key}", f"a {kind.__name__}", extension.get(key))
+    if extension["defaultView"] not in VIEW_MODES:
+        raise gltf.error(f"{where}.defaultView", "network, linear or off", extension["defaultView"])
+    joints = gltf.numbers(extension, "jointPositions", where, (52, 3))
+    pose = gltf.numbers(extension, "canonicalPose", where, (52, 3))
+    amplitude = extension.get("amplitude")
+    if not isinstance(amplitude, (int, float)) or isinstance(amplitude, bool):
+        raise gltf.error(f"{where}.amplitude", "a number", amplitude)
+    linear = None
+    if "linear" in extension:
+        linear = gltf.numbers(extension, "linear", where, (_matrices(extension), 3, 3)).astype(np.float32)
+    try:
+        avatar = Avatar(
+            name=extension["name"],
+            joint_positions=joints,
+            canonical_pose=pose,
+            levels=_read_levels(gltf, extension, levels),
+            network=_read_network(gltf, extension),
+            linear=linear,
+            amplitude=float(amplitude),
+            default_view=extension["defaultView"],
+            provenance=extension["provenance"],
+        )
+        check_avatar(avatar)
+    except (ValueError, OverflowError) as error:
+        raise AssetError(f"{gltf.path}: {error}") from None
+    _check_skeleton(gltf, avatar, extension["levels"][0]["mesh"])
+    return avatar
+
+
+def _read_network(gltf: Gltf, extension: dict[str, Any]) -> ViewNetwork | None:
+    network, where = extension.get("network"), f"extensions.{EXTENSION}.network"
+    if network is None:
+        return None
+    if not isinstance(network, dict):
+        raise gltf.error(where, "an object", network)
+    shapes = NETWORK_ARRAYS[8 if "w3" in network else 4]
+    arrays = {name: gltf.numbers(network, name, where, shape).astype(np.float32) for name, shape in shapes.items()}
+    unknown = sorted(set(network) - set(arrays))
+    if unknown:
+        raise gltf.error(where, f"of {', '.join(arrays)} alone", unknown)
+    check_network(arrays, where)
+    return ViewNetwork(**arrays)
+
+
+def _matrices(extension: dict[str, Any]) -> int:
+    """How many 3 x 3 matrices `linear` holds: 8 when it has as many numbers, else 4 are expected."""
+    values = extension["linear"]
+    return FEATURES[1] if isinstance(values, list) and len(values) == 9 * FEATURES[1] else FEATURES[0]
+
+
+def _read_levels(gltf: Gltf, extension: dict[str, Any], wanted: int | None) -> tuple[Level, ...]:
+    """The levels, each with a mesh and images of its own; of more than `wanted` the finest."""
+    items, where = extension.get("levels"), f"extensions.{EXTENSION}.levels"
+    if not isinstance(items, list) or not 1 <= len(items) <= MAX_LEVELS:
+        raise gltf.error(where, f"a list of 1 to {MAX_LEVELS} levels", items)
+    sources = [_level_source(gltf, item, f"{where}[{i}]") for i, item in enumerate(items)]
+    # The same mesh or image again would multiply what a small file costs to decode.
+    meshes = [source.mesh for source in sources]
+    images = [image for source in sources for image in (source.base_color, *source.features)]
+    for name, used in (("mesh", meshes), ("image", images)):
+        if len(set(used)) != len(used):
+            raise gltf.error(where, f"with a {name} of their own each", used)
+    pixels = sum(_of_image(gltf, image, png_pixels) for image in images)
+    if pixels > MAX_PIXELS:
+        raise gltf.error("images", f"at most {MAX_PIXELS} pixels together", pixels)
+
+    levels = []
+    # unpacking is work outside of Python
+    with ThreadPoolExecutor(DECODERS) as pool:
+        unpacked = [
+            (pool.submit(_of_image, gltf, source.base_color, decode_png, "RGB"),
+             [pool.submit(_four_features, gltf, image) for image in source.features])
+            for source in sources[:wanted]
+        ]  # fmt: skip
+        for i, (mesh, _, feature_images) in enumerate(sources[:wanted]):
+            arrays, (base_color, features) = _read_surface(gltf, mesh), unpacked[i]
+            arrays["base_color"] = base_color.result()
+            fours = [four.result() for four in features]
+            if len({four.shape for four in fours}) > 1:
+                found = [four.shape[:2] for four in fours]
+                raise gltf.error(f"images[{feature_images[1]}]", f"of the size of images[{feature_images[0]}]", found)
+            fields = {**arrays, "features": np.concatenate(fours, axis=2) if fours else None}
+            check_level(fields, f"levels[{i}]")
+            levels.append(Level(**fields))
+    return tuple(levels)
+
+
+class _Source(NamedTuple):
+    """Where a level lies in the file."""
+
+    mesh: int
+    base_color: int  # image
+    # images of four features each: none, one or two
+    features: tuple[int, ...]
+
+
+def _four_features(gltf: Gltf, image: int) -> np.ndarray:
+    """Four features a texel, from their planes one below the other."""
+    planes = _of_image(gltf, image, decode_png, "L")
+    if len(planes) % 4:
+        raise gltf.error(f"images[{image}] height", "four planes", len(planes))
+    return np.ascontiguousarray(np.moveaxis(planes.reshape(4, -1, planes.shape[1]), 0, -1))
+
+
+def _level_source(gltf: Gltf, item: object, where: str) -> _Source:
+    if not isinstance(item, dict):
+        raise gltf.error(where, "an object", item)
+    mesh = gltf.index("meshes", item.get("mesh"), f"{where}.mesh")
+    parts = primitives(gltf, mesh)
+    if len(parts) != 1:
+        raise gltf.error(f"meshes[{mesh}].primitives", "one", len(parts))
+    material = gltf.index("materials", parts[0].get("material"), f"meshes[{mesh}] material")
+    base_color = base_color_image(gltf, material)
+    if base_color is None:
+        raise gltf.error(f"materials[{material}]", "with a base colour texture", None)
+    keys = [key for key in ("featureImage", "featureImage2") if item.get(key) is not None]
+    if keys == ["featureImage2"]:
+        raise gltf.error(f"{where}.featureImage", "there, as featureImage2 is", None)
+    features = tuple(gltf.index("images", item[key], f"{where}.{key}") for key in keys)
+    return _Source(mesh, base_color, features)
+
+
+def _of_image(gltf: Gltf, index: int, function: Callable[..., T], *arguments: object) -> T:
+    """Apply a function of PNG bytes to an image; its complaint gains the place."""
+    try:
+        return function(gltf.image(index)[0], *arguments)
+    except ValueError as error:
+        raise AssetError(f"{gltf.path}: images[{index}] {error}") from None
+
+
+def _read_surface(gltf: Gltf, mesh: int) -> dict[str, np.ndarray]:
+    """The arrays of a level that live in its primitive."""
+    accessors, where = attribute_accessors(gltf, mesh), f"meshes[{mesh}].primitives[0]"
+    for name in (*ATTRIBUTES.values(), "_VIEW_Q0", "_VIEW_Q1"):
+        if name not in accessors:
+            raise gltf.error(f"{where}.attributes", f"with {name}", sorted(accessors))
+    if gltf.items("accessors")[accessors["WEIGHTS_0"]].get("normalized") is not True:
+        raise gltf.error(f"{where}.WEIGHTS_0", "normalised bytes", "not normalised")
+    arrays = {field: gltf.accessor(accessors[name]) for field, name in ATTRIBUTES.items()}
+    # one number in older files
+    seen = arrays["view_seen"]
+    if seen.ndim == 2:
+        if seen.shape[1] != 3 or seen[:, 1:].any():
+            raise gltf.error(f"{where}._VIEW_SEEN", "v, 0, 0 for each vertex", seen.shape)
+        arrays["view_seen"] = np.ascontiguousarray(seen[:, 0])
+    q0, q1 = gltf.accessor(accessors["_VIEW_Q0"]), gltf.accessor(accessors["_VIEW_Q1"])
+    if q0.shape != q1.shape or q0.ndim != 2:
+        raise gltf.error(f"{where}._VIEW_Q1", f"of the shape of _VIEW_Q0 {q0.shape}", q1.shape)
+    arrays["view_q"] = np.concatenate([q0, q1], axis=1)
+    arrays["faces"] = triangles(gltf, mesh, 0, len(arrays["positions"]))
+    return arrays
+
+
+def _check_skeleton(gltf: Gltf, avatar: Avatar, mesh: int) -> None:
+    """The node tree must say what the extension says: names, order, parents, pose 0, inverse binds."""
+    bearers = [i for i, node in enumerate(gltf.items("nodes")) if node.get("mesh") == mesh and "skin" in node]
+    if len(bearers) != 1:
+        raise gltf.error("nodes", f"one with the finest mesh {mesh} and a skin", bearers)
+    skin = read_skin(gltf, gltf.items("nodes")[bearers[0]]["skin"], field=f"nodes[{bearers[0]}].skin")
+    names = [gltf.items("nodes")[node].get("name") for node in skin.nodes]
+    if names != list(JOINTS):
+        wrong = next((i for i, pair in enumerate(zip(names, JOINTS, strict=False)) if pair[0] != pair[1]), 52)
+        expected = f"the 52 SMPL+H joints in order, here {JOINTS[wrong] if wrong < 52 else 'their end'}"
+        raise gltf.error(f"skin joint {wrong}", expected, names[wrong] if wrong < len(names) else "absent")
+    parents = node_parents(gltf)
+    for joint, node in enumerate(skin.nodes[1:], start=1):
+        if parents[node] != skin.nodes[PARENTS[joint]]:
+            raise gltf.error(f"parent of {JOINTS[joint]}", JOINTS[PARENTS[joint]], f"node {parents[node]}")
+    world = world_from_node(gltf)[list(skin.nodes)]
+    expected = joint_transforms(np.zeros((52, 3)), avatar.joint_positions)
+    _check_close(gltf, "default nodes", world, expected)
+    inverse = rigid_inverse(joint_transforms(avatar.canonical_pose, avatar.joint_positions))
+    _check_close(gltf, "inverse bind matrices", skin.joint_from_mesh, inverse)
+
+
+def _check_close(gltf: Gltf, field: str, found: np.ndarray, expected: np.ndarray) -> None:
+    """Transforms of the 52 joints agree to 10 micrometres (and as little rotation)."""
+    error = np.abs(found - expected).max(axis=(1, 2))
+    if not error.max() < 1e-5:
+        joint = int(np.argmax(error))
+        raise gltf.error(f"{field} of {JOINTS[joint]}", "as the extension says", f"off by {error[joint]:.2g}")

@@ -1,0 +1,149 @@
+"""Writing the avatar file. docs/avatar-format.md describes the result; `avatar/gltf/avatar_file.py` reads it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.baked_avatar import Avatar, Level, check_avatar
+from avatar.files import whole_file
+from avatar.gltf.write import INDICES, VERTICES, GltfBuilder
+from avatar.png import encode_png
+from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+
+EXTENSION = "SELFSCAN_avatar"
+VERSION = 1
+# field of Level: glTF attribute
+ATTRIBUTES = {
+    "positions": "POSITION",
+    "normals": "NORMAL",
+    "uv": "TEXCOORD_0",
+    "joints": "JOINTS_0",
+    "weights": "WEIGHTS_0",
+    "view_dir": "_VIEW_DIR",
+    "view_seen": "_VIEW_SEEN",
+}
+
+
+def write_avatar(path: str | Path, avatar: Avatar) -> None:
+    """Write an avatar file, whole or not at all. The same avatar gives the same bytes.
+
+    Joints of weight 0 are written as joint 0, as glTF asks.
+
+    Raises:
+        ValueError: a field of the avatar breaks a promise of `Avatar` or `Level`.
+    """
+    check_avatar(avatar)
+    data = _avatar_bytes(avatar)
+    with whole_file(path) as file:
+        file.write(data)
+
+
+def _avatar_bytes(avatar: Avatar) -> bytes:
+    builder = GltfBuilder()
+    joint_from_mesh = rigid_inverse(joint_transforms(avatar.canonical_pose, avatar.joint_positions))
+    skin = {
+        "name": "SMPL+H",
+        "joints": list(range(52)),
+        "skeleton": 0,
+        "inverseBindMatrices": builder.add_accessor(joint_from_mesh.astype(np.float32)),
+    }
+    meshes, materials, textures, levels = [], [], [], []
+    for i, level in enumerate(avatar.levels):
+        name = f"{avatar.name} {len(level.faces)}"
+        image = builder.add_image(encode_png(level.base_color), f"{name} base colour")
+        textures.append({"name": name, "sampler": 0, "source": image})
+        materials.append(
+            {
+                "name": name,
+                "pbrMetallicRoughness": {
+                    "baseColorTexture": {"index": i},
+                    "metallicFactor": 0,
+                    "roughnessFactor": 1,
+                },
+                "extensions": {"KHR_materials_unlit": {}},
+            }
+        )
+        primitive = {**_add_surface(builder, level), "material": i}
+        meshes.append({"name": name, "primitives": [primitive]})
+        levels.append({"mesh": i})
+        if level.features is not None:
+            for key, first in (("featureImage", 0), ("featureImage2", 4))[: level.features.shape[2] // 4]:
+                planes = np.concatenate(np.moveaxis(level.features[..., first : first + 4], -1, 0))  # (4 h, w)
+                title = f"{name} features" + (f" {first} to {first + 3}" if first else "")
+                levels[i][key] = builder.add_image(encode_png(planes), title)
+
+    nodes: list[dict[str, Any]] = []
+    for joint, name in enumerate(JOINTS):
+        parent = PARENTS[joint]
+        offset = avatar.joint_positions[joint] - (avatar.joint_positions[parent] if parent >= 0 else 0)
+        node: dict[str, Any] = {"name": name, "translation": [float(x) for x in offset]}
+        children = [int(child) for child in np.flatnonzero(joint == PARENTS)]
+        nodes.append(node | ({"children": children} if children else {}))
+    nodes.append({"name": avatar.name, "mesh": 0, "skin": 0})
+
+    extension: dict[str, Any] = {
+        "version": VERSION,
+        "name": avatar.name,
+        "jointPositions": _flat(avatar.joint_positions),
+        "canonicalPose": _flat(avatar.canonical_pose),
+        "levels": levels,
+        "defaultView": avatar.default_view,
+        "amplitude": float(avatar.amplitude),
+        "provenance": avatar.provenance,
+    }
+    if avatar.network is not None:
+        arrays = {name: values for name, values in vars(avatar.network).items() if values is not None}
+        extension["network"] = {name: _flat(values) for name, values in arrays.items()}
+    if avatar.linear is not None:
+        extension["linear"] = _flat(avatar.linear)
+    return builder.to_bytes(
+        {
+            "asset": {"version": "2.0", "generator": "selfscan"},
+            "extensionsUsed": ["KHR_materials_unlit", EXTENSION],
+            "extensions": {EXTENSION: extension},
+            "scene": 0,
+            "scenes": [{"name": avatar.name, "nodes": [0, 52]}],
+            "nodes": nodes,
+            "skins": [skin],
+            "meshes": meshes,
+            "materials": materials,
+            "textures": textures,
+            "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
+        }
+    )
+
+
+def _add_surface(builder: GltfBuilder, level: Level) -> dict[str, Any]:
+    """The attributes and indices of a level's one primitive."""
+    q = level.view_q
+    arrays = {name: getattr(level, field) for field, name in ATTRIBUTES.items()}
+    arrays |= {"_VIEW_Q0": q[:, :3], "_VIEW_Q1": q[:, 3:]}
+    # three numbers as the others: Blender up to 5.1 takes attributes of several types for one another (its #2658)
+    seen = level.view_seen[:, None]
+    arrays["_VIEW_SEEN"] = np.concatenate([seen, np.zeros((len(seen), 2), np.float32)], axis=1)
+    arrays["JOINTS_0"] = np.where(level.weights > 0, level.joints, 0).astype(np.uint8)
+    attributes = {
+        name: builder.add_accessor(values, VERTICES, normalised=name == "WEIGHTS_0", bounds=name == "POSITION")
+        for name, values in arrays.items()
+    }
+    # the largest index of a type is kept for primitive restart
+    small = len(level.positions) < 65535
+    indices = level.faces.reshape(-1).astype(np.uint16 if small else np.uint32)
+    return {"attributes": attributes, "indices": builder.add_accessor(indices, INDICES)}
+
+
+def rigid_inverse(transforms: Float[np.ndarray, "*b 4 4"]) -> Float[np.ndarray, "*b 4 4"]:
+    """The inverse of rotations with translation; the last row stays exactly 0 0 0 1."""
+    inverse = np.zeros_like(transforms)
+    rotation = np.swapaxes(transforms[..., :3, :3], -1, -2)
+    inverse[..., :3, :3] = rotation
+    inverse[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, transforms[..., :3, 3])
+    inverse[..., 3, 3] = 1
+    return inverse
+
+
+def _flat(values: np.ndarray) -> list[float]:
+    """Numbers for JSON, row by row; JSON keeps every bit of a float64, so of a float32 too."""
+    return [float(value) for value in values.reshape(-1)]

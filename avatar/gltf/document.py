@@ -1,0 +1,297 @@
+"""glTF 2.0 files (.glb, .gltf, .vrm): the container, accessors and images.
+
+A file is an untrusted claim: every count, offset, stride and index is checked against the bytes that are
+really there before anything is allocated, so what a file costs in memory is bounded by its size. Bytes
+and JSON come from `avatar/gltf/container.py`; what the accessors mean (nodes, skins, triangles) is
+`avatar/gltf/scene.py`; writing is `avatar/gltf/write.py`.
+
+glTF 2.0 specification, sections 3.6 (binary data) and 4 (GLB).
+"""
+
+import shlex
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from avatar.errors import AssetError
+from avatar.gltf.container import MAX_BYTES, file_bytes, glb_chunks, parse_json, short, uri_bytes
+
+COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+ELEMENT_SHAPES = {
+    "SCALAR": (),
+    "VEC2": (2,),
+    "VEC3": (3,),
+    "VEC4": (4,),
+    "MAT2": (2, 2),
+    "MAT3": (3, 3),
+    "MAT4": (4, 4),
+}
+
+# Required extensions that change nothing we read, or that are read here. KHR_materials_* is read as its base.
+READ_EXTENSIONS = (
+    "KHR_mesh_quantization",
+    "EXT_texture_webp",
+    "KHR_texture_transform",
+    "KHR_lights_punctual",
+    "KHR_node_visibility",
+)
+READ_PREFIXES = ("KHR_materials_", "VRM", "SELFSCAN_")
+# Extensions we do not read, and the glTF-Transform command line that turns each into plain glTF.
+CONVERTERS = {
+    "EXT_meshopt_compression": "copy {} plain.glb",
+    "KHR_meshopt_compression": "copy {} plain.glb",
+    "KHR_draco_mesh_compression": "copy {} plain.glb",
+    "KHR_texture_basisu": "ktxdecompress {} plain.glb",
+    "EXT_texture_avif": 'png {} plain.glb --formats "*"',
+    "KHR_materials_pbrSpecularGlossiness": "metalrough {} plain.glb",
+}
+
+# an accessor that no bytes back (all zero, or sparse)
+MAX_EMPTY_BYTES = 1 << 26
+COLLECTIONS = (
+    "accessors",
+    "animations",
+    "buffers",
+    "bufferViews",
+    "images",
+    "materials",
+    "meshes",
+    "nodes",
+    "samplers",
+    "scenes",
+    "skins",
+    "textures",
+)
+
+
+@dataclass(frozen=True)
+class Gltf:
+    """One file: its JSON, and the bytes of its buffers, already known to be as long as the JSON says."""
+
+    path: Path
+    json: dict[str, Any]
+    buffers: tuple[memoryview, ...]
+
+    def error(self, field: str, expected: str, found: object) -> AssetError:
+        """The error to raise for a field that is not what it should be."""
+        return AssetError(f"{self.path}: {field} should be {expected}, is {short(found)}")
+
+    def items(self, collection: str) -> list[dict[str, Any]]:
+        """A top-level list of objects (`nodes`, `meshes` ...), empty where the file has none."""
+        return self.json.get(collection, [])
+
+    def item(self, collection: str, index: object, field: str) -> dict[str, Any]:
+        """The object that `index`, found at `field`, refers to."""
+        return self.items(collection)[self.index(collection, index, field)]
+
+    def index(self, collection: str, index: object, field: str) -> int:
+        """A reference into a collection: a whole number that exists there."""
+        count = len(self.items(collection))
+        if type(index) is not int or not 0 <= index < count:
+            raise self.error(field, f"an index below {count} ({collection})", index)
+        return index
+
+    def integer(self, holder: dict[str, Any], key: str, field: str, *, low: int = 0, default: int | None = None) -> int:
+        """A whole number of at least `low`; absent means `default` where there is one."""
+        value = holder.get(key, default)
+        if type(value) is not int or not low <= value <= MAX_BYTES:
+            raise self.error(f"{field}.{key}", f"a whole number from {low} to {MAX_BYTES}", value)
+        return value
+
+    def numbers(self, holder: dict[str, Any], key: str, field: str, shape: tuple[int, ...]) -> np.ndarray:
+        """A flat JSON list of finite numbers as a float64 array of `shape`."""
+        value = holder.get(key)
+        size = prod(shape)
+        if not isinstance(value, list) or len(value) != size:
+            raise self.error(f"{field}.{key}", f"{size} numbers", value)
+        if not all(type(v) in (int, float) and abs(v) < 1e30 for v in value):
+            raise self.error(f"{field}.{key}", f"{size} finite numbers", value)
+        return np.array(value, dtype=np.float64).reshape(shape)
+
+    def view(self, index: object, field: str) -> memoryview:
+        """The bytes of a buffer view."""
+        view = self.item("bufferViews", index, field)
+        where = f"bufferViews[{index}]"
+        buffer = self.buffers[self.index("buffers", view.get("buffer"), f"{where}.buffer")]
+        offset = self.integer(view, "byteOffset", where, default=0)
+        length = self.integer(view, "byteLength", where, low=1)
+        if offset + length > len(buffer):
+            raise self.error(f"{where} end", f"within its buffer of {len(buffer)} bytes", offset + length)
+        return buffer[offset : offset + length]
+
+    def extensions(self, holder: dict[str, Any], field: str) -> dict[str, Any]:
+        """The `extensions` object of any glTF object, empty where it has none."""
+        extensions = holder.get("extensions", {})
+        if not isinstance(extensions, dict):
+            raise self.error(f"{field}.extensions", "an object", extensions)
+        return extensions
+
+    def accessor(self, index: object, *, as_float: bool = False, field: str = "accessor") -> np.ndarray:
+        """The values of an accessor: (count,), (count, n) for vectors, (count, n, n) for matrices.
+
+        The array is the caller's own. Matrices are transposed to NumPy's order: `matrix @ column`. Integers
+        stay as stored; with `as_float` they become float32, and normalised ones their fraction:
+        c / (2^bits - 1), max(c / (2^(bits-1) - 1), -1) when signed. Floats must be finite.
+        """
+        accessor = self.item("accessors", index, field)
+        where = f"accessors[{index}]"
+        component, kind = accessor.get("componentType"), accessor.get("type")
+        if type(component) is not int or component not in COMPONENT_TYPES:
+            raise self.error(f"{where}.componentType", f"one of {sorted(COMPONENT_TYPES)}", component)
+        if not isinstance(kind, str) or kind not in ELEMENT_SHAPES:
+            raise self.error(f"{where}.type", f"one of {list(ELEMENT_SHAPES)}", kind)
+        dtype, shape = np.dtype(COMPONENT_TYPES[component]), ELEMENT_SHAPES[kind]
+        if len(shape) == 2 and dtype.itemsize * shape[0] % 4:
+            raise self.error(f"{where}.componentType", "float for a matrix", component)
+        count = self.integer(accessor, "count", where, low=1)
+
+        if "bufferView" in accessor:
+            values = self._elements(accessor, dtype, shape, count, where).copy()
+        else:
+            if count * dtype.itemsize * prod(shape) > MAX_EMPTY_BYTES:
+                raise self.error(f"{where}.count", f"at most {MAX_EMPTY_BYTES} bytes without a buffer", count)
+            values = np.zeros((count, *shape), dtype)
+        if "sparse" in accessor:
+            self._apply_sparse(values, accessor["sparse"], where)
+
+        if dtype.kind == "f":
+            if not np.isfinite(values).all():
+                first = tuple(int(i) for i in np.argwhere(~np.isfinite(values))[0])
+                raise AssetError(f"{self.path}: {where} should be finite, is {values[first]} at {first}")
+        elif as_float:
+            normalised = accessor.get("normalized", False) is True
+            values = values.astype(np.float32)
+            if normalised:
+                values = np.maximum(values / np.float32(np.iinfo(dtype).max), np.float32(-1))
+        return values.swapaxes(-1, -2) if len(shape) == 2 else values
+
+    def _elements(
+        self, holder: dict[str, Any], dtype: np.dtype, shape: tuple[int, ...], count: int, where: str
+    ) -> np.ndarray:
+        """`count` elements of a buffer view, as a view of its bytes, bounds checked."""
+        data = self.view(holder.get("bufferView"), f"{where}.bufferView")
+        offset = self.integer(holder, "byteOffset", where, default=0)
+        size = dtype.itemsize * prod(shape)
+        stride = size
+        view = self.items("bufferViews")[holder["bufferView"]]
+        if "byteStride" in view:
+            stride = self.integer(view, "byteStride", f"bufferViews[{holder['bufferView']}]", low=1)
+            if stride < size:
+                raise self.error(f"{where} byteStride", f"at least the element's {size} bytes", stride)
+        end = offset + stride * (count - 1) + size
+        if end > len(data):
+            raise self.error(f"{where} end", f"within its buffer view of {len(data)} bytes", end)
+        strides = (stride,) + tuple(np.zeros((1, *shape), dtype).strides[1:])
+        return np.ndarray((count, *shape), dtype, data, offset, strides)
+
+    def _apply_sparse(self, values: np.ndarray, sparse: object, where: str) -> None:
+        """Overwrite the elements that a sparse accessor lists."""
+        where = f"{where}.sparse"
+        parts = [sparse.get(k) for k in ("indices", "values")] if isinstance(sparse, dict) else []
+        if not isinstance(sparse, dict) or not all(isinstance(part, dict) for part in parts):
+            raise self.error(where, "an object with indices and values", sparse)
+        count = self.integer(sparse, "count", where, low=1)
+        component = sparse["indices"].get("componentType")
+        if component not in (5121, 5123, 5125):
+            raise self.error(f"{where}.indices.componentType", "5121, 5123 or 5125", component)
+        index_type = np.dtype(COMPONENT_TYPES[component])
+        indices = self._elements(sparse["indices"], index_type, (), count, f"{where}.indices")
+        if indices.max() >= len(values) or (np.diff(indices.astype(np.int64)) <= 0).any():
+            raise self.error(f"{where}.indices", f"increasing, below {len(values)}", indices)
+        values[indices] = self._elements(sparse["values"], values.dtype, values.shape[1:], count, f"{where}.values")
+
+    def image(self, index: object, *, field: str = "image") -> tuple[bytes, str]:
+        """The encoded bytes of an image, and the mime type that its first bytes show."""
+        image = self.item("images", index, field)
+        where = f"images[{index}]"
+        if "bufferView" in image:
+            data = bytes(self.view(image["bufferView"], f"{where}.bufferView"))
+        else:
+            data = uri_bytes(self.path, image.get("uri"), f"{where}.uri")
+        if data[:8] == b"\x89PNG\r\n\x1a\n":
+            return data, "image/png"
+        if data[:3] == b"\xff\xd8\xff":
+            return data, "image/jpeg"
+        if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+            return data, "image/webp"
+        if data[:8] == b"\xabKTX 20\xbb":
+            raise AssetError(refusal(self.path, "KHR_texture_basisu"))
+        raise self.error(where, "a PNG, JPEG or WebP image", data[:12])
+
+
+def refusal(path: Path, extension: str) -> str:
+    """Why a file with this required extension is not read, and the command that removes it."""
+    message = f"{path}: the file requires the extension {extension[:80]!r}, which is not read here"
+    if extension in CONVERTERS:
+        command = CONVERTERS[extension].format(shlex.quote(str(path)))
+        return f"{message}; convert it with: npx @gltf-transform/cli {command}"
+    return f"{message}; export the file without it"
+
+
+def read_gltf(path: str | Path) -> Gltf:
+    """Read a .glb, .vrm or .gltf file with the buffers it names.
+
+    Raises:
+        AssetError: anything that is not as the file claims, or an extension that is required and not read.
+    """
+    path = Path(path)
+    data = file_bytes(path)
+    if data[:4] == b"glTF":
+        text, binary = glb_chunks(path, data)
+    else:
+        text, binary = memoryview(data), None
+    document = parse_json(path, text)
+    gltf = Gltf(path, document, ())
+    _check_document(gltf)
+    return Gltf(path, document, tuple(_read_buffers(gltf, binary)))
+
+
+def _check_document(gltf: Gltf) -> None:
+    """The version, the required extensions, and that every collection is a list of objects."""
+    asset = gltf.json.get("asset")
+    version = asset.get("version") if isinstance(asset, dict) else None
+    if not isinstance(version, str) or not version.startswith("2."):
+        raise gltf.error("asset.version", "2.x", version)
+    for key in ("extensionsUsed", "extensionsRequired"):
+        names = gltf.json.get(key, [])
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise gltf.error(key, "a list of names", names)
+    for name in gltf.json.get("extensionsRequired", []):
+        read = name in READ_EXTENSIONS or name.startswith(READ_PREFIXES)
+        if name in CONVERTERS or not read:
+            raise AssetError(refusal(gltf.path, name))
+    for key in COLLECTIONS:
+        items = gltf.json.get(key, [])
+        if not isinstance(items, list):
+            raise gltf.error(key, "a list of objects", items)
+        for i, item in enumerate(items):
+            if not isinstance(item, dict):
+                raise gltf.error(f"{key}[{i}]", "an object", item)
+
+
+def _read_buffers(gltf: Gltf, binary: memoryview | None) -> list[memoryview]:
+    """The bytes of every buffer: the binary chunk, data URIs, and files beside the .gltf."""
+    buffers, total = [], 0
+    for i, buffer in enumerate(gltf.items("buffers")):
+        where = f"buffers[{i}]"
+        length = gltf.integer(buffer, "byteLength", where, low=1)
+        if "uri" in buffer:
+            data = memoryview(uri_bytes(gltf.path, buffer["uri"], f"{where}.uri"))
+        elif i == 0 and binary is not None:
+            data = binary
+        else:
+            # a meshopt buffer to be filled by decompression
+            for name in gltf.extensions(buffer, where):
+                if name in CONVERTERS:
+                    raise AssetError(refusal(gltf.path, name))
+            raise gltf.error(where, "bytes in the file or a uri", buffer)
+        if length > len(data):
+            raise gltf.error(f"{where}.byteLength", f"at most the {len(data)} bytes there", length)
+        total += len(data)
+        if total > MAX_BYTES:
+            raise gltf.error("buffers", f"at most {MAX_BYTES} bytes", total)
+        buffers.append(data[:length])
+    return buffers

@@ -1,0 +1,227 @@
+"""What a glTF file's accessors mean: the node tree, skins, triangles, and which image colours them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int, UInt32
+
+from avatar.errors import AssetError
+from avatar.gltf.document import Gltf, refusal
+
+TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
+
+
+@dataclass(frozen=True)
+class Skin:
+    """The joints of a skinned mesh. A vertex is at sum_k w_k world_from_node[k] joint_from_mesh[k] x."""
+
+    name: str
+    # the node of each joint
+    nodes: tuple[int, ...]
+    joint_from_mesh: Float[np.ndarray, "joints 4 4"]  # inverse bind matrices
+
+
+@dataclass(frozen=True)
+class Primitive:
+    """One drawable part of a mesh: vertex attributes by their glTF names, and triangles."""
+
+    # float32, except JOINTS_n, which keep their integer type
+    attributes: dict[str, np.ndarray]
+    faces: UInt32[np.ndarray, "faces 3"]
+    material: int | None
+
+
+def node_parents(gltf: Gltf) -> Int[np.ndarray, " nodes"]:
+    """The parent of every node, -1 for a root. Refuses a node with two parents and a cycle."""
+    nodes = gltf.items("nodes")
+    parents = np.full(len(nodes), -1, dtype=np.int64)
+    for i, node in enumerate(nodes):
+        children = node.get("children", [])
+        if not isinstance(children, list):
+            raise gltf.error(f"nodes[{i}].children", "a list", children)
+        for child in children:
+            child = gltf.index("nodes", child, f"nodes[{i}].children")
+            if parents[child] >= 0:
+                raise gltf.error(f"nodes[{child}]", "the child of one node", [int(parents[child]), i])
+            parents[child] = i
+    # With one parent each, nodes that no root reaches lie on a cycle or below one.
+    reached = len(parents_first(parents))
+    if reached != len(nodes):
+        raise AssetError(f"{gltf.path}: nodes should be a tree, are a cycle for {len(nodes) - reached} nodes")
+    return parents
+
+
+def parents_first(parents: Int[np.ndarray, " nodes"]) -> list[int]:
+    """The nodes that a root reaches, every node after its parent."""
+    children: list[list[int]] = [[] for _ in parents]
+    for node, parent in enumerate(parents):
+        if parent >= 0:
+            children[parent].append(node)
+    order = [int(i) for i in np.flatnonzero(parents < 0)]
+    # grows while it is walked
+    for node in order:
+        order.extend(children[node])
+    return order
+
+
+def parent_from_node(gltf: Gltf, index: int) -> Float[np.ndarray, "4 4"]:
+    """A node's own transform: its `matrix`, or T R S. Quaternions xyzw."""
+    node, where = gltf.items("nodes")[index], f"nodes[{index}]"
+    if "matrix" in node:
+        return gltf.numbers(node, "matrix", where, (4, 4)).T.copy()
+    matrix = np.eye(4)
+    if "rotation" in node:
+        x, y, z, w = quaternion = gltf.numbers(node, "rotation", where, (4,))
+        length = np.linalg.norm(quaternion)
+        # files round their quaternions; more is another mistake
+        if abs(length - 1) > 0.01:
+            raise gltf.error(f"{where}.rotation", "a unit quaternion", node["rotation"])
+        x, y, z, w = quaternion / length
+        matrix[:3, :3] = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    if "scale" in node:
+        matrix[:3, :3] *= gltf.numbers(node, "scale", where, (3,))
+    if "translation" in node:
+        matrix[:3, 3] = gltf.numbers(node, "translation", where, (3,))
+    return matrix
+
+
+def world_from_node(gltf: Gltf) -> Float[np.ndarray, "nodes 4 4"]:
+    """The world transform of every node in the default pose, float64."""
+    parents = node_parents(gltf)
+    world = np.tile(np.eye(4), (len(parents), 1, 1))
+    for node in parents_first(parents):
+        own = parent_from_node(gltf, node)
+        world[node] = own if parents[node] < 0 else world[parents[node]] @ own
+    # A chain of scales may overflow; a picture of it would not say why.
+    if not (np.abs(world) < 1e30).all():
+        first = int(np.argwhere(~(np.abs(world) < 1e30))[0, 0])
+        raise gltf.error(f"nodes[{first}] in the world", "finite", world[first].tolist())
+    return world
+
+
+def read_skin(gltf: Gltf, index: object, *, field: str = "skin") -> Skin:
+    """A skin: its joints' nodes, each once, and their inverse bind matrices (identity where absent)."""
+    skin, where = gltf.item("skins", index, field), f"skins[{index}]"
+    joints = skin.get("joints")
+    if not isinstance(joints, list) or not joints:
+        raise gltf.error(f"{where}.joints", "a list of nodes", joints)
+    nodes = tuple(gltf.index("nodes", joint, f"{where}.joints") for joint in joints)
+    if len(set(nodes)) != len(nodes):
+        raise gltf.error(f"{where}.joints", "different nodes", joints)
+    matrices = np.tile(np.eye(4), (len(nodes), 1, 1))
+    if "inverseBindMatrices" in skin:
+        field = f"{where}.inverseBindMatrices"
+        stored = gltf.accessor(skin["inverseBindMatrices"], field=field)
+        if stored.dtype != np.float32 or stored.ndim != 3 or stored.shape[1:] != (4, 4):
+            raise gltf.error(field, "4x4 float matrices", (stored.shape, stored.dtype.name))
+        if len(stored) < len(nodes):
+            raise gltf.error(field, f"{len(nodes)} matrices", len(stored))
+        matrices = stored[: len(nodes)].astype(np.float64)
+    return Skin(str(skin.get("name", "")), nodes, matrices)
+
+
+def primitives(gltf: Gltf, mesh: object, *, field: str = "mesh") -> list[dict]:
+    """The JSON of a mesh's primitives."""
+    parts = gltf.item("meshes", mesh, field).get("primitives")
+    if not isinstance(parts, list) or not parts or not all(isinstance(part, dict) for part in parts):
+        raise gltf.error(f"meshes[{mesh}].primitives", "a list of objects", parts)
+    return parts
+
+
+def read_primitive(gltf: Gltf, mesh: int, primitive: int = 0) -> Primitive:
+    """The arrays of one primitive, all of one length, and its triangles (lists, strips and fans)."""
+    part, where = primitives(gltf, mesh)[primitive], f"meshes[{mesh}].primitives[{primitive}]"
+    attributes = attribute_accessors(gltf, mesh, primitive)
+    arrays = {
+        name: gltf.accessor(index, as_float=not name.startswith("JOINTS_"), field=f"{where}.{name}")
+        for name, index in attributes.items()
+    }
+    count = len(arrays["POSITION"])
+    for name, values in arrays.items():
+        if len(values) != count:
+            raise gltf.error(f"{where}.{name}", f"{count} values, as POSITION has", len(values))
+    if arrays["POSITION"].shape != (count, 3):
+        raise gltf.error(f"{where}.POSITION", f"({count}, 3)", arrays["POSITION"].shape)
+    material = part.get("material")
+    if material is not None:
+        material = gltf.index("materials", material, f"{where}.material")
+    return Primitive(arrays, triangles(gltf, mesh, primitive, count), material)
+
+
+def attribute_accessors(gltf: Gltf, mesh: int, primitive: int = 0) -> dict[str, int]:
+    """The accessor of each vertex attribute of a primitive; POSITION is among them."""
+    part, where = primitives(gltf, mesh)[primitive], f"meshes[{mesh}].primitives[{primitive}]"
+    attributes = part.get("attributes")
+    if not isinstance(attributes, dict) or "POSITION" not in attributes:
+        raise gltf.error(f"{where}.attributes", "an object with POSITION", attributes)
+    for name in attributes:  # they go into messages
+        if not name.isprintable() or len(name) > 64:
+            raise gltf.error(f"{where}.attributes", "printable, short names", name)
+    found = {name: gltf.index("accessors", i, f"{where}.{name}") for name, i in attributes.items()}
+    # Draco's attributes have no bytes of their own: read as plain glTF they would all be zero.
+    draco = "KHR_draco_mesh_compression" in gltf.extensions(part, where)
+    if draco and "bufferView" not in gltf.items("accessors")[found["POSITION"]]:
+        raise AssetError(refusal(gltf.path, "KHR_draco_mesh_compression"))
+    return found
+
+
+def triangles(gltf: Gltf, mesh: int, primitive: int, vertices: int) -> UInt32[np.ndarray, "faces 3"]:
+    """The triangles of a primitive with this many vertices; every index is below it."""
+    part, where = primitives(gltf, mesh)[primitive], f"meshes[{mesh}].primitives[{primitive}]"
+    mode = part.get("mode", TRIANGLES)
+    if type(mode) is not int or mode not in (TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN):
+        raise gltf.error(f"{where}.mode", "triangles (4, 5 or 6)", mode)
+    if "indices" in part:
+        indices = gltf.accessor(part["indices"], field=f"{where}.indices")
+        if indices.ndim != 1 or indices.dtype.kind != "u":
+            raise gltf.error(f"{where}.indices", "unsigned whole numbers", (indices.shape, indices.dtype.name))
+        if indices.max() >= vertices:
+            raise gltf.error(f"{where}.indices", f"below the {vertices} vertices", int(indices.max()))
+    else:
+        indices = np.arange(vertices)
+    indices = indices.astype(np.uint32)
+    if len(indices) < 3 or (mode == TRIANGLES and len(indices) % 3):
+        raise gltf.error(f"{where}.indices", "whole triangles", len(indices))
+    if mode == TRIANGLES:
+        return indices.reshape(-1, 3)
+    if mode == TRIANGLE_FAN:
+        return np.stack([np.full(len(indices) - 2, indices[0]), indices[1:-1], indices[2:]], -1)
+    faces = np.stack([indices[:-2], indices[1:-1], indices[2:]], -1)
+    # every second triangle of a strip turns the other way
+    faces[1::2] = faces[1::2, [1, 0, 2]]
+    return faces
+
+
+def texture_image(gltf: Gltf, texture: object, *, field: str = "texture") -> int:
+    """The image of a texture; EXT_texture_webp's where it has one."""
+    item, where = gltf.item("textures", texture, field), f"textures[{texture}]"
+    extension = gltf.extensions(item, where).get("EXT_texture_webp")
+    source = extension.get("source") if isinstance(extension, dict) else item.get("source")
+    return gltf.index("images", source, f"{where}.source")
+
+
+def base_color_image(gltf: Gltf, material: int) -> int | None:
+    """The image of a material's base colour, laid out by TEXCOORD_0; None where it has a plain colour."""
+    where = f"materials[{material}].pbrMetallicRoughness"
+    pbr = gltf.item("materials", material, "material").get("pbrMetallicRoughness", {})
+    if not isinstance(pbr, dict):
+        raise gltf.error(where, "an object", pbr)
+    texture = pbr.get("baseColorTexture")
+    if texture is None:
+        return None
+    where = f"{where}.baseColorTexture"
+    if not isinstance(texture, dict):
+        raise gltf.error(where, "an object", texture)
+    if texture.get("texCoord", 0) != 0:
+        raise gltf.error(f"{where}.texCoord", "0, the only texture coordinates read", texture["texCoord"])
+    transform = gltf.extensions(texture, where).get("KHR_texture_transform", {})
+    if not isinstance(transform, dict) or any(
+        transform.get(key, rest) != rest
+        for key, rest in (("offset", [0, 0]), ("rotation", 0), ("scale", [1, 1]), ("texCoord", 0))
+    ):
+        raise gltf.error(f"{where} KHR_texture_transform", "one that moves nothing: bake it into the UVs", transform)
+    return texture_image(gltf, texture.get("index"), field=f"{where}.index")

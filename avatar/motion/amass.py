@@ -1,0 +1,386 @@
+"""Pose files with AMASS keys (.npz): the older SMPL+H ones, the newer SMPL-X-style ones, and our own.
+
+AMASS's world is z-up, and every file is taken for z-up unless it carries our own key `up_axis` = "y" (the
+capture folder's poses.npz does). Reading turns z-up into our y-up by a quarter turn about x, applied to the
+root orientation and to the pelvis position trans + J0, where J0 is the pelvis joint of the file's body:
+
+    pelvis_y = Rx(-90) (trans + J0)        root_y = Rx(-90) root_z
+
+J0 comes from the file's own `pelvis` key (ours), else from the body given by the caller, else it is
+USUAL_PELVIS, and the notes say so. Betas are not used without a body: they mean SMPL's shape space only.
+Arrays are never unpickled and are read row by row out of the archive, deflated or not.
+"""
+
+import tokenize
+import warnings
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.body import Body
+from avatar.errors import AssetError
+from avatar.files import whole_file
+from avatar.motion.clip import Clip, Motion
+from avatar.motion.file_body import USUAL_PELVIS, given_pelvis, usual_pelvis
+from avatar.motion.pose_vector import (
+    FULL_HANDS,
+    REFUSED_COLUMNS,
+    Layout,
+    check_numbers,
+    expanded,
+    pose_layout,
+    readable,
+)
+from avatar.rotation import (
+    axis_angle_from_quaternion,
+    quaternion_from_axis_angle,
+    quaternion_inverse,
+    quaternion_product,
+)
+
+Array = np.ndarray
+
+RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "framerate", "fps")
+# quaternion, a quarter turn about -x
+Y_FROM_Z = np.array([-np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
+
+ZIP_ERRORS = (
+    OSError,
+    EOFError,
+    zipfile.BadZipFile,
+    zlib.error,
+    RuntimeError,
+    NotImplementedError,
+    ValueError,
+)
+HEADER_ERRORS = (
+    SyntaxError,
+    TypeError,
+    KeyError,
+    tokenize.TokenError,
+)  # what NumPy's header parser lets through
+
+
+class NpyRows:
+    """One array of an .npz, read by rows: constant memory when the rows are asked for in order."""
+
+    def __init__(self, path: Path, archive: zipfile.ZipFile, name: str):
+        self.path, self.name, self.archive = path, name, archive
+        # an open member; its type differs between Python versions
+        self.file: Any = None
+        self.next_row = 0
+        self.whole: Any = None
+        with self._refusing(), archive.open(f"{name}.npy") as file:
+            version = np.lib.format.read_magic(file)
+            if version not in ((1, 0), (2, 0)):
+                raise AssetError(f"{path}: {name} is in .npy format {version}, expected 1.0 or 2.0")
+            one = version == (1, 0)
+            read_header = np.lib.format.read_array_header_1_0 if one else np.lib.format.read_array_header_2_0
+            # of headers written by Python 2, which are understood
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)
+                self.shape, self.by_columns, self.dtype = read_header(file)
+            self.header = file.tell()
+        if self.dtype.kind not in "fiuSU":
+            raise AssetError(f"{path}: {name} should hold numbers or text, holds {self.dtype} (pickles are not read)")
+        self.row = int(np.prod(self.shape[1:], dtype=object)) if self.shape else 1  # object: no overflow
+        expected = self.row * self.dtype.itemsize * (self.shape[0] if self.shape else 1)
+        found = archive.getinfo(f"{name}.npy").file_size - self.header
+        if expected != found or min(self.shape, default=0) < 0:
+            raise AssetError(f"{path}: {name} {self.shape} should take {expected} bytes, the archive has {found}")
+
+    def _refusing(self):
+        return _Refusing(self.path, self.name)
+
+    def all(self, most: int = 1 << 30) -> Array:
+        """The whole array; refused above `most` bytes."""
+        size = self.row * self.dtype.itemsize * (self.shape[0] if self.shape else 1)
+        if size > most:
+            raise AssetError(f"{self.path}: {self.name} {self.shape} is larger than expected, {size} bytes")
+        with self._refusing(), self.archive.open(f"{self.name}.npy") as file:
+            file.read(self.header)
+            data = _exactly(file, size)
+        return np.frombuffer(data, self.dtype).reshape(self.shape, order="F" if self.by_columns else "C")
+
+    def rows(self, start: int, stop: int) -> Float[Array, "rows columns"]:
+        """Rows start .. stop - 1 as float64, flattened to two dimensions."""
+        # rows are spread over the file: no way round holding it
+        if self.by_columns and len(self.shape) > 1:
+            if self.whole is None:
+                self.whole = self.all()
+            return self.whole[start:stop].reshape(stop - start, self.row).astype(np.float64)
+        size = self.row * self.dtype.itemsize
+        with self._refusing():
+            if self.file is None or start < self.next_row:
+                if self.file is not None:
+                    self.file.close()
+                self.file, self.next_row = self.archive.open(f"{self.name}.npy"), 0
+                _skip(self.file, self.header)
+            _skip(self.file, (start - self.next_row) * size)
+            data = _exactly(self.file, (stop - start) * size)
+        self.next_row = stop
+        return np.frombuffer(data, self.dtype).reshape(stop - start, self.row).astype(np.float64)
+
+
+class _Refusing:
+    """Turns what a damaged archive raises into one AssetError that names file and field."""
+
+    def __init__(self, path: Path, name: str):
+        self.path, self.name = path, name
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, ZIP_ERRORS + HEADER_ERRORS):
+            message = f"{self.path}: {self.name} cannot be read, the file is damaged or cut short: {error}"
+            raise AssetError(message) from None
+
+
+def _exactly(file: Any, size: int) -> bytes:
+    parts, left = [], size
+    while left:
+        part = file.read(min(left, 1 << 20))
+        if not part:
+            raise EOFError(f"{left} bytes are missing")
+        parts.append(part)
+        left -= len(part)
+    return b"".join(parts)
+
+
+def _skip(file: Any, size: int) -> None:
+    while size:
+        part = file.read(min(size, 1 << 20))
+        if not part:
+            raise EOFError(f"{size} bytes are missing")
+        size -= len(part)
+
+
+@dataclass(frozen=True)
+class _Part:
+    rows: NpyRows
+    joints: slice  # of the 52
+    # of whole pose vectors; None: three numbers a joint
+    layout: Layout | None = None
+
+
+def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
+    """Open an AMASS pose file; see the module for frames and for what is assumed.
+
+    `poses` may have the columns that avatar/motion/pose_vector.py lists, those with hand coefficients where `body` has
+    their components; or `root_orient`, `pose_body` and perhaps `pose_hand` are there.
+
+    Raises:
+        AssetError: absent or damaged archive, no poses, no frames, a column count that could mean several
+            things, a rate that is not positive. A number that is not finite is found when its frame is read.
+    """
+    path = Path(path)
+    try:
+        archive = zipfile.ZipFile(path)
+    except FileNotFoundError:
+        raise AssetError(f"{path}: no such file") from None
+    except ZIP_ERRORS as error:
+        raise AssetError(f"{path}: expected an .npz archive, found: {error}") from None
+    names = {name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")}
+    notes: list[str] = []
+
+    parts, frames = _pose_parts(path, archive, names, body, notes)
+    if frames == 0:
+        raise AssetError(f"{path}: {parts[0].rows.name} has 0 frames, expected at least 1")
+    for part in parts:
+        if part.rows.shape[0] != frames:
+            raise AssetError(
+                f"{path}: {part.rows.name} has {part.rows.shape[0]} frames, {parts[0].rows.name} has {frames}"
+            )
+    trans = None
+    if "trans" in names:
+        trans = NpyRows(path, archive, "trans")
+        if trans.shape != (frames, 3):
+            raise AssetError(f"{path}: trans should be ({frames}, 3), is {trans.shape}")
+    else:
+        notes.append("no trans: the pelvis stays in place")
+    rate = _rate(path, archive, names, notes)
+    turn = _up_axis(path, archive, names, notes) == "z"
+    pelvis, height = _pelvis(path, archive, names, body, turn, notes)
+
+    def block(start: int, stop: int) -> tuple[Array, Array]:
+        pose = np.zeros((stop - start, 52, 3))
+        for part in parts:
+            values = part.rows.rows(start, stop)
+            if part.layout is not None:
+                values = expanded(values, part.layout, body)
+            else:
+                values = values.reshape(stop - start, values.shape[1] // 3, 3)
+            check_numbers(path, part.rows.name, values, start, part.joints.start)
+            pose[:, part.joints] = values
+        root = np.zeros((stop - start, 3))
+        if trans is not None:
+            root = trans.rows(start, stop)
+            check_numbers(path, "trans", root[:, None], start, 0)
+        root = root + pelvis
+        if turn:
+            root = np.stack([root[:, 0], root[:, 2], -root[:, 1]], -1)
+            pose[:, 0] = _turned(pose[:, 0], Y_FROM_Z)
+        return pose, root
+
+    return Motion(path.name, frames, rate, tuple(notes), block, height)
+
+
+def _turned(axis_angle: Float[Array, "frames 3"], turn: Float[Array, "4"]) -> Float[Array, "frames 3"]:
+    """Each rotation followed by `turn`, a quaternion."""
+    q = quaternion_from_axis_angle(axis_angle)
+    return axis_angle_from_quaternion(quaternion_product(np.broadcast_to(turn, q.shape), q))
+
+
+def _pose_parts(
+    path: Path, archive: zipfile.ZipFile, names: set[str], body: Body | None, notes: list[str]
+) -> tuple[list[_Part], int]:
+    if "poses" in names:
+        poses = NpyRows(path, archive, "poses")
+        if len(poses.shape) < 2 or poses.dtype.kind not in "fiu":
+            raise AssetError(f"{path}: poses should be (frames, 156), is {poses.shape} of {poses.dtype}")
+        layout = pose_layout(poses.row)
+        if layout and readable(layout, body):
+            notes.append(layout.note)
+            return [_Part(poses, slice(0, 52), layout)], poses.shape[0]
+        if not {"root_orient", "pose_body"} <= names:
+            why = REFUSED_COLUMNS.get(poses.row, "no known layout")
+            raise AssetError(f"{path}: poses should have 156, 165, 66 or 72 columns, has {poses.row}: {why}")
+    if not {"root_orient", "pose_body"} <= names:
+        hint = " (a shape file?)" if "betas" in names else ""
+        raise AssetError(
+            f"{path}: no poses{hint}; expected `poses`, or `root_orient` and `pose_body`; has {sorted(names)}"
+        )
+    parts = []
+    for name, first, joints in (("root_orient", 0, 1), ("pose_body", 1, 21), ("pose_hand", 22, 30)):
+        if name not in names:
+            notes.append("hands: none in the file, flat")
+            continue
+        rows = NpyRows(path, archive, name)
+        if len(rows.shape) < 2 or rows.row != 3 * joints or rows.dtype.kind not in "fiu":
+            raise AssetError(f"{path}: {name} should be (frames, {3 * joints}), is {rows.shape} of {rows.dtype}")
+        parts.append(_Part(rows, slice(first, first + joints)))
+    if "pose_hand" in names:
+        notes.append(FULL_HANDS)
+    return parts, parts[0].rows.shape[0]
+
+
+def _small(path: Path, archive: zipfile.ZipFile, name: str) -> Array:
+    return NpyRows(path, archive, name).all(most=1 << 20)
+
+
+def _rate(path: Path, archive: zipfile.ZipFile, names: set[str], notes: list[str]) -> float:
+    for key in RATE_KEYS:
+        if key in names:
+            value = _small(path, archive, key)
+            if value.size != 1 or value.dtype.kind not in "fiu":
+                raise AssetError(f"{path}: {key} should be one number, is {value.shape} of {value.dtype}")
+            rate = float(value.reshape(()))
+            if not (np.isfinite(rate) and rate > 0):
+                raise AssetError(f"{path}: {key} should be positive frames per second, is {rate}")
+            return rate
+    notes.append(f"no frame rate ({', '.join(RATE_KEYS)}): 30 frames per second assumed")
+    return 30.0
+
+
+def _text(value: Array) -> str:
+    item = value.reshape(-1)[0] if value.size else ""
+    return item.decode("ascii", "replace") if isinstance(item, bytes) else str(item)
+
+
+def _up_axis(path: Path, archive: zipfile.ZipFile, names: set[str], notes: list[str]) -> str:
+    if "up_axis" not in names:
+        notes.append("up: z, as AMASS files have it; turned to y")
+        return "z"
+    axis = _text(_small(path, archive, "up_axis"))
+    if axis not in ("y", "z"):
+        raise AssetError(f"{path}: up_axis should be 'y' or 'z', is {axis!r}")
+    notes.append("up: y, as the file says" if axis == "y" else "up: z, as the file says; turned to y")
+    return axis
+
+
+def _pelvis(
+    path: Path, archive: zipfile.ZipFile, names: set[str], body: Body | None, turn: bool, notes: list[str]
+) -> tuple[Array, float | None]:
+    """J0 of the file's body, and the height of its pelvis above its soles where it is known."""
+    height = None
+    if "pelvis_height" in names:
+        height = float(_numbers(path, archive, "pelvis_height", 1)[0])
+        if not height > 0:
+            raise AssetError(f"{path}: pelvis_height should be positive metres, is {height}")
+    if "pelvis" in names:
+        return _numbers(path, archive, "pelvis", 3), height
+    betas = np.zeros(0)
+    if "betas" in names:
+        betas = _small(path, archive, "betas")
+        if betas.dtype.kind not in "fiu" or not np.isfinite(betas).all():
+            raise AssetError(f"{path}: betas should be finite numbers, is {betas.dtype} {betas.shape}")
+        betas = betas.reshape(-1).astype(np.float64)
+    given = given_pelvis(betas, body, notes)
+    if given is not None:
+        return given
+    if not turn:
+        notes.append("pelvis: at trans, as in our own y-up files")
+        return np.zeros(3), height
+    return usual_pelvis(notes), height
+
+
+def _numbers(path: Path, archive: zipfile.ZipFile, name: str, count: int) -> Array:
+    value = _small(path, archive, name)
+    if value.size != count or value.dtype.kind not in "fiu" or not np.isfinite(value).all():
+        raise AssetError(f"{path}: {name} should be {count} finite numbers, is {value.dtype} {value.shape}")
+    return value.reshape(count).astype(np.float64)
+
+
+def write_amass(
+    path: Path | str,
+    clip: Clip,
+    *,
+    up: str = "z",
+    pelvis: Float[Array, "3"] | None = None,
+    dtype: type = np.float64,
+    beside: Mapping[str, Array] | None = None,
+) -> None:
+    """Write a clip with AMASS keys, whole or not at all.
+
+    up="z" is what AMASS and its tools expect: the clip is turned and trans = pelvis_z - J0, with J0 the usual
+    one of SMPL+H unless `pelvis` gives another. up="y" keeps our world, with trans = pelvis (J0 = 0) unless
+    given. J0 and the up axis are stored beside (`pelvis`, `up_axis`), so that reading back is exact. Arrays in
+    `beside` go into the file under their own names; readers of AMASS files pass over them.
+
+    Raises:
+        ValueError: `up` is neither, the clip is empty or not finite, or `beside` names a key that AMASS has.
+    """
+    if up not in ("y", "z"):
+        raise ValueError(f"up should be 'y' or 'z', is {up!r}")
+    if not len(clip.root) or not (np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()):
+        raise ValueError(f"a clip of {len(clip.root)} frames should have some, all finite")
+    J0 = np.asarray(pelvis if pelvis is not None else USUAL_PELVIS if up == "z" else np.zeros(3), np.float64)
+    pose, root = np.array(clip.axis_angle, np.float64), np.asarray(clip.root, np.float64)
+    if up == "z":
+        pose[:, 0] = _turned(pose[:, 0], quaternion_inverse(Y_FROM_Z))
+        root = np.stack([root[:, 0], -root[:, 2], root[:, 1]], -1)
+    fields = {
+        "poses": pose.reshape(len(pose), 156).astype(dtype),
+        "trans": (root - J0).astype(dtype),
+        "betas": np.zeros(16),
+        "gender": np.array("neutral"),
+        "mocap_framerate": np.array(float(clip.rate)),
+        "up_axis": np.array(up),
+        "pelvis": J0,
+    }
+    if clip.pelvis_height is not None:
+        fields["pelvis_height"] = np.array(float(clip.pelvis_height))
+    if beside is not None:
+        taken = fields.keys() & beside.keys()
+        if taken:
+            raise ValueError(f"{sorted(taken)} beside a clip are names of its own")
+        fields |= beside
+    with whole_file(path) as file:
+        np.savez_compressed(file, **fields)

@@ -1,0 +1,316 @@
+"""BVH motion capture files: hierarchy and frames, in the file's own units and axes.
+
+Frames are read in blocks, so that a file may be longer than memory. Angles are degrees in the file, radians
+here. A joint's rotation is the product of its rotation channels in the order written; position channels take
+the place of the joint's OFFSET (as Blender and most exporters mean it).
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.errors import AssetError
+from avatar.motion.clip import Motion
+from avatar.rotation import matrix_from_axis_angle
+
+Array = np.ndarray
+
+# a place in the file is remembered every so many frames
+INDEX_STEP = 64
+MOST_JOINTS = 10_000
+LONGEST_LINE = 1 << 20  # bytes
+UNITS = {1.0: "metre", 0.01: "centimetre", 0.001: "millimetre"}
+# metres of thigh and shin, a child's to a giant's
+LEGS = (0.3, 1.4)
+
+
+@dataclass(frozen=True)
+class Bvh:
+    """One BVH file, opened: rest skeleton, channels, and where the frames lie."""
+
+    path: Path
+    names: tuple[str, ...]
+    # -1 for the root; parents come first
+    parents: tuple[int, ...]
+    # from the parent, file units
+    offsets: Float[Array, "joints 3"]
+    # End Sites: joint, offset from it
+    ends: tuple[tuple[int, tuple[float, float, float]], ...]
+    # per joint, such as ("Xposition", ..., "Zrotation", ...)
+    channels: tuple[tuple[str, ...], ...]
+    frames: int
+    rate: float  # frames per second
+    # byte and line of frames 0, 64, 128, ...
+    places: tuple[tuple[int, int], ...] = field(repr=False)
+
+    @property
+    def width(self) -> int:
+        return sum(len(c) for c in self.channels)
+
+    def values(self, start: int, stop: int) -> Float[Array, "frames channels"]:
+        """Channel values of frames start .. stop - 1, as in the file."""
+        if not 0 <= start <= stop <= self.frames:
+            raise ValueError(f"frames {start}:{stop} are not inside {self.path}, which has {self.frames}")
+        if start == stop:
+            return np.zeros((0, self.width))
+        block = start // INDEX_STEP
+        byte, line = self.places[block]
+        skip, rows, row = start - block * INDEX_STEP, [], []
+        with open(self.path, "rb") as file:
+            file.seek(byte)
+            while len(rows) < stop - start:
+                text = file.readline(LONGEST_LINE)
+                if not text:
+                    raise AssetError(f"{self.path}: line {line}: the file has become shorter while it was read")
+                row += text.split()
+                if len(row) >= self.width:
+                    if skip:
+                        skip -= 1
+                    else:
+                        rows.append(self._numbers(row, line, start + len(rows)))
+                    row = []
+                line += 1
+        return np.array(rows)
+
+    def _numbers(self, words: list[bytes], line: int, frame: int) -> Array:
+        try:
+            row = np.array([float(word) for word in words])
+        except ValueError as error:
+            raise AssetError(f"{self.path}: line {line}: frame {frame}: {error}") from None
+        if len(row) != self.width:
+            raise AssetError(
+                f"{self.path}: line {line}: frame {frame} should have {self.width} numbers, has {len(row)}"
+            )
+        if not np.isfinite(row).all():
+            channel = int(np.argmax(~np.isfinite(row)))
+            joint = int(np.searchsorted(np.cumsum([len(c) for c in self.channels]), channel, side="right"))
+            raise AssetError(f"{self.path}: line {line}: frame {frame}, joint {self.names[joint]} is not finite")
+        return row
+
+    def transforms(
+        self, values: Float[Array, "frames channels"]
+    ) -> tuple[Float[Array, "frames joints 3 3"], Float[Array, "frames joints 3"]]:
+        """Forward kinematics: rotation world_from_joint and position of every joint, in the file's world."""
+        count = len(values)
+        rotations, positions = np.zeros((count, len(self.names), 3, 3)), np.zeros((count, len(self.names), 3))
+        column = 0
+        for joint, channels in enumerate(self.channels):
+            R = np.broadcast_to(np.eye(3), (count, 3, 3))
+            t = np.broadcast_to(self.offsets[joint], (count, 3)).copy()
+            for name in channels:
+                axis = "XYZ".index(name[0])
+                if name.endswith("position"):
+                    t[:, axis] = values[:, column]
+                else:
+                    R = R @ matrix_from_axis_angle(np.eye(3)[axis] * np.radians(values[:, column, None]))
+                column += 1
+            parent = self.parents[joint]
+            if parent < 0:
+                rotations[:, joint], positions[:, joint] = R, t
+            else:
+                rotations[:, joint] = rotations[:, parent] @ R
+                positions[:, joint] = positions[:, parent] + (rotations[:, parent] @ t[..., None])[..., 0]
+        return rotations, positions
+
+    def rest_positions(self) -> Float[Array, "joints 3"]:
+        """Joint positions with every rotation zero and every joint at its OFFSET."""
+        positions = np.array(self.offsets)
+        for joint, parent in enumerate(self.parents):
+            if parent >= 0:
+                positions[joint] += positions[parent]
+        return positions
+
+
+def open_bvh(path: Path | str) -> Bvh:
+    """Read the hierarchy of a BVH file and find its frames (one pass, numbers are checked when read).
+
+    Raises:
+        AssetError: not a BVH file, a broken hierarchy, fewer or more numbers than the header promises, a
+            frame time that is not positive. The message names file and line.
+    """
+    path = Path(path)
+    try:
+        with open(path, "rb") as file:
+            reader = _Lines(path, file)
+            names, parents, offsets, ends, channels = _hierarchy(reader)
+            frames, rate = _motion_header(reader)
+            places = _index(reader, frames, sum(len(c) for c in channels))
+    except OSError as error:
+        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
+    return Bvh(path, names, parents, offsets, ends, channels, frames, rate, places)
+
+
+class _Lines:
+    """Non-empty lines of a file as words, with their numbers for messages."""
+
+    def __init__(self, path: Path, file: BinaryIO):
+        self.path, self.file, self.number, self.byte = path, file, 0, 0
+
+    def next(self) -> list[str]:
+        while True:
+            self.byte = self.file.tell()
+            line = self.file.readline(LONGEST_LINE)
+            self.number += 1
+            if not line:
+                raise self.error("the file ends too early")
+            if len(line) == LONGEST_LINE:
+                raise self.error(f"a line is longer than {LONGEST_LINE} bytes; expected a BVH file")
+            words = line.decode("utf-8", "replace").removeprefix("\ufeff").split()
+            if words:
+                return words
+
+    def error(self, text: str) -> AssetError:
+        return AssetError(f"{self.path}: line {self.number}: {text}")
+
+    def floats(self, words: list[str], count: int, what: str) -> list[float]:
+        try:
+            values = [float(word) for word in words]
+        except ValueError as error:
+            raise self.error(f"{what}: {error}") from None
+        if len(values) != count or not np.isfinite(values).all():
+            raise self.error(f"{what} should be {count} finite numbers, found {' '.join(words)[:60]}")
+        return values
+
+
+def _hierarchy(reader: _Lines):
+    words = reader.next()
+    if words[0].upper() != "HIERARCHY":
+        raise reader.error(f"expected HIERARCHY, found {words[0][:30]!r}; is this a BVH file?")
+    names: list[str] = []
+    parents: list[int] = []
+    offsets: list[list[float] | None] = []
+    ends: list[tuple[int, tuple[float, float, float]]] = []
+    channels: list[tuple[str, ...]] = []
+    # joint numbers of the open braces, -1 for an End Site
+    open_joints: list[int] = []
+    # a joint that was named and awaits its brace
+    waiting: int | None = None
+    while True:
+        words = reader.next()
+        # brace on the line of the name
+        if words[-1] == "{" and len(words) > 1:
+            words, brace = words[:-1], True
+        else:
+            brace = words == ["{"]
+        key = words[0].upper()
+        if key in ("ROOT", "JOINT"):
+            if waiting is not None or (key == "ROOT") != (not names) or (open_joints and open_joints[-1] < 0):
+                raise reader.error(
+                    f"{key} {' '.join(words[1:])} cannot stand here; one ROOT, then JOINTs inside braces"
+                )
+            if key == "JOINT" and not open_joints:
+                raise reader.error("JOINT outside of the root's braces")
+            if len(words) < 2 or len(names) == MOST_JOINTS:
+                raise reader.error(f"{key} needs a name" if len(words) < 2 else f"more than {MOST_JOINTS} joints")
+            waiting = len(names)
+            names.append(" ".join(words[1:]))
+            parents.append(open_joints[-1] if open_joints else -1)
+            offsets.append(None)
+            channels.append(())
+        elif key == "END":
+            if waiting is not None or not open_joints or open_joints[-1] < 0:
+                raise reader.error("End Site outside of a joint")
+            waiting = -1
+        elif key == "OFFSET":
+            value = reader.floats(words[1:], 3, "OFFSET")
+            if not open_joints:
+                raise reader.error("OFFSET outside of a joint")
+            if open_joints[-1] < 0:
+                ends.append((open_joints[-2], (value[0], value[1], value[2])))
+            else:
+                offsets[open_joints[-1]] = value
+        elif key == "CHANNELS":
+            listed = [word.capitalize() for word in words[2:]]
+            if not open_joints or open_joints[-1] < 0:
+                raise reader.error("CHANNELS outside of a joint")
+            if not words[1:] or words[1] != str(len(listed)):
+                raise reader.error(f"CHANNELS promises {' '.join(words[1:2])} names, {len(listed)} follow")
+            known = {axis + kind for axis in "XYZ" for kind in ("position", "rotation")}
+            if set(listed) - known or len(set(listed)) != len(listed):
+                raise reader.error(
+                    f"CHANNELS should be different ones of X/Y/Zposition and X/Y/Zrotation, are {listed}"
+                )
+            channels[open_joints[-1]] = tuple(listed)
+        elif key == "}":
+            if not open_joints or waiting is not None:
+                raise reader.error("a brace closes that was not opened")
+            joint = open_joints.pop()
+            if joint >= 0 and offsets[joint] is None:
+                raise reader.error(f"joint {names[joint]} has no OFFSET")
+        elif key == "MOTION":
+            break
+        elif not brace:
+            raise reader.error(
+                f"expected JOINT, End Site, OFFSET, CHANNELS, a brace or MOTION, found {words[0][:30]!r}"
+            )
+        if brace:
+            if waiting is None:
+                raise reader.error("a brace opens without a joint")
+            open_joints.append(waiting)
+            waiting = None
+    if open_joints or waiting is not None or not names:
+        raise reader.error("MOTION before the hierarchy is closed")
+    return tuple(names), tuple(parents), np.array(offsets, np.float64), tuple(ends), tuple(channels)
+
+
+def _motion_header(reader: _Lines) -> tuple[int, float]:
+    words = reader.next()
+    if words[0].upper().rstrip(":") != "FRAMES" or not words[-1].isdecimal() or len(words[-1]) > 12:
+        raise reader.error(f"expected 'Frames: N', found {' '.join(words)[:40]!r}")
+    frames = int(words[-1])
+    if frames < 1:
+        raise reader.error("0 frames, expected at least 1")
+    words = reader.next()
+    if [w.upper().rstrip(":") for w in words[:2]] != ["FRAME", "TIME"]:
+        raise reader.error(f"expected 'Frame Time: seconds', found {' '.join(words)[:40]!r}")
+    (seconds,) = reader.floats(words[2:], 1, "Frame Time")
+    if not seconds > 0:
+        raise reader.error(f"Frame Time should be positive seconds, is {seconds}")
+    return frames, 1 / seconds
+
+
+def _index(reader: _Lines, frames: int, width: int) -> tuple[tuple[int, int], ...]:
+    """Where every 64th frame begins; checks that there are as many numbers as promised."""
+    if not width:
+        raise reader.error("no joint has channels")
+    file, places, found, words = reader.file, [], 0, 0
+    while True:
+        byte = file.tell()
+        line = file.readline(LONGEST_LINE)
+        reader.number += 1
+        if not line:
+            break
+        if words == 0 and found % INDEX_STEP == 0 and len(places) == found // INDEX_STEP:
+            places.append((byte, reader.number))
+        words += len(line.split())  # a frame may be wrapped over several lines
+        if words > width:
+            raise reader.error(f"frame {found} should have {width} numbers, has {words}")
+        if words == width:
+            found, words = found + 1, 0
+            if found > frames:
+                raise reader.error(f"more than the {frames} frames that the header promises")
+    if found != frames or words:
+        raise reader.error(f"the header promises {frames} frames of {width} numbers, the file ends in frame {found}")
+    return tuple(places)
+
+
+def read_bvh(path: Path | str) -> Motion:
+    """Open a BVH file as a motion of our skeleton: exactly where its rig is ours, else by avatar/motion/retarget.py."""
+    # both import what is here
+    from avatar.motion.retarget import retarget
+    from avatar.motion.smplh_rig import is_smplh, leg_length, read_exactly
+
+    bvh = open_bvh(path)
+    if not is_smplh(bvh):
+        return retarget(bvh)
+    leg = leg_length(bvh.rest_positions(), {name: k for k, name in enumerate(bvh.names)})
+    unit = next((unit for unit in UNITS if LEGS[0] < leg * unit < LEGS[1]), None)
+    if unit is None:
+        return retarget(bvh)
+    # where the skeleton rests on the ground, as avatar/motion/bvh_write.py has it
+    height = float(bvh.offsets[0, 1])
+    notes = [f"unit: {UNITS[unit]}, by the length of the legs, {leg:.4g}"]
+    return read_exactly(bvh, notes, unit, unit * height if leg < height < 1.5 * leg else None)

@@ -1,0 +1,89 @@
+"""Motion as data: clips of SMPL+H poses in our world, given in blocks, resampled, and fitted to a body."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Some frames of motion in our world: +y up, metres, radians, flat-hand convention."""
+
+    # parent_from_joint; joint 0 is world_from_pelvis
+    axis_angle: Float[Array, "frames 52 3"]
+    root: Float[Array, "frames 3"]  # pelvis joint in world
+    rate: float | int  # frames per second
+    # what the reader assumed, one line each, for printing
+    notes: tuple[str, ...] = ()
+    # rest height of the pelvis above the soles of the body that root fits
+    pelvis_height: float | None = None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion that may be longer than memory: it knows its length and gives any stretch as a Clip.
+
+    Reading forward is fast; a step back starts the file again. Memory depends on the stretch, not the file.
+    """
+
+    name: str
+    frames: int
+    rate: float | int
+    notes: tuple[str, ...]
+    block: Callable[[int, int], tuple[Array, Array]] = field(repr=False)  # (start, stop) -> axis_angle, root
+    pelvis_height: float | None = None
+
+    def read(self, start: int = 0, stop: int | None = None) -> Clip:
+        """Frames start .. stop - 1.
+
+        Raises:
+            ValueError: the stretch is not inside the motion.
+            AssetError: a number in it is not finite or cannot be read; file, field, frame and joint are named.
+        """
+        stop = self.frames if stop is None else stop
+        if not 0 <= start <= stop <= self.frames:
+            raise ValueError(f"frames {start}:{stop} are not inside {self.name}, which has {self.frames}")
+        axis_angle, root = self.block(start, stop)
+        return Clip(axis_angle, root, self.rate, self.notes, self.pelvis_height)
+
+
+def resample(clip: Clip, rate: float | int) -> Clip:
+    """The clip at another frame rate: joints by slerp on the shorter arc, the root linearly.
+
+    First frame stays first; the last new frame is the last that is not after the old last one. At the same
+    rate the clip comes back as it is.
+    """
+    if not (np.isfinite(rate) and rate > 0):
+        raise ValueError(f"rate should be positive frames per second, is {rate}")
+    count = len(clip.root)
+    if rate == clip.rate or count == 1:
+        return replace(clip, rate=rate)
+    new = int(np.floor((count - 1) / clip.rate * rate * (1 + 1e-12))) + 1
+    time = np.minimum(np.arange(new) * (clip.rate / rate), count - 1)
+    before = np.minimum(time.astype(np.int64), count - 2)
+    part = time - before
+    q = quaternion_from_axis_angle(clip.axis_angle)
+    joints = axis_angle_from_quaternion(slerp(q[before], q[before + 1], np.repeat(part[:, None], 52, 1)))
+    root = clip.root[before] + part[:, None] * (clip.root[before + 1] - clip.root[before])
+    return replace(clip, axis_angle=joints, root=root, rate=rate)
+
+
+def fitted(clip: Clip, pelvis_height: float | int) -> Clip:
+    """The clip for a body whose pelvis stands at another height: root scaled by the ratio of the heights.
+
+    Unchanged, with a note, where the clip does not know the height of its own body.
+    """
+    if not pelvis_height > 0:
+        raise ValueError(f"pelvis_height should be positive metres, is {pelvis_height}")
+    if clip.pelvis_height is None:
+        note = "root: not scaled, the file's own body is unknown"
+        return replace(clip, notes=(*clip.notes, note))
+    ratio = pelvis_height / clip.pelvis_height
+    note = f"root: scaled by {ratio:.3f}, the ratio of pelvis heights"
+    return replace(clip, root=clip.root * ratio, pelvis_height=pelvis_height, notes=(*clip.notes, note))

@@ -1,0 +1,285 @@
+"""EasyMocap's pose folders: one JSON file a frame (000000.json), each a list of people with Rh, Th, poses, shapes.
+
+EasyMocap rotates about the origin, X_world = R(Rh) X_body + Th, standard SMPL about the pelvis. Hence, with J0
+the pelvis of the file's shaped body,
+
+    pelvis = Th + R J0          that is, trans = Th - J0 + R J0
+
+J0 comes from the user's model (`--body`), else it is the usual one, and the notes say so. `poses` may carry a
+root of its own (66, 72, 78, 87, 156, 165 numbers), which turns about the pelvis before Rh and is zero in
+practice, or none (63, 69, 75, 84, 153, 162). Hands are in `poses` or apart, in handl and handr: PCA coefficients, or
+45 numbers that are offsets from the mean. EasyMocap adds MANO's mean to both unless told `use_flat_mean`.
+Newer files put the list under "annots". The files do not know their frame rate.
+"""
+
+import json
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.body import Body
+from avatar.errors import AssetError
+from avatar.motion.clip import Motion
+from avatar.motion.file_body import given_pelvis, usual_pelvis
+from avatar.motion.pose_vector import (
+    NEEDS_MODEL,
+    Layout,
+    expanded,
+    hand_from_coefficients,
+    pose_layout,
+    readable,
+)
+from avatar.motion.up_axis import TURNS, up_axis
+from avatar.rotation import (
+    axis_angle_from_matrix,
+    axis_angle_from_quaternion,
+    matrix_from_axis_angle,
+    matrix_from_quaternion,
+    quaternion_from_axis_angle,
+    quaternion_product,
+)
+
+Array = np.ndarray
+
+MAX_BYTES = 1 << 24  # of one frame's file
+MAX_VALUES = 500_000  # in one frame's file
+# looked at for the up axis
+SAMPLED_FRAMES = 30
+ASSUMED_RATE = 30.0
+RESULT_FOLDERS = ("smpl", "smplh", "smplx", "smplfull", "smpl-full")
+
+
+def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
+    """Open an EasyMocap folder, or one of its files as a single frame; `body` is the model of the fit.
+
+    Of several people the one with the lowest id in the first frame is read.
+
+    Raises:
+        AssetError: no frames, a frame without the person, numbers of other lengths than in the first frame,
+            hand coefficients without a model that has their components. File and field are named.
+    """
+    path = Path(path)
+    notes: list[str] = []
+    name_of, frames = _frames(path, notes)
+    people = _people(name_of(0))
+    person = min(people)
+    if len(people) > 1:
+        notes.append(f"people: {sorted(people)} in the first frame, {person} is read")
+    first = people[person]
+    lengths = _lengths(name_of(0), first)
+    layout, apart = _layout(name_of(0), lengths, body, notes)
+
+    def rows(start: int, stop: int) -> dict[str, Array]:
+        return _rows([name_of(frame) for frame in range(start, stop)], person, lengths)
+
+    sample = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLED_FRAMES)).astype(int))
+    seen = [(name_of(int(k)), _people(name_of(int(k)))) for k in sample]
+    # a frame without the person is an error when it is read, not before
+    Rh = [_numbers(file, here[person], "Rh") for file, here in seen if person in here]
+    turn = np.array(TURNS[up_axis(np.array(Rh), notes)])
+    W = matrix_from_quaternion(turn)
+    shapes = rows(0, 1).get("shapes", np.zeros((1, 0)))[0]
+    given = given_pelvis(shapes, body, notes, what="Th + R J0, J0")
+    J0, height = given if given is not None else (usual_pelvis(notes, what="Th + R J0, J0 ="), None)
+    used = min(lengths.get("shapes", 0), body.shape_directions.shape[2]) if given and body else 0
+    notes.append(f"no frame rate in EasyMocap's files: {ASSUMED_RATE:g} frames per second assumed")
+
+    def block(start: int, stop: int) -> tuple[Array, Array]:
+        values = rows(start, stop)
+        pose = _joint_poses(values, layout, apart, body)
+        places = np.broadcast_to(J0, (stop - start, 3))
+        if used and body is not None:  # the fit may shape every frame differently
+            change = values["shapes"][:, :used] - shapes[:used]
+            places = places + change @ body.joint_directions[0, :, :used].T
+        R = matrix_from_axis_angle(values["Rh"])
+        pelvis = values["Th"] + (R @ places[..., None])[..., 0]
+        q = quaternion_from_axis_angle(values["Rh"])
+        if pose[:, 0].any():
+            q = quaternion_product(q, quaternion_from_axis_angle(pose[:, 0]))
+        pose[:, 0] = axis_angle_from_quaternion(quaternion_product(np.broadcast_to(turn, q.shape), q))
+        return pose, pelvis @ W.T
+
+    return Motion(path.name, frames, ASSUMED_RATE, tuple(notes), block, height)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """EasyMocap's fit of one person to chosen frames, in the world of its cameras."""
+
+    axis_angle: Float[Array, "frames 52 3"]  # the world's rotation in the root
+    Rh: Float[Array, "frames 3"]  # about the origin of the world
+    Th: Float[Array, "frames 3"]  # metres
+    shapes: Float[Array, "frames n"]
+    notes: tuple[str, ...]  # what was assumed
+
+
+def frame_numbers(path: Path) -> dict[int, Path]:
+    """The files of an EasyMocap folder by frame number; AssetError where there are none."""
+    name_of, count = _frames(path, [])
+    return {int(name_of(k).stem): name_of(k) for k in range(count)}
+
+
+def read_fit(files: Sequence[Path], *, body: Body) -> Fit:
+    """The frames in `files` as they are: nothing is turned to y-up; `body` expands the hands, and has their mean.
+
+    Raises:
+        AssetError: as `read_easymocap`.
+    """
+    people = _people(files[0])
+    person = min(people)
+    notes: list[str] = []
+    if len(people) > 1:
+        notes.append(f"people: {sorted(people)} in the first frame, {person} is read")
+    lengths = _lengths(files[0], people[person])
+    layout, apart = _layout(files[0], lengths, body, notes)
+    values = _rows(files, person, lengths)
+    pose = _joint_poses(values, layout, apart, body)
+    if pose[:, 0].any():
+        R = matrix_from_axis_angle(values["Rh"]) @ matrix_from_axis_angle(pose[:, 0])
+        pose[:, 0] = axis_angle_from_matrix(R)
+    else:
+        pose[:, 0] = values["Rh"]
+    return Fit(pose, values["Rh"], values["Th"], values.get("shapes", np.zeros((len(files), 0))), tuple(notes))
+
+
+def _lengths(path: Path, person: dict[str, Any]) -> dict[str, int]:
+    """How many numbers each field has."""
+    return {
+        key: len(_numbers(path, person, key))
+        for key in ("poses", "Rh", "Th", "shapes", "handl", "handr")
+        if key in person or key in ("poses", "Rh", "Th")
+    }
+
+
+def _rows(files: Sequence[Path], person: int, lengths: dict[str, int]) -> dict[str, Array]:
+    """The person's fields, a row a file."""
+    out = {key: np.zeros((len(files), n)) for key, n in lengths.items()}
+    for row, file in enumerate(files):
+        here = _people(file)
+        if person not in here:
+            raise AssetError(f"{file}: no person {person}; there are {sorted(here)}")
+        for key, n in lengths.items():
+            values = _numbers(file, here[person], key)
+            if len(values) != n:
+                raise AssetError(f"{file}: {key} should have {n} numbers as in frame 0, has {len(values)}")
+            out[key][row] = values
+    return out
+
+
+def _joint_poses(
+    values: dict[str, Array], layout: Layout, apart: int, body: Body | None
+) -> Float[Array, "frames 52 3"]:
+    """Axis-angle vectors of all joints; the hands' mean is added here, once."""
+    pose = expanded(values["poses"], layout, body)
+    if apart:
+        for side, key in enumerate(("handl", "handr")):
+            hand = values[key]
+            if apart == 45:
+                assert body is not None and body.hands is not None  # _layout saw to it
+                hand = hand + body.hands.mean[side]
+            else:
+                hand = hand_from_coefficients(hand, side, body)
+            pose[:, 22 + 15 * side : 37 + 15 * side] = hand.reshape(-1, 15, 3)
+    return pose
+
+
+def _frames(path: Path, notes: list[str]) -> tuple[Any, int]:
+    """The file of each frame (a function of its number) and how many there are."""
+    if path.is_file():
+        return (lambda frame: path), 1
+    try:
+        with os.scandir(path) as entries:
+            names = (e.name for e in entries)
+            numbered = [(int(n[:-5]), len(n) - 5) for n in names if re.fullmatch(r"[0-9]{1,12}\.json", n)]
+    except OSError as error:
+        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
+    if not numbered:
+        inside = [name for name in RESULT_FOLDERS if (path / name).is_dir()]
+        hint = f"; its folder {inside[0]}/ may be meant" if inside else ""
+        raise AssetError(f"{path}: expected EasyMocap frames 000000.json, 000001.json, ...; found none{hint}")
+    numbered.sort()
+    # a million names would take ten times the memory
+    numbers, widths = np.array(numbered, np.int64).T
+    if (np.diff(numbers) == 0).any():
+        twice = int(numbers[np.argmax(np.diff(numbers) == 0)])
+        raise AssetError(f"{path}: frame {twice} is there twice, with and without leading zeros")
+    missing = int(numbers[-1] - numbers[0]) + 1 - len(numbers)
+    if missing:
+        notes.append(f"frames: numbers {numbers[0]} to {numbers[-1]} skip {missing}; played without a gap")
+    return (lambda frame: path / f"{numbers[frame]:0{widths[frame]}d}.json"), len(numbers)
+
+
+def _people(path: Path) -> dict[int, dict[str, Any]]:
+    """The people of one frame by their id."""
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise AssetError(f"{path}: expected at most {MAX_BYTES} bytes, found {path.stat().st_size}")
+        data = path.read_bytes()
+    except OSError as error:
+        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
+    if data.count(b",") + data.count(b"[") + data.count(b"{") > MAX_VALUES:
+        raise AssetError(f"{path}: expected at most {MAX_VALUES} values")
+    try:
+        content = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise AssetError(f"{path}: expected a frame of EasyMocap (JSON), found: {str(error)[:100]}") from None
+    people = content
+    if isinstance(content, dict):
+        people = content.get("annots", [content])
+    if not isinstance(people, list) or not all(isinstance(person, dict) for person in people):
+        raise AssetError(f"{path}: expected a list of people or an object with annots")
+    found: dict[int, dict[str, Any]] = {}
+    for person in people:
+        number = person.get("id", person.get("personID", 0))
+        if type(number) is not int or number in found:
+            raise AssetError(f"{path}: id should be a whole number, once, is {str(number)[:40]!r}")
+        found[number] = person
+    if not found:
+        raise AssetError(f"{path}: no people")
+    return found
+
+
+def _numbers(path: Path, person: dict[str, Any], key: str) -> Array:
+    """A field as a row of finite numbers: [[...]] and [...] alike."""
+    if key not in person:
+        raise AssetError(f"{path}: no {key}; the person has {sorted(map(str, person))[:12]}")
+    value = person[key]
+    if isinstance(value, list) and len(value) == 1 and isinstance(value[0], list):
+        value = value[0]
+    if not isinstance(value, list) or not all(type(v) in (int, float) and abs(v) < 1e6 for v in value):
+        raise AssetError(f"{path}: {key} should be one row of finite numbers, is {str(value)[:60]}")
+    if key in ("Rh", "Th") and len(value) != 3:
+        raise AssetError(f"{path}: {key} should be 3 numbers, is {len(value)}")
+    return np.array(value, np.float64)
+
+
+def _layout(path: Path, lengths: dict[str, int], body: Body | None, notes: list[str]) -> tuple[Layout, int]:
+    """Layout of `poses`, and how many numbers handl and handr have (0: the hands are not apart)."""
+    count = lengths["poses"]
+    layout = pose_layout(count, root_apart=True)
+    if layout is None:
+        known = "63, 66, 69, 72, 75, 78, 84, 87, 153, 156, 162 or 165"
+        raise AssetError(f"{path}: poses should have {known} numbers, has {count}")
+    if not readable(layout, body):
+        raise AssetError(f"{path}: poses has {count} numbers, 2 x {layout.components} for the hands: {NEEDS_MODEL}")
+    apart = lengths.get("handl", 0)
+    if apart != lengths.get("handr", 0):
+        raise AssetError(f"{path}: handl has {apart} numbers, handr {lengths.get('handr', 0)}")
+    if not apart:
+        notes.append(layout.note)
+        return layout, 0
+    if layout.hands is not None:
+        raise AssetError(f"{path}: hands twice: in poses ({count} numbers) and in handl and handr")
+    if not readable(layout._replace(components=0 if apart == 45 else apart), body) or (
+        apart == 45 and (body is None or body.hands is None)
+    ):
+        raise AssetError(f"{path}: handl has {apart} numbers: {NEEDS_MODEL}")
+    kind = "45 numbers, as offsets from the mean" if apart == 45 else f"{apart} PCA coefficients, expanded"
+    notes.append(f"hands: handl and handr, {kind}, mean added (EasyMocap's use_flat_mean: False)")
+    return layout, apart

@@ -1,0 +1,371 @@
+"""The animation of a rigged glTF (.glb, .gltf, .vrm) or of a VRM animation (.vrma), as a motion of our skeleton.
+
+A bone's rest frame in a glTF file may point anywhere, so its local rotations mean nothing alone. What counts is
+its turn away from rest, in the world: with R(t) = world_from_bone at time t and R0 at rest,
+
+    G(t) = R(t) R0^T        and for a rig like ours, local_k = G_parent^T G_k
+
+Rest is the file's default nodes, or the pose that its skin is bound in where that lies nearer to a T-pose. A rig
+whose joints are SMPL+H's in T-pose is read exactly; any other goes through avatar/motion/retarget.py, which keeps the
+directions of the bones. Channels are sampled as glTF 2.0, appendix C has it: STEP, LINEAR (slerp), CUBICSPLINE.
+"""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.errors import AssetError
+from avatar.gltf.document import Gltf, read_gltf
+from avatar.gltf.humanoid import Naming, find_naming
+from avatar.gltf.scene import node_parents, parents_first, read_skin
+from avatar.motion.clip import Motion
+from avatar.motion.retarget import retarget
+from avatar.motion.smplh_rig import LIMBS, is_smplh, off_t_pose, read_exactly
+from avatar.rotation import (
+    matrix_from_quaternion,
+    normalised_quaternion,
+    quaternion_from_matrix,
+    slerp,
+)
+from avatar.skeleton import JOINTS
+
+Array = np.ndarray
+
+PATHS = {"rotation": 4, "translation": 3}  # numbers a key
+LONGEST = 1e6  # seconds
+# frames per second of keys that are taken for the file's own frames
+SLOWEST, FASTEST = 10.0, 480.0
+ASSUMED_RATE = 30.0
+# degrees by which the bind pose must beat the default nodes
+BIND_CLOSER = 5.0
+J = {name: index for index, name in enumerate(JOINTS)}
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One animated property of one node."""
+
+    times: Float[Array, "keys"]  # seconds, increasing
+    # (keys, n), or (keys, 3, n) with tangents before and behind
+    values: Array
+    interpolation: str
+    rotation: bool
+
+    def at(self, time: Float[Array, "frames"]) -> Float[Array, "frames n"]:
+        """Values at these times; before the first and after the last key the nearest one holds."""
+        last = len(self.times) - 1
+        k = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, max(last - 1, 0))
+        values = self.values if self.interpolation != "CUBICSPLINE" else self.values[:, 1]
+        if self.interpolation == "STEP" or last == 0:
+            held = np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, last)
+            return values[held].astype(np.float64)
+        step = self.times[k + 1] - self.times[k]
+        u = np.clip((time - self.times[k]) / step, 0, 1)
+        a, b = values[k].astype(np.float64), values[k + 1].astype(np.float64)
+        if self.interpolation == "CUBICSPLINE":
+            out, into = self.values[k, 2].astype(np.float64), self.values[k + 1, 0].astype(np.float64)
+            u, step = u[:, None], step[:, None]
+            u2, u3 = u * u, u * u * u
+            between = (2 * u3 - 3 * u2 + 1) * a + step * (u3 - 2 * u2 + u) * out
+            between = between + (3 * u2 - 2 * u3) * b + step * (u3 - u2) * into
+            return between
+        if self.rotation:
+            return slerp(a, b, u)
+        return a + u[:, None] * (b - a)
+
+
+@dataclass(frozen=True)
+class GltfRig:
+    """The nodes that move a humanoid, parents first; a Rig for avatar/motion/retarget.py."""
+
+    path: Path
+    # of JOINTS, or "__..." for the nodes between them
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    translation: Float[Array, "nodes 3"]
+    rotation: Float[Array, "nodes 4"]
+    scale: Float[Array, "nodes 3"]
+    channels: dict[tuple[int, str], Channel] = field(repr=False)
+    frames: int
+    rate: float
+    start: float  # seconds
+    rest: Float[Array, "nodes 3 3"]  # world_from_bone at rest
+    rest_places: Float[Array, "nodes 3"]
+    ends: tuple[tuple[int, tuple[float, float, float]], ...] = ()
+
+    def rest_positions(self) -> Float[Array, "nodes 3"]:
+        """Where the nodes are at rest."""
+        return self.rest_places
+
+    def values(self, start: int, stop: int) -> Float[Array, "frames 1"]:
+        """The time of each frame, seconds."""
+        return (self.start + np.arange(start, stop) / self.rate)[:, None]
+
+    def transforms(
+        self, values: Float[Array, "frames 1"]
+    ) -> tuple[Float[Array, "frames nodes 3 3"], Float[Array, "frames nodes 3"]]:
+        """Turn away from rest and place of every node in the world at these times."""
+        world, places = self.world(values[:, 0])
+        return world @ np.swapaxes(self.rest, -1, -2), places
+
+    def world(
+        self, time: Float[Array, "frames"]
+    ) -> tuple[Float[Array, "frames nodes 3 3"], Float[Array, "frames nodes 3"]]:
+        """world_from_node: rotations without scale, and places."""
+        count = len(self.names)
+        R, at = np.zeros((len(time), count, 3, 3)), np.zeros((len(time), count, 3))
+        # with scale, which moves the children
+        linear = np.zeros((len(time), count, 3, 3))
+        for node, parent in enumerate(self.parents):
+            own = np.broadcast_to(self.rotation[node], (len(time), 4))
+            place = np.broadcast_to(self.translation[node], (len(time), 3))
+            if (node, "rotation") in self.channels:
+                try:
+                    own = normalised_quaternion(self.channels[node, "rotation"].at(time))
+                except ValueError:  # a spline between q and -q
+                    raise AssetError(
+                        f"{self.path}: animations[0]: rotation of {self.names[node]} passes zero"
+                    ) from None
+            if (node, "translation") in self.channels:
+                place = self.channels[node, "translation"].at(time)
+            local = matrix_from_quaternion(own)
+            if parent < 0:
+                R[:, node], at[:, node] = local, place
+                linear[:, node] = local * self.scale[node]
+            else:
+                R[:, node] = R[:, parent] @ local
+                at[:, node] = at[:, parent] + (linear[:, parent] @ place[..., None])[..., 0]
+                linear[:, node] = linear[:, parent] @ (local * self.scale[node])
+        return R, at
+
+
+def read_gltf_motion(path: Path | str) -> Motion:
+    """Open the first animation of a rigged glTF.
+
+    Raises:
+        AssetError: not a glTF we read, no animation of a humanoid's joints, channels that are not as they
+            claim, a rig without hips, knees, ankles, shoulders, elbows or head by name.
+    """
+    gltf = read_gltf(path)
+    notes: list[str] = []
+    naming = find_naming(gltf.path, gltf.json)
+    rig = _rig(gltf, naming, notes)
+    unturned = np.abs(rig.rest[[name in J for name in rig.names]] - np.eye(3)).max(initial=0) < 1e-4
+    if naming.name == "SMPL+H" and unturned and is_smplh(rig):
+        return read_exactly(rig, notes, pelvis_height=_pelvis_height(gltf))
+    return retarget(rig, up_known=True, assumed=tuple(notes))
+
+
+def _pelvis_height(gltf: Gltf) -> float | None:
+    """The height of the pelvis that avatar/gltf/animation.py leaves in the animation's extras."""
+    extras = gltf.items("animations")[0].get("extras")
+    height = extras.get("pelvisHeight") if isinstance(extras, dict) else None
+    if isinstance(height, int | float) and 0.01 < height < 100:
+        return float(height)
+    return None
+
+
+def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
+    """The part of the node tree that carries joints, its rest pose and its channels."""
+    named = len(naming.nodes) >= 12
+    joint_of = {node: joint for joint, node in naming.nodes.items()} if named else {}
+    if named:
+        notes.append(f"joints: {len(naming.nodes)} of {len(JOINTS)} found by {naming.name} names")
+    parents = node_parents(gltf)
+    needed: set[int] = set()
+    nodes = gltf.items("nodes")
+    for node in joint_of or [i for i, item in enumerate(nodes) if "mesh" not in item]:
+        while node >= 0 and node not in needed:
+            needed.add(int(node))
+            node = int(parents[node])
+    order = [node for node in parents_first(parents) if node in needed]
+    place = {node: k for k, node in enumerate(order)}
+    if not order:
+        raise AssetError(f"{gltf.path}: nodes: expected a humanoid's joints, found none")
+    local = [_trs(gltf, node) for node in order]
+    channels = _channels(gltf, place, notes)
+    rate, start, frames = _timing(gltf, channels, notes)
+    rig = GltfRig(
+        gltf.path,
+        tuple(joint_of.get(n, f"__{n}") if named else str(nodes[n].get("name", f"__{n}"))[:100] for n in order),
+        tuple(place[int(parents[n])] if parents[n] >= 0 else -1 for n in order),
+        np.array([t for t, _, _ in local]),
+        np.array([q for _, q, _ in local]),
+        np.array([s for _, _, s in local]),
+        channels, frames, rate, start, np.zeros((len(order), 3, 3)), np.zeros((len(order), 3)),
+    )  # fmt: skip
+    _check_scales(gltf, rig, order)
+    R, at = replace(rig, channels={}).world(np.zeros(1))
+    rest, places = _rest(gltf, naming, order, R[0], at[0], notes)
+    return replace(rig, rest=rest, rest_places=places)
+
+
+def _check_scales(gltf: Gltf, rig: GltfRig, order: list[int]) -> None:
+    """Scales and places multiply down the tree: refused before they leave what numbers hold."""
+    total = np.ones(len(order))
+    for k, parent in enumerate(rig.parents):
+        total[k] = rig.scale[k].max() * (total[parent] if parent >= 0 else 1)
+        if not (rig.scale[k].min() > 1e-9 and total[k] < 1e9 and np.abs(rig.translation[k]).max() < 1e9):
+            raise gltf.error(f"nodes[{order[k]}] in the world", "of scale and place below 1e9", float(total[k]))
+
+
+def _trs(gltf: Gltf, index: int) -> tuple[Array, Array, Array]:
+    """Translation, rotation (unit quaternion) and scale of a node at rest; a `matrix` is taken apart."""
+    node, where = gltf.items("nodes")[index], f"nodes[{index}]"
+    if "matrix" in node:
+        matrix = gltf.numbers(node, "matrix", where, (4, 4)).T
+        scale = np.linalg.norm(matrix[:3, :3], axis=0)
+        if not (np.linalg.det(matrix[:3, :3]) > 0 and (scale > 0).all()):
+            raise gltf.error(f"{where}.matrix", "one that does not mirror or flatten", node["matrix"])
+        return matrix[:3, 3], quaternion_from_matrix(matrix[:3, :3] / scale), scale
+    translation = gltf.numbers(node, "translation", where, (3,)) if "translation" in node else np.zeros(3)
+    rotation = gltf.numbers(node, "rotation", where, (4,)) if "rotation" in node else np.array([0.0, 0, 0, 1])
+    scale = gltf.numbers(node, "scale", where, (3,)) if "scale" in node else np.ones(3)
+    if abs(np.linalg.norm(rotation) - 1) > 0.01:
+        raise gltf.error(f"{where}.rotation", "a unit quaternion", node["rotation"])
+    if not (scale > 0).all():
+        raise gltf.error(f"{where}.scale", "positive, a mirrored bone has no rotation", node["scale"])
+    return translation, rotation / np.linalg.norm(rotation), scale
+
+
+def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple[int, str], Channel]:
+    """The channels of the first animation that turn or move these nodes."""
+    animations = gltf.items("animations")
+    if not animations:
+        raise gltf.error("animations", "one at least: a file that stands still is no motion", animations)
+    animation, where = animations[0], "animations[0]"
+    title = str(animation.get("name", "unnamed"))[:60]
+    others = [str(a.get("name", f"number {i}"))[:40] for i, a in enumerate(animations[1:6], 1)]
+    rest = f", the first of {len(animations)} ({', '.join(others)} are not read)" if others else ""
+    notes.append(f"animation: {title!r}{rest}")
+    samplers = _objects(gltf, animation, "samplers", where)
+    entries = _objects(gltf, animation, "channels", where)
+    channels: dict[tuple[int, str], Channel] = {}
+    left_out: set[str] = set()
+    for i, entry in enumerate(entries):
+        field_name = f"{where}.channels[{i}]"
+        target = entry.get("target")
+        if not isinstance(target, dict) or not isinstance(target.get("path"), str):
+            raise gltf.error(f"{field_name}.target", "an object with a path", target)
+        if "node" not in target:
+            continue  # an extension's target
+        node = gltf.index("nodes", target["node"], f"{field_name}.target.node")
+        if target["path"] not in PATHS:
+            left_out |= {target["path"][:20]} if node in place and target["path"] == "scale" else set()
+            continue
+        if node not in place:
+            continue
+        key = (place[node], target["path"])
+        if key in channels:
+            raise gltf.error(field_name, "the only one for its node and path", target)
+        number = entry.get("sampler")
+        if type(number) is not int or not 0 <= number < len(samplers):
+            raise gltf.error(f"{field_name}.sampler", f"an index below {len(samplers)}", number)
+        channels[key] = _channel(gltf, samplers[number], target["path"], f"{where}.samplers[{number}]")
+    if not channels:
+        raise gltf.error(f"{where}.channels", "rotations of a humanoid's joints", f"{len(entries)} others")
+    if left_out:
+        notes.append("scale: animated scales are left out")
+    return channels
+
+
+def _objects(gltf: Gltf, holder: dict[str, Any], key: str, where: str) -> list[dict[str, Any]]:
+    value = holder.get(key)
+    if not isinstance(value, list) or not value or not all(isinstance(v, dict) for v in value):
+        raise gltf.error(f"{where}.{key}", "a list of objects", value)
+    return value
+
+
+def _channel(gltf: Gltf, sampler: dict[str, Any], path: str, where: str) -> Channel:
+    interpolation = sampler.get("interpolation", "LINEAR")
+    if interpolation not in ("LINEAR", "STEP", "CUBICSPLINE"):
+        raise gltf.error(f"{where}.interpolation", "LINEAR, STEP or CUBICSPLINE", interpolation)
+    times = gltf.accessor(sampler.get("input"), field=f"{where}.input")
+    if times.ndim != 1 or times.dtype != np.float32:
+        raise gltf.error(f"{where}.input", "floats, one a key", (times.shape, times.dtype.name))
+    times = times.astype(np.float64)
+    if times[0] < 0 or times[-1] > LONGEST or (np.diff(times) <= 0).any():
+        raise gltf.error(f"{where}.input", f"increasing seconds from 0 to {LONGEST:g}", times)
+    values = gltf.accessor(sampler.get("output"), as_float=True, field=f"{where}.output")
+    each = 3 if interpolation == "CUBICSPLINE" else 1
+    if values.shape != (each * len(times), PATHS[path]):
+        raise gltf.error(f"{where}.output", f"({each * len(times)}, {PATHS[path]}) for {path}", values.shape)
+    if each == 3:
+        values = values.reshape(len(times), 3, PATHS[path])
+    if path == "rotation":
+        keys = values[:, 1] if each == 3 else values
+        length = np.linalg.norm(keys.astype(np.float64), axis=-1)
+        if (np.abs(length - 1) > 0.01).any():
+            bad = int(np.argmax(np.abs(length - 1) > 0.01))
+            raise gltf.error(f"{where}.output", "unit quaternions", f"length {length[bad]:.3g} at key {bad}")
+    elif not (np.abs(values) < 1e6).all():
+        raise gltf.error(f"{where}.output", "places within 1e6 units", float(np.abs(values).max()))
+    return Channel(times, values, interpolation, path == "rotation")
+
+
+def _timing(gltf: Gltf, channels: dict[tuple[int, str], Channel], notes: list[str]) -> tuple[float, float, int]:
+    """Frame rate, time of the first frame, number of frames: the keys' own where they are evenly spaced."""
+    start = min(float(c.times[0]) for c in channels.values())
+    stop = max(float(c.times[-1]) for c in channels.values())
+    times = max((c.times for c in channels.values()), key=len)
+    rate = ASSUMED_RATE
+    even = False
+    if len(times) > 1:
+        own = (len(times) - 1) / float(times[-1] - times[0])
+        even = SLOWEST <= own <= FASTEST and bool((np.abs(np.diff(times) * own - 1) < 0.02).all())
+        if even:
+            rate = float(round(own)) if abs(own - round(own)) < 0.02 else own
+    frames = int(np.floor((stop - start) * rate + 0.01)) + 1
+    keys = f"its {len(times)} keys are {'even' if even else 'uneven or far apart'}"
+    notes.append(f"sampled at {rate:g} frames per second, {frames} frames ({keys})")
+    if start > 0:
+        notes.append(f"starts at {start:.3f} s, its first key")
+    return rate, start, frames
+
+
+def _rest(
+    gltf: Gltf, naming: Naming, order: list[int], R: Array, at: Array, notes: list[str]
+) -> tuple[Float[Array, "nodes 3 3"], Float[Array, "nodes 3"]]:
+    """The rest pose: default nodes, or the bind pose of a skin that holds the limbs and is nearer to a T-pose."""
+    place = {joint: order.index(node) for joint, node in naming.nodes.items() if node in order}
+    if not all(joint in place for joint in LIMBS) or naming.name.startswith("VRM"):
+        # VRM rests in T-pose by its specification
+        return R, at
+    best = off_t_pose(at, place)
+    for number in range(min(len(gltf.items("skins")), 64)):
+        skin = read_skin(gltf, number)
+        if "inverseBindMatrices" not in gltf.items("skins")[number] or not all(
+            naming.nodes[joint] in skin.nodes for joint in LIMBS
+        ):
+            continue
+        frames = {}
+        for node, joint_from_mesh in zip(skin.nodes, skin.joint_from_mesh, strict=True):
+            if node in order:
+                if not np.linalg.det(joint_from_mesh[:3, :3]) > 0:
+                    raise gltf.error(f"skins[{number}].inverseBindMatrices", "of bones not mirrored", node)
+                frames[order.index(node)] = np.linalg.inv(joint_from_mesh)
+        anchor = place["head"]
+        # the mesh's own units against the world's: told by the distance of the hips to the head
+        hip = place["left_hip"]
+        mine = np.linalg.norm(frames[anchor][:3, 3] - frames[hip][:3, 3])
+        if not mine > 0:
+            continue
+        unit = np.linalg.norm(at[anchor] - at[hip]) / mine
+        bound_R, bound_at = R.copy(), at.copy()
+        for k, frame in frames.items():
+            bound_R[k] = _rotation(frame[:3, :3])
+            bound_at[k] = frame[:3, 3] * unit
+        off = off_t_pose(bound_at, place)
+        if off < best - BIND_CLOSER:
+            notes.append(f"rest pose: the skin's bind pose ({off:.0f} degrees off a T-pose, the nodes {best:.0f})")
+            return bound_R, bound_at
+    return R, at
+
+
+def _rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """The rotation nearest to a matrix with positive determinant."""
+    u, _, vt = np.linalg.svd(matrix)
+    return u @ vt

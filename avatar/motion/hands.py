@@ -1,0 +1,53 @@
+"""What the hands of a motion should be: the file's, flat, relaxed, or the mean pose of the user's own model."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from avatar.body import Body
+from avatar.errors import AssetError
+from avatar.motion.builtin import relaxed_hands
+from avatar.motion.clip import Motion
+
+Array = np.ndarray
+
+HANDS = ("file", "flat", "relaxed", "mean")
+
+
+def with_hands(motion: Motion, choice: str, body: Body | None = None) -> Motion:
+    """The motion with its hands replaced, and a note that says so; "file" leaves it as it is.
+
+    flat     straight fingers, the zero pose
+    relaxed  fingers slightly bent, the same for every body
+    mean     MANO's mean hands (`hands_mean` of the body): what AMASS holds where no fingers were captured
+
+    Raises:
+        ValueError: an unknown choice.
+        AssetError: "mean" without a model that has hands.
+    """
+    if choice not in HANDS:
+        raise ValueError(f"hands should be one of {', '.join(HANDS)}, is {choice!r}")
+    if choice == "file":
+        return motion
+    if choice == "flat":
+        hands, note = np.zeros((30, 3)), "hands: flat, in place of the file's"
+    elif choice == "relaxed":
+        hands, note = relaxed_hands(), "hands: relaxed, in place of the file's"
+    else:
+        if body is None or body.hands is None:
+            found = "no model" if body is None else f"{body.name} without them"
+            raise AssetError(
+                "--hands mean: expected your SMPL+H model with hands_meanl and hands_meanr, given with --body, "
+                f"found {found}"
+            )
+        hands = body.hands.mean.reshape(30, 3)
+        note = f"hands: the mean of {body.name}, in place of the file's"
+
+    def block(start: int, stop: int) -> tuple[Array, Array]:
+        axis_angle, root = motion.block(start, stop)
+        axis_angle = axis_angle.copy()
+        axis_angle[:, 22:] = hands
+        return axis_angle, root
+
+    kept = tuple(n for n in motion.notes if not n.startswith("hands:"))
+    return replace(motion, notes=(*kept, note), block=block)

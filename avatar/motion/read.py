@@ -1,0 +1,59 @@
+"""Opening a motion: which reader a file, a folder or a built-in name goes to. Each reader is a file beside this one."""
+
+from importlib.resources import files
+from pathlib import Path
+
+from avatar.body import Body
+from avatar.errors import AssetError
+from avatar.motion.clip import Motion
+
+BUILTIN_MOTIONS = ("counting", "walking")
+MOTION_FILES = "a motion (.npz AMASS, .pkl, .bvh, .glb .gltf .vrm .vrma, EasyMocap .json or folder)"
+
+
+def read_motion(source: Path | str, *, body: Body | None = None) -> Motion:
+    """Open a motion: a pose file, a folder of them, or the name of a built-in one.
+
+    .npz (AMASS), .pkl (SMPL+H, MoSh, 3DPW), .bvh, .glb .gltf .vrm .vrma (animation), .json or a folder of them
+    (EasyMocap). `body` is the body the file was made for; it settles where `trans` puts the pelvis and what hand
+    coefficients mean. What had to be assumed is in `notes`.
+
+    Raises:
+        AssetError: the file is absent, of an unknown kind, or holds what cannot be explained.
+    """
+    if str(source) in BUILTIN_MOTIONS:
+        return builtin_motion(str(source))
+    path = Path(source)
+    if not path.exists():
+        raise AssetError(f"{path}: no such file; expected {MOTION_FILES}, or one of {', '.join(BUILTIN_MOTIONS)}")
+    suffix = path.suffix.lower()
+    if path.is_dir() or suffix == ".json":
+        from avatar.motion.easymocap import read_easymocap
+
+        return read_easymocap(path, body=body)
+    if suffix == ".npz":
+        from avatar.motion.amass import read_amass
+
+        return read_amass(path, body=body)
+    if suffix == ".pkl":
+        from avatar.motion.pickled import read_pickled_motion
+
+        return read_pickled_motion(path, body=body)
+    if suffix == ".bvh":
+        from avatar.motion.bvh import read_bvh
+
+        return read_bvh(path)
+    if suffix in (".glb", ".gltf", ".vrm", ".vrma"):
+        from avatar.motion.gltf import read_gltf_motion
+
+        return read_gltf_motion(path)
+    raise AssetError(f"{path}: expected {MOTION_FILES}, found '{path.suffix}'")
+
+
+def builtin_motion(name: str) -> Motion:
+    """A clip that ships with the project (`avatar/motion/builtin.py` authors them): "counting" or "walking"."""
+    from avatar.motion.amass import read_amass
+
+    if name not in BUILTIN_MOTIONS:
+        raise ValueError(f"no built-in motion {name!r}; there are {', '.join(BUILTIN_MOTIONS)}")
+    return read_amass(Path(str(files("avatar") / "data" / "motions" / f"{name}.npz")))

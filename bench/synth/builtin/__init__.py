@@ -1,5 +1,0 @@
-"""The built-in subject: the free body, dressed and painted by our own code. Everything about it is CC0."""
-
-from bench.synth.builtin.person import builtin_subject
-
-__all__ = ["builtin_subject"]

@@ -1,0 +1,102 @@
+"""`selfscan check`: is this capture usable?"""
+
+import argparse
+import io
+import json
+from pathlib import Path
+
+from avatar.errors import AssetError
+from avatar.files import whole_file
+from capture.check.report import CaptureReport, PartReport, examine, report_facts
+from capture.check.sheet import contact_sheet, overlay
+from capture.check.silhouette import even
+from capture.check.verdict import Verdict, verdict
+from capture.folder import Capture, read_capture
+
+
+def main(argv: list[str]) -> int:
+    """Parse the command line, examine, print; 1 when the capture is not usable."""
+    parser = argparse.ArgumentParser(
+        prog="selfscan check",
+        description="Look at a capture before training: does the posed template lie on the person in the video, are "
+        "masks, units, frames, sharpness and view directions sound? Ends in a verdict: usable; usable, but ...; "
+        "not usable because ... (exit code 1), each with what to do.",
+        epilog="example: selfscan check out/capture -o out/check, then look at out/check/overlays.png",
+    )
+    parser.add_argument("capture", metavar="CAPTURE", help="folder made by `selfscan synth` or `selfscan import`")
+    parser.add_argument("-o", "--out", metavar="DIR", help="write DIR/overlays.png and DIR/check.json")
+    parser.add_argument("--json", metavar="FILE", help="write everything measured and the verdict to FILE")
+    arguments = parser.parse_args(argv)
+    capture = read_capture(arguments.capture)
+    try:
+        report = examine(capture)
+    except ValueError as error:  # the landmarks determine nothing
+        raise AssetError(f"{capture.path / 'head' / 'landmarks.json'}: {error}") from None
+    judged = verdict(report)
+    print("\n".join(lines(report, judged)))
+    facts = {"capture": str(capture.path), "usable": judged.usable, "verdict": judged.line(),
+             "findings": [vars(finding) for finding in judged.findings], **report_facts(report)}  # fmt: skip
+    files = [Path(arguments.json)] if arguments.json else []
+    if arguments.out:
+        out = Path(arguments.out)
+        out.mkdir(parents=True, exist_ok=True)
+        files.append(out / "check.json")
+        write_overlays(out / "overlays.png", capture, report)
+        print(f"{out / 'overlays.png'}: outline of the mask red, of the template's parts in other colours")
+    for path in files:
+        with whole_file(path, "w") as file:
+            json.dump(facts, file, indent=1)
+    return 0 if judged.usable else 1
+
+
+def lines(report: CaptureReport, judged: Verdict) -> list[str]:
+    """The report for reading."""
+    out = [
+        f"template {report.height:.2f} m tall; head frame by {report.landmarks} landmarks, "
+        f"{report.landmark_residual * 1000:.1f} mm off (Eq. 6)",
+        "",
+        "part        frames  mm/pixel  distance  outline px  worst frames     overlap  seen  gap   sharp  clipped",
+    ]
+    for name, part in report.parts.items():
+        worst = ", ".join(str(frame) for frame in part.worst)
+        clipped = part.exposure.burnt + part.exposure.black
+        sharp = f"{part.frames - len(part.blurred)}/{part.frames}"
+        out.append(
+            f"{name:<11} {part.frames:>6} {part.metres_per_pixel * 1000:>9.1f} {part.distance:>7.2f} m "
+            f"{part.mean.spread:>11.2f}  {worst:<15} {part.mean.iou:>8.3f} {part.coverage.seen:>5.0%} "
+            f"{part.coverage.gap:>3.0f}° {sharp:>7} {clipped:>8.1%}"
+        )
+    out += ["", "frames by direction of the camera, turning to the right, from above to below:"]
+    out += _histograms(list(report.parts.values()))
+    out += ["", judged.line()]
+    for finding in judged.findings:
+        out.append(f"  {finding.part}: {finding.what}: {finding.advice}")
+    return out
+
+
+def _histograms(parts: list[PartReport]) -> list[str]:
+    """Side by side: a column is 30 degrees of the turn, a digit the frames there (+ for ten and more)."""
+    sign = lambda n: "." if n == 0 else str(n) if n < 10 else "+"
+    tables = [["".join(sign(n) for n in row) for row in part.coverage.histogram.tolist()] for part in parts]
+    out = ["  " + "  ".join(f"{part.part:<12}" for part in parts)]
+    return out + ["  " + "  ".join(rows) for rows in zip(*tables)]
+
+
+def write_overlays(path: Path, capture: Capture, report: CaptureReport) -> None:
+    """Contact sheet: of each video three frames round the turn and the worst one."""
+    rows = []
+    for name, part in report.parts.items():
+        video, by_frame = capture.videos[name], {o.frame: o for o in part.outlines}
+        chosen = [part.outlines[i].frame for i in even(len(part.outlines), 3)] + [part.worst[0]]
+        row = []
+        for i, frame in enumerate(chosen):
+            o = by_frame[frame]
+            caption = (
+                f"{name} {frame}: {o.agreement.spread:.1f} px, overlap {o.agreement.iou:.2f}{', worst' * (i == 3)}"
+            )
+            row.append((caption, overlay(video.images[frame], video.masks[frame], o.parts, o.step)))
+        rows.append(row)
+    picture = io.BytesIO()
+    contact_sheet(rows).save(picture, format="PNG")
+    with whole_file(path) as file:
+        file.write(picture.getvalue())

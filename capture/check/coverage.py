@@ -1,0 +1,96 @@
+"""From where a part was seen: share of its surface, gaps of the turn, a histogram of directions."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from avatar.skeleton import LEFT_HAND, RIGHT_HAND, skin_transforms
+from capture.check.silhouette import canonical_from_head
+from capture.folder import PARTS, Capture
+from capture.views import part_views
+from geometry.mesh import vertex_normals
+
+Array = np.ndarray
+
+# frames that should see a point: two to place it, one to confirm
+ENOUGH = 3
+AZIMUTHS, ELEVATIONS = 12, 6
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How one part was seen."""
+
+    # share of its outer surface seen in at least ENOUGH frames
+    seen: float
+    # degrees: the largest angle of the turn without a frame
+    gap: float
+    # frames by direction of the camera, top row from above
+    histogram: Int[Array, "elevations azimuths"]
+
+
+def coverage(capture: Capture, part: str, visible: Bool[Array, "f"]) -> Coverage:
+    """Of one part, over its own video; `visible` are the faces of the template that can be seen at all.
+
+    The turn is about the vertical for body and head, about the forearm for a hand, in the part's own frame.
+    """
+    subject, video, index = capture.subject, capture.videos[part], PARTS.index(part)
+    transform = canonical_from_head(capture) if part == "head" else None
+    own = (subject.part == index) & ~subject.hair
+    normals = vertex_normals(subject.vertices, subject.faces)
+    # where the person was in view, whatever the outline of the mask: that is judged elsewhere
+    anywhere = np.broadcast_to(video.masks.any((1, 2), keepdims=True), video.masks.shape)
+    in_view = replace(video, masks=anywhere)
+    sums = part_views(in_view, subject, subject.vertices, normals, subject.skin, own, transform)
+    area = _vertex_areas(subject.vertices, subject.faces[visible]) * own
+    seen = float(area[sums.count >= ENOUGH].sum() / max(area.sum(), 1e-12))
+    towards = camera_directions(capture, part)
+    azimuth, elevation = turn_angles(towards, part)
+    rows = np.clip(((0.5 - elevation / np.pi) * ELEVATIONS).astype(int), 0, ELEVATIONS - 1)
+    columns = (azimuth / (2 * np.pi) * AZIMUTHS).astype(int) % AZIMUTHS
+    histogram = np.zeros((ELEVATIONS, AZIMUTHS), np.int64)
+    np.add.at(histogram, (rows, columns), 1)
+    return Coverage(seen, largest_gap(azimuth), histogram)
+
+
+def camera_directions(capture: Capture, part: str) -> Float[Array, "frames 3"]:
+    """Unit direction from the middle of the part to the camera in every frame, canonical frame."""
+    subject, video = capture.subject, capture.videos[part]
+    middle = subject.vertices[subject.part == PARTS.index(part)].mean(0)
+    out = []
+    for frame, camera in enumerate(video.cameras):
+        if video.axis_angle is None or video.root is None:
+            eye = canonical_from_head(capture) @ np.append(camera.eye, 1)
+        else:
+            bone = {"body": 0, "hand_left": LEFT_HAND.start - 2, "hand_right": RIGHT_HAND.start - 16}[part]
+            B = skin_transforms(video.axis_angle[frame], subject.joints, video.root[frame])[bone]
+            eye = np.linalg.solve(B, np.append(camera.eye, 1))
+        out.append(eye[:3] - middle)
+    return np.array(out) / np.linalg.norm(out, axis=1, keepdims=True)
+
+
+def turn_angles(towards: Float[Array, "frames 3"], part: str) -> tuple[Float[Array, "frames"], Float[Array, "frames"]]:
+    """Angle about the part's long axis, 0 to 2 pi, and the angle out of the plane across it.
+
+    Body and head: about +y, from the chest (+z) to the left. Hands: about the forearm (+x or -x, fingers up in
+    the histogram), from the thumb's side (+z) to the back of the hand (+y).
+    """
+    x, y, z = towards.T
+    if part in ("body", "head"):
+        return np.arctan2(x, z) % (2 * np.pi), np.arcsin(np.clip(y, -1, 1))
+    along = x if part == "hand_left" else -x
+    return np.arctan2(y, z) % (2 * np.pi), np.arcsin(np.clip(along, -1, 1))
+
+
+def largest_gap(azimuth: Float[Array, "frames"]) -> float:
+    """Degrees of the largest arc without a frame; 360 for a single direction."""
+    order = np.sort(azimuth)
+    return float(np.degrees(np.diff(np.append(order, order[0] + 2 * np.pi)).max()))
+
+
+def _vertex_areas(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) -> Float[Array, "v"]:
+    """A third of the area of the faces round each vertex."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
+    return np.bincount(faces.ravel(), np.repeat(area, 3), minlength=len(vertices))

@@ -1,0 +1,50 @@
+"""Contact sheet: the outline of the posed template over frames of each video, to be looked at."""
+
+import numpy as np
+from jaxtyping import Bool, Int, UInt8
+from PIL import Image, ImageDraw
+from scipy import ndimage
+
+from capture.folder import PARTS
+
+Array = np.ndarray
+
+TEMPLATE = np.array([[255, 210, 0], [0, 220, 255], [80, 255, 80], [255, 90, 255]], np.uint8)  # one per part
+MASK = np.array([255, 40, 40], np.uint8)
+
+
+def overlay(
+    image: UInt8[Array, "h w 3"], mask: Bool[Array, "h w"], parts: Int[Array, "y x"], step: int
+) -> UInt8[Array, "y x 3"]:
+    """One frame, darkened outside the mask, with the mask's outline in red and the template's parts edged.
+
+    `parts` holds the part at every `step`-th pixel, -1 where there is none; the picture is of that size.
+    """
+    begin = step // 2
+    picture, mask = (a[begin::step, begin::step][: parts.shape[0], : parts.shape[1]] for a in (image, mask))
+    picture = np.where(mask[..., None], picture, picture // 2)
+    picture[mask & ~_eroded(mask)] = MASK
+    for part in range(len(PARTS)):
+        edge = (parts == part) & ~_eroded(parts == part)
+        picture[edge] = TEMPLATE[part]
+    return picture
+
+
+def _eroded(area: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+    return np.asarray(ndimage.binary_erosion(area, border_value=1), bool)
+
+
+def contact_sheet(rows: list[list[tuple[str, UInt8[Array, "h w 3"]]]], side: int = 320) -> Image.Image:
+    """Pictures in rows, each with its caption above."""
+    line = 16
+    columns = max(len(row) for row in rows)
+    sheet = Image.new("RGB", (columns * side, len(rows) * (side + line)))
+    draw = ImageDraw.Draw(sheet)
+    for r, row in enumerate(rows):
+        for c, (caption, picture) in enumerate(row):
+            image = Image.fromarray(picture)
+            scale = side / max(image.size)
+            image = image.resize((round(image.width * scale), round(image.height * scale)))
+            sheet.paste(image, (c * side, r * (side + line) + line))
+            draw.text((c * side + 3, r * (side + line) + 2), caption, fill=(255, 255, 255))
+    return sheet

@@ -1,0 +1,299 @@
+"""The capture folder: four part videos with masks, cameras and poses, and the subject's registered template."""
+
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from PIL import Image, UnidentifiedImageError
+
+from avatar.camera import Camera, project, read_cameras
+from avatar.errors import AssetError
+from avatar.files import whole_file
+from avatar.skeleton import BIG_POSE, skin_transforms
+from avatar.skinning import SkinWeights, skin_points
+
+Array = np.ndarray
+
+# the index is the part id everywhere
+PARTS = ("body", "head", "hand_left", "hand_right")
+# metres: from an infant to the tallest man measured
+HEIGHT = (0.4, 2.7)
+# metres between camera and person; beyond it the unit is in doubt
+FARTHEST = 60.0
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The template of one person: a body registered to its surface, with its own joints."""
+
+    name: str
+    rest: Float[Array, "vertices 3"]  # pose 0, pelvis at the origin, metres
+    vertices: Float[Array, "vertices 3"]  # the same in the canonical (big) pose
+    faces: Int[Array, "faces 3"]
+    skin: SkinWeights
+    joints: Float[Array, "52 3"]  # pose 0
+    part: Int[Array, "vertices"]  # index into PARTS
+    hair: Bool[Array, "vertices"]
+
+
+@dataclass(frozen=True)
+class PartVideo:
+    """One self-rotation video. Body and hands: cameras in the world, with poses. Head: cameras in the head frame."""
+
+    part: str
+    images: UInt8[Array, "frames height width 3"]  # sRGB
+    masks: Bool[Array, "frames height width"]  # the whole person
+    cameras: tuple[Camera, ...]  # one per frame
+    axis_angle: Float[Array, "frames 52 3"] | None
+    root: Float[Array, "frames 3"] | None  # pelvis joint in the world
+    landmarks: Float[Array, "points 3"] | None  # head frame, its own unit
+    landmark_vertices: Int[Array, "points"] | None  # template vertices of the same places
+    unsure: Bool[Array, "frames height width"] | None = None  # pixels whose mask is not to be believed
+
+
+@dataclass(frozen=True)
+class Capture:
+    """What `selfscan synth` or `selfscan import` wrote."""
+
+    path: Path
+    facts: dict
+    subject: Subject
+    videos: dict[str, PartVideo]
+
+
+def read_capture(path: Path | str) -> Capture:
+    """Read and check a capture folder.
+
+    Raises:
+        AssetError: something is absent, misshapen, not finite, or disagrees with its neighbour.
+    """
+    path = Path(path)
+    facts = _read_json(path / "capture.json")
+    if facts.get("format") != "selfscan-capture" or facts.get("version") != 1:
+        found = f"{facts.get('format')!r} version {facts.get('version')!r}"
+        raise AssetError(f"{path / 'capture.json'}: expected format 'selfscan-capture' version 1, found {found}")
+    missing = [part for part in PARTS if part not in facts.get("parts", [])]
+    if missing:
+        raise AssetError(f"{path / 'capture.json'}: parts should hold {list(PARTS)}, lacks {missing}")
+    absent = [part for part in PARTS if not (path / part).is_dir()]
+    if absent:
+        raise AssetError(f"{path}: no folder {', '.join(absent)}; all four videos are needed: {', '.join(PARTS)}")
+    subject = read_subject(path / "subject.npz", name=str(facts.get("subject", path.name)))
+    videos = {part: _read_video(path / part, part, len(subject.rest)) for part in PARTS}
+    for part, video in videos.items():
+        _check_distance(path / part, video)
+    return Capture(path, facts, subject, videos)
+
+
+def read_subject(path: Path, name: str = "") -> Subject:
+    """Read the template, `subject.npz`.
+
+    Raises:
+        AssetError: a field is absent, misshapen or not finite; file and field are named.
+    """
+    fields = _read_npz(path)
+    rest = _field(path, fields, "v_template", (None, 3)).astype(np.float64)
+    count = len(rest)
+    height = float(np.ptp(rest[:, 1])) if count else 0.0
+    if not HEIGHT[0] <= height <= HEIGHT[1]:
+        raise AssetError(
+            f"{path}: v_template should be a standing person in metres, {HEIGHT[0]} to {HEIGHT[1]} m along y; "
+            f"is {height:.4g}{_other_unit(height)}"
+        )
+    faces = _field(path, fields, "faces", (None, 3)).astype(np.int64)
+    if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
+        raise AssetError(f"{path}: faces should index {count} vertices")
+    joints = _field(path, fields, "joints", (52, 3)).astype(np.float64)
+    astray = np.flatnonzero((joints < rest.min(0) - 0.1).any(1) | (joints > rest.max(0) + 0.1).any(1))
+    if len(astray):
+        row = int(astray[0])
+        raise AssetError(
+            f"{path}: joints should lie in the template, in metres; joint {row} is at "
+            f"{np.round(joints[row], 2).tolist()}"
+        )
+    bones = _field(path, fields, "skin_joints", (count, 4)).astype(np.int64)
+    weights = _field(path, fields, "skin_weights", (count, 4)).astype(np.float32)
+    if bones.min() < 0 or bones.max() > 51:
+        raise AssetError(f"{path}: skin_joints should be 0..51, holds {int(bones.min())}..{int(bones.max())}")
+    total = weights.sum(1)
+    if weights.min() < 0 or np.abs(total - 1).max() > 1e-3:
+        row = int(np.abs(total - 1).argmax())
+        raise AssetError(f"{path}: skin_weights should be positive and sum to 1; row {row} sums to {total[row]:.4f}")
+    part = _field(path, fields, "part", (count,)).astype(np.int64)
+    absent = [PARTS[i] for i in range(4) if not (part == i).any()]
+    if absent or part.max() > 3:
+        raise AssetError(f"{path}: part should hold each of 0..3, lacks {absent}, largest {int(part.max())}")
+    hair = _field(path, fields, "hair", (count,)).astype(bool)
+    skin = SkinWeights(bones, weights)
+    canonical = skin_points(rest, skin, skin_transforms(BIG_POSE, joints, rest=np.zeros((52, 3))))
+    return Subject(name, rest, canonical, faces, skin, joints, part, hair)
+
+
+def write_subject(path: Path, subject: Subject) -> None:
+    """Write the template so that `read_subject` gives it back."""
+    with whole_file(path) as file:
+        np.savez(
+            file, v_template=subject.rest, faces=subject.faces, joints=subject.joints,
+            skin_joints=subject.skin.joints.astype(np.uint8), skin_weights=subject.skin.weights,
+            part=subject.part.astype(np.uint8), hair=subject.hair,
+        )  # fmt: skip
+
+
+def _read_video(path: Path, part: str, vertex_count: int) -> PartVideo:
+    image_names, images = _read_frames(path / "images", "RGB")
+    mask_names, grey = _read_frames(path / "masks", "L")
+    masks = grey > 127
+    if image_names != mask_names:
+        name = sorted(set(image_names) ^ set(mask_names))[0]
+        place = "images" if name in image_names else "masks"
+        raise AssetError(
+            f"{path / 'masks'}: every image should have a mask of the same name, as {len(image_names)} images and "
+            f"{len(mask_names)} masks do not; {name} is in {place} alone"
+        )
+    if masks.shape != images.shape[:3]:
+        size, expected = masks.shape[2:0:-1], images.shape[2:0:-1]
+        raise AssetError(f"{path / 'masks'}: should be {expected} pixels as the images, are {size}")
+    frames, height, width = masks.shape
+    cameras = read_cameras(path / "cameras.npz")
+    if len(cameras) not in (1, frames):
+        raise AssetError(f"{path / 'cameras.npz'}: should hold 1 or {frames} cameras, holds {len(cameras)}")
+    if cameras[0].size != (width, height):
+        raise AssetError(
+            f"{path / 'cameras.npz'}: size should be {(width, height)} as the images, is {cameras[0].size}"
+        )
+    cameras = tuple(cameras * frames if len(cameras) == 1 else cameras)
+    if not masks.any():
+        raise AssetError(f"{path / 'masks'}: no pixel of any frame shows the person")
+
+    if part == "head":
+        points, vertices = _read_landmarks(path / "landmarks.json", vertex_count)
+        return PartVideo(part, images, masks, cameras, None, None, points, vertices)
+    axis_angle, root = _read_poses(path / "poses.npz", frames)
+    return PartVideo(part, images, masks, cameras, axis_angle, root, None, None)
+
+
+def _read_poses(path: Path, frames: int) -> tuple[Float[Array, "frames 52 3"], Float[Array, "frames 3"]]:
+    fields = _read_npz(path)
+    for name, columns in (("poses", 156), ("trans", 3)):
+        if name in fields and fields[name].ndim == 2 and len(fields[name]) != frames:
+            raise AssetError(
+                f"{path}: {name} should hold one row for each of {frames} frames, holds {len(fields[name])}"
+            )
+        if name in fields and fields[name].shape == (frames, columns) and fields[name].dtype.kind == "f":
+            bad = np.argwhere(~np.isfinite(fields[name]))
+            if len(bad):
+                joint = f", joint {bad[0][1] // 3}" if name == "poses" else ""
+                raise AssetError(f"{path}: {name} should be finite, is not in frame {bad[0][0]}{joint}")
+    poses = _field(path, fields, "poses", (frames, 156)).astype(np.float64)
+    return poses.reshape(frames, 52, 3), _field(path, fields, "trans", (frames, 3)).astype(np.float64)
+
+
+def _check_distance(path: Path, video: PartVideo) -> None:
+    """Refuse a video whose cameras never have the person in front of them at a plausible distance.
+
+    The head's unit is free; its landmarks need only be before some camera.
+    """
+    if video.root is None:
+        assert video.landmarks is not None
+        before = [(project(camera, video.landmarks)[1] > 0).all() for camera in video.cameras]
+        if not any(before):
+            raise AssetError(
+                f"{path / 'landmarks.json'}: points should be in the frame of head/cameras.npz; they lie behind "
+                f"every camera"
+            )
+        return
+    depth = np.array([project(c, r[None])[1][0] for c, r in zip(video.cameras, video.root)])
+    away = float(np.median(np.abs(depth)))
+    if away > FARTHEST:
+        raise AssetError(
+            f"{path}: cameras.npz and poses.npz should be in metres of one world; the person is {away:.4g} m from "
+            f"the camera{_other_unit(away / 2)}"
+        )
+    if (depth <= 0).all() and video.part == "body":
+        raise AssetError(
+            f"{path / 'cameras.npz'}: the person should be in front of the camera, is behind it in all frames"
+        )
+
+
+def _other_unit(metres: float) -> str:
+    """What a length of a person that should be in metres seems to be in."""
+    for unit, scale in (("millimetres", 1000), ("centimetres", 100)):
+        if HEIGHT[0] * scale <= metres <= HEIGHT[1] * scale:
+            return f": {unit}?"
+    return ""
+
+
+def _read_landmarks(path: Path, vertex_count: int) -> tuple[Array, Array]:
+    content = _read_json(path)
+    points, vertices = content.get("points"), content.get("vertices")
+    if not isinstance(points, dict) or not isinstance(vertices, dict) or set(points) != set(vertices):
+        raise AssetError(f"{path}: expected 'points' and 'vertices' with the same names")
+    if len(points) < 6:
+        raise AssetError(f"{path}: expected at least 6 landmarks, found {len(points)}")
+    for name in points:
+        index = vertices[name]
+        if not isinstance(index, int) or not 0 <= index < vertex_count:
+            raise AssetError(f"{path}: vertices.{name} should be an index below {vertex_count}, is {index!r}")
+    names = sorted(points)
+    try:
+        positions = np.array([points[name] for name in names], np.float64)
+    except (TypeError, ValueError):
+        raise AssetError(f"{path}: points should be three numbers each") from None
+    if positions.shape != (len(names), 3) or not np.isfinite(positions).all():
+        raise AssetError(f"{path}: points should be three finite numbers each")
+    return positions, np.array([vertices[name] for name in names])
+
+
+def _read_frames(folder: Path, mode: str) -> tuple[list[str], Array]:
+    paths = sorted(folder.glob("*.png"))
+    if not paths:
+        raise AssetError(f"{folder}: expected frames 000000.png ..., found none")
+    frames = []
+    for path in paths:
+        try:
+            with Image.open(path) as image:
+                frames.append(np.asarray(image.convert(mode)))
+        except (OSError, UnidentifiedImageError, SyntaxError) as error:
+            raise AssetError(f"{path}: expected a PNG image, found: {error}") from None
+        if frames[-1].shape != frames[0].shape:
+            size, first = frames[-1].shape[1::-1], frames[0].shape[1::-1]
+            raise AssetError(f"{path}: should be {first} pixels as the first frame, is {size}")
+    return [path.name for path in paths], np.stack(frames)
+
+
+def _read_json(path: Path) -> dict:
+    try:
+        content = json.loads(path.read_text("utf-8"))
+    except FileNotFoundError:
+        raise AssetError(f"{path}: no such file; expected a capture folder made by `selfscan synth`") from None
+    except (OSError, ValueError) as error:
+        raise AssetError(f"{path}: expected JSON, found: {error}") from None
+    if not isinstance(content, dict):
+        raise AssetError(f"{path}: expected a JSON object, found {type(content).__name__}")
+    return content
+
+
+def _read_npz(path: Path) -> dict[str, Array]:
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return {name: data[name] for name in data.files}
+    except FileNotFoundError:
+        raise AssetError(f"{path}: no such file") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise AssetError(f"{path}: expected arrays (.npz), found: {error}") from None
+
+
+def _field(path: Path, fields: dict[str, Array], name: str, shape: tuple[int | None, ...]) -> Array:
+    if name not in fields:
+        raise AssetError(f"{path}: no {name}; the file has {sorted(fields)}")
+    array = fields[name]
+    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape)):
+        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        raise AssetError(f"{path}: {name} should be {expected}, is {array.shape}")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        first = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise AssetError(f"{path}: {name} is not finite, first at {first}")
+    return array

@@ -1,0 +1,106 @@
+"""Held-out pictures of a synthetic capture, with their poses and cameras: none of them was seen in training.
+
+truth/novel_pose/, novel_view/ images/, masks/, parts/ NAME.png and views.npz
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from PIL import Image
+
+from avatar.camera import Camera
+from avatar.errors import AssetError
+from avatar.npz import read_npz
+
+SETS = ("novel_pose", "novel_view")
+VIEWS = ("body", "head", "hand_left", "hand_right")
+PART_ID = {"body": 0, "head": 1, "hand_left": 2, "hand_right": 3}
+
+
+@dataclass(frozen=True)
+class HeldOutView:
+    """One held-out picture; pixels are read when asked for."""
+
+    folder: Path
+    name: str
+    view: str  # one of VIEWS
+    pose_index: int
+    axis_angle: Float[np.ndarray, "52 3"]
+    root: Float[np.ndarray, "3"]
+    camera: Camera
+
+    def image(self) -> Float[np.ndarray, "h w 3"]:
+        pixels = self.pixels("images", "RGB").astype(np.float32) / 255
+        return np.where(self.mask()[..., None], pixels, 0.0).astype(np.float32)  # black ground
+
+    def mask(self) -> Bool[np.ndarray, "h w"]:
+        return self.pixels("masks", "L") > 127
+
+    def parts(self) -> UInt8[np.ndarray, "h w"]:
+        """Part id + 1 of each pixel, 0 where there is nobody."""
+        return self.pixels("parts", "L")
+
+    def pixels(self, kind: str, mode: str) -> np.ndarray:
+        path = self.folder / kind / f"{self.name}.png"
+        try:
+            with Image.open(path) as file:
+                pixels = np.asarray(file.convert(mode))
+        except OSError as error:
+            raise AssetError(f"{path}: expected an image, found: {error}") from None
+        width, height = self.camera.size
+        if pixels.shape[:2] != (height, width):
+            found = f"{pixels.shape[1]} x {pixels.shape[0]}"
+            raise AssetError(f"{path}: expected {width} x {height} pixels as in views.npz, found {found}")
+        return pixels
+
+
+def read_capture_facts(capture: Path) -> dict:
+    """capture.json as a dictionary."""
+    path = Path(capture) / "capture.json"
+    try:
+        facts = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise AssetError(f"{path}: expected the facts of a capture (JSON), found: {error}") from None
+    if not isinstance(facts, dict) or facts.get("format") != "selfscan-capture":
+        raise AssetError(f"{path}: format should be 'selfscan-capture'")
+    return facts
+
+
+def read_held_out(capture: Path, name: str) -> list[HeldOutView]:
+    """The held-out pictures of one set ("novel_pose" or "novel_view"), in the order of views.npz.
+
+    Raises:
+        AssetError: views.npz is absent or misshapen.
+    """
+    folder = Path(capture) / "truth" / name
+    path = folder / "views.npz"
+    shapes = {"pose": ("n",), "view": ("n",), "poses": ("p", 52, 3), "root": ("p", 3), "K": ("n", 3, 3)}
+    fields = read_arrays(path, shapes | {"camera_from_world": ("n", 4, 4), "size": (2,)})
+    size = (int(fields["size"][0]), int(fields["size"][1]))
+    views = []
+    for i, (pose, view) in enumerate(zip(fields["pose"].astype(int), fields["view"], strict=True)):
+        label = str(view) if fields["view"].dtype.kind == "U" else VIEWS[int(view)]
+        if label not in VIEWS or not 0 <= pose < len(fields["poses"]):
+            raise AssetError(f"{path}: row {i} is view {label!r} of pose {pose}; views are {VIEWS}")
+        camera = Camera(fields["K"][i], fields["camera_from_world"][i], size)
+        axis_angle, root = fields["poses"][pose].astype(np.float64), fields["root"][pose].astype(np.float64)
+        views.append(HeldOutView(folder, f"{pose:06d}_{label}", label, int(pose), axis_angle, root, camera))
+    return views
+
+
+def read_arrays(path: Path, shapes: dict[str, tuple]) -> dict[str, np.ndarray]:
+    """Arrays of an .npz whose shapes agree: a letter stands for a length that must be the same everywhere."""
+    fields = read_npz(path, "ground truth", shapes)
+    lengths: dict[str, int] = {}
+    for name, shape in shapes.items():
+        array = fields[name]
+        found = array.shape
+        expected = tuple(lengths.setdefault(s, n) if isinstance(s, str) else s for s, n in zip(shape, found))
+        if len(found) != len(shape) or found != expected:
+            raise AssetError(f"{path}: {name} should be {shape} with {lengths}, is {found}")
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise AssetError(f"{path}: {name} is not finite, first at {tuple(np.argwhere(~np.isfinite(array))[0])}")
+    return fields

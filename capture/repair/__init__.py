@@ -1,0 +1,1 @@
+"""Noisy poses and wrong masks of a capture, put right before training."""

@@ -1,0 +1,326 @@
+"""Poses moved until the template's outline lies on the masks' outline: before any field is trained.
+
+The template is the registered person, so its outline is known from the start. Per frame, with increments d of the
+joints' rotations (R_j exp d_j) and of the root, least squares of
+
+    sum over outline pixels  (n . (q - p(d)) - e)^2 / s^2      p on the template's outline, q on the mask's, n normal
+    + sum over samples       |I(p(d)) - mean colour|^2 / s_c^2  the same spot has one colour in all frames
+    + |d from the given pose|^2 / s_prior^2
+    + |second difference in time|^2 / s_smooth^2                people move smoothly; robust, jumps are let through
+
+is solved by Gauss-Newton for all frames at once: frames meet only in the last term, the system is banded. After each
+round e, how far the person stands off the template there, becomes what the frames agree on: clothes, hair and masks
+that are all too large are no error of a pose.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+from scipy.linalg import solveh_banded
+
+from avatar.camera import project
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from avatar.skeleton import PARENTS, joint_transforms, skin_transforms
+from avatar.skinning import skin_points
+from capture.folder import PARTS, PartVideo, Subject
+from capture.repair.increments import increments_moved, metres_of_a_pixel, moving_joints, project_derivative
+from capture.repair.outline import Outline, ShapeCells, placement
+from geometry.mesh import vertex_normals
+from geometry.rasterise import Fragments, rasterise
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class AlignSettings:
+    """Standard deviations that weigh the terms."""
+
+    # pixels of one outline pixel: neighbours err together, so more than a pixel
+    outline: float = 3.0
+    color: float = 0.15  # of one sample, sRGB
+    prior: float = 3.0  # degrees, of each joint about each axis
+    root: float = 0.01  # metres
+    smooth: float = 1.0  # degrees a frame a frame
+    # pixels of an image 256 high: over this much of the surface the shape is off alike
+    cell: float = 10.0
+    # outline pixels that have to agree before the shape is believed to be off
+    doubt: float = 10.0
+    rounds: int = 12
+    # of them, the last ones use colours too
+    colored: int = 5
+
+
+class Aligned(NamedTuple):
+    """Poses on the masks, and how well each frame's outline lies there."""
+
+    axis_angle: Float[Array, "frames 52 3"]
+    root: Float[Array, "frames 3"]
+    # mean distance of the outlines, pixels of an image 256 high; inf: none in view
+    edge: Float[Array, "frames"]
+
+
+class _View(NamedTuple):
+    """One frame's template: world, and drawn."""
+
+    G: Float[Array, "52 4 4"]
+    B: Float[Array, "52 4 4"]
+    posed: Float[Array, "v 3"]
+    drawn: Fragments
+    outline: Outline
+    # how far the outline pixels were slid from where they are drawn
+    came: Float[Array, "n 2"]
+
+
+def align(
+    video: PartVideo, subject: Subject, settings: AlignSettings = AlignSettings(),
+    each_round: Callable[[int, Float[Array, "frames 52 3"], Float[Array, "frames 3"]], None] | None = None,
+) -> Aligned:  # fmt: skip
+    """Poses of a posed video moved onto its masks (see the top of this file)."""
+    assert video.axis_angle is not None and video.root is not None
+    part = PARTS.index(video.part)
+    moving = moving_joints(subject, part, video)
+    near = _near_faces(subject, part)
+    given = matrix_from_axis_angle(video.axis_angle)
+    R, root = given.copy(), video.root.copy()
+    frames, params = len(root), 3 * len(moving) + 3
+    sigma = np.r_[np.full(params - 3, np.radians(settings.prior)), np.full(3, settings.root)]
+    scale = video.masks.shape[1] / 256
+    outlines = [Outline(mask) for mask in video.masks]
+    edge, beyond = np.zeros(frames), np.zeros(len(subject.vertices))
+    cells = ShapeCells(subject, settings.cell * metres_of_a_pixel(video) * scale)
+    cuts = scale * np.geomspace(40.0, 3.0, settings.rounds)
+    for number, cut in enumerate(cuts):
+        first, colored = number == 0, number >= settings.rounds - settings.colored
+        views = [_view(video, subject, f, R[f], root[f], near if first else None) for f in range(frames)]
+        H, b = np.zeros((frames, params, params)), np.zeros((frames, params))
+        away: list[Array] = []
+        corners: list[Array] = []
+        for f, view in enumerate(views):
+            edge[f], r, corner = _add_outline(
+                H[f], b[f], view, video, f, subject, outlines[f], moving, cut, settings.outline * scale, near, beyond
+            )
+            away.append(r)
+            corners.append(corner)
+        if cut < 15 * scale:
+            beyond = cells.shared(np.concatenate(corners), np.concatenate(away), settings.doubt)
+        if colored:
+            _add_colors(H, b, views, video, subject, part, moving, settings.color)
+        delta = axis_angle_from_matrix(np.swapaxes(given, -1, -2) @ R)[:, moving].reshape(frames, -1)
+        delta = np.c_[delta, root - video.root]
+        step = _solve(H + np.diag(1 / sigma**2), b - delta / sigma**2, R[:, moving], settings)
+        R[:, moving] = R[:, moving] @ matrix_from_axis_angle(step[:, :-3].reshape(frames, -1, 3))
+        root = root + step[:, -3:]
+        if each_round is not None:
+            each_round(number, axis_angle_from_matrix(R), root)
+    return Aligned(axis_angle_from_matrix(R), root, edge / scale)
+
+
+def _near_faces(subject: Subject, part: int) -> Bool[Array, "faces"]:
+    """Faces whose outline places the part: its own and those of the bone it hangs from; of the body all."""
+    if part == 0:
+        return np.ones(len(subject.faces), bool)
+    own = subject.part == part
+    heaviest = np.bincount(subject.skin.joints[own, 0], minlength=52).argmax()
+    # the part's own joint nearest to the pelvis: the wrist of a hand
+    top = heaviest
+    while own[subject.skin.joints[:, 0] == PARENTS[top]].mean() > 0.5:
+        top = PARENTS[top]
+    own |= ((subject.skin.joints == PARENTS[top]) & (subject.skin.weights > 0.5)).any(1)
+    return own[subject.faces].all(1)
+
+
+def _view(
+    video: PartVideo, subject: Subject, f: int, R: Array, root: Array, near: Bool[Array, "faces"] | None
+) -> _View:
+    """The template in frame f. With `near` its outline is first slid and turned as a whole onto the mask."""
+    axis_angle, camera = axis_angle_from_matrix(R), video.cameras[f]
+    B = skin_transforms(axis_angle, subject.joints, root)
+    posed = skin_points(subject.vertices, subject.skin, B)
+    G = joint_transforms(axis_angle, subject.joints, root)
+    if near is None:
+        drawn = rasterise(posed, subject.faces, camera)
+        outline = Outline(drawn.face >= 0)
+        return _View(G, B, posed, drawn, outline, np.zeros_like(outline.at))
+    size = np.array(camera.size)
+    K = camera.K.copy()
+    K[:2, 2] += size
+    drawn = rasterise(posed, subject.faces, replace(camera, K=K, size=(int(3 * size[0]), int(3 * size[1]))))
+    outline = Outline(drawn.face >= 0)
+    shown = (drawn.face >= 0) & near[drawn.face]
+    if not shown.any():
+        return _View(G, B, posed, drawn, outline, np.zeros_like(outline.at))
+    part = PARTS.index(video.part)
+    centre = project(camera, posed[subject.part == part] if part else posed)[0].mean(0) + size
+    turn, shift = placement(shown, video.masks[f], centre, 0.5 * size[0])
+    turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    moved = (outline.at - centre) @ turned + centre + shift
+    came = moved - outline.at
+    outline.normals, outline.at = outline.normals @ turned, moved - size
+    return _View(G, B, posed, drawn, outline, came)
+
+
+def _add_outline(
+    H: Array, b: Array, view: _View, video: PartVideo, f: int, subject: Subject, mask: Outline,
+    moving: Int[Array, "m"], cut: float, sigma: float, near: Bool[Array, "faces"], beyond: Float[Array, "v"],
+) -> tuple[float, Float[Array, "n"], Int[Array, "n"]]:  # fmt: skip
+    """Add the outline term of one frame, the person `beyond` (metres) the template's vertices.
+
+    Returns the mean distance of the outlines near the part, how far outside (metres) the mask's pixels are, and the
+    vertices that they belong to.
+    """
+    template, camera = view.outline, video.cameras[f]
+    if len(template.at) == 0 or len(mask.at) == 0:
+        return np.inf, np.zeros(0), np.zeros(0, int)
+    there, d_there = template.nearest(mask, cut)
+    back, d_back = mask.nearest(template, cut)
+    inside = ((template.at > 0) & (template.at < camera.size)).all(1)
+    # what the image does not show agrees with nothing
+    d_there = np.where(inside, d_there, np.inf)
+    p = np.r_[np.arange(len(template.at)), back]
+    q = np.r_[there, np.arange(len(mask.at))]
+    length = np.r_[d_there, d_back]
+    face = view.drawn.face[template.pixels[p, 0], template.pixels[p, 1]]
+    n = mask.normals[q]
+    r = ((mask.at[q] - template.at[p] + view.came[p]) * n).sum(1)
+    weight = 1 / (1 + (length / cut) ** 2) ** 2 / sigma**2
+    if view.came.any():
+        weight = weight * near[face]
+    # stands for the pixel: its derivative varies slowly over a face
+    corner = subject.faces[face, 0]
+    moves = project_derivative(camera, view.posed[corner])
+    pixels = np.linalg.norm(moves[:, 0], axis=1)  # of a metre
+    away, r = r / pixels, r - beyond[corner] * pixels
+    g = np.einsum("ni,nij->nj", n, moves)
+    J = increments_moved(subject, corner, view.G, view.B, g, moving)
+    H += (J * weight[:, None]).T @ J
+    b += (J * weight[:, None]).T @ r
+    close = near[face] & np.isfinite(length)
+    if not close.any():
+        return np.inf, np.zeros(0), np.zeros(0, int)
+    near_by = close & (length < cut)
+    return float(length[close].mean()), away[near_by], corner[near_by]
+
+
+def outline_offset(video: PartVideo, subject: Subject, frames: int = 8) -> float:
+    """How far outside the posed template's outline the masks' is, mean over a few frames, pixels of 256 a height.
+
+    Only outlines within 5 pixels of each other are compared, where the template shows the part.
+    """
+    assert video.axis_angle is not None and video.root is not None
+    scale = video.masks.shape[1] / 256
+    near = _near_faces(subject, PARTS.index(video.part))
+    found = []
+    for f in np.unique(np.linspace(0, len(video.masks), frames, endpoint=False).astype(int)):
+        view = _view(video, subject, int(f), matrix_from_axis_angle(video.axis_angle[f]), video.root[f], None)
+        template, mask = view.outline, Outline(video.masks[f])
+        if len(template.at) == 0 or len(mask.at) == 0:
+            continue
+        index, length = template.nearest(mask, 5.0 * scale)
+        face = view.drawn.face[template.pixels[:, 0], template.pixels[:, 1]]
+        away = ((mask.at[index] - template.at) * mask.normals[index]).sum(1)
+        found.append(away[near[face] & (length < 5 * scale)])
+    found = np.concatenate(found) if found else np.zeros(0)
+    return float(found.mean()) / scale if len(found) else 0.0
+
+
+def _seen(view: _View, video: PartVideo, f: int, subject: Subject, part: int) -> tuple[Array, Array]:
+    """Vertices of the part that frame f shows well, and their pixels."""
+    camera = video.cameras[f]
+    pixels, depth = project(camera, view.posed)
+    inside = (pixels > 1).all(1) & (pixels < np.array(camera.size) - 1).all(1) & (depth > 0)
+    if part:
+        inside &= subject.part == part
+    d = view.posed - camera.eye
+    facing = -(d * vertex_normals(view.posed, subject.faces)).sum(1) / np.linalg.norm(d, axis=1)
+    at = np.flatnonzero(inside & (facing > 0.35))
+    x, y = np.floor(pixels[at]).astype(int).T
+    open_ = depth[at] < view.drawn.depth[y, x] + 0.01
+    deep = np.asarray(ndimage.binary_erosion(video.masks[f], iterations=2), bool)
+    at = at[open_ & deep[y, x]]
+    return at, pixels[at]
+
+
+def _add_colors(
+    H: Array, b: Array, views: list[_View], video: PartVideo, subject: Subject, part: int,
+    moving: Int[Array, "m"], sigma: float,
+) -> None:  # fmt: skip
+    """Add the colour term of all frames: each vertex against its mean over the frames that see it, at least 4."""
+    total, number = np.zeros((len(subject.vertices), 3)), np.zeros(len(subject.vertices))
+    seen = []
+    for f, view in enumerate(views):
+        at, pixels = _seen(view, video, f, subject, part)
+        image = ndimage.gaussian_filter(video.images[f].astype(np.float32) / 255, (1.0, 1.0, 0))
+        color = _bilinear(image, pixels)
+        total[at] += color
+        number[at] += 1
+        seen.append((at, pixels, image, color))
+    mean = total / np.maximum(number, 1)[:, None]
+    for f, (at, pixels, image, color) in enumerate(seen):
+        keep = number[at] >= 4
+        at, pixels, r = at[keep], pixels[keep], (mean[at] - color)[keep]
+        if len(at) == 0:
+            continue
+        r = r - np.median(r, 0)  # exposure
+        weight = 1 / (1 + (r**2).sum(1) / sigma**2) ** 2 / sigma**2 * _share_of_pixel(pixels)
+        jac = project_derivative(video.cameras[f], views[f].posed[at])
+        dy, dx = (_bilinear(slope, pixels) for slope in np.gradient(image, axis=(0, 1)))
+        for c in range(3):
+            g = np.einsum("ni,nij->nj", np.stack([dx[:, c], dy[:, c]], 1), jac)
+            J = increments_moved(subject, at, views[f].G, views[f].B, g, moving)
+            H[f] += (J * weight[:, None]).T @ J
+            b[f] += (J * weight[:, None]).T @ r[:, c]
+
+
+def _share_of_pixel(pixels: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    """One over the number of points that share a pixel: a head's many vertices know no more than its pixels do."""
+    _, of, count = np.unique(np.floor(pixels).astype(int), axis=0, return_inverse=True, return_counts=True)
+    return 1 / count[of.ravel()]
+
+
+def _bilinear(image: Float[Array, "h w 3"], pixels: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
+    place = (pixels[:, ::-1] - 0.5).T
+    return np.stack([ndimage.map_coordinates(image[..., c], place, order=1) for c in range(3)], 1)
+
+
+def _solve(
+    H: Float[Array, "frames p p"], b: Float[Array, "frames p"], R: Float[Array, "frames m 3 3"],
+    settings: AlignSettings,
+) -> Float[Array, "frames p"]:  # fmt: skip
+    """One Gauss-Newton step of all frames, H and b theirs alone; the smoothness of neighbours is added here.
+
+    The second difference of a joint is a_f = v_f - v_(f-1), v_f = log(R_f^T R_(f+1)); an increment d_f turns
+    v_f by -R_(f,f+1)^T d_f and v_(f-1) by d_f.
+    """
+    frames, params = b.shape
+    m = R.shape[1]
+    b = b.copy()
+    # of frame f with f, f + 1, f + 2
+    blocks = [H.copy(), np.zeros_like(H), np.zeros_like(H)]
+    between = np.swapaxes(R[:-1], -1, -2) @ R[1:]
+    v = axis_angle_from_matrix(between)
+    eye = np.broadcast_to(np.eye(3), (m, 3, 3))
+    joint = 3 * np.arange(m)
+    for f in range(1, frames - 1):
+        a = v[f] - v[f - 1]
+        weight = 1 / (1 + (a**2).sum(1) / np.radians(12.0) ** 2) ** 2 / np.radians(settings.smooth) ** 2
+        turns = [np.swapaxes(between[f - 1], -1, -2), -np.swapaxes(between[f], -1, -2) - np.eye(3), eye]
+        for x in range(3):
+            b[f - 1 + x, :-3] -= (np.einsum("mji,mj->mi", turns[x], a) * weight[:, None]).ravel()
+            for y in range(x, 3):
+                product = np.einsum("mki,mkj->mij", turns[x], turns[y]) * weight[:, None, None]
+                for i in range(3):
+                    for j in range(3):
+                        blocks[y - x][f - 1 + x, joint + i, joint + j] += product[:, i, j]
+    # upper form: [last row + row - column, column]
+    band = np.zeros((3 * params, frames * params))
+    row, column = np.indices((params, params))
+    for apart in range(min(3, frames)):
+        for f in range(frames - apart):
+            r, c = f * params + row, (f + apart) * params + column
+            upper = r <= c
+            band[3 * params - 1 + (r - c)[upper], c[upper]] = blocks[apart][f][upper]
+    return solveh_banded(band, b.ravel()).reshape(frames, params)

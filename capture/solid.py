@@ -1,0 +1,55 @@
+"""A field made solid deep inside the person, so that its zero level is the skin alone."""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from capture.folder import PARTS, Subject
+from capture.template import visible_faces
+from geometry.mesh import vertex_normals
+
+PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
+
+# metres, per part: so deep inside the template is no surface
+INSIDE = np.array([0.02, 0.015, 0.004, 0.004])
+# metres, under hair: a hull (train/hull.py) spans hollows; the head's band ends at 2 cm
+HAIR_INSIDE = 0.025
+
+
+def solid_inside(distance: PointFunction, subject: Subject) -> PointFunction:
+    """The distance, made negative deep inside the subject's template (INSIDE, per part).
+
+    Training samples a band around the template; deeper in, the field is whatever its network makes up, and its
+    zero sets there are sheets inside the body, some of them joined to the skin through a pinhole. Only the
+    faces that can be seen from outside count: mouth and eye sockets would turn the sign.
+    """
+    faces = np.asarray(subject.faces, np.int64)
+    vertices = np.asarray(subject.vertices, np.float64)
+    seen = np.unique(faces[visible_faces(subject)])
+    normals = vertex_normals(vertices, faces)[seen]
+    places = vertices[seen]
+    part = np.asarray(subject.part, np.int64)[seen]
+    limit = np.where(np.asarray(subject.hair, bool)[seen], np.maximum(INSIDE[part], HAIR_INSIDE), INSIDE[part])
+    tree = KDTree(places)
+    hands = places[part >= PARTS.index("hand_left")]
+    # the hands' fields speak up to 10 cm beyond the wrist, where the part is body
+    if len(hands):
+        limit = np.where(KDTree(hands).query(places)[0] < 0.12, np.minimum(limit, 0.006), limit)
+
+    def solid(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        value = distance(points)
+        # only what is positive, or nearly, can be wrong; an island deeper in is dropped as one
+        doubtful = np.flatnonzero((value > -0.005) & (value < 0.06))
+        away, near = tree.query(points[doubtful], k=4, distance_upper_bound=0.1, workers=-1)
+        found = np.isfinite(away).all(1)
+        doubtful, away, near = doubtful[found], np.asarray(away)[found], np.asarray(near)[found]
+        # four vertices must agree: beside a sharp edge one normal alone can be wrong
+        offset = points[doubtful][:, None] - places[near]
+        behind = ((offset * normals[near]).sum(2) < -0.3 * away).all(1)
+        deep = behind & (away[:, 0] > limit[near[:, 0]])
+        value[doubtful[deep]] = -away[deep, 0]
+        return value
+
+    return solid

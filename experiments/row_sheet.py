@@ -1,0 +1,136 @@
+"""The picture of one row: truth, row and their difference in a novel pose, and close-ups of neck and wrists.
+
+The close-ups are in the T-pose, in colour and as lit geometry; a row's are put between those of the truth and of
+ours, which the row "ours" leaves in the same folder.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from PIL import Image
+
+from avatar.camera import Camera, orbit_camera
+from avatar.files import whole_file
+from avatar.skeleton import JOINTS
+from bench.ceiling import true_subject
+from bench.contact import VIEW_TITLE, cropped, save_sheet, sheet, spread_poses, square_about
+from bench.drawer import Drawer
+from bench.held_out import HeldOutView, TrueMesh
+from bench.picture_scores import is_t_pose
+from player.raster import Rasteriser
+from synth.light import light_of
+from synth.photo import Studio
+
+SIDE = 260  # pixels of a close-up
+# differences are shown so many times as large
+DIFFERENCE = 3.0
+PLACES = {"neck": "neck", "wrist_left": "left_wrist", "wrist_right": "right_wrist"}
+KINDS = ("colour", "shape")
+
+
+def write_sheet(
+    drawer: Drawer,
+    truth: TrueMesh,
+    capture: Path,
+    facts: dict[str, Any],
+    views: list[HeldOutView],
+    title: str,
+    out: Path,
+    seams: dict[str, dict[str, float | None]] | None,
+) -> None:
+    """Write `out`.png; with `seams`, the close-ups as well."""
+    rows, titles = [], []
+    bent = [view for view in views if not is_t_pose(view)]
+    for kind in ("body", "head", "hand_left", "hand_right"):
+        for view in spread_poses(bent, kind, 1):
+            true, ours = view.image(), drawer.draw(view.axis_angle, view.root, view.camera, 2).colour
+            apart = np.clip(DIFFERENCE * np.abs(ours - true), 0, 1)
+            where = square_about(view.mask() if kind == "body" else view.parts() > 0, kind)
+            rows.append(cropped([true, ours, apart], where))
+            name = f"{VIEW_TITLE[kind]}, pose {view.pose_index}".lstrip(", ")
+            titles.append([f"truth: {name}", out.name, f"difference x {DIFFERENCE:.0f}"])
+    if seams is not None:
+        close = close_ups(drawer, truth, capture, facts, out)
+        for kind in KINDS:
+            for place in PLACES:
+                names = [name for name in ("truth", "ours", out.name) if (name, place, kind) in close]
+                names = list(dict.fromkeys(names))
+                rows.append([close[name, place, kind] for name in names])
+                titles.append([f"{place.replace('_', ' ')}: {name}" for name in names[:-1]])
+                titles[-1].append(f"{names[-1]}: {seam_text(seams.get(place, {}))}")
+    heading = f"{title}: {facts.get('subject', capture.name)}, {facts.get('light', '?')} light"
+    save_sheet(out.with_suffix(".png"), sheet(rows, titles, heading, columns=2))
+
+
+def seam_text(seam: dict[str, float | None]) -> str:
+    """A seam's two numbers in the caption of its close-up."""
+    step, colour = seam.get("step_mm"), seam.get("shown_color_step")
+    texts = [f"{step:.2f} mm"] if step is not None else []
+    texts += [f"colour {colour:.1f}"] if colour is not None else []
+    return ", ".join(texts)
+
+
+def close_ups(
+    drawer: Drawer, truth: TrueMesh, capture: Path, facts: dict[str, Any], out: Path
+) -> dict[tuple[str, str, str], UInt8[np.ndarray, "side side 3"]]:
+    """Tiles by (row, place, kind): this row's, and those of the truth and of ours that are kept beside `out`."""
+    pose = np.zeros((52, 3)), np.zeros(3)
+    folder = out.parent / "close-ups"
+    folder.mkdir(exist_ok=True)
+    tiles = {}
+    if out.name == "ours":
+        studio = Studio(drawer.raster, true_subject(capture, truth), supersample=2)
+        light = light_of(facts["light"], "body", int(facts["seed"]))
+        for place, camera in cameras(drawer.surface.joints).items():
+            posed = truth.posed(*pose)
+            photo = studio.take(posed, camera, light, float(facts.get("sheen", 0.0)))
+            tiles["truth", place, "colour"] = photo.image * (photo.mask > 127)[..., None]
+            tiles["truth", place, "shape"] = lit_shape(drawer.raster, posed, truth.faces, camera)
+    for place, camera in cameras(drawer.surface.joints).items():
+        colour = drawer.draw(*pose, camera, 2).colour
+        tiles[out.name, place, "colour"] = np.round(np.clip(colour, 0, 1) * 255).astype(np.uint8)
+        posed = drawer.surface.posed(*pose)
+        tiles[out.name, place, "shape"] = lit_shape(drawer.raster, posed, drawer.surface.faces, camera)
+    if out.name == "ours":
+        for (name, place, kind), tile in tiles.items():
+            with whole_file(folder / f"{name}_{place}_{kind}.png") as file:
+                Image.fromarray(tile).save(file, "PNG")
+    else:
+        for name in ("truth", "ours"):
+            for place in PLACES:
+                for kind in KINDS:
+                    path = folder / f"{name}_{place}_{kind}.png"
+                    if path.exists():
+                        with Image.open(path) as image:
+                            tiles[name, place, kind] = np.asarray(image.convert("RGB"))
+    return tiles
+
+
+def cameras(joints: Float[np.ndarray, "52 3"]) -> dict[str, Camera]:
+    """A camera for each seam, T-pose, pelvis at the origin; about 30 cm wide."""
+    out = {}
+    for place, joint in PLACES.items():
+        target = joints[JOINTS.index(joint)] - joints[0]
+        outward = np.sign(target[0]) if place != "neck" else 0.0
+        target = target + [-0.03 * outward, 0.0, 0.0]  # the wrist's overlap begins on the forearm
+        azimuth, elevation = (0.35, 0.0) if place == "neck" else (0.0, 0.6)
+        out[place] = orbit_camera(target, 1.2, azimuth, elevation, (SIDE, SIDE), 0.25)
+    return out
+
+
+def lit_shape(
+    raster: Rasteriser, posed: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], camera: Camera
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The bare surface in grey, flat faces, lit from above the camera."""
+    fragments = raster.draw(posed, faces, camera)
+    hit = fragments.face >= 0
+    a, b, c = posed[faces[fragments.face[hit]]].transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    R = camera.camera_from_world[:3, :3]
+    light = np.array([-0.35, -0.75, -0.55]) @ R  # camera frame: right, down, forward
+    image = np.zeros((*fragments.face.shape, 3), np.float64)
+    image[hit] = (30 + 190 * np.abs(normals @ light))[:, None]
+    return np.clip(image, 0, 255).astype(np.uint8)

@@ -1,0 +1,204 @@
+"""One row of the paper's tables for one person: what it changes, its scores over a few novel poses, its picture.
+
+    python -m experiments.table_row RUN CAPTURE ROW FOLDER
+
+A process for every row: a variant may optimise, and torch's optimiser must be loaded before Mesa is.
+"""
+
+import argparse
+import hashlib
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from avatar.errors import AssetError
+from avatar.files import whole_file
+from bench.drawer import Drawer
+from bench.field_view import Directions, one_thread
+from bench.held_out import HeldOutView, TrueMesh, read_capture_facts, read_held_out, read_true_mesh
+from bench.machine import machine
+from bench.perceptual import read_perceptual
+from bench.picture_scores import Perceive, is_t_pose, score_images
+from bench.posed_geometry import SAMPLES, Distances, measure_pose, posed_pair
+from bench.quality import CAPTURE_FACTS, distinct_poses, evaluate, seen_case, some_poses
+from bench.region_scores import regions_of
+from capture.folder import read_capture
+from experiments.row_sheet import write_sheet
+from train.run import Run, read_run
+from train.variants import seam_steps, variant
+
+FORMAT = "selfscan-table-row"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row: how it differs from ours, and the seams that show it where the paper only has pictures."""
+
+    # of the variant (train/variants.py), but for the last two
+    name: str
+    title: str
+    # seams that should be worse than ours
+    places: tuple[str, ...] = ()
+    # by this number of them
+    measure: str = ""
+    # another training: `selfscan train --single`
+    single: bool = False
+    directions: Directions = "global"
+
+
+SEAMS = ("neck", "wrist_left", "wrist_right")
+ROWS = {
+    row.name: row
+    for row in (
+        Row("ours", "ours"),
+        Row("landmarks_only", "head by landmarks only (without Eq. 5)", ("neck",), "step_mm"),
+        Row("no_L_g", "without L_g (Eq. 7)", SEAMS, "step_mm"),
+        Row("no_codes_no_fusion", "without codes and fusion (Eq. 8, 9)", SEAMS, "shown_color_step"),
+        Row("no_fusion", "without fusion (Eq. 9)", SEAMS, "shown_color_step"),
+        Row("single", "single network, as many parameters", single=True),
+        Row("no_ray_transform", "without ray transformation (Eq. 14)", directions="own"),
+    )
+}
+
+
+def stamp(
+    run: Path, capture: Path, row: Row, poses: int | None, our_poses: int | None, lpips: Sequence[Path]
+) -> dict[str, Any]:
+    """What the numbers of a row follow from; a finished row with the same stamp is not measured again."""
+    return {
+        "run": digest(run / "run.json"),
+        "capture": digest(capture / "capture.json"),
+        "poses": poses,
+        "our_poses": our_poses if row.name == "ours" else None,
+        "lpips": [path.name for path in lpips],
+    }
+
+
+def digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    except OSError as error:
+        raise AssetError(f"{path}: cannot be read: {error}") from None
+
+
+def finished(path: Path, expected: dict[str, Any]) -> bool:
+    """Whether the file is a row measured from exactly this."""
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and found.get("format") == FORMAT and found.get("stamp") == expected
+
+
+def measure_row(
+    run_path: Path,
+    capture: Path,
+    row: Row,
+    folder: Path,
+    *,
+    poses: int | None,
+    our_poses: int | None,
+    lpips: Sequence[Path],
+) -> dict[str, Any]:
+    """Everything that a row says of one person; its picture is written to `folder`."""
+    start, cpu_start = time.perf_counter(), time.process_time()
+    trained = read_run(run_path)
+    changed = variant(trained, read_capture(capture), row.name) if row.places else trained
+    steps = finite(seam_steps(changed)) if row.places or row.name == "ours" else None
+    facts = read_capture_facts(capture)
+    truth = read_true_mesh(capture)
+    views = read_held_out(capture, "novel_pose")
+    result: dict[str, Any] = {}
+    with one_thread():
+        if row.name == "ours":
+            quality = evaluate(run_path, capture, poses=our_poses, few=poses, lpips=lpips)
+            with whole_file(folder / "quality.json", "w") as file:
+                json.dump(quality, file, indent=1)
+            result = {"novel_pose": quality.get("few_poses", quality["novel_pose"])}
+        drawer = Drawer(changed, row.directions)
+        try:
+            if row.name != "ours":
+                perceive = read_perceptual(lpips).score if lpips else None
+                measured = row.single or not same_surface(changed, trained)
+                result = measured_row(drawer, truth, some_poses(views, poses), measured, perceive)
+            write_sheet(drawer, truth, capture, facts, views, row.title, folder / row.name, steps)
+            told = machine(drawer.context.renderer, drawer.context.kind)
+        finally:
+            drawer.release()
+    return {
+        "format": FORMAT,
+        "row": row.name,
+        "stamp": stamp(run_path, capture, row, poses, our_poses, lpips),
+        "capture": {name: facts[name] for name in CAPTURE_FACTS if name in facts},
+        "seed": trained.provenance.get("seed"),
+        "preset": trained.provenance.get("preset"),
+        "parameters": sum(p.numel() for p in trained.field.parameters()),
+        **result,
+        "seams": steps,
+        "machine": told,
+        "seconds": round(time.perf_counter() - start, 1),
+        "cpu_seconds": round(time.process_time() - cpu_start, 1),
+    }
+
+
+def finite(steps: dict[str, dict[str, float]]) -> dict[str, dict[str, float | None]]:
+    """Numbers that could not be measured as None: JSON has no NaN."""
+    return {
+        place: {key: value if np.isfinite(value) else None for key, value in seam.items()}
+        for place, seam in steps.items()
+    }
+
+
+def same_surface(one: Run, other: Run) -> bool:
+    return np.array_equal(one.surface.vertices, other.surface.vertices)
+
+
+def measured_row(
+    drawer: Drawer, truth: TrueMesh, views: list[HeldOutView], geometry: bool, perceive: Perceive | None
+) -> dict[str, Any]:
+    """Novel poses only, without what `selfscan eval` puts beside them; distances where the surface is not ours."""
+    images = score_images(views, truth, drawer.draw, "pictures", t_pose_apart=True, perceive=perceive)
+    if not geometry:
+        return {"novel_pose": regions_of({}, images.scored), "geometry": "as ours"}
+    case = seen_case(drawer, truth)
+    distances = {region: Distances() for region in SAMPLES}
+    for view in distinct_poses([view for view in views if not is_t_pose(view)]):
+        pose = view.axis_angle, view.root
+        measure_pose(case, posed_pair(case, truth.posed(*pose), drawer.surface.posed(*pose)), distances)
+    return {"novel_pose": regions_of(distances, images.scored)}
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m experiments.table_row", description="One row for one person.")
+    parser.add_argument("run", metavar="RUN", type=Path)
+    parser.add_argument("capture", metavar="CAPTURE", type=Path)
+    parser.add_argument("row", choices=ROWS, metavar="ROW", help=", ".join(ROWS))
+    parser.add_argument("folder", metavar="FOLDER", type=Path, help="gets ROW.json and ROW.png")
+    parser.add_argument("--poses", type=int, metavar="N", help="novel poses (default: all)")
+    parser.add_argument("--our-poses", type=int, metavar="N", help="of the whole evaluation of ours")
+    parser.add_argument("--lpips", metavar="FILE", type=Path, nargs="+", default=[])
+    options = parser.parse_args(argv)
+    options.folder.mkdir(parents=True, exist_ok=True)
+    row = ROWS[options.row]
+    result = measure_row(
+        options.run,
+        options.capture,
+        row,
+        options.folder,
+        poses=options.poses,
+        our_poses=options.our_poses,
+        lpips=options.lpips,
+    )
+    with whole_file(options.folder / f"{row.name}.json", "w") as file:
+        json.dump(result, file, indent=1)
+    print(f"{row.title}: {result['cpu_seconds']:.0f} CPU s", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

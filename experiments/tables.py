@@ -1,0 +1,230 @@
+"""The paper's tables on people, one command: ours, its ablations, and the paper's numbers beside them.
+
+    python -m experiments.tables out/tables --captures out/cap/* --runs out/runs
+
+For every capture: the run is trained (or reused from --runs), then each row is measured in a process of its own and
+kept as one JSON and one picture in OUT/CAPTURE/seedN. What is finished is not done again. Then OUT/tables.json and
+OUT/tables.md are written from all rows in OUT, whatever call made them.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from avatar.errors import AssetError
+from avatar.files import whole_file
+from bench.demo import command
+from bench.held_out import read_capture_facts
+from experiments.table_page import page
+from experiments.table_row import FORMAT, ROWS, Row, finished, stamp
+from train.preset import PRESETS
+
+SAME = (
+    "subject",
+    "light",
+    "sheen",
+    "pose_noise_deg",
+    "seed",
+    "size",
+    "frames",
+)  # facts that a run must share
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command was asked for."""
+
+    out: Path
+    captures: tuple[Path, ...]
+    # trained runs: CAPTURE, CAPTURE_single, with _seedN for seeds other than 0
+    runs: Path
+    rows: tuple[str, ...]
+    seeds: tuple[int, ...]
+    poses: int  # of every row
+    # of the whole evaluation of ours; None: all
+    our_poses: int | None
+    preset: str
+    iterations: int | None  # instead of the preset's
+    lpips: tuple[Path, ...]
+    jobs: int  # rows measured at once
+
+
+def tell(text: str) -> None:
+    print(f"tables: {text}", file=sys.stderr, flush=True)
+
+
+def run_of(options: Options, capture: Path, seed: int, single: bool) -> Path:
+    name = capture.name + ("_single" if single else "") + (f"_seed{seed}" if seed else "")
+    return options.runs / name
+
+
+def train(options: Options, capture: Path, seed: int, single: bool) -> Callable[[], int]:
+    """`selfscan train` of one run, going on where an interrupted one stopped."""
+    run = run_of(options, capture, seed, single)
+    words: list[str | Path] = ["selfscan", "train", capture, "-o", run, "--preset", options.preset]
+    words += ["--seed", str(seed)]
+    words += ["--single"] if single else []
+    words += ["--iterations", str(options.iterations)] if options.iterations else []
+    words += ["--resume"] if run.with_name(run.name + ".partial").exists() else []
+    return command(*words)
+
+
+def measure(options: Options, capture: Path, seed: int, row: Row) -> Callable[[], int]:
+    words: list[str | Path] = ["experiments.table_row", run_of(options, capture, seed, row.single), capture]
+    words += [row.name, folder_of(options, capture, seed), "--poses", str(options.poses)]
+    words += ["--our-poses", str(options.our_poses)] if options.our_poses else []
+    words += ["--lpips", *options.lpips] if options.lpips else []
+    return command(*words)
+
+
+def folder_of(options: Options, capture: Path, seed: int) -> Path:
+    return options.out / capture.name / f"seed{seed}"
+
+
+def check_run(run: Path, capture: Path, options: Options, seed: int) -> None:
+    """Refuse a run of another capture, preset or seed: its numbers would stand in the wrong row.
+
+    Raises:
+        AssetError: names the run and what differs.
+    """
+    try:
+        facts = json.loads((run / "run.json").read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise AssetError(f"{run / 'run.json'}: expected a trained run, found: {error}") from None
+    filmed, expected = facts.get("capture", {}), read_capture_facts(capture)
+    for name in SAME:
+        if filmed.get(name) != expected.get(name):
+            found = f"{name} {filmed.get(name)!r}"
+            raise AssetError(f"{run}: should be trained on {capture} ({name} {expected.get(name)!r}), is {found}")
+    for name, value in (("preset", options.preset), ("seed", seed)):
+        if facts.get(name) != value:
+            raise AssetError(f"{run}: {name} should be {value!r}, is {facts.get(name)!r}")
+
+
+def ensure_trained(options: Options, capture: Path, seed: int, single: bool) -> bool:
+    """Whether the run is there, after training it where it was not."""
+    run = run_of(options, capture, seed, single)
+    if not (run / "run.json").exists():
+        tell(f"{run.name}: training, preset {options.preset}")
+        if train(options, capture, seed, single)() != 0:
+            return False
+    check_run(run, capture, options, seed)
+    return True
+
+
+def person(options: Options, capture: Path, seed: int) -> list[str]:
+    """All rows of one person and seed; what could not be measured, in words."""
+    label = f"{capture.name}, seed {seed}"
+    rows = [ROWS[name] for name in options.rows]
+    trained = {}
+    for single in sorted({row.single for row in rows}):
+        trained[single] = ensure_trained(options, capture, seed, single)
+    absent = [f"{label}: {row.title} (training failed)" for row in rows if not trained[row.single]]
+
+    def one(row: Row) -> str | None:
+        path = folder_of(options, capture, seed) / f"{row.name}.json"
+        run = run_of(options, capture, seed, row.single)
+        expected = stamp(run, capture, row, options.poses, options.our_poses, options.lpips)
+        if finished(path, expected):
+            tell(f"{label}: {row.title}: kept")
+            return None
+        tell(f"{label}: {row.title}")
+        code = measure(options, capture, seed, row)()
+        return f"{label}: {row.title} (failed with status {code})" if code else None
+
+    ready = [row for row in rows if trained[row.single]]
+    first = [row for row in ready if row.name == "ours"]  # its close-ups stand beside the other rows'
+    with ThreadPoolExecutor(options.jobs) as pool:
+        told = [one(row) for row in first] + list(pool.map(one, [row for row in ready if row not in first]))
+    return absent + [text for text in told if text is not None]
+
+
+def collect(out: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Every finished row in OUT, and the whole evaluations of ours."""
+    results, quality = [], []
+    for path in sorted(out.glob("*/seed*/*.json")):
+        try:
+            found = json.loads(path.read_text("utf-8"))
+        except (OSError, ValueError) as error:
+            raise AssetError(f"{path}: expected a finished row, found: {error}") from None
+        seed = int(path.parent.name.removeprefix("seed"))
+        named = found | {"name": path.parent.parent.name, "seed": seed}
+        if found.get("format") == FORMAT:
+            results.append(named | {"picture": path.with_suffix(".png").relative_to(out).as_posix()})
+        elif path.stem == "quality":
+            quality.append(named)
+    return results, quality
+
+
+def tables(options: Options) -> list[str]:
+    """Train and measure what is missing, write the summary; returns what could not be measured."""
+    absent = []
+    for seed in options.seeds:
+        for capture in options.captures:
+            absent += person(options, capture, seed)
+    results, quality = collect(options.out)
+    with whole_file(options.out / "tables.json", "w") as file:
+        summary = {"format": "selfscan-tables", "rows": results, "quality": quality, "absent": absent}
+        json.dump(summary, file, indent=1)
+    with whole_file(options.out / "tables.md", "w") as file:
+        file.write(page(results, quality, absent))
+    return absent
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.tables",
+        description="The paper's tables on people: ours, ablations, and the paper's numbers beside them.",
+        epilog="example: python -m experiments.tables out/tables --captures out/white_m out/asian_f --runs out/runs",
+    )
+    parser.add_argument("out", metavar="OUT", type=Path, help="gets tables.md, tables.json and a folder a person")
+    parser.add_argument("--captures", metavar="CAP", type=Path, nargs="+", required=True)
+    parser.add_argument("--runs", metavar="DIR", type=Path, help="runs to reuse, by name (default: OUT/runs)")
+    parser.add_argument("--rows", metavar="ROW", nargs="+", choices=ROWS, default=list(ROWS),
+                        help=f"default: all of {', '.join(ROWS)}")  # fmt: skip
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="of the training (default: 0)")
+    parser.add_argument("--poses", type=int, default=5, help="novel poses of each row (default: 5)")
+    parser.add_argument("--our-poses", type=int, metavar="N", help="of the evaluation of ours (default: all)")
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="demo")
+    parser.add_argument("--iterations", type=int, metavar="N", help="steps a part, instead of the preset's")
+    parser.add_argument("--lpips", metavar="FILE", type=Path, nargs="+", default=[], help="as in `selfscan eval`")
+    parser.add_argument("--jobs", type=int, default=1, help="rows measured at once (default: 1)")
+    given = parser.parse_args(argv)
+    for name in ("poses", "our_poses", "iterations", "jobs"):
+        value = getattr(given, name)
+        if value is not None and value < 1:
+            parser.error(f"--{name.replace('_', '-')} should be at least 1, is {value}")
+    names = [capture.resolve().name for capture in given.captures]
+    if len(set(names)) < len(names):
+        parser.error(f"captures are told apart by their folders' names, which are {', '.join(names)}")
+    options = Options(
+        given.out,
+        tuple(given.captures),
+        given.runs or given.out / "runs",
+        tuple(name for name in ROWS if name in given.rows),
+        tuple(given.seeds),
+        given.poses,
+        given.our_poses,
+        given.preset,
+        given.iterations,
+        tuple(given.lpips),
+        given.jobs,
+    )
+    options.out.mkdir(parents=True, exist_ok=True)
+    absent = tables(options)
+    for text in absent:
+        tell(f"not measured: {text}")
+    print(options.out / "tables.md")
+    return 1 if absent else 0
+
+
+if __name__ == "__main__":
+    try:
+        raise SystemExit(main())
+    except AssetError as error:
+        raise SystemExit(f"tables: {error}") from None

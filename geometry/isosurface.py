@@ -1,0 +1,308 @@
+"""Fused signed distance -> closed mesh on its zero set, finer where the axes are finer."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer
+from scipy.ndimage import (
+    binary_dilation,
+    distance_transform_edt,
+    find_objects,
+    generate_binary_structure,
+    label,
+)
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from skimage.measure import marching_cubes
+
+from avatar.errors import AssetError
+from geometry.mesh import component_labels, face_areas
+
+PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
+
+
+class Mesh(NamedTuple):
+    """Triangles, counter-clockwise from outside."""
+
+    vertices: Float[np.ndarray, "vertices 3"]  # canonical, metres
+    faces: Integer[np.ndarray, "faces 3"]
+
+
+class Extraction(NamedTuple):
+    """The zero set of a field, and how well it was found."""
+
+    mesh: Mesh
+    normals: Float[np.ndarray, "vertices 3"]  # unit gradient of the field
+    # distance queries spent on the grid
+    queries: int
+    islands: int  # components dropped
+    island_area: float  # their share of the whole area
+    # metres, |distance| that one vertex in a thousand exceeds
+    residual: float
+    # grid samples of air that were filled
+    slits: int
+
+
+def graded_axis(
+    low: float,
+    high: float,
+    fine_spans: Sequence[tuple[float, float]],
+    coarse: float,
+    fine: float,
+    block: int = 8,
+) -> Float[np.ndarray, "samples"]:
+    """Grid coordinates from low to at least high: step `fine` inside the spans, `coarse` elsewhere.
+
+    A rectilinear grid with graded axes keeps marching cubes free of cracks, which two grids would have
+    where they meet. The number of samples is a multiple of `block`.
+    """
+    if not (high > low and coarse >= fine > 0):
+        raise ValueError(f"axis from {low} to {high} with steps {coarse}, {fine}")
+    samples = [low]
+    while samples[-1] < high or len(samples) % block:
+        here = samples[-1]
+        inside = any(a - coarse <= here < b for a, b in fine_spans)
+        samples.append(here + (fine if inside else coarse))
+    return np.array(samples)
+
+
+def sample_near_surface(
+    distance: PointFunction,
+    axes: tuple[np.ndarray, ...],
+    hints: Float[np.ndarray, "hints 3"],
+    *,
+    block: int = 8,
+    trust: float = 1.5,
+) -> tuple[Float[np.ndarray, "x y z"], int]:
+    """Signed distance on a rectilinear grid, evaluated only where the surface can be.
+
+    Blocks of 8, 4 and 2 samples are asked at their centre; one whose |distance| exceeds `trust` times its
+    half diagonal cannot hold the surface (|grad| <= trust) and takes the centre's value, the others are
+    split. Blocks that hold a hint (a vertex known to be close to the surface) are always split.
+
+    Returns:
+        the volume, and how many distances were asked.
+    """
+    shape = tuple(len(axis) for axis in axes)
+    if any(n % block for n in shape):
+        raise ValueError(f"axes of {shape} samples are not multiples of {block}")
+    volume = np.empty(shape, np.float32)
+    hint_cell = np.stack([np.clip(np.searchsorted(a, hints[:, i]) - 1, 0, len(a) - 1) for i, a in enumerate(axes)], 1)
+    origins = np.stack(np.meshgrid(*[np.arange(0, n, block) for n in shape], indexing="ij"), -1).reshape(-1, 3)
+    queries, stride = 0, block
+    while True:
+        first = np.stack([axes[i][origins[:, i]] for i in range(3)], 1)
+        if stride == 1:
+            values = distance(first)
+            queries += len(values)
+            volume[tuple(origins.T)] = values
+            return volume, queries
+        # the block owns its samples and the gap up to the next block
+        last = np.stack([axes[i][np.minimum(origins[:, i] + stride, shape[i] - 1)] for i in range(3)], 1)
+        values = distance(0.5 * (first + last))
+        queries += len(values)
+        near = np.abs(values) <= trust * 0.5 * np.linalg.norm(last - first, axis=1)
+        hinted = np.zeros(tuple(n // stride for n in shape), bool)
+        hinted[tuple((hint_cell // stride).T)] = True
+        near |= hinted[tuple((origins // stride).T)]
+        offsets = np.stack(np.meshgrid(*[np.arange(stride)] * 3, indexing="ij"), -1).reshape(-1, 3)
+        far = origins[~near]
+        for chunk in range(0, len(far), 1 << 16):
+            index = (far[chunk : chunk + (1 << 16), None] + offsets).reshape(-1, 3)
+            volume[tuple(index.T)] = np.repeat(values[~near][chunk : chunk + (1 << 16)], len(offsets))
+        half = stride // 2
+        corners = half * np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), -1).reshape(-1, 3)
+        origins = (origins[near][:, None] + corners).reshape(-1, 3)
+        stride = half
+
+
+def slits_filled(
+    volume: Float[np.ndarray, "x y z"], axes: tuple[np.ndarray, ...], *, reach: float = 2.5
+) -> tuple[Float[np.ndarray, "x y z"], int]:
+    """Slits of air that end where the field was made solid (capture/solid.py), filled; and how many samples.
+
+    A sheet inside the body that is joined to the skin is no component of its own. Its air is at most
+    2 `reach` samples wide and ends in a jump: there the distance changes sign by far more than the samples are
+    apart. Gaps between fingers, armpits and pits of the skin have no such end and stay as they are.
+    """
+    air = volume > 0
+    ends = np.zeros(volume.shape, bool)
+    for axis in range(3):
+        one, other = np.moveaxis(volume, axis, 0)[:-1], np.moveaxis(volume, axis, 0)[1:]
+        apart = np.diff(axes[axis]).astype(np.float32)[:, None, None]
+        jump = ((one > 0) != (other > 0)) & (np.abs(one - other) > 4 * apart)
+        marked = np.moveaxis(ends, axis, 0)
+        marked[:-1] |= jump & (one > 0)
+        marked[1:] |= jump & (other > 0)
+    if not ends.any():
+        return volume, 0
+    filled = volume.copy()
+    count = 0
+    groups = _pieces(binary_dilation(ends, iterations=4), 1)
+    pad = int(4 * reach) + 8
+    for box in find_objects(groups):
+        box = tuple(slice(max(s.start - pad, 0), s.stop + pad) for s in box)
+        here = air[box]
+        # air that a ball of `reach` samples fills when it rolls in from where there is room
+        room = _inside_by(here) > reach
+        wide = _inside_by(~room) <= reach if room.any() else np.zeros_like(here)
+        pieces = _pieces(here & ~wide, 3)
+        slit = np.isin(pieces, np.setdiff1d(np.unique(pieces[ends[box]]), [0]))
+        step = min(float(np.diff(axis).min()) for axis in axes)
+        count += int((slit & (filled[box] > 0)).sum())
+        filled[box][slit] = -0.5 * step
+    return filled, count
+
+
+def _inside_by(mask: Bool[np.ndarray, "x y z"]) -> Float[np.ndarray, "x y z"]:
+    """Distance of each sample to the nearest one outside the mask, in samples."""
+    return np.asarray(distance_transform_edt(mask), np.float64)
+
+
+def _pieces(mask: Bool[np.ndarray, "x y z"], connectivity: int) -> Integer[np.ndarray, "x y z"]:
+    """Connected pieces of the mask, numbered from 1: through faces (1) or also edges and corners (3)."""
+    return np.asarray(label(mask, generate_binary_structure(3, connectivity))[0])  # type: ignore[index]
+
+
+def enclosed_volume(mesh: Mesh) -> float:
+    """Signed volume of a closed mesh, cubic metres; positive when its triangles face outwards."""
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    return float((np.cross(a, b) * c).sum() / 6)
+
+
+def compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, Integer[np.ndarray, "kept"]]:
+    """The mesh without unreferenced vertices, and the old index of each that stays."""
+    kept, renumbered = np.unique(faces, return_inverse=True)
+    return Mesh(vertices[kept], renumbered.reshape(-1, 3)), kept
+
+
+def largest_component(mesh: Mesh) -> tuple[Mesh, int, float]:
+    """The component of greatest area, how many others were dropped, and their share of the area.
+
+    A person is one closed surface: floaters and sheets inside the body are separate components.
+    """
+    labels = component_labels(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
+    areas = np.bincount(labels, face_areas(mesh.vertices, mesh.faces))
+    best = int(areas.argmax())
+    dropped = int((areas > 0).sum()) - 1
+    kept, _ = compact(mesh.vertices, mesh.faces[labels == best])
+    return kept, max(dropped, 0), float(1 - areas[best] / areas.sum())
+
+
+def project_to_zero(
+    distance: PointFunction,
+    normal: PointFunction,
+    points: Float[np.ndarray, "n 3"],
+    *,
+    reach: float,
+    steps: int = 5,
+    tolerance: float = 2e-5,
+    directions: Float[np.ndarray, "n 3"] | None = None,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
+    """Points moved along the field's normal onto its zero set: secant steps with a safeguard.
+
+    The distance's slope along the normal is one only where the Eikonal term held, so the slope is taken
+    from the last two values (Newton with a measured derivative); a step leaves neither `reach` (metres)
+    nor the bracket found. The best point visited is returned with its |distance|: a point whose field has
+    no zero within reach stays where it was least far, and its distance tells.
+    """
+    n = len(points)
+    if directions is None:
+        directions = normal(points)
+    value = distance(points)
+    offset = np.zeros(n)
+    best_offset, best = offset.copy(), np.abs(value)
+    low, high = np.full(n, -reach), np.full(n, reach)
+    slope = np.ones(n)
+    active = np.flatnonzero(best > tolerance)
+    for _ in range(steps):
+        if len(active) == 0:
+            break
+        at, d = offset[active], value[active]
+        # distance grows along the normal: negative values bound the root from below
+        low[active] = np.where(d < 0, np.maximum(low[active], at), low[active])
+        high[active] = np.where(d > 0, np.minimum(high[active], at), high[active])
+        step = at - d / slope[active]
+        inside = (step > low[active]) & (step < high[active])
+        step = np.where(inside, step, 0.5 * (low[active] + high[active]))
+        new = distance(points[active] + step[:, None] * directions[active])
+        moved = step - at
+        with np.errstate(divide="ignore", invalid="ignore"):
+            measured = (new - d) / moved
+        slope[active] = np.where(np.isfinite(measured) & (measured > 0.1), np.minimum(measured, 10.0), 1.0)
+        offset[active], value[active] = step, new
+        better = np.abs(new) < best[active]
+        best_offset[active[better]] = step[better]
+        best[active[better]] = np.abs(new[better])
+        active = active[np.abs(new) > tolerance]
+    return points + best_offset[:, None] * directions, best
+
+
+def extract(
+    distance: PointFunction,
+    normal: PointFunction,
+    hints: Float[np.ndarray, "hints 3"],
+    fine: Bool[np.ndarray, "hints"],
+    *,
+    coarse_step: float = 0.004,
+    fine_step: float = 0.002,
+    margin: float = 0.03,
+) -> Extraction:
+    """The field's zero set as one closed mesh, its vertices on the surface to under 0.1 mm where it is smooth.
+
+    hints are points near the surface (metres, canonical); those marked fine (head, hands) get `fine_step`
+    along every axis they span.
+
+    Raises:
+        AssetError: the field is not finite, never changes sign, or leaves the hints' box.
+    """
+    spans: list[list[tuple[float, float]]] = [[], [], []]
+    if fine.any():
+        labels = _clusters(hints[fine])
+        for label in range(labels.max() + 1):
+            own = hints[fine][labels == label]
+            for axis in range(3):
+                spans[axis].append((own[:, axis].min() - 0.01, own[:, axis].max() + 0.01))
+    low, high = hints.min(0) - margin, hints.max(0) + margin
+    axes = tuple(graded_axis(low[i], high[i], spans[i], coarse_step, fine_step) for i in range(3))
+    volume, queries = sample_near_surface(distance, axes, hints)
+    if not np.isfinite(volume).all():
+        raise AssetError(f"fused field: distance should be finite, {int((~np.isfinite(volume)).sum())} samples are not")
+    if not (volume < 0).any():
+        raise AssetError("fused field: distance should change sign, it is positive everywhere (no surface)")
+    if not (volume > 0).any():
+        raise AssetError("fused field: distance should change sign, it is negative everywhere (no surface)")
+    border = min(volume[i, :, :].min() for i in (0, -1))
+    border = min(border, *(volume[:, i, :].min() for i in (0, -1)), *(volume[:, :, i].min() for i in (0, -1)))
+    if border <= 0:
+        raise AssetError(
+            f"fused field: distance should be positive {margin * 100:.0f} cm outside the template, is {border:.4f} m"
+        )
+    volume, slits = slits_filled(volume, axes)
+    # a sample exactly on the surface would make triangles without area
+    volume[volume == 0] = 1e-9
+    # "descent" turns triangles outwards for distances that grow outwards (skimage names it for densities)
+    vertices, faces, _, _ = marching_cubes(volume, 0.0, gradient_direction="descent")
+    vertices = np.stack([np.interp(vertices[:, i], np.arange(len(axes[i])), axes[i]) for i in range(3)], 1)
+    mesh, islands, island_area = largest_component(Mesh(vertices, faces.astype(np.int64)))
+    if enclosed_volume(mesh) <= 0:
+        raise AssetError(
+            "fused field: distance should be negative inside the person, its largest surface is inside out"
+        )
+    projected, residual = project_to_zero(distance, normal, mesh.vertices, reach=coarse_step)
+    mesh = Mesh(projected, mesh.faces)
+    exceeded = float(np.quantile(residual, 0.999))
+    return Extraction(mesh, normal(projected), queries, islands, island_area, exceeded, slits)
+
+
+def _clusters(points: Float[np.ndarray, "n 3"], cell: float = 0.03) -> Integer[np.ndarray, "n"]:
+    """Groups of points closer than about two cells: the head and each hand get spans of their own."""
+    keys, owner = np.unique(np.floor(points / cell).astype(np.int64), axis=0, return_inverse=True)
+    owner = owner.reshape(-1)
+    index = {tuple(key): i for i, key in enumerate(keys)}
+    offsets = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), -1).reshape(-1, 3)
+    edges = [(i, index[t]) for i, key in enumerate(keys) for o in offsets if (t := tuple(key + o)) in index]
+    rows, columns = np.array(edges).T
+    graph = coo_matrix((np.ones(len(rows), np.int8), (rows, columns)), shape=(len(keys), len(keys)))
+    return connected_components(graph, directed=False)[1][owner]

@@ -1,0 +1,248 @@
+"""`selfscan synth`: the four self-scan videos of a person whose mesh is known, and the truth to measure against."""
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from avatar.camera import write_cameras
+from avatar.errors import AssetError
+from avatar.files import whole_file, whole_folder
+from avatar.progress import Progress
+from avatar.skeleton import PARENTS
+from player.context import open_context
+from player.raster import Rasteriser
+from synth.cutout import cut_out
+from synth.film import Shots, disturbed, plan_videos
+from synth.head_frame import cameras_in_head_frame, landmarks, scale_of, seeded_similarity
+from synth.light import MODES, light_of
+from synth.photo import Studio
+from synth.subject import PARTS, Subject, read_subject
+from synth.surface import visible_faces
+from synth.template import Template, register
+from synth.truth import novel_poses, novel_views, take_set, write_photo, write_rest
+
+# frames per second that the videos claim: a turn of 36 or 72 degrees a second
+RATE = 10.0
+
+
+@dataclass(frozen=True)
+class SynthConfig:
+    """What `selfscan synth` may be told."""
+
+    size: int = 256  # pixels, width and height of every video
+    # in each of the four videos
+    frames: int = 40
+    light: str = "even"  # see synth/light.py
+    sheen: float = 0.0  # 0..1, strength of the view-dependent shine
+    pose_noise: float = 0.0  # degrees, on the poses as written
+    # head frame, landmarks, noise, varied light, held-out poses and views
+    seed: int = 0
+    truth: bool = True  # held-out pictures and the subject's mesh
+
+
+def synth(subject: str, out: Path, config: SynthConfig) -> dict:
+    """Write the capture folder of a subject ("builtin", "builtin:female" or a file); returns its capture.json.
+
+    Raises:
+        AssetError: the subject cannot be read, or the folder not be written.
+        ValueError: a setting is out of range.
+    """
+    if not 0 <= config.sheen <= 1:
+        raise ValueError(f"sheen should be 0 to 1, is {config.sheen}")
+    if not 0 <= config.pose_noise <= 30:
+        raise ValueError(f"pose noise should be 0 to 30 degrees, is {config.pose_noise}")
+    if config.seed < 0:
+        raise ValueError(f"seed should not be negative, is {config.seed}")
+    light_of(config.light, "body", config.seed)
+    person = cut_out(load_subject(subject))
+    print(f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces; {'; '.join(person.notes)}")
+
+    context = open_context()
+    rasteriser = Rasteriser(context)
+    try:
+        studio = Studio(rasteriser, person)
+        videos = plan_videos(studio, config.frames, config.size)
+        visible = visible_faces(rasteriser, person.vertices, person.faces)
+        template = register(person, visible, rasteriser)
+        residual = template.residual
+        print(
+            f"template: {template.body}, {residual['surface_cm']:.2f} cm from the visible surface "
+            f"(head {residual['head_cm']:.2f}, hands {residual['hands_cm']:.2f}); "
+            f"{int(template.hair.sum())} of {len(template.hair)} vertices under hair"
+        )
+        facts = _facts(person, template, config)
+        with whole_folder(out) as folder:
+            _write_template(folder / "subject.npz", template)
+            _film(folder, studio, template, videos, config)
+            if config.truth:
+                _take_truth(folder / "truth", studio, visible, config)
+            with whole_file(folder / "capture.json", "w") as file:
+                json.dump(facts, file, indent=1)
+    finally:
+        rasteriser.release()
+        context.release()
+    for part, shots in videos.items():
+        camera = shots.cameras[0]
+        distance = np.linalg.norm(camera.eye - shots.root.mean(0)) if part == "body" else np.linalg.norm(camera.eye)
+        print(f"{part}: {config.frames} frames of {config.size} px, {1000 * distance / camera.K[0, 0]:.2f} mm a pixel")
+    return facts
+
+
+def load_subject(name: str) -> Subject:
+    """A subject by name or file."""
+    if name.startswith("builtin"):
+        from experiments.builtin import builtin_subject  # noqa: TID251
+
+    if name in ("builtin", "builtin:male"):
+        return builtin_subject("male")
+    if name == "builtin:female":
+        return builtin_subject("female")
+    if name.startswith("builtin"):
+        raise AssetError(f"{name}: expected builtin, builtin:female or a .glb, .gltf or .vrm file")
+    return read_subject(Path(name))
+
+
+def _facts(person: Subject, template: Template, config: SynthConfig) -> dict:
+    return {
+        "format": "selfscan-capture",
+        "version": 1,
+        "subject": person.name,
+        "units": "metres",
+        "parts": list(PARTS),
+        "light": config.light,
+        "sheen": config.sheen,
+        "pose_noise_deg": config.pose_noise,
+        "seed": config.seed,
+        "size": config.size,
+        "frames": config.frames,
+        "body": template.body,
+        "body_licence": template.body_licence,
+        "subject_licence": person.licence,
+        "registration": {key: round(value, 4) for key, value in template.residual.items()},
+        "head_units_per_metre": scale_of(seeded_similarity(config.seed)),
+        "notes": list(person.notes),
+    }
+
+
+def _write_template(path: Path, template: Template) -> None:
+    with whole_file(path) as file:
+        np.savez_compressed(
+            file,
+            v_template=template.vertices,
+            faces=template.faces,
+            skin_joints=template.skin.joints.astype(np.uint8),
+            skin_weights=template.skin.weights.astype(np.float32),
+            joints=template.joints,
+            parents=PARENTS,
+            uv=template.uv,
+            uv_faces=template.uv_faces,
+            hair=template.hair,
+            part=template.part,
+        )
+
+
+def _film(folder: Path, studio: Studio, template: Template, videos: dict[str, Shots], config: SynthConfig) -> None:
+    """Take the four videos and write them with what a learner is told of them."""
+    done, report = 0, Progress("filming", sum(len(shots.root) for shots in videos.values()))
+    for part, shots in videos.items():
+        light = light_of(config.light, part, config.seed)
+        for kind in ("images", "masks"):
+            (folder / part / kind).mkdir(parents=True)
+        for i, camera in enumerate(shots.cameras):
+            photo = studio.take(studio.posed(shots.axis_angle[i], shots.root[i]), camera, light, config.sheen)
+            write_photo(folder / part, f"{i:06d}", photo)
+            done += 1
+            report.update(done, part)
+        if part == "head":
+            similarity = seeded_similarity(config.seed)
+            write_cameras(
+                folder / part / "cameras.npz", cameras_in_head_frame(shots, studio.subject.joints, similarity)
+            )
+            with whole_file(folder / part / "landmarks.json", "w") as file:
+                json.dump(landmarks(template, similarity, config.seed), file, indent=1)
+            continue
+        written = disturbed(shots, config.pose_noise, config.seed)
+        write_cameras(folder / part / "cameras.npz", shots.cameras)
+        with whole_file(folder / part / "poses.npz") as file:
+            np.savez(
+                file,
+                poses=written.axis_angle.reshape(len(written.root), -1),
+                # the subject's pelvis joint is at 0 in pose 0: trans is where it stands
+                trans=written.root,
+                betas=np.zeros(16),
+                gender=np.array("neutral"),
+                mocap_framerate=np.array(RATE),
+            )
+
+
+def _take_truth(folder: Path, studio: Studio, visible: np.ndarray, config: SynthConfig) -> None:
+    """The subject's mesh and the held-out pictures, in the light of the body video."""
+    write_rest(folder, studio.subject, visible)
+    light = light_of(config.light, "body", config.seed)
+    sets = {"novel_pose": novel_poses(config.seed), "novel_view": novel_views(config.seed)}
+    finer = Studio(studio.rasteriser, studio.subject, supersample=2)
+    done, report = 0, Progress("held-out pictures", 4 * sum(len(stands) for stands in sets.values()))
+    for number, (name, stands) in enumerate(sets.items()):
+        for picture in take_set(
+            finer, stands, folder / name, light, config.sheen, 100_000 * (number + 1) + config.seed
+        ):
+            done += 1
+            report.update(done, picture)
+
+
+def main(argv: Sequence[str]) -> int:
+    """The command line; see `selfscan synth --help`."""
+    default = SynthConfig()
+    parser = argparse.ArgumentParser(
+        prog="selfscan synth",
+        description="Film a self-scan of a person whose mesh is known: four videos (body turning in a T-pose, head, "
+        "each hand) with masks, cameras and poses, the registered template, and held-out pictures to measure with.",
+        epilog="example: selfscan synth builtin out/capture && selfscan train out/capture -o out/run",
+    )
+    parser.add_argument(
+        "subject", metavar="SUBJECT", help="builtin, builtin:female, or a rigged humanoid .glb, .gltf, .vrm"
+    )
+    parser.add_argument(
+        "out", metavar="OUT", type=Path, help="capture folder to write; replaced if synth wrote it before"
+    )
+    parser.add_argument("--size", type=int, default=default.size, help="pixels, both sides (default %(default)s)")
+    parser.add_argument("--frames", type=int, default=default.frames, help="in each video (default %(default)s)")
+    parser.add_argument(
+        "--light", choices=MODES, default=default.light, help="even: base colour; soft: .75 ambient + .25 key; "
+        "fixed: .45 + .55 and a highlight; varied: another light in each video (default %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--sheen", type=float, default=default.sheen, metavar="0..1", help="view-dependent shine (default 0)"
+    )
+    parser.add_argument(
+        "--pose-noise",
+        type=float,
+        default=0.0,
+        metavar="DEG",
+        help="noise on the written poses, degrees (default 0)",
+    )
+    parser.add_argument("--seed", type=int, default=default.seed, help="of everything drawn by chance (default 0)")
+    parser.add_argument("--no-truth", action="store_true", help="leave out held-out pictures and the subject's mesh")
+    options = parser.parse_args(argv)
+    config = SynthConfig(
+        options.size,
+        options.frames,
+        options.light,
+        options.sheen,
+        options.pose_noise,
+        options.seed,
+        not options.no_truth,
+    )
+    began = time.monotonic()
+    try:
+        synth(options.subject, options.out, config)
+    except ValueError as error:
+        parser.error(str(error))
+    count = 4 * config.frames + (120 if config.truth else 0)
+    print(f"{options.out}: {count} pictures in {time.monotonic() - began:.0f} s")
+    return 0

@@ -1,0 +1,72 @@
+"""What colour a point shows: base colour, light, and a sheen that depends on the view.
+
+Light multiplies sRGB values as they are shown, not linear ones: the learner sees display values, and the modes
+then mean what their numbers say (DESIGN.md, Commands; how much each costs the learner: docs/decisions.md).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+MODES = ("even", "soft", "fixed", "varied")
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light that stands still in the world while the person moves."""
+
+    ambient: float
+    # ambient + key = 1: a point that faces the key light shows its base colour
+    key: float
+    direction: tuple[float, float, float]  # world, towards the light; of any length
+    specular: float = 0.0
+
+
+def light_of(mode: str, video: str, seed: int) -> Light:
+    """The light of one video. "varied" gives every video another light; the others share one.
+
+    Raises:
+        ValueError: no such mode.
+    """
+    front = (0.45, 0.65, 0.6)
+    if mode == "even":
+        return Light(1.0, 0.0, front)
+    if mode == "soft":
+        return Light(0.75, 0.25, front)
+    if mode == "fixed":
+        return Light(0.45, 0.55, front, specular=0.1)
+    if mode == "varied":
+        rng = np.random.default_rng([seed, *video.encode()])
+        azimuth, elevation = rng.uniform(-1.2, 1.2), rng.uniform(0.2, 1.0)
+        x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
+        ambient = float(rng.uniform(0.45, 0.8))
+        return Light(ambient, 1 - ambient, (float(x), float(y), float(np.cos(azimuth) * np.cos(elevation))), 0.05)
+    raise ValueError(f"light should be one of {MODES}, is {mode!r}")
+
+
+def shade(
+    base: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    towards_eye: Float[np.ndarray, "N 3"],
+    light: Light,
+    sheen: float,
+) -> Float[np.ndarray, "N 3"]:
+    """Shown colour, 0-255, of points with base colour `base` (0-255); normals and directions are unit vectors.
+
+        c = base (ambient + key max(n.l, 0)) + 255 specular max(n.h, 0)^20 + 255 sheen (.30 (n.v)^24 + .35 (1 - n.v)^3)
+
+    Blinn-Phong (Blinn 1977) for the light; the sheen, a highlight that follows the eye and a brighter rim,
+    depends on the angle between normal and view only: it is a property of the surface, the same in every pose.
+    Surfaces are two-sided: a normal that points away from the eye is turned.
+    """
+    facing = (normals * towards_eye).sum(1)
+    normals = np.where(facing[:, None] < 0, -normals, normals)
+    facing = np.abs(facing)
+    towards_light = np.array(light.direction) / np.linalg.norm(light.direction)
+    lit = light.ambient + light.key * np.maximum(normals @ towards_light, 0)
+    half = towards_eye + towards_light
+    half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+    added = light.specular * np.maximum((normals * half).sum(1), 0) ** 20
+    added = added + sheen * (0.30 * facing**24 + 0.35 * (1 - facing) ** 3)
+    return base * lit[:, None] + 255 * added[:, None]

@@ -1,0 +1,101 @@
+"""Taking a picture of a subject: fragments, textures, light, supersampling; with its mask and part image.
+
+Samples are averaged as sRGB values, as most renderers of training data do; the background is black.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from avatar.camera import Camera
+from avatar.skeleton import skin_transforms
+from avatar.skinning import skin_points
+from avatar.texture import sample_texture
+from player.raster import Rasteriser
+from synth.light import Light, shade
+from synth.subject import PARTS, Subject
+from synth.surface import vertex_normals, weld
+
+
+class Photo(NamedTuple):
+    """One picture; row 0 is the top."""
+
+    image: UInt8[np.ndarray, "H W 3"]
+    # 255 where the person covers half of the pixel or more
+    mask: UInt8[np.ndarray, "H W"]
+    parts: UInt8[np.ndarray, "H W"]  # 1 + part (index in PARTS) that covers most of the pixel, 0 outside the mask
+
+
+class Studio:
+    """A subject before the camera: what does not change from picture to picture is prepared once."""
+
+    def __init__(self, rasteriser: Rasteriser, subject: Subject, supersample: int = 3):
+        self.rasteriser, self.subject, self.supersample = rasteriser, subject, supersample
+        self.welded = weld(subject.vertices)
+        self.face_part = subject.part[subject.faces[:, 0]]
+
+    def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]) -> Float[np.ndarray, "V 3"]:
+        """The subject's vertices in a pose, world."""
+        joints = self.subject.joints.astype(np.float64)
+        transforms = skin_transforms(axis_angle, joints, root, rest=np.zeros((52, 3)))
+        return skin_points(self.subject.vertices, self.subject.skin, transforms)
+
+    def take(self, vertices: Float[np.ndarray, "V 3"], camera: Camera, light: Light, sheen: float) -> Photo:
+        """A picture of posed vertices."""
+        width, height = camera.size
+        n = self.supersample
+        fragments = self.rasteriser.draw(vertices, self.subject.faces, camera.resized((n * width, n * height)))
+        hit = fragments.face >= 0
+        face, weights = fragments.face[hit], fragments.barycentric[hit]
+        color = self._color(face, weights)
+        if light.key > 0 or sheen > 0:
+            corners = self.subject.faces[face]
+            normals = _blend(vertex_normals(vertices, self.subject.faces, self.welded), corners, weights)
+            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+            towards_eye = camera.eye - _blend(vertices, corners, weights)
+            towards_eye /= np.linalg.norm(towards_eye, axis=1, keepdims=True)
+            color = shade(color, normals, towards_eye, light, sheen)
+        samples = np.zeros((*hit.shape, 3), np.float32)
+        samples[hit] = np.clip(color, 0, 255)
+        image = np.round(_block_sum(samples, n) / n**2).astype(np.uint8)
+        covered = 2 * _block_sum(hit.astype(np.uint8), n) >= n**2
+        labels = np.zeros(hit.shape, np.uint8)
+        labels[hit] = 1 + self.face_part[face]
+        counts = np.stack([_block_sum((labels == 1 + part).astype(np.uint8), n) for part in range(len(PARTS))])
+        parts = np.where(covered, 1 + counts.argmax(0), 0).astype(np.uint8)
+        return Photo(image, np.where(covered, 255, 0).astype(np.uint8), parts)
+
+    def _color(self, face: Int[np.ndarray, " N"], weights: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+        subject = self.subject
+        # float32: a ten-thousandth of a texel
+        uv = _blend(subject.uv, subject.faces[face], weights)
+        # the samplers repeat; a coordinate of exactly 1 is the far edge, not the near one
+        uv = np.where((uv < 0) | (uv > 1), uv - np.floor(uv), uv)
+        if len(subject.textures) == 1:
+            return sample_texture(subject.textures[0], uv)
+        material = subject.material[face]
+        color = np.empty((len(face), 3), np.float32)
+        for i, texture in enumerate(subject.textures):
+            rows = material == i
+            if rows.any():
+                color[rows] = sample_texture(texture, uv[rows])
+        return color
+
+
+def _blend(
+    values: Float[np.ndarray, "V C"], corners: Int[np.ndarray, "N 3"], weights: Float[np.ndarray, "N 3"]
+) -> np.ndarray:
+    """Barycentric interpolation."""
+    blended = values[corners[:, 0]] * weights[:, 0:1]
+    blended += values[corners[:, 1]] * weights[:, 1:2]
+    blended += values[corners[:, 2]] * weights[:, 2:3]
+    return blended
+
+
+def _block_sum(samples: np.ndarray, n: int) -> np.ndarray:
+    """Sums of n x n blocks; slices are several times faster than a reduction over two inner axes."""
+    total = samples[::n, ::n].copy()
+    for k in range(1, n * n):
+        total += samples[k // n :: n, k % n :: n]
+    return total

@@ -1,0 +1,362 @@
+"""The subject's template: the free body registered to the subject's surface, with the subject's own 52 joints.
+
+Registration in three steps (FRAMES.md, "Subject template"; notes on what each is worth: docs/decisions.md):
+
+1. shape coefficients, scale and place of the free body from the limb joints and the visible surface;
+2. its limbs and fingers carried bone by bone onto the subject's own joints;
+3. smooth offsets to robust closest points, against a Laplacian whose stiffness falls.
+
+Frame: pose 0, pelvis joint at the origin, metres.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+from scipy.spatial import KDTree
+
+from avatar.body import Body, builtin_body, shaped
+from avatar.rotation import rotation_between
+from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND
+from avatar.skinning import SkinWeights, skin_points
+from player.raster import Rasteriser
+from synth.subject import PARTS, Subject, part_of
+from synth.surface import spread_points, surface_distance, vertex_normals, view_counts
+
+SAMPLES = 200_000  # points on the subject's visible surface
+# metres: hair nearer than this, straight out from a template vertex, stands over it
+HAIR_REACH = 0.08
+# stiffness, farthest correspondence (metres), repetitions
+STEPS = (
+    (60.0, 0.08, 6),
+    (40.0, 0.06, 5),
+    (28.0, 0.04, 5),
+    (20.0, 0.04, 8),
+)
+
+_LIMBS = [
+    i
+    for i, name in enumerate(JOINTS)
+    if name.split("_")[-1] in ("hip", "knee", "ankle", "foot", "shoulder", "elbow", "wrist")
+]
+_LIMBS += list(range(LEFT_HAND.start, RIGHT_HAND.stop))
+
+
+@dataclass(frozen=True)
+class Template:
+    """The registered body: what a real self-scan would have as its fitted body model."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    skin: SkinWeights  # the free body's own
+    joints: Float[np.ndarray, "52 3"]  # the subject's own
+    uv: Float[np.ndarray, "T 2"]
+    uv_faces: Int[np.ndarray, "F 3"]
+    hair: Bool[np.ndarray, " V"]  # the subject's hair stands over this vertex
+    part: UInt8[np.ndarray, " V"]
+    body: str
+    body_licence: str
+    # centimetres, mean distance from the subject's visible surface
+    residual: dict[str, float]
+
+
+def register(subject: Subject, visible: Bool[np.ndarray, " F"], rasteriser: Rasteriser) -> Template:
+    """The template of a subject; `visible` are the faces that can be seen from outside.
+
+    Both free bodies are tried; the one whose first fit is closer goes on.
+    """
+    surface = _subject_surface(subject, visible)
+    fits = [_fit_shape(builtin_body(sex), subject.joints, surface) for sex in ("male", "female")]
+    body = min(fits, key=lambda fit: fit[1])[0]
+    carried = _carry_limbs(body, subject.joints.astype(np.float64))
+    placed = _place_head(body, carried, surface)
+    outside = _outer_vertices(rasteriser, placed, body.faces)
+    vertices = _smooth_offsets(body, placed, surface, outside)
+    hair = _under_hair(subject, vertices, body.faces)
+    # the built-in bodies have both
+    assert body.uv is not None and body.uv_faces is not None
+    return Template(
+        vertices=vertices.astype(np.float32),
+        faces=body.faces.astype(np.int32),
+        skin=body.skin,
+        joints=subject.joints,
+        uv=body.uv.astype(np.float32),
+        uv_faces=body.uv_faces.astype(np.int32),
+        hair=hair,
+        part=part_of(body.skin),
+        body=body.name,
+        body_licence=body.licence,
+        residual=_residual(vertices, body.faces, surface),
+    )
+
+
+class _Surface(NamedTuple):
+    """The visible, hairless surface of a subject, with the joint that moves each point most."""
+
+    points: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+    joint: Int[np.ndarray, " N"]
+    part: UInt8[np.ndarray, " N"]
+
+
+def _strongest_joint(skin: SkinWeights) -> Int[np.ndarray, " V"]:
+    return np.take_along_axis(skin.joints, skin.weights.argmax(1)[:, None], 1)[:, 0].astype(np.int64)
+
+
+def _subject_surface(subject: Subject, visible: Bool[np.ndarray, " F"]) -> _Surface:
+    faces = subject.faces[visible & ~subject.hair[subject.faces].any(1)]
+    samples = spread_points(subject.vertices, faces, SAMPLES, seed=0)
+    # hands are 3 % of the area and a third of what is looked at
+    hand_faces = faces[subject.part[faces[:, 0]] >= PARTS.index("hand_left")]
+    hands = spread_points(subject.vertices, hand_faces, SAMPLES // 5, seed=1)
+    vertex = np.concatenate([faces[samples.faces, 0], hand_faces[hands.faces, 0]])
+    return _Surface(
+        np.concatenate([samples.points, hands.points]),
+        np.concatenate([samples.normals, hands.normals]),
+        _strongest_joint(subject.skin)[vertex],
+        subject.part[vertex],
+    )
+
+
+def _fit_shape(body: Body, joints: Float[np.ndarray, "52 3"], surface: _Surface) -> tuple[Body, float]:
+    """The free body with its ten shapes, its scale and its place fitted to limb joints and surface.
+
+        min |s V + S b + t - c|^2 along the normals of c, + 30 |s J + D b + t - J_subject|^2 over limb joints
+
+    Linear in (s, b, t); closest points and the fit alternate. Returns the body and its mean residual in metres.
+    """
+    wanted = joints[_LIMBS].astype(np.float64)
+    shapes = body.shape_directions.shape[2]
+    every = np.arange(0, len(body.vertices), 2)
+    basis_v = np.concatenate([body.vertices[every, :, None], body.shape_directions[every]], 2)  # (n, 3, 1 + S)
+    basis_j = np.concatenate([body.joints[_LIMBS, :, None], body.joint_directions[_LIMBS]], 2)
+    eye_v, eye_j = (np.broadcast_to(np.eye(3), (len(b), 3, 3)) for b in (basis_v, basis_j))
+    A_v, A_j = np.concatenate([basis_v, eye_v], 2), np.concatenate([basis_j, eye_j], 2)
+    solution = np.zeros(1 + shapes + 3)
+    solution[0] = np.ptp(surface.points[:, 1]) / np.ptp(body.vertices[:, 1])
+    # a beta of 1 costs what 2 cm cost a vertex
+    prior = np.diag([0.0, *[0.02**2] * shapes, 0, 0, 0])
+    tree = KDTree(surface.points[::8])
+    normals = surface.normals[::8]
+    faces_normals = vertex_normals(body.vertices, body.faces)[every]
+    error = np.inf
+    for step in range(12):
+        found = A_v @ solution
+        distance, nearest = tree.query(found)
+        n = normals[nearest]
+        keep = ((n * faces_normals).sum(1) > 0.5) & (distance < (0.15 if step < 4 else 0.08))
+        error = float(np.abs(((found - tree.data[nearest]) * n).sum(1))[keep].mean())
+        rows = np.einsum("nc,ncs->ns", n, A_v)[keep]
+        targets = (n * tree.data[nearest]).sum(1)[keep]
+        limb = A_j.reshape(-1, A_j.shape[2])
+        weight = 30.0 * len(rows) / len(every)
+        lhs = rows.T @ rows + weight * limb.T @ limb + len(rows) * prior
+        rhs = rows.T @ targets + weight * limb.T @ wanted.ravel()
+        solution = np.linalg.solve(lhs, rhs)
+    scale, betas, place = solution[0], solution[1:-3], solution[-3:]
+    fitted = shaped(replace(body, vertices=scale * body.vertices, joints=scale * body.joints), betas)
+    shift = place + np.einsum("cs,s->c", body.joint_directions[0], betas) + scale * body.joints[0]
+    return replace(fitted, vertices=fitted.vertices + shift, joints=fitted.joints + shift), error
+
+
+def _carry_limbs(body: Body, joints: Float[np.ndarray, "52 3"]) -> Float[np.ndarray, "V 3"]:
+    """The fitted body with limbs and fingers carried onto the subject's joints, bone by bone.
+
+    Trunk, hips and shoulders stay where the surface put them: rigs agree on where an elbow is, not on where a
+    spine is (measured: up to 14 cm apart). Each bone is turned the shortest way, on top of its parent's turn, and
+    stretched along itself; a palm follows its five knuckles (Kabsch 1976).
+    """
+    goal = body.joints.copy()
+    carried = [i for i in _LIMBS if not JOINTS[i].endswith(("hip", "shoulder"))]
+    goal[carried] = joints[carried]
+    children = {i: [int(c) for c in np.flatnonzero(i == PARENTS)] for i in range(len(JOINTS))}
+    turn = np.tile(np.eye(3), (len(JOINTS), 1, 1))
+    stretch = np.tile(np.eye(3), (len(JOINTS), 1, 1))  # in the rest frame, before the turn
+    for k in range(1, len(JOINTS)):
+        moved = [c for c in children[k] if c in carried]
+        above = turn[PARENTS[k]] if k in carried else np.eye(3)
+        turn[k] = above
+        if k in carried and not moved:
+            stretch[k] = stretch[PARENTS[k]] if k >= LEFT_HAND.start else np.eye(3)
+        elif len(moved) == 1:
+            old, new = body.joints[moved[0]] - body.joints[k], goal[moved[0]] - goal[k]
+            length = np.linalg.norm(old)
+            turn[k] = rotation_between(above @ old / length, new / np.linalg.norm(new)) @ above
+            axis = old / length
+            stretch[k] = np.eye(3) + (np.linalg.norm(new) / length - 1) * np.outer(axis, axis)
+        elif len(moved) > 1:
+            old, new = body.joints[moved] - body.joints[k], goal[moved] - goal[k]
+            U, S, Vt = np.linalg.svd(new.T @ old)
+            turn[k] = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+            stretch[k] = np.eye(3) * np.sqrt((new**2).sum() / (old**2).sum())
+    transforms = np.tile(np.eye(4), (len(JOINTS), 1, 1))
+    transforms[:, :3, :3] = turn @ stretch
+    transforms[:, :3, 3] = goal - np.einsum("kij,kj->ki", transforms[:, :3, :3], body.joints)
+    return skin_points(body.vertices, body.skin, transforms)
+
+
+def _place_head(body: Body, x: Float[np.ndarray, "V 3"], surface: _Surface) -> Float[np.ndarray, "V 3"]:
+    """The head moved nose on nose, then fitted by affine point-to-plane steps kept near a similarity.
+
+    Smooth offsets cannot slide an ear along a head: features have to meet before them. The neck follows by the
+    head joint's skin weight. Without a face to see (all hair) the head stays where it is.
+    """
+    head = JOINTS.index("head")
+    share = ((body.skin.joints == head) * body.skin.weights).sum(1)
+    members = np.flatnonzero(share > 0.7)
+    seen = np.flatnonzero(surface.part == PARTS.index("head"))
+    if len(seen) < 500:
+        return x
+    points, normals = surface.points[seen], surface.normals[seen]
+    nose, goal = (p[np.abs(p[:, 0] - np.median(p[:, 0])) < 0.015] for p in (x[members], points))
+    nose, goal = nose[nose[:, 2].argmax()], goal[goal[:, 2].argmax()]
+    tree = KDTree(np.concatenate([points, 0.03 * normals], 1))
+    affine, shift = np.eye(3), goal - nose
+    for step in range(30):
+        moved = nose + (x - nose) @ affine.T + shift
+        own = vertex_normals(moved, body.faces)[members]
+        at = moved[members]
+        _, found = tree.query(np.concatenate([at, 0.03 * own], 1))
+        apart = points[found] - at
+        n = normals[found]
+        limit = 0.03 if step < 10 else 0.015
+        keep = ((n * own).sum(1) > 0.6) & (np.linalg.norm(apart, axis=1) < limit)
+        if keep.sum() < 200:
+            return x
+        arm = (at - nose)[keep]
+        rows = np.concatenate([np.einsum("ni,nj->nij", n[keep], arm).reshape(-1, 9), n[keep]], 1)
+        # shears and unequal scales cost; turning and growing as a whole cost nothing
+        shear = np.zeros((7, 12))
+        for row, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
+            shear[row, 3 * i + j] = shear[row, 3 * j + i] = 1
+            shear[3 + row, 4 * i], shear[3 + row, 4 * j] = 1, -1
+        penalty = 1e-4 * shear.T @ shear + 1e-7 * np.eye(12)
+        delta = np.linalg.solve(
+            rows.T @ rows / len(rows) + penalty, rows.T @ (n[keep] * apart[keep]).sum(1) / len(rows)
+        )
+        affine = affine + delta[:9].reshape(3, 3) @ affine
+        shift = shift + delta[9:] + delta[:9].reshape(3, 3) @ shift
+    moved = nose + (x - nose) @ affine.T + shift
+    return x + share[:, None] * (moved - x)
+
+
+def _outer_vertices(
+    rasteriser: Rasteriser, x: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Bool[np.ndarray, " V"]:
+    """Vertices of the outer skin: mouth, nostrils and eye sockets have no surface to go to.
+
+    A face is outside when it is seen from six views or more (the back of a mouth is seen from one or two,
+    between the lips); the outer skin is the largest piece of such faces.
+    """
+    kept = faces[view_counts(rasteriser, x, faces) >= 6]
+    edges = np.concatenate([kept[:, [0, 1]], kept[:, [1, 2]]])
+    _, piece = connected_components(coo_matrix((np.ones(len(edges)), edges.T), shape=(len(x), len(x))), directed=False)
+    return piece == np.bincount(piece[kept[:, 0]]).argmax()
+
+
+def _fingers(joint: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
+    """0-9: the finger of a joint; -2, -1: the palms (left, right); -3: elsewhere."""
+    finger = np.full(len(joint), -3)
+    finger[joint == JOINTS.index("left_wrist")] = -2
+    finger[joint == JOINTS.index("right_wrist")] = -1
+    on_finger = joint >= LEFT_HAND.start
+    finger[on_finger] = (joint[on_finger] - LEFT_HAND.start) // 3
+    return finger
+
+
+def _smooth_offsets(
+    body: Body, start: Float[np.ndarray, "V 3"], surface: _Surface, outside: Bool[np.ndarray, " V"]
+) -> Float[np.ndarray, "V 3"]:
+    """Non-rigid fit: each step solves for offsets o from `start`
+
+        min sum_i w_i |start_i + o_i - c_i|^2 + (k / 1000)^2 / mean_edge^2 sum_edges |o_i - o_j|^2 ...
+
+    c_i is the foot of the vertex on the plane of its closest point (position and normal agree; fingers are
+    matched with their own finger or the palm), w_i is Tukey's weight of the distance.
+    """
+    V = len(start)
+    faces = body.faces
+    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0)
+    ones = np.ones(len(edges))
+    adjacency = coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(V, V))
+    adjacency = adjacency + adjacency.T
+    degree = np.asarray(adjacency.sum(1)).ravel()
+    laplacian = csr_matrix(diags(degree) - adjacency)
+    # bending carries a slope on past the last vertex that is held, and would blow the mouth's inside up into the
+    # cheeks: inside, offsets are harmonic, so no larger than at the lips
+    bent = adjacency @ (~outside).astype(float) == 0
+    bending = laplacian.T @ diags((bent & outside) / degree) @ laplacian
+
+    # closest points in position and normal together: a normal turned by 60 degrees costs 3 cm
+    reach = 0.03
+    finger = _fingers(_strongest_joint(body.skin))
+    sample_finger = _fingers(surface.joint)
+    groups = []
+    for f in np.unique(finger):
+        if f >= 0:
+            allowed = (sample_finger == f) | (sample_finger == (-2 if f < 5 else -1))
+        elif f == -3:
+            allowed = sample_finger < 0
+        else:
+            allowed = (sample_finger < 0) | ((sample_finger // 5 == (0 if f == -2 else 1)) & (sample_finger >= 0))
+        rows = np.flatnonzero(allowed)
+        tree = KDTree(np.concatenate([surface.points[rows], reach * surface.normals[rows]], 1))
+        groups.append((np.flatnonzero(finger == f), rows, tree))
+
+    x = start.copy()
+    for stiffness, limit, repetitions in STEPS:
+        for _ in range(repetitions):
+            normals = vertex_normals(x, faces)
+            target, weight = x.copy(), np.zeros(V)
+            for members, rows, tree in groups:
+                _, found = tree.query(np.concatenate([x[members], reach * normals[members]], 1))
+                p, n = surface.points[rows[found]], surface.normals[rows[found]]
+                apart = x[members] - p
+                distance = np.linalg.norm(apart, axis=1)
+                agree = (n * normals[members]).sum(1) > 0.5
+                tukey = np.maximum(1 - (distance / limit) ** 2, 0) ** 2
+                along = (apart * n).sum(1, keepdims=True)
+                # mostly the foot on the plane; a tenth of the way to the point itself keeps rims from drifting
+                target[members] = x[members] - along * n
+                weight[members] = np.where(agree & outside[members], tukey, 0)
+            A = diags(weight) + (stiffness / 20) * (0.02 * laplacian + 0.15 * bending)
+            solve = splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+            x = start + solve.solve(weight[:, None] * (target - start))
+    return x
+
+
+def _under_hair(
+    subject: Subject, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Bool[np.ndarray, " V"]:
+    """Template vertices over which the subject's hair stands: on the outer side and within HAIR_REACH."""
+    if not subject.hair.any():
+        return np.zeros(len(vertices), bool)
+    strands = subject.faces[subject.hair[subject.faces].all(1)]
+    hair = spread_points(subject.vertices, strands, SAMPLES // 4, seed=2)
+    normals = vertex_normals(vertices, faces)
+    distance, nearest = KDTree(hair.points).query(vertices)
+    outside = ((hair.points[nearest] - vertices) * normals).sum(1)
+    straight_out = outside > np.minimum(0.85 * distance, distance - 0.005)  # within half a centimetre any side will do
+    covered = (distance < HAIR_REACH) & straight_out
+    # close small gaps (where the nape turns away from the hair): grow by four edges, shrink by four
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    for value in (True, False):
+        for _ in range(4):
+            reached = edges[(covered[edges] == value).any(1)]
+            covered[reached] = value
+    return covered
+
+
+def _residual(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], surface: _Surface) -> dict[str, float]:
+    template = spread_points(vertices, faces, SAMPLES, seed=3)
+    distance = 100 * surface_distance(surface.points[:SAMPLES], template)
+    part = surface.part[:SAMPLES]
+    return {
+        "surface_cm": float(distance.mean()),
+        "head_cm": float(distance[part == PARTS.index("head")].mean()),
+        "hands_cm": float(distance[part >= PARTS.index("hand_left")].mean()),
+    }

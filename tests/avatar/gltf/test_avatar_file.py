@@ -1,0 +1,226 @@
+import dataclasses
+import io
+
+import numpy as np
+import pytest
+import trimesh
+from node_packages import package_folder, run_node
+from PIL import Image
+from tiny_avatar import same, tiny_avatar, tiny_high_avatar, tiny_level, unit
+
+from avatar.gltf.avatar_file import read_avatar, write_avatar
+from avatar.gltf import avatar_file
+from avatar.gltf.document import read_gltf
+from avatar.gltf.scene import read_primitive, read_skin, world_from_node
+from avatar.skeleton import JOINTS, joint_transforms, skin_transforms
+from avatar.skinning import SkinWeights, skin_points
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "tiny.glb"
+
+
+def oracle(**changes):
+    level = tiny_level(features=False)
+    nothing = {"levels": (level,), "network": None, "linear": None, "default_view": "off"}
+    return tiny_avatar(**(nothing | changes))
+
+
+@pytest.mark.parametrize(
+    "avatar",
+    [
+        tiny_avatar(),
+        oracle(),
+        tiny_avatar(network=None, default_view="linear"),
+        tiny_high_avatar(),
+        tiny_high_avatar(network=None, default_view="linear"),
+        tiny_high_avatar(linear=None, default_view="off"),
+    ],
+)
+def test_an_avatar_comes_back_to_the_last_bit(path, avatar):
+    write_avatar(path, avatar)
+    assert same(read_avatar(path), avatar)
+
+
+def test_of_the_levels_only_those_wanted_are_decoded(path, monkeypatch):
+    avatar = tiny_avatar()
+    write_avatar(path, avatar)
+    decoded = []
+    decode = avatar_file.decode_png
+
+    def counted(*arguments):
+        decoded.append(arguments)
+        return decode(*arguments)
+
+    monkeypatch.setattr(avatar_file, "decode_png", counted)
+    read = read_avatar(path, levels=1)
+    assert len(read.levels) == 1
+    assert same(read, dataclasses.replace(avatar, levels=avatar.levels[:1]))
+    few = len(decoded)
+    assert same(read_avatar(path, levels=99), avatar)
+    assert 0 < few < len(decoded) - few
+
+
+def test_the_same_avatar_gives_the_same_bytes(path):
+    write_avatar(path, tiny_avatar())
+    first = path.read_bytes()
+    write_avatar(path, read_avatar(path))
+    assert path.read_bytes() == first
+
+
+@pytest.mark.parametrize("vertices, width", [(65534, 2), (65536, 4)])
+def test_indices_widen_when_the_vertices_ask_for_it(path, vertices, width):
+    level = dataclasses.replace(tiny_level(vertices=vertices), faces=np.array([[0, 1, vertices - 1]], dtype=np.uint32))
+    write_avatar(path, oracle(levels=(level,)))
+    indices = read_gltf(path).json["meshes"][0]["primitives"][0]["indices"]
+    assert read_gltf(path).accessor(indices).itemsize == width
+    np.testing.assert_array_equal(read_avatar(path).levels[0].faces, level.faces)
+
+
+def test_a_plain_viewer_opens_the_finest_level_in_pose_zero(path):
+    avatar = tiny_avatar()
+    write_avatar(path, avatar)
+    gltf = read_gltf(path)
+    assert gltf.json["scenes"][gltf.json["scene"]]["nodes"] == [0, 52]
+    (bearer,) = [node for node in gltf.items("nodes") if "mesh" in node]
+    skin, drawn = read_skin(gltf, bearer["skin"]), read_primitive(gltf, bearer["mesh"])
+    assert [gltf.items("nodes")[node]["name"] for node in skin.nodes] == list(JOINTS)
+
+    by_joint = world_from_node(gltf)[list(skin.nodes)] @ skin.joint_from_mesh  # glTF 2.0, 3.7.3.3
+    level, zero = avatar.levels[0], np.zeros((52, 3))
+    weights = SkinWeights(level.joints.astype(int), level.weights.astype(np.float32) / 255)
+    posed = skin_points(level.positions.astype(float), weights, skin_transforms(zero, avatar.joint_positions))
+    as_viewer = SkinWeights(drawn.attributes["JOINTS_0"].astype(int), drawn.attributes["WEIGHTS_0"])
+    found = skin_points(drawn.attributes["POSITION"].astype(float), as_viewer, by_joint)
+    np.testing.assert_allclose(found, posed, atol=1e-6)
+    world = joint_transforms(zero, avatar.joint_positions)[:, :3, 3]
+    np.testing.assert_allclose(world_from_node(gltf)[:52, :3, 3], world, atol=1e-12)
+
+
+def test_features_lie_as_four_grey_planes_one_below_the_other(path):
+    avatar = tiny_avatar()
+    write_avatar(path, avatar)
+    gltf = read_gltf(path)
+    index = gltf.json["extensions"]["SELFSCAN_avatar"]["levels"][0]["featureImage"]
+    image = Image.open(io.BytesIO(gltf.image(index)[0]))
+    features = avatar.levels[0].features
+    assert image.mode == "L" and not image.info  # no colour profile, no gamma: nothing for a decoder to apply
+    np.testing.assert_array_equal(np.array(image), np.concatenate([features[..., i] for i in range(4)]))
+
+
+def test_eight_features_lie_in_two_such_images(path):
+    avatar = tiny_high_avatar()
+    write_avatar(path, avatar)
+    gltf = read_gltf(path)
+    for item, level in zip(gltf.json["extensions"]["SELFSCAN_avatar"]["levels"], avatar.levels, strict=True):
+        for key, first in (("featureImage", 0), ("featureImage2", 4)):
+            image = Image.open(io.BytesIO(gltf.image(item[key])[0]))
+            planes = [level.features[..., i] for i in range(first, first + 4)]
+            assert image.mode == "L"
+            np.testing.assert_array_equal(np.array(image), np.concatenate(planes))
+
+
+def test_trimesh_loads_the_finest_level_with_its_texture(path):
+    avatar = tiny_avatar()
+    write_avatar(path, avatar)
+    scene = trimesh.load_scene(path)
+    (name,) = scene.graph.nodes_geometry
+    mesh = scene.geometry[scene.graph[name][1]]
+    np.testing.assert_array_equal(mesh.faces, avatar.levels[0].faces)
+    np.testing.assert_allclose(mesh.vertices, avatar.levels[0].positions)
+    texture = mesh.visual.material.baseColorTexture
+    np.testing.assert_array_equal(np.array(texture), avatar.levels[0].base_color)
+
+
+@pytest.mark.parametrize("avatar", [tiny_avatar(), oracle(), tiny_high_avatar()])
+def test_the_khronos_validator_finds_no_error_and_no_warning(path, avatar):
+    folder = package_folder("gltf-validator")
+    write_avatar(path, avatar)
+    issues = run_node("validate_gltf.mjs", path, folder)["issues"]
+    assert (issues["numErrors"], issues["numWarnings"]) == (0, 0), issues["messages"]
+
+
+def changed(field, row, value):
+    """The tiny avatar with one row of one field of its first level replaced."""
+    level = tiny_level()
+    values = getattr(level, field).copy()
+    values[row] = value
+    return oracle(levels=(dataclasses.replace(level, **{field: values}),))
+
+
+def moved_pelvis():
+    joints = tiny_avatar().joint_positions.copy()
+    joints[0] = 0, 0.9, 0
+    return joints
+
+
+NETWORK, HIGH = tiny_avatar().network, tiny_high_avatar().network
+BROKEN = [
+    (tiny_avatar(network=HIGH), r"features should be as many everywhere, are .*'network': 8"),
+    (tiny_high_avatar(network=NETWORK), r"features should be as many everywhere, are .*'network': 4"),
+    (
+        tiny_high_avatar(linear=tiny_avatar().linear),
+        r"features should be as many everywhere, are .*'linear': 4",
+    ),
+    (tiny_high_avatar(levels=(tiny_level(features=8), tiny_level(2, faces=3))), r"'levels\[1\].features': 4"),
+    (tiny_high_avatar(network=dataclasses.replace(HIGH, b3=None)), r"network.b3 should be an array"),
+    (
+        tiny_avatar(network=dataclasses.replace(NETWORK, b3=HIGH.b3)),
+        r"network.b3 should be absent where w3 is",
+    ),
+    (
+        tiny_high_avatar(network=dataclasses.replace(HIGH, w1=NETWORK.w1)),
+        r"network.w1 should be float32 \(16, 12\)",
+    ),
+    (
+        tiny_high_avatar(network=dataclasses.replace(HIGH, b2=np.full(16, np.inf, "f4"))),
+        r"network.b2 should be finite",
+    ),
+    (oracle(levels=(tiny_level(features=5),)), r"levels\[0\].features should be 4 or 8 a texel, are 5"),
+    (tiny_avatar(linear=np.zeros((5, 3, 3), "f4")), "linear should be 4 or 8 matrices"),
+    (changed("positions", 3, np.nan), r"levels\[0\].positions should be finite, is nan at \(3, 0\)"),
+    (changed("normals", 2, 0), r"levels\[0\].normals should be of unit length, is .* in row 2"),
+    (changed("view_dir", 2, [1, 1, 0]), r"levels\[0\].view_dir should be of unit length"),
+    (changed("view_q", 1, [-1, 0, 0, 0, 0, 0]), r"levels\[0\].view_q should be positive semi-definite"),
+    (changed("view_q", 1, [1, 2, 0, 1, 0, 0]), r"levels\[0\].view_q should be positive semi-definite"),
+    (changed("view_seen", 1, 1.5), r"levels\[0\].view_seen should be from 0 to 1, is 1.5 in row 1"),
+    (
+        changed("weights", 4, [254, 0, 0, 0]),
+        r"levels\[0\].weights should be a sum of 255, is \[254, 0, 0, 0\]",
+    ),
+    (changed("joints", 4, [3, 3, 3, 3]), r"levels\[0\].joints should be each joint once"),
+    (changed("joints", 4, [3, 1, 2, 52]), r"levels\[0\].joints should be below 52"),
+    (changed("faces", 0, [0, 1, 8]), r"levels\[0\].faces should be below 8"),
+    (oracle(amplitude=np.nan), "amplitude should be from 0 to 1, is nan"),
+    (oracle(default_view="network"), "default_view is 'network', but the avatar has no network"),
+    (tiny_avatar(levels=(tiny_level(features=False),)), r"but levels\[0\] has no features"),
+    (tiny_avatar(levels=tiny_avatar().levels[::-1]), r"finest to coarsest, have \[3, 6\] faces"),
+    (oracle(joint_positions=moved_pelvis()), "pelvis at the origin, has it at"),
+    (oracle(provenance={"psnr": float("nan")}), "provenance should be what JSON holds"),
+    (oracle(provenance={"psnr": np.float32(1)}), "provenance should be what JSON holds"),
+]
+
+
+@pytest.mark.parametrize("avatar, message", BROKEN)
+def test_a_broken_promise_is_named_and_the_old_file_stays(path, avatar, message):
+    path.write_bytes(b"old")
+    with pytest.raises(ValueError, match=message):
+        write_avatar(path, avatar)
+    assert path.read_bytes() == b"old" and [p.name for p in path.parent.iterdir()] == ["tiny.glb"]
+
+
+def test_influences_of_no_weight_name_joint_zero(path):
+    level = tiny_level()
+    weights = np.tile(np.array([255, 0, 0, 0], np.uint8), (len(level.weights), 1))
+    write_avatar(path, oracle(levels=(dataclasses.replace(level, weights=weights),)))
+    found = read_avatar(path).levels[0].joints
+    np.testing.assert_array_equal(found[:, 0], level.joints[:, 0])
+    assert not found[:, 1:].any()
+
+
+def test_unit_is_kept_by_float32(path):
+    """Directions normalised in float32 pass the reader's check of their length."""
+    directions = unit(np.random.default_rng(0).normal(size=(8, 3)) * 1e-20)
+    write_avatar(path, oracle(levels=(dataclasses.replace(tiny_level(), view_dir=directions),)))
+    np.testing.assert_array_equal(read_avatar(path).levels[0].view_dir, directions)

@@ -1,0 +1,140 @@
+"""The built-in subject: dressed off the skin, bare hands, closed, painted, the same every time."""
+
+import hashlib
+
+import numpy as np
+import pytest
+import trimesh
+
+from avatar.body import builtin_body
+from experiments.builtin import builtin_subject
+from experiments.builtin.atlas import layout
+from experiments.builtin.dress import dress
+from experiments.builtin.dressed import BELT, EYE, HAIR, LINING, SHIRT, SHOE, SKIN, SOLE, TROUSERS
+from experiments.builtin.looks import FEMALE, MALE
+from experiments.builtin.noise import noise
+from experiments.builtin.refine import Mesh, cut_along, refined
+from experiments.builtin.texels import covered_texels
+
+SEXES = ("male", "female")
+
+
+@pytest.fixture(scope="module", params=SEXES)
+def dressed(request):
+    return dress(builtin_body(request.param), {"male": MALE, "female": FEMALE}[request.param])
+
+
+@pytest.fixture(scope="module")
+def subject():
+    return builtin_subject("male", 512)
+
+
+def off_skin(dressed, sex, *kinds):
+    """Distance of the vertices of these kinds alone to the naked body."""
+    rows = np.isin(dressed.kind, kinds)
+    ids = np.setdiff1d(np.unique(dressed.mesh.faces[rows]), np.unique(dressed.mesh.faces[~rows]))
+    naked = builtin_body(sex)
+    mesh = trimesh.Trimesh(naked.vertices, naked.faces, process=False)
+    ids = ids[:: max(1, len(ids) // 1500)]
+    return trimesh.proximity.closest_point(mesh, dressed.mesh.vertices[ids])[1]
+
+
+def sex_of(dressed):
+    return "male" if (dressed.kind == BELT).sum() == 0 else "female"
+
+
+def test_clothes_stand_half_a_centimetre_to_three_off_the_skin(dressed):
+    for kind in (SHIRT, TROUSERS):
+        gap = off_skin(dressed, sex_of(dressed), kind)
+        assert np.percentile(gap, 2) > 0.0045
+        assert np.percentile(gap, 99.5) < 0.031
+
+
+def test_hair_and_shoes_have_volume(dressed):
+    hair = off_skin(dressed, sex_of(dressed), HAIR)
+    assert np.median(hair) > 0.007 and hair.max() < 0.031
+    shoe = off_skin(dressed, sex_of(dressed), SHOE)
+    assert np.percentile(shoe, 2) > 0.002 and 0.005 < np.median(shoe) < 0.02
+
+
+def test_face_and_hands_are_bare_skin(dressed):
+    naked = builtin_body(sex_of(dressed))
+    rows = np.unique(dressed.mesh.faces[dressed.kind == SKIN])
+    fingers = rows[np.abs(dressed.mesh.vertices[rows, 0]) > np.abs(naked.joints[20:22, 0]).max()]
+    mesh = trimesh.Trimesh(naked.vertices, naked.faces, process=False)
+    assert len(fingers) > 2000
+    assert trimesh.proximity.closest_point(mesh, dressed.mesh.vertices[fingers[::7]])[1].max() < 1e-6
+
+
+def test_every_piece_is_closed_and_no_face_is_degenerate(dressed):
+    mesh = trimesh.Trimesh(dressed.mesh.vertices, dressed.mesh.faces, process=False)
+    pieces = mesh.split(only_watertight=False)
+    assert len(pieces) == 5  # the person, two shoes, two eyes
+    assert all(piece.is_watertight and piece.is_winding_consistent and piece.volume > 0 for piece in pieces)
+    assert mesh.area_faces.min() > 0
+    assert set(np.unique(dressed.kind)) >= {SKIN, SHIRT, TROUSERS, HAIR, SHOE, SOLE, LINING, EYE}
+
+
+def test_skin_weights_are_those_of_bones(dressed):
+    assert dressed.mesh.weights.min() >= 0
+    np.testing.assert_allclose(dressed.mesh.weights.sum(1), 1, atol=1e-5)
+
+
+def test_no_two_faces_share_a_texel(dressed):
+    material, atlas = layout(dressed)
+    assert atlas.min() >= 0 and atlas.max() <= 1
+    for number in (0, 1):
+        corners = atlas[material == number]
+        edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        area = 0.5 * np.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0]).sum() * 1024**2
+        covered = len(covered_texels(corners, 1024).index)
+        assert covered > 0.985 * area  # overlapping islands would cover less than their area
+
+
+def test_subject_is_whole(subject):
+    assert subject.vertices.dtype == np.float32 and subject.faces.max() == len(subject.vertices) - 1
+    assert len(subject.textures) == 3 and set(np.unique(subject.material)) == {0, 1, 2}
+    assert subject.uv.min() >= 0 and subject.uv.max() <= 1
+    np.testing.assert_allclose(subject.skin.weights.sum(1), 1, atol=1e-5)
+    assert set(np.unique(subject.part)) == {0, 1, 2, 3} and subject.hair.any()
+    assert (subject.part[subject.hair] == 1).mean() > 0.8
+    assert "CC0" in subject.licence
+    for texture in subject.textures[:2]:
+        assert texture.reshape(-1, 3).std(0).min() > 15 and (texture.reshape(-1, 3).max(1) > 0).all()
+
+
+def test_subject_is_the_same_every_time(subject):
+    def digest(person):
+        h = hashlib.sha256()
+        for part in (person.vertices, person.faces, person.uv, *person.textures):
+            h.update(np.ascontiguousarray(part).tobytes())
+        return h.hexdigest()
+
+    assert digest(builtin_subject.__wrapped__("male", 512)) == digest(subject)
+
+
+def test_an_unknown_person_is_refused():
+    with pytest.raises(ValueError, match="'child'"):
+        builtin_subject("child")
+
+
+def test_splitting_keeps_a_surface_closed_and_cuts_run_along_the_line():
+    box = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    uv = np.asarray(box.vertices)[:, :2]
+    weights = np.eye(52)[np.zeros(len(box.vertices), int)]
+    mesh = Mesh(np.asarray(box.vertices), np.asarray(box.faces), uv, np.asarray(box.faces), weights)
+    fine = refined(mesh, lambda points: np.where(points[:, 0] > 0, 0.01, 0.03))
+    cut = cut_along(fine, fine.vertices[:, 1], 0.0213)
+    assert len(cut.faces) > len(fine.faces) > len(mesh.faces)
+    assert trimesh.Trimesh(cut.vertices, cut.faces, process=False).is_watertight
+    height = cut.vertices[cut.faces][..., 1] - 0.0213
+    assert not ((height.max(1) > 1e-9) & (height.min(1) < -1e-9)).any()
+    np.testing.assert_allclose(cut.uv[cut.uv_faces].mean(), cut.vertices[cut.faces][..., :2].mean(), atol=2e-3)
+
+
+def test_noise_is_smooth_bounded_and_repeats_its_numbers():
+    line = np.stack([np.linspace(-3, 3, 6001), np.full(6001, 0.3), np.full(6001, -7.7)], -1)
+    value = noise(line, 5)
+    assert np.abs(value).max() <= 1 and np.abs(np.diff(value)).max() < 0.005
+    np.testing.assert_array_equal(value, noise(line, 5))
+    assert np.abs(value - noise(line, 6)).max() > 0.1

@@ -1,0 +1,335 @@
+"""The speed tools: alternating ratios, the bare draw, peers as processes, rows of the session, the report."""
+
+import json
+import os
+import socket
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tiny_avatar import tiny_avatar
+
+from avatar.gltf.avatar_file import write_avatar
+from bench.alternating import Quiet, Turn, alternate, here, warning
+from experiments import speed_peers, speed_rows
+from experiments.bare_draw import BareDraw, coverage, posed_vertices
+from experiments.live_sender import sending
+from experiments.speed import bars, body_frames, main, with_stand_in
+from experiments.speed_page import markdown, plot
+from player.context import open_context
+from player.live.inbox import Inbox
+from player.live.osc import OscError, parse_packet
+from player.mannequin import mannequin
+from player.raster import Rasteriser
+from player.renderer import Renderer
+
+
+@pytest.fixture(scope="module")
+def context():
+    context = open_context()
+    yield context
+    assert context.gl.error == "GL_NO_ERROR"
+    context.release()
+
+
+@pytest.fixture(scope="module")
+def body():
+    avatar = mannequin(texture=64)
+    poses, camera_of = body_frames(avatar)
+    return avatar, poses, camera_of((96, 96))
+
+
+# alternating rounds
+
+
+def test_ratios_come_from_rounds_side_by_side_not_from_medians():
+    """A machine that slows down meanwhile: b takes twice a's time in every round, and the ratio says so exactly."""
+    clock = iter(np.linspace(1, 9, 200))
+
+    def program(factor):
+        def turn(number):
+            ms = np.full(3, factor * slow[number])
+            return Turn(ms, 2 * ms)
+
+        return turn
+
+    slow = {n: next(clock) for n in range(50)}
+    times = alternate({"a": program(1.0), "b": program(2.0)}, seconds=0, least=40, most=40)
+    assert len(times["a"].rounds) == 40 and len(times["a"].wall) == 120
+    assert times["b"].share_of(times["a"]) == {"wall": 0.5, "cpu": 0.5, "spread": 0.0}
+    row = times["a"].row()
+    assert row["ms_median"] == pytest.approx(np.median(times["a"].wall), abs=1e-3)
+    assert row["fps"] == pytest.approx(1000 / row["ms_median"], abs=0.1)
+    assert row["ms_median"] < row["ms_p95"] and row["cpu_ms_median"] == pytest.approx(2 * row["ms_median"], abs=2e-3)
+
+
+def test_every_round_has_every_program_in_an_order_of_its_own():
+    order = []
+    programs = {name: here(lambda _number, name=name: order.append(name), 1) for name in "abc"}
+    alternate(programs, seconds=0, least=30, most=30)
+    rounds = np.array(order[6:]).reshape(30, 3, 2)  # after the first turns; each draws one frame untimed
+    assert (rounds[:, :, 0] == rounds[:, :, 1]).all()
+    assert all(set(row) == set("abc") for row in rounds[:, :, 0])
+    assert len({tuple(row) for row in rounds[:, :, 0]}) > 3
+    with pytest.raises(ValueError, match="nothing to time"):
+        alternate({}, seconds=1)
+
+
+def test_own_work_is_not_counted_as_others():
+    with Quiet() as quiet:
+        sum(n * n for n in range(2_000_000))
+    assert quiet.others is not None and 0 <= quiet.others <= 1
+    assert warning(0.02, 0.5) is None and warning(None, None) is None
+    assert "NOT QUIET: other programs used 40 %" in (warning(0.4, 3.0) or "")
+
+
+# the yardstick
+
+
+def test_the_bare_draw_is_the_players_picture_in_paper_mode(context, body):
+    avatar, poses, camera = body
+    renderer = Renderer(context, [avatar], camera.size, view="off")
+    bare, static = (
+        BareDraw(context, avatar, poses, camera),
+        BareDraw(context, avatar, poses, camera, static=True),
+    )
+    for number in (0, 5):
+        apart = np.abs(bare.draw(number).astype(int) - renderer.draw([poses[number]], camera)).max(-1) > 1
+        assert apart.sum() <= 4  # its depth range is that of all poses: a pixel where two surfaces meet may turn
+    first = renderer.draw([poses[0]], camera).astype(int)
+    assert (np.abs(static.draw(7) - first).max(-1) > 1).mean() < 2e-3  # skinned once here, in float32
+    objects = context.counts.objects()
+    bare.draw(3)
+    assert context.counts.objects() == objects
+    for thing in (renderer, bare, static):
+        thing.release()
+
+
+def test_peers_are_given_the_body_that_the_player_draws(context, body, tmp_path):
+    avatar, poses, camera = body
+    vertices, normals = posed_vertices(avatar, poses[3])
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+    raster = Rasteriser(context)
+    seen = raster.draw(vertices, avatar.levels[0].faces.astype(np.int64), camera, cull=True).face >= 0
+    raster.release()
+    renderer = Renderer(context, [avatar], camera.size, view="off")
+    image = renderer.draw([poses[3]], camera)
+    renderer.release()
+    assert ((image[..., 3] > 0) != seen).sum() <= 2
+    assert coverage(image) == pytest.approx(seen.mean(), abs=1e-3)
+    speed_peers.write_body(tmp_path / "body.npz", avatar, poses[:2], camera)
+    with np.load(tmp_path / "body.npz") as data:
+        assert data["vertices"].shape == data["normals"].shape == (2, len(vertices), 3)
+        assert data["faces"].max() < len(vertices)
+
+
+PEER = """
+from turns import serve
+import numpy as np
+
+def make(body, lightest):
+    def draw(number):
+        print("noise on standard output")
+        picture = np.zeros((body.height, body.width, 3), np.uint8)
+        picture[: body.height // 4] = 200 + number
+        if DIES and number == 2:
+            raise RuntimeError("no more pictures")
+        return picture
+    return draw, {"name": "Toy", "version": "1", "settings": "lightest" if lightest else "default"}
+
+serve(make)
+"""
+
+
+@pytest.mark.parametrize("dies", [False, True])
+def test_a_peer_answers_in_turns_and_its_death_is_one_line(body, tmp_path, monkeypatch, dies):
+    avatar, poses, camera = body
+    scripts = tmp_path / "scripts"
+    scripts.mkdir()
+    (scripts / "turns.py").write_text((speed_peers.SCRIPTS / "turns.py").read_text())
+    (scripts / "draw_toy.py").write_text(f"DIES = {dies}\n{PEER}")
+    monkeypatch.setattr(speed_peers, "SCRIPTS", scripts)
+    monkeypatch.setattr(speed_peers, "environment", lambda _folder, _name: sys.executable)
+    speed_peers.write_body(tmp_path / "body.npz", avatar, poses[:4], camera)
+    if dies:
+        with (
+            pytest.raises(speed_peers.AssetError, match=r"toy: ended with 1 .*no more pictures"),
+            speed_peers.running(tmp_path, tmp_path / "body.npz", "toy", "default") as peer,
+        ):
+            peer.turn(0, 3)
+        return
+    with speed_peers.running(tmp_path, tmp_path / "body.npz", "toy", "lightest") as peer:
+        assert peer.facts["settings"] == "lightest" and peer.facts["size"] == [96, 96]
+        turn = peer.turn(0, 5)
+        assert turn.wall.shape == turn.cpu.shape == (5,) and (turn.wall > 0).all()
+        assert speed_peers.covered(peer, tmp_path / "picture.npy") == 0.25
+    assert peer.process.poll() is not None
+
+
+# the session
+
+
+def test_a_row_says_whether_the_promise_is_met():
+    assert speed_rows.row("a", 0.91, "", least=0.9) == {
+        "name": "a", "value": 0.91, "unit": "", "detail": "", "bar": ">= 0.9", "met": True,
+    }  # fmt: skip
+    assert speed_rows.row("a", 251.0, "MiB", most=250)["met"] is False
+    assert "met" not in speed_rows.row("a", 1.0, "s")
+
+
+def test_the_first_frame_is_timed_from_process_start_and_errors_are_told(tmp_path):
+    write_avatar(tmp_path / "tiny.glb", tiny_avatar())
+    argv = ["render", tmp_path / "tiny.glb", "--size", "32x32", "-o", tmp_path / "x.png"]
+    took, memory = speed_rows.started(argv, dict(os.environ))
+    assert (tmp_path / "x.png").exists() and took > 0.05 and 20 < memory < 1000
+    with pytest.raises(speed_rows.AssetError, match=r"selfscan render ended with 1: .*missing\.glb"):
+        speed_rows.started(["render", "missing.glb", "-o", tmp_path / "y.png"], dict(os.environ))
+
+
+def test_size_on_disk_counts_blocks_and_follows_no_links(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "file").write_bytes(bytes(100_000))
+    before = speed_rows.on_disk(tmp_path)
+    assert before >= 100_000
+    (tmp_path / "link").symlink_to(tmp_path / "a")
+    assert speed_rows.on_disk(tmp_path) - before < 8192
+
+
+def test_a_long_run_grows_nothing_and_a_leak_is_seen(context, monkeypatch):
+    avatar = tiny_avatar()
+    poses = [(np.array(avatar.canonical_pose), np.zeros(3))]
+    monkeypatch.setattr(speed_rows, "SETTLED", 20)
+    rows = speed_rows.long_run(context, avatar, poses, frames=50, size=(16, 16))
+    assert [r["value"] for r in rows[:2]] == [0, 0] and rows[0]["met"]
+    draw, kept = Renderer.draw, []
+
+    def leaking(self, *arguments):
+        kept.append(context.gl.buffer(reserve=1024))
+        return draw(self, *arguments)
+
+    monkeypatch.setattr(Renderer, "draw", leaking)
+    rows = speed_rows.long_run(context, avatar, poses, frames=50, size=(16, 16))
+    assert rows[0]["value"] == 50 and not rows[0]["met"] and rows[1]["value"] == pytest.approx(50 / 1024, abs=1e-3)
+    for buffer in kept:
+        buffer.release()
+
+
+def test_the_sender_sends_55_bones_and_spoilt_packets_that_no_reader_takes():
+    inbox = Inbox("vmc")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(60)
+        with sending(listener.getsockname()[1], rate=240.0, fuzz=2000.0, seconds=60):
+            packets = [listener.recv(65536) for _ in range(200)]
+    good = bad = 0
+    for number, packet in enumerate(packets):
+        inbox.feed(packet, number / 1000)
+        try:
+            messages = parse_packet(packet)
+        except OscError:
+            bad += 1
+            continue
+        good += 1
+        assert sum(m.address == "/VMC/Ext/Bone/Pos" for m in messages) == 55
+    assert good >= 5 and bad >= 50
+    assert inbox.counters.malformed == bad and inbox.counters.received == 200
+    found = inbox.sample(1.0)
+    assert found is not None and np.isfinite(found[1].axis_angle).all()
+
+
+# the command
+
+
+def test_the_command_writes_json_table_and_plot(tmp_path, capsys):
+    avatar = replace(mannequin(texture=64), network=None, linear=None, default_view="off")
+    write_avatar(tmp_path / "body.glb", avatar)
+    out = tmp_path / "out"
+    assert (
+        main(
+            [
+                str(tmp_path / "body.glb"),
+                "-o",
+                str(out),
+                "--size",
+                "64x48",
+                "--seconds",
+                "0.1",
+                "--rows",
+                "none",
+            ]
+        )
+        == 0
+    )
+    result = json.loads((out / "speed.json").read_text())
+    assert result["network"].startswith("random weights")
+    (size,) = result["sizes"]
+    assert size["size"] == [64, 48] and size["frames"] >= 36 and 0.01 < size["coverage"] < 0.5
+    names = [row["name"] for row in size["rows"]]
+    assert names[:3] == ["bare skinned draw", "bare skinned draw, plain sampling", "bare static draw"]
+    assert set(names[3:]) == {"network per pixel", "linear", "per vertex", "paper mode"}
+    assert size["rows"][0]["of_bare_skinned"] == {"wall": 1.0, "cpu": 1.0, "spread": 0.0}
+    assert {p.name for p in out.iterdir()} >= {"speed.json", "speed.md", "speed.png"}
+    assert "| paper mode |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("wrong", [["--rows", "first,nonsense"], ["--peers", "blender"], ["--seconds", "0"],
+                                   ["--styles", "heaviest"]])  # fmt: skip
+def test_wrong_usage_exits_2(tmp_path, wrong):
+    with pytest.raises(SystemExit) as stop:
+        main([str(tmp_path / "x.glb"), "-o", str(tmp_path / "o"), *wrong])
+    assert stop.value.code == 2
+
+
+def test_a_stand_in_network_is_made_only_where_there_is_none():
+    avatar = mannequin(texture=64)
+    assert with_stand_in(avatar) == (avatar, False)
+    made, random = with_stand_in(replace(avatar, network=None))
+    assert random and made.network is not None and made.levels[0].features.shape == (32, 32, 4)
+
+
+def test_promises_are_held_against_the_fastest_peer_and_the_page_shouts_when_not_quiet(tmp_path):
+    def peer(name, fps, faster, style):
+        return {
+            "name": name, "version": "1", "style": style, "settings": "s", "coverage": 0.1, "ms_median": 1000 / fps,
+            "ms_p95": 2000 / fps, "cpu_ms_median": 1.0, "fps": fps,
+            "ours_faster": {"paper mode": {"wall": faster, "cpu": faster, "spread": 0.1}},
+        }  # fmt: skip
+
+    peers = {"size": [640, 640], "vertices": 9, "failed": {"c, default": "c: why"}, "rows": [
+        peer("a", 10.0, 12.0, "default"), peer("b", 30.0, 4.0, "default"), peer("b", 60.0, 2.0, "lightest"),
+    ]}  # fmt: skip
+    found = bars([], peers)
+    assert [(r["value"], r.get("met")) for r in found] == [(4.0, False), (2.0, None)]
+    result = {
+        "avatar": "x",
+        "warning": warning(0.5, 4.0),
+        "date": "d",
+        "faces": 1,
+        "vertices": 9,
+        "texture": [64, 64],
+        "network": "the file's",
+        "sizes": [],
+        "peers": peers,
+        "bars": found,
+        "rows": [
+            speed_rows.row("r", 1.0, "s", most=2),
+            {"name": "live", "value": None, "unit": "", "detail": "not measured: x"},
+        ],
+        "machine": {
+            "commit": None,
+            "cpu": "c",
+            "cores": 2,
+            "renderer": "r",
+            "context": "egl",
+            "python": "3",
+            "load_average": 4.0,
+            "others_cpu_share": 0.5,
+        },
+    }
+    text = markdown(result)
+    assert "> **NOT QUIET" in text and "c, default was not timed: c: why" in text
+    assert "| paper mode: times the fastest peer (default) | 4 | >= 5 | **not met** |" in text
+    assert "| live | - | not measured: x |" in text
+    plot(result, tmp_path / "p.png")
+    assert (tmp_path / "p.png").stat().st_size > 1000

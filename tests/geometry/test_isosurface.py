@@ -1,0 +1,76 @@
+import numpy as np
+import pytest
+import torch
+from capsules import sphere
+
+from geometry.decimate import find_faults
+from geometry.isosurface import enclosed_volume, extract, graded_axis, project_to_zero, sample_near_surface
+
+
+def test_graded_axis_is_fine_inside_its_spans_only():
+    axis = graded_axis(-1.0, 1.0, [(0.2, 0.4)], 0.05, 0.01)
+    steps, middle = np.diff(axis), 0.5 * (axis[1:] + axis[:-1])
+    assert len(axis) % 8 == 0 and axis[-1] >= 1.0
+    assert (steps[(middle > 0.2) & (middle < 0.4)] < 0.011).all()
+    assert (steps[(middle < 0.1) | (middle > 0.5)] > 0.049).all()
+
+
+def test_sparse_samples_have_the_sign_of_dense_ones_and_are_exact_at_the_surface():
+    distance, _ = sphere(0.3, (0.05, -0.02, 0.01))
+    axes = tuple(graded_axis(-0.5, 0.5, [(0.1, 0.2)], 0.02, 0.01) for _ in range(3))
+    volume, queries = sample_near_surface(distance, axes, np.zeros((1, 3)))
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    exact = distance(grid.reshape(-1, 3)).reshape(volume.shape)
+    np.testing.assert_array_equal(np.sign(volume), np.sign(exact.astype(np.float32)))
+    near = np.abs(exact) < 0.004
+    np.testing.assert_allclose(volume[near], exact[near], atol=1e-6)
+    assert queries < 0.6 * volume.size
+
+
+@pytest.mark.parametrize("slope", [0.5, 0.85, 1.0, 1.8])
+def test_projection_reaches_the_zero_set_whatever_the_slope(slope):
+    distance, normal = sphere(0.1)
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(500, 3))
+    points *= (0.1 + rng.uniform(-0.003, 0.003, (500, 1))) / np.linalg.norm(points, axis=1, keepdims=True)
+    _, residual = project_to_zero(lambda p: slope * distance(p) + 30 * distance(p) ** 2, normal, points, reach=0.004)
+    assert residual.max() < 1e-4
+
+
+def test_point_without_a_zero_in_reach_stays_finite_and_says_so():
+    distance, normal = sphere(0.1)
+    moved, residual = project_to_zero(distance, normal, np.array([[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]]), reach=0.004)
+    assert np.isfinite(moved).all() and (residual > 0.09).all()
+
+
+def test_person_is_one_closed_manifold_on_the_zero_set(run):
+    def distance(points):
+        return run.field.distance(torch.tensor(points, dtype=torch.float32)).numpy().astype(float)
+
+    surface = run.surface
+    assert not find_faults(surface.faces, len(surface.vertices))
+    from geometry.isosurface import Mesh
+
+    assert enclosed_volume(Mesh(surface.vertices, surface.faces)) > 0.03
+    away = np.abs(distance(surface.vertices))
+    assert np.quantile(away, 0.999) < 1e-4  # metres; creases between capsules have no exact normal
+    np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1, atol=1e-5)
+
+
+def test_normals_face_the_way_the_triangles_do(run):
+    v, f = run.surface.vertices, run.surface.faces
+    facing = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
+    wide = np.linalg.norm(facing, axis=1) > 1e-7
+    agree = (facing * run.surface.normals[f[:, 0]]).sum(1)[wide] > 0
+    assert agree.mean() > 0.99
+
+
+def test_fine_points_get_a_finer_mesh():
+    distance, normal = sphere(0.1)
+    box = np.array([[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1], [0.05, 0.05, 0.05]])
+    found = extract(distance, normal, box, np.array([False, False, True]), coarse_step=0.01, fine_step=0.0025)
+    v, f = found.mesh
+    side = np.linalg.norm(v[f[:, 1]] - v[f[:, 0]], axis=1)
+    centre = v[f].mean(1)
+    inside = (np.abs(centre - 0.05) < 0.008).all(1)
+    assert side[inside].mean() < 0.4 * side[~(np.abs(centre - 0.05) < 0.02).any(1)].mean()

@@ -1,0 +1,140 @@
+"""The canonical template as a signed distance grid: where a part field starts."""
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from scipy import ndimage
+from torch import Tensor
+
+from capture.folder import Subject
+from capture.template import SurfaceCloud, air_beyond, sample_faces
+from geometry.cells import connected_to, distance_to
+
+Array = np.ndarray
+
+
+class TemplateGrid(torch.nn.Module):
+    """Trilinear signed distance of the template in a box; outside it, the distance at the border plus the way there.
+
+    Value and gradient come from the same interpolant. The gradient is a constant of the training.
+    """
+
+    values: Float[Tensor, "x y z"]  # signed distance, metres
+    low: Float[Tensor, "3"]  # place of values[0, 0, 0], canonical
+
+    def __init__(self, values: Float[Tensor, "x y z"], low: Float[Tensor, "3"], cell: float):
+        super().__init__()
+        self.register_buffer("values", values)
+        self.register_buffer("low", low)
+        self.cell = cell
+
+    def sample(self, points: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n"], Float[Tensor, "n 3"]]:
+        """Distance and its gradient; no graph."""
+        with torch.no_grad():
+            shape = torch.tensor(self.values.shape, device=points.device)
+            at = (points - self.low) / self.cell
+            inside = torch.minimum(at.clamp_min(0), (shape - 1 - 1e-4).to(at.dtype))
+            beyond = (at - inside) * self.cell
+            corner = inside.floor().long()
+            f = inside - corner
+            strides = torch.tensor([self.values.shape[1] * self.values.shape[2], self.values.shape[2], 1])
+            strides = strides.to(points.device)
+            base = (corner * strides).sum(-1)
+            flat = self.values.reshape(-1)
+            v = [flat[base + (strides * torch.tensor(o, device=base.device)).sum()] for o in _CORNERS]
+            fx, fy, fz = f.unbind(-1)
+            # interpolate along z, then y, then x, keeping the differences for the gradient
+            z00, z01, z10, z11 = (v[2 * i] + fz * (v[2 * i + 1] - v[2 * i]) for i in range(4))
+            d00, d01, d10, d11 = (v[2 * i + 1] - v[2 * i] for i in range(4))
+            y0, y1 = z00 + fy * (z01 - z00), z10 + fy * (z11 - z10)
+            gx = y1 - y0
+            gy = (z01 - z00) + fx * ((z11 - z10) - (z01 - z00))
+            dz0, dz1 = d00 + fy * (d01 - d00), d10 + fy * (d11 - d10)
+            gz = dz0 + fx * (dz1 - dz0)
+            gradient = torch.stack([gx, gy, gz], -1) / self.cell
+            away = beyond.norm(dim=-1)
+            out = away > 0
+            gradient = torch.where(out[:, None], beyond / away.clamp_min(1e-12)[:, None], gradient)
+            return y0 + fx * gx + away, gradient
+
+    def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
+        """The value alone, differentiable once: torch's own interpolation, eight times as fast as `sample`."""
+        shape = torch.tensor(self.values.shape, dtype=points.dtype, device=points.device)
+        unit = (points - self.low) / self.cell / (shape - 1) * 2 - 1
+        inside = unit.clamp(-1, 1)
+        beyond = (unit - inside) * (shape - 1) * (0.5 * self.cell)
+        # grid_sample counts its last axis first
+        at = inside.flip(-1)[None, :, None, None]
+        sampled = F.grid_sample(self.values[None, None], at, align_corners=True)[0, 0, :, 0, 0]
+        # the square root's slope at zero is infinite; a hundredth of a millimetre hides it
+        return sampled + (beyond.square().sum(-1) + 1e-10).sqrt() - 1e-5
+
+
+_CORNERS = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+
+
+def template_grid(
+    cloud: SurfaceCloud,
+    low: Float[Array, "3"],
+    high: Float[Array, "3"],
+    cell: float,
+    closed: tuple[Subject, float] | None = None,
+) -> TemplateGrid:
+    """Signed distance of the cloud on a grid over a box; `closed` fills the cavities of the head.
+
+    Deeper than three cells the sign comes from a flood fill, so that one bad normal cannot open a hole there.
+    """
+    axes = [np.arange(low[i], high[i] + cell, cell) for i in range(3)]
+    shape = tuple(len(axis) for axis in axes)
+    # exact within four cells of a sample; farther out the distance between cells is near enough
+    occupied = np.zeros(shape, bool)
+    index = np.round((cloud.points - low) / cell).astype(int)
+    index = index[((index >= 0) & (index < shape)).all(1)]
+    occupied[tuple(index.T)] = True
+    distance = distance_to(occupied) * cell
+    near = np.argwhere(distance < 4 * cell)
+    exact, _ = cloud.distance(np.stack([axes[i][near[:, i]] for i in range(3)], 1))
+    # air is what the border reaches through cells clearly off the surface and not known to lie under it
+    blocked = np.zeros(shape, bool)
+    blocked[tuple(near.T)] = exact < 0.87 * cell
+    air = connected_to(np.pad(~blocked, 1, constant_values=True), (0, 0, 0))[1:-1, 1:-1, 1:-1]
+    distance = np.where(air, distance, -distance)
+    deep = np.abs(exact) > 3 * cell
+    exact = np.where(deep & ~air[tuple(near.T)], -np.abs(exact), exact)
+    distance[tuple(near.T)] = exact
+    if closed is not None:
+        distance = close_cavities(distance, axes, cell, closed)
+    return TemplateGrid(torch.tensor(distance, dtype=torch.float32), torch.tensor(low, dtype=torch.float32), cell)
+
+
+def close_cavities(
+    distance: Float[Array, "x y z"], axes: list[Array], cell: float, closed: tuple[Subject, float]
+) -> Float[Array, "x y z"]:
+    """The head's distance with nostrils, ears, eye sockets and mouth filled: a field learns outwards from a plain
+    shape more easily than it repairs folds that a grid cannot hold.
+
+    Where the distance disagrees by more than 1.5 cells with that of the closed volume (flood fill round the
+    surface two cells thick), the closed volume is right. `closed` names the subject and the height of the neck,
+    under which nothing is changed.
+    """
+    subject, neck = closed
+    faces = subject.faces[(subject.vertices[subject.faces, 1] > neck - 0.05).any(1)]
+    face, barycentric = sample_faces(subject.vertices, faces, np.full(len(faces), 0.5 * cell))
+    points = np.einsum("sk,skc->sc", barycentric, subject.vertices[faces[face]])
+    low = np.array([axis[0] for axis in axes])
+    index = np.round((points - low) / cell).astype(int)
+    index = index[((index >= 0) & (index < distance.shape)).all(1)]
+    occupied = np.zeros(distance.shape, bool)
+    occupied[tuple(index.T)] = True
+    occupied[:, axes[1] < neck] = True
+    outside = air_beyond(occupied, (0, -1, 0))
+    air = np.asarray(ndimage.binary_dilation(outside, iterations=2), bool)
+    volume = distance_to(~air) - distance_to(air)
+    volume = ndimage.gaussian_filter(volume * cell, 1.0)
+    above = np.broadcast_to((axes[1] > neck + 3 * cell)[None, :, None], distance.shape)
+    surface = above & (np.abs(distance) < 2 * cell)
+    # the flood stops at the outer side of the surface cells
+    volume += np.median((distance - volume)[surface])
+    wrong = above & (np.abs(distance - volume) > 1.5 * cell)
+    return ndimage.gaussian_filter(np.where(wrong, volume, distance), 0.6)
