@@ -8,8 +8,8 @@ from node_packages import package_folder, run_node
 from PIL import Image
 from tiny_avatar import same, tiny_avatar, tiny_high_avatar, tiny_level, unit
 
-from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.gltf import avatar_file
+from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.gltf.document import read_gltf
 from avatar.gltf.scene import read_primitive, read_skin, world_from_node
 from avatar.skeleton import JOINTS, joint_transforms, skin_transforms
