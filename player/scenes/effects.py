@@ -7,7 +7,7 @@ are its documentation in docs/scenes.md and in the JSON schema.
 from dataclasses import dataclass
 from typing import Annotated
 
-from player.scenes.checked import Above, Color, OneOf, check
+from avatar.settings import Above, Color, OneOf, check
 
 VIEWS = ("off", "vertex", "linear", "network")
 SKINNINGS = ("lbs", "dual_quaternion")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from avatar.motion.hands import HANDS
 from avatar.motion.read import BUILTIN_MOTIONS
-from player.scenes.checked import Above, AtLeast, OneOf, Place, check
+from avatar.settings import Above, AtLeast, OneOf, Place, check
 from player.scenes.effects import PLAIN, STUDIO, Background, Effects
 
 CAMERAS = ("front", "orbit", "turntable", "file", "path", "capture")

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, NoReturn, get_args, get_origin
 
 from avatar.errors import AssetError
+from avatar.settings import Color, Fact, Place, broken_rule, facts
 from player.live.address import PORTS, parse_address
-from player.scenes.checked import Color, Fact, Place, broken_rule, facts
 from player.scenes.effects import STUDIO, Background, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 from avatar.files import whole_file
-from player.scenes.checked import Above, AtLeast, Color, Fact, OneOf, facts
+from avatar.settings import Above, AtLeast, Color, Fact, OneOf, facts
 from player.scenes.effects import STUDIO, Background, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 

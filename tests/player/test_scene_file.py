@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from avatar.errors import AssetError
+from avatar.settings import facts
 from player.render_command import render_main
-from player.scenes.checked import facts
 from player.scenes.effects import STUDIO, Background, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 from player.scenes.scene_file import lines_of_keys, read_scene

@@ -1,0 +1,302 @@
+"""Settings, written once: a frozen dataclass says what a setting is, its default, its limits and what it means.
+
+    rate: Annotated[float, Above(0), "frames per second"] = 30.0
+
+Command lines (`parse`), scene files (player/scenes/scene_file.py), their schema and tables (scene_schema.py) and what a
+run records are all read from the same fields.
+"""
+
+import argparse
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import MISSING, fields
+from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+
+Record = TypeVar("Record")
+Rule = TypeVar("Rule")
+
+# no count, size or seed of ours needs more; NumPy and OpenGL take it as it is
+LARGEST_INTEGER = 2**53
+
+
+class OneOf(NamedTuple):
+    """The value is one of these words."""
+
+    values: tuple[str, ...]
+
+
+class Above(NamedTuple):
+    """The value, or each of several, is more than this."""
+
+    least: float
+
+
+class AtLeast(NamedTuple):
+    """The value, or each of several, is this or more."""
+
+    least: float
+
+
+class AtMost(NamedTuple):
+    """The value, or each of several, is this or less."""
+
+    most: float
+
+
+class Color(NamedTuple):
+    """#rrggbb or #rrggbbaa in a file, premultiplied RGBA in [0,1] in memory."""
+
+
+class Place(NamedTuple):
+    """A file or folder, in a file named relative to it; words in `names` are none."""
+
+    names: tuple[str, ...] = ()
+
+
+class Option(NamedTuple):
+    """How a field stands on the command line; without it the field is `--its-name`.
+
+    names: as written, `-o`; for a switch that turns a True field off, its name. Empty: the field's own.
+    metavar: what stands for the value in the help.
+    parse: text to value, raising argparse.ArgumentTypeError; none: by the field's type.
+    positional: given by its place. several: any number of values, as a tuple. repeated: the option may be given often.
+    const: the value where the option stands without one. group: at most one option of a group is given.
+    """
+
+    names: tuple[str, ...] = ()
+    metavar: str | None = None
+    parse: Callable[[str], Any] | None = None
+    positional: bool = False
+    several: bool = False
+    repeated: bool = False
+    const: Any = None
+    group: str = ""
+
+
+class Hidden(NamedTuple):
+    """The field is no option of the command line."""
+
+
+class Fact(NamedTuple):
+    """One field: its type without None, what holds for it, and what it means."""
+
+    name: str
+    type: Any
+    # None is allowed: the key may be left out
+    optional: bool
+    # MISSING: it must be given
+    default: Any
+    rules: tuple[Any, ...]
+    means: str
+
+
+def rule_of(fact: Fact, kind: type[Rule]) -> Rule | None:
+    """The rule of this kind, if the field has one."""
+    return next((rule for rule in fact.rules if isinstance(rule, kind)), None)
+
+
+def facts(record: type) -> Iterator[Fact]:
+    """The fields of a dataclass, in order."""
+    hints = get_type_hints(record, include_extras=True)
+    for entry in fields(record):
+        kind, *notes = get_args(hints[entry.name])
+        union = get_origin(kind) in (Union, UnionType)
+        options = [one for one in get_args(kind) if one is not type(None)] if union else []
+        optional = bool(options) and type(None) in get_args(kind)
+        default = entry.default_factory() if entry.default_factory is not MISSING else entry.default
+        rules = tuple(note for note in notes if not isinstance(note, str))
+        yield Fact(entry.name, options[0] if optional else kind, optional, default, rules, notes[-1])
+
+
+def broken_rule(fact: Fact, value: Any) -> str | None:
+    """What a value of the right type breaks, as "expected ..., found ...", or None."""
+    numbers = value if isinstance(value, tuple) else (value,)
+    for number in numbers:
+        if isinstance(number, float) and not math.isfinite(number):
+            return f"expected a finite number, found {value}"
+        if isinstance(number, int) and abs(number) > LARGEST_INTEGER:
+            return f"expected at most {LARGEST_INTEGER}, found a number of {len(str(abs(number)))} digits"
+    for rule in fact.rules:
+        if isinstance(rule, OneOf) and value not in rule.values:
+            return f"expected one of {', '.join(rule.values)}, found {value!r}"
+        for number in numbers:
+            if isinstance(rule, Above) and not number > rule.least:
+                return f"expected more than {rule.least:g}, found {number:g}"
+            if isinstance(rule, AtLeast) and not number >= rule.least:
+                return f"expected at least {rule.least:g}, found {number:g}"
+            if isinstance(rule, AtMost) and not number <= rule.most:
+                return f"expected at most {rule.most:g}, found {number:g}"
+    return None
+
+
+def check(record: Any) -> None:
+    """Refuse a dataclass whose values break their rules.
+
+    Raises:
+        ValueError: naming the field, what is expected and what was found.
+    """
+    for fact in facts(type(record)):
+        value = getattr(record, fact.name)
+        problem = None if value is None else broken_rule(fact, value)
+        if problem:
+            raise ValueError(f"{fact.name}: {problem}")
+
+
+# -- command lines
+
+
+class Help(NamedTuple):
+    """What a command says of itself."""
+
+    command: str
+    description: str
+    epilog: str = ""
+
+
+def parse(record: type[Record], argv: Sequence[str], about: Help) -> Record:
+    """The dataclass that a command line fills; a mistake ends the program with usage, one line and exit code 2."""
+    parser = parser_of(record, about)
+    given = vars(parser.parse_args(argv))
+    values = {}
+    for fact in facts(record):
+        if rule_of(fact, Hidden) is not None:
+            continue
+        value = given[fact.name]
+        values[fact.name] = tuple(value) if isinstance(value, list) else value
+        problem = None if value is None else broken_rule(fact, values[fact.name])
+        if problem:
+            parser.error(f"argument {_shown(fact)}: {problem}")
+    try:
+        return record(**values)
+    except ValueError as error:
+        parser.error(str(error))
+
+
+def parser_of(record: type, about: Help) -> argparse.ArgumentParser:
+    """The parser of a dataclass's fields: names, types, choices, defaults and help come from the fields."""
+    parser = argparse.ArgumentParser(
+        prog=about.command,
+        description=about.description,
+        epilog=about.epilog or None,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    groups: dict[str, Any] = {}
+    for fact in facts(record):
+        if rule_of(fact, Hidden) is not None:
+            continue
+        option = rule_of(fact, Option) or Option()
+        into = parser
+        if option.group:
+            into = groups.setdefault(option.group, parser.add_mutually_exclusive_group())
+        into.add_argument(*_names(fact, option), **_keywords(fact, option))
+    return parser
+
+
+def _names(fact: Fact, option: Option) -> tuple[str, ...]:
+    if option.positional:
+        return (fact.name,)
+    return option.names or ("--" + fact.name.replace("_", "-"),)
+
+
+def _shown(fact: Fact) -> str:
+    option = rule_of(fact, Option) or Option()
+    return option.metavar or fact.name if option.positional else "/".join(_names(fact, option))
+
+
+def _keywords(fact: Fact, option: Option) -> dict[str, Any]:
+    """What argparse's add_argument is told of a field."""
+    if fact.type is bool:
+        off = fact.default is True
+        return {
+            "dest": fact.name,
+            "action": "store_false" if off else "store_true",
+            "default": fact.default,
+            "help": fact.means,
+        }
+    one = rule_of(fact, OneOf)
+    choices = one.values if one else get_args(fact.type) if get_origin(fact.type) is Literal else None
+    keywords: dict[str, Any] = {"help": _help(fact), "type": option.parse or _reader(fact.type)}
+    if choices:
+        keywords["choices"] = choices
+    metavar = option.metavar or (None if choices else _METAVARS.get(fact.type))
+    if metavar:
+        keywords["metavar"] = metavar
+    if option.positional:
+        if option.several:
+            keywords["nargs"] = "*" if fact.default is not MISSING else "+"
+        elif fact.default is not MISSING:
+            keywords |= {"nargs": "?", "default": fact.default}
+        return keywords
+    keywords["dest"] = fact.name
+    if fact.default is MISSING:
+        keywords["required"] = True
+    else:
+        keywords["default"] = fact.default
+    if option.repeated:
+        keywords |= {"action": "append", "default": None}
+        if fact.default is not MISSING:
+            keywords["default"] = list(fact.default)
+    elif option.several:
+        keywords["nargs"] = "+"
+    elif option.const is not None:
+        keywords |= {"nargs": "?", "const": option.const}
+    return keywords
+
+
+def _help(fact: Fact) -> str:
+    """What the field means, and its default where it says something."""
+    text = fact.means.replace("%", "%%")
+    default = fact.default
+    if default in (MISSING, None, ()) or "default" in text:
+        return text
+    shown = f"{default:g}" if isinstance(default, float) else str(default)
+    return f"{text} (default: {shown})".replace("%%%%", "%%")
+
+
+def integer(text: str) -> int:
+    """A whole number of bounded length."""
+    digits = text.strip().removeprefix("-").removeprefix("+")
+    if not digits.isascii() or not digits.isdigit():
+        raise argparse.ArgumentTypeError(f"expected a whole number, found {_short(text)}")
+    if len(digits.lstrip("0")) > 16 or int(digits) > LARGEST_INTEGER:
+        raise argparse.ArgumentTypeError(f"expected at most {LARGEST_INTEGER}, found {_short(text)}")
+    return int(text)
+
+
+def number(text: str) -> float:
+    """A finite number."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"expected a finite number, found {_short(text)}")
+    return value
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= 40 else text[:37] + "...")
+
+
+_METAVARS = {int: "N", float: "X", Path: "PATH"}
+
+
+def _reader(kind: Any) -> Callable[[str], Any]:
+    """How text becomes a value of a type; of a tuple, of each of its members."""
+    if get_origin(kind) is tuple:
+        kind = get_args(kind)[0]
+    if get_origin(kind) is Literal:
+        return str
+    readers: dict[Any, Callable[[str], Any]] = {int: integer, float: number, Path: Path, str: str}
+    return readers[kind]
+
+
+def settings_json(record: Any) -> dict[str, Any]:
+    """The fields of a settings record as JSON holds them, for run.json and provenance."""
+    out = {}
+    for entry in fields(record):
+        value = getattr(record, entry.name)
+        out[entry.name] = str(value) if isinstance(value, Path) else list(value) if isinstance(value, tuple) else value
+    return out

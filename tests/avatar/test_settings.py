@@ -1,0 +1,117 @@
+"""Settings are written once: names, types, limits, defaults and help of a command line come from a dataclass."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+
+from avatar.settings import (
+    LARGEST_INTEGER,
+    Above,
+    AtLeast,
+    AtMost,
+    Help,
+    Hidden,
+    OneOf,
+    Option,
+    check,
+    facts,
+    parse,
+    parser_of,
+    settings_json,
+)
+
+ABOUT = Help("selfscan try", "Tries settings.", "example: selfscan try a b")
+
+
+@dataclass(frozen=True)
+class Try:
+    """Every kind of field that commands have."""
+
+    source: Annotated[Path, Option(positional=True, metavar="SRC"), "what is read"]
+    out: Annotated[Path, Option(("-o", "--out"), "OUT"), "what is written"]
+    more: Annotated[tuple[str, ...], Option(positional=True, several=True), "others"] = ()
+    count: Annotated[int, AtLeast(1), AtMost(100), "how many"] = 3
+    rate: Annotated[float, Above(0), "frames per second"] = 30.0
+    seconds: Annotated[float | None, Above(0), "of one turn; none: the film's"] = None
+    light: Annotated[str, OneOf(("even", "soft")), "of the room"] = "even"
+    quality: Annotated[Literal["normal", "high"], "of the network"] = "normal"
+    truth: Annotated[bool, Option(("--no-truth",)), "leave out the truth"] = True
+    force: Annotated[bool, "begin anew"] = False
+    joint: Annotated[tuple[str, ...], Option(repeated=True), "a joint to look at"] = ()
+    compare: Annotated[str | None, Option(const="mannequin", metavar="AVATAR"), "draw one frame"] = None
+    inner: Annotated[int, Hidden(), "no option"] = 7
+
+    def __post_init__(self):
+        check(self)
+        if self.force and self.count == 2:
+            raise ValueError("count 2 cannot be forced")
+
+
+def test_what_is_not_given_is_the_default():
+    assert parse(Try, ["a", "-o", "b"], ABOUT) == Try(Path("a"), Path("b"))
+
+
+def test_every_kind_of_field_is_read():
+    words = ["a", "x", "y", "-o", "b", "--count", "5", "--rate", "24", "--seconds", "1.5", "--light", "soft",
+             "--quality", "high", "--no-truth", "--force", "--joint", "neck", "--joint", "head", "--compare"]  # fmt: skip
+    expected = Try(Path("a"), Path("b"), ("x", "y"), 5, 24.0, 1.5, "soft", "high", False, True, ("neck", "head"),
+                   "mannequin")  # fmt: skip
+    assert parse(Try, words, ABOUT) == expected
+    assert parse(Try, ["a", "-o", "b", "--compare", "me.glb"], ABOUT).compare == "me.glb"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--count", "0"], "--count: expected at least 1, found 0"),
+        (["--count", "101"], "--count: expected at most 100, found 101"),
+        (["--count", "9" * 23], "--count: expected at most 9007199254740992, found '9999"),
+        (["--count", "9" * 6000], "--count: expected at most"),
+        (["--count", "1.5"], "--count: expected a whole number, found '1.5'"),
+        (["--count", "٣"], "--count: expected a whole number"),
+        (["--rate", "0"], "--rate: expected more than 0, found 0"),
+        (["--rate", "nan"], "--rate: expected a finite number, found 'nan'"),
+        (["--rate", "1e999"], "--rate: expected a finite number"),
+        (["--seconds", "-1"], "--seconds: expected more than 0"),
+        (["--light", "dark"], "--light: invalid choice: 'dark'"),
+        (["--quality", "best"], "--quality: invalid choice: 'best'"),
+        (["--count", "2", "--force"], "count 2 cannot be forced"),
+        (["--inner", "3"], "unrecognized arguments: --inner 3"),
+    ],
+)
+def test_a_mistake_is_one_line_and_wrong_usage(capsys, words, message):
+    with pytest.raises(SystemExit) as stopped:
+        parse(Try, ["a", "-o", "b", *words], ABOUT)
+    assert stopped.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_help_says_meaning_choices_and_default():
+    text = " ".join(parser_of(Try, ABOUT).format_help().split())
+    assert "--count N how many (default: 3)" in text
+    assert "--rate X frames per second (default: 30)" in text
+    assert "--light {even,soft} of the room (default: even)" in text
+    assert "--no-truth leave out the truth" in text and "--truth" not in text.replace("--no-truth", "")
+    assert "example: selfscan try a b" in text and "inner" not in text
+
+
+def test_records_made_in_code_obey_the_same_limits():
+    with pytest.raises(ValueError, match="count: expected at least 1, found 0"):
+        Try(Path("a"), Path("b"), count=0)
+    with pytest.raises(ValueError, match="rate: expected a finite number, found inf"):
+        Try(Path("a"), Path("b"), rate=float("inf"))
+    with pytest.raises(ValueError, match="count: expected at most 9007199254740992, found a number of 17 digits"):
+        Try(Path("a"), Path("b"), count=LARGEST_INTEGER * 10)
+
+
+def test_optional_fields_know_their_type():
+    kinds = {fact.name: (fact.type, fact.optional) for fact in facts(Try)}
+    assert kinds["seconds"] == (float, True) and kinds["rate"] == (float, False)
+    assert kinds["more"] == (tuple[str, ...], False)
+
+
+def test_settings_become_json():
+    facts_of = settings_json(Try(Path("a"), Path("b"), joint=("neck",)))
+    assert facts_of["source"] == "a" and facts_of["joint"] == ["neck"] and facts_of["rate"] == 30.0
