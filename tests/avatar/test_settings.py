@@ -54,8 +54,9 @@ def test_what_is_not_given_is_the_default():
 
 
 def test_every_kind_of_field_is_read():
-    words = ["a", "x", "y", "-o", "b", "--count", "5", "--rate", "24", "--seconds", "1.5", "--light", "soft",
-             "--quality", "high", "--no-truth", "--force", "--joint", "neck", "--joint", "head", "--compare"]  # fmt: skip
+    words = ["a", "x", "y", "-o", "b", "--count", "5", "--rate", "24", "--seconds", "1.5",
+             "--light", "soft", "--quality", "high", "--no-truth", "--force", "--joint", "neck",
+             "--joint", "head", "--compare"]  # fmt: skip
     expected = Try(Path("a"), Path("b"), ("x", "y"), 5, 24.0, 1.5, "soft", "high", False, True, ("neck", "head"),
                    "mannequin")  # fmt: skip
     assert parse(Try, words, ABOUT) == expected
