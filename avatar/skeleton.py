@@ -18,6 +18,9 @@ JOINTS: tuple[str, ...] = tuple(
 )
 LEFT_HAND, RIGHT_HAND = slice(22, 37), slice(37, 52)
 
+# of the person, each with a video and a field of its own; the index is the part's number everywhere
+PARTS = ("body", "head", "hand_left", "hand_right")
+
 
 def _parents() -> np.ndarray:
     body = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19]

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import Avatar, write_avatar
-from avatar.skeleton import BIG_POSE
+from avatar.skeleton import BIG_POSE, PARTS
 from avatar.skinning import dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
@@ -33,7 +33,6 @@ from bake.level import (
 from bake.network import AMPLITUDE, Distilled, distil, write_onnx
 from bake.options import BakeOptions
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
-from capture.folder import PARTS
 from capture.solid import solid_inside
 from geometry.isosurface import Extraction, Mesh, enclosed_volume, extract
 from train.field_onnx import is_exportable, write_field

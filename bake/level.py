@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Integer
 
 from avatar.gltf.avatar_file import Level
-from avatar.skeleton import BIG_POSE, joint_transforms
+from avatar.skeleton import BIG_POSE, PARTS, joint_transforms
 from avatar.texture import mip_levels, mipmaps
 from bake import measure
 from bake.atlas import Unwrapped, unwrap
@@ -18,7 +18,6 @@ from bake.options import BakeOptions
 from bake.seams import ChartEdges, chart_edges, equalised, seam_steps
 from bake.skin import quantised, transferred_weights
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
-from capture.folder import PARTS
 from geometry.decimate import Enlargement, balanced, decimate, find_faults
 from geometry.isosurface import Extraction, Mesh, project_to_zero
 from geometry.mesh import face_areas

@@ -20,7 +20,7 @@ HEAD, LEFT_WRIST, RIGHT_WRIST = 15, 20, 21
 LEFT_MIDDLE, RIGHT_MIDDLE = 25, 40
 
 
-class View(NamedTuple):
+class ScoredView(NamedTuple):
     """A pose and a camera to compare pictures from."""
 
     name: str
@@ -58,7 +58,7 @@ def test_poses() -> dict[str, Float[np.ndarray, "52 3"]]:
     return {"t": rest, "bent": bent}
 
 
-def test_views(joints: Float[np.ndarray, "52 3"], size: int = 512) -> list[View]:
+def test_views(joints: Float[np.ndarray, "52 3"], size: int = 512) -> list[ScoredView]:
     """Whole body from four sides and close-ups of head and hands, in both poses.
 
     Training saw the T-pose, if under other cameras (novel views); the bent one it never saw (novel poses).
@@ -72,12 +72,12 @@ def test_views(joints: Float[np.ndarray, "52 3"], size: int = 512) -> list[View]
         for i, azimuth in enumerate((0.35, 2.0, 3.6, 5.2)):
             if (i % 2) == (pose_name == "bent"):
                 camera = orbit_camera(middle, max(reach, 1.0) * 1.25, azimuth, 0.05, (size, size))
-                views.append(View(f"{pose_name} body {azimuth:g}", pose, np.zeros(3), camera, group))
+                views.append(ScoredView(f"{pose_name} body {azimuth:g}", pose, np.zeros(3), camera, group))
         head = orbit_camera(world[HEAD] + np.array([0.0, 0.07, 0.0]), 0.75, 0.4, 0.1, (size, size))
-        views.append(View(f"{pose_name} head", pose, np.zeros(3), head, group))
+        views.append(ScoredView(f"{pose_name} head", pose, np.zeros(3), head, group))
         for side, middle_joint, azimuth in (("left", LEFT_MIDDLE, 0.6), ("right", RIGHT_MIDDLE, -0.6)):
             camera = orbit_camera(world[middle_joint], 0.55, azimuth, 0.5, (size, size))
-            views.append(View(f"{pose_name} {side} hand", pose, np.zeros(3), camera, group))
+            views.append(ScoredView(f"{pose_name} {side} hand", pose, np.zeros(3), camera, group))
     return views
 
 
@@ -92,7 +92,7 @@ class FieldImage(NamedTuple):
 
 def draw_field(
     surface: FieldSurface,
-    view: View,
+    view: ScoredView,
     draw: Callable[[np.ndarray, np.ndarray, Camera], tuple[np.ndarray, np.ndarray]],
     *,
     with_cone: bool,
@@ -157,7 +157,7 @@ def decibels(errors: Errors) -> float:
 def compare(
     avatar: Avatar,
     surface: FieldSurface,
-    views: list[View],
+    views: list[ScoredView],
     *,
     keep: dict[str, np.ndarray] | None = None,
     modes: Sequence[str] | None = None,

@@ -14,7 +14,8 @@ from scipy.ndimage import binary_erosion
 
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
-from capture.held_out import PART_ID, SETS, HeldOutView, read_capture_facts, read_held_out
+from avatar.skeleton import PARTS
+from capture.held_out import SETS, HeldOutView, read_capture_facts, read_held_out
 from player.context import Context, open_context
 from player.renderer import Renderer
 
@@ -115,7 +116,7 @@ def mode_errors(
         try:
             for view in group:
                 region = next(name for name, shown in REGIONS.items() if shown == view.view)
-                mask = view.mask() if region == "total" else view.parts() == PART_ID[view.view] + 1
+                mask = view.mask() if region == "total" else view.parts() == PARTS.index(view.view) + 1
                 inside = binary_erosion(mask, np.ones((3, 3), bool), border_value=0)
                 truth = view.image()
                 for mode, renderer in renderers.items():

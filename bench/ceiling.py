@@ -14,13 +14,13 @@ from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.npz import read_npz
 from avatar.skeleton import BIG_POSE
-from bench.field_view import Picture, PosableSurface
-from bench.held_out import TrueMesh
+from bench.field_view import MaskedPicture, PosableSurface
+from bench.true_mesh import TrueMesh
 from capture.folder import read_subject
 from player.raster import Rasteriser
 from synth.light import light_of
 from synth.photo import Studio
-from synth.subject import Subject
+from synth.subject import SynthSubject
 from train.skin import CanonicalSkin
 
 
@@ -48,14 +48,14 @@ class CeilingDrawer:
         camera: Camera,
         samples: int,
         where: Bool[np.ndarray, "h w"] | None = None,
-    ) -> Picture:
+    ) -> MaskedPicture:
         """One picture on black; all of it, whatever `where` says: drawing the mesh costs the same."""
         self.studio.supersample = samples
         photo = self.studio.take(self.surface.posed(axis_angle, root), camera, self.light, self.sheen)
-        return Picture((photo.image / np.float32(255)).astype(np.float32), photo.mask > 127)
+        return MaskedPicture((photo.image / np.float32(255)).astype(np.float32), photo.mask > 127)
 
 
-def true_subject(capture: Path, truth: TrueMesh) -> Subject:
+def true_subject(capture: Path, truth: TrueMesh) -> SynthSubject:
     """The filmed person from the capture's truth folder.
 
     Raises:
@@ -72,7 +72,7 @@ def true_subject(capture: Path, truth: TrueMesh) -> Subject:
                 textures.append(np.asarray(file.convert("RGB")))
         except OSError as error:
             raise AssetError(f"{path}: expected the texture of material {i}, found: {error}") from None
-    return Subject(
+    return SynthSubject(
         name="truth",
         vertices=truth.vertices.astype(np.float32),
         faces=truth.faces,

@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from avatar.files import whole_file
 from bench.drawer import Drawer
-from bench.held_out import HeldOutView, read_capture_facts, read_held_out
+from capture.held_out import HeldOutView, read_capture_facts, read_held_out
 
 WIDTH = 1600  # pixels of a sheet
 # bytes of a sheet's PNG; a larger one is scaled down until it fits

@@ -9,7 +9,7 @@ from avatar.camera import Camera
 from avatar.gltf.avatar_file import Avatar, Level, read_avatar
 from avatar.skinning import SkinWeights
 from bench import metrics
-from bench.field_view import Directions, FieldView, Picture, PosableSurface, averaged
+from bench.field_view import Directions, FieldView, MaskedPicture, PosableSurface, averaged
 from player.context import opened
 from player.raster import Rasteriser
 from player.renderer import Renderer
@@ -56,7 +56,7 @@ class Drawer:
         camera: Camera,
         samples: int = 1,
         where: Bool[np.ndarray, "h w"] | None = None,
-    ) -> Picture:
+    ) -> MaskedPicture:
         """One picture on black; `samples` squared rays for each pixel, averaged. A field is asked for colours only
         `where` they are looked at."""
         if self.field is not None and where is not None:
@@ -86,10 +86,10 @@ def drawn_where(
     samples: int,
     where: Bool[np.ndarray, "h w"],
     directions: Directions = "global",
-) -> Picture:
+) -> MaskedPicture:
     """The field's picture, drawn only in the rectangle of `where`; nothing outside it."""
     height, width = where.shape
-    whole = Picture(np.zeros((height, width, 3), np.float32), np.zeros((height, width), bool))
+    whole = MaskedPicture(np.zeros((height, width, 3), np.float32), np.zeros((height, width), bool))
     rectangle = metrics.rectangle(where)
     if rectangle is None:
         return whole

@@ -65,7 +65,7 @@ class PosableSurface:
         return skin_transforms(axis_angle, self.joints, root, rest=self.canonical_pose)
 
 
-class Picture(NamedTuple):
+class MaskedPicture(NamedTuple):
     colour: Float[np.ndarray, "h w 3"]  # [0, 1] sRGB, black where nothing is
     mask: Bool[np.ndarray, "h w"]
 
@@ -103,7 +103,7 @@ class FieldView:
         directions: Directions = "global",
         surface: PosableSurface | None = None,
         where: Bool[np.ndarray, "h w"] | None = None,
-    ) -> Picture:
+    ) -> MaskedPicture:
         """One picture on black, silhouettes smoothed by `samples` squared a pixel. `surface` is the same mesh with
         other skin weights; colours outside `where` stay black."""
         own = surface is None
@@ -196,23 +196,23 @@ def shaded(
     chosen: tuple[np.ndarray, np.ndarray],
     colour: Float[np.ndarray, "n 3"],
     samples: int,
-) -> Picture:
+) -> MaskedPicture:
     """The picture of one shaded sample a pixel, dimmed by the share of the pixel that is covered."""
     height, width = cover.shape[0] // samples, cover.shape[1] // samples
     share = cover.reshape(height, samples, width, samples).mean((1, 3), dtype=np.float32)
     image = np.zeros((height, width, 3), np.float32)
     image[chosen[0] // samples, chosen[1] // samples] = colour
-    return Picture(image * share[..., None], share >= 0.5)
+    return MaskedPicture(image * share[..., None], share >= 0.5)
 
 
-def averaged(image: Float[np.ndarray, "a b 3"], mask: Bool[np.ndarray, "a b"], samples: int) -> Picture:
+def averaged(image: Float[np.ndarray, "a b 3"], mask: Bool[np.ndarray, "a b"], samples: int) -> MaskedPicture:
     """Means of samples x samples blocks; a pixel is inside when at least half of it is."""
     if samples == 1:
-        return Picture(image, mask)
+        return MaskedPicture(image, mask)
     total, cover = np.zeros_like(image[::samples, ::samples]), 0
     # strided sums: ten times as fast as the mean over two axes of blocks
     for i in range(samples):
         for j in range(samples):
             total += image[i::samples, j::samples]
             cover = cover + mask[i::samples, j::samples]
-    return Picture(total / np.float32(samples * samples), 2 * np.asarray(cover) >= samples * samples)
+    return MaskedPicture(total / np.float32(samples * samples), 2 * np.asarray(cover) >= samples * samples)

@@ -11,7 +11,7 @@ from avatar.errors import AssetError
 from avatar.npz import read_npz
 from avatar.skinning import SkinWeights
 from bake.cone import view_cone
-from bake.measure import FieldImage, FieldSurface, View, draw_field
+from bake.measure import FieldImage, FieldSurface, ScoredView, draw_field
 from geometry.isosurface import Mesh
 from player.context import open_context
 from player.raster import Rasteriser
@@ -106,7 +106,7 @@ def field_surface(run: Path | str) -> FieldSurface:
     return FieldSurface(mesh, double["normals"], skin, cone, joints, field.distance, field.color)
 
 
-def drawn_field(surface: FieldSurface, views: list[View]) -> list[FieldImage]:
+def drawn_field(surface: FieldSurface, views: list[ScoredView]) -> list[FieldImage]:
     """Pictures of the field: as the paper shows it, and inside the cone of directions that training saw."""
     context = open_context()
     raster = Rasteriser(context)

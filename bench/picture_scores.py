@@ -15,21 +15,25 @@ from scipy.ndimage import binary_dilation
 
 from avatar.camera import Camera, pixel_rays
 from avatar.progress import progress
+from avatar.skeleton import PARTS
 from bench import metrics
-from bench.field_view import Picture
-from bench.held_out import PART_ID, HeldOutView, TrueMesh
+from bench.field_view import MaskedPicture
+from bench.true_mesh import TrueMesh
+from capture.held_out import HeldOutView
 
 Perceive = Callable[[Float[np.ndarray, "h w 3"], Float[np.ndarray, "_ _ 3"]], metrics.Score]  # LPIPS
 
 # pose, root, camera, squared samples a pixel, pixels that are looked at (others may be left black)
-Draw = Callable[[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"], Camera, int, Bool[np.ndarray, "h w"]], Picture]
+Draw = Callable[
+    [Float[np.ndarray, "52 3"], Float[np.ndarray, "3"], Camera, int, Bool[np.ndarray, "h w"]], MaskedPicture
+]
 
 REGIONS = ("head", "left_hand", "right_hand", "total")
 VIEW_REGION = {"body": "total", "head": "head", "hand_left": "left_hand", "hand_right": "right_hand"}
 REGION_PART = {
-    "head": PART_ID["head"],
-    "left_hand": PART_ID["hand_left"],
-    "right_hand": PART_ID["hand_right"],
+    "head": PARTS.index("head"),
+    "left_hand": PARTS.index("hand_left"),
+    "right_hand": PARTS.index("hand_right"),
 }
 BOX_MARGIN = 0.02  # metres round the posed true region
 # squared rays a pixel of ours; the truth is smoothed as well, by 3 x 3

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from avatar.skinning import SkinWeights
 from bench import surface_distance as geometry
 from bench.field_view import PosableSurface
-from bench.held_out import TrueMesh
 from bench.picture_scores import REGION_PART
+from bench.true_mesh import TrueMesh
 
 SAMPLES = {"total": 4000, "head": 1500, "left_hand": 1000, "right_hand": 1000}  # in every pose
 

@@ -24,7 +24,6 @@ from bake.truth import better_mode, scores_by_mode, some_poses
 from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
 from bench.field_view import one_thread
-from bench.held_out import SETS, HeldOutView, TrueMesh, read_capture_facts, read_held_out, read_true_mesh
 from bench.machine import machine
 from bench.perceptual import read_perceptual
 from bench.picture_scores import Perceive, is_t_pose, score_images
@@ -42,6 +41,8 @@ from bench.quality_table import PAPER, markdown, print_table
 from bench.region_scores import gather, regions_of
 from bench.remeasure import remeasured
 from bench.surface_distance import triangle_index
+from bench.true_mesh import TrueMesh, read_true_mesh
+from capture.held_out import SETS, HeldOutView, read_capture_facts, read_held_out
 from player.context import open_context
 from synth.surface import visible_faces
 from train.run import read_run

@@ -11,8 +11,8 @@ from typing import Any, TextIO
 
 from avatar.errors import AssetError
 from avatar.files import whole_file
-from bench.held_out import SETS
 from bench.paper_tables import PAPER_GEOMETRY, PAPER_IMAGE, REGIONS
+from capture.held_out import SETS
 
 # its crops are unknown: PSNR is context, no bar
 PAPER: dict[str, dict[str, float | None]] = {

@@ -11,12 +11,12 @@ from jaxtyping import Integer
 from scipy.spatial import KDTree
 
 from avatar.baked_avatar import Avatar, Level
+from avatar.skeleton import PARTS
 from avatar.skinning import strongest_four
 from bake import measure
 from bake.bake import run_surface, told
 from bake.field import numpy_field
 from bake.level import rounded
-from capture.folder import PARTS
 from capture.held_out import HeldOutView
 from geometry.isosurface import Mesh
 from geometry.mesh import face_areas
@@ -70,10 +70,10 @@ def said_by(avatar: Avatar) -> dict[str, Any]:
     }
 
 
-def as_view(view: HeldOutView, group: str) -> measure.View:
+def as_view(view: HeldOutView, group: str) -> measure.ScoredView:
     """A held-out picture's pose and camera."""
     name = f"{view.view} of {group.replace('_', ' ')} {view.pose_index}"
-    return measure.View(name, view.axis_angle, view.root, view.camera, group)
+    return measure.ScoredView(name, view.axis_angle, view.root, view.camera, group)
 
 
 def level_again(level: Level, surface: measure.FieldSurface, run: Any) -> dict[str, Any]:

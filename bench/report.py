@@ -24,10 +24,10 @@ from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from bench.alternating import Quiet, warning
 from bench.contact import save_sheet, spread_poses
-from bench.held_out import HeldOutView, read_held_out
 from bench.machine import machine
 from bench.rung_page import markdown, plot, rung_sheet
 from bench.rung_scores import compared, crop_of, mark_dominated, row_of
+from capture.held_out import HeldOutView, read_held_out
 from player.context import Context, opened
 from player.ladder import Rung, rungs_of, time_rungs
 from player.renderer import Pose
@@ -39,7 +39,7 @@ CROP = 0.03
 
 
 @dataclass(frozen=True)
-class Frame:
+class ComparedFrame:
     """A pose under a camera, with the true picture when there is one."""
 
     pose: Pose
@@ -120,15 +120,15 @@ def bench(
 # what is drawn
 
 
-def held_out_frames(capture: Path, count: int = FRAMES) -> list[Frame]:
+def held_out_frames(capture: Path, count: int = FRAMES) -> list[ComparedFrame]:
     """Body views of novel poses."""
     views = spread_poses(read_held_out(capture, "novel_pose"), "body", count)
     if not views:
         raise AssetError(f"{capture}: truth/novel_pose holds no body views")
-    return [Frame((v.axis_angle, v.root), v.camera, v) for v in views]
+    return [ComparedFrame((v.axis_angle, v.root), v.camera, v) for v in views]
 
 
-def motion_frames(avatar: Avatar, count: int = FRAMES) -> list[Frame]:
+def motion_frames(avatar: Avatar, count: int = FRAMES) -> list[ComparedFrame]:
     """Frames of the built-in counting clip from the front."""
     level = avatar.levels[0]
     rest = skin_transforms(np.zeros((52, 3)), avatar.joint_positions, rest=avatar.canonical_pose)
@@ -141,12 +141,14 @@ def motion_frames(avatar: Avatar, count: int = FRAMES) -> list[Frame]:
     for i in chosen.round().astype(int):
         target = clip.root[i] + [0, 0.5 * height + standing[:, 1].min(), 0]
         camera = orbit_camera(target, 1.9 * height, 0.25, 0.05, SIZE)
-        frames.append(Frame((clip.axis_angle[i].astype(np.float64), clip.root[i].astype(np.float64)), camera, None))
+        frames.append(
+            ComparedFrame((clip.axis_angle[i].astype(np.float64), clip.root[i].astype(np.float64)), camera, None)
+        )
     return frames
 
 
 def rung_pictures(
-    context: Context, avatar: Avatar, rung: Rung, frames: list[Frame]
+    context: Context, avatar: Avatar, rung: Rung, frames: list[ComparedFrame]
 ) -> list[Float[np.ndarray, "h w 3"]]:
     """The frames as this rung shows them, brought to full resolution."""
     full = frames[0].camera.size

@@ -12,13 +12,11 @@ from PIL import Image, UnidentifiedImageError
 from avatar.camera import Camera, project, read_cameras
 from avatar.errors import AssetError
 from avatar.files import whole_file
-from avatar.skeleton import BIG_POSE, skin_transforms
+from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 
 Array = np.ndarray
 
-# the index is the part id everywhere
-PARTS = ("body", "head", "hand_left", "hand_right")
 # metres: from an infant to the tallest man measured
 HEIGHT = (0.4, 2.7)
 # metres between camera and person; beyond it the unit is in doubt
@@ -26,7 +24,7 @@ FARTHEST = 60.0
 
 
 @dataclass(frozen=True)
-class Subject:
+class CaptureSubject:
     """The template of one person: a body registered to its surface, with its own joints."""
 
     name: str
@@ -60,7 +58,7 @@ class Capture:
 
     path: Path
     facts: dict
-    subject: Subject
+    subject: CaptureSubject
     videos: dict[str, PartVideo]
 
 
@@ -88,7 +86,7 @@ def read_capture(path: Path | str) -> Capture:
     return Capture(path, facts, subject, videos)
 
 
-def read_subject(path: Path, name: str = "") -> Subject:
+def read_subject(path: Path, name: str = "") -> CaptureSubject:
     """Read the template, `subject.npz`.
 
     Raises:
@@ -129,10 +127,10 @@ def read_subject(path: Path, name: str = "") -> Subject:
     hair = _field(path, fields, "hair", (count,)).astype(bool)
     skin = SkinWeights(bones, weights)
     canonical = skin_points(rest, skin, skin_transforms(BIG_POSE, joints, rest=np.zeros((52, 3))))
-    return Subject(name, rest, canonical, faces, skin, joints, part, hair)
+    return CaptureSubject(name, rest, canonical, faces, skin, joints, part, hair)
 
 
-def write_subject(path: Path, subject: Subject) -> None:
+def write_subject(path: Path, subject: CaptureSubject) -> None:
     """Write the template so that `read_subject` gives it back."""
     with whole_file(path) as file:
         np.savez(

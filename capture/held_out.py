@@ -14,10 +14,9 @@ from PIL import Image
 from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.npz import read_npz
+from avatar.skeleton import PARTS
 
 SETS = ("novel_pose", "novel_view")
-VIEWS = ("body", "head", "hand_left", "hand_right")
-PART_ID = {"body": 0, "head": 1, "hand_left": 2, "hand_right": 3}
 
 
 @dataclass(frozen=True)
@@ -26,7 +25,7 @@ class HeldOutView:
 
     folder: Path
     name: str
-    view: str  # one of VIEWS
+    view: str  # one of PARTS
     pose_index: int
     axis_angle: Float[np.ndarray, "52 3"]
     root: Float[np.ndarray, "3"]
@@ -82,9 +81,9 @@ def read_held_out(capture: Path, name: str) -> list[HeldOutView]:
     size = (int(fields["size"][0]), int(fields["size"][1]))
     views = []
     for i, (pose, view) in enumerate(zip(fields["pose"].astype(int), fields["view"], strict=True)):
-        label = str(view) if fields["view"].dtype.kind == "U" else VIEWS[int(view)]
-        if label not in VIEWS or not 0 <= pose < len(fields["poses"]):
-            raise AssetError(f"{path}: row {i} is view {label!r} of pose {pose}; views are {VIEWS}")
+        label = str(view) if fields["view"].dtype.kind == "U" else PARTS[int(view)]
+        if label not in PARTS or not 0 <= pose < len(fields["poses"]):
+            raise AssetError(f"{path}: row {i} is view {label!r} of pose {pose}; views are {PARTS}")
         camera = Camera(fields["K"][i], fields["camera_from_world"][i], size)
         axis_angle, root = fields["poses"][pose].astype(np.float64), fields["root"][pose].astype(np.float64)
         views.append(HeldOutView(folder, f"{pose:06d}_{label}", label, int(pose), axis_angle, root, camera))

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from capture.folder import PARTS, Subject
+from avatar.skeleton import PARTS
+from capture.folder import CaptureSubject
 from capture.template import visible_faces
 from geometry.mesh import vertex_normals
 
@@ -18,7 +19,7 @@ INSIDE = np.array([0.02, 0.015, 0.004, 0.004])
 HAIR_INSIDE = 0.025
 
 
-def solid_inside(distance: PointFunction, subject: Subject) -> PointFunction:
+def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunction:
     """The distance, made negative deep inside the subject's template (INSIDE, per part).
 
     Training samples a band around the template; deeper in, the field is whatever its network makes up, and its

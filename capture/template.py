@@ -12,7 +12,7 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
-from capture.folder import Subject
+from capture.folder import CaptureSubject
 from geometry.cells import connected_to, nearest_marked
 from geometry.mesh import face_normals, vertex_normals
 
@@ -71,7 +71,7 @@ def sample_faces(
     return np.concatenate(rows), np.concatenate(weights)
 
 
-def visible_faces(subject: Subject, cell: float = 0.003) -> Bool[Array, "f"]:
+def visible_faces(subject: CaptureSubject, cell: float = 0.003) -> Bool[Array, "f"]:
     """Faces of the template that the outside air reaches.
 
     Only head and feet are tried: the inside of mouth and eye sockets, and toes folded together in a shoe, are
@@ -89,7 +89,7 @@ def visible_faces(subject: Subject, cell: float = 0.003) -> Bool[Array, "f"]:
     return visible
 
 
-def neck_height(subject: Subject) -> float:
+def neck_height(subject: CaptureSubject) -> float:
     """The lowest skin of the head part."""
     return float(subject.vertices[(subject.part == 1) & ~subject.hair][:, 1].min())
 
@@ -130,7 +130,7 @@ def air_beyond(occupied: Bool[Array, "x y z"], start: tuple[int, int, int]) -> B
 
 
 def surface_cloud(
-    subject: Subject, fine_part: int, visible: Bool[Array, "f"], fine: float, coarse: float = 0.02
+    subject: CaptureSubject, fine_part: int, visible: Bool[Array, "f"], fine: float, coarse: float = 0.02
 ) -> SurfaceCloud:
     """Samples of the visible template: `fine` spacing on one part, `coarse` elsewhere (metres)."""
     faces = subject.faces[visible]

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from avatar.camera import Camera, project
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, blended_transforms
-from capture.folder import PartVideo, Subject
+from capture.folder import CaptureSubject, PartVideo
 
 Array = np.ndarray
 
@@ -78,7 +78,7 @@ def statistics(sums: ViewSums) -> ViewStatistics:
 
 def part_views(
     video: PartVideo,
-    subject: Subject,
+    subject: CaptureSubject,
     vertices: Float[Array, "v 3"],
     normals: Float[Array, "v 3"],
     skin: SkinWeights,

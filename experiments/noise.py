@@ -21,7 +21,7 @@ from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 from avatar.npz import read_npz
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from capture.folder import PARTS
+from avatar.skeleton import PARTS
 
 # dB that a noise may cost with refinement on
 ALLOWED = 0.5

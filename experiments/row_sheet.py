@@ -17,8 +17,9 @@ from avatar.skeleton import JOINTS
 from bench.ceiling import true_subject
 from bench.contact import VIEW_TITLE, cropped, save_sheet, sheet, spread_poses, square_about
 from bench.drawer import Drawer
-from bench.held_out import HeldOutView, TrueMesh
 from bench.picture_scores import is_t_pose
+from bench.true_mesh import TrueMesh
+from capture.held_out import HeldOutView
 from player.raster import Rasteriser
 from synth.light import light_of
 from synth.photo import Studio

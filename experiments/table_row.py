@@ -20,14 +20,15 @@ from avatar.errors import AssetError
 from avatar.files import whole_file
 from bench.drawer import Drawer
 from bench.field_view import Directions, one_thread
-from bench.held_out import HeldOutView, TrueMesh, read_capture_facts, read_held_out, read_true_mesh
 from bench.machine import machine
 from bench.perceptual import read_perceptual
 from bench.picture_scores import Perceive, is_t_pose, score_images
 from bench.posed_geometry import SAMPLES, Distances, measure_pose, posed_pair
 from bench.quality import CAPTURE_FACTS, distinct_poses, evaluate, seen_case, some_poses
 from bench.region_scores import regions_of
+from bench.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import read_capture
+from capture.held_out import HeldOutView, read_capture_facts, read_held_out
 from experiments.row_sheet import write_sheet
 from train.run import Run, read_run
 from train.variants import seam_steps, variant

@@ -19,7 +19,7 @@ from typing import Any
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from bench.demo import command
-from bench.held_out import read_capture_facts
+from capture.held_out import read_capture_facts
 from experiments.table_page import page
 from experiments.table_row import FORMAT, ROWS, Row, finished, stamp
 from train.preset import PRESETS

@@ -9,6 +9,7 @@ import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
+from avatar.skeleton import PARTS
 from player.arguments import add_hands, parse_background, parse_size
 from player.context import NoContextError
 from player.live.address import Address, parse_address
@@ -16,7 +17,6 @@ from player.live.command import add_live_options
 from player.motions import beside
 from player.scenes.effects import ANTIALIASINGS, SKINNINGS, VIEWS
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
-from player.window.capture_view import PARTS
 
 EXAMPLES = """examples
   selfscan play me.glb                                      the counting motion

@@ -13,7 +13,7 @@ from avatar.camera import write_cameras
 from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 from avatar.progress import Progress
-from avatar.skeleton import PARENTS
+from avatar.skeleton import PARENTS, PARTS
 from player.context import open_context
 from player.raster import Rasteriser
 from synth.cutout import cut_out
@@ -21,7 +21,7 @@ from synth.film import Shots, disturbed, plan_videos
 from synth.head_frame import cameras_in_head_frame, landmarks, scale_of, seeded_similarity
 from synth.light import MODES, light_of
 from synth.photo import Studio
-from synth.subject import PARTS, Subject, read_subject
+from synth.subject import SynthSubject, read_subject
 from synth.surface import visible_faces
 from synth.template import Template, register
 from synth.truth import novel_poses, novel_views, take_set, write_photo, write_rest
@@ -93,7 +93,7 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
     return facts
 
 
-def load_subject(name: str) -> Subject:
+def load_subject(name: str) -> SynthSubject:
     """A subject by name or file."""
     if name.startswith("builtin"):
         from experiments.builtin import builtin_subject  # noqa: TID251
@@ -107,7 +107,7 @@ def load_subject(name: str) -> Subject:
     return read_subject(Path(name))
 
 
-def _facts(person: Subject, template: Template, config: SynthConfig) -> dict:
+def _facts(person: SynthSubject, template: Template, config: SynthConfig) -> dict:
     return {
         "format": "selfscan-capture",
         "version": 1,

@@ -11,13 +11,13 @@ from jaxtyping import Float, UInt8
 
 from avatar.skinning import dense_weights, strongest_four
 from avatar.texture import sample_texture
-from synth.subject import Subject
+from synth.subject import SynthSubject
 
 FINEST_EDGE = 0.003  # metres: cut edges are as ragged as this
 MAX_SPLITS = 4
 
 
-def cut_out(subject: Subject) -> Subject:
+def cut_out(subject: SynthSubject) -> SynthSubject:
     """The subject without the surface where alpha is below one half; unchanged if nothing is see-through."""
     if all(alpha is None for alpha in subject.alpha):
         return subject

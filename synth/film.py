@@ -11,9 +11,9 @@ from jaxtyping import Float
 
 from avatar.camera import Camera, look_at
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND, joint_transforms
+from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND, joint_transforms
 from synth.photo import Studio
-from synth.subject import PARTS, Subject
+from synth.subject import SynthSubject
 
 # metres: head and hands are framed so that a pixel is at most this
 FINEST_PIXEL = 0.0019
@@ -115,7 +115,7 @@ def _nod(turn: float) -> float:
     return float((1 - second) * (-5 - 13 * twice) + second * (17.5 + 2.5 * twice))
 
 
-def _low_hair(subject: Subject) -> np.ndarray:
+def _low_hair(subject: SynthSubject) -> np.ndarray:
     """Hair that hangs below the neck: not what a head close-up is framed for."""
     return subject.hair & (subject.vertices[:, 1] < subject.joints[JOINTS.index("neck"), 1])
 

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from avatar.camera import Camera
-from avatar.skeleton import skin_transforms
+from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from avatar.texture import sample_texture
 from player.raster import Rasteriser
 from synth.light import Light, shade
-from synth.subject import PARTS, Subject
+from synth.subject import SynthSubject
 from synth.surface import vertex_normals, weld
 
 
@@ -30,7 +30,7 @@ class Photo(NamedTuple):
 class Studio:
     """A subject before the camera: what does not change from picture to picture is prepared once."""
 
-    def __init__(self, rasteriser: Rasteriser, subject: Subject, supersample: int = 3):
+    def __init__(self, rasteriser: Rasteriser, subject: SynthSubject, supersample: int = 3):
         self.rasteriser, self.subject, self.supersample = rasteriser, subject, supersample
         self.welded = weld(subject.vertices)
         self.face_part = subject.part[subject.faces[:, 0]]

@@ -33,12 +33,10 @@ from avatar.gltf.scene import (
     world_from_node,
 )
 from avatar.rotation import axis_angle_from_matrix, rotation_between
-from avatar.skeleton import JOINTS, skin_transforms
+from avatar.skeleton import JOINTS, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points, strongest_four
 from capture.imports.template import part_of
 from synth.humanoid import find_joints
-
-PARTS = ("body", "head", "hand_left", "hand_right")  # the numbers in Subject.part
 
 # an arm this close to horizontal is a T-pose as animators leave it: turning it would only stretch the shoulders
 REST_ARM_DEGREES = 8.0
@@ -50,7 +48,7 @@ HAIR_SIZE = (
 
 
 @dataclass(frozen=True)
-class Subject:
+class SynthSubject:
     """One person as drawn, whatever it came from. Vertices may be repeated along texture seams."""
 
     name: str
@@ -70,7 +68,7 @@ class Subject:
     notes: tuple[str, ...] = ()
 
 
-def read_subject(path: Path) -> Subject:
+def read_subject(path: Path) -> SynthSubject:
     """Read a rigged humanoid .glb, .gltf or .vrm.
 
     Raises:
@@ -80,7 +78,7 @@ def read_subject(path: Path) -> Subject:
     gltf = read_gltf(path)
     joint_nodes, naming = find_joints(path, gltf.json)
     notes = [f"{naming} joint names"]
-    rig = _Rig(gltf, joint_nodes)
+    rig = _NodeTree(gltf, joint_nodes)
     nodes = [i for i, node in enumerate(gltf.items("nodes")) if "mesh" in node]
     nodes.sort(key=lambda i: "skin" not in gltf.items("nodes")[i])  # skins first: they say where bones are bound
     meshes = [mesh for node in nodes for mesh in _read_mesh_node(rig, node)]
@@ -118,7 +116,7 @@ def read_subject(path: Path) -> Subject:
     part = part_of(skin)
     hair = np.concatenate([np.full(len(mesh.vertices), mesh.hair) for mesh in meshes])
     part[hair] = PARTS.index("head")  # hair that hangs over the shoulders is measured with the head all the same
-    return Subject(
+    return SynthSubject(
         name=path.stem,
         vertices=vertices.astype(np.float32),
         faces=faces.astype(np.int32),
@@ -138,7 +136,7 @@ def read_subject(path: Path) -> Subject:
 
 
 @dataclass(frozen=True)
-class _Mesh:
+class _Primitive:
     """One primitive in the bind pose, in the file's world frame."""
 
     vertices: Float[np.ndarray, "V 3"]
@@ -149,7 +147,7 @@ class _Mesh:
     hair: bool
 
 
-class _Rig:
+class _NodeTree:
     """The node tree of a file while its meshes are read."""
 
     def __init__(self, gltf: Gltf, joint_nodes: list[int]):
@@ -201,7 +199,7 @@ class _Rig:
         return self.bind[bone] @ np.linalg.inv(self.world[bone]) @ self.world[node]
 
 
-def _read_mesh_node(rig: _Rig, node: int) -> list[_Mesh]:
+def _read_mesh_node(rig: _NodeTree, node: int) -> list[_Primitive]:
     """The triangles of a node, skinned or rigid, in the bind pose."""
     gltf, described = rig.gltf, rig.gltf.items("nodes")[node]
     number = gltf.index("meshes", described["mesh"], f"nodes[{node}].mesh")
@@ -242,7 +240,7 @@ def _read_mesh_node(rig: _Rig, node: int) -> list[_Mesh]:
             faces = faces[:, ::-1]
         names = (described, gltf.items("meshes")[number], _material(gltf, material))
         hair = _is_hair(" ".join(str(named.get("name", "")) for named in names), vertices, weights)
-        meshes.append(_Mesh(vertices, faces, uv, weights, material, hair))
+        meshes.append(_Primitive(vertices, faces, uv, weights, material, hair))
     return meshes
 
 

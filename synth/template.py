@@ -21,10 +21,10 @@ from scipy.spatial import KDTree
 
 from avatar.body import Body, builtin_body, shaped
 from avatar.rotation import rotation_between
-from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND
+from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, PARTS, RIGHT_HAND
 from avatar.skinning import SkinWeights, skin_points
 from player.raster import Rasteriser
-from synth.subject import PARTS, Subject, part_of
+from synth.subject import SynthSubject, part_of
 from synth.surface import spread_points, surface_distance, vertex_normals, view_counts
 
 SAMPLES = 200_000  # points on the subject's visible surface
@@ -64,7 +64,7 @@ class Template:
     residual: dict[str, float]
 
 
-def register(subject: Subject, visible: Bool[np.ndarray, " F"], rasteriser: Rasteriser) -> Template:
+def register(subject: SynthSubject, visible: Bool[np.ndarray, " F"], rasteriser: Rasteriser) -> Template:
     """The template of a subject; `visible` are the faces that can be seen from outside.
 
     Both free bodies are tried; the one whose first fit is closer goes on.
@@ -107,7 +107,7 @@ def _strongest_joint(skin: SkinWeights) -> Int[np.ndarray, " V"]:
     return np.take_along_axis(skin.joints, skin.weights.argmax(1)[:, None], 1)[:, 0].astype(np.int64)
 
 
-def _subject_surface(subject: Subject, visible: Bool[np.ndarray, " F"]) -> _Surface:
+def _subject_surface(subject: SynthSubject, visible: Bool[np.ndarray, " F"]) -> _Surface:
     faces = subject.faces[visible & ~subject.hair[subject.faces].any(1)]
     samples = spread_points(subject.vertices, faces, SAMPLES, seed=0)
     # hands are 3 % of the area and a third of what is looked at
@@ -330,7 +330,7 @@ def _smooth_offsets(
 
 
 def _under_hair(
-    subject: Subject, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+    subject: SynthSubject, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Bool[np.ndarray, " V"]:
     """Template vertices over which the subject's hair stands: on the outer side and within HAIR_REACH."""
     if not subject.hair.any():

@@ -12,11 +12,11 @@ from avatar.camera import Camera
 from avatar.files import whole_file
 from avatar.motion.read import builtin_motion
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND
+from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND
 from synth.film import FINEST_PIXEL, frame_points, rotation
 from synth.light import Light
 from synth.photo import Photo, Studio
-from synth.subject import PARTS, Subject
+from synth.subject import SynthSubject
 
 SIZE = 512  # pixels
 # camera directions tried for a close-up; the one that sees most of the part is kept
@@ -222,7 +222,7 @@ def write_png(path: Path, pixels: UInt8[np.ndarray, "..."]) -> None:
     Image.fromarray(pixels).save(path, compress_level=3)
 
 
-def write_rest(folder: Path, subject: Subject, visible: Bool[np.ndarray, " F"]) -> None:
+def write_rest(folder: Path, subject: SynthSubject, visible: Bool[np.ndarray, " F"]) -> None:
     """rest.npz and a picture per material: the subject's own mesh in pose 0."""
     folder.mkdir(parents=True, exist_ok=True)
     with whole_file(folder / "rest.npz") as file:

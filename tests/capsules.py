@@ -12,7 +12,7 @@ import torch
 from avatar.body import builtin_body
 from avatar.skeleton import BIG_POSE, LEFT_HAND, PARENTS, RIGHT_HAND, joint_transforms
 from avatar.skinning import SkinWeights
-from capture.folder import Subject
+from capture.folder import CaptureSubject
 from geometry.isosurface import Mesh, extract
 
 BODY, HEAD, LEFT, RIGHT = range(4)
@@ -123,7 +123,7 @@ def make_run(sheen: float = 0.0, step: float = 0.010, fine: float = 0.005) -> Si
         view_mean=mean,
         view_covariance=variance.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]],
     )
-    subject = Subject(
+    subject = CaptureSubject(
         "capsules",
         vertices,
         vertices,

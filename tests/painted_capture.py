@@ -10,9 +10,9 @@ from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, pinhole, pixel_rays, write_cameras
 from avatar.files import whole_folder
 from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import skin_transforms
+from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_normals, skin_points
-from capture.folder import PARTS, read_subject
+from capture.folder import read_subject
 from capture.template import surface_cloud
 from train.rays import Band, march
 

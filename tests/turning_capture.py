@@ -7,9 +7,9 @@ import numpy as np
 from painted_capture import write_capture
 
 from avatar.camera import Camera, look_at, pinhole
-from avatar.skeleton import BIG_POSE
+from avatar.skeleton import BIG_POSE, PARTS
 from capture.check.silhouette import posed_template
-from capture.folder import PARTS, Capture, read_capture
+from capture.folder import Capture, read_capture
 from geometry.rasterise import rasterise
 
 TURN = 12  # frames of each video

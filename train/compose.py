@@ -15,8 +15,9 @@ import torch
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
+from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
-from capture.folder import PARTS, Capture, Subject
+from capture.folder import Capture, CaptureSubject
 from capture.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
 from geometry.mesh import vertex_normals
 from geometry.register import Anchors, Registration, refine_by_surfaces
@@ -97,7 +98,7 @@ def compose(
 
 
 def displayed_surface(
-    fused: FusedField, subject: Subject, cells: Sequence[float]
+    fused: FusedField, subject: CaptureSubject, cells: Sequence[float]
 ) -> tuple[Float[Array, "v 3"], Array, Float[Array, "v 3"], SkinWeights]:
     """Vertices, faces, normals and skin weights of the fused zero level; `cells` of body, head and hands, metres."""
     body, head, hand = cells
@@ -171,7 +172,7 @@ def landmark_anchors(capture: Capture, landmarks: Registration) -> Anchors:
 
 
 def place_on_surfaces(
-    subject: Subject, fields: Sequence[PartField], anchors: Anchors, say: Say
+    subject: CaptureSubject, fields: Sequence[PartField], anchors: Anchors, say: Say
 ) -> tuple[Registration, float | None]:
     """The head's place of Eq. 5 and the median distance of the surfaces, mm.
 
@@ -188,7 +189,7 @@ def place_on_surfaces(
     return correction, round(millimetres, 3)
 
 
-def register_head(subject: Subject, fields: Sequence[PartField], anchors: Anchors) -> Registration:
+def register_head(subject: CaptureSubject, fields: Sequence[PartField], anchors: Anchors) -> Registration:
     """Eq. 5 on template points of the face and neck, moved onto each part's own displayed surface.
 
     The transform is canonical_from_head_field: a similarity near the identity, metres.

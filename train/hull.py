@@ -18,9 +18,9 @@ from scipy import ndimage
 from skimage.measure import marching_cubes
 
 from avatar.camera import Camera, project
-from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
+from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
 from avatar.skinning import SkinWeights
-from capture.folder import PARTS, Capture, PartVideo, Subject
+from capture.folder import Capture, CaptureSubject, PartVideo
 from capture.template import neck_height, surface_cloud, visible_faces
 from geometry.cells import distance_to
 from train.template_grid import TemplateGrid, template_grid
@@ -44,20 +44,20 @@ STANDS_OFF = 0.015
 LEAST = 1e-4
 
 
-class View(NamedTuple):
+class MaskView(NamedTuple):
     """A mask and the camera that took it, moved to where the head rests in the canonical frame."""
 
     mask: Bool[Array, "height width"]
     camera: Camera  # its camera_from_world takes canonical metres
 
 
-def head_views(video: PartVideo, canonical_from_head: Float[Array, "4 4"]) -> list[View]:
+def head_views(video: PartVideo, canonical_from_head: Float[Array, "4 4"]) -> list[MaskView]:
     """The head video's views; its camera frames differ from the canonical one by a similarity (Eq. 6)."""
     head_from_canonical = np.linalg.inv(canonical_from_head)
     return [_moved(mask, camera, head_from_canonical) for mask, camera in zip(video.masks, video.cameras)]
 
 
-def body_views(video: PartVideo, subject: Subject) -> list[View]:
+def body_views(video: PartVideo, subject: CaptureSubject) -> list[MaskView]:
     """The body video's views as the head sees them: what hangs from the head moves with its bone."""
     assert video.axis_angle is not None and video.root is not None
     views = []
@@ -66,15 +66,17 @@ def body_views(video: PartVideo, subject: Subject) -> list[View]:
     return views
 
 
-def _moved(mask: Array, camera: Camera, frame_from_canonical: Array) -> View:
+def _moved(mask: Array, camera: Camera, frame_from_canonical: Array) -> MaskView:
     """A similarity of the scene shows as the same picture when the camera's frame is scaled with it."""
     scale = float(np.cbrt(np.linalg.det(frame_from_canonical[:3, :3])))
     pose = camera.camera_from_world @ frame_from_canonical
     pose[:3] /= scale
-    return View(mask, replace(camera, camera_from_world=pose))
+    return MaskView(mask, replace(camera, camera_from_world=pose))
 
 
-def background_share(points: Float[Array, "n 3"], views: Sequence[View]) -> tuple[Float[Array, "n"], Int[Array, "n"]]:
+def background_share(
+    points: Float[Array, "n 3"], views: Sequence[MaskView]
+) -> tuple[Float[Array, "n"], Int[Array, "n"]]:
     """Of the views whose picture holds a point the share that shows background there, and how many views hold it."""
     against, seen = np.zeros(len(points)), np.zeros(len(points), int)
     for view in views:
@@ -100,7 +102,7 @@ class Hair(NamedTuple):
         return ndimage.map_coordinates(self.share, places, order=1, mode="constant", cval=0.0)
 
 
-def carve(views: Sequence[View], template: TemplateGrid, neck: float) -> Hair | None:
+def carve(views: Sequence[MaskView], template: TemplateGrid, neck: float) -> Hair | None:
     """What the views hold round the template, where it stands off far enough to be hair; None: nothing.
 
     A piece counts when some of it is above the `neck`. The hair lies on the template's grid.
@@ -129,7 +131,7 @@ def carve(views: Sequence[View], template: TemplateGrid, neck: float) -> Hair | 
     return Hair(ndimage.gaussian_filter(solid.astype(np.float64), 0.8), low, cell)
 
 
-def with_hair(subject: Subject, capture: Capture, canonical_from_head: Float[Array, "4 4"]) -> Subject:
+def with_hair(subject: CaptureSubject, capture: Capture, canonical_from_head: Float[Array, "4 4"]) -> CaptureSubject:
     """The subject with standing hair joined to its template; the subject itself where there is none.
 
     Template faces inside the hair are dropped; vertices keep their numbers. Hair vertices move with the head;
@@ -159,7 +161,7 @@ def hair_mesh(hair: Hair) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"]]:
     return (vertices - 1) * hair.cell + hair.low, faces.astype(np.int64)
 
 
-def closed_grid(subject: Subject, low: Float[Array, "3"], high: Float[Array, "3"], neck: float) -> TemplateGrid:
+def closed_grid(subject: CaptureSubject, low: Float[Array, "3"], high: Float[Array, "3"], neck: float) -> TemplateGrid:
     """The template's distance round the head, negative in its cavities and in the body that the box cuts open.
 
     The flood fill of `template_grid` closes mouth and eye sockets; under the neck, where it leaks in through the
@@ -176,9 +178,9 @@ def closed_grid(subject: Subject, low: Float[Array, "3"], high: Float[Array, "3"
 
 
 def joined(
-    subject: Subject, kept: Int[Array, "k 3"], vertices: Float[Array, "n 3"], faces: Int[Array, "f 3"],
+    subject: CaptureSubject, kept: Int[Array, "k 3"], vertices: Float[Array, "n 3"], faces: Int[Array, "f 3"],
     neck: float,
-) -> Subject:  # fmt: skip
+) -> CaptureSubject:  # fmt: skip
     """The subject with the `kept` of its own faces and a mesh of hair behind them."""
     used = np.unique(faces)
     place = np.zeros(len(vertices), np.int64)

@@ -11,7 +11,7 @@ import torch
 
 from avatar.files import whole_file
 from avatar.progress import Reporter
-from capture.folder import Capture, PartVideo, Subject, read_capture, read_subject
+from capture.folder import Capture, CaptureSubject, PartVideo, read_capture, read_subject
 from capture.repair.refine import poses_refined, with_refined, write_learned
 from capture.template import SurfaceCloud, neck_height, surface_cloud, visible_faces
 from train import run as run_folder
@@ -192,7 +192,7 @@ def single_ready(job: PartJob, capture: Capture, tell: Reporter) -> Ready:
 
 
 def _preview(
-    job: PartJob, video: PartVideo, subject: Subject, cloud: SurfaceCloud, canonical_from_head: Array | None
+    job: PartJob, video: PartVideo, subject: CaptureSubject, cloud: SurfaceCloud, canonical_from_head: Array | None
 ) -> Preview | None:
     if not (job.preview_every and job.ranks.writes):
         return None

@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from capture.folder import PARTS, Subject
+from avatar.skeleton import PARTS
+from capture.folder import CaptureSubject
 
 Array = np.ndarray
 
@@ -44,7 +45,7 @@ class Part:
     overlap: float  # d_s, metres
 
 
-def part_boxes(subject: Subject) -> tuple[Part, ...]:
+def part_boxes(subject: CaptureSubject) -> tuple[Part, ...]:
     """The boxes of the four parts, from the template's labelled vertices.
 
     Hands begin 10 cm up the forearm, the head 5 cm under its lowest labelled skin; there the overlap lies. The

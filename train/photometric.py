@@ -21,7 +21,7 @@ from avatar.camera import Camera, project
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
-from capture.folder import PartVideo, Subject
+from capture.folder import CaptureSubject, PartVideo
 from capture.repair.increments import project_derivative
 from geometry.rasterise import rasterise
 from geometry.register import Anchors
@@ -62,7 +62,7 @@ class VideoFit(NamedTuple):
 
 
 def refine_on_video(
-    subject: Subject, head: ColoredHead, video: PartVideo, start: Float[Array, "4 4"], anchors: Anchors,
+    subject: CaptureSubject, head: ColoredHead, video: PartVideo, start: Float[Array, "4 4"], anchors: Anchors,
     *, frames: int = 20, rounds: int = 8, most: float = 0.03,
 ) -> VideoFit:  # fmt: skip
     """The similarity `start` of the head, refined until what it draws lies on the pixels of the body's video.
@@ -109,7 +109,7 @@ def refine_on_video(
 class _Scene(NamedTuple):
     """The template with what its faces show."""
 
-    subject: Subject
+    subject: CaptureSubject
     head: Bool[Array, "f"]  # faces of the head that the field shows
     color: Float[Array, "f 3"]
 

@@ -24,8 +24,8 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import joint_transforms, skin_transforms
-from capture.folder import PARTS, PartVideo, Subject
+from avatar.skeleton import PARTS, joint_transforms, skin_transforms
+from capture.folder import CaptureSubject, PartVideo
 from capture.repair.increments import DESCENDS, metres_of_a_pixel, moving_joints
 
 Array = np.ndarray
@@ -41,7 +41,7 @@ class PoseCorrection(nn.Module):
     twists: Float[Tensor, "frames bones 6 p"]
     moving: Int[Tensor, "m"]
 
-    def __init__(self, video: PartVideo, subject: Subject):
+    def __init__(self, video: PartVideo, subject: CaptureSubject):
         super().__init__()
         assert video.axis_angle is not None and video.root is not None
         moving = moving_joints(subject, PARTS.index(video.part), video)

@@ -10,9 +10,9 @@ from jaxtyping import Float, Int, UInt8
 from avatar.camera import Camera, project
 from avatar.files import whole_file
 from avatar.png import encode_png
-from avatar.skeleton import skin_transforms
+from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from capture.folder import PARTS, PartVideo, Subject
+from capture.folder import CaptureSubject, PartVideo
 from capture.template import SurfaceCloud
 from train.field import PartField, unit_normals
 from train.objective import RayTensors, ray_tensors, render_rays
@@ -62,7 +62,7 @@ class Preview:
 
 
 def part_preview(
-    path: Path, video: PartVideo, subject: Subject, cloud: SurfaceCloud, part: Part, band: Band, preset: Preset,
+    path: Path, video: PartVideo, subject: CaptureSubject, cloud: SurfaceCloud, part: Part, band: Band, preset: Preset,
     canonical_from_head: Float[Array, "4 4"] | None, device: torch.device, every: int,
 ) -> Preview:  # fmt: skip
     """The rays of a pixel grid over the part, in the first frame that shows it about as large as any.
@@ -96,7 +96,7 @@ def part_preview(
 
 
 def _view(
-    video: PartVideo, subject: Subject, cloud: SurfaceCloud, index: int, canonical_from_head: Array | None
+    video: PartVideo, subject: CaptureSubject, cloud: SurfaceCloud, index: int, canonical_from_head: Array | None
 ) -> tuple[int, tuple[int, int, int, int]]:
     """A frame, and the rows and columns (first, past the last) of its image that show the part."""
     own = np.flatnonzero(cloud.part == index if index else np.ones(len(cloud.points), bool))

@@ -13,9 +13,9 @@ from scipy.spatial import KDTree
 
 from avatar.camera import pixel_rays
 from avatar.rotation import quaternion_from_matrix
-from avatar.skeleton import skin_transforms
+from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_normals, skin_points
-from capture.folder import PARTS, PartVideo, Subject
+from capture.folder import CaptureSubject, PartVideo
 from capture.template import SurfaceCloud, sample_grid, signed
 from geometry.cells import distance_to
 from train.deform import apply_rows, canonical_from_posed, inverse_transforms
@@ -142,7 +142,7 @@ def posed_template(cloud: SurfaceCloud, thin: Int[Array, "thin"], transforms: Fl
 
 def part_rays(
     video: PartVideo,
-    subject: Subject,
+    subject: CaptureSubject,
     cloud: SurfaceCloud,
     part: Part,
     band: Band,

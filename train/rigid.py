@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from avatar.skeleton import JOINTS
+from avatar.skeleton import JOINTS, PARTS
 from avatar.skinning import dense_weights, strongest_four
-from capture.folder import PARTS, Subject
+from capture.folder import CaptureSubject
 from train.parts import part_boxes, part_weight
 
 HEAD = JOINTS.index("head")
 
 
-def with_rigid_head(subject: Subject) -> Subject:
+def with_rigid_head(subject: CaptureSubject) -> CaptureSubject:
     """The template whose vertices follow the head bone alone where the head's field speaks alone.
 
     A body model's weights bend the jaw and the back of the head with the neck by a tenth or more; the head's

@@ -8,8 +8,9 @@ import numpy as np
 import torch
 
 from avatar.errors import AssetError
+from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
-from capture.folder import PARTS, Subject, read_subject
+from capture.folder import CaptureSubject, read_subject
 from capture.views import ViewStatistics
 from train.field import PartField
 from train.fused import FusedField
@@ -33,11 +34,13 @@ class Run:
     path: Path
     field: FusedField
     surface: Surface
-    subject: Subject
+    subject: CaptureSubject
     provenance: dict  # all of run.json
 
 
-def build_field(subject: Subject, index: int, preset: PartPreset, template: TemplateGrid, frames: int) -> PartField:
+def build_field(
+    subject: CaptureSubject, index: int, preset: PartPreset, template: TemplateGrid, frames: int
+) -> PartField:
     """An untrained field of part `index`."""
     extent = part_boxes(subject)[index].extent
     low, high = (torch.tensor(edge, dtype=torch.float32) for edge in (extent.low, extent.high))
@@ -60,7 +63,7 @@ def write_part(path: Path, field: PartField) -> None:
     )
 
 
-def read_part(path: Path, subject: Subject, index: int, preset: PartPreset) -> PartField:
+def read_part(path: Path, subject: CaptureSubject, index: int, preset: PartPreset) -> PartField:
     """Read one part.
 
     Raises:

@@ -14,8 +14,9 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
-from capture.folder import PARTS, Capture
+from capture.folder import Capture
 from capture.template import SurfaceCloud, neck_height, surface_cloud, visible_faces
 from train.field import PartField
 from train.networks.hash import HashNetworks

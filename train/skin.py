@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
-from capture.folder import Subject
+from capture.folder import CaptureSubject
 from capture.template import blend_skin, sample_faces, visible_faces
 from geometry.closest import closest_on_triangles
 from geometry.harmonic import anchored, fill_harmonic
@@ -25,7 +25,7 @@ class CanonicalSkin:
     # metres; farther than this a weight is a guess
     limit = 0.03
 
-    def __init__(self, subject: Subject):
+    def __init__(self, subject: CaptureSubject):
         visible = visible_faces(subject)
         self.vertices, self.faces, self.skin = subject.vertices, subject.faces[visible], subject.skin
         self.normals = vertex_normals(subject.vertices, subject.faces)

@@ -9,7 +9,7 @@ from scipy import sparse
 from skimage.measure import marching_cubes
 
 from avatar.skinning import SkinWeights
-from capture.folder import Subject
+from capture.folder import CaptureSubject
 from capture.solid import solid_inside
 from geometry.mesh import component_labels, half_edges
 from train.fused import FusedField
@@ -56,7 +56,7 @@ def grid_axes(parts: tuple[Part, ...], body_cell: float, head_cell: float, hand_
 def extract_surface(
     field: FusedField,
     parts: tuple[Part, ...],
-    subject: Subject,
+    subject: CaptureSubject,
     *,
     body_cell: float,
     head_cell: float,

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy import ndimage
 from torch import Tensor
 
-from capture.folder import Subject
+from capture.folder import CaptureSubject
 from capture.template import SurfaceCloud, air_beyond, sample_faces
 from geometry.cells import connected_to, distance_to
 
@@ -79,7 +79,7 @@ def template_grid(
     low: Float[Array, "3"],
     high: Float[Array, "3"],
     cell: float,
-    closed: tuple[Subject, float] | None = None,
+    closed: tuple[CaptureSubject, float] | None = None,
 ) -> TemplateGrid:
     """Signed distance of the cloud on a grid over a box; `closed` fills the cavities of the head.
 
@@ -109,7 +109,7 @@ def template_grid(
 
 
 def close_cavities(
-    distance: Float[Array, "x y z"], axes: list[Array], cell: float, closed: tuple[Subject, float]
+    distance: Float[Array, "x y z"], axes: list[Array], cell: float, closed: tuple[CaptureSubject, float]
 ) -> Float[Array, "x y z"]:
     """The head's distance with nostrils, ears, eye sockets and mouth filled: a field learns outwards from a plain
     shape more easily than it repairs folds that a grid cannot hold.

@@ -14,7 +14,8 @@ from torch import Tensor
 
 from avatar.errors import AssetError
 from avatar.files import whole_file
-from capture.folder import PARTS, Subject
+from avatar.skeleton import PARTS
+from capture.folder import CaptureSubject
 from capture.template import sample_faces, visible_faces
 from geometry.mesh import face_normals
 from train.fused import FusedField
@@ -55,7 +56,7 @@ def in_overlap(shares: Float[Tensor, "n p"], index: int) -> Bool[Tensor, "n"]:
 
 
 def overlap_surface(
-    fused: FusedField, subject: Subject, spacing: float = 0.006, most: int = 1500
+    fused: FusedField, subject: CaptureSubject, spacing: float = 0.006, most: int = 1500
 ) -> list[Float[Tensor, "_ 3"]]:
     """S_j of Eq. 7 for head and hands: at most `most` points of the part's zero level in its overlap with the body."""
     faces = np.asarray(subject.faces)[visible_faces(subject)]
@@ -119,7 +120,7 @@ def steps_apart(fused: FusedField, surfaces: list[Float[Tensor, "_ 3"]]) -> dict
 
 
 def train_union(
-    fused: FusedField, subject: Subject, rays: RayTensors, preset: Preset, *, seed: int,
+    fused: FusedField, subject: CaptureSubject, rays: RayTensors, preset: Preset, *, seed: int,
     checkpoint: Path | None = None, resume: bool = False, save_every: float = 120.0,
     report: Callable[[int, StepReport], None] | None = None,
 ) -> dict:  # fmt: skip

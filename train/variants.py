@@ -23,7 +23,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from avatar.errors import AssetError
-from capture.folder import PARTS, Capture
+from avatar.skeleton import PARTS
+from capture.folder import Capture
 from capture.repair.refine import with_refined
 from capture.views import statistics
 from train.compose import displayed_surface, view_sums, with_views

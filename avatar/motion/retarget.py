@@ -56,7 +56,7 @@ REQUIRED = ("hip", "knee", "ankle", "shoulder", "elbow")
 
 
 @runtime_checkable
-class Rig(Protocol):
+class AnimatedRig(Protocol):
     """An animated skeleton in its own units and axes: a BVH file (avatar/motion/bvh.py),
     a glTF animation (gltf_motion.py).
     """
@@ -106,7 +106,7 @@ def side_and_base(name: str) -> tuple[str, str]:
     return "", re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def _joint_map(rig: Rig) -> tuple[dict[str, int], dict[str, int], list[str]]:
+def _joint_map(rig: AnimatedRig) -> tuple[dict[str, int], dict[str, int], list[str]]:
     """Our joint name -> their joint that turns it, and -> their joint that places it; names not found."""
     by_side: dict[str, dict[str, int]] = {"left": {}, "right": {}, "": {}}
     for index, name in enumerate(rig.names):
@@ -146,14 +146,14 @@ def _joint_map(rig: Rig) -> tuple[dict[str, int], dict[str, int], list[str]]:
     return turns, places, absent
 
 
-def _ancestors(rig: Rig, joint: int) -> list[int]:
+def _ancestors(rig: AnimatedRig, joint: int) -> list[int]:
     line = [joint]
     while rig.parents[line[-1]] >= 0:
         line.append(rig.parents[line[-1]])
     return line[::-1]
 
 
-def _common(rig: Rig, a: int, b: int) -> int:
+def _common(rig: AnimatedRig, a: int, b: int) -> int:
     """The deepest joint above both."""
     above = set(_ancestors(rig, b)[:-1])
     shared = [k for k in _ancestors(rig, a)[:-1] if k in above]
@@ -182,7 +182,9 @@ def _frame(left: Array, up: Array) -> Float[Array, "3 3"]:
     return snapped
 
 
-def retarget(rig: Rig, body: Body | None = None, *, up_known: bool = False, assumed: tuple[str, ...] = ()) -> Motion:
+def retarget(
+    rig: AnimatedRig, body: Body | None = None, *, up_known: bool = False, assumed: tuple[str, ...] = ()
+) -> Motion:
     """The motion on our skeleton; `body` gives its bone lengths (the built-in man unless told otherwise).
 
     `up_known` says that the file's world is y-up by its format; `assumed` are the reader's own notes, put first.
@@ -275,7 +277,7 @@ def _along(chain: list[Array], part: float) -> Array:
 
 
 def _rest_alignment(
-    rig: Rig, turns: dict[str, int], places: dict[str, int], rest: Array, ours: Array, notes: list[str]
+    rig: AnimatedRig, turns: dict[str, int], places: dict[str, int], rest: Array, ours: Array, notes: list[str]
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """A_k of every joint, and for each ankle the other choice: the foot flat at rest."""
 
@@ -364,7 +366,7 @@ def _heading(ours: Array, theirs: Array) -> Float[Array, "3 3"]:
     return matrix_from_axis_angle(np.array([0, angle, 0]))
 
 
-def _scale(rig: Rig, places: dict[str, int], rest: Array, ours: Array, notes: list[str]) -> float:
+def _scale(rig: AnimatedRig, places: dict[str, int], rest: Array, ours: Array, notes: list[str]) -> float:
     def leg(at: Array, index: dict[str, int]) -> float:
         pairs = [(f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))]
         return sum(float(np.linalg.norm(at[index[b]] - at[index[a]])) for a, b in pairs) / 2
@@ -430,7 +432,7 @@ def _ground(body: Body, pose: Array, root: Array) -> float:
     return float(np.percentile(y.min(1), 10))
 
 
-def _note_calibration(rig: Rig, turns: dict[str, int], notes: list[str]) -> None:
+def _note_calibration(rig: AnimatedRig, turns: dict[str, int], notes: list[str]) -> None:
     """Say so when frame 0 is a rest pose followed by a jump, as in CMU's files; it is kept."""
     if rig.frames < 2:
         return

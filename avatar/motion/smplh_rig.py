@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from avatar.body import builtin_body
 from avatar.motion.clip import Motion
-from avatar.motion.retarget import REQUIRED, Rig
+from avatar.motion.retarget import REQUIRED, AnimatedRig
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, PARENTS
 
@@ -25,7 +25,7 @@ LIMBS = tuple(f"{side}_{name}" for side in ("left", "right") for name in REQUIRE
 MOST_OFF = 20.0
 
 
-def is_smplh(rig: Rig) -> bool:
+def is_smplh(rig: AnimatedRig) -> bool:
     """Whether the names, the tree and the rest places are SMPL+H's; unturned bones are the caller's to know."""
     place = {name: k for k, name in enumerate(rig.names) if name in J}
     if not all(name in place for name in JOINTS[:22]):
@@ -64,7 +64,7 @@ def leg_length(at: Float[Array, "nodes 3"], place: dict[str, int]) -> float:
     return float(sum(np.linalg.norm(at[b] - at[a]) for a, b in zip(chain, chain[1:], strict=False)))
 
 
-def read_exactly(rig: Rig, notes: list[str], unit: float = 1.0, pelvis_height: float | None = None) -> Motion:
+def read_exactly(rig: AnimatedRig, notes: list[str], unit: float = 1.0, pelvis_height: float | None = None) -> Motion:
     """The motion of a rig that `is_smplh`; `unit` is the metres of one unit of the file.
 
     `pelvis_height` is the rig's own, metres above the soles, where the file tells it; else it is the built-in

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from avatar.skeleton import PARTS
 from bench.inspect import mesh_facts
 from bench.inspect.colors import (
     DIVERGING,
@@ -11,8 +12,7 @@ from bench.inspect.colors import (
     ticks,
 )
 from bench.inspect.inspection import Inspector
-from bench.inspect.mesh_facts import PARTS
-from bench.inspect.page import Picture, Section, flattened, png
+from bench.inspect.page import PagePicture, Section, flattened, png
 
 FIELD_MEAN = 0.5  # millimetres
 MOST_BYTES = 12e6
@@ -41,7 +41,7 @@ def field_distance(inspector: Inspector) -> Section | None:
         "Of each triangle's centre and corners the one farthest from the field's surface. Red stands "
         "outside of it, blue inside.",
         [
-            Picture(
+            PagePicture(
                 "field",
                 png(image),
                 "png",
@@ -81,7 +81,7 @@ def truth_distance(inspector: Inspector) -> Section | None:
         "Each vertex to the nearest point of the subject's own visible surface, both in T-pose. All "
         "of the mesh counts here, hidden "
         "folds too; `selfscan eval` scores what can be seen, over the test poses.",
-        [Picture("truth", png(image), "png", "P2S, millimetres")],
+        [PagePicture("truth", png(image), "png", "P2S, millimetres")],
         Legend(SEQUENTIAL, ticks(0.0, TRUTH_RANGE, suffix=" mm")),
         rows,
     )

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from bench.inspect.views import View, strip
+from bench.inspect.views import InspectView, strip
 
 WINDOWS = {"egl": "vtkEGLRenderWindow", "osmesa": "vtkOSOpenGLRenderWindow"}
 BACKGROUND = (246, 246, 244)
@@ -22,7 +22,7 @@ LIFT = 0.0004
 class Studio:
     """Draws meshes from the standard views; `kind` is how our own OpenGL context was reached."""
 
-    def __init__(self, views: list[View], kind: str):
+    def __init__(self, views: list[InspectView], kind: str):
         if sys.platform == "linux" and kind in WINDOWS:
             os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", WINDOWS[kind])
         # VTK reads the variable as it is imported
@@ -68,7 +68,7 @@ class Studio:
                 plotter.add_mesh(edges, scalars="rgb", rgb=True, line_width=3, lighting=False)
         return strip([self._from(view) for view in self.views])
 
-    def _from(self, view: View) -> UInt8[np.ndarray, "h w 3"]:
+    def _from(self, view: InspectView) -> UInt8[np.ndarray, "h w 3"]:
         plotter = self.plotters[view.camera.size]
         camera = plotter.camera
         camera.position, camera.focal_point, camera.up = view.camera.eye, view.target, (0.0, 1.0, 0.0)

@@ -4,7 +4,7 @@ import numpy as np
 
 from bench.inspect import looks as pictures_of
 from bench.inspect.inspection import Inspector
-from bench.inspect.page import Picture, Section, animation, png
+from bench.inspect.page import PagePicture, Section, animation, png
 from bench.inspect.views import strip
 
 # times that view dependence is shown
@@ -14,14 +14,14 @@ CHANGE = 8
 def looks(inspector: Inspector) -> Section:
     """As drawn, in the canonical pose."""
     plain = strip(pictures_of.standing(inspector.context, inspector.avatar, inspector.views, "off"))
-    pictures = [Picture("look_off", png(plain), "png", "the paper's colours")]
+    pictures = [PagePicture("look_off", png(plain), "png", "the paper's colours")]
     mode = inspector.avatar.default_view
     if mode != "off":
         image = strip(pictures_of.standing(inspector.context, inspector.avatar, inspector.views, mode))
-        pictures.append(Picture(f"look_{mode}", png(image), "png", f"with view dependence ({mode})"))
+        pictures.append(PagePicture(f"look_{mode}", png(image), "png", f"with view dependence ({mode})"))
         change = np.clip(128 + CHANGE * (image.astype(float) - plain), 0, 255).astype(np.uint8)
         pictures.append(
-            Picture("look_change", png(change), "png", f"what view dependence adds, {CHANGE} times, on grey")
+            PagePicture("look_change", png(change), "png", f"what view dependence adds, {CHANGE} times, on grey")
         )
     return Section(
         "look",
@@ -36,7 +36,7 @@ def looks(inspector: Inspector) -> Section:
 def posed(inspector: Inspector) -> Section:
     """Poses that strain the skin."""
     pictures = [
-        Picture(f"pose_{name.replace(' ', '_')}", png(image), "png", name, width=380)
+        PagePicture(f"pose_{name.replace(' ', '_')}", png(image), "png", name, width=380)
         for name, image in pictures_of.posed(
             inspector.context, inspector.avatar, max(inspector.size * 3 // 4, 64)
         ).items()
@@ -60,7 +60,7 @@ def turntable(inspector: Inspector, frames: int) -> Section:
         "turntable",
         "Turntable",
         f"The avatar at ease, as its file asks to be drawn (view dependence: {mode}).",
-        [Picture("turntable", turn, "webp", f"{frames} views, 6 seconds")],
+        [PagePicture("turntable", turn, "webp", f"{frames} views, 6 seconds")],
     )
 
 
@@ -77,7 +77,7 @@ def levels(inspector: Inspector) -> Section:
         error = np.square((image.astype(float) - first) / 255).mean()
         decibels = "same" if number == 0 else f"{-10 * np.log10(max(error, 1e-12)):.1f}"
         rows.append((str(number), str(len(level.faces)), f"{level.base_color.shape[1]}", decibels))
-        pictures.append(Picture(f"level_{number}", png(image), "png", f"{len(level.faces)} triangles", width=380))
+        pictures.append(PagePicture(f"level_{number}", png(image), "png", f"{len(level.faces)} triangles", width=380))
     return Section(
         "levels",
         "Levels of detail",

@@ -9,7 +9,7 @@ from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Clip
 from avatar.motion.read import builtin_motion
 from avatar.skeleton import JOINTS
-from bench.inspect.views import View
+from bench.inspect.views import InspectView
 from player.context import Context
 from player.framing import extent, facing, fitted_camera, orbit
 from player.motions import retargeted
@@ -51,7 +51,7 @@ def strained_poses(avatar: Avatar) -> dict[str, Pose]:
 
 
 def standing(
-    context: Context, avatar: Avatar, views: list[View], mode: str, level: int = 0
+    context: Context, avatar: Avatar, views: list[InspectView], mode: str, level: int = 0
 ) -> list[UInt8[np.ndarray, "_ _ 3"]]:
     """These views in the canonical pose, at one level and view mode."""
     pose = np.asarray(avatar.canonical_pose, np.float64), np.asarray(avatar.joint_positions[0], np.float64)

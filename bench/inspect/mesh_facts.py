@@ -15,7 +15,6 @@ from avatar.texture import mipmaps
 from bake.cone import matrix_from_six
 from bake.seams import chart_edges, seam_steps
 
-PARTS = ("body", "head", "hand_left", "hand_right")
 MIPS = 4
 SAMPLES = 5  # along a seam edge
 

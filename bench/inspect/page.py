@@ -40,7 +40,7 @@ td.value { overflow-wrap: anywhere; max-width: 70ch }
 
 
 @dataclass
-class Picture:
+class PagePicture:
     """One picture of the page; `data` is an encoded PNG or WebP."""
 
     # file name in the folder, without suffix
@@ -59,7 +59,7 @@ class Section:
     key: str
     title: str
     text: str
-    pictures: list[Picture] = field(default_factory=list)
+    pictures: list[PagePicture] = field(default_factory=list)
     legend: Legend | None = None
     # the first is the head
     rows: list[tuple[str, ...]] = field(default_factory=list)
@@ -126,7 +126,7 @@ def _checks(checks: list[Check]) -> str:
     return f"<table>{''.join(rows)}</table>"
 
 
-def _figure(picture: Picture) -> str:
+def _figure(picture: PagePicture) -> str:
     source = f"data:image/{picture.kind};base64,{base64.b64encode(picture.data).decode()}"
     width = f' style="width:{picture.width}px"' if picture.width else ""
     caption = _text(picture.caption)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from avatar.skeleton import JOINTS
+from avatar.skeleton import JOINTS, PARTS
 from avatar.texture import mip_levels
 from bench.inspect import mesh_facts
 from bench.inspect.colors import (
@@ -19,8 +19,8 @@ from bench.inspect.colors import (
 )
 from bench.inspect.drawing import GREY
 from bench.inspect.inspection import Inspector
-from bench.inspect.mesh_facts import MIPS, PARTS, median_by_area
-from bench.inspect.page import Picture, Section, png
+from bench.inspect.mesh_facts import MIPS, median_by_area
+from bench.inspect.page import PagePicture, Section, png
 
 SEAM_MEDIAN, SEAM_P99 = 1.0, 4.0  # bytes
 SEAM_RANGE = 8.0  # bytes
@@ -39,7 +39,7 @@ def parts(inspector: Inspector) -> Section:
         "parts",
         "Parts",
         "The part whose joints move a vertex most, with its share of the surface.",
-        [Picture("parts", png(image), "png", "parts")],
+        [PagePicture("parts", png(image), "png", "parts")],
         Legend(named=named),
     )
 
@@ -50,7 +50,7 @@ def weights(inspector: Inspector, joints: list[str]) -> Section:
     share = inspector.level.weights.astype(np.float64) / 255
     blended = np.einsum("vi,vic->vc", share, palette[inspector.level.joints])
     pictures = [
-        Picture(
+        PagePicture(
             "weights",
             png(inspector.draw(np.round(blended).astype(np.uint8))),
             "png",
@@ -60,7 +60,7 @@ def weights(inspector: Inspector, joints: list[str]) -> Section:
     for name in joints:
         values = mesh_facts.joint_weight(inspector.level, JOINTS.index(name))
         image = inspector.draw(ramp(values, 0.0, 1.0))
-        pictures.append(Picture(f"weight_{name}", png(image), "png", f"{name}: weight 0 (dark) to 1 (bright)"))
+        pictures.append(PagePicture(f"weight_{name}", png(image), "png", f"{name}: weight 0 (dark) to 1 (bright)"))
     used = np.unique(mesh_facts.heaviest_joint(inspector.level))
     absent = [JOINTS[k] for k in range(52) if k not in used]
     inspector.facts["joints_that_move_nothing_most"] = absent
@@ -93,13 +93,13 @@ def texels(inspector: Inspector) -> Section:
         "Texel density",
         "Side of a texel on the surface. Head and hands should be darker (finer); a bright patch is "
         "stretched in the atlas.",
-        [Picture("texels", png(image), "png", "side of a texel, millimetres"), _atlas(inspector)],
+        [PagePicture("texels", png(image), "png", "side of a texel, millimetres"), _atlas(inspector)],
         Legend(SEQUENTIAL, ticks(0.0, high, suffix=" mm"), ((ABSENT, "no texels"),)),
         rows,
     )
 
 
-def _atlas(inspector: Inspector) -> Picture:
+def _atlas(inspector: Inspector) -> PagePicture:
     """The base colour with the edges of its charts."""
     from PIL import Image, ImageDraw
 
@@ -110,7 +110,7 @@ def _atlas(inspector: Inspector) -> Picture:
     border, uses = np.unique(ends, axis=0, return_counts=True)
     for a, b in ATLAS * inspector.level.uv.astype(np.float64)[border[uses == 1]]:
         draw.line([tuple(a), tuple(b)], fill=(255, 0, 170), width=1)
-    return Picture("atlas", png(np.asarray(image)), "png", "base colour, chart edges in pink", width=620)
+    return PagePicture("atlas", png(np.asarray(image)), "png", "base colour, chart edges in pink", width=620)
 
 
 def seams(inspector: Inspector) -> Section:
@@ -155,7 +155,7 @@ def seams(inspector: Inspector) -> Section:
             normals=inspector.level.normals.astype(np.float64),
         )
         near = "seen from near (mip 0)" if mip == 0 else f"seen from {2**mip} times as far (mip {mip})"
-        pictures.append(Picture(f"seams_mip{mip}", png(image), "png", f"colour step of the finest level, {near}"))
+        pictures.append(PagePicture(f"seams_mip{mip}", png(image), "png", f"colour step of the finest level, {near}"))
     return Section(
         "seams",
         "Chart seams",
@@ -190,8 +190,8 @@ def cones(inspector: Inspector) -> Section:
         "well the point was seen. Pink was never seen: armpits, between fingers, soles. Its colour "
         "is the field's guess.",
         [
-            Picture("cones", png(cone), "png", f"half-angle of the cone, degrees, 0 to {CONE_RANGE:g}"),
-            Picture("seen", png(sight), "png", "how well a point was seen, 0 (dark) to 1 (bright)"),
+            PagePicture("cones", png(cone), "png", f"half-angle of the cone, degrees, 0 to {CONE_RANGE:g}"),
+            PagePicture("seen", png(sight), "png", "how well a point was seen, 0 (dark) to 1 (bright)"),
         ],
         Legend(SEQUENTIAL, ticks(0.0, CONE_RANGE, suffix="°"), ((ABSENT, "never seen"),)),
     )
@@ -240,7 +240,7 @@ def triangles(inspector: Inspector) -> Section:
         f"Mean length of a triangle's edges (median: {text}); the close views show the edges. Slivers "
         "and sudden changes of size "
         "come out as lines in the light.",
-        [Picture("triangles", png(image), "png", "edge length, millimetres")],
+        [PagePicture("triangles", png(image), "png", "edge length, millimetres")],
         Legend(PALE, ticks(0.0, high, suffix=" mm")),
         rows,
     )

@@ -11,7 +11,7 @@ from avatar.errors import AssetError
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from bench import surface_distance as geometry
-from bench.held_out import read_true_mesh
+from bench.true_mesh import read_true_mesh
 
 
 def from_run(level: Level, run: Path) -> Float[np.ndarray, "f"]:

@@ -14,7 +14,7 @@ DISTANCE = 4.0
 MARGIN = 1.06
 
 
-class View(NamedTuple):
+class InspectView(NamedTuple):
     """A camera on the canonical pose."""
 
     name: str
@@ -22,7 +22,7 @@ class View(NamedTuple):
     target: np.ndarray  # (3,) metres
 
 
-def standard_views(avatar: Avatar, size: int) -> list[View]:
+def standard_views(avatar: Avatar, size: int) -> list[InspectView]:
     """Front and back at `size`, then at half of it the head from front and side and each hand from above."""
     points = avatar.levels[0].positions.astype(np.float64)
     low, high = points.min(0), points.max(0)
@@ -46,9 +46,9 @@ def standard_views(avatar: Avatar, size: int) -> list[View]:
     return views
 
 
-def _view(name: str, target: np.ndarray, azimuth: float, elevation: float, height: float, size: int) -> View:
+def _view(name: str, target: np.ndarray, azimuth: float, elevation: float, height: float, size: int) -> InspectView:
     fov = 2 * np.arctan(0.5 * MARGIN * height / DISTANCE)
-    return View(name, orbit_camera(target, DISTANCE, azimuth, elevation, (size, size), fov), target)
+    return InspectView(name, orbit_camera(target, DISTANCE, azimuth, elevation, (size, size), fov), target)
 
 
 def strip(pictures: list[UInt8[np.ndarray, "_ _ 3"]]) -> UInt8[np.ndarray, "_ _ 3"]:

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from avatar.skeleton import LEFT_HAND, RIGHT_HAND, skin_transforms
+from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
 from capture.check.silhouette import canonical_from_head
-from capture.folder import PARTS, Capture
+from capture.folder import Capture
 from capture.views import part_views
 from geometry.mesh import vertex_normals
 

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Int, UInt8
 from PIL import Image, ImageDraw
 from scipy import ndimage
 
-from capture.folder import PARTS
+from avatar.skeleton import PARTS
 
 Array = np.ndarray
 

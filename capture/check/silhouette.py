@@ -8,9 +8,9 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from avatar.camera import Camera
-from avatar.skeleton import skin_transforms
+from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
-from capture.folder import PARTS, Capture, Subject
+from capture.folder import Capture, CaptureSubject
 from geometry.cells import distance_to, nearest_marked
 from geometry.rasterise import Fragments, rasterise
 from geometry.register import similarity_from_landmarks
@@ -125,7 +125,7 @@ def canonical_from_head(capture: Capture) -> Float[Array, "4 4"]:
     return similarity_from_landmarks(video.landmarks, target).transform
 
 
-def drawn_parts(drawn: Fragments, subject: Subject) -> Int[Array, "h w"]:
+def drawn_parts(drawn: Fragments, subject: CaptureSubject) -> Int[Array, "h w"]:
     """Part of the template at each pixel, -1 where there is none."""
     # the majority of the three
     of_face = np.sort(subject.part[subject.faces], 1)[:, 1]

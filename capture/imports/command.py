@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from avatar.body import read_body
-from capture.folder import PARTS
+from avatar.skeleton import PARTS
 from capture.imports.easymocap import MOST_FRAMES, import_easymocap
 from capture.imports.totalselfscan import import_totalselfscan
 

@@ -21,7 +21,7 @@ from avatar.errors import AssetError
 from avatar.motion.easymocap import RESULT_FOLDERS, frame_numbers, read_fit
 from avatar.motion.up_axis import TURNS, up_axis
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
-from capture.folder import PARTS
+from avatar.skeleton import PARTS
 from capture.imports.colmap import read_colmap
 from capture.imports.folder import (
     PICTURES,

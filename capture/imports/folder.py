@@ -12,8 +12,8 @@ from avatar.camera import Camera, project, write_cameras
 from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 from avatar.progress import Progress
-from avatar.skeleton import joint_transforms
-from capture.folder import PARTS, read_capture
+from avatar.skeleton import PARTS, joint_transforms
+from capture.folder import read_capture
 from capture.imports.template import Template, write_template
 
 Array = np.ndarray

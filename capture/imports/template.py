@@ -9,9 +9,8 @@ from jaxtyping import Float, Int, UInt8
 from avatar.body import Body
 from avatar.errors import AssetError
 from avatar.files import whole_file
-from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND
+from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, PARTS, RIGHT_HAND
 from avatar.skinning import SkinWeights
-from capture.folder import PARTS
 
 Array = np.ndarray
 

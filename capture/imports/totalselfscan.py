@@ -31,9 +31,8 @@ from avatar.camera import Camera, checked_camera
 from avatar.errors import AssetError
 from avatar.npz import read_npy
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import skin_transforms
+from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
-from capture.folder import PARTS
 from capture.imports.authors_files import field, numbers, record
 from capture.imports.authors_template import Skeleton, authors_template, read_skeleton
 from capture.imports.folder import (

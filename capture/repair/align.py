@@ -24,9 +24,9 @@ from scipy.linalg import solveh_banded
 
 from avatar.camera import project
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import PARENTS, joint_transforms, skin_transforms
+from avatar.skeleton import PARENTS, PARTS, joint_transforms, skin_transforms
 from avatar.skinning import skin_points
-from capture.folder import PARTS, PartVideo, Subject
+from capture.folder import CaptureSubject, PartVideo
 from capture.repair.increments import increments_moved, metres_of_a_pixel, moving_joints, project_derivative
 from capture.repair.outline import Outline, ShapeCells, placement
 from geometry.mesh import vertex_normals
@@ -63,7 +63,7 @@ class Aligned(NamedTuple):
     edge: Float[Array, "frames"]
 
 
-class _View(NamedTuple):
+class _DrawnTemplate(NamedTuple):
     """One frame's template: world, and drawn."""
 
     G: Float[Array, "52 4 4"]
@@ -76,7 +76,7 @@ class _View(NamedTuple):
 
 
 def align(
-    video: PartVideo, subject: Subject, settings: AlignSettings = AlignSettings(),
+    video: PartVideo, subject: CaptureSubject, settings: AlignSettings = AlignSettings(),
     each_round: Callable[[int, Float[Array, "frames 52 3"], Float[Array, "frames 3"]], None] | None = None,
 ) -> Aligned:  # fmt: skip
     """Poses of a posed video moved onto its masks (see the top of this file)."""
@@ -119,7 +119,7 @@ def align(
     return Aligned(axis_angle_from_matrix(R), root, edge / scale)
 
 
-def _near_faces(subject: Subject, part: int) -> Bool[Array, "faces"]:
+def _near_faces(subject: CaptureSubject, part: int) -> Bool[Array, "faces"]:
     """Faces whose outline places the part: its own and those of the bone it hangs from; of the body all."""
     if part == 0:
         return np.ones(len(subject.faces), bool)
@@ -134,8 +134,8 @@ def _near_faces(subject: Subject, part: int) -> Bool[Array, "faces"]:
 
 
 def _view(
-    video: PartVideo, subject: Subject, f: int, R: Array, root: Array, near: Bool[Array, "faces"] | None
-) -> _View:
+    video: PartVideo, subject: CaptureSubject, f: int, R: Array, root: Array, near: Bool[Array, "faces"] | None
+) -> _DrawnTemplate:
     """The template in frame f. With `near` its outline is first slid and turned as a whole onto the mask."""
     axis_angle, camera = axis_angle_from_matrix(R), video.cameras[f]
     B = skin_transforms(axis_angle, subject.joints, root)
@@ -144,7 +144,7 @@ def _view(
     if near is None:
         drawn = rasterise(posed, subject.faces, camera)
         outline = Outline(drawn.face >= 0)
-        return _View(G, B, posed, drawn, outline, np.zeros_like(outline.at))
+        return _DrawnTemplate(G, B, posed, drawn, outline, np.zeros_like(outline.at))
     size = np.array(camera.size)
     K = camera.K.copy()
     K[:2, 2] += size
@@ -152,7 +152,7 @@ def _view(
     outline = Outline(drawn.face >= 0)
     shown = (drawn.face >= 0) & near[drawn.face]
     if not shown.any():
-        return _View(G, B, posed, drawn, outline, np.zeros_like(outline.at))
+        return _DrawnTemplate(G, B, posed, drawn, outline, np.zeros_like(outline.at))
     part = PARTS.index(video.part)
     centre = project(camera, posed[subject.part == part] if part else posed)[0].mean(0) + size
     turn, shift = placement(shown, video.masks[f], centre, 0.5 * size[0])
@@ -160,11 +160,11 @@ def _view(
     moved = (outline.at - centre) @ turned + centre + shift
     came = moved - outline.at
     outline.normals, outline.at = outline.normals @ turned, moved - size
-    return _View(G, B, posed, drawn, outline, came)
+    return _DrawnTemplate(G, B, posed, drawn, outline, came)
 
 
 def _add_outline(
-    H: Array, b: Array, view: _View, video: PartVideo, f: int, subject: Subject, mask: Outline,
+    H: Array, b: Array, view: _DrawnTemplate, video: PartVideo, f: int, subject: CaptureSubject, mask: Outline,
     moving: Int[Array, "m"], cut: float, sigma: float, near: Bool[Array, "faces"], beyond: Float[Array, "v"],
 ) -> tuple[float, Float[Array, "n"], Int[Array, "n"]]:  # fmt: skip
     """Add the outline term of one frame, the person `beyond` (metres) the template's vertices.
@@ -205,7 +205,7 @@ def _add_outline(
     return float(length[close].mean()), away[near_by], corner[near_by]
 
 
-def outline_offset(video: PartVideo, subject: Subject, frames: int = 8) -> float:
+def outline_offset(video: PartVideo, subject: CaptureSubject, frames: int = 8) -> float:
     """How far outside the posed template's outline the masks' is, mean over a few frames, pixels of 256 a height.
 
     Only outlines within 5 pixels of each other are compared, where the template shows the part.
@@ -227,7 +227,7 @@ def outline_offset(video: PartVideo, subject: Subject, frames: int = 8) -> float
     return float(found.mean()) / scale if len(found) else 0.0
 
 
-def _seen(view: _View, video: PartVideo, f: int, subject: Subject, part: int) -> tuple[Array, Array]:
+def _seen(view: _DrawnTemplate, video: PartVideo, f: int, subject: CaptureSubject, part: int) -> tuple[Array, Array]:
     """Vertices of the part that frame f shows well, and their pixels."""
     camera = video.cameras[f]
     pixels, depth = project(camera, view.posed)
@@ -245,7 +245,7 @@ def _seen(view: _View, video: PartVideo, f: int, subject: Subject, part: int) ->
 
 
 def _add_colors(
-    H: Array, b: Array, views: list[_View], video: PartVideo, subject: Subject, part: int,
+    H: Array, b: Array, views: list[_DrawnTemplate], video: PartVideo, subject: CaptureSubject, part: int,
     moving: Int[Array, "m"], sigma: float,
 ) -> None:  # fmt: skip
     """Add the colour term of all frames: each vertex against its mean over the frames that see it, at least 4."""

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 from avatar.camera import Camera
 from avatar.skeleton import PARENTS
 from avatar.skinning import SkinWeights
-from capture.folder import PartVideo, Subject
+from capture.folder import CaptureSubject, PartVideo
 
 Array = np.ndarray
 
@@ -26,7 +26,7 @@ def descends() -> Bool[Array, "52 52"]:
 DESCENDS = descends()
 
 
-def moving_joints(subject: Subject, part: int, video: PartVideo, *, least: float = 20.0) -> Int[Array, "m"]:
+def moving_joints(subject: CaptureSubject, part: int, video: PartVideo, *, least: float = 20.0) -> Int[Array, "m"]:
     """Joints whose turning shows in the video: some vertex of the part moves `least` pixels a radian or more."""
     assert video.axis_angle is not None and video.root is not None
     chosen = np.ones(len(subject.rest), bool) if part == 0 else subject.part == part
@@ -42,7 +42,7 @@ def moving_joints(subject: Subject, part: int, video: PartVideo, *, least: float
 
 
 def increments_moved(
-    subject: Subject, vertices: Int[Array, "n"], G: Float[Array, "52 4 4"], B: Float[Array, "52 4 4"],
+    subject: CaptureSubject, vertices: Int[Array, "n"], G: Float[Array, "52 4 4"], B: Float[Array, "52 4 4"],
     g: Float[Array, "n 3"], moving: Int[Array, "m"],
 ) -> Float[Array, "n p"]:  # fmt: skip
     """Derivative of g . x, x skinned template vertices, to the increments of the moving joints and of the root.

@@ -18,7 +18,7 @@ from skimage.segmentation import random_walker
 
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
-from capture.folder import PartVideo, Subject
+from capture.folder import CaptureSubject, PartVideo
 from capture.repair.align import outline_offset
 from geometry.cells import distance_to
 from geometry.rasterise import rasterise
@@ -44,7 +44,7 @@ class Redrawn(NamedTuple):
     unsure: Bool[Array, "frames h w"]
 
 
-def mask_offsets(videos: Mapping[str, PartVideo], subject: Subject) -> dict[str, float]:
+def mask_offsets(videos: Mapping[str, PartVideo], subject: CaptureSubject) -> dict[str, float]:
     """How far each posed video's masks are outside of the template, pixels of an image 256 high.
 
     The nearest pixel of an outline is nearer than the one across (four fifths, of 2 pixels): masks that are off are
@@ -71,7 +71,7 @@ def pixels_off(video: PartVideo, masks_off: float) -> float:
     return masks_off * video.masks.shape[1] / 256
 
 
-def redrawn(video: PartVideo, subject: Subject, pixels: float) -> Redrawn:
+def redrawn(video: PartVideo, subject: CaptureSubject, pixels: float) -> Redrawn:
     """Masks whose outline lies `pixels` outside of the person's (negative: inside), with the edge the picture shows.
 
     An eroded mask has lost what is thinner than it was eroded by; where the template says that a limb is there the
@@ -117,7 +117,7 @@ def edge_by_colors(
     return found, (np.abs(share - 0.5) < UNSURE) | (limb & ~found)
 
 
-def _template_pixels(video: PartVideo, subject: Subject, f: int) -> Bool[Array, "h w"]:
+def _template_pixels(video: PartVideo, subject: CaptureSubject, f: int) -> Bool[Array, "h w"]:
     """Where the template is drawn in frame f; nowhere for a video without poses."""
     if video.axis_angle is None or video.root is None:
         return np.zeros(video.masks.shape[1:], bool)

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage, signal
 from scipy.spatial import KDTree
 
-from capture.folder import Subject
+from capture.folder import CaptureSubject
 from geometry.mesh import vertex_normals
 
 Array = np.ndarray
@@ -71,7 +71,7 @@ class ShapeCells:
     that, each frame would move its own way.
     """
 
-    def __init__(self, subject: Subject, size: float):
+    def __init__(self, subject: CaptureSubject, size: float):
         normals = vertex_normals(subject.vertices, subject.faces)
         place = np.c_[subject.vertices / size, normals / 0.7]
         _, self.cell = np.unique(np.round(place).astype(int), axis=0, return_inverse=True)

@@ -23,8 +23,9 @@ from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.npz import read_npz
 from avatar.progress import Reporter
+from avatar.skeleton import PARTS
 from capture.check import MISALIGNED, outline_errors
-from capture.folder import PARTS, Capture, PartVideo, read_capture
+from capture.folder import Capture, PartVideo, read_capture
 from capture.repair.align import AlignSettings, align, outline_offset
 from capture.repair.masks import believed_offset, mask_offsets, pixels_off, redrawn
 

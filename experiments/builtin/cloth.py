@@ -21,7 +21,7 @@ from experiments.builtin.hems import (
 )
 from experiments.builtin.looks import Looks
 from experiments.builtin.noise import noise, smoothstep
-from experiments.builtin.refine import Mesh, edges_of, smoothed, vertex_normals
+from experiments.builtin.refine import TexturedMesh, edges_of, smoothed, vertex_normals
 
 Array = np.ndarray
 
@@ -52,7 +52,9 @@ def garments(skin: Float[Array, "V 3"], hems: Hems, joints: Float[Array, "52 3"]
     return Garments(shirt, trousers, belt if looks.tucked else np.zeros_like(belt))
 
 
-def hung(mesh: Mesh, hems: Hems, worn: Garments, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "V 3"]:
+def hung(
+    mesh: TexturedMesh, hems: Hems, worn: Garments, joints: Float[Array, "52 3"], looks: Looks
+) -> Float[Array, "V 3"]:
     """The vertices of the naked `mesh` (cut along the hems) with the cloth hung on it; bare ones stay."""
     skin, cloth = mesh.vertices, worn.cloth
     normals = vertex_normals(smoothed(skin, mesh.faces, np.ones(len(skin), bool), 30), mesh.faces)
@@ -79,7 +81,7 @@ def hung(mesh: Mesh, hems: Hems, worn: Garments, joints: Float[Array, "52 3"], l
 
 def _hemmed(
     posed: Float[Array, "V 3"],
-    mesh: Mesh,
+    mesh: TexturedMesh,
     hems: Hems,
     worn: Garments,
     joints: Float[Array, "52 3"],
@@ -225,7 +227,7 @@ def _apart(
     return np.stack([np.where(below, x, points[:, 0]), points[:, 1], points[:, 2]], -1)
 
 
-def _breast_tips(mesh: Mesh) -> Bool[Array, " V"]:
+def _breast_tips(mesh: TexturedMesh) -> Bool[Array, " V"]:
     """Vertices around the two points that cloth does not follow."""
     tip = np.zeros(len(mesh.vertices), bool)
     for u in (0.3235, 0.4375):

@@ -20,7 +20,7 @@ from experiments.builtin.face import Face, find_face
 from experiments.builtin.hair import hair_thickness, hairline
 from experiments.builtin.hems import BELT_WIDTH, LIP, hems_at, neckline, sleeves, waist, waist_levels
 from experiments.builtin.looks import Looks
-from experiments.builtin.refine import Mesh, cut_along, refined, smoothed, vertex_normals
+from experiments.builtin.refine import TexturedMesh, cut_along, refined, smoothed, vertex_normals
 from experiments.builtin.shoes import with_shoe, without_feet
 
 Array = np.ndarray
@@ -66,10 +66,10 @@ def dress(body: Body, looks: Looks) -> Dressed:
     return dressed
 
 
-def _body_mesh(body: Body) -> Mesh:
+def _body_mesh(body: Body) -> TexturedMesh:
     if body.uv is None or body.uv_faces is None:
         raise ValueError(f"body {body.name} should have texture coordinates, has none")
-    return Mesh(
+    return TexturedMesh(
         body.vertices.astype(np.float64),
         body.faces.astype(np.int64),
         body.uv.astype(np.float64),
@@ -78,7 +78,7 @@ def _body_mesh(body: Body) -> Mesh:
     )
 
 
-def _fine(mesh: Mesh, joints: Float[Array, "52 3"], face: Face, looks: Looks) -> Mesh:
+def _fine(mesh: TexturedMesh, joints: Float[Array, "52 3"], face: Face, looks: Looks) -> TexturedMesh:
     """Fine enough to hang folds on, finer under the hair; hands stay as they are."""
     wrist = np.abs(joints[20:22, 0]).min()
 
@@ -89,7 +89,7 @@ def _fine(mesh: Mesh, joints: Float[Array, "52 3"], face: Face, looks: Looks) ->
     return refined(mesh, longest)
 
 
-def _cut(mesh: Mesh, joints: Float[Array, "52 3"], face: Face, looks: Looks) -> Mesh:
+def _cut(mesh: TexturedMesh, joints: Float[Array, "52 3"], face: Face, looks: Looks) -> TexturedMesh:
     """Edges along every hem, along the bands that close the hems, and along the hairline."""
 
     def neck(points):
@@ -109,7 +109,9 @@ def _cut(mesh: Mesh, joints: Float[Array, "52 3"], face: Face, looks: Looks) -> 
     return mesh
 
 
-def _made_of(mesh: Mesh, line: Float[Array, " V"], joints: Float[Array, "52 3"], looks: Looks) -> Int[Array, " F"]:
+def _made_of(
+    mesh: TexturedMesh, line: Float[Array, " V"], joints: Float[Array, "52 3"], looks: Looks
+) -> Int[Array, " F"]:
     """What each face is made of, by its middle on the naked body; shoes and eyes are no part of it yet."""
     middle = mesh.vertices[mesh.faces].mean(1)
     hems = hems_at(middle, joints, looks)
@@ -126,7 +128,7 @@ def _made_of(mesh: Mesh, line: Float[Array, " V"], joints: Float[Array, "52 3"],
     return kind
 
 
-def _inner(mesh: Mesh, face: Face) -> Bool[Array, " V"]:
+def _inner(mesh: TexturedMesh, face: Face) -> Bool[Array, " V"]:
     """Vertices of the mouth's and the sockets' inside."""
     middle = mesh.uv[mesh.uv_faces].mean(1)
     inside = (middle[:, 0] < 0.16) & (middle[:, 1] > 0.365) & (middle[:, 1] < 0.455) | (

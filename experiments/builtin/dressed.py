@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from experiments.builtin.face import Face
-from experiments.builtin.refine import Mesh
+from experiments.builtin.refine import TexturedMesh
 
 Array = np.ndarray
 
@@ -21,7 +21,7 @@ SKIN, SHIRT, TROUSERS, BELT, HAIR, SHOE, SOLE, LINING, EYE = range(9)
 class Dressed:
     """The dressed person, still with the texture coordinates of the body (shoes and eyes: their own)."""
 
-    mesh: Mesh  # as seen
+    mesh: TexturedMesh  # as seen
     # where each vertex lies on the naked body
     skin_positions: Float[Array, "V 3"]
     kind: Int[Array, " F"]
@@ -45,7 +45,7 @@ def joined(
     mesh, n = dressed.mesh, len(dressed.mesh.vertices)
     return replace(
         dressed,
-        mesh=Mesh(
+        mesh=TexturedMesh(
             np.concatenate([mesh.vertices, points]),
             np.concatenate([mesh.faces, faces + n]),
             np.concatenate([mesh.uv, uv]),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from experiments.builtin.refine import Mesh
+from experiments.builtin.refine import TexturedMesh
 
 Array = np.ndarray
 
@@ -36,7 +36,7 @@ class Face:
     nails: Float[Array, "10 3"]
 
 
-def at_uv(mesh: Mesh, u: float, v: float) -> Float[Array, "3"]:
+def at_uv(mesh: TexturedMesh, u: float, v: float) -> Float[Array, "3"]:
     """The surface point at a texture coordinate (v down)."""
     a, b, c = (mesh.uv[mesh.uv_faces[:, i]] for i in range(3))
     p = np.array([u, v])
@@ -52,7 +52,7 @@ def at_uv(mesh: Mesh, u: float, v: float) -> Float[Array, "3"]:
     return np.array([1 - s[k] - t[k], s[k], t[k]]) @ mesh.vertices[mesh.faces[k]]
 
 
-def find_face(mesh: Mesh) -> Face:
+def find_face(mesh: TexturedMesh) -> Face:
     """Eyes from the sockets' own islands of the texture, the rest from fixed texture coordinates."""
     middle = mesh.uv[mesh.uv_faces].mean(1)
     island = (middle[:, 0] < 0.16) & (middle[:, 1] > 0.365) & (middle[:, 1] < 0.455)

@@ -7,7 +7,7 @@ is asked, so every machine gets the same numbers.
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from experiments.builtin.refine import Mesh, smoothed, vertex_normals
+from experiments.builtin.refine import TexturedMesh, smoothed, vertex_normals
 
 Array = np.ndarray
 
@@ -76,7 +76,7 @@ def sky_light(
     return light / np.maximum(full, 1e-9), opened / np.maximum(total, 1e-9)
 
 
-def baked_light(mesh: Mesh, part: UInt8[Array, " V"]) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
+def baked_light(mesh: TexturedMesh, part: UInt8[Array, " V"]) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
     """Sky light and openness of every vertex, 0 to 1: coarse for the body (part 0), fine for the other parts."""
     normals = vertex_normals(mesh.vertices, mesh.faces)
     of_face = part[mesh.faces[:, 0]]

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from avatar.body import builtin_body
+from avatar.skeleton import PARTS
 from avatar.skinning import strongest_four
 from experiments.builtin.atlas import BODY, HEAD, layout
 from experiments.builtin.dress import dress
@@ -15,7 +16,7 @@ from experiments.builtin.looks import FEMALE, MALE
 from experiments.builtin.occlusion import baked_light, crease
 from experiments.builtin.paint import Shade, painted
 from experiments.builtin.refine import vertex_normals
-from synth.subject import PARTS, Subject
+from synth.subject import SynthSubject
 
 Array = np.ndarray
 
@@ -23,7 +24,7 @@ TEXTURE = 2048
 
 
 @cache
-def builtin_subject(sex: str, texture: int = TEXTURE) -> Subject:
+def builtin_subject(sex: str, texture: int = TEXTURE) -> SynthSubject:
     """The built-in person, "male" or "female"; takes some seconds once, the same on every machine.
 
     Materials: 0 body, clothes and shoes, 1 head, 2 eyes.
@@ -66,7 +67,7 @@ def builtin_subject(sex: str, texture: int = TEXTURE) -> Subject:
     hair_points = np.zeros(len(mesh.vertices), bool)
     hair_points[mesh.faces[dressed.kind == HAIR]] = True
     skin = strongest_four(mesh.weights[point])
-    return Subject(
+    return SynthSubject(
         name=f"builtin:{sex}",
         vertices=mesh.vertices[point].astype(np.float32),
         faces=index.reshape(-1, 3),

@@ -14,7 +14,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Mesh:
+class TexturedMesh:
     """Triangles with texture coordinates of their own and skin weights by vertex."""
 
     vertices: Float[Array, "V 3"]  # metres
@@ -57,7 +57,7 @@ def smoothed(
     return values
 
 
-def split_edges(mesh: Mesh, marked: Bool[Array, " E"], at: Float[Array, " E"]) -> Mesh:
+def split_edges(mesh: TexturedMesh, marked: Bool[Array, " E"], at: Float[Array, " E"]) -> TexturedMesh:
     """Put a vertex on each marked edge, at the fraction `at` from its lower vertex, and split its faces.
 
     A face with one marked edge becomes two, with two three (the shorter diagonal), with three four. The edges
@@ -110,10 +110,12 @@ def split_edges(mesh: Mesh, marked: Bool[Array, " E"], at: Float[Array, " E"]) -
     parts += faces_of(two & short, "c0 m0 m1", "c0 m1 c2") + faces_of(two & ~short, "c0 m0 c2", "m0 m1 c2")
     parts += faces_of(count == 3, "c0 m0 m2", "m0 c1 m1", "m2 m1 c2", "m0 m1 m2")
     faces = np.concatenate(parts)
-    return Mesh(vertices, faces[..., 0], uv, faces[..., 1], weights)
+    return TexturedMesh(vertices, faces[..., 0], uv, faces[..., 1], weights)
 
 
-def refined(mesh: Mesh, longest: Callable[[Float[Array, "V 3"]], Float[Array, " V"]], rounds: int = 3) -> Mesh:
+def refined(
+    mesh: TexturedMesh, longest: Callable[[Float[Array, "V 3"]], Float[Array, " V"]], rounds: int = 3
+) -> TexturedMesh:
     """Split edges longer than `longest` allows at both ends, metres, rounding the surface a little on the way.
 
     The new point is the edge's middle moved 0.6 of the way to the mean of its projections on the tangent planes
@@ -140,7 +142,7 @@ def refined(mesh: Mesh, longest: Callable[[Float[Array, "V 3"]], Float[Array, " 
     return mesh
 
 
-def cut_along(mesh: Mesh, values: Float[Array, " V"], level: float, *, snap: float = 0.2) -> Mesh:
+def cut_along(mesh: TexturedMesh, values: Float[Array, " V"], level: float, *, snap: float = 0.2) -> TexturedMesh:
     """Split every edge where `values` (by vertex) crosses `level`, so that the line runs along edges.
 
     A vertex within `snap` of an edge's length from the line is moved onto it along that edge instead: no slivers.

@@ -11,14 +11,14 @@ from avatar.body import Body
 from experiments.builtin.dressed import SHOE, SOLE, Dressed, joined
 from experiments.builtin.hems import ankle_level
 from experiments.builtin.noise import smoothstep
-from experiments.builtin.refine import Mesh, cut_along
+from experiments.builtin.refine import TexturedMesh, cut_along
 
 Array = np.ndarray
 
 RINGS, AROUND = 26, 56  # of a shoe's grid of vertices
 
 
-def without_feet(mesh: Mesh, joints: Float[Array, "52 3"]) -> Mesh:
+def without_feet(mesh: TexturedMesh, joints: Float[Array, "52 3"]) -> TexturedMesh:
     """Trouser legs end level above the ankle joint and are closed there; what lies below is dropped."""
     level = ankle_level(joints)
     mesh = cut_along(mesh, mesh.vertices[:, 1] - level, 0.0)
@@ -42,7 +42,9 @@ def without_feet(mesh: Mesh, joints: Float[Array, "52 3"]) -> Mesh:
             uv_caps.append([len(uvs) - 1] * 3)
     faces, uv_faces = np.concatenate([faces, caps]), np.concatenate([uv_faces, uv_caps])
     used, index = np.unique(faces, return_inverse=True)
-    return Mesh(np.array(vertices)[used], index.reshape(-1, 3), np.array(uvs), uv_faces, np.array(weights)[used])
+    return TexturedMesh(
+        np.array(vertices)[used], index.reshape(-1, 3), np.array(uvs), uv_faces, np.array(weights)[used]
+    )
 
 
 def with_shoe(dressed: Dressed, body: Body, joints: Float[Array, "52 3"], side: int) -> Dressed:

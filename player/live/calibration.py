@@ -18,7 +18,7 @@ from jaxtyping import Float
 from avatar.rotation import axis_angle_from_quaternion, quaternion_inverse, quaternion_product
 from avatar.skeleton import DEPTHS, PARENTS
 from player.live.frame import LivePose
-from player.live.vmc import Rig
+from player.live.vmc import VmcRig
 
 
 class Calibration(NamedTuple):
@@ -32,7 +32,7 @@ def identity_calibration() -> Calibration:
     return Calibration(identity, identity.copy())
 
 
-def calibrated(t_pose: Rig) -> Calibration:
+def calibrated(t_pose: VmcRig) -> Calibration:
     """The calibration of a rig that stands in the T-pose, facing where it should face in our pose 0."""
     world = t_pose.rotations.copy()
     parent_rest = np.tile([0.0, 0, 0, 1], (52, 1))
@@ -42,7 +42,7 @@ def calibrated(t_pose: Rig) -> Calibration:
     return Calibration(t_pose.rotations.copy(), parent_rest)
 
 
-def pose_from_rig(rig: Rig, calibration: Calibration) -> LivePose:
+def pose_from_rig(rig: VmcRig, calibration: Calibration) -> LivePose:
     """Our pose of a rig; the root's own pose moves and turns the pelvis."""
     turn = quaternion_product(rig.rotations, quaternion_inverse(calibration.rest))
     W = calibration.parent_rest

@@ -14,7 +14,7 @@ class LivePose(NamedTuple):
     root: Float[np.ndarray, "3"]  # pelvis joint, metres
 
 
-class Frame(NamedTuple):
+class LiveFrame(NamedTuple):
     """What a decoder made of one or more datagrams."""
 
     # that its decoder turns into a LivePose

@@ -18,7 +18,7 @@ import numpy as np
 
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 from player.live.calibration import calibrated, identity_calibration, pose_from_rig
-from player.live.frame import Counters, Frame, LivePose
+from player.live.frame import Counters, LiveFrame, LivePose
 from player.live.json_pose import LARGEST as LARGEST_JSON
 from player.live.json_pose import JsonDecoder, JsonPose
 from player.live.osc import LARGEST as LARGEST_OSC
@@ -60,9 +60,9 @@ class Inbox:
         self.counters = Counters()
         self.delay, self.take = delay, take
         self.calibration = identity_calibration()
-        self.newest: Frame | None = None
+        self.newest: LiveFrame | None = None
         # by time; only for the buffer
-        self.waiting: deque[Frame] = deque(maxlen=MOST_WAITING)
+        self.waiting: deque[LiveFrame] = deque(maxlen=MOST_WAITING)
         self.arrivals: deque[float] = deque(maxlen=64)
         self.start: tuple[float, float] | None = None  # sender's clock and ours at a common moment
         self.lag = np.inf
@@ -112,7 +112,7 @@ class Inbox:
             time = self._time(sent, received)
         else:
             time = last.time
-        frame = Frame(content, received, sent, time, self.counters.frames)
+        frame = LiveFrame(content, received, sent, time, self.counters.frames)
         self.newest = frame
         if self.delay is not None:
             if not begins and self.waiting:
@@ -138,9 +138,9 @@ class Inbox:
         time = self.start[1] + (pose.time - self.start[0])
         at = bisect_right([frame.time for frame in self.waiting], time)
         if 0 < at < len(self.waiting) and len(self.waiting) < MOST_WAITING:
-            self.waiting.insert(at, Frame(pose, received, pose.time, time, self.waiting[at].number))
+            self.waiting.insert(at, LiveFrame(pose, received, pose.time, time, self.waiting[at].number))
 
-    def _follow_lag(self, frame: Frame) -> None:
+    def _follow_lag(self, frame: LiveFrame) -> None:
         grown = self.lag + DRIFT * max(frame.received - self.lag_at, 0.0)
         self.lag, self.lag_at = min(grown, frame.received - frame.time), frame.received
 
@@ -161,7 +161,7 @@ class Inbox:
         with self.arrived:
             return self.arrived.wait_for(lambda: self.newest is not None and self.newest.number > after, timeout)
 
-    def pose(self, frame: Frame) -> LivePose:
+    def pose(self, frame: LiveFrame) -> LivePose:
         """A frame in our joints and world, of the sender's body."""
         if isinstance(frame.content, VmcState):
             return pose_from_rig(rig_from_state(frame.content), self.calibration)
@@ -186,7 +186,7 @@ class Inbox:
             self.calibration = calibrated(rig_from_state(self.newest.content))
             return True
 
-    def sample(self, now: float | int) -> tuple[Frame, LivePose] | None:
+    def sample(self, now: float | int) -> tuple[LiveFrame, LivePose] | None:
         """The pose to show now, and the frame it comes from (in the buffer: the nearer later one). None: none yet."""
         with self.lock:
             newest = self.newest

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from avatar.files import whole_file
-from player.live.frame import Frame
+from player.live.frame import LiveFrame
 
 HEADER = (
     "frame,sent_s,received_s,applied_s,drawn_s,sent_clock,sent_to_received_ms,received_to_applied_ms,"
@@ -40,13 +40,13 @@ class Latency:
         self.spans: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
         self.quickest = np.inf
         self.last = -1
-        self.pending: tuple[Frame, float] | None = None
+        self.pending: tuple[LiveFrame, float] | None = None
         self.file = whole_file(Path(path), "w") if path is not None else None
         self.rows = self.file.__enter__() if self.file else None
         if self.rows:
             self.rows.write(HEADER)
 
-    def applied(self, frame: Frame, now: float | int) -> None:
+    def applied(self, frame: LiveFrame, now: float | int) -> None:
         """The frame goes into the picture that is drawn next; only its first time counts."""
         if frame.number != self.last:
             self.pending, self.last = (frame, float(now)), frame.number
@@ -65,7 +65,7 @@ class Latency:
             stamps = [f"{stamp:.6f}" for stamp in (frame.received, applied, now)]
             self.rows.write(",".join([str(frame.number), sent, *stamps, clock, *columns]) + "\n")
 
-    def _travel(self, frame: Frame) -> tuple[str, float]:
+    def _travel(self, frame: LiveFrame) -> tuple[str, float]:
         """Which clock tells, and seconds from sent to received; NaN where the sender has none."""
         if frame.sent is None:
             return "none", np.nan

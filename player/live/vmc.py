@@ -66,7 +66,7 @@ class VmcState(NamedTuple):
     root: Bone | None
 
 
-class Rig(NamedTuple):
+class VmcRig(NamedTuple):
     """A state in our axes and order, not yet normalised."""
 
     rotations: Float[np.ndarray, "52 4"]  # parent_from_bone
@@ -182,7 +182,7 @@ def _pose(arguments: tuple) -> Bone | None:
     return None
 
 
-def rig_from_state(state: VmcState) -> Rig:
+def rig_from_state(state: VmcState) -> VmcRig:
     """The state in our axes: x mirrored, bones in the order of our joints."""
     vrm1 = any(name.endswith("thumbmetacarpal") for name in state.bones)
     poses = np.zeros((52, 7))
@@ -195,7 +195,7 @@ def rig_from_state(state: VmcState) -> Rig:
     mirror = np.array([-1, 1, 1, 1, -1, -1, 1.0])
     poses, root = poses * mirror, root * mirror
     rotations = poses[:, 3:] / np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
-    return Rig(rotations, poses[0, :3], root[3:] / np.linalg.norm(root[3:]), root[:3], leg_length(poses[:, :3]))
+    return VmcRig(rotations, poses[0, :3], root[3:] / np.linalg.norm(root[3:]), root[:3], leg_length(poses[:, :3]))
 
 
 def leg_length(offsets: Float[np.ndarray, "52 3"]) -> float | None:

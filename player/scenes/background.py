@@ -95,7 +95,7 @@ def read_panorama(path: Path | str) -> Float32[np.ndarray, "height width 3"]:
     return image
 
 
-class Picture:
+class StillPicture:
     """One picture, the same at all times."""
 
     def __init__(self, background: Background):
@@ -213,7 +213,7 @@ class Video:
         self.container.close()
 
 
-Source = Picture | Frames | Video
+Source = StillPicture | Frames | Video
 
 
 def opened_source(background: Background) -> Source | None:
@@ -223,7 +223,7 @@ def opened_source(background: Background) -> Source | None:
         AssetError: the file is absent, or is not what its kind says.
     """
     if background.kind == "image":
-        return Picture(background)
+        return StillPicture(background)
     if background.kind != "video":
         return None
     assert background.path is not None

@@ -21,8 +21,8 @@ from avatar.errors import AssetError
 from avatar.motion.clip import Clip
 from avatar.npz import read_npz
 from avatar.similarity import similarity_from_landmarks
+from avatar.skeleton import PARTS
 
-PARTS = ("body", "head", "hand_left", "hand_right")
 # frames a second; the head's video has no poses that would tell
 HEAD_RATE = 10.0
 

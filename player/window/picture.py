@@ -17,7 +17,7 @@ Number = float | int
 Box = tuple[Number, Number, Number, Number]
 
 
-class Picture:
+class PictureLayer:
     """One texture, remade when the size changes, and the program that draws it."""
 
     def __init__(self, context: Context):

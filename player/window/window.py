@@ -28,7 +28,7 @@ from player.window.glfw_window import ScreenReader, open_window, window_context
 from player.window.keys import ACTIONS, HELP, HELP_LIVE, HELP_WALK, WALKING
 from player.window.overlay import TextLine
 from player.window.pick import Picked, pick
-from player.window.picture import Picture
+from player.window.picture import PictureLayer
 from player.window.pointer import Pointer, Tool
 from player.window.recorder import Recorder, free_name, save_picture
 from player.window.script import RATE, steps
@@ -71,7 +71,7 @@ class Window:
         self.renderer = self.new_renderer(show.effects, show.background, 0)
         self.wipe = Wipe(self.context, show.capture) if show.capture else None
         self.text, self.screen_reader = TextLine(self.context), ScreenReader(self.context)
-        self.backdrop = Picture(self.context)
+        self.backdrop = PictureLayer(self.context)
         # posing by hand: the avatar `posed` has the session's pose, in the world, instead of its motion's
         self.pose_session: PoseSession | None = None
         self.posed = 0

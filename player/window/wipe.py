@@ -7,7 +7,7 @@ import numpy as np
 from player.context import Context
 from player.window.cameras import inner_box
 from player.window.capture_view import CaptureView
-from player.window.picture import Box, Picture
+from player.window.picture import Box, PictureLayer
 
 if TYPE_CHECKING:
     from player.window.window import Window
@@ -21,7 +21,7 @@ class Wipe:
     """The video, where it lies, and how much of it covers the avatar."""
 
     def __init__(self, context: Context, capture: CaptureView):
-        self.capture, self.picture = capture, Picture(context)
+        self.capture, self.picture = capture, PictureLayer(context)
         # of the video's width that shows the video alone
         self.part = 0.5
         # the video is behind the avatar too; else the plain background is

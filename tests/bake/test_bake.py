@@ -6,10 +6,10 @@ from scipy.spatial import KDTree
 
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar
+from avatar.skeleton import PARTS
 from bake.bake import BakeOptions, bake_run, check_complete
 from bake.command import main
 from bench.remeasure import remeasured, said_by
-from capture.folder import PARTS
 from geometry.decimate import find_faults
 from geometry.isosurface import Mesh
 

@@ -17,7 +17,7 @@ from player.context import open_context
 from player.raster import Rasteriser
 from synth.light import light_of
 from synth.photo import Studio
-from synth.subject import Subject
+from synth.subject import SynthSubject
 from synth.surface import visible_faces
 from synth.truth import Stand, take_set, write_rest
 
@@ -45,7 +45,7 @@ def striped_subject():
     part = part_labels(body.skin)
     rows, columns = np.indices((256, 256))
     texture = np.stack([60 + 120 * (rows // 8 % 2), 90 + 100 * (columns // 8 % 2), 0 * rows + 140], -1)
-    return Subject(
+    return SynthSubject(
         name="striped",
         vertices=body.vertices[corner].astype(np.float32),
         faces=np.arange(len(corner)).reshape(-1, 3),

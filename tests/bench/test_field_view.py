@@ -12,7 +12,7 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import skin_points
 from bench.field_view import FieldView
-from capture.folder import Subject
+from capture.folder import CaptureSubject
 from player.context import open_context
 from player.raster import Rasteriser
 from train.fused import FusedField
@@ -53,7 +53,7 @@ def view():
         view_mean=np.tile([0.0, 0, -0.9], (count, 1)),
         view_covariance=np.tile([0.01, 0, 0, 0.01, 0, 0], (count, 1)),
     )
-    subject = Subject("body", body.vertices, canonical, body.faces, body.skin, body.joints, part, hair)
+    subject = CaptureSubject("body", body.vertices, canonical, body.faces, body.skin, body.joints, part, hair)
     return FieldView(Run(Path("run"), DirectionField(), surface, subject, {}))
 
 

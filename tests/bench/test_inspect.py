@@ -16,7 +16,7 @@ from avatar.skinning import SkinWeights, skin_points
 from bench.inspect import mesh_facts
 from bench.inspect.colors import ABSENT, SEQUENTIAL, ramp, rgb
 from bench.inspect.command import inspect, inspect_main
-from bench.inspect.page import Check, Picture, Section, flattened, page
+from bench.inspect.page import Check, PagePicture, Section, flattened, page
 from bench.inspect.truth_distance import from_field, from_truth
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float) * 0.1
@@ -189,7 +189,7 @@ def test_distance_to_the_truth_is_measured_in_t_pose(tmp_path):
 
 def test_a_page_holds_everything_and_escapes_what_is_not_its_own():
     section = Section(
-        "look", "Looks", "a < b", [Picture("one", b"\x89PNG", "png", 'says "hi"')], None, [("x",), ("<i>",)]
+        "look", "Looks", "a < b", [PagePicture("one", b"\x89PNG", "png", 'says "hi"')], None, [("x",), ("<i>",)]
     )
     text = page(
         "<b>Eve</b>",

@@ -12,10 +12,11 @@ from avatar.camera import Camera, look_at, pinhole, pixel_rays
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar
 from bench.ceiling import ceiling_surface
-from bench.held_out import read_held_out, read_true_mesh
 from bench.picture_scores import box_pixels, is_t_pose, region_of
 from bench.quality import eval_main, evaluate, view_modes
 from bench.quality_table import markdown, people_table, view_mode_lines
+from bench.true_mesh import read_true_mesh
+from capture.held_out import read_held_out
 
 KEYS = {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}
 

@@ -10,7 +10,8 @@ from painted_capture import write_capture
 from PIL import Image
 
 from avatar.errors import AssetError
-from capture.folder import PARTS, read_capture
+from avatar.skeleton import PARTS
+from capture.folder import read_capture
 from capture.template import surface_cloud, visible_faces
 from selfscan.__main__ import main
 from train.parts import part_boxes

@@ -13,7 +13,7 @@ from experiments.builtin.dress import dress
 from experiments.builtin.dressed import BELT, EYE, HAIR, LINING, SHIRT, SHOE, SKIN, SOLE, TROUSERS
 from experiments.builtin.looks import FEMALE, MALE
 from experiments.builtin.noise import noise
-from experiments.builtin.refine import Mesh, cut_along, refined
+from experiments.builtin.refine import TexturedMesh, cut_along, refined
 from experiments.builtin.texels import covered_texels
 
 SEXES = ("male", "female")
@@ -122,7 +122,7 @@ def test_splitting_keeps_a_surface_closed_and_cuts_run_along_the_line():
     box = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
     uv = np.asarray(box.vertices)[:, :2]
     weights = np.eye(52)[np.zeros(len(box.vertices), int)]
-    mesh = Mesh(np.asarray(box.vertices), np.asarray(box.faces), uv, np.asarray(box.faces), weights)
+    mesh = TexturedMesh(np.asarray(box.vertices), np.asarray(box.faces), uv, np.asarray(box.faces), weights)
     fine = refined(mesh, lambda points: np.where(points[:, 0] > 0, 0.01, 0.03))
     cut = cut_along(fine, fine.vertices[:, 1], 0.0213)
     assert len(cut.faces) > len(fine.faces) > len(mesh.faces)

@@ -8,7 +8,7 @@ from avatar.body import builtin_body
 from avatar.motion.read import builtin_motion, read_motion
 from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_normals, skin_points
-from capture.folder import Subject
+from capture.folder import CaptureSubject
 from capture.template import surface_cloud, visible_faces
 from train.deform import canonical_from_posed, inverse_transforms
 
@@ -30,7 +30,9 @@ def person():
     part[(heaviest == JOINTS.index("head")) | (heaviest == JOINTS.index("neck"))] = 1
     part[(heaviest == 20) | ((heaviest >= 22) & (heaviest < 37))] = 2
     part[(heaviest == 21) | (heaviest >= 37)] = 3
-    return Subject("builtin", body.vertices, big, body.faces, body.skin, body.joints, part, np.zeros(len(part), bool))
+    return CaptureSubject(
+        "builtin", body.vertices, big, body.faces, body.skin, body.joints, part, np.zeros(len(part), bool)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from player.live.inbox import Inbox
 from player.live.one_euro import OneEuro
 from player.live.osc import LARGEST
 from player.live.take import Take
-from player.live.vmc import Rig
+from player.live.vmc import VmcRig
 
 
 def angles(a, b):
@@ -54,7 +54,7 @@ def test_t_pose_calibration_recovers_any_rig(turn, within):
 
     def raw(pose):
         local = quaternion_product(quaternion_inverse(W), quaternion_from_axis_angle(pose))
-        return Rig(quaternion_product(local, rest), zero, identity, zero, None)
+        return VmcRig(quaternion_product(local, rest), zero, identity, zero, None)
 
     found = pose_from_rig(raw(axis_angle), calibrated(raw(np.zeros((52, 3)))))
     within(angles(found.axis_angle, axis_angle), 1e-12, "rad")

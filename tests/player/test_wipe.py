@@ -18,7 +18,7 @@ from player.play_command import play_parser, scene_of
 from player.renderer import Renderer
 from player.window.capture_view import open_capture
 from player.window.pick import posed_vertices
-from player.window.picture import Picture
+from player.window.picture import PictureLayer
 from player.window.show import opened_show, read_avatars
 from player.window.window import Window
 
@@ -209,7 +209,7 @@ def test_lens_distortion_is_undone_as_the_camera_says(context):
     K = np.array([[60.0, 1.5, 30.0], [0, 58.0, 25.0], [0, 0, 1]])
     distortion = np.array([-0.25, 0.06, 0.004, -0.003, 0.01])
     camera = Camera(K, np.eye(4), size, distortion)
-    picture = Picture(context)
+    picture = PictureLayer(context)
     picture.show(image, camera)
     target = context.gl.framebuffer([context.gl.renderbuffer(size, 4)])
     target.use()

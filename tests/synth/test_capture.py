@@ -9,9 +9,9 @@ from PIL import Image
 
 from avatar.camera import Camera, look_at, project, read_cameras
 from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import JOINTS, skin_transforms
+from avatar.skeleton import JOINTS, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from bench.held_out import read_held_out
+from capture.held_out import read_held_out
 from player.context import open_context
 from player.raster import Rasteriser
 from synth.command import SynthConfig, main, synth
@@ -20,7 +20,7 @@ from synth.film import plan_videos
 from synth.head_frame import LANDMARK_NOISE, cameras_in_head_frame, seeded_similarity
 from synth.light import light_of
 from synth.photo import Studio
-from synth.subject import PARTS, Subject, read_subject
+from synth.subject import SynthSubject, read_subject
 from synth.truth import Stand, novel_poses, novel_views, take_set
 
 CONFIG = SynthConfig(size=128, frames=5, truth=False, pose_noise=1.0, seed=3)
@@ -183,7 +183,7 @@ def test_a_cut_out_quad_keeps_its_opaque_half():
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     alpha = np.zeros((64, 64), np.uint8)
     alpha[:, 32:] = 255
-    quad = Subject(
+    quad = SynthSubject(
         "quad",
         vertices,
         faces,
@@ -207,7 +207,7 @@ def test_a_cut_out_quad_keeps_its_opaque_half():
 def test_a_textured_quad_is_drawn_texel_by_texel(rasteriser):
     texture = np.random.default_rng(0).integers(0, 256, (8, 8, 3), dtype=np.uint8)
     vertices = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
-    quad = Subject(
+    quad = SynthSubject(
         "quad",
         vertices,
         np.array([[0, 1, 2], [0, 2, 3]], np.int32),

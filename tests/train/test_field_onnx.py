@@ -15,7 +15,7 @@ from avatar.errors import AssetError
 from avatar.rotation import matrix_from_axis_angle
 from bake.bake import write_field_beside
 from bake.field import numpy_field
-from bake.measure import View
+from bake.measure import ScoredView
 from bench.onnx_field import OnnxField, drawn_field, field_surface
 from train.field import PartField
 from train.field_onnx import is_exportable, write_field
@@ -151,9 +151,9 @@ import sys
 import numpy as np
 from pathlib import Path
 from avatar.camera import orbit_camera
-from bake.measure import View
+from bake.measure import ScoredView
 from bench.onnx_field import drawn_field, field_surface
-view = View("ball", np.zeros((52, 3)), np.zeros(3), orbit_camera((0, 0, 0), 1.2, 0.3, 0.2, (48, 48)))
+view = ScoredView("ball", np.zeros((52, 3)), np.zeros(3), orbit_camera((0, 0, 0), 1.2, 0.3, 0.2, (48, 48)))
 (image,) = drawn_field(field_surface(Path({str(tmp_path)!r})), [view])
 assert "torch" not in sys.modules and "onnx" not in sys.modules
 np.savez({str(tmp_path / "drawn.npz")!r}, paper=image.paper, cone=image.cone, mask=image.mask)
@@ -163,7 +163,7 @@ np.savez({str(tmp_path / "drawn.npz")!r}, paper=image.paper, cone=image.cone, ma
         drawn = dict(file)
     asked = numpy_field(field)
     surface = field_surface(tmp_path)._replace(distance=asked.distance, color=asked.color)
-    view = View("ball", np.zeros((52, 3)), np.zeros(3), orbit_camera((0, 0, 0), 1.2, 0.3, 0.2, (48, 48)))
+    view = ScoredView("ball", np.zeros((52, 3)), np.zeros(3), orbit_camera((0, 0, 0), 1.2, 0.3, 0.2, (48, 48)))
     (image,) = drawn_field(surface, [view])
     assert 200 < image.mask.sum() < 48 * 48 and np.array_equal(image.mask, drawn["mask"])
     for found, expected in ((drawn["paper"], image.paper), (drawn["cone"], image.cone)):

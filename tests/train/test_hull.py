@@ -6,7 +6,7 @@ import torch
 from scipy import ndimage
 
 from avatar.camera import orbit_camera, pixel_rays
-from train.hull import STANDS_OFF, View, background_share, carve, hair_mesh
+from train.hull import STANDS_OFF, MaskView, background_share, carve, hair_mesh
 from train.template_grid import TemplateGrid
 
 RADIUS = 0.1  # metres, of the head, at the origin
@@ -20,7 +20,7 @@ def ball() -> TemplateGrid:
     return TemplateGrid(torch.tensor(np.linalg.norm(grid, axis=-1) - RADIUS).float(), torch.tensor(LOW).float(), CELL)
 
 
-def filmed(hair: bool) -> list[View]:
+def filmed(hair: bool) -> list[MaskView]:
     """Exact silhouettes of the ball, with or without the block, from 30 places on three circles."""
     views = []
     for i in range(30):
@@ -31,20 +31,20 @@ def filmed(hair: bool) -> list[View]:
         if hair:
             near, far = (HAIR[0] - origins) / directions, (HAIR[1] - origins) / directions
             mask |= np.minimum(near, far).max(1) < np.maximum(near, far).min(1)
-        views.append(View(mask.reshape(160, 160), camera))
+        views.append(MaskView(mask.reshape(160, 160), camera))
     return views
 
 
-def grown(view: View, pixels: int) -> View:
+def grown(view: MaskView, pixels: int) -> MaskView:
     change = ndimage.binary_dilation if pixels > 0 else ndimage.binary_erosion
     return replace_mask(view, change(view.mask, iterations=abs(pixels)))
 
 
-def replace_mask(view: View, mask: np.ndarray) -> View:
+def replace_mask(view: MaskView, mask: np.ndarray) -> MaskView:
     return view._replace(mask=np.asarray(mask, bool))
 
 
-def standing(views: list[View]) -> np.ndarray | None:
+def standing(views: list[MaskView]) -> np.ndarray | None:
     """The cells of the hair carved, farther off the ball than what counts as hair."""
     template = ball()
     hair = carve(views, template, neck=-0.05)

@@ -8,8 +8,8 @@ import torch
 from painted_capture import write_capture
 
 from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import skin_transforms
-from capture.folder import PARTS, read_capture
+from avatar.skeleton import PARTS, skin_transforms
+from capture.folder import read_capture
 from capture.repair.refine import copy_refined, poses_refined, refined_path, with_learned, with_refined, write_learned
 from capture.template import surface_cloud, visible_faces
 from train import run as run_folder

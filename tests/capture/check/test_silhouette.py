@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from turning_capture import with_video
 
+from avatar.skeleton import PARTS
 from capture.check import MISALIGNED, misalignment, outline_errors
 from capture.check.silhouette import agreement, outline
-from capture.folder import PARTS
 
 
 def test_exact_poses_are_not_off_at_all(turning):

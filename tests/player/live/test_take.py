@@ -5,7 +5,7 @@ import pytest
 
 from avatar.errors import AssetError
 from avatar.motion.amass import read_amass
-from player.live.frame import Frame, LivePose
+from player.live.frame import LiveFrame, LivePose
 from player.live.latency import HEADER, Latency
 from player.live.one_euro import OneEuro
 from player.live.take import Take, even_rate
@@ -100,7 +100,7 @@ def test_one_euro_crosses_a_half_turn_on_the_short_way():
 def test_stamps_become_rows_and_percentiles(tmp_path):
     latency = Latency(tmp_path / "l.csv")
     for n in range(100):
-        frame = Frame(None, 10 + n + 0.001 * (n % 2), float(n), 10.0 + n, n)
+        frame = LiveFrame(None, 10 + n + 0.001 * (n % 2), float(n), 10.0 + n, n)
         latency.applied(frame, frame.received + 0.002)
         latency.applied(frame, frame.received + 0.5)  # drawn again: only the first time counts
         latency.drawn(frame.received + 0.010)

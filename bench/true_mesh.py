@@ -11,20 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from capture.held_out import (
-    PART_ID,
-    SETS,
-    VIEWS,
-    HeldOutView,
-    read_arrays,
-    read_capture_facts,
-    read_held_out,
-)
-
-__all__ = [
-    "PART_ID", "SETS", "VIEWS", "HeldOutView", "TrueMesh", "read_arrays", "read_capture_facts", "read_held_out",
-    "read_true_mesh",
-]  # fmt: skip
+from capture.held_out import read_arrays
 
 
 @dataclass(frozen=True)
@@ -35,7 +22,7 @@ class TrueMesh:
     faces: Int[np.ndarray, "f 3"]
     skin: SkinWeights
     joints: Float[np.ndarray, "52 3"]
-    part: Int[np.ndarray, "v"]  # PART_ID
+    part: Int[np.ndarray, "v"]  # index into PARTS
     hair: Bool[np.ndarray, "v"]
     # seen from outside in pose 0
     visible: Bool[np.ndarray, "f"]
