@@ -9,6 +9,8 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from avatar.picture import decode_picture
+
 MAX_SIDE = 1 << 15
 
 
@@ -37,10 +39,8 @@ def decode_png(data: bytes, mode: str) -> UInt8[np.ndarray, "..."]:
         # a third of the time that decoding takes
         found_size = beside.submit(_inflated_size, data, size)
         try:
-            with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-                pixels = np.array(image)
-        # a decoder of hostile bytes raises what its parts raise: OSError, SyntaxError, zlib
-        except Exception as error:
+            pixels = decode_picture(data, None, formats=("PNG",))
+        except ValueError as error:
             raise ValueError(f"should be a whole PNG: {error}") from None
         # Pillow fills what is missing with black
         if found_size.result() != size:

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from PIL import Image
 
 from avatar.camera import Camera
-from avatar.errors import AssetError
 from avatar.npz import read_npz
+from avatar.picture import read_picture
 from avatar.skeleton import BIG_POSE
 from bench.field_view import MaskedPicture, PosableSurface
 from bench.true_mesh import TrueMesh
@@ -66,12 +65,7 @@ def true_subject(capture: Path, truth: TrueMesh) -> SynthSubject:
     count = int(fields["material"].max()) + 1
     textures = []
     for i in range(count):
-        path = folder / f"texture_{i}.png"
-        try:
-            with Image.open(path) as file:
-                textures.append(np.asarray(file.convert("RGB")))
-        except OSError as error:
-            raise AssetError(f"{path}: expected the texture of material {i}, found: {error}") from None
+        textures.append(read_picture(folder / f"texture_{i}.png"))
     return SynthSubject(
         name="truth",
         vertices=truth.vertices.astype(np.float32),

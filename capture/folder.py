@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from PIL import Image, UnidentifiedImageError
 
 from avatar.camera import Camera, project, read_cameras
 from avatar.errors import AssetError
 from avatar.files import whole_file
+from avatar.picture import read_picture
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 
@@ -251,11 +251,7 @@ def _read_frames(folder: Path, mode: str) -> tuple[list[str], Array]:
         raise AssetError(f"{folder}: expected frames 000000.png ..., found none")
     frames = []
     for path in paths:
-        try:
-            with Image.open(path) as image:
-                frames.append(np.asarray(image.convert(mode)))
-        except (OSError, UnidentifiedImageError, SyntaxError) as error:
-            raise AssetError(f"{path}: expected a PNG image, found: {error}") from None
+        frames.append(read_picture(path, mode, formats=("PNG",)))
         if frames[-1].shape != frames[0].shape:
             size, first = frames[-1].shape[1::-1], frames[0].shape[1::-1]
             raise AssetError(f"{path}: should be {first} pixels as the first frame, is {size}")

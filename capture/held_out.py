@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from PIL import Image
 
 from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.npz import read_npz
+from avatar.picture import read_picture
 from avatar.skeleton import PARTS
 
 SETS = ("novel_pose", "novel_view")
@@ -44,11 +44,7 @@ class HeldOutView:
 
     def pixels(self, kind: str, mode: str) -> np.ndarray:
         path = self.folder / kind / f"{self.name}.png"
-        try:
-            with Image.open(path) as file:
-                pixels = np.asarray(file.convert(mode))
-        except OSError as error:
-            raise AssetError(f"{path}: expected an image, found: {error}") from None
+        pixels = read_picture(path, mode, formats=("PNG",))
         width, height = self.camera.size
         if pixels.shape[:2] != (height, width):
             found = f"{pixels.shape[1]} x {pixels.shape[0]}"

@@ -20,6 +20,7 @@ from scipy import ndimage
 from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 from avatar.npz import read_npz
+from avatar.picture import read_picture
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import PARTS
 
@@ -82,8 +83,7 @@ def _disturb(path: Path, degrees: float, rng: np.random.Generator) -> None:
 
 def _regrow(path: Path, grow: int) -> None:
     """Dilate or erode a mask with a disc; what lies beyond the image counts as the mask."""
-    with Image.open(path) as image:
-        mask = np.asarray(image.convert("L")) > 127
+    mask = read_picture(path, "L") > 127
     r = abs(grow)
     y, x = np.mgrid[-r : r + 1, -r : r + 1]
     disc = x * x + y * y <= r * r

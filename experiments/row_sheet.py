@@ -13,6 +13,7 @@ from PIL import Image
 
 from avatar.camera import Camera, orbit_camera
 from avatar.files import whole_file
+from avatar.picture import read_picture
 from avatar.skeleton import JOINTS
 from bench.ceiling import true_subject
 from bench.contact import VIEW_TITLE, cropped, save_sheet, sheet, spread_poses, square_about
@@ -104,8 +105,7 @@ def close_ups(
                 for kind in KINDS:
                     path = folder / f"{name}_{place}_{kind}.png"
                     if path.exists():
-                        with Image.open(path) as image:
-                            tiles[name, place, kind] = np.asarray(image.convert("RGB"))
+                        tiles[name, place, kind] = read_picture(path)
     return tiles
 
 

@@ -12,14 +12,12 @@ joint frames turned parallel to the world, the skin transform is SMPL's own, so 
 zero rest pose drives the mesh exactly as the file's rig does.
 """
 
-import io
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from PIL import Image, UnidentifiedImageError
 
 from avatar.errors import AssetError
 from avatar.gltf.document import Gltf, read_gltf
@@ -32,6 +30,7 @@ from avatar.gltf.scene import (
     texture_image,
     world_from_node,
 )
+from avatar.picture import WITH_WEBP, decode_picture
 from avatar.rotation import axis_angle_from_matrix, rotation_between
 from avatar.skeleton import JOINTS, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points, strongest_four
@@ -333,9 +332,9 @@ def _read_material(gltf: Gltf, index: int, notes: list[str]) -> tuple[np.ndarray
         source = texture_image(gltf, described["index"], field=f"materials[{index}].baseColorTexture.index")
         data, _mime = gltf.image(source)
         try:
-            rgba = np.asarray(Image.open(io.BytesIO(data)).convert("RGBA"))
-        except (UnidentifiedImageError, OSError, Image.DecompressionBombError) as error:
-            raise AssetError(f"{gltf.path}: images[{source}]: expected a picture, found {error}") from None
+            rgba = decode_picture(data, "RGBA", formats=WITH_WEBP)
+        except ValueError as error:
+            raise AssetError(f"{gltf.path}: images[{source}]: {error}") from None
     else:
         rgba = np.full((1, 1, 4), 255, np.uint8)
     color = rgba[..., :3]

@@ -20,6 +20,7 @@ from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.motion.easymocap import RESULT_FOLDERS, frame_numbers, read_fit
 from avatar.motion.up_axis import TURNS, up_axis
+from avatar.picture import picture_size
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
 from avatar.skeleton import PARTS
 from capture.imports.colmap import read_colmap
@@ -28,7 +29,6 @@ from capture.imports.folder import (
     Video,
     anchored,
     chosen_frames,
-    picture_size,
     pictures_in,
     write_capture,
 )

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
 from avatar.camera import Camera, project, write_cameras
 from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
+from avatar.picture import read_picture
 from avatar.progress import Progress
 from avatar.skeleton import PARTS, joint_transforms
 from capture.folder import read_capture
@@ -59,7 +60,7 @@ def write_capture(out: Path, template: Template, videos: dict[str, Video], landm
                 (folder / part / kind).mkdir(parents=True)
             for i, (image, mask, camera) in enumerate(zip(video.images, video.masks, video.cameras)):
                 name = f"{i:06d}.png"
-                picture = read_picture(image, camera.size)
+                picture = read_frame(image, camera.size)
                 Image.fromarray(picture).save(folder / part / "images" / name, compress_level=1)
                 person = read_mask(mask, camera.size, any_value=video.any_value)
                 Image.fromarray(np.where(person, 255, 0).astype(np.uint8)).save(folder / part / "masks" / name)
@@ -88,30 +89,9 @@ def write_capture(out: Path, template: Template, videos: dict[str, Video], landm
             raise AssetError(str(error).replace(str(folder), str(out))) from None
 
 
-def picture_size(path: Path) -> tuple[int, int]:
-    """Width and height of a picture, from its header."""
-    try:
-        with Image.open(path) as image:
-            return image.size
-    except FileNotFoundError:
-        raise AssetError(f"{path}: no such picture") from None
-    except (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise AssetError(f"{path}: expected a picture, found: {error}") from None
-
-
-def _pixels(path: Path, mode: str | None) -> Array:
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert(mode) if mode else image)
-    except FileNotFoundError:
-        raise AssetError(f"{path}: no such picture") from None
-    except (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise AssetError(f"{path}: expected a picture, found: {error}") from None
-
-
-def read_picture(path: Path, size: tuple[int, int]) -> Array:
+def read_frame(path: Path, size: tuple[int, int]) -> Array:
     """A frame, RGB; AssetError where it is not `size` (width, height) pixels as its camera says."""
-    pixels = _pixels(path, "RGB")
+    pixels = read_picture(path)
     if pixels.shape[1::-1] != size:
         raise AssetError(f"{path}: should be {size} pixels as its camera and the first frame, is {pixels.shape[1::-1]}")
     return pixels
@@ -123,7 +103,7 @@ def read_mask(path: Path, size: tuple[int, int], *, any_value: bool) -> Bool[Arr
     A mask without a value above 1 holds 0 and 1; otherwise, and in JPEG files always, which ring round edges, more
     than half of the largest value is the person.
     """
-    pixels = _pixels(path, None)
+    pixels = read_picture(path, None)
     pixels = pixels if pixels.ndim == 2 else pixels[..., 0]
     if pixels.shape[1::-1] != size:
         raise AssetError(f"{path}: mask should be {size} pixels as its picture, is {pixels.shape[1::-1]}")

@@ -30,6 +30,7 @@ from avatar.body import Body
 from avatar.camera import Camera, checked_camera
 from avatar.errors import AssetError
 from avatar.npz import read_npy
+from avatar.picture import picture_size
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
@@ -39,7 +40,6 @@ from capture.imports.folder import (
     Video,
     anchored,
     chosen_frames,
-    picture_size,
     pictures_in,
     write_capture,
 )

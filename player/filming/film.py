@@ -264,9 +264,7 @@ def straight(image: Frame) -> Frame:
 
 
 def _opened(path: Path) -> Image.Image:
-    with Image.open(path) as image:
-        image.load()
-        return image
+    return Image.fromarray(read_picture(path, None))
 
 
 def _linked(source: Path, target: Path) -> None:

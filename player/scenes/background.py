@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32, UInt8
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image
 
 from avatar.errors import AssetError
+from avatar.input_file import one_line, open_input
+from avatar.picture import MAX_PIXELS, WITH_WEBP, read_picture
 from player.scenes.effects import RGBA, Background
 from player.scenes.radiance import read_radiance
 
@@ -20,6 +22,9 @@ PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 PANORAMA_WIDTH = 4096
 # seconds; to go further ahead in a film, seek instead of decoding what lies between
 FAR = 2.0
+MAX_FILM_BYTES = 1 << 36
+# FFmpeg's names of the containers that are read
+FILMS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,gif,webp,apng,ogg,flv,asf,h264,hevc,mpegvideo,m4v"
 
 
 def placed(size: tuple[int, int], into: tuple[int, int], fit: str) -> tuple[int, int, int, int]:
@@ -63,19 +68,9 @@ def laid(picture: Pixels, left: int, top: int, into: tuple[int, int], color: RGB
     return out
 
 
-def read_picture(path: Path | str) -> Pixels:
-    """A picture file as sRGB with straight alpha, turned as its camera was held.
-
-    Raises:
-        AssetError: the file is absent or no picture.
-    """
-    try:
-        with Image.open(path) as image:
-            return np.asarray(ImageOps.exif_transpose(image).convert("RGBA"))
-    except FileNotFoundError:
-        raise AssetError(f"{path}: no such file") from None
-    except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
-        raise AssetError(f"{path}: cannot be read as a picture: {error}") from None
+def _picture(path: Path | str) -> Pixels:
+    """A picture file as sRGB with straight alpha, turned as its camera was held."""
+    return read_picture(path, "RGBA", formats=WITH_WEBP, upright=True)
 
 
 def read_panorama(path: Path | str) -> Float32[np.ndarray, "height width 3"]:
@@ -100,7 +95,7 @@ class StillPicture:
 
     def __init__(self, background: Background):
         assert background.path is not None
-        self.background, self.picture = background, read_picture(background.path)
+        self.background, self.picture = background, _picture(background.path)
         self.opaque = background.fit != "contain" and bool(self.picture[..., 3].min() == 255)
 
     def number(self, seconds: float) -> int:
@@ -130,7 +125,7 @@ class Frames:
         return min(max(int(seconds * self.background.rate + 1e-6), 0), len(self.files) - 1)
 
     def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
-        picture = read_picture(self.files[self.number(seconds)])
+        picture = _picture(self.files[self.number(seconds)])
         return fitted(picture, size, self.background.fit, self.background.color)
 
     def close(self) -> None:
@@ -147,21 +142,44 @@ class Video:
         assert background.path is not None
         self.background, self.path = background, background.path
         self.opaque = background.fit != "contain"
+        # a regular file, before another library opens it
+        open_input(self.path, "a film", most=MAX_FILM_BYTES).close()
         try:
-            self.container = av.open(self.path)
-        except (OSError, av.error.FFmpegError) as error:
-            raise AssetError(f"{self.path}: cannot be read as a film: {error}") from None
+            # play lists and scripts of FFmpeg's own name other files and addresses
+            options = {"format_whitelist": FILMS, "protocol_whitelist": "file"}
+            self.container = av.open(self.path, options=options)
+        except (OSError, ValueError, av.error.FFmpegError) as error:
+            raise AssetError(f"{self.path}: cannot be read as a film: {one_line(error)}") from None
         if not self.container.streams.video:
             raise AssetError(f"{self.path}: holds no video")
         self.stream = self.container.streams.video[0]
+        if self.stream.codec_context is None:
+            raise AssetError(f"{self.path}: the film is in a code that is not read here")
+        self._check_size(self.stream.width, self.stream.height)
         self.stream.thread_type = "AUTO"
-        self._start()
+        try:
+            self._start()
+        except AssetError:
+            self.close()
+            raise
+
+    def _check_size(self, width: int, height: int) -> None:
+        if width * height > MAX_PIXELS:
+            raise AssetError(
+                f"{self.path}: expected a film of at most {MAX_PIXELS} pixels a frame, found {width} x {height}"
+            )
 
     def _start(self, seconds: float = 0.0) -> None:
+        import av.error
+
         tick = self.stream.time_base
         origin = self.stream.start_time or 0
-        assert tick is not None
-        self.container.seek(origin + max(int(seconds / tick), 0), stream=self.stream)
+        if not tick:
+            raise AssetError(f"{self.path}: the film has no time base")
+        try:
+            self.container.seek(origin + max(int(seconds / tick), 0), stream=self.stream)
+        except (OSError, OverflowError, av.error.FFmpegError) as error:
+            raise AssetError(f"{self.path}: cannot be read as a film: {one_line(error)}") from None
         self.frames: Iterator = self._decoded()
         self.shown, self.coming = None, next(self.frames, None)
         # beyond the end: from the start, to the last frame
@@ -174,9 +192,13 @@ class Video:
         import av.error
 
         try:
-            yield from self.container.decode(self.stream)
-        except av.error.FFmpegError as error:
-            raise AssetError(f"{self.path}: {error}") from None
+            for frame in self.container.decode(self.stream):
+                self._check_size(frame.width, frame.height)
+                if frame.pts is None:
+                    raise AssetError(f"{self.path}: a frame of the film has no time")
+                yield frame
+        except (OSError, ValueError, av.error.FFmpegError) as error:
+            raise AssetError(f"{self.path}: a frame of the film cannot be read: {one_line(error)}") from None
 
     def _time(self, frame) -> float:
         return float((frame.pts - (self.stream.start_time or 0)) * self.stream.time_base)

@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, UInt8
-from PIL import Image, UnidentifiedImageError
 
 from avatar.camera import Camera, read_cameras
 from avatar.errors import AssetError
 from avatar.motion.clip import Clip
 from avatar.npz import read_npz
+from avatar.picture import read_picture
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 
@@ -51,11 +51,7 @@ class CaptureView:
             AssetError: it cannot be read, or has another size than its camera says.
         """
         path, camera = self.images[frame], self.cameras[frame]
-        try:
-            with Image.open(path) as image:
-                pixels = np.asarray(image.convert("RGB"))
-        except (OSError, UnidentifiedImageError, ValueError, SyntaxError) as error:
-            raise AssetError(f"{path}: expected a picture, found: {error}") from None
+        pixels = read_picture(path)
         if pixels.shape[:2] != (camera.size[1], camera.size[0]):
             found = f"{pixels.shape[1]}x{pixels.shape[0]}"
             raise AssetError(f"{path}: should be {camera.size[0]}x{camera.size[1]} as its camera, is {found}")

@@ -95,7 +95,7 @@ BAD = {
     ),
     "an image that is none": (
         lambda f: (f / "body/images/000000.png").write_bytes(b"\x89PNG"),
-        r"000000\.png: expected a PNG",
+        r"000000\.png: expected a picture \(PNG\)",
     ),
     "poses shorter than frames": (
         lambda f: _rewrite(f / "hand_left/poses.npz", poses=lambda p: p[:2]),

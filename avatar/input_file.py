@@ -1,0 +1,130 @@
+"""Files from outside, opened as what they should be: regular files of bounded size, text, JSON."""
+
+import io
+import json
+import math
+import os
+import stat
+from pathlib import Path
+from typing import Any, NoReturn
+
+from avatar.errors import AssetError
+
+MAX_BYTES = 1 << 28
+MAX_JSON_BYTES = 1 << 26
+# a parsed value costs Python some 60-200 bytes
+MAX_JSON_VALUES = 2_000_000
+# digits of a whole number that every float can hold
+MAX_DIGITS = 300
+
+
+def one_line(error: object) -> str:
+    """What went wrong, short enough for one line of a message."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= 120 else f"{text[:117]}..."
+
+
+def open_input(path: Path | str, what: str, *, most: int = MAX_BYTES) -> io.BufferedReader:
+    """A regular file of at most `most` bytes, opened to be read.
+
+    `what` names the expected content in messages, for example "a camera file". Devices, pipes and sockets are
+    refused before a byte is read: reading them may never end.
+
+    Raises:
+        AssetError: absent, not a regular file, too large, or not to be read.
+    """
+    try:
+        _check_regular(path, what, os.stat(path))
+        # should a pipe have come into its place meanwhile, opening it must not wait for a writer
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        try:
+            found = os.fstat(handle)
+            _check_regular(path, what, found)
+        except AssetError:
+            os.close(handle)
+            raise
+    except FileNotFoundError:
+        raise AssetError(f"{path}: no such file; expected {what}") from None
+    except OSError as error:
+        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValueError as error:  # a NUL in a name that a file gave
+        raise AssetError(f"{str(path)!r}: cannot be read: {error}") from None
+    if found.st_size > most:
+        os.close(handle)
+        raise AssetError(f"{path}: expected {what} of at most {most} bytes, found {found.st_size}")
+    return os.fdopen(handle, "rb")
+
+
+def _check_regular(path: Path | str, what: str, found: os.stat_result) -> None:
+    if not stat.S_ISREG(found.st_mode):
+        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a device, pipe or socket"
+        raise AssetError(f"{path}: expected {what}, which should be a file; is {kind}")
+
+
+def read_bytes(path: Path | str, what: str, *, most: int = MAX_BYTES) -> bytes:
+    """The content of a file; AssetError as in `open_input`."""
+    try:
+        with open_input(path, what, most=most) as file:
+            # some files of the system claim to be empty
+            data = file.read(most + 1)
+    except OSError as error:
+        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
+    if len(data) > most:
+        raise AssetError(f"{path}: expected {what} of at most {most} bytes")
+    return data
+
+
+def read_text(path: Path | str, what: str, *, most: int = MAX_BYTES) -> str:
+    """The content of a UTF-8 file; AssetError as in `open_input`, or where it is no text."""
+    try:
+        return read_bytes(path, what, most=most).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise AssetError(f"{path}: expected {what}, UTF-8 text; byte {error.start} is none") from None
+
+
+def read_json(path: Path | str, what: str, *, most: int = MAX_JSON_BYTES) -> Any:
+    """The content of a JSON file; AssetError as in `open_input` and `parse_json`."""
+    return parse_json(read_bytes(path, what, most=most), str(path), what)
+
+
+def read_json_object(path: Path | str, what: str, *, most: int = MAX_JSON_BYTES) -> dict[str, Any]:
+    """The object that a JSON file holds; AssetError as in `read_json`, or where it holds something else."""
+    content = read_json(path, what, most=most)
+    if not isinstance(content, dict):
+        raise AssetError(f"{path}: expected {what}, a JSON object, found a {type(content).__name__}")
+    return content
+
+
+def parse_json(data: bytes, place: str, what: str) -> Any:
+    """JSON of bounded depth and number of values, all of whose numbers floats can hold.
+
+    Raises:
+        AssetError: it is not; the message begins with `place`.
+    """
+    if data.count(b",") + data.count(b"[") + data.count(b"{") > MAX_JSON_VALUES:
+        raise AssetError(f"{place}: expected {what}, JSON of at most {MAX_JSON_VALUES} values, found more")
+    try:
+        return json.loads(
+            data.decode("utf-8-sig"), parse_constant=_refused, parse_int=_whole_number, parse_float=_finite
+        )
+    except RecursionError:
+        raise AssetError(f"{place}: expected {what}, JSON a few levels deep, found thousands") from None
+    except ValueError as error:
+        raise AssetError(f"{place}: expected {what} (JSON), found: {one_line(error)}") from None
+
+
+def _refused(name: str) -> NoReturn:
+    raise ValueError(f"{name}, which is not a number of JSON")
+
+
+def _whole_number(digits: str) -> int:
+    if len(digits) > MAX_DIGITS:
+        raise ValueError(f"a whole number of {len(digits)} digits")
+    return int(digits)
+
+
+def _finite(digits: str) -> float:
+    value = float(digits)
+    if not math.isfinite(value):
+        raise ValueError(f"the number {digits[:20]}, which is beyond floats")
+    return value
