@@ -61,7 +61,7 @@ def decode_picture(data: bytes, mode: str | None, *, formats: tuple[str, ...]) -
 
 
 @contextmanager
-def opened(file: io.BufferedIOBase, formats: tuple[str, ...]) -> Iterator[Image.Image]:
+def opened(file: io.BufferedReader | io.BytesIO, formats: tuple[str, ...]) -> Iterator[Image.Image]:
     """A picture with its header read; its pixels are decoded in the block.
 
     Raises:

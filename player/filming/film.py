@@ -22,6 +22,7 @@ from PIL import Image
 
 from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
+from avatar.picture import read_picture
 
 Frame = UInt8[np.ndarray, "height width 4"]
 # frames that may wait for the encoder before drawing waits for it
