@@ -104,7 +104,7 @@ def test_what_is_no_picture_of_ours_is_one_line_soon_and_starts_no_program(tmp_p
     ],
 )
 def test_a_webp_of_many_pixels_is_refused_by_its_header(data):
-    with pytest.raises(ValueError, match="at most 67108864 pixels, found 1638. x 1638."):
+    with pytest.raises(ValueError, match=r"at most 67108864 pixels, found 1638. x 1638."):
         decode_picture(data, "RGB", formats=WITH_WEBP)
 
 
@@ -112,7 +112,7 @@ def test_a_webp_of_many_pixels_is_refused_by_its_header(data):
 def test_no_file_a_folder_a_pipe_and_a_device_are_refused_at_once(tmp_path, place):
     os.mkfifo(tmp_path / "pipe.png")
     for read in (read_picture, picture_size):
-        with pytest.raises(AssetError, match="no such file|a folder|a device, pipe or socket"):
+        with pytest.raises(AssetError, match=r"no such file|a folder|a device, pipe or socket"):
             read(tmp_path / place)
 
 
