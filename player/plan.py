@@ -180,7 +180,10 @@ def resolve(
 
 
 def _smoothing(canvas: Canvas, effects: Effects) -> tuple[str, str]:
-    """The antialiasing that the device can do, and why it cannot where it was asked to."""
+    """The antialiasing that the device can do, and why it cannot where it was asked to. `auto` is MSAA on a GPU; on a
+    software rasteriser, where MSAA costs more than twice as much, FXAA."""
+    if effects.antialiasing == "auto":
+        return "fxaa" if canvas.software or canvas.max_samples < SAMPLES else "msaa", ""
     if effects.antialiasing == "msaa" and canvas.max_samples < SAMPLES:
         return "none", f"the device has {canvas.max_samples} samples a pixel, {SAMPLES} are needed"
     return effects.antialiasing, ""

@@ -62,7 +62,8 @@ def play_parser() -> argparse.ArgumentParser:
     parser.add_argument("--size", type=parse_size, metavar="WxH", help="of the window (default: 1280x800)")
     parser.add_argument("--view", choices=("auto", *VIEWS), help="view dependence: off is the paper")
     parser.add_argument("--skinning", choices=SKINNINGS, help="lbs (default), or dual quaternions, which keep volume")
-    parser.add_argument("--antialiasing", choices=ANTIALIASINGS, help="default: none")
+    parser.add_argument("--antialiasing", choices=ANTIALIASINGS,
+                        help="smooth outlines; auto (default): msaa on a GPU, fxaa in software")  # fmt: skip
     parser.add_argument("--background", type=parse_background, metavar="#rrggbb|FILE",
                         help="colour (default #2b2d33), a picture, film or panorama (.hdr)")  # fmt: skip
     parser.add_argument("--no-gui", action="store_true",

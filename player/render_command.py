@@ -77,10 +77,11 @@ def render_parser() -> argparse.ArgumentParser:
     add("--view", choices=("auto", *VIEWS),
         help="view dependence: off is the paper; auto (default) picks by avatar and device")  # fmt: skip
     add("--skinning", choices=SKINNINGS, help="lbs (default), or dual quaternions, which keep volume")
-    add("--antialiasing", choices=ANTIALIASINGS, help="default: none")
+    add("--antialiasing", choices=ANTIALIASINGS,
+        help="smooth outlines; auto (default): msaa on a GPU, fxaa on a software rasteriser")  # fmt: skip
     add("--quality", choices=("draft", "good", "best"), default="good",
-        help="draft: coarsest mesh, paper colours, small file; best: the avatar's own view model per pixel, MSAA, "
-        "large file; single options go before it (default: good)")  # fmt: skip
+        help="draft: coarsest mesh, paper colours, jagged edges, small file; best: the avatar's own view model per "
+        "pixel, MSAA, large file; single options go before it (default: good)")  # fmt: skip
     add("--level", type=frame_number, metavar="N", help="level of detail, 0 the finest")
     add("--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for")
     add_hands(parser)
@@ -206,14 +207,18 @@ def scene_of(options: argparse.Namespace) -> Scene:
 
 def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Effects:
     """What a quality means for the effects that are left open."""
-    if quality == "draft" and effects.view == "auto":
-        return replace(effects, view="off")
+    if quality == "draft":
+        view = "off" if effects.view == "auto" else effects.view
+        return replace(effects, view=view, antialiasing=_unless_given(effects.antialiasing, "none"))
     if quality == "best":
         views = {avatar.default_view for avatar in avatars}
         view = views.pop() if effects.view == "auto" and len(views) == 1 else effects.view
-        smooth = "msaa" if effects.antialiasing == "none" else effects.antialiasing
-        return replace(effects, view=view, antialiasing=smooth)
+        return replace(effects, view=view, antialiasing=_unless_given(effects.antialiasing, "msaa"))
     return effects
+
+
+def _unless_given(value: str, otherwise: str) -> str:
+    return otherwise if value == "auto" else value
 
 
 def filmed_at_once(shot: Shot, stage: Stage, context: Context | None, path: Path, options: argparse.Namespace) -> int:

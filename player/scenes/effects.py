@@ -11,7 +11,7 @@ from avatar.settings import Above, Color, OneOf, check
 
 VIEWS = ("off", "vertex", "linear", "network")
 SKINNINGS = ("lbs", "dual_quaternion")
-ANTIALIASINGS = ("none", "fxaa", "msaa")
+ANTIALIASINGS = ("auto", "none", "fxaa", "msaa")
 BACKGROUNDS = ("color", "image", "video", "hdr", "transparent")
 FITS = ("cover", "contain", "stretch")
 
@@ -35,8 +35,9 @@ class Effects:
     antialiasing: Annotated[
         str,
         OneOf(ANTIALIASINGS),
-        "fxaa filters the outlines in the finished picture; msaa takes 4 samples a pixel",
-    ] = "none"
+        "smooth outlines: fxaa filters them in the finished picture, msaa takes 4 samples a pixel; auto is msaa on a "
+        "GPU and fxaa on a software rasteriser",
+    ] = "auto"
 
     def __post_init__(self):
         check(self)
@@ -82,6 +83,9 @@ class Background:
         return self.kind == "transparent" or ((self.kind == "color" or bars) and self.color[3] < 1)
 
 
-PLAIN = Effects()
+# where a scene says nothing
+USUAL = Effects()
+# nothing beside the avatars: what is measured
+PLAIN = Effects(antialiasing="none")
 # where a scene says nothing
 STUDIO = Background("color", (43 / 255, 45 / 255, 51 / 255, 1.0))

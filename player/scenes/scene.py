@@ -9,7 +9,7 @@ from typing import Annotated
 from avatar.motion.hands import HANDS
 from avatar.motion.read import BUILTIN_MOTIONS
 from avatar.settings import Above, AtLeast, OneOf, Place, check
-from player.scenes.effects import PLAIN, STUDIO, Background, Effects
+from player.scenes.effects import STUDIO, USUAL, Background, Effects
 
 CAMERAS = ("front", "orbit", "turntable", "file", "path", "capture")
 MANNEQUINS = ("mannequin", "mannequin:female")
@@ -71,7 +71,7 @@ class Scene:
     avatars: Annotated[tuple[SceneAvatar, ...], "who is on stage, one [[avatar]] each"]
     cameras: Annotated[tuple[SceneCamera, ...], "where from, one [[camera]] each; none: front"] = (SceneCamera(),)
     background: Annotated[Background, "what is behind them"] = STUDIO
-    effects: Annotated[Effects, "how they are drawn"] = PLAIN
+    effects: Annotated[Effects, "how they are drawn"] = USUAL
     size: Annotated[
         tuple[int, int] | None,
         AtLeast(1),

@@ -172,7 +172,7 @@ def test_the_panorama_is_looked_up_along_each_ray(context, render, avatar, tmp_p
     (tmp_path / "sky.hdr").write_bytes(radiance_bytes(light))
     light = read_radiance(tmp_path / "sky.hdr")
     background = Background("hdr", path=str(tmp_path / "sky.hdr"), exposure=exposure, turn_deg=turn)
-    renderer = render(avatar, SIZE, effects=Effects("off"), background=background)
+    renderer = render(avatar, SIZE, effects=Effects("off", antialiasing="none"), background=background)
     away = (np.zeros((52, 3)), np.array([0.0, 0.0, 900.0]) @ CAMERAS[name].camera_from_world[:3, :3] * -1)
     image = renderer.draw([away], CAMERAS[name])
 
@@ -198,7 +198,7 @@ def test_the_front_camera_sees_the_middle_and_turning_is_as_for_avatars(context,
     (tmp_path / "bars.hdr").write_bytes(radiance_bytes(light))
     for turn, channel in ((0.0, 0), (90.0, 1)):
         background = Background("hdr", path=str(tmp_path / "bars.hdr"), turn_deg=turn)
-        renderer = render(avatar, SIZE, effects=Effects("off"), background=background)
+        renderer = render(avatar, SIZE, effects=Effects("off", antialiasing="none"), background=background)
         pose = np.zeros((52, 3)), np.array([0.0, 0.0, 9.0])
         middle = renderer.draw([pose], orbit_camera((0, 0, 0), 3.0, 0.0, 0.0, SIZE))[45, 60]
         assert middle[channel] > 200 and np.delete(middle[:3], channel).max() < 60
@@ -210,7 +210,7 @@ def test_a_wide_view_of_a_large_panorama_does_not_flicker_between_texels(context
     light[:, ::2] = 0.4
     (tmp_path / "stripes.hdr").write_bytes(radiance_bytes(light))
     background = Background("hdr", path=str(tmp_path / "stripes.hdr"))
-    renderer = render(avatar, (40, 30), effects=Effects("off"), background=background)
+    renderer = render(avatar, (40, 30), effects=Effects("off", antialiasing="none"), background=background)
     camera = orbit_camera((0, 0, 0), 3.0, 0.0, 0.0, (40, 30), 1.2)
     image = renderer.draw([(np.zeros((52, 3)), np.array([0.0, 0.0, 9.0]))], camera)
     assert np.abs(image[..., :3] - 255 * tone(np.array(0.2))).max() <= 2
@@ -235,7 +235,7 @@ def test_a_background_on_osmesa_is_that_of_egl(osmesa, avatar, tmp_path):
 def test_looking_straight_up_has_a_background(render, avatar, tmp_path):
     (tmp_path / "sky.hdr").write_bytes(radiance_bytes(sky(64)))
     background = Background("hdr", path=str(tmp_path / "sky.hdr"))
-    renderer = render(avatar, (9, 9), effects=Effects("off"), background=background)
+    renderer = render(avatar, (9, 9), effects=Effects("off", antialiasing="none"), background=background)
     camera = orbit_camera((0, 0, 0), 3.0, 0.0, 0.0, (9, 9))
     camera = type(camera)(camera.K, look_at((0, 5, 0), (0, 9, 0)), camera.size)
     image = renderer.draw([(np.zeros((52, 3)), np.zeros(3))], camera)

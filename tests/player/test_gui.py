@@ -138,17 +138,17 @@ def test_clicking_the_avatar_marks_the_joint(window):
 
 
 def test_effects_change_what_is_drawn_and_what_cannot_be_is_said(window, capsys):
-    plain = picture(window, run(window, "wait"))[60:]
+    smooth = picture(window, run(window, "wait"))[60:]
     run(window, "press:antialiasing wait")
     x, y = window.panels.places["antialiasing"]
-    smooth = picture(window, run(window, f"click:{x}:{y + 46} wait"))[60:]
-    assert window.effects.antialiasing == window.renderer.effects.antialiasing == "fxaa"
+    plain = picture(window, run(window, f"click:{x}:{y + 46} wait"))[60:]
+    assert window.effects.antialiasing == window.renderer.effects.antialiasing == "none"
     changed = (plain != smooth).any(-1)
     assert 20 < changed.sum() < 0.2 * (plain != plain[0, 0]).any(-1).sum()  # contours and edges of the paint
     before = window.renderer
     window.draw_otherwise(background=Background("image", path="absent.png"))
     assert "absent.png" in capsys.readouterr().out and window.renderer is before
-    assert np.array_equal(picture(window, run(window, "wait"))[60:], smooth)
+    assert np.array_equal(picture(window, run(window, "wait"))[60:], plain)
 
 
 def test_a_film_has_the_picture_without_panels(window, tmp_path):

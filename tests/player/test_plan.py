@@ -91,7 +91,7 @@ def test_an_effect_that_cannot_show_is_the_frame_that_never_asked(
     context, render, avatar, pose, backgrounds, antialiasing, kind
 ):
     asked = render(avatar, SIZE, effects=Effects("network", "lbs", antialiasing), background=backgrounds[kind])
-    plain = render(avatar, SIZE, effects=Effects("off"), background=backgrounds[kind])
+    plain = render(avatar, SIZE, effects=Effects("off", antialiasing="none"), background=backgrounds[kind])
     frames, calls = [], []
     for renderer in (asked, plain):
         renderer.draw([pose], AWAY)
@@ -109,13 +109,13 @@ def test_an_effect_that_cannot_show_is_the_frame_that_never_asked(
 def test_msaa_on_a_device_without_it_is_the_plan_without_it(avatar):
     canvas = plans.Canvas(SIZE, max_samples=1)
     asked = plans.resolve([avatar], canvas, Effects("off", antialiasing="msaa"))
-    plain = plans.resolve([avatar], canvas, Effects("off"))
+    plain = plans.resolve([avatar], canvas, Effects("off", antialiasing="none"))
     assert asked.resources == plain.resources and asked.variants == plain.variants
     assert asked.passes[-1].why == "the device has 1 samples a pixel, 4 are needed" and not asked.passes[-1].asked
 
 
 def test_a_panorama_is_evaluated_only_when_the_camera_turns(context, render, avatar, pose, backgrounds):
-    renderer = render(avatar, SIZE, effects=Effects("off"), background=backgrounds["hdr"])
+    renderer = render(avatar, SIZE, effects=Effects("off", antialiasing="none"), background=backgrounds["hdr"])
 
     def draws(camera):
         before = context.counts.calls["draw"]
@@ -129,7 +129,7 @@ def test_a_panorama_is_evaluated_only_when_the_camera_turns(context, render, ava
 
 
 def test_a_film_behind_is_uploaded_only_when_its_frame_changes(context, render, avatar, pose, backgrounds):
-    renderer = render(avatar, SIZE, effects=Effects("off"), background=backgrounds["video"])
+    renderer = render(avatar, SIZE, effects=Effects("off", antialiasing="none"), background=backgrounds["video"])
     sent = []
     for seconds in (0.0, 0.02, 0.034, 0.05, 9.0, 0.0):
         before = context.counts.uploaded
@@ -153,16 +153,16 @@ def test_another_size_compiles_nothing_and_is_as_if_made_so(context, render, ava
 
 
 def test_effects_and_background_change_in_place(context, render, avatar, pose, backgrounds):
-    renderer = render(replace(avatar, linear=None), SIZE, effects=Effects("off"))
+    renderer = render(replace(avatar, linear=None), SIZE, effects=Effects("off", antialiasing="none"))
     before = context.counts.objects()
     renderer.change(effects=EVERYTHING, background=backgrounds["image"])
     plan_is_what_lives(context, renderer)
     full = renderer.draw([pose], CAMERA)
     with pytest.raises(ValueError, match="view linear is not in avatar"):
-        renderer.change(effects=Effects("linear"), background=backgrounds["hdr"])
+        renderer.change(effects=Effects("linear", antialiasing="none"), background=backgrounds["hdr"])
     plan_is_what_lives(context, renderer)
     assert np.array_equal(renderer.draw([pose], CAMERA), full)
-    renderer.change(effects=Effects("off"), background=(0, 0, 0, 0))
+    renderer.change(effects=Effects("off", antialiasing="none"), background=(0, 0, 0, 0))
     assert context.counts.objects() == before
 
 
@@ -199,3 +199,16 @@ def test_a_window_of_changing_size_shows_the_same_picture(context, render, avata
         own = render(avatar, size, effects=wish, background=backgrounds["hdr"])
         assert np.abs(raw.astype(int) - own.draw([pose], CAMERA.resized(size))).max() <= 1
         own.release()
+
+
+def test_edges_are_smooth_unless_it_is_said_otherwise(avatar):
+    """auto: MSAA on a GPU; FXAA on a software rasteriser, and where samples are too few."""
+
+    def runs(effects, *, software, samples=4):
+        plan = plans.resolve([avatar], plans.Canvas(SIZE, software=software, max_samples=samples), effects)
+        return {item.name for item in plan.passes if item.asked and item.kind == "antialiasing"}
+
+    assert runs(Effects(), software=True) == {"antialiasing: fxaa"}
+    assert runs(Effects(), software=False) == {"antialiasing: msaa"}
+    assert runs(Effects(), software=False, samples=1) == {"antialiasing: fxaa"}
+    assert runs(PLAIN, software=False) == runs(Effects(antialiasing="none"), software=True) == set()

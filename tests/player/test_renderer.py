@@ -21,7 +21,7 @@ VIEWS = ["off", "vertex", "linear", "network"]
 
 
 def planned(avatar, view, software=True):
-    return resolve([avatar], Canvas(SIZE, software=software), Effects(view=view))
+    return resolve([avatar], Canvas(SIZE, software=software), Effects(view, antialiasing="none"))
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def posed_vertices(avatar, pose, posed=skin_points):
 )
 def test_the_picture_is_the_posed_surface_with_its_texture(context, render, avatar, pose, skinning, posed):
     fine = replace(avatar.levels[0], base_color=np.full((4, 4, 3), (200, 90, 30), np.uint8))
-    effects = Effects("off", skinning)
+    effects = Effects("off", skinning, "none")
     image = render([replace(avatar, levels=(fine,))], effects=effects).draw([pose], CAMERA)
     rasteriser = Rasteriser(context)
     vertices = posed_vertices(avatar, pose, posed)
@@ -79,7 +79,7 @@ def test_texture_rows_run_downwards(render, avatar, pose, context):
 @pytest.mark.parametrize("view", VIEWS)
 def test_both_skinnings_are_one_where_no_joint_bends(render, avatar, view):
     pose = np.array(BIG_POSE), np.array([0.0, 0.1, 0.0])
-    images = [render([avatar], effects=Effects(view, skinning)).draw([pose], CAMERA).astype(int)
+    images = [render([avatar], effects=Effects(view, skinning, "none")).draw([pose], CAMERA).astype(int)
               for skinning in ("lbs", "dual_quaternion")]  # fmt: skip
     away = np.abs(images[0] - images[1]).max(-1)
     assert (away > 1).sum() <= 3  # rounding at edges that pass a pixel centre

@@ -123,7 +123,7 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ('path = """mannequin:female"""\n', "", 11, r"avatar 2: \[\[avatar\]\] needs the key path: avatar file"),
     ('kind = "front"', 'kind = "file"', 19, r"camera 2: camera file needs a path"),
     ("fov_deg = 40", "fov_deg = 180", 21, r"camera 2\.fov_deg: fov_deg: expected less than 180, found 180"),
-    ("fxaa", "smaa", 28, r"effects\.antialiasing: expected one of none, fxaa, msaa, found 'smaa'"),
+    ("fxaa", "smaa", 28, r"effects\.antialiasing: expected one of auto, none, fxaa, msaa, found 'smaa'"),
 ]
 
 

@@ -119,9 +119,13 @@ def test_levels_and_qualities_choose_what_is_drawn(tiny, tmp_path):
     assert f"{triangles[0]} triangles" in str(fine) and f"{triangles[1]} triangles" in str(coarse)
     assert f"{triangles[1]} triangles" in str(draft)
     running = [{name for name, row in rows.items() if row["runs"]} for rows in (good, draft, best)]
-    assert running[0] == {"avatar: view vertex"} and running[1] == {"avatar: paper"}
+    assert running[0] == {"avatar: view vertex", "antialiasing: fxaa"} and running[1] == {"avatar: paper"}
     assert running[2] == {"avatar: view network", "antialiasing: msaa"}
     assert not passes("--quality", "best", "--antialiasing", "fxaa").keys() & {"antialiasing: msaa"}
+    assert not passes("--quality", "best", "--antialiasing", "none").keys() & {
+        "antialiasing: msaa",
+        "antialiasing: fxaa",
+    }
 
 
 def test_an_order_names_all_its_files_and_changes_with_each(tiny, tmp_path):

@@ -19,6 +19,7 @@ from player.framing import extent, facing, fitted_camera
 from player.motions import opened_motion, retargeted
 from player.play_command import play_main
 from player.renderer import Renderer
+from player.scenes.effects import USUAL
 from player.window.cameras import Cameras, Orbit, Walk
 from player.window.keys import ACTIONS, KEYS
 from player.window.script import NUMBERS, steps
@@ -98,7 +99,7 @@ def test_the_window_shows_the_frame_that_render_writes(avatar, avatar_path, tmp_
     frame = clip(0, 1)
     camera = fitted_camera(points, facing(frame.axis_angle[0], avatar.joint_positions), (160, 200))
     context = open_context()
-    renderer = Renderer(context, [avatar], (160, 200))
+    renderer = Renderer(context, [avatar], (160, 200), effects=USUAL)
     image = renderer.draw([(frame.axis_angle[0], frame.root[0])], camera)
     context.release()
     other = np.abs(image[:170, :, :3].astype(int) - shown[:170]).max(-1) > 1
