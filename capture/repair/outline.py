@@ -53,7 +53,9 @@ def placement(
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
         back = np.array([[c, -s], [s, c]])  # of (row, column): output to input
         middle = centre[::-1] / 2
-        turned = ndimage.affine_transform(half, back, offset=tuple(middle - back @ middle), order=0)  # pyright: ignore if degrees else half
+        turned = half
+        if degrees:
+            turned = np.asarray(ndimage.affine_transform(half, back, offset=tuple(middle - back @ middle), order=0))
         vote = signal.fftconvolve(turned, vote_of, mode="valid")
         dy, dx = h - np.arange(vote.shape[0])[:, None], w - np.arange(vote.shape[1])[None, :]
         tax = 0.02 * (4 * (dy**2 + dx**2) / near**2 + (degrees / 10) ** 2)

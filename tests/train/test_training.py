@@ -17,11 +17,12 @@ from train import run as run_folder
 from train.command import main
 from train.fused import FusedField
 from train.networks.triplane import TriPlaneNetworks
-from train.objective import losses, ray_tensors
+from train.objective import losses, ray_tensors, render_rays
 from train.parts import part_boxes
 from train.pose_correction import PoseCorrection
 from train.preset import DEMO
 from train.rays import part_rays
+from train.render import jittered
 from train.single import single_part
 from train.surface import extract_surface
 from train.template_grid import TemplateGrid, template_grid
@@ -186,17 +187,46 @@ def test_a_batch_without_person_or_without_background_has_finite_gradients(hand,
     assert all(torch.isfinite(p.grad).all() for p in field.parameters() if p.grad is not None)
 
 
-def test_displaced_knots_cover_every_end(hand):
-    """Linear interpolation between knots is exact for a linear displacement."""
+class Ramp(torch.nn.Module):
+    """A displacement that is known everywhere: half a millimetre times the unit point and the frame's number."""
+
+    def forward(self, unit, frame):
+        return 5e-4 * unit * (1 + frame[:, None])
+
+
+@pytest.mark.parametrize("every", [1, 3, 4, 16, 40])
+def test_the_displacement_of_an_end_lies_on_the_line_between_its_knots(hand, every):
+    """T_nr is evaluated at every n-th end of a ray; ends behind the last knot continue the last line."""
     build, rays = hand
     field = build()
-    moved = torch.tensor([0.001, -0.002, 0.003])
+    field.displacement = Ramp()
+    chosen, u = torch.arange(0, len(rays.ends), 7), torch.rand(-(-len(rays.ends) // 7))
+    drawn = render_rays(field, rays, chosen, u, 0.001, replace(TINY, displaced_every=every))
+    ends, frame = jittered(rays.ends[chosen], u), rays.frame[chosen]
+    batch, count, _ = ends.shape
+    knots = list(range(0, count, every))
+    exact = Ramp()(field.unit(ends.reshape(-1, 3)), frame.repeat_interleave(count)).view(batch, count, 3)
+    assert torch.equal(drawn.displacement, exact[:, knots].reshape(-1, 3))
+    for end in range(count):
+        before = min(end // every, max(len(knots) - 2, 0))
+        a, b = knots[before], knots[min(before + 1, len(knots) - 1)]
+        share = (end - a) / (b - a) if b > a else 0.0
+        expected = ends[:, end] + (1 - share) * exact[:, a] + share * exact[:, b]
+        torch.testing.assert_close(drawn.ends[:, end], expected, rtol=0, atol=1e-6)
+
+
+def test_the_mean_displacement_is_that_of_all_frames_codes(hand):
+    """`settle` stores it on a grid: exact at the grid's points, which lie at the corners of the unit box too."""
+    field = hand[0]()
     with torch.no_grad():
-        field.displacement.out.bias.copy_(torch.atanh(moved / field.displacement.reach))
+        field.displacement.out.weight.normal_(generator=torch.Generator().manual_seed(1))
+    axis = torch.linspace(-1, 1, field.displacement.mean_grid.shape[-1])
+    points = axis[torch.randint(len(axis), (64, 3), generator=torch.Generator().manual_seed(2))]
+    assert torch.equal(field.displacement.mean(points), torch.zeros(64, 3))  # before it is stored
     field.displacement.settle()
-    torch.testing.assert_close(
-        field.displacement.mean(torch.rand(9, 3) * 2 - 1), moved.expand(9, 3), rtol=1e-4, atol=1e-7
-    )
+    each = torch.stack([field.displacement(points, torch.full((64,), frame)) for frame in range(4)])
+    assert each.std(0).max() > 1e-5
+    torch.testing.assert_close(field.displacement.mean(points), each.mean(0), rtol=1e-4, atol=1e-7)
 
 
 def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
