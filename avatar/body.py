@@ -9,12 +9,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from avatar.errors import AssetError
-from avatar.npz import read_npz
+from avatar.npz import field, read_npz
 from avatar.skeleton import JOINTS, PARENTS
 from avatar.skinning import SkinWeights, strongest_four
 from avatar.unpickle import read_pickle
 
 Array = np.ndarray
+
+HANDS = ("hands_meanl", "hands_meanr", "hands_componentsl", "hands_componentsr")
+# what is read of a model; its pose correctives (`posedirs`, 74 MB) are not
+FIELDS = ("v_template", "f", "weights", "shapedirs", "kintree_table", "J", "J_regressor", "joint_dirs", "vt", "ft",
+          *HANDS)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -38,7 +43,6 @@ class Body:
     joint_directions: Float[Array, "52 3 shapes"]
     uv: Float[Array, "texcoords 2"] | None  # glTF convention, v down
     uv_faces: Int[Array, "faces 3"] | None
-    pose_directions: Float[Array, "vertices 3 459"] | None  # against R - I of joints 1-51, row-major
     licence: str
     # where the file puts the pelvis joint: added to AMASS trans
     origin: Float[Array, "3"]
@@ -80,45 +84,41 @@ def read_body(path: Path | str) -> Body:
     """
     path = Path(path)
     fields = _model_fields(path)
-    vertices = _field(path, fields, "v_template", (None, 3))
+    vertices = field(path, fields, "v_template", (None, 3))
     count = len(vertices)
-    faces = _field(path, fields, "f", (None, 3)).astype(np.int64)
+    faces = field(path, fields, "f", (None, 3)).astype(np.int64)
     if faces.min() < 0 or faces.max() >= count:
         raise AssetError(f"{path}: f should index {count} vertices, holds {int(faces.min())}..{int(faces.max())}")
-    weights = _field(path, fields, "weights", (count, 52))
+    weights = field(path, fields, "weights", (count, 52))
     try:
         skin = strongest_four(weights)
     except ValueError as error:
         raise AssetError(f"{path}: weights: {error}") from None
-    shapes = _field(path, fields, "shapedirs", (count, 3, None))
-    tree = _field(path, fields, "kintree_table", (2, 52)).astype(np.int64)
+    shapes = field(path, fields, "shapedirs", (count, 3, None))
+    tree = field(path, fields, "kintree_table", (2, 52)).astype(np.int64)
     if (tree[0, 1:] != PARENTS[1:]).any():
         joint = int(np.argmax(tree[0, 1:] != PARENTS[1:])) + 1
         raise AssetError(
             f"{path}: kintree_table should be SMPL+H's; the parent of {JOINTS[joint]} is {int(tree[0, joint])}, "
             f"expected {int(PARENTS[joint])}"
         )
-    regressor = _field(path, fields, "J_regressor", (52, count)) if "J_regressor" in fields else None
+    regressor = field(path, fields, "J_regressor", (52, count)) if "J_regressor" in fields else None
     if "J" in fields:
-        joints = _field(path, fields, "J", (52, 3))
+        joints = field(path, fields, "J", (52, 3))
     elif regressor is not None:
         joints = regressor @ vertices
     else:
         raise AssetError(f"{path}: neither J nor J_regressor; the file has {sorted(fields)}")
     if "joint_dirs" in fields:
-        joint_directions = _field(path, fields, "joint_dirs", (52, 3, shapes.shape[2]))
+        joint_directions = field(path, fields, "joint_dirs", (52, 3, shapes.shape[2]))
     elif regressor is not None:
         joint_directions = np.einsum("jv,vcs->jcs", regressor, shapes)
     else:
         joint_directions = np.zeros((52, 3, shapes.shape[2]))
     uv = uv_faces = None
     if "vt" in fields and "ft" in fields:
-        uv = _field(path, fields, "vt", (None, 2)) * [1, -1] + [0, 1]  # the file's v runs up
-        uv_faces = _field(path, fields, "ft", (len(faces), 3)).astype(np.int64)
-    pose = _field(path, fields, "posedirs", (count, 3, 459)) if "posedirs" in fields else None
-    if pose is not None and not pose.any():
-        # a body that has no pose correctives stores zeros to keep the format
-        pose = None
+        uv = field(path, fields, "vt", (None, 2)) * [1, -1] + [0, 1]  # the file's v runs up
+        uv_faces = field(path, fields, "ft", (len(faces), 3)).astype(np.int64)
     return Body(
         path.stem,
         vertices - joints[0],
@@ -129,7 +129,6 @@ def read_body(path: Path | str) -> Body:
         joint_directions,
         uv,
         uv_faces,
-        pose,
         "the licence of your own model file",
         joints[0],
         _hand_space(path, fields),
@@ -139,37 +138,22 @@ def read_body(path: Path | str) -> Body:
 def _model_fields(path: Path) -> dict[str, Array]:
     """The arrays of a model file by name."""
     if path.suffix.lower() != ".pkl":
-        return read_npz(path, "an SMPL+H model")
+        return _doubles(read_npz(path, "an SMPL+H model", (), FIELDS))
     content = read_pickle(path, "an SMPL+H model")
     if type(content) is not dict or not all(isinstance(name, str) for name in content):
         raise AssetError(f"{path}: expected an SMPL+H model, a dict of arrays, found a {type(content).__name__}")
-    return {name: value for name, value in content.items() if isinstance(value, Array)}
+    return _doubles({name: content[name] for name in FIELDS if isinstance(content.get(name), Array)})
+
+
+def _doubles(fields: dict[str, Array]) -> dict[str, Array]:
+    return {name: array.astype(np.float64) if array.dtype.kind in "iuf" else array for name, array in fields.items()}
 
 
 def _hand_space(path: Path, fields: dict[str, Array]) -> HandSpace | None:
-    names = ("hands_meanl", "hands_meanr", "hands_componentsl", "hands_componentsr")
-    if not any(name in fields for name in names):
+    if not any(name in fields for name in HANDS):
         return None
-    mean = np.stack([_field(path, fields, name, (45,)) for name in names[:2]])
-    left, right = (_field(path, fields, name, (None, 45)) for name in names[2:])
+    mean = np.stack([field(path, fields, name, (45,)) for name in HANDS[:2]])
+    left, right = (field(path, fields, name, (None, 45)) for name in HANDS[2:])
     if len(left) != len(right):
         raise AssetError(f"{path}: hands_componentsr should be {left.shape} as hands_componentsl, is {right.shape}")
     return HandSpace(mean, np.stack([left, right]))
-
-
-def _field(path: Path, fields: dict[str, Array], name: str, shape: tuple[int | None, ...]) -> Array:
-    if name not in fields:
-        raise AssetError(f"{path}: no {name}; the file has {sorted(fields)}")
-    array = fields[name]
-    if array.dtype.kind not in "fiu":
-        raise AssetError(f"{path}: {name} should be numbers, is {array.dtype}")
-    if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, array.shape)):
-        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-        raise AssetError(f"{path}: {name} should be {expected}, is {array.shape}")
-    # posedirs are 74 MB as they are
-    array = array.astype(np.float64) if name != "posedirs" else array
-    if not np.isfinite(array).all():
-        raise AssetError(
-            f"{path}: {name} is not finite, first at {tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])}"
-        )
-    return array

@@ -198,7 +198,7 @@ def read_cameras(path: Path | str) -> list[Camera]:
     Raises:
         AssetError: a field is absent, misshapen, not finite, or the focal length is not positive.
     """
-    fields = read_npz(path, "cameras", required=("K", "camera_from_world", "size"))
+    fields = read_npz(path, "cameras", ("K", "camera_from_world", "size"), ("distortion",))
     K, pose = fields["K"], fields["camera_from_world"]
     distortion = fields.get("distortion", np.zeros((len(K), 5)))
     if not len(K) == len(pose) == len(distortion) or len(K) == 0:

@@ -1,45 +1,186 @@
-"""Reading the arrays of .npz and .npy files that someone else may have written."""
+"""Arrays of .npz and .npy files that someone else may have written: the one reader of both.
+
+Only members that are asked for are unpacked, and what an array takes is known from its header, and agrees with the
+archive, before memory is spent on it. Pickled objects are never loaded from an .npz; those of an .npy are rebuilt by
+avatar/unpickle.py.
+"""
 
 import io
 import tokenize
+import warnings
+import weakref
 import zipfile
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from avatar.errors import AssetError
-from avatar.unpickle import MAX_BYTES, unpickled
+from avatar.input_file import MAX_BYTES, one_line, open_input, read_bytes
+from avatar.unpickle import unpickled
 
-UNREADABLE = (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, AttributeError,
-              NotImplementedError, RuntimeError, MemoryError, OverflowError)  # fmt: skip
-HEADER_ERRORS = (*UNREADABLE, SyntaxError, TypeError, tokenize.TokenError)  # what NumPy's header parser lets through
+Array = np.ndarray
+
+# an archive may be longer than memory: its members are read by name or by rows
+MAX_ARCHIVE_BYTES = 1 << 40
+# of an archive's list of members, and of one reading from it
+MAX_DIRECTORY_BYTES = 1 << 20
+MAX_HEADER_BYTES = 10_000
+CHUNK = 1 << 18
+KINDS = "biufSU"
+# what a damaged archive or header makes zipfile, zlib and NumPy's parser raise
+UNREADABLE = (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, AttributeError, IndexError,
+              NotImplementedError, RuntimeError, MemoryError, OverflowError, SyntaxError, TypeError,
+              tokenize.TokenError)  # fmt: skip
 
 
-def read_npz(path: Path | str, what: str, required: Collection[str] = ()) -> dict[str, np.ndarray]:
-    """All arrays of the file by name; pickled objects are never loaded.
+class _Bounded:
+    """A file that is read a little at a time: a zip may claim a directory of gigabytes."""
+
+    def __init__(self, file: io.BufferedReader):
+        self.file = file
+        self.seek, self.tell, self.close = file.seek, file.tell, file.close
+
+    def read(self, size: int = -1) -> bytes:
+        data = self.file.read(min(size, MAX_DIRECTORY_BYTES + 1) if size >= 0 else MAX_DIRECTORY_BYTES + 1)
+        if len(data) > MAX_DIRECTORY_BYTES:
+            raise zipfile.BadZipFile(f"a list of members of more than {MAX_DIRECTORY_BYTES} bytes")
+        return data
+
+    def seekable(self) -> bool:
+        return True
+
+
+class NpzFile:
+    """An .npz, opened; arrays come out of it by name."""
+
+    def __init__(self, path: Path | str, what: str):
+        self.path, self.what = Path(path), f"{what} (.npz)"
+        self.file = open_input(path, self.what, most=MAX_ARCHIVE_BYTES)
+        # a motion keeps its file open while it is played
+        weakref.finalize(self, self.file.close)
+        try:
+            with _readable(f"{path}: expected {self.what}, found"):
+                bounded: Any = _Bounded(self.file)
+                self.archive: Any = zipfile.ZipFile(bounded)
+        except AssetError:
+            self.close()
+            raise
+        self.names = frozenset(n.removesuffix(".npy") for n in self.archive.namelist() if n.endswith(".npy"))
+
+    def close(self) -> None:
+        self.file.close()
+
+    def __enter__(self) -> "NpzFile":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def member(self, name: str) -> "NpzMember":
+        """An array of the file, its header read.
+
+        Raises:
+            AssetError: absent, damaged, of objects, or of another size than its header says.
+        """
+        if name not in self.names:
+            raise AssetError(f"{self.path}: no {name}; the file has {_some(self.names)}")
+        return NpzMember(self, name)
+
+
+class NpzMember:
+    """One array of an .npz, read whole, or by rows: constant memory when the rows are asked for in order."""
+
+    def __init__(self, npz: NpzFile, name: str):
+        self.npz, self.name = npz, name
+        # an open member and the row it stands at
+        self.file: Any = None
+        self.next_row = 0
+        self.whole: Array | None = None
+        info = npz.archive.getinfo(f"{name}.npy")
+        with self._reading() as file:
+            # others may take any amount of memory to unpack
+            if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ValueError(f"compression method {info.compress_type}")
+            self.header = _npy_header(file)
+        self.shape, self.dtype = self.header.shape, self.header.dtype
+        if self.dtype.kind not in KINDS:
+            raise AssetError(
+                f"{npz.path}: {name} should hold numbers or text, holds {self.dtype} (pickles are not read)"
+            )
+        found = info.file_size - self.header.length
+        if self.header.bytes != found:
+            raise AssetError(
+                f"{npz.path}: {name} {self.shape} should take {self.header.bytes} bytes, the archive has {found}"
+            )
+        # numbers of a row
+        self.row = prod(self.shape[1:])
+
+    @contextmanager
+    def _reading(self) -> Iterator[io.BufferedIOBase]:
+        """The member from its start; what a damaged archive raises names file and field."""
+        with self._damage(), self.npz.archive.open(f"{self.name}.npy") as file:
+            yield file
+
+    def _damage(self):
+        return _readable(f"{self.npz.path}: {self.name} cannot be read, the file is damaged or cut short:")
+
+    def all(self, most: int = MAX_BYTES) -> Array:
+        """The whole array; refused above `most` bytes."""
+        if self.header.bytes > most:
+            raise AssetError(
+                f"{self.npz.path}: {self.name} {self.shape} should take at most {most} bytes, takes {self.header.bytes}"
+            )
+        with self._reading() as file:
+            _skip(file, self.header.length)
+            return _array(file, self.header)
+
+    def rows(self, start: int, stop: int) -> Float[Array, "rows columns"]:
+        """Rows start .. stop - 1 as float64, flattened to two dimensions."""
+        # rows of an array in Fortran order are spread over the file: it is held whole, and so has to be small
+        if self.header.by_columns and len(self.shape) > 1:
+            if self.whole is None:
+                self.whole = self.all()
+            return self.whole[start:stop].reshape(stop - start, self.row).astype(np.float64)
+        size = self.row * self.dtype.itemsize
+        with self._damage():
+            if self.file is None or start < self.next_row:
+                if self.file is not None:
+                    self.file.close()
+                self.file, self.next_row = self.npz.archive.open(f"{self.name}.npy"), 0
+                _skip(self.file, self.header.length)
+            _skip(self.file, (start - self.next_row) * size)
+            block = self.header._replace(shape=(stop - start, self.row), by_columns=False)
+            values = _array(self.file, block)
+        self.next_row = stop
+        return values.astype(np.float64)
+
+
+def read_npz(
+    path: Path | str, what: str, required: Collection[str], optional: Collection[str] = (), *, most: int = MAX_BYTES
+) -> dict[str, Array]:
+    """The arrays of these names, those that are `optional` where the file has them; nothing else is unpacked.
 
     `what` names the expected content in messages, for example "cameras".
 
     Raises:
-        AssetError: the file is absent, not an .npz, cut short, or lacks a required array.
+        AssetError: the file is absent, not an .npz, cut short, lacks a required array, or the arrays take more
+            than `most` bytes together.
     """
-    try:
-        # opened here, because np.load leaves the file open when the archive is broken
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
-            if not isinstance(data, np.lib.npyio.NpzFile):
-                raise AssetError(f"{path}: expected {what} (.npz), found a single array")
-            fields = {name: data[name] for name in data.files}
-    except FileNotFoundError:
-        raise AssetError(f"{path}: no such file; expected {what} (.npz)") from None
-    except UNREADABLE as error:
-        raise AssetError(f"{path}: expected {what} (.npz), found: {str(error) or type(error).__name__}") from None
-    absent = set(required) - fields.keys()
-    if absent:
-        raise AssetError(f"{path}: no {sorted(absent)}; the file has {sorted(fields)}")
-    return fields
+    with NpzFile(path, what) as npz:
+        absent = set(required) - npz.names
+        if absent:
+            raise AssetError(f"{path}: no {', '.join(sorted(absent))}; the file has {_some(npz.names)}")
+        members = [npz.member(name) for name in (*required, *optional) if name in npz.names]
+        total = sum(member.header.bytes for member in members)
+        if total > most:
+            raise AssetError(f"{path}: {what} should take at most {most} bytes, would take {total}")
+        return {member.name: member.all(most) for member in members}
 
 
 def read_npy(path: Path | str, what: str) -> Any:
@@ -52,34 +193,112 @@ def read_npy(path: Path | str, what: str) -> Any:
         AssetError: absent, damaged, of another length than its header says, or naming anything but data.
     """
     path = Path(path)
-    try:
-        if not path.is_file():
-            raise AssetError(f"{path}: no such file; expected {what} (.npy)")
-        if path.stat().st_size > MAX_BYTES:
-            raise AssetError(f"{path}: expected {what} of at most {MAX_BYTES} bytes")
-        data = path.read_bytes()
-    except OSError as error:
-        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
-    file = io.BytesIO(data)
-    try:
-        version = np.lib.format.read_magic(file)
-        if version not in ((1, 0), (2, 0)):
-            raise ValueError(f"format {version}")
-        one = version == (1, 0)
-        read_header = np.lib.format.read_array_header_1_0 if one else np.lib.format.read_array_header_2_0
-        shape, by_columns, dtype = read_header(file)
-    except HEADER_ERRORS as error:
-        raise AssetError(f"{path}: expected {what} (.npy), found: {str(error)[:120]}") from None
-    content = data[file.tell() :]
-    if dtype == np.dtype(object):
-        held = unpickled(content, path, what)
+    file = io.BytesIO(read_bytes(path, f"{what} (.npy)"))
+    with _readable(f"{path}: expected {what} (.npy), found"):
+        header = _npy_header(file)
+    if header.dtype == np.dtype(object):
+        held = unpickled(file.read(), path, what)
         return held if isinstance(held, list) else [held]
-    if dtype.kind not in "biufSU":
-        raise AssetError(f"{path}: expected {what}, numbers or text, found {dtype}")
-    size = dtype.itemsize
-    for n in shape:
-        size *= int(n)
-    if size != len(content) or min(shape, default=0) < 0:
-        raise AssetError(f"{path}: {what} {shape} should take {size} bytes, the file has {len(content)}")
-    array = np.frombuffer(content, dtype).reshape(shape, order="F" if by_columns else "C")
-    return array.astype(dtype.newbyteorder("="))
+    if header.dtype.kind not in KINDS:
+        raise AssetError(f"{path}: expected {what}, numbers or text, found {header.dtype}")
+    found = len(file.getbuffer()) - header.length
+    if header.bytes != found:
+        raise AssetError(f"{path}: {what} {header.shape} should take {header.bytes} bytes, the file has {found}")
+    with _readable(f"{path}: expected {what} (.npy), found"):
+        return _array(file, header)
+
+
+def field(path: Path | str, fields: dict[str, Array], name: str, shape: tuple[int | None, ...]) -> Array:
+    """An array of numbers or truth values of this shape (None: any length), all finite.
+
+    Raises:
+        AssetError: it is not; the message names file and field.
+    """
+    if name not in fields:
+        raise AssetError(f"{path}: no {name}; the file has {_some(fields)}")
+    array = fields[name]
+    if array.dtype.kind not in "biuf":
+        raise AssetError(f"{path}: {name} should be numbers, is {array.dtype}")
+    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
+        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        raise AssetError(f"{path}: {name} should be {expected}, is {array.shape}")
+    if not np.isfinite(array).all():
+        first = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise AssetError(f"{path}: {name} is not finite, first at {first}")
+    return array
+
+
+class _Header(NamedTuple):
+    """What stands before the numbers of an .npy."""
+
+    shape: tuple[int, ...]
+    by_columns: bool
+    dtype: np.dtype
+    # of the header itself
+    length: int
+
+    @property
+    def bytes(self) -> int:
+        """What the array takes; the shape's numbers may be of any size."""
+        return prod(self.shape) * self.dtype.itemsize
+
+
+def _npy_header(file: io.BufferedIOBase) -> _Header:
+    """The header of an .npy. Raises one of UNREADABLE; nothing large is read."""
+    version = np.lib.format.read_magic(file)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"a header of .npy format {version}, expected 1.0 or 2.0")
+    counted = file.read(2 if version == (1, 0) else 4)
+    size = int.from_bytes(counted, "little")
+    if size > MAX_HEADER_BYTES:
+        raise ValueError(f"an .npy header of {size} bytes")
+    text = io.BytesIO(counted + file.read(size))
+    # of headers written by Python 2, which are understood
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, by_columns, dtype = read(text)
+    if min(shape, default=0) < 0:
+        raise ValueError(f"the shape {one_line(shape)}")
+    if dtype.itemsize == 0:
+        raise ValueError("an array of empty items")
+    return _Header(shape, by_columns, dtype, 8 + len(counted) + size)
+
+
+def _array(file: io.BufferedIOBase, header: _Header) -> Array:
+    """The numbers that a header announces, in this machine's byte order."""
+    data = np.empty(header.bytes, np.uint8)
+    at = 0
+    while at < len(data):
+        part = file.read(min(CHUNK, len(data) - at))
+        if not part:
+            raise EOFError(f"{len(data) - at} bytes are missing")
+        data[at : at + len(part)] = np.frombuffer(part, np.uint8)
+        at += len(part)
+    array = data.view(header.dtype).reshape(header.shape, order="F" if header.by_columns else "C")
+    return array.astype(header.dtype.newbyteorder("="), copy=False)
+
+
+def _skip(file: io.BufferedIOBase, size: int) -> None:
+    while size:
+        part = file.read(min(size, CHUNK))
+        if not part:
+            raise EOFError(f"{size} bytes are missing")
+        size -= len(part)
+
+
+@contextmanager
+def _readable(message: str) -> Iterator[None]:
+    """Whatever a damaged file raises in the block becomes one line that begins with `message`."""
+    try:
+        yield
+    except AssetError:
+        raise
+    except UNREADABLE as error:
+        raise AssetError(f"{message}: {one_line(error)}".replace("::", ":")) from None
+
+
+def _some(names: Collection[str]) -> str:
+    """Names of fields, so many as fit a line."""
+    listed = ", ".join(sorted(name[:40] for name in names)[:20]) or "no arrays"
+    return f"{listed} ..." if len(names) > 20 else listed

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Integer
 
 from avatar.errors import AssetError
+from avatar.npz import read_npz
 
 
 class Unwrapped(NamedTuple):
@@ -75,15 +76,15 @@ def unwrap(
         if done.returncode:
             last = (done.stderr.strip().splitlines() or ["no message"])[-1]
             raise AssetError(f"atlas: the unwrapper failed with status {done.returncode}: {last}")
-        with np.load(found) as data:
-            result = Unwrapped(
-                data["source"],
-                data["uv"].astype(np.float64),
-                data["faces"],
-                data["part"],
-                int(data["charts"]),
-                float(data["utilisation"]),
-            )
+        data = read_npz(found, "unwrapped triangles", ("source", "uv", "faces", "part", "charts", "utilisation"))
+    result = Unwrapped(
+        data["source"],
+        data["uv"].astype(np.float64),
+        data["faces"],
+        data["part"],
+        int(data["charts"]),
+        float(data["utilisation"]),
+    )
     if len(result.faces) != len(faces):
         raise AssetError(f"atlas: {len(faces)} triangles went in and {len(result.faces)} came out")
     return result
@@ -170,15 +171,10 @@ def adopt_orphans(atlas: Any, number: int, mapping: np.ndarray, indices: np.ndar
 
 if __name__ == "__main__":
     resource.setrlimit(resource.RLIMIT_CPU, (int(sys.argv[3]), int(sys.argv[3]) + 5))
-    with np.load(sys.argv[1]) as given_data:
-        packed = pack(
-            given_data["vertices"],
-            given_data["faces"],
-            given_data["part"],
-            given_data["density"],
-            int(given_data["size"]),
-            int(given_data["padding"]),
-        )
+    mesh = read_npz(sys.argv[1], "triangles", ("vertices", "faces", "part", "density", "size", "padding"))
+    packed = pack(
+        mesh["vertices"], mesh["faces"], mesh["part"], mesh["density"], int(mesh["size"]), int(mesh["padding"])
+    )
     np.savez(
         sys.argv[2],
         source=packed.source,

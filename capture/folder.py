@@ -1,7 +1,6 @@
 """The capture folder: four part videos with masks, cameras and poses, and the subject's registered template."""
 
 import json
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,12 +10,14 @@ from jaxtyping import Bool, Float, Int, UInt8
 from avatar.camera import Camera, project, read_cameras
 from avatar.errors import AssetError
 from avatar.files import whole_file
+from avatar.npz import field, read_npz
 from avatar.picture import read_picture
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 
 Array = np.ndarray
 
+SUBJECT = ("v_template", "faces", "joints", "skin_joints", "skin_weights", "part", "hair")
 # metres: from an infant to the tallest man measured
 HEIGHT = (0.4, 2.7)
 # metres between camera and person; beyond it the unit is in doubt
@@ -92,8 +93,8 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
     Raises:
         AssetError: a field is absent, misshapen or not finite; file and field are named.
     """
-    fields = _read_npz(path)
-    rest = _field(path, fields, "v_template", (None, 3)).astype(np.float64)
+    fields = read_npz(path, "a subject", SUBJECT)
+    rest = field(path, fields, "v_template", (None, 3)).astype(np.float64)
     count = len(rest)
     height = float(np.ptp(rest[:, 1])) if count else 0.0
     if not HEIGHT[0] <= height <= HEIGHT[1]:
@@ -101,10 +102,10 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
             f"{path}: v_template should be a standing person in metres, {HEIGHT[0]} to {HEIGHT[1]} m along y; "
             f"is {height:.4g}{_other_unit(height)}"
         )
-    faces = _field(path, fields, "faces", (None, 3)).astype(np.int64)
+    faces = field(path, fields, "faces", (None, 3)).astype(np.int64)
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= count:
         raise AssetError(f"{path}: faces should index {count} vertices")
-    joints = _field(path, fields, "joints", (52, 3)).astype(np.float64)
+    joints = field(path, fields, "joints", (52, 3)).astype(np.float64)
     astray = np.flatnonzero((joints < rest.min(0) - 0.1).any(1) | (joints > rest.max(0) + 0.1).any(1))
     if len(astray):
         row = int(astray[0])
@@ -112,19 +113,19 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
             f"{path}: joints should lie in the template, in metres; joint {row} is at "
             f"{np.round(joints[row], 2).tolist()}"
         )
-    bones = _field(path, fields, "skin_joints", (count, 4)).astype(np.int64)
-    weights = _field(path, fields, "skin_weights", (count, 4)).astype(np.float32)
+    bones = field(path, fields, "skin_joints", (count, 4)).astype(np.int64)
+    weights = field(path, fields, "skin_weights", (count, 4)).astype(np.float32)
     if bones.min() < 0 or bones.max() > 51:
         raise AssetError(f"{path}: skin_joints should be 0..51, holds {int(bones.min())}..{int(bones.max())}")
     total = weights.sum(1)
     if weights.min() < 0 or np.abs(total - 1).max() > 1e-3:
         row = int(np.abs(total - 1).argmax())
         raise AssetError(f"{path}: skin_weights should be positive and sum to 1; row {row} sums to {total[row]:.4f}")
-    part = _field(path, fields, "part", (count,)).astype(np.int64)
+    part = field(path, fields, "part", (count,)).astype(np.int64)
     absent = [PARTS[i] for i in range(4) if not (part == i).any()]
     if absent or part.max() > 3:
         raise AssetError(f"{path}: part should hold each of 0..3, lacks {absent}, largest {int(part.max())}")
-    hair = _field(path, fields, "hair", (count,)).astype(bool)
+    hair = field(path, fields, "hair", (count,)).astype(bool)
     skin = SkinWeights(bones, weights)
     canonical = skin_points(rest, skin, skin_transforms(BIG_POSE, joints, rest=np.zeros((52, 3))))
     return CaptureSubject(name, rest, canonical, faces, skin, joints, part, hair)
@@ -174,7 +175,7 @@ def _read_video(path: Path, part: str, vertex_count: int) -> PartVideo:
 
 
 def _read_poses(path: Path, frames: int) -> tuple[Float[Array, "frames 52 3"], Float[Array, "frames 3"]]:
-    fields = _read_npz(path)
+    fields = read_npz(path, "poses", ("poses", "trans"))
     for name, columns in (("poses", 156), ("trans", 3)):
         if name in fields and fields[name].ndim == 2 and len(fields[name]) != frames:
             raise AssetError(
@@ -185,8 +186,8 @@ def _read_poses(path: Path, frames: int) -> tuple[Float[Array, "frames 52 3"], F
             if len(bad):
                 joint = f", joint {bad[0][1] // 3}" if name == "poses" else ""
                 raise AssetError(f"{path}: {name} should be finite, is not in frame {bad[0][0]}{joint}")
-    poses = _field(path, fields, "poses", (frames, 156)).astype(np.float64)
-    return poses.reshape(frames, 52, 3), _field(path, fields, "trans", (frames, 3)).astype(np.float64)
+    poses = field(path, fields, "poses", (frames, 156)).astype(np.float64)
+    return poses.reshape(frames, 52, 3), field(path, fields, "trans", (frames, 3)).astype(np.float64)
 
 
 def _check_distance(path: Path, video: PartVideo) -> None:
@@ -268,26 +269,3 @@ def _read_json(path: Path) -> dict:
     if not isinstance(content, dict):
         raise AssetError(f"{path}: expected a JSON object, found {type(content).__name__}")
     return content
-
-
-def _read_npz(path: Path) -> dict[str, Array]:
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return {name: data[name] for name in data.files}
-    except FileNotFoundError:
-        raise AssetError(f"{path}: no such file") from None
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise AssetError(f"{path}: expected arrays (.npz), found: {error}") from None
-
-
-def _field(path: Path, fields: dict[str, Array], name: str, shape: tuple[int | None, ...]) -> Array:
-    if name not in fields:
-        raise AssetError(f"{path}: no {name}; the file has {sorted(fields)}")
-    array = fields[name]
-    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape)):
-        expected = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-        raise AssetError(f"{path}: {name} should be {expected}, is {array.shape}")
-    if array.dtype.kind == "f" and not np.isfinite(array).all():
-        first = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise AssetError(f"{path}: {name} is not finite, first at {first}")
-    return array

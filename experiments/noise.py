@@ -73,7 +73,7 @@ def noisy_capture(capture: Path, out: Path, noise: Noise, seed: int) -> None:
 
 
 def _disturb(path: Path, degrees: float, rng: np.random.Generator) -> None:
-    fields = read_npz(path, "poses", ("poses",))
+    fields = read_npz(path, "poses", ("poses",), ("trans", "betas", "gender", "mocap_framerate", "up_axis"))
     given = fields["poses"].reshape(-1, 52, 3)
     noise = np.radians(degrees) * rng.standard_normal(given.shape)
     noisy = matrix_from_axis_angle(given) @ matrix_from_axis_angle(noise)

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 
 from avatar.errors import AssetError
+from avatar.npz import field as field_of
+from avatar.npz import read_npz
 from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject, read_subject
@@ -114,35 +116,28 @@ def write_surface(path: Path, surface: Surface, per_part: list[ViewStatistics]) 
         )
 
 
+SURFACE = {
+    "vertices": (3,), "faces": (3,), "normals": (3,), "part": (), "skin_joints": (4,), "skin_weights": (4,),
+    "view_count": (), "view_mean": (3,), "view_covariance": (6,),
+}  # fmt: skip
+
+
 def read_surface(path: Path) -> Surface:
     """Read surface.npz.
 
     Raises:
         AssetError: a field is absent or misshapen.
     """
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            fields = {name: data[name] for name in data.files}
-    except (OSError, ValueError, EOFError) as error:
-        raise AssetError(f"{path}: expected a surface (.npz), found: {error}") from None
-    count = len(fields.get("vertices", ()))
-    shapes = {
-        "vertices": (count, 3),
-        "normals": (count, 3),
-        "part": (count,),
-        "skin_joints": (count, 4),
-        "skin_weights": (count, 4),
-        "view_count": (count,),
-        "view_mean": (count, 3),
-        "view_covariance": (count, 6),
-    }
-    for name, shape in shapes.items():
-        if name not in fields or fields[name].shape != shape:
-            found = fields[name].shape if name in fields else "nothing"
-            raise AssetError(f"{path}: {name} should be {shape}, is {found}")
-    if "faces" not in fields or fields["faces"].ndim != 2 or fields["faces"].max(initial=0) >= max(count, 1):
+    fields = read_npz(path, "a surface", SURFACE)
+    count = len(field_of(path, fields, "vertices", (None, 3)))
+    for name, columns in SURFACE.items():
+        field_of(path, fields, name, (None if name == "faces" else count, *columns))
+    if fields["faces"].min(initial=0) < 0 or fields["faces"].max(initial=0) >= max(count, 1):
         raise AssetError(f"{path}: faces should index {count} vertices")
-    skin = SkinWeights(fields["skin_joints"].astype(np.int64), fields["skin_weights"])
+    bones = fields["skin_joints"].astype(np.int64)
+    if bones.min(initial=0) < 0 or bones.max(initial=0) > 51:
+        raise AssetError(f"{path}: skin_joints should be 0..51, holds {int(bones.min())}..{int(bones.max())}")
+    skin = SkinWeights(bones, fields["skin_weights"])
     return Surface(
         fields["vertices"].astype(np.float64), fields["faces"].astype(np.int64), fields["normals"].astype(np.float64),
         fields["part"].astype(np.int64), skin, fields["view_count"], fields["view_mean"], fields["view_covariance"],

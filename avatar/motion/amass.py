@@ -11,14 +11,9 @@ USUAL_PELVIS, and the notes say so. Betas are not used without a body: they mean
 Arrays are never unpickled and are read row by row out of the archive, deflated or not.
 """
 
-import tokenize
-import warnings
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -26,10 +21,11 @@ from jaxtyping import Float
 from avatar.body import Body
 from avatar.errors import AssetError
 from avatar.files import whole_file
-from avatar.motion.clip import Clip, Motion
-from avatar.motion.file_body import USUAL_PELVIS, given_pelvis, usual_pelvis
+from avatar.motion.clip import Clip, Motion, checked_pelvis_height, checked_rate
+from avatar.motion.file_body import LARGEST_BETA, USUAL_PELVIS, given_pelvis, usual_pelvis
 from avatar.motion.pose_vector import (
     FULL_HANDS,
+    LARGEST,
     REFUSED_COLUMNS,
     Layout,
     check_numbers,
@@ -37,6 +33,7 @@ from avatar.motion.pose_vector import (
     pose_layout,
     readable,
 )
+from avatar.npz import NpzFile, NpzMember
 from avatar.rotation import (
     axis_angle_from_quaternion,
     quaternion_from_axis_angle,
@@ -50,121 +47,10 @@ RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "framerate", "fps")
 # quaternion, a quarter turn about -x
 Y_FROM_Z = np.array([-np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
 
-ZIP_ERRORS = (
-    OSError,
-    EOFError,
-    zipfile.BadZipFile,
-    zlib.error,
-    RuntimeError,
-    NotImplementedError,
-    ValueError,
-)
-HEADER_ERRORS = (
-    SyntaxError,
-    TypeError,
-    KeyError,
-    tokenize.TokenError,
-)  # what NumPy's header parser lets through
-
-
-class NpyRows:
-    """One array of an .npz, read by rows: constant memory when the rows are asked for in order."""
-
-    def __init__(self, path: Path, archive: zipfile.ZipFile, name: str):
-        self.path, self.name, self.archive = path, name, archive
-        # an open member; its type differs between Python versions
-        self.file: Any = None
-        self.next_row = 0
-        self.whole: Any = None
-        with self._refusing(), archive.open(f"{name}.npy") as file:
-            version = np.lib.format.read_magic(file)
-            if version not in ((1, 0), (2, 0)):
-                raise AssetError(f"{path}: {name} is in .npy format {version}, expected 1.0 or 2.0")
-            one = version == (1, 0)
-            read_header = np.lib.format.read_array_header_1_0 if one else np.lib.format.read_array_header_2_0
-            # of headers written by Python 2, which are understood
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)
-                self.shape, self.by_columns, self.dtype = read_header(file)
-            self.header = file.tell()
-        if self.dtype.kind not in "fiuSU":
-            raise AssetError(f"{path}: {name} should hold numbers or text, holds {self.dtype} (pickles are not read)")
-        self.row = int(np.prod(self.shape[1:], dtype=object)) if self.shape else 1  # object: no overflow
-        expected = self.row * self.dtype.itemsize * (self.shape[0] if self.shape else 1)
-        found = archive.getinfo(f"{name}.npy").file_size - self.header
-        if expected != found or min(self.shape, default=0) < 0:
-            raise AssetError(f"{path}: {name} {self.shape} should take {expected} bytes, the archive has {found}")
-
-    def _refusing(self):
-        return _Refusing(self.path, self.name)
-
-    def all(self, most: int = 1 << 30) -> Array:
-        """The whole array; refused above `most` bytes."""
-        size = self.row * self.dtype.itemsize * (self.shape[0] if self.shape else 1)
-        if size > most:
-            raise AssetError(f"{self.path}: {self.name} {self.shape} is larger than expected, {size} bytes")
-        with self._refusing(), self.archive.open(f"{self.name}.npy") as file:
-            file.read(self.header)
-            data = _exactly(file, size)
-        return np.frombuffer(data, self.dtype).reshape(self.shape, order="F" if self.by_columns else "C")
-
-    def rows(self, start: int, stop: int) -> Float[Array, "rows columns"]:
-        """Rows start .. stop - 1 as float64, flattened to two dimensions."""
-        # rows are spread over the file: no way round holding it
-        if self.by_columns and len(self.shape) > 1:
-            if self.whole is None:
-                self.whole = self.all()
-            return self.whole[start:stop].reshape(stop - start, self.row).astype(np.float64)
-        size = self.row * self.dtype.itemsize
-        with self._refusing():
-            if self.file is None or start < self.next_row:
-                if self.file is not None:
-                    self.file.close()
-                self.file, self.next_row = self.archive.open(f"{self.name}.npy"), 0
-                _skip(self.file, self.header)
-            _skip(self.file, (start - self.next_row) * size)
-            data = _exactly(self.file, (stop - start) * size)
-        self.next_row = stop
-        return np.frombuffer(data, self.dtype).reshape(stop - start, self.row).astype(np.float64)
-
-
-class _Refusing:
-    """Turns what a damaged archive raises into one AssetError that names file and field."""
-
-    def __init__(self, path: Path, name: str):
-        self.path, self.name = path, name
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, ZIP_ERRORS + HEADER_ERRORS):
-            message = f"{self.path}: {self.name} cannot be read, the file is damaged or cut short: {error}"
-            raise AssetError(message) from None
-
-
-def _exactly(file: Any, size: int) -> bytes:
-    parts, left = [], size
-    while left:
-        part = file.read(min(left, 1 << 20))
-        if not part:
-            raise EOFError(f"{left} bytes are missing")
-        parts.append(part)
-        left -= len(part)
-    return b"".join(parts)
-
-
-def _skip(file: Any, size: int) -> None:
-    while size:
-        part = file.read(min(size, 1 << 20))
-        if not part:
-            raise EOFError(f"{size} bytes are missing")
-        size -= len(part)
-
 
 @dataclass(frozen=True)
 class _Part:
-    rows: NpyRows
+    rows: NpzMember
     joints: slice  # of the 52
     # of whole pose vectors; None: three numbers a joint
     layout: Layout | None = None
@@ -181,16 +67,10 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
             things, a rate that is not positive. A number that is not finite is found when its frame is read.
     """
     path = Path(path)
-    try:
-        archive = zipfile.ZipFile(path)
-    except FileNotFoundError:
-        raise AssetError(f"{path}: no such file") from None
-    except ZIP_ERRORS as error:
-        raise AssetError(f"{path}: expected an .npz archive, found: {error}") from None
-    names = {name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")}
+    npz = NpzFile(path, "a pose file")
     notes: list[str] = []
 
-    parts, frames = _pose_parts(path, archive, names, body, notes)
+    parts, frames = _pose_parts(npz, body, notes)
     if frames == 0:
         raise AssetError(f"{path}: {parts[0].rows.name} has 0 frames, expected at least 1")
     for part in parts:
@@ -199,15 +79,15 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
                 f"{path}: {part.rows.name} has {part.rows.shape[0]} frames, {parts[0].rows.name} has {frames}"
             )
     trans = None
-    if "trans" in names:
-        trans = NpyRows(path, archive, "trans")
+    if "trans" in npz.names:
+        trans = npz.member("trans")
         if trans.shape != (frames, 3):
             raise AssetError(f"{path}: trans should be ({frames}, 3), is {trans.shape}")
     else:
         notes.append("no trans: the pelvis stays in place")
-    rate = _rate(path, archive, names, notes)
-    turn = _up_axis(path, archive, names, notes) == "z"
-    pelvis, height = _pelvis(path, archive, names, body, turn, notes)
+    rate = _rate(npz, notes)
+    turn = _up_axis(npz, notes) == "z"
+    pelvis, height = _pelvis(npz, body, turn, notes)
 
     def block(start: int, stop: int) -> tuple[Array, Array]:
         pose = np.zeros((stop - start, 52, 3))
@@ -238,53 +118,49 @@ def _turned(axis_angle: Float[Array, "frames 3"], turn: Float[Array, "4"]) -> Fl
     return axis_angle_from_quaternion(quaternion_product(np.broadcast_to(turn, q.shape), q))
 
 
-def _pose_parts(
-    path: Path, archive: zipfile.ZipFile, names: set[str], body: Body | None, notes: list[str]
-) -> tuple[list[_Part], int]:
-    if "poses" in names:
-        poses = NpyRows(path, archive, "poses")
+def _pose_parts(npz: NpzFile, body: Body | None, notes: list[str]) -> tuple[list[_Part], int]:
+    if "poses" in npz.names:
+        poses = npz.member("poses")
         if len(poses.shape) < 2 or poses.dtype.kind not in "fiu":
-            raise AssetError(f"{path}: poses should be (frames, 156), is {poses.shape} of {poses.dtype}")
+            raise AssetError(f"{npz.path}: poses should be (frames, 156), is {poses.shape} of {poses.dtype}")
         layout = pose_layout(poses.row)
         if layout and readable(layout, body):
             notes.append(layout.note)
             return [_Part(poses, slice(0, 52), layout)], poses.shape[0]
-        if not {"root_orient", "pose_body"} <= names:
+        if not {"root_orient", "pose_body"} <= npz.names:
             why = REFUSED_COLUMNS.get(poses.row, "no known layout")
-            raise AssetError(f"{path}: poses should have 156, 165, 66 or 72 columns, has {poses.row}: {why}")
-    if not {"root_orient", "pose_body"} <= names:
-        hint = " (a shape file?)" if "betas" in names else ""
+            raise AssetError(f"{npz.path}: poses should have 156, 165, 66 or 72 columns, has {poses.row}: {why}")
+    if not {"root_orient", "pose_body"} <= npz.names:
+        hint = " (a shape file?)" if "betas" in npz.names else ""
         raise AssetError(
-            f"{path}: no poses{hint}; expected `poses`, or `root_orient` and `pose_body`; has {sorted(names)}"
+            f"{npz.path}: no poses{hint}; expected `poses`, or `root_orient` and `pose_body`; "
+            f"has {sorted(npz.names)[:20]}"
         )
     parts = []
     for name, first, joints in (("root_orient", 0, 1), ("pose_body", 1, 21), ("pose_hand", 22, 30)):
-        if name not in names:
+        if name not in npz.names:
             notes.append("hands: none in the file, flat")
             continue
-        rows = NpyRows(path, archive, name)
+        rows = npz.member(name)
         if len(rows.shape) < 2 or rows.row != 3 * joints or rows.dtype.kind not in "fiu":
-            raise AssetError(f"{path}: {name} should be (frames, {3 * joints}), is {rows.shape} of {rows.dtype}")
+            raise AssetError(f"{npz.path}: {name} should be (frames, {3 * joints}), is {rows.shape} of {rows.dtype}")
         parts.append(_Part(rows, slice(first, first + joints)))
-    if "pose_hand" in names:
+    if "pose_hand" in npz.names:
         notes.append(FULL_HANDS)
     return parts, parts[0].rows.shape[0]
 
 
-def _small(path: Path, archive: zipfile.ZipFile, name: str) -> Array:
-    return NpyRows(path, archive, name).all(most=1 << 20)
+def _small(npz: NpzFile, name: str) -> Array:
+    return npz.member(name).all(most=1 << 20)
 
 
-def _rate(path: Path, archive: zipfile.ZipFile, names: set[str], notes: list[str]) -> float:
+def _rate(npz: NpzFile, notes: list[str]) -> float:
     for key in RATE_KEYS:
-        if key in names:
-            value = _small(path, archive, key)
+        if key in npz.names:
+            value = _small(npz, key)
             if value.size != 1 or value.dtype.kind not in "fiu":
-                raise AssetError(f"{path}: {key} should be one number, is {value.shape} of {value.dtype}")
-            rate = float(value.reshape(()))
-            if not (np.isfinite(rate) and rate > 0):
-                raise AssetError(f"{path}: {key} should be positive frames per second, is {rate}")
-            return rate
+                raise AssetError(f"{npz.path}: {key} should be one number, is {value.shape} of {value.dtype}")
+            return checked_rate(f"{npz.path}: {key}", float(value.reshape(())))
     notes.append(f"no frame rate ({', '.join(RATE_KEYS)}): 30 frames per second assumed")
     return 30.0
 
@@ -294,33 +170,31 @@ def _text(value: Array) -> str:
     return item.decode("ascii", "replace") if isinstance(item, bytes) else str(item)
 
 
-def _up_axis(path: Path, archive: zipfile.ZipFile, names: set[str], notes: list[str]) -> str:
-    if "up_axis" not in names:
+def _up_axis(npz: NpzFile, notes: list[str]) -> str:
+    if "up_axis" not in npz.names:
         notes.append("up: z, as AMASS files have it; turned to y")
         return "z"
-    axis = _text(_small(path, archive, "up_axis"))
+    axis = _text(_small(npz, "up_axis"))
     if axis not in ("y", "z"):
-        raise AssetError(f"{path}: up_axis should be 'y' or 'z', is {axis!r}")
+        raise AssetError(f"{npz.path}: up_axis should be 'y' or 'z', is {axis!r}")
     notes.append("up: y, as the file says" if axis == "y" else "up: z, as the file says; turned to y")
     return axis
 
 
-def _pelvis(
-    path: Path, archive: zipfile.ZipFile, names: set[str], body: Body | None, turn: bool, notes: list[str]
-) -> tuple[Array, float | None]:
+def _pelvis(npz: NpzFile, body: Body | None, turn: bool, notes: list[str]) -> tuple[Array, float | None]:
     """J0 of the file's body, and the height of its pelvis above its soles where it is known."""
     height = None
-    if "pelvis_height" in names:
-        height = float(_numbers(path, archive, "pelvis_height", 1)[0])
-        if not height > 0:
-            raise AssetError(f"{path}: pelvis_height should be positive metres, is {height}")
-    if "pelvis" in names:
-        return _numbers(path, archive, "pelvis", 3), height
+    if "pelvis_height" in npz.names:
+        height = checked_pelvis_height(f"{npz.path}: pelvis_height", float(_numbers(npz, "pelvis_height", 1)[0]))
+    if "pelvis" in npz.names:
+        return _numbers(npz, "pelvis", 3), height
     betas = np.zeros(0)
-    if "betas" in names:
-        betas = _small(path, archive, "betas")
-        if betas.dtype.kind not in "fiu" or not np.isfinite(betas).all():
-            raise AssetError(f"{path}: betas should be finite numbers, is {betas.dtype} {betas.shape}")
+    if "betas" in npz.names:
+        betas = _small(npz, "betas")
+        if betas.dtype.kind not in "fiu" or not (np.abs(betas.astype(np.float64)) < LARGEST_BETA).all():
+            raise AssetError(
+                f"{npz.path}: betas should be numbers below {LARGEST_BETA:g}, is {betas.dtype} {betas.shape}"
+            )
         betas = betas.reshape(-1).astype(np.float64)
     given = given_pelvis(betas, body, notes)
     if given is not None:
@@ -331,10 +205,12 @@ def _pelvis(
     return usual_pelvis(notes), height
 
 
-def _numbers(path: Path, archive: zipfile.ZipFile, name: str, count: int) -> Array:
-    value = _small(path, archive, name)
-    if value.size != count or value.dtype.kind not in "fiu" or not np.isfinite(value).all():
-        raise AssetError(f"{path}: {name} should be {count} finite numbers, is {value.dtype} {value.shape}")
+def _numbers(npz: NpzFile, name: str, count: int) -> Array:
+    value = _small(npz, name)
+    if value.size != count or value.dtype.kind not in "fiu" or not (np.abs(value.astype(np.float64)) < LARGEST).all():
+        raise AssetError(
+            f"{npz.path}: {name} should be {count} finite numbers below {LARGEST:g}, is {value.dtype} {value.shape}"
+        )
     return value.reshape(count).astype(np.float64)
 
 

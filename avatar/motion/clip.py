@@ -6,9 +6,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
+from avatar.errors import AssetError
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 
 Array = np.ndarray
+
+# frames per second, and metres from the soles to the pelvis, that a file may claim
+RATES = (0.01, 10_000.0)
+PELVIS_HEIGHTS = (0.01, 100.0)
 
 
 @dataclass(frozen=True)
@@ -51,6 +56,20 @@ class Motion:
             raise ValueError(f"frames {start}:{stop} are not inside {self.name}, which has {self.frames}")
         axis_angle, root = self.block(start, stop)
         return Clip(axis_angle, root, self.rate, self.notes, self.pelvis_height)
+
+
+def checked_rate(place: str, rate: float) -> float:
+    """A frame rate that a file claims; `place` names file and field in the message of the AssetError."""
+    if not RATES[0] <= rate <= RATES[1]:
+        raise AssetError(f"{place} should be positive, {RATES[0]:g} to {RATES[1]:g} frames per second, is {rate:g}")
+    return rate
+
+
+def checked_pelvis_height(place: str, height: float) -> float:
+    """A pelvis height that a file claims: what a root is scaled by has to leave it finite."""
+    if not PELVIS_HEIGHTS[0] <= height <= PELVIS_HEIGHTS[1]:
+        raise AssetError(f"{place} should be positive, {PELVIS_HEIGHTS[0]:g} to {PELVIS_HEIGHTS[1]:g} m, is {height:g}")
+    return height
 
 
 def resample(clip: Clip, rate: float | int) -> Clip:

@@ -9,6 +9,8 @@ Array = np.ndarray
 
 # J0 of SMPL(+H) bodies of mean shape, good to about 2 cm
 USUAL_PELVIS = np.array([-0.002, -0.233, 0.028])
+# coefficients of people lie within 5
+LARGEST_BETA = 1e3
 
 
 def given_pelvis(

@@ -31,6 +31,9 @@ from capture.repair.masks import believed_offset, mask_offsets, pixels_off, redr
 
 Array = np.ndarray
 
+# what refined_PART.npz holds beside `frames` and `masks_off`, where there is any
+REFINED = ("axis_angle", "root", "masks", "unsure")
+
 ROUNDS = AlignSettings().rounds  # of each video
 CHOICES = ("auto", "on", "off")
 
@@ -136,7 +139,7 @@ def with_refined(capture: Capture, folder: Path) -> Capture:
 def poses_refined(folder: Path, part: str) -> bool:
     """Whether the poses of a part's video were moved, and not its masks alone."""
     path = refined_path(folder, part)
-    return path.exists() and "axis_angle" in read_npz(path, "refined poses", ("frames",))
+    return path.exists() and "axis_angle" in read_npz(path, "refined poses", ("frames",), ("axis_angle",))
 
 
 def write_learned(folder: Path, part: str, video: PartVideo) -> None:
@@ -162,7 +165,7 @@ def copy_refined(partial: Path, folder: Path) -> None:
         path, learned = refined_path(partial, part), _learned_path(partial, part)
         if not path.exists():
             continue
-        fields = read_npz(path, "refined poses", ("frames", "masks_off"))
+        fields = read_npz(path, "refined poses", ("frames", "masks_off"), REFINED)
         if learned.exists():
             fields |= read_npz(learned, "learned poses", ("axis_angle", "root"))
         with whole_file(refined_path(folder, part)) as file:
@@ -179,7 +182,7 @@ def read_refined(path: Path, video: PartVideo) -> PartVideo:
     Raises:
         AssetError: the file is broken, or of another video.
     """
-    fields = read_npz(path, "refined poses", ("frames", "masks_off"))
+    fields = read_npz(path, "refined poses", ("frames", "masks_off"), REFINED)
     kept, masks_off = fields["frames"], fields["masks_off"]
     if kept.ndim != 1 or kept.dtype.kind != "i" or len(kept) == 0 or masks_off.shape != ():
         raise AssetError(f"{path}: expected frames (k,) and one masks_off, found {kept.shape}, {masks_off.shape}")

@@ -80,7 +80,7 @@ def read_keys(path: Path | str, *, pelvis_height: float | None = None) -> Timeli
             grow or lie outside it.
     """
     motion = read_amass(path)
-    fields = read_npz(path, "poses", ("poses",)) if motion.frames <= LONGEST else {}
+    fields = read_npz(path, "poses", (), (KEY_FRAMES, EASING), most=1 << 24) if motion.frames <= LONGEST else {}
     frames = np.arange(motion.frames)
     easing: Easing = "linear"
     if KEY_FRAMES in fields:

@@ -91,7 +91,7 @@ def read_poses(
     path: Path, frames: int
 ) -> tuple[Float[np.ndarray, "frames 52 3"], Float[np.ndarray, "frames 3"], float]:
     """Poses, pelvis joint in the world, and rate of a video."""
-    fields = read_npz(path, "poses", required=("poses", "trans"))
+    fields = read_npz(path, "poses", ("poses", "trans"), ("mocap_framerate",))
     arrays = {}
     for name, columns in (("poses", 156), ("trans", 3)):
         if fields[name].shape != (frames, columns) or fields[name].dtype.kind != "f":
@@ -111,7 +111,7 @@ def head_from_world(path: Path) -> tuple[float, Float[np.ndarray, "3 3"], Float[
     """Scale, rotation and translation from the avatar's T-pose to the head video's frame, by its landmarks."""
     place = path / "head" / "landmarks.json"
     content = read_facts(place)
-    template = read_npz(path / "subject.npz", "subject", required=("v_template",))["v_template"]
+    template = read_npz(path / "subject.npz", "subject", ("v_template",))["v_template"]
     points, vertices = content.get("points"), content.get("vertices")
     if not isinstance(points, dict) or not isinstance(vertices, dict):
         raise AssetError(f'{place}: expected {{"points", "vertices"}} by name')
