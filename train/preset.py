@@ -9,7 +9,7 @@ from train.networks.triplane import TriPlaneNetworks
 from train.rays import Band
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PartPreset:
     """Settings of one part."""
 
@@ -18,7 +18,7 @@ class PartPreset:
     spacing: float  # template samples on this part, metres
     # where surfaces are looked for
     band: Band
-    # width of the surface in rendering, first and last, metres; of NeuS alone
+    # width of the surface in rendering, first and last, metres; only NeuS has it
     beta: tuple[float, float]
     displacement_reach: float  # |T_nr| at most, metres
     # lambda_2, per metre of T_nr (supplement: .01, hands .001)
@@ -28,9 +28,9 @@ class PartPreset:
     background: float = 1.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UnionPreset:
-    """Settings of stage 2, which trains the body alone."""
+    """Settings of stage 2, which trains only the body."""
 
     iterations: int = 200
     rate: float = 0.1  # first learning rates, of stage 1's
@@ -40,12 +40,12 @@ class UnionPreset:
     surface: float = 3.0  # of its second
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Preset:
     """Settings of a training run."""
 
     name: str
-    # in the order of capture.PARTS
+    # in the order of avatar.skeleton.PARTS
     parts: tuple[PartPreset, ...]
     density: Literal["neus", "volsdf"] = "neus"  # train/render.py; VolSDF's width is learned
     # L_rgb: mean |difference|, or Eq. 11 as printed
@@ -92,34 +92,46 @@ class Preset:
     appearance_rate: float = 1e-2  # its learning rate
 
 
-_HAND = PartPreset(
-    1000, 0.002, 0.002, Band(0.012, 0.008, 0.0025), (0.004, 0.0007), 0.005, 0.001, TriPlaneNetworks(), 0.2
-)  # rays between fingers may follow the wrong one: few of them, or they carve the fingers' sides
-
-DEMO = Preset(
-    "demo",
-    (
-        PartPreset(900, 0.01, 0.01, Band(0.03, 0.02, 0.006), (0.008, 0.0015), 0.03, 0.01, TriPlaneNetworks()),
-        PartPreset(
-            2000,
-            0.003,
-            0.003,
-            Band(0.035, 0.02, 0.006),
-            (0.008, 0.001),
-            0.03,
-            0.01,
-            TriPlaneNetworks(color_size=320),
-        ),
-        _HAND,
-        _HAND,
-    ),
+_DEMO_BODY = PartPreset(
+    iterations=900,
+    cell=0.01,
+    spacing=0.01,
+    band=Band(outside=0.03, inside=0.02, step=0.006),
+    beta=(0.008, 0.0015),
+    displacement_reach=0.03,
+    displacement_weight=0.01,
+    networks=TriPlaneNetworks(),
 )
+_DEMO_HEAD = PartPreset(
+    iterations=2000,
+    cell=0.003,
+    spacing=0.003,
+    band=Band(outside=0.035, inside=0.02, step=0.006),
+    beta=(0.008, 0.001),
+    displacement_reach=0.03,
+    displacement_weight=0.01,
+    networks=TriPlaneNetworks(color_size=320),
+)
+# rays between fingers may follow the wrong one: few of them lie beside the person, or they carve the fingers' sides
+_DEMO_HAND = PartPreset(
+    iterations=1000,
+    cell=0.002,
+    spacing=0.002,
+    band=Band(outside=0.012, inside=0.008, step=0.0025),
+    beta=(0.004, 0.0007),
+    displacement_reach=0.005,
+    displacement_weight=0.001,
+    networks=TriPlaneNetworks(),
+    background=0.2,
+)
+
+DEMO = Preset(name="demo", parts=(_DEMO_BODY, _DEMO_HEAD, _DEMO_HAND, _DEMO_HAND))
 
 # For one GPU: a hash grid instead of planes, more rays, finer in the end; bands and grids are the demo's
 FAST = Preset(
-    "fast",
-    tuple(
-        replace(part, iterations=3000, cell=cell, beta=beta, networks=HashNetworks(finest))
+    name="fast",
+    parts=tuple(
+        replace(part, iterations=3000, cell=cell, beta=beta, networks=HashNetworks(cell=finest))
         for part, cell, beta, finest in zip(
             DEMO.parts,
             (0.01, 0.004, 0.002, 0.002),
@@ -137,17 +149,24 @@ FAST = Preset(
     appearance_steps=500,
 )
 
-_PAPER_HAND = PartPreset(100_000, 0.002, 0.002, Band(0.1, 0.1, 0.01), (0.1, 0.1), 0.005, 0.001, PaperNetworks(), 0.3)
-
 # The supplement's numbers; where it is silent, the authors' code's (bands, |T_nr| at most, rays of one frame)
+_PAPER_BODY = PartPreset(
+    iterations=100_000,
+    cell=0.01,
+    spacing=0.01,
+    band=Band(outside=0.1, inside=0.1, step=0.01),
+    beta=(0.1, 0.1),
+    displacement_reach=0.05,
+    displacement_weight=0.01,
+    networks=PaperNetworks(),
+    background=0.3,
+)
+_PAPER_HEAD = replace(_PAPER_BODY, cell=0.003, spacing=0.003, band=Band(outside=0.04, inside=0.04, step=0.005))
+_PAPER_HAND = replace(_PAPER_BODY, cell=0.002, spacing=0.002, displacement_reach=0.005, displacement_weight=0.001)
+
 PAPER = Preset(
-    "paper",
-    (
-        PartPreset(100_000, 0.01, 0.01, Band(0.1, 0.1, 0.01), (0.1, 0.1), 0.05, 0.01, PaperNetworks(), 0.3),
-        PartPreset(100_000, 0.003, 0.003, Band(0.04, 0.04, 0.005), (0.1, 0.1), 0.05, 0.01, PaperNetworks(), 0.3),
-        _PAPER_HAND,
-        _PAPER_HAND,
-    ),
+    name="paper",
+    parts=(_PAPER_BODY, _PAPER_HEAD, _PAPER_HAND, _PAPER_HAND),
     density="volsdf",
     color_loss="norm",
     mask_loss="lowest",
@@ -164,7 +183,7 @@ PAPER = Preset(
     mask_weight=1.0,
     adam=(0.9, 0.999, 1e-8),
     prefit=2000,
-    union=UnionPreset(100_000, rate=1.0, last_rate=0.1, warm_up=0, consistency=1.0, surface=1.0),
+    union=UnionPreset(iterations=100_000, rate=1.0, last_rate=0.1, warm_up=0, consistency=1.0, surface=1.0),
     appearance_steps=15_000,
     appearance_rate=5e-4,
 )

@@ -1,7 +1,8 @@
 """The run folder: what training leaves for baking and measuring."""
 
 import json
-from dataclasses import asdict, dataclass, replace
+import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +22,9 @@ from train.networks.hash import HashNetworks
 from train.networks.paper import PaperNetworks
 from train.networks.triplane import TriPlaneNetworks
 from train.parts import part_boxes
-from train.preset import PRESETS, PartPreset, Preset
+from train.preset import PartPreset, Preset
 from train.single import part_names, part_presets
+from train.stored_preset import preset_from_json
 from train.surface import Surface
 from train.template_grid import TemplateGrid
 
@@ -37,6 +39,8 @@ class Run:
     field: FusedField
     surface: Surface
     subject: CaptureSubject
+    # what it was trained with, as run.json holds it
+    preset: Preset
     provenance: dict  # all of run.json
 
 
@@ -164,23 +168,21 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
         raise AssetError(f"{path / 'run.json'}: expected JSON, found: {error}") from None
     if not isinstance(facts, dict) or facts.get("format") != FORMAT or facts.get("version") != VERSION:
         raise AssetError(f"{path / 'run.json'}: expected format {FORMAT!r} version {VERSION}")
-    if facts.get("preset") not in PRESETS:
-        raise AssetError(f"{path / 'run.json'}: preset should be one of {sorted(PRESETS)}, is {facts.get('preset')!r}")
+    try:
+        preset, assumed = preset_from_json(facts.get("settings"), facts.get("preset"))
+    except ValueError as error:
+        raise AssetError(f"{path / 'run.json'}: {error}") from None
+    if assumed:
+        print(f"{path / 'run.json'}: no {', '.join(assumed)}; taken as they are today", file=sys.stderr)
     subject = read_subject(path / "subject.npz", name=str(facts.get("subject", "")))
-    settings = facts.get("settings")
-    if not isinstance(settings, dict):
-        raise AssetError(f"{path / 'run.json'}: settings should be an object, is {type(settings).__name__}")
-    preset = replace(PRESETS[facts["preset"]], single=settings.get("single") is True)
     parts = zip(part_names(preset), part_presets(preset), strict=True)
     fields = [read_part(path / f"{name}.pt", subject, i, own) for i, (name, own) in enumerate(parts)]
-    correction = np.asarray(facts.get("canonical_from_head_field"), np.float64)
-    if correction.shape != (4, 4) or not np.isfinite(correction).all():
-        raise AssetError(f"{path / 'run.json'}: canonical_from_head_field should be a 4x4 matrix")
+    try:
+        correction = np.array(facts.get("canonical_from_head_field"), np.float64)
+    except (TypeError, ValueError):
+        correction = np.zeros(0)
+    if correction.shape != (4, 4) or not np.isfinite(correction).all() or abs(np.linalg.det(correction)) < 1e-12:
+        raise AssetError(f"{path / 'run.json'}: canonical_from_head_field should be an invertible 4x4 matrix")
     inverse = torch.tensor(np.linalg.inv(correction), dtype=torch.float32)
     field = FusedField(fields, part_boxes(subject), inverse).to(device).eval().requires_grad_(False)
-    return Run(path, field, read_surface(path / "surface.npz"), subject, facts)
-
-
-def preset_facts(preset: Preset) -> dict:
-    """The preset's numbers, for the provenance."""
-    return asdict(preset)
+    return Run(path, field, read_surface(path / "surface.npz"), subject, preset, facts)

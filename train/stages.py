@@ -30,6 +30,7 @@ from train.preset import Preset
 from train.rigid import with_rigid_head
 from train.session import Session, alone, capture_digest, digest_of, open_session
 from train.single import part_names, part_presets
+from train.stored_preset import preset_json
 from train.trainer import peak_memory
 from train.union import read_rays
 from train.workers import run_jobs
@@ -60,7 +61,7 @@ def train(
             "preset": preset.name,
             "iterations": [part.iterations for part in preset.parts],
             "seed": seed,
-            "numbers": digest_of(run_folder.preset_facts(preset)),
+            "numbers": digest_of(preset_json(preset)),
             "refine_poses": refine_poses,
             "single": preset.single,
         }
@@ -126,7 +127,7 @@ def _compose(
             {
                 "subject": capture.subject.name,
                 "preset": preset.name,
-                "settings": run_folder.preset_facts(preset),
+                "settings": preset_json(preset),
                 "seed": seed,
                 "device": device,
                 "machine": f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}",

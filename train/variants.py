@@ -22,7 +22,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from avatar.errors import AssetError
 from avatar.skeleton import PARTS
 from capture.folder import Capture
 from capture.repair.refine import with_refined
@@ -31,7 +30,6 @@ from train.compose import displayed_surface, view_sums, with_views
 from train.field import PartField
 from train.fused import FusedField
 from train.parts import eq9_shares, part_boxes
-from train.preset import PRESETS
 from train.run import Run, read_part
 from train.union import in_overlap
 
@@ -70,13 +68,9 @@ def variant(run: Run, capture: Capture, name: str) -> Run:
         facts |= {"canonical_from_head_field": np.eye(4).tolist(),
                   "head_from_canonical": np.linalg.inv(canonical_from_head).tolist()}  # fmt: skip
     else:
-        body = PRESETS[facts["preset"]].parts[0]
-        fields[0] = read_part(run.path / "body_stage1.pt", run.subject, 0, body)
+        fields[0] = read_part(run.path / "body_stage1.pt", run.subject, 0, run.preset.parts[0])
     field = _fused(run, fields, head_from_canonical)
-    cells = facts.get("settings", {}).get("surface_cells")
-    if cells is None:
-        raise AssetError(f"{run.path / 'run.json'}: no settings.surface_cells")
-    vertices, faces, normals, skin = displayed_surface(field, run.subject, cells)
+    vertices, faces, normals, skin = displayed_surface(field, run.subject, run.preset.surface_cells)
     shares = eq9_shares(torch.as_tensor(vertices, dtype=torch.float32), part_boxes(run.subject)).numpy()
     sums = view_sums(capture, vertices, normals, skin, shares, canonical_from_head)
     surface = with_views(vertices, faces, normals, skin, shares, [statistics(s) for s in sums])

@@ -16,6 +16,7 @@ from capture.folder import CaptureSubject
 from player.context import open_context
 from player.raster import Rasteriser
 from train.fused import FusedField
+from train.preset import DEMO
 from train.run import Run
 from train.surface import Surface
 
@@ -54,7 +55,7 @@ def view():
         view_covariance=np.tile([0.01, 0, 0, 0.01, 0, 0], (count, 1)),
     )
     subject = CaptureSubject("body", body.vertices, canonical, body.faces, body.skin, body.joints, part, hair)
-    return FieldView(Run(Path("run"), DirectionField(), surface, subject, {}))
+    return FieldView(Run(Path("run"), DirectionField(), surface, subject, DEMO, {}))
 
 
 @pytest.fixture(scope="module")

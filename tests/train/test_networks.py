@@ -274,7 +274,7 @@ SMALL = {
 }
 SIZES = {
     "demo": TriPlaneNetworks(plane_size=16, color_size=16),
-    "fast": HashNetworks(0.004, levels=6, rows=2**12),
+    "fast": HashNetworks(cell=0.004, levels=6, rows=2**12),
     "paper": PaperNetworks(width=48, feature=16, appearance=8, displacement=8),
 }
 

@@ -1,6 +1,7 @@
 """The training from a capture folder to a run folder, small."""
 
 import itertools
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -20,14 +21,14 @@ from train.networks.triplane import TriPlaneNetworks
 from train.objective import losses, ray_tensors, render_rays
 from train.parts import part_boxes
 from train.pose_correction import PoseCorrection
-from train.preset import DEMO
+from train.preset import DEMO, PRESETS, UnionPreset
 from train.rays import part_rays
 from train.render import jittered
 from train.single import single_part
 from train.surface import extract_surface
 from train.template_grid import TemplateGrid, template_grid
 from train.trainer import train_field
-from train.variants import seam_steps
+from train.variants import seam_steps, variant
 
 TINY = replace(
     DEMO,
@@ -72,7 +73,7 @@ def hand(capture):
 
 def tiny_run(capture, out, monkeypatch, *options):
     """What `selfscan train` with these options leaves, parts trained one after the other in this process."""
-    monkeypatch.setitem(__import__("train.preset").preset.PRESETS, "demo", TINY)
+    monkeypatch.setitem(PRESETS, "demo", TINY)
     monkeypatch.setattr("os.cpu_count", lambda: 1)
     threads = torch.get_num_threads()
     try:
@@ -260,6 +261,31 @@ def test_a_run_whose_poses_are_refined_says_so_and_keeps_them(capture, tmp_path,
         video = with_refined(capture, run.path).videos[name]
         assert np.abs(video.axis_angle[0] - capture.videos[name].axis_angle[0]).max() > 1e-4
     assert run.field.field(0).poses is None
+
+
+def test_a_run_is_rebuilt_from_its_own_settings_when_the_preset_was_edited(capture, tmp_path, monkeypatch, capsys):
+    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--preview", "0")
+    wider = tuple(replace(part, networks=TriPlaneNetworks(width=48)) for part in TINY.parts)
+    monkeypatch.setitem(PRESETS, "demo", replace(TINY, parts=wider, surface_cells=(0.05, 0.05, 0.05)))
+    capsys.readouterr()
+    again = run_folder.read_run(run.path)
+    assert again.preset == TINY and capsys.readouterr().err == ""
+    for name, value in run.field.state_dict().items():
+        assert torch.equal(value, again.field.state_dict()[name]), name
+    assert len(variant(again, capture, "no_L_g").surface.vertices) > 1000
+
+    facts = json.loads((run.path / "run.json").read_text())
+    del facts["settings"]["union"]
+    (run.path / "run.json").write_text(json.dumps(facts))
+    assert run_folder.read_run(run.path).preset == replace(TINY, union=UnionPreset())
+    assert "no settings.union; taken as they are today" in capsys.readouterr().err
+    del facts["settings"]
+    (run.path / "run.json").write_text(json.dumps(facts))
+    with pytest.raises(AssetError, match=r"body\.pt: expected a trained part"):
+        run_folder.read_run(run.path)
+    monkeypatch.setitem(PRESETS, "demo", TINY)
+    assert run_folder.read_run(run.path).preset == TINY
+    assert "no settings; taken as they are today" in capsys.readouterr().err
 
 
 class Hollow(FusedField):

@@ -19,7 +19,7 @@ from train.encoding import positional_encoding
 from train.networks import PartNetworks, frame_codes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HashNetworks:
     """Sizes of the `fast` networks."""
 

@@ -22,7 +22,7 @@ from train.encoding import positional_encoding
 from train.networks import PartNetworks, frame_codes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PaperNetworks:
     """Sizes of the `paper` networks, each from the supplement but the last three."""
 

@@ -12,7 +12,7 @@ from train.encoding import positional_encoding
 from train.networks import PartNetworks, frame_codes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TriPlaneNetworks:
     """Sizes of the `demo` networks."""
 
