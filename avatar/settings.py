@@ -9,10 +9,10 @@ run records are all read from the same fields.
 import argparse
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 Record = TypeVar("Record")
 Rule = TypeVar("Rule")
@@ -156,22 +156,32 @@ class Help(NamedTuple):
 
 
 def parse(record: type[Record], argv: Sequence[str], about: Help) -> Record:
-    """The dataclass that a command line fills; a mistake ends the program with usage, one line and exit code 2."""
+    """The dataclass that a command line fills; a mistake ends the program with usage, one line and exit code 2.
+
+    A field that is a dataclass itself gives its own fields to the command line.
+    """
     parser = parser_of(record, about)
     given = vars(parser.parse_args(argv))
+    try:
+        return _filled(record, given, parser)
+    except ValueError as error:
+        parser.error(str(error))
+
+
+def _filled(record: type[Record], given: dict[str, Any], parser: argparse.ArgumentParser) -> Record:
     values = {}
     for fact in facts(record):
         if rule_of(fact, Hidden) is not None:
+            continue
+        if is_dataclass(fact.type):
+            values[fact.name] = _filled(cast(type, fact.type), given, parser)
             continue
         value = given[fact.name]
         values[fact.name] = tuple(value) if isinstance(value, list) else value
         problem = None if value is None else broken_rule(fact, values[fact.name])
         if problem:
             parser.error(f"argument {_shown(fact)}: {problem}")
-    try:
-        return record(**values)
-    except ValueError as error:
-        parser.error(str(error))
+    return record(**values)
 
 
 def parser_of(record: type, about: Help) -> argparse.ArgumentParser:
@@ -182,16 +192,22 @@ def parser_of(record: type, about: Help) -> argparse.ArgumentParser:
         epilog=about.epilog or None,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    groups: dict[str, Any] = {}
+    _add_options(parser, record, {})
+    return parser
+
+
+def _add_options(parser: argparse.ArgumentParser, record: type, groups: dict[str, Any]) -> None:
     for fact in facts(record):
         if rule_of(fact, Hidden) is not None:
             continue
+        if is_dataclass(fact.type):
+            _add_options(parser, cast(type, fact.type), groups)
+            continue
         option = rule_of(fact, Option) or Option()
-        into = parser
+        into: Any = parser
         if option.group:
             into = groups.setdefault(option.group, parser.add_mutually_exclusive_group())
         into.add_argument(*_names(fact, option), **_keywords(fact, option))
-    return parser
 
 
 def _names(fact: Fact, option: Option) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -41,12 +41,10 @@ from train.field_onnx import is_exportable, write_field
 def bake(
     run_path: Path | str,
     out: Path | str,
-    faces: int = 30_000,
-    texture: int = 2048,
-    progress: Callable[[str], None] = print,
+    options: BakeOptions = BakeOptions(),  # noqa: B008  frozen
     *,
-    quality: Literal["normal", "high"] = "normal",
     capture: Path | str | None = None,
+    progress: Callable[[str], None] = print,
 ) -> Avatar:
     """Bake a run folder into NAME.glb (and NAME.onnx where a network is shipped).
 
@@ -54,7 +52,6 @@ def bake(
     """
     from train.run import read_run
 
-    options = BakeOptions(faces=faces, texture=texture, quality=quality)
     true = None if capture is None else read_true_views(Path(capture), options.truth_poses)
     run = read_run(Path(run_path))
     avatar = bake_run(run, Path(out), options, progress, true)

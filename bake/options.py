@@ -1,39 +1,53 @@
-"""What a bake may be told."""
+"""Settings of a bake, and of its command line."""
 
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Annotated, Literal
+
+from avatar.settings import AtLeast, AtMost, Hidden, Option, check
 
 
 @dataclass(frozen=True)
 class BakeOptions:
-    """Settings of a bake; `selfscan bake` offers the first three."""
+    """Settings of a bake; `selfscan bake` offers those that are not hidden."""
 
-    # triangles of the finest level
-    faces: int = 30_000
-    texture: int = 2048  # its atlas, texels per side
-    # view network: 4 features, 8-16-3; 8 features, 12-16-16-3
-    quality: Literal["normal", "high"] = "normal"
-    body_step: float = 0.005  # grid step of the extraction, metres
-    # the same along the spans of head and hands
-    fine_step: float = 0.0025
-    head_density: float = 2.5  # texels per metre, relative to the body's
-    hand_density: float = 2.5
-    # blown up so much while triangles are collapsed
-    head_scale: float = 1.8
-    hand_scale: float = 2.4
-    # surface points for the network
-    samples: int = 160_000
-    steps: int = 1200  # of its training
-    # pixels per side of the pictures that are compared
-    image: int = 512
-    seed: int = 0
-    # of each held-out set, to choose the default view by
-    truth_poses: int = 5
+    faces: Annotated[int, AtLeast(200), AtMost(10_000_000), "triangles of the finest level"] = 30_000
+    texture: Annotated[int, AtLeast(64), AtMost(8192), "its atlas, texels per side, a power of two"] = 2048
+    quality: Annotated[
+        Literal["normal", "high"],
+        "view network: normal (4 features, 8-16-3) or high (8 features, 12-16-16-3: twice the feature images)",
+    ] = "normal"
+    body_step: Annotated[float, Hidden(), "grid step of the extraction, metres"] = 0.005
+    fine_step: Annotated[float, Hidden(), "the same along the spans of head and hands, metres"] = 0.0025
+    head_density: Annotated[float, Hidden(), "texels per metre, relative to the body's"] = 2.5
+    hand_density: Annotated[float, Hidden(), "texels per metre, relative to the body's"] = 2.5
+    head_scale: Annotated[float, Hidden(), "blown up so much while triangles are collapsed"] = 1.8
+    hand_scale: Annotated[float, Hidden(), "blown up so much while triangles are collapsed"] = 2.4
+    samples: Annotated[int, Hidden(), "surface points for the network"] = 160_000
+    steps: Annotated[int, Hidden(), "steps of the network's training"] = 1200
+    image: Annotated[int, Hidden(), "pixels per side of the pictures that are compared"] = 512
+    seed: Annotated[int, Hidden(), "of all random numbers"] = 0
+    truth_poses: Annotated[int, Hidden(), "of each held-out set, to choose the default view by"] = 5
 
     def __post_init__(self):
-        if self.faces < 200:
-            raise ValueError(f"--faces should be at least 200, is {self.faces}")
+        check(self)
+        if self.texture & (self.texture - 1):
+            raise ValueError(f"texture: expected a power of two from 64 to 8192, found {self.texture}")
         if self.quality not in ("normal", "high"):
-            raise ValueError(f"--quality should be normal or high, is {self.quality!r}")
-        if self.texture < 64 or self.texture > 8192 or self.texture & (self.texture - 1):
-            raise ValueError(f"--texture should be a power of two from 64 to 8192, is {self.texture}")
+            raise ValueError(f"quality: expected normal or high, found {self.quality!r}")
+
+
+@dataclass(frozen=True)
+class BakeCommand:
+    """`selfscan bake`."""
+
+    run: Annotated[Path, Option(positional=True, metavar="RUN"), "run folder, as `selfscan train` writes it"]
+    out: Annotated[Path, Option(("-o",), "NAME.glb"), "avatar file to write"]
+    options: Annotated[BakeOptions, "how it is baked"]
+    capture: Annotated[
+        Path | None, Option(metavar="CAPTURE"), "choose the default view mode by this capture's truth"
+    ] = None
+
+    def __post_init__(self):
+        if self.out.suffix.lower() != ".glb":
+            raise ValueError(f"-o should name a .glb file, is {self.out}")

@@ -5,13 +5,13 @@ visible surface only, without alignment. Beside them: the subject's own rig weig
 left is learning, the difference is skinning), ICP-aligned as the paper's code does, T-pose, canonical, hair.
 """
 
-import argparse
 import json
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.progress import progress
+from avatar.settings import AtLeast, Help, Option, parse
 from avatar.skeleton import BIG_POSE
 from bake.truth import better_mode, scores_by_mode, some_poses
 from bench.ceiling import CeilingDrawer
@@ -253,57 +254,56 @@ def find_key(tree: Any, key: str) -> dict[str, Any] | None:
     return None
 
 
+@dataclass(frozen=True)
+class EvalCommand:
+    """`selfscan eval`."""
+
+    subject: Annotated[Path, Option(positional=True, metavar="RUN_OR_AVATAR"), "run folder, or avatar file (.glb)"]
+    capture: Annotated[Path, Option(positional=True, metavar="CAPTURE"), "capture folder with truth/ (selfscan synth)"]
+    json: Annotated[Path | None, Option(metavar="FILE"), "write every number here as well"] = None
+    markdown: Annotated[Path | None, Option(metavar="FILE"), "write the table here as Markdown"] = None
+    ceiling: Annotated[bool, "also score the true mesh under our skin weights: the best to be had"] = False
+    poses: Annotated[int | None, AtLeast(1), "a quick look: only N poses of each set"] = None
+    lpips: Annotated[
+        tuple[Path, ...],
+        Option(metavar="FILE", several=True),
+        "LPIPS's weights, which are not shipped: one file of the whole network's state dictionary, or torchvision's "
+        "AlexNet and the lpips package's linear layers (bench/perceptual.py says how)",
+    ] = ()
+    run: Annotated[
+        Path | None,
+        Option(metavar="RUN"),
+        "run the avatar was baked from: measures again what the file says was lost, and on held-out pictures",
+    ] = None
+
+
+EVAL = Help(
+    "selfscan eval",
+    """Measure a trained run or a baked avatar against the ground truth of a synthetic capture: P2S and Chamfer (cm),
+PSNR, SSIM, FLIP for head, hands and the whole person, novel poses and views; of an avatar every view mode side by
+side.""",
+    "example: selfscan eval out/run out/capture --json quality.json",
+)
+
+
 def eval_main(argv: list[str]) -> int:
     """`selfscan eval RUN_OR_AVATAR CAPTURE [--json FILE]`."""
-    parser = argparse.ArgumentParser(
-        prog="selfscan eval",
-        description="Measure a trained run or a baked avatar against the ground truth of a synthetic capture: "
-        "P2S and Chamfer (cm), PSNR, SSIM, FLIP for head, hands and the whole person, novel poses and views; of an "
-        "avatar every view mode side by side.",
-        epilog="example: selfscan eval out/run out/capture --json quality.json",
-    )
-    parser.add_argument("subject", metavar="RUN_OR_AVATAR", type=Path, help="run folder, or avatar file (.glb)")
-    parser.add_argument("capture", metavar="CAPTURE", type=Path, help="capture folder with truth/ (selfscan synth)")
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write every number here as well")
-    parser.add_argument("--markdown", metavar="FILE", type=Path, help="write the table here as Markdown")
-    parser.add_argument(
-        "--ceiling",
-        action="store_true",
-        help="also score the true mesh under our skin weights: the best to be had",
-    )
-    parser.add_argument("--poses", type=int, metavar="N", help="a quick look: only N poses of each set")
-    parser.add_argument(
-        "--lpips",
-        metavar="FILE",
-        type=Path,
-        nargs="+",
-        default=[],
-        help="LPIPS's weights, which are not shipped: one file of the whole network's state dictionary, or "
-        "torchvision's AlexNet and the lpips package's linear layers (bench/perceptual.py says how)",
-    )
-    parser.add_argument(
-        "--run",
-        type=Path,
-        help="run the avatar was baked from: measures again what the file says was lost, and on held-out pictures",
-    )
-    options = parser.parse_args(argv)
-    if options.poses is not None and options.poses < 1:
-        parser.error(f"--poses should be at least 1, is {options.poses}")
-    if not options.subject.exists():
-        raise AssetError(f"{options.subject}: expected a run folder or an avatar file, found nothing")
+    command = parse(EvalCommand, argv, EVAL)
+    if not command.subject.exists():
+        raise AssetError(f"{command.subject}: expected a run folder or an avatar file, found nothing")
     result = evaluate(
-        options.subject,
-        options.capture,
-        ceiling=options.ceiling,
-        poses=options.poses,
-        run=options.run,
-        lpips=options.lpips,
+        command.subject,
+        command.capture,
+        ceiling=command.ceiling,
+        poses=command.poses,
+        run=command.run,
+        lpips=list(command.lpips),
     )
     print_table(result)
-    if options.json:
-        with whole_file(options.json, "w") as file:
+    if command.json:
+        with whole_file(command.json, "w") as file:
             json.dump(result, file, indent=1)
-    if options.markdown:
-        with whole_file(options.markdown, "w") as file:
+    if command.markdown:
+        with whole_file(command.markdown, "w") as file:
             file.write(markdown(result))
     return 0

@@ -4,11 +4,10 @@ Every rung of the player's ladder, and the field it was baked from when the run 
 frames by alternating rounds and compared with the best rung, and with the truth when the capture is given.
 """
 
-import argparse
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +19,7 @@ from avatar.files import whole_file, whole_folder
 from avatar.gltf.avatar_file import Avatar, read_avatar
 from avatar.motion.clip import fitted
 from avatar.motion.read import builtin_motion
+from avatar.settings import AtLeast, AtMost, Help, Option, parse
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from bench.alternating import Quiet, warning
@@ -165,37 +165,43 @@ def rung_pictures(
         renderer.release()
 
 
+@dataclass(frozen=True)
+class BenchCommand:
+    """`selfscan bench`."""
+
+    avatar: Annotated[Path, Option(positional=True, metavar="AVATAR"), "avatar file (.glb)"]
+    out: Annotated[Path, Option(("-o",), "DIR"), "folder to write"]
+    run: Annotated[Path | None, Option(metavar="RUN"), "run folder it was baked from: adds the field as a rung"] = None
+    capture: Annotated[
+        Path | None, Option(metavar="CAPTURE"), "capture folder with truth/: held-out poses and true pictures"
+    ] = None
+    rounds: Annotated[int, AtLeast(1), AtMost(100_000), "timed frames for each rung"] = 20
+    frames: Annotated[int, AtLeast(1), AtMost(10_000), "pictures compared"] = FRAMES
+
+
+BENCH = Help(
+    "selfscan bench",
+    """What accuracy costs in time on this machine: every way the player can draw an avatar, timed and compared with the
+best one, with the field it came from (--run) and with the truth (--capture).""",
+    "example: selfscan bench avatar.glb --run out/run --capture out/capture -o out/bench",
+)
+
+
 def bench_main(argv: list[str]) -> int:
     """`selfscan bench AVATAR [--run RUN] [--capture CAPTURE] -o DIR`."""
-    parser = argparse.ArgumentParser(
-        prog="selfscan bench",
-        description="What accuracy costs in time on this machine: every way the player can draw an avatar, timed "
-        "and compared with the best one, with the field it came from (--run) and with the truth (--capture).",
-        epilog="example: selfscan bench avatar.glb --run out/run --capture out/capture -o out/bench",
-    )
-    parser.add_argument("avatar", metavar="AVATAR", type=Path, help="avatar file (.glb)")
-    parser.add_argument("--run", type=Path, help="run folder it was baked from: adds the field as a rung")
-    parser.add_argument("--capture", type=Path, help="capture folder with truth/: held-out poses and true pictures")
-    parser.add_argument("-o", dest="out", metavar="DIR", type=Path, required=True, help="folder to write")
-    parser.add_argument("--rounds", type=int, default=20, help="timed frames for each rung (%(default)s)")
-    parser.add_argument("--frames", type=int, default=FRAMES, help="pictures compared (%(default)s)")
-    options = parser.parse_args(argv)
-    if options.frames < 1:
-        parser.error(f"--frames should be at least 1, is {options.frames}")
-    if options.rounds < 1:
-        parser.error(f"--rounds should be at least 1, is {options.rounds}")
+    command = parse(BenchCommand, argv, BENCH)
     result = bench(
-        options.avatar,
-        options.out,
-        run=options.run,
-        capture=options.capture,
-        rounds=options.rounds,
-        count=options.frames,
+        command.avatar,
+        command.out,
+        run=command.run,
+        capture=command.capture,
+        rounds=command.rounds,
+        count=command.frames,
     )
     for row in result["rungs"]:
         psnr = "same" if row["psnr_db"] is None else f"{row['psnr_db']:.2f} dB"
         print(f"{row['name']:36}{row['ms_median']:10.2f} ms{psnr:>12}" + ("  dominated" if row["dominated"] else ""))
     if result["warning"]:
         print(result["warning"])
-    print(f"wrote {options.out}/bench.md")
+    print(f"wrote {command.out}/bench.md")
     return 0

@@ -85,8 +85,11 @@ def frame_number(text: str) -> int:
     return int(text)
 
 
+HANDS_HELP = (
+    "the motion's hands: file as they are (flat where there are none), flat, relaxed, or mean, the mean hands of --body"
+)
+
+
 def add_hands(parser: argparse.ArgumentParser) -> None:
     """The option --hands."""
-    parser.add_argument("--hands", choices=HANDS, default="file",
-                        help="the motion's hands: file as they are (flat where there are none), flat, relaxed, or "
-                        "mean, the mean hands of --body")  # fmt: skip
+    parser.add_argument("--hands", choices=HANDS, default="file", help=HANDS_HELP)

@@ -1,27 +1,32 @@
 """`selfscan doctor`: what this machine can draw with."""
 
-import argparse
 import json
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from avatar.files import whole_file
+from avatar.settings import Help, Option, parse
+
+
+@dataclass(frozen=True)
+class DoctorCommand:
+    """`selfscan doctor`."""
+
+    compare: Annotated[
+        str | None,
+        Option(metavar="AVATAR", const="mannequin"),
+        "draw one frame (of the built-in body) on EGL, on OSMesa and in a window, and compare them",
+    ] = None
+    json: Annotated[Path | None, Option(metavar="FILE"), "write the findings to a file"] = None
+
+
+DOCTOR = Help("selfscan doctor", "Which OpenGL contexts work here, which one wins and why, and what is missing.")
 
 
 def doctor_main(argv: list[str]) -> int:
     """Print what this machine can draw with."""
-    parser = argparse.ArgumentParser(
-        prog="selfscan doctor",
-        description="Which OpenGL contexts work here, which one wins and why, and what is missing.",
-    )
-    parser.add_argument(
-        "--compare",
-        nargs="?",
-        const="mannequin",
-        metavar="AVATAR",
-        help="draw one frame (of the built-in body) on EGL, on OSMesa and in a window, and compare them",
-    )
-    parser.add_argument("--json", metavar="FILE", help="write the findings to a file")
-    options = parser.parse_args(argv)
+    options = parse(DoctorCommand, argv, DOCTOR)
     from player.doctor import compare, findings, report
 
     found = findings()
@@ -33,6 +38,6 @@ def doctor_main(argv: list[str]) -> int:
         print(result["text"])
         worked = worked and result["equal"]
     if options.json:
-        with whole_file(Path(options.json), "w") as file:
+        with whole_file(options.json, "w") as file:
             json.dump(found, file, indent=1)
     return 0 if worked else 1

@@ -1,7 +1,8 @@
 """`selfscan export`: a motion, fitted to an avatar, for other people's programs."""
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -11,8 +12,10 @@ from avatar.gltf.avatar_file import read_avatar
 from avatar.motion.amass import write_amass
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip, Motion
+from avatar.motion.hands import HANDS
 from avatar.progress import progress
-from player.arguments import add_hands, parse_frames
+from avatar.settings import Help, OneOf, Option, parse
+from player.arguments import HANDS_HELP, parse_frames
 from player.motions import BLOCK, frame_range, notes, opened_motion, retargeted
 
 EXAMPLES = """examples
@@ -32,39 +35,48 @@ SUFFIXES = (".bvh", ".glb", ".npz")
 UNITS = {"m": 1.0, "cm": 0.01}
 
 
-def export_parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="selfscan export",
-        description="Write a motion, fitted to an avatar, as BVH, as an animated GLB, or as AMASS npz.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("avatar", metavar="AVATAR", help="avatar file (.glb)")
-    parser.add_argument("--motion", required=True, metavar="FILE",
-                        help="pose file (.npz, .pkl, .bvh, .glb, .vrma ...), EasyMocap folder, or: counting, walking"
-                        )  # fmt: skip
-    parser.add_argument("--frames", type=parse_frames, metavar="A:B", help="only frames A to B-1")
-    parser.add_argument("--body", metavar="MODEL",
-                        help="SMPL+H model (.npz, .pkl) that the pose file was made for")  # fmt: skip
-    add_hands(parser)
-    parser.add_argument("--unit", choices=tuple(UNITS), default="m", help="of lengths in a .bvh (default: m)")
-    parser.add_argument("-o", "--output", required=True, metavar="OUT", help="OUT.bvh, OUT.glb or OUT.npz")
-    return parser
+@dataclass(frozen=True)
+class ExportCommand:
+    """`selfscan export`."""
+
+    avatar: Annotated[str, Option(positional=True, metavar="AVATAR"), "avatar file (.glb)"]
+    motion: Annotated[
+        str,
+        Option(metavar="FILE"),
+        "pose file (.npz, .pkl, .bvh, .glb, .vrma ...), EasyMocap folder, or: counting, walking",
+    ]
+    output: Annotated[Path, Option(("-o", "--output"), "OUT"), "OUT.bvh, OUT.glb or OUT.npz"]
+    frames: Annotated[
+        tuple[int | None, int | None] | None, Option(metavar="A:B", parse=parse_frames), "only frames A to B-1"
+    ] = None
+    body: Annotated[
+        str | None, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
+    ] = None
+    hands: Annotated[str, OneOf(HANDS), HANDS_HELP] = "file"
+    unit: Annotated[str, OneOf(tuple(UNITS)), "of lengths in a .bvh"] = "m"
+
+    def __post_init__(self):
+        if self.kind not in SUFFIXES:
+            raise ValueError(f"-o: expected a name that ends in {', '.join(SUFFIXES)}, found {str(self.output)!r}")
+        if self.unit != "m" and self.kind != ".bvh":
+            raise ValueError(f"--unit is for .bvh; {self.kind} files are in metres")
+        if self.output.exists() and Path(self.avatar).exists() and self.output.samefile(self.avatar):
+            raise ValueError(f"-o: {self.output} is the avatar itself; choose another name")
+
+    @property
+    def kind(self) -> str:
+        return self.output.suffix.lower()
+
+
+EXPORT = Help(
+    "selfscan export", "Write a motion, fitted to an avatar, as BVH, as an animated GLB, or as AMASS npz.", EXAMPLES
+)
 
 
 def export_main(argv: list[str]) -> int:
     """Write a motion for other programs."""
-    parser = export_parser()
-    options = parser.parse_args(argv)
-    out = Path(options.output)
-    kind = out.suffix.lower()
-    if kind not in SUFFIXES:
-        parser.error(f"-o: expected a name that ends in {', '.join(SUFFIXES)}, found {options.output!r}")
-    if options.unit != "m" and kind != ".bvh":
-        parser.error(f"--unit is for .bvh; {kind} files are in metres")
-    if out.exists() and Path(options.avatar).exists() and out.samefile(options.avatar):
-        parser.error(f"-o: {out} is the avatar itself; choose another name")
-
+    options = parse(ExportCommand, argv, EXPORT)
+    out, kind = options.output, options.kind
     avatar = read_avatar(options.avatar)
     motion = opened_motion(options.motion, options.body, options.hands)
     start, stop = frame_range(motion, None, options.frames, single=False)

@@ -1,11 +1,11 @@
 """`selfscan synth`: the four self-scan videos of a person whose mesh is known, and the truth to measure against."""
 
-import argparse
 import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from avatar.camera import write_cameras
 from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 from avatar.progress import Progress
+from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, check, parse
 from avatar.skeleton import PARENTS, PARTS
 from player.context import open_context
 from player.raster import Rasteriser
@@ -32,17 +33,50 @@ RATE = 10.0
 
 @dataclass(frozen=True)
 class SynthConfig:
-    """What `selfscan synth` may be told."""
+    """How a self-scan is filmed."""
 
-    size: int = 256  # pixels, width and height of every video
-    # in each of the four videos
-    frames: int = 40
-    light: str = "even"  # see synth/light.py
-    sheen: float = 0.0  # 0..1, strength of the view-dependent shine
-    pose_noise: float = 0.0  # degrees, on the poses as written
-    # head frame, landmarks, noise, varied light, held-out poses and views
-    seed: int = 0
-    truth: bool = True  # held-out pictures and the subject's mesh
+    size: Annotated[int, AtLeast(32), AtMost(4096), "pixels, both sides of every video"] = 256
+    frames: Annotated[int, AtLeast(4), AtMost(100_000), "frames in each of the four videos"] = 40
+    light: Annotated[
+        str,
+        OneOf(MODES),
+        "even: base colour; soft: .75 ambient + .25 key; fixed: .45 + .55 and a highlight; varied: another light in "
+        "each video",
+    ] = "even"
+    sheen: Annotated[float, AtLeast(0), AtMost(1), Option(metavar="0..1"), "view-dependent shine"] = 0.0
+    pose_noise: Annotated[
+        float, AtLeast(0), AtMost(30), Option(metavar="DEG"), "noise on the poses as written, degrees"
+    ] = 0.0
+    seed: Annotated[int, AtLeast(0), AtMost(2**32 - 1), "of everything drawn by chance"] = 0
+    truth: Annotated[bool, Option(("--no-truth",)), "leave out held-out pictures and the subject's mesh"] = True
+
+    def __post_init__(self):
+        check(self)
+
+
+@dataclass(frozen=True)
+class SynthCommand:
+    """`selfscan synth`."""
+
+    subject: Annotated[
+        str,
+        Option(positional=True, metavar="SUBJECT"),
+        "builtin, builtin:female, or a rigged humanoid .glb, .gltf, .vrm",
+    ]
+    out: Annotated[
+        Path,
+        Option(positional=True, metavar="OUT"),
+        "capture folder to write; replaced if synth wrote it before",
+    ]
+    config: Annotated[SynthConfig, "how it is filmed"]
+
+
+ABOUT = Help(
+    "selfscan synth",
+    """Film a self-scan of a person whose mesh is known: four videos (body turning in a T-pose, head, each hand) with
+masks, cameras and poses, the registered template, and held-out pictures to measure with.""",
+    "example: selfscan synth builtin out/capture && selfscan train out/capture -o out/run",
+)
 
 
 def synth(subject: str, out: Path, config: SynthConfig) -> dict:
@@ -50,14 +84,7 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
 
     Raises:
         AssetError: the subject cannot be read, or the folder not be written.
-        ValueError: a setting is out of range.
     """
-    if not 0 <= config.sheen <= 1:
-        raise ValueError(f"sheen should be 0 to 1, is {config.sheen}")
-    if not 0 <= config.pose_noise <= 30:
-        raise ValueError(f"pose noise should be 0 to 30 degrees, is {config.pose_noise}")
-    if config.seed < 0:
-        raise ValueError(f"seed should not be negative, is {config.seed}")
     light_of(config.light, "body", config.seed)
     person = cut_out(load_subject(subject))
     print(f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces; {'; '.join(person.notes)}")
@@ -197,52 +224,9 @@ def _take_truth(folder: Path, studio: Studio, visible: np.ndarray, config: Synth
 
 def main(argv: Sequence[str]) -> int:
     """The command line; see `selfscan synth --help`."""
-    default = SynthConfig()
-    parser = argparse.ArgumentParser(
-        prog="selfscan synth",
-        description="Film a self-scan of a person whose mesh is known: four videos (body turning in a T-pose, head, "
-        "each hand) with masks, cameras and poses, the registered template, and held-out pictures to measure with.",
-        epilog="example: selfscan synth builtin out/capture && selfscan train out/capture -o out/run",
-    )
-    parser.add_argument(
-        "subject", metavar="SUBJECT", help="builtin, builtin:female, or a rigged humanoid .glb, .gltf, .vrm"
-    )
-    parser.add_argument(
-        "out", metavar="OUT", type=Path, help="capture folder to write; replaced if synth wrote it before"
-    )
-    parser.add_argument("--size", type=int, default=default.size, help="pixels, both sides (default %(default)s)")
-    parser.add_argument("--frames", type=int, default=default.frames, help="in each video (default %(default)s)")
-    parser.add_argument(
-        "--light", choices=MODES, default=default.light, help="even: base colour; soft: .75 ambient + .25 key; "
-        "fixed: .45 + .55 and a highlight; varied: another light in each video (default %(default)s)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--sheen", type=float, default=default.sheen, metavar="0..1", help="view-dependent shine (default 0)"
-    )
-    parser.add_argument(
-        "--pose-noise",
-        type=float,
-        default=0.0,
-        metavar="DEG",
-        help="noise on the written poses, degrees (default 0)",
-    )
-    parser.add_argument("--seed", type=int, default=default.seed, help="of everything drawn by chance (default 0)")
-    parser.add_argument("--no-truth", action="store_true", help="leave out held-out pictures and the subject's mesh")
-    options = parser.parse_args(argv)
-    config = SynthConfig(
-        options.size,
-        options.frames,
-        options.light,
-        options.sheen,
-        options.pose_noise,
-        options.seed,
-        not options.no_truth,
-    )
+    command = parse(SynthCommand, argv, ABOUT)
     began = time.monotonic()
-    try:
-        synth(options.subject, options.out, config)
-    except ValueError as error:
-        parser.error(str(error))
-    count = 4 * config.frames + (120 if config.truth else 0)
-    print(f"{options.out}: {count} pictures in {time.monotonic() - began:.0f} s")
+    synth(command.subject, command.out, command.config)
+    count = 4 * command.config.frames + (120 if command.config.truth else 0)
+    print(f"{command.out}: {count} pictures in {time.monotonic() - began:.0f} s")
     return 0

@@ -38,15 +38,7 @@ def rotation(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Float[np.ndarray
 
 
 def plan_videos(studio: Studio, frames: int, size: int) -> dict[str, Shots]:
-    """The four videos of a subject, by part.
-
-    Raises:
-        ValueError: fewer than 4 frames or a size under 32 pixels: nothing could be learnt from either.
-    """
-    if frames < 4:
-        raise ValueError(f"frames should be at least 4, is {frames}")
-    if not 32 <= size <= 4096:
-        raise ValueError(f"size should be 32 to 4096 pixels, is {size}")
+    """The four videos of a subject, by part."""
     return {
         "body": _body_video(studio, frames, size),
         "head": _head_video(studio, frames, size),

@@ -1,13 +1,14 @@
 """`selfscan train`: the command line of train/stages.py."""
 
-import argparse
 import shlex
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import torch
 
 from avatar.errors import AssetError
+from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, parse
 from capture.repair.refine import CHOICES
 from train.distributed import leave_ranks
 from train.interrupt import Stopped
@@ -47,61 +48,45 @@ examples:
 """
 
 
+@dataclass(frozen=True)
+class TrainCommand:
+    """`selfscan train`."""
+
+    capture: Annotated[
+        str, Option(positional=True, metavar="CAPTURE"), "folder made by `selfscan synth` or `selfscan import`"
+    ]
+    out: Annotated[str, Option(("-o", "--out"), "RUN"), "run folder to write, whole or not at all"]
+    preset: Annotated[str, OneOf(tuple(sorted(PRESETS))), "see above"] = "demo"
+    device: Annotated[str, OneOf(("cpu", "cuda")), "where to compute"] = "cpu"
+    resume: Annotated[bool, "go on from the checkpoints of an interrupted training"] = False
+    force: Annotated[bool, "begin anew; an existing RUN is replaced once the new one is complete"] = False
+    seed: Annotated[int, AtLeast(0), AtMost(2**32 - 1), "of all random numbers"] = 0
+    iterations: Annotated[
+        int | None, AtLeast(1), AtMost(100_000_000), "optimiser steps per part, instead of the preset's"
+    ] = None
+    save_every: Annotated[float, AtLeast(0), AtMost(1e9), Option(metavar="SECONDS"), "between checkpoints"] = 120.0
+    preview: Annotated[
+        int, AtLeast(0), AtMost(100_000_000), Option(metavar="STEPS"), "between previews, 0 for none"
+    ] = 250
+    refine_poses: Annotated[
+        str,
+        OneOf(CHOICES),
+        "move noisy poses onto the masks first, then learn what is left with the field; auto: videos whose outlines "
+        "do not meet",
+    ] = "auto"
+    single: Annotated[bool, "one network with the four parts' parameters, rays and steps, for comparison"] = False
+
+    def __post_init__(self):
+        if self.resume and self.force:
+            raise ValueError("--resume goes on, --force begins anew: choose one")
+
+
+ABOUT = Help("selfscan train", DESCRIPTION, EPILOG)
+
+
 def main(argv: list[str]) -> int:
     """Parse the command line and train; 128 + the signal's number when stopped by one."""
-    parser = argparse.ArgumentParser(
-        prog="selfscan train",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("capture", metavar="CAPTURE", help="folder made by `selfscan synth` or `selfscan import`")
-    parser.add_argument("-o", "--out", metavar="RUN", required=True, help="run folder to write, whole or not at all")
-    parser.add_argument("--preset", choices=sorted(PRESETS), default="demo", help="see above (default: demo)")
-    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu", help="where to compute (default: cpu)")
-    parser.add_argument("--resume", action="store_true", help="go on from the checkpoints of an interrupted training")
-    parser.add_argument(
-        "--force",
-        action="store_true",
-        help="begin anew; an existing RUN is replaced once the new one is complete",
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of all random numbers (default: 0)")
-    parser.add_argument("--iterations", type=int, metavar="N", help="optimiser steps per part, instead of the preset's")
-    parser.add_argument(
-        "--save-every",
-        type=float,
-        default=120.0,
-        metavar="SECONDS",
-        help="between checkpoints (default: 120)",
-    )
-    parser.add_argument(
-        "--preview",
-        type=int,
-        default=250,
-        metavar="STEPS",
-        help="between previews, 0 for none (default: 250)",
-    )
-    parser.add_argument(
-        "--refine-poses",
-        choices=CHOICES,
-        default="auto",
-        help="move noisy poses onto the masks first, then learn what is left with the field; "
-        "auto: videos whose outlines do not meet (default: auto)",
-    )
-    parser.add_argument(
-        "--single",
-        action="store_true",
-        help="one network with the four parts' parameters, rays and steps, for comparison",
-    )
-    arguments = parser.parse_args(argv)
-    if arguments.iterations is not None and arguments.iterations < 1:
-        parser.error(f"--iterations should be at least 1, is {arguments.iterations}")
-    if not arguments.save_every >= 0:
-        parser.error(f"--save-every should be 0 or more seconds, is {arguments.save_every}")
-    if arguments.preview < 0:
-        parser.error(f"--preview should be 0 or more steps, is {arguments.preview}")
-    if arguments.resume and arguments.force:
-        parser.error("--resume goes on, --force begins anew: choose one")
+    arguments = parse(TrainCommand, argv, ABOUT)
     if arguments.device == "cuda" and not torch.cuda.is_available():
         raise AssetError("--device cuda: this machine has no CUDA device that torch can use")
     preset = PRESETS[arguments.preset]

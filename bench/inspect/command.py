@@ -5,14 +5,16 @@ import json
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from avatar.errors import AssetError
 from avatar.files import whole_folder
 from avatar.gltf.avatar_file import read_avatar
 from avatar.progress import progress
+from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, parse
 from avatar.skeleton import JOINTS
 from bench.inspect import accuracy_sections as accuracy
 from bench.inspect import drawn_sections as drawn
@@ -47,48 +49,38 @@ ORDER = ("look", "poses", "turntable", "parts", "weights", "texels", "seams", "c
          "levels", "accuracy", "provenance")  # fmt: skip
 
 
-def inspect_parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="selfscan inspect",
-        description="Pictures and one page that a person can judge an avatar by.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("avatar", metavar="NAME.glb", type=Path, help="avatar file from `selfscan bake`")
-    parser.add_argument("-o", "--output", metavar="DIR", type=Path, required=True, help="folder to write")
-    parser.add_argument("--run", type=Path, help="run folder it was baked from: distance of mesh and field")
-    parser.add_argument("--capture", type=Path, help="capture with truth/: distance to the true surface")
-    parser.add_argument(
-        "--joint",
-        action="append",
-        default=[],
-        metavar="NAME",
-        help="show this joint's weight alone; again for more",
-    )
-    parser.add_argument(
-        "--size",
-        type=_size,
-        default=520,
-        metavar="N",
-        help="side of the large views, pixels (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--turns", type=_turns, default=36, metavar="N", help="views of the turntable (default: %(default)s)"
-    )
-    parser.add_argument("--context", choices=("auto", "egl", "osmesa"), default="auto", help="how to reach OpenGL")
-    return parser
+def parse_joint(text: str) -> str:
+    """The name of one of the 52 joints."""
+    if text not in JOINTS:
+        raise argparse.ArgumentTypeError(
+            f"no joint is named {text!r}; they are {', '.join(JOINTS[:22])} and the fingers'"
+        )
+    return text
 
 
-def _size(text: str) -> int:
-    if not (text.isdigit() and 64 <= int(text) <= 2048):
-        raise argparse.ArgumentTypeError(f"expected 64 to 2048 pixels, found {text!r}")
-    return int(text) // 2 * 2
+@dataclass(frozen=True)
+class InspectCommand:
+    """`selfscan inspect`."""
+
+    avatar: Annotated[Path, Option(positional=True, metavar="NAME.glb"), "avatar file from `selfscan bake`"]
+    output: Annotated[Path, Option(("-o", "--output"), "DIR"), "folder to write"]
+    run: Annotated[Path | None, Option(metavar="RUN"), "run folder it was baked from: distance of mesh and field"] = (
+        None
+    )
+    capture: Annotated[Path | None, Option(metavar="CAPTURE"), "capture with truth/: distance to the true surface"] = (
+        None
+    )
+    joint: Annotated[
+        tuple[str, ...],
+        Option(metavar="NAME", parse=parse_joint, repeated=True),
+        "show this joint's weight alone; again for more",
+    ] = ()
+    size: Annotated[int, AtLeast(64), AtMost(2048), "side of the large views, pixels"] = 520
+    turns: Annotated[int, AtLeast(2), AtMost(720), "views of the turntable"] = 36
+    context: Annotated[str, OneOf(("auto", "egl", "osmesa")), "how to reach OpenGL"] = "auto"
 
 
-def _turns(text: str) -> int:
-    if not (text.isdigit() and 2 <= int(text) <= 720):
-        raise argparse.ArgumentTypeError(f"expected 2 to 720 views, found {text!r}")
-    return int(text)
+INSPECT = Help("selfscan inspect", "Pictures and one page that a person can judge an avatar by.", EXAMPLES)
 
 
 def inspect(
@@ -151,12 +143,7 @@ def inspect(
 
 def inspect_main(argv: list[str]) -> int:
     """Inspect one avatar."""
-    options = inspect_parser().parse_args(argv)
-    unknown = [name for name in options.joint if name not in JOINTS]
-    if unknown:
-        inspect_parser().error(
-            f"--joint: no joint is named {unknown[0]!r}; they are {', '.join(JOINTS[:22])} and the fingers'"
-        )
+    options = parse(InspectCommand, argv, INSPECT)
     try:
         import pyvista  # noqa: F401
     except ModuleNotFoundError:
@@ -167,8 +154,8 @@ def inspect_main(argv: list[str]) -> int:
         options.output,
         run=options.run,
         capture=options.capture,
-        joints=options.joint,
-        size=options.size,
+        joints=list(options.joint),
+        size=options.size // 2 * 2,
         turns=options.turns,
         context_kind=options.context,
     )

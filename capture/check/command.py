@@ -1,12 +1,14 @@
 """`selfscan check`: is this capture usable?"""
 
-import argparse
 import io
 import json
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from avatar.errors import AssetError
 from avatar.files import whole_file
+from avatar.settings import Help, Option, parse
 from capture.check.report import CaptureReport, PartReport, examine, report_facts
 from capture.check.sheet import contact_sheet, overlay
 from capture.check.silhouette import even
@@ -14,19 +16,31 @@ from capture.check.verdict import Verdict, verdict
 from capture.folder import Capture, read_capture
 
 
+@dataclass(frozen=True)
+class CheckCommand:
+    """`selfscan check`."""
+
+    capture: Annotated[
+        Path,
+        Option(positional=True, metavar="CAPTURE"),
+        "folder made by `selfscan synth` or `selfscan import`",
+    ]
+    out: Annotated[Path | None, Option(("-o", "--out"), "DIR"), "write DIR/overlays.png and DIR/check.json"] = None
+    json: Annotated[Path | None, Option(metavar="FILE"), "write everything measured and the verdict to FILE"] = None
+
+
+ABOUT = Help(
+    "selfscan check",
+    """Look at a capture before training: does the posed template lie on the person in the video, are masks, units,
+frames, sharpness and view directions sound? Ends in a verdict: usable; usable, but ...; not usable because ...
+(exit code 1), each with what to do.""",
+    "example: selfscan check out/capture -o out/check, then look at out/check/overlays.png",
+)
+
+
 def main(argv: list[str]) -> int:
     """Parse the command line, examine, print; 1 when the capture is not usable."""
-    parser = argparse.ArgumentParser(
-        prog="selfscan check",
-        description="Look at a capture before training: does the posed template lie on the person in the video, are "
-        "masks, units, frames, sharpness and view directions sound? Ends in a verdict: usable; usable, but ...; "
-        "not usable because ... (exit code 1), each with what to do.",
-        epilog="example: selfscan check out/capture -o out/check, then look at out/check/overlays.png",
-    )
-    parser.add_argument("capture", metavar="CAPTURE", help="folder made by `selfscan synth` or `selfscan import`")
-    parser.add_argument("-o", "--out", metavar="DIR", help="write DIR/overlays.png and DIR/check.json")
-    parser.add_argument("--json", metavar="FILE", help="write everything measured and the verdict to FILE")
-    arguments = parser.parse_args(argv)
+    arguments = parse(CheckCommand, argv, ABOUT)
     capture = read_capture(arguments.capture)
     try:
         report = examine(capture)
@@ -36,9 +50,9 @@ def main(argv: list[str]) -> int:
     print("\n".join(lines(report, judged)))
     facts = {"capture": str(capture.path), "usable": judged.usable, "verdict": judged.line(),
              "findings": [vars(finding) for finding in judged.findings], **report_facts(report)}  # fmt: skip
-    files = [Path(arguments.json)] if arguments.json else []
+    files = [arguments.json] if arguments.json else []
     if arguments.out:
-        out = Path(arguments.out)
+        out = arguments.out
         out.mkdir(parents=True, exist_ok=True)
         files.append(out / "check.json")
         write_overlays(out / "overlays.png", capture, report)

@@ -6,6 +6,8 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from avatar.errors import AssetError
 from avatar.motion.clip import Clip, Motion, fitted
 from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+from avatar.settings import Help, Option, parse
 from player.live import json_pose
 from player.live.address import Address, parse_address
 from player.live.frame import LivePose
@@ -87,7 +90,7 @@ def seconds(text: str) -> float:
     return _number(text, 0, 3600, "seconds")
 
 
-def rate(text: str) -> float:
+def parse_rate(text: str) -> float:
     return _number(text, 0.1, FASTEST, "frames a second")
 
 
@@ -101,21 +104,33 @@ def _number(text: str, least: float | int, most: float | int, unit: str) -> floa
     return value
 
 
+@dataclass(frozen=True)
+class StreamCommand:
+    """`selfscan stream`."""
+
+    motion: Annotated[str, Option(positional=True, metavar="MOTION"), "pose file (.npz, .bvh), or: counting, walking"]
+    to: Annotated[
+        Address,
+        Option(metavar="vmc:HOST:PORT|udp:HOST:PORT", parse=target),
+        "VMC or our JSON; HOST may be left out: this machine",
+    ]
+    rate: Annotated[float | None, Option(metavar="R", parse=parse_rate), "poses a second (default: the motion's)"] = (
+        None
+    )
+    loop: Annotated[bool, "start over at the end, until stopped"] = False
+    body: Annotated[str | None, Option(metavar="MODEL"), "SMPL+H model (.npz) that the pose file was made for"] = None
+
+
+STREAM = Help(
+    "selfscan stream",
+    "Send a motion as live poses: to `selfscan play --live`, or to any program that takes VMC.",
+    EXAMPLES,
+)
+
+
 def stream_main(argv: list[str]) -> int:
     """Send a motion as live poses."""
-    parser = argparse.ArgumentParser(
-        prog="selfscan stream",
-        description="Send a motion as live poses: to `selfscan play --live`, or to any program that takes VMC.",
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("motion", metavar="MOTION", help="pose file (.npz, .bvh), or: counting, walking")
-    parser.add_argument("--to", type=target, required=True, metavar="vmc:HOST:PORT|udp:HOST:PORT",
-                        help="VMC or our JSON; HOST may be left out: this machine")  # fmt: skip
-    parser.add_argument("--rate", type=rate, metavar="R", help="poses a second (default: the motion's)")
-    parser.add_argument("--loop", action="store_true", help="start over at the end, until stopped")
-    parser.add_argument("--body", metavar="MODEL", help="SMPL+H model (.npz) that the pose file was made for")
-    options = parser.parse_args(argv)
+    options = parse(StreamCommand, argv, STREAM)
     motion = read_motion(options.motion, body=read_body(options.body) if options.body else None)
     for note in motion.notes:
         print(note)

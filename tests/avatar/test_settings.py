@@ -116,3 +116,16 @@ def test_optional_fields_know_their_type():
 def test_settings_become_json():
     facts_of = settings_json(Try(Path("a"), Path("b"), joint=("neck",)))
     assert facts_of["source"] == "a" and facts_of["joint"] == ["neck"] and facts_of["rate"] == 30.0
+
+
+@dataclass(frozen=True)
+class Both:
+    """A command of its own place and of settings that others use too."""
+
+    run: Annotated[Path, Option(positional=True, metavar="RUN"), "run folder"]
+    inner: Annotated[Try, "what is tried"]
+
+
+def test_settings_inside_settings_are_options_too():
+    made = parse(Both, ["r", "a", "-o", "b", "--count", "9"], ABOUT)
+    assert made == Both(Path("r"), Try(Path("a"), Path("b"), count=9))

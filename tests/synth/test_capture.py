@@ -230,9 +230,10 @@ def test_a_textured_quad_is_drawn_texel_by_texel(rasteriser):
 @pytest.mark.parametrize(
     "options, message",
     [
-        (["--frames", "1"], "at least 4, is 1"),
-        (["--size", "3"], "32 to 4096"),
-        (["--sheen", "2"], "0 to 1, is 2"),
+        (["--frames", "1"], "at least 4, found 1"),
+        (["--size", "3"], "at least 32, found 3"),
+        (["--sheen", "2"], "at most 1, found 2"),
+        (["--seed", "9" * 23], "expected at most"),
     ],
 )
 def test_settings_out_of_range_are_wrong_usage(person, tmp_path, capsys, options, message):
