@@ -82,6 +82,10 @@ class Avatar:
     # preset, data, body licence, measured accuracy ...: anything JSON holds
     provenance: dict[str, Any]
 
+    def level(self, number: int) -> Level:
+        """A level of detail, 0 the finest; the coarsest where there are fewer."""
+        return self.levels[min(number, len(self.levels) - 1)]
+
 
 # field: dtype and shape, -1 for any size
 LEVEL_ARRAYS = {

@@ -18,7 +18,7 @@ from avatar.skinning import SkinWeights, skin_normals, skin_points
 from avatar.texture import mip_levels
 from player.context import Context
 from player.mesh import draw_order, interleaved
-from player.posing import Poser, reach
+from player.posing import Poser, screen_bounds
 from player.raster import clip_planes
 from player.renderer import Pose
 from player.texture import read_finer_mip
@@ -78,7 +78,7 @@ class BareDraw:
         poser = Poser(avatar, level)
         bones = [poser.posed(*pose, camera) for pose in poses]
         self.palettes = [np.ascontiguousarray(b.view_from_canonical[:, :3], np.float32) for b in bones]
-        planes = clip_planes(np.array([reach(b, camera).depth for b in bones]).ravel())
+        planes = clip_planes(np.array([screen_bounds(b, camera).depth for b in bones]).ravel())
         assert planes is not None, "the camera sees nothing of the avatar"
         order, faces = draw_order(level.positions, level.faces)
         vertices = interleaved(level)[order]

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from avatar.motion.hands import HANDS
-from player.scenes.effects import Background
+from player.passes.background import Background
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 

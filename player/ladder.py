@@ -17,8 +17,8 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from avatar.texture import mipmaps
 from player.context import Context
+from player.passes.view import VIEWS
 from player.renderer import Pose, Renderer
-from player.scenes.effects import VIEWS
 
 SHARES = {0.75: "3/4 resolution", 0.5: "half resolution"}
 SMALLEST_TEXTURE = 64  # texels a side
@@ -132,7 +132,7 @@ def time_rungs(
                     renderer.draw_into(renderer.target, [pose], camera)
                     context.gl.finish()
                     ms[row, number] = 1e3 * (time.perf_counter() - start)
-        sizes = [sum(resource.bytes for resource in r.plan.resources.values()) for r in renderers]
+        sizes = [renderer.plan.bytes for renderer in renderers]
         return [Timing(row, size) for row, size in zip(ms, sizes, strict=True)]
     finally:
         for renderer in renderers:

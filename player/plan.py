@@ -1,84 +1,147 @@
-"""What a scene asks for, as passes and the resources they read: decided from data alone, before any GL object.
+"""What is drawn, as passes and the resources they read: decided from data alone, before any GL object is made.
 
 Nothing that no pass reads is in the plan, and the renderer makes exactly what the plan holds: no program, buffer
 or texture for an effect that is not asked for. A pass that is asked for but cannot show in a frame (an avatar out
-of view, view dependence of one forty pixels tall) is skipped for that frame and keeps its resources.
+of view, view dependence of one forty pixels tall) is skipped for that frame and keeps its resources. Skipping a pass
+skips whatever only it needs, so a frame in which an effect cannot show is, byte for byte and draw for draw, the frame
+of a scene that never asked for it.
 
-Order: background, avatars, antialiasing. Skipping a pass skips whatever only it needs, so a frame in which an
-effect cannot show is, byte for byte and draw for draw, the frame of a scene that never asked for it.
+`player/passes/` holds the effects, one a file; `player/resolve.py` asks each for its passes.
 """
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
+
+import moderngl
 
 from avatar.baked_avatar import Avatar, Level
-from avatar.texture import mip_levels
-from player.blocks import BONES, DUALS, FRAME, TURNS
-from player.scenes.effects import VIEWS, Background, Effects
+from player.blocks import BINDING, FRAME, bind_block
+from player.drawing import Drawing, Layer, Warming
+from player.resources import KINDS, Handle, Image, PlanResources
+from player.shader import compile_program
 
-STAGE = {"off": 0, "vertex": 1, "linear": 2, "network": 2}
-# pixels; view dependence of a smaller avatar cannot be seen
-MIN_HEIGHT = 40
+T = TypeVar("T")
 # of MSAA: asked for as a number, never as the device's maximum, so that machines agree
 SAMPLES = 4
-# pixels a side; FXAA runs on the tiles that an avatar can reach
-TILE = 16
+# pixels round an avatar that antialiasing can change
+MARGIN = 2
 
 
-@dataclass(frozen=True)
-class Variant:
-    """A program: two files, defines, and the avatar whose constants it holds (None: shared by all)."""
+class Stage(IntEnum):
+    """Where in a frame an effect draws."""
 
-    vertex: str
-    fragment: str
-    defines: tuple[tuple[str, int], ...] = ()
-    avatar: int | None = None
-
-
-@dataclass(frozen=True)
-class Resource:
-    """A GL object the plan owns. Two plans with an equal resource share it."""
-
-    name: str
-    kind: str  # buffer, texture, framebuffer, renderbuffer
-    bytes: int
-    # what else it depends on: pixels and samples, or the level of detail
-    shape: tuple[int, ...] = ()
+    BACKGROUND = 0
+    # avatars, and what stands among them
+    AVATARS = 1
+    # the finished picture is filtered
+    PICTURE = 2
 
 
-@dataclass(frozen=True)
-class Pass:
-    """One step of a frame, or a word on why it is not in the plan (asked False)."""
+class State(StrEnum):
+    """What becomes of a pass in a frame."""
 
-    name: str
-    # background | avatar | view | antialiasing
-    kind: str
+    RUNS = "runs"
+    # its last result still holds
+    KEPT = "kept"
+    # it cannot show in this frame
+    SKIPPED = "skipped"
+    NOT_ASKED = "not asked for"
+
+
+class Decision(NamedTuple):
+    """What becomes of a pass in a frame, and why, for people to read."""
+
+    state: State
     why: str
-    asked: bool = True
-    avatar: int = -1
-    variant: Variant | None = None  # None: nothing is drawn, pixels are copied
-    reads: tuple[str, ...] = ()
+
+    @property
+    def runs(self) -> bool:
+        return self.state is State.RUNS
+
+
+@runtime_checkable
+class Pass(Protocol):
+    """One step of a frame."""
+
+    @property
+    def name(self) -> str:
+        """For people: `--explain` prints it."""
+        ...
+
+    @property
+    def uses(self) -> tuple[Handle[Any], ...]:
+        """All it reads and writes."""
+        ...
+
+    def decide(self, drawing: Drawing) -> Decision:
+        """Whether it can show in this frame."""
+        ...
+
+    def draw(self, drawing: Drawing) -> None: ...
+
+    def warm(self, warming: Warming) -> None:
+        """Draw next to nothing with the real state: drivers compile at the first draw, some 90 ms in software."""
+        ...
+
+
+@runtime_checkable
+class Effect(Protocol):
+    """What a scene asks for, as a frozen record of its settings."""
+
+    stage: ClassVar[Stage]
+
+    def passes(self, draft: "Draft") -> Sequence[Pass]:
+        """Its passes in drawing order, whatever they own declared to the draft. Asked again when the plan changes."""
+        ...
+
+
+@dataclass(frozen=True)
+class Absent:
+    """A pass that is not in the plan, and why."""
+
+    name: str
+    why: str = "not asked for"
+    uses: tuple[Handle[Any], ...] = ()
+
+    def decide(self, drawing: Drawing) -> Decision:
+        return Decision(State.NOT_ASKED, self.why)
+
+    def draw(self, drawing: Drawing) -> None:
+        raise AssertionError("it never runs")
+
+    def warm(self, warming: Warming) -> None:
+        pass
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Passes in drawing order with the resources and programs they need."""
+    """Passes in drawing order with the resources they need."""
 
     passes: tuple[Pass, ...]
-    resources: dict[str, Resource]
-    variants: tuple[Variant, ...]
+    # those among them that filter the finished picture
+    filters: tuple[Pass, ...]
+    # in an order in which they can be made
+    handles: tuple[Handle[Any], ...]
+    frame: Handle[moderngl.Buffer]
+    # the renderer's own image, and the background at its size
+    image: Image | None
+    background: Handle[moderngl.Framebuffer] | None
+    # pixels round an avatar that something can draw on
+    margin: int
+    # what lives as long as an effect is asked for and is no GL object: an open film, particles
+    kept: Mapping[Hashable, Any]
+
+    @property
+    def bytes(self) -> int:
+        """Of GL memory."""
+        return sum(handle.bytes for handle in self.handles)
 
     def objects(self) -> dict[str, int]:
-        """Live GL objects by kind, when exactly this plan is realised: tests hold the counts against it."""
-        count = Counter(resource.kind for resource in self.resources.values())
-        count["program"] = len(self.variants)
-        count["vertex_array"] = sum(item.variant is not None for item in self.passes)
-        return {kind: number for kind, number in count.items() if number}
-
-    def bytes(self, item: Pass) -> int:
-        """Memory of what a pass reads and writes, bytes."""
-        return sum(self.resources[name].bytes for name in item.reads)
+        """Live GL objects by kind, when exactly this plan is made: tests hold the counts against it."""
+        return dict(Counter(KINDS[handle.kind] for handle in self.handles))
 
 
 @dataclass(frozen=True)
@@ -91,185 +154,165 @@ class Canvas:
     own_image: bool = True
     software: bool = True
     max_samples: int = SAMPLES
-    panorama: tuple[int, int] | None = None  # width and height of an HDR background's picture
 
 
-def resolved_view(avatar: Avatar, view: str, software: bool) -> tuple[str, str]:
-    """The view mode that `view` means for an avatar on this device, and why.
+class Draft:
+    """A plan being written. Effects are asked from the last to the first: one that filters the picture says where
+    those before it draw.
 
-    Raises:
-        ValueError: the mode is unknown, or the avatar's file does not hold what it needs.
+    avatars, levels: who is drawn, and the level of detail of each; dual: with dual quaternions. `kept` is what an
+    earlier plan kept.
     """
-    if view == "auto":
-        if avatar.default_view == "off":
-            return "off", "the avatar ships without view dependence"
-        if software:
-            return "vertex", f"software rasteriser: {avatar.default_view} evaluated per vertex"
-        return avatar.default_view, "the avatar's own default"
-    if view not in VIEWS:
-        raise ValueError(f"view should be auto or one of {', '.join(VIEWS)}, is {view!r}")
-    has = {"network": avatar.network is not None, "linear": avatar.linear is not None}
-    if (view in has and not has[view]) or (view == "vertex" and not any(has.values())):
-        held = [name for name, there in has.items() if there]
-        raise ValueError(f"view {view} is not in avatar {avatar.name}; it has {', '.join(['off', *held])}")
-    return view, "asked for"
+
+    def __init__(
+        self, avatars: Sequence[Avatar], canvas: Canvas, *, level: int, dual: bool, kept: Mapping[Hashable, Any]
+    ):
+        self.avatars, self.canvas, self.level, self.dual = tuple(avatars), canvas, level, dual
+        self.levels: tuple[Level, ...] = tuple(avatar.level(level) for avatar in avatars)
+        # where avatars are drawn
+        self.layer = Layer()
+        self.image: Image | None = None
+        self.background: Image | None = None
+        self.margin = MARGIN
+        self.kept: dict[Hashable, Any] = {}
+        self._kept_before = kept
+        self.handles: dict[Handle[Any], None] = {}
+        self.frame = self.buffer("frame", FRAME.itemsize)
+
+    def need(self, handle: Handle[T]) -> Handle[T]:
+        self.handles.setdefault(handle)
+        return handle
+
+    def keep(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What an earlier plan kept by this key, else made now. What a plan does not ask for again is closed."""
+        if key not in self.kept:
+            self.kept[key] = self._kept_before[key] if key in self._kept_before else make()
+        return self.kept[key]
+
+    def tag(self, avatar: int) -> str:
+        """What people call an avatar of the scene."""
+        return f"avatar {avatar}" if len(self.avatars) > 1 else "avatar"
+
+    @property
+    def drawn_on(self) -> tuple[Handle[Any], ...]:
+        """What every pass on the avatars' layer writes and reads."""
+        image = self.layer.image or self.image
+        return (*(() if image is None else image.handles), self.frame)
+
+    def widen(self, pixels: int) -> None:
+        """An effect draws so far round an avatar's surface."""
+        self.margin = max(self.margin, MARGIN + pixels)
+
+    def buffer(
+        self, name: str, size: int, *depends_on: Hashable, content: Callable[[PlanResources], bytes] | None = None
+    ) -> Handle[moderngl.Buffer]:
+        """A buffer of `size` bytes: with this content, else to be written in each frame."""
+
+        def make(resources: PlanResources) -> moderngl.Buffer:
+            gl = resources.context.gl
+            return gl.buffer(reserve=size, dynamic=True) if content is None else gl.buffer(content(resources))
+
+        return self.need(Handle(moderngl.Buffer, name, size, depends_on, make))
+
+    def texture(
+        self, name: str, size: int, *depends_on: Hashable, make: Callable[[PlanResources], moderngl.Texture]
+    ) -> Handle[moderngl.Texture]:
+        return self.need(Handle(moderngl.Texture, name, size, depends_on, make))
+
+    def program(
+        self, vertex: str, fragment: str, *, samplers: Sequence[str] = (), avatar: int | None = None,
+        constants: Callable[[], Mapping[str, str]] = dict, **defines: int,
+    ) -> Handle[moderngl.Program]:  # fmt: skip
+        """Two shaders in a variant. A sampler reads the texture unit of its place among `samplers`. `constants` are
+        includes written for one avatar; without them avatars share the program."""
+
+        def make(resources: PlanResources) -> moderngl.Program:
+            program = compile_program(resources.context.gl, vertex, fragment, defines, constants())
+            for block in BINDING:
+                bind_block(program, block)
+            for unit, sampler in enumerate(samplers):
+                found = program.get(sampler, None)
+                if isinstance(found, moderngl.Uniform):
+                    found.value = unit
+            return program
+
+        depends_on = (vertex, fragment, avatar, *defines.items())
+        return self.need(Handle(moderngl.Program, f"{vertex} {fragment}", 0, depends_on, make))
+
+    def array(
+        self, program: Handle[moderngl.Program], *buffers: tuple[Any, ...], faces: Handle[moderngl.Buffer] | None = None
+    ) -> Handle[moderngl.VertexArray]:
+        """A vertex array: buffers as (handle, format, names ...), and triangles."""
+
+        def make(resources: PlanResources) -> moderngl.VertexArray:
+            content = [(resources[handle], *rest) for handle, *rest in buffers]
+            index = None if faces is None else resources[faces]
+            return resources.context.gl.vertex_array(resources[program], content, index)
+
+        handle = Handle(moderngl.VertexArray, program.name, 0, (program, *buffers, faces), make)
+        return self.need(handle)
+
+    def framebuffer(
+        self, name: str, size: tuple[int, int], *, depth: bool, textures: bool = False, samples: int = 0
+    ) -> Image:
+        """An image to draw on, with depth or without; its parts are textures where a pass reads them."""
+        kind: type[Any] = moderngl.Texture if textures else moderngl.Renderbuffer
+        pixels, shape = 4 * size[0] * size[1] * max(samples, 1), (*size, samples)
+
+        def color_of(resources: PlanResources) -> Any:
+            gl = resources.context.gl
+            return _clamped(gl.texture(size, 4)) if textures else gl.renderbuffer(size, samples=samples)
+
+        def depth_of(resources: PlanResources) -> Any:
+            gl = resources.context.gl
+            if not textures:
+                return gl.depth_renderbuffer(size, samples=samples)
+            texture = gl.depth_texture(size)
+            # read as a number
+            texture.compare_func = ""
+            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            return _clamped(texture)
+
+        color = self.need(Handle(kind, f"{name} color", pixels, shape, color_of))
+        behind = self.need(Handle(kind, f"{name} depth", pixels, shape, depth_of)) if depth else None
+
+        def make(resources: PlanResources) -> moderngl.Framebuffer:
+            attached = None if behind is None else resources[behind]
+            return resources.context.gl.framebuffer([resources[color]], attached)
+
+        handle = Handle(moderngl.Framebuffer, name, 0, (color, behind), make)
+        return Image(size, self.need(handle), color, behind)
+
+    def own_image(self, *, depth: bool) -> Image:
+        """The renderer's own image; with depth where avatars are drawn straight on it."""
+        assert self.canvas.size is not None
+        if self.image is None:
+            self.image = self.framebuffer("image", self.canvas.size, depth=depth)
+        return self.image
+
+    def result(self, stages: Sequence[tuple[Stage, Sequence[Pass]]]) -> Plan:
+        """The plan of these passes, in drawing order."""
+        passes = tuple(item for _, some in stages for item in some)
+        last = [item for stage, some in stages if stage is Stage.PICTURE for item in some]
+        filters = tuple(item for item in last if not isinstance(item, Absent))
+        background = None if self.background is None else self.background.framebuffer
+        return Plan(passes, filters, tuple(self.handles), self.frame, self.image, background, self.margin, self.kept)
 
 
-class _Draft:
-    """A plan being written."""
+@runtime_checkable
+class Closable(Protocol):
+    """What has to be closed when no plan keeps it any longer."""
 
-    def __init__(self):
-        self.resources: dict[str, Resource] = {}
-        self.variants: list[Variant] = []
-        self.passes: list[Pass] = []
-
-    def need(self, name: str, kind: str, count: int, *shape: int) -> str:
-        self.resources[name] = Resource(name, kind, count, shape)
-        return name
-
-    def program(self, vertex: str, fragment: str, avatar: int | None = None, **defines: int) -> Variant:
-        variant = Variant(vertex, fragment, tuple(defines.items()), avatar)
-        if variant not in self.variants:
-            self.variants.append(variant)
-        return variant
-
-    def image(self, name: str, size: tuple[int, int], *, depth: bool, kind: str = "renderbuffer", samples=0):
-        """A framebuffer with its attachments; their names."""
-        pixels = 4 * size[0] * size[1] * max(samples, 1)
-        names = [
-            self.need(name, "framebuffer", 0, *size, samples, int(depth)),
-            self.need(f"{name} color", kind, pixels, *size, samples),
-        ]
-        if depth:
-            names.append(self.need(f"{name} depth", kind, pixels, *size, samples))
-        return tuple(names)
+    def close(self) -> None: ...
 
 
-def resolve(
-    avatars: Sequence[Avatar],
-    canvas: Canvas,
-    effects: Effects,
-    background: Background = Background(),  # noqa: B008  frozen
-    level: int = 0,
-) -> Plan:
-    """The plan for drawing `avatars` with these effects. Makes nothing.
-
-    Raises:
-        ValueError: a view mode that an avatar does not hold.
-    """
-    draft = _Draft()
-    smoothing, refused = _smoothing(canvas, effects)
-    size, targets = canvas.size, ()
-    if size is not None and (canvas.own_image or smoothing == "msaa"):
-        targets = draft.image("image", size, depth=smoothing == "none")
-    _background(draft, canvas, background)
-    frame = draft.need("frame", "buffer", FRAME.itemsize)
-    drawn_on = targets
-    if size is not None and smoothing == "msaa":
-        drawn_on = draft.image("samples", size, depth=True, samples=SAMPLES)
-    elif size is not None and smoothing == "fxaa":
-        drawn_on = draft.image("layer", size, depth=True, kind="texture")
-    for index, avatar in enumerate(avatars):
-        tag = f"avatar {index}" if len(avatars) > 1 else "avatar"
-        _avatar(draft, index, avatar, tag, (*drawn_on, frame), canvas.software, effects, level)
-    if smoothing == "none":
-        draft.passes.append(Pass("antialiasing", "antialiasing", refused or "not asked for", asked=False))
-    elif size is not None:  # else a window: planned with its first frame
-        _antialiasing(draft, size, smoothing, (*targets, *drawn_on))
-    return Plan(tuple(draft.passes), draft.resources, tuple(draft.variants))
+def close_all(kept: Iterable[Any]) -> None:
+    """Close what a plan kept and no later one does."""
+    for one in kept:
+        if isinstance(one, Closable):
+            one.close()
 
 
-def _smoothing(canvas: Canvas, effects: Effects) -> tuple[str, str]:
-    """The antialiasing that the device can do, and why it cannot where it was asked to. `auto` is MSAA on a GPU; on a
-    software rasteriser, where MSAA costs more than twice as much, FXAA."""
-    if effects.antialiasing == "auto":
-        return "fxaa" if canvas.software or canvas.max_samples < SAMPLES else "msaa", ""
-    if effects.antialiasing == "msaa" and canvas.max_samples < SAMPLES:
-        return "none", f"the device has {canvas.max_samples} samples a pixel, {SAMPLES} are needed"
-    return effects.antialiasing, ""
-
-
-def _background(draft: _Draft, canvas: Canvas, background: Background) -> None:
-    """Pixels of the background at the size of the image, copied in each frame: a copy costs 1.04 of a bare frame in
-    software, a textured triangle 1.4 to 1.8."""
-    kind = background.kind
-    if kind in ("color", "transparent"):
-        draft.passes.append(Pass("background", "background", "not asked for", asked=False))
-        return
-    if canvas.size is None:
-        return  # a window: planned with its first frame
-    pixels = draft.image("background", canvas.size, depth=False, kind="texture")
-    if kind == "video":
-        draft.passes.append(Pass("background: video", "background", "a new frame", reads=pixels))
-    if kind == "hdr":
-        assert canvas.panorama is not None
-        width, height = canvas.panorama
-        levels = max(width, height).bit_length()
-        texels = sum(max(width >> i, 1) * max(height >> i, 1) for i in range(levels))
-        panorama = draft.need("panorama", "texture", 8 * texels, width, height)
-        variant = draft.program("screen.vert", "panorama.frag")
-        draft.passes.append(Pass("background: hdr", "background", "the camera turned", variant=variant,
-                                 reads=(*pixels, panorama)))  # fmt: skip
-    draft.passes.append(Pass("background", "background", "asked for", reads=pixels))
-
-
-def _avatar(
-    draft: _Draft, index: int, avatar: Avatar, tag: str, base: tuple[str, ...], software: bool, effects: Effects,
-    level: int,
-) -> None:  # fmt: skip
-    mesh = avatar.levels[min(level, len(avatar.levels) - 1)]
-    mode, why = resolved_view(avatar, effects.view, software)
-    if mode != "off" and mesh.features is None:
-        mode, why = "off", f"level {level} holds no features"
-    dual = effects.skinning == "dual_quaternion"
-    vertices = len(mesh.positions)
-    base = (
-        *base,
-        draft.need(f"{tag} vertices", "buffer", 28 * vertices, level),
-        draft.need(f"{tag} faces", "buffer", 12 * len(mesh.faces), level),
-        draft.need(f"{tag} base color", "texture", _mipmapped(mesh.base_color.shape), level),
-        draft.need(f"{tag} duals", "buffer", DUALS.itemsize)
-        if dual
-        else draft.need(f"{tag} bones", "buffer", BONES.itemsize),
-    )
-    turns = (draft.need(f"{tag} turns", "buffer", TURNS.itemsize),) if dual or mode != "off" else ()
-    paper = draft.program("avatar.vert", "avatar.frag", SKINNING=int(dual), VIEW_STAGE=0)
-    what = f"{avatar.name}, {len(mesh.faces)} triangles" + dual * ", dual quaternions"
-    draft.passes.append(Pass(f"{tag}: paper", "avatar", what, True, index, paper, base + turns * dual))
-    if mode == "off" or mesh.features is None:
-        reason = "not asked for" if why == "asked for" else why
-        draft.passes.append(Pass(f"{tag}: view", "view", reason, False, index))
-        return
-    network = mode == "network" or (mode == "vertex" and avatar.network is not None)
-    if mode == "vertex" and effects.view == "auto":
-        network = avatar.default_view == "network"
-    features = mesh.features.shape
-    extra = (*turns, draft.need(f"{tag} view vertices", "buffer", 40 * vertices, level))
-    for name in feature_textures(mesh):
-        extra += (draft.need(f"{tag} {name}", "texture", _mipmapped(features), level),)
-    variant = draft.program("avatar.vert", "avatar.frag", index, SKINNING=int(dual), VIEW_STAGE=STAGE[mode],
-                            VIEW_MODEL=int(network), VIEW_FEATURES=features[2])  # fmt: skip
-    draft.passes.append(Pass(f"{tag}: view {mode}", "view", why, True, index, variant, (*base, *extra)))
-
-
-def _antialiasing(draft: _Draft, size: tuple[int, int], smoothing: str, images: tuple[str, ...]) -> None:
-    if smoothing == "msaa":
-        why = f"{SAMPLES} samples, resolved on the avatars' box"
-        draft.passes.append(Pass("antialiasing: msaa", "antialiasing", why, reads=images))
-        return
-    tiles = 8 * -(-size[0] // TILE) * -(-size[1] // TILE)
-    reads = (*images, draft.need("fxaa tiles", "buffer", tiles, *size))
-    variant = draft.program("tiles.vert", "fxaa.frag")
-    why = "on the tiles that avatars reach"
-    draft.passes.append(Pass("antialiasing: fxaa", "antialiasing", why, variant=variant, reads=reads))
-
-
-def feature_textures(level: Level) -> list[str]:
-    """Names of the textures that hold a level's features, four in each."""
-    count = 0 if level.features is None else level.features.shape[2]
-    return ["features", "more features"][: count // 4]
-
-
-def _mipmapped(shape: tuple[int, ...]) -> int:
-    height, width = shape[:2]
-    return sum(4 * max(height >> i, 1) * max(width >> i, 1) for i in range(mip_levels(shape)))
+def _clamped(texture: moderngl.Texture) -> moderngl.Texture:
+    texture.repeat_x = texture.repeat_y = False
+    return texture

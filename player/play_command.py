@@ -15,7 +15,8 @@ from player.context import NoContextError
 from player.live.address import Address, parse_address
 from player.live.command import add_live_options
 from player.motions import beside
-from player.scenes.effects import ANTIALIASINGS, SKINNINGS, VIEWS
+from player.passes.view import VIEWS
+from player.scenes.effects import ANTIALIASINGS, SKINNINGS
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 EXAMPLES = """examples

@@ -21,8 +21,9 @@ class PosedBones(NamedTuple):
     radii: Float[np.ndarray, "52"]  # of the sphere about each joint that holds all its bone moves; < 0: nothing
 
 
-class Reach(NamedTuple):
-    """What the bone spheres reach, a bound on every vertex: skinning stays inside the spheres' convex hull."""
+class ScreenBounds(NamedTuple):
+    """Depths and box of the image that the bone spheres reach: a bound on every vertex, since skinning stays inside the
+    spheres' convex hull."""
 
     # nearest and farthest, metres along the optical axis
     depth: Float[np.ndarray, "2"]
@@ -78,7 +79,7 @@ def dual_parts(bones: PosedBones, real: Float[np.ndarray, "52 4"]) -> Float[np.n
     return out
 
 
-def reach(bones: PosedBones, camera: Camera) -> Reach:
+def screen_bounds(bones: PosedBones, camera: Camera) -> ScreenBounds:
     """Depths and image box that the avatar cannot leave."""
     used = np.flatnonzero(bones.radii >= 0)
     centers, radii = bones.centers[used], bones.radii[used]
@@ -86,7 +87,7 @@ def reach(bones: PosedBones, camera: Camera) -> Reach:
     ends[0], ends[1] = -centers[:, 2] - radii, radii - centers[:, 2]
     bounds = np.array([ends[0].min(), ends[1].max()])
     if bounds[0] <= 0:
-        return Reach(bounds, np.array([-np.inf, -np.inf, np.inf, np.inf]))
+        return ScreenBounds(bounds, np.array([-np.inf, -np.inf, np.inf, np.inf]))
     # a sphere's image lies between the slopes (c -+ r) / depth taken at its nearer or farther end
     flat = (centers[:, :2] * (1.0, -1.0)).T
     slopes = np.stack([flat - radii, flat + radii])[:, :, None] / ends
@@ -95,7 +96,7 @@ def reach(bones: PosedBones, camera: Camera) -> Reach:
     (left, top), (right, bottom) = low.tolist(), high.tolist()
     slant = sorted((skew * top, skew * bottom))
     box = [fx * left + cx + slant[0], fy * top + cy, fx * right + cx + slant[1], fy * bottom + cy]
-    return Reach(bounds, np.array(box))
+    return ScreenBounds(bounds, np.array(box))
 
 
 # OpenGL looks down -z with +y up

@@ -30,8 +30,9 @@ from player.filming.parts import LENGTH, Parts
 from player.filming.shot import Set, Shot, with_whole_paths
 from player.filming.stage import Stage, camera_from_option
 from player.motions import beside, frame_range
+from player.passes.view import VIEWS
 from player.renderer import Renderer
-from player.scenes.effects import ANTIALIASINGS, SKINNINGS, VIEWS, Effects
+from player.scenes.effects import ANTIALIASINGS, SKINNINGS, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 RENDER_EXAMPLES = """examples
@@ -325,21 +326,12 @@ def say(shot: Shot, stage: Stage, notes: Sequence[str]) -> None:
 
 
 def how(drawn: Set) -> str:
-    return f"{drawn.context.attempts[-1]}; view {', '.join(view_names(drawn.renderer))}"
+    return f"{drawn.context.attempts[-1]}; view {', '.join(drawn.renderer.views)}"
 
 
 def done(shot: Shot, path: Path, rest: str) -> None:
     count = len_of(shot)
     print(f"{path}: {count} frame{'s' * (count != 1)}, {shot.size[0]}x{shot.size[1]}, {rest}")
-
-
-def view_names(renderer: Renderer) -> list[str]:
-    """The view mode of each avatar, as the plan resolved it."""
-    names = []
-    for index in range(len(renderer.avatars)):
-        modes = [p.name.split(": view ")[1] for p in renderer.plan.passes if p.avatar == index and ": view " in p.name]
-        names += modes or ["off"]
-    return names
 
 
 def explain(renderer: Renderer, json_path: str | None) -> None:

@@ -53,6 +53,12 @@ def image_texture(context: Context, image: Texels, *, coarse: bool = False) -> m
     return texture
 
 
+def mipmapped_bytes(shape: tuple[int, ...]) -> int:
+    """Bytes of an `image_texture`, four a texel."""
+    height, width = shape[:2]
+    return sum(4 * max(height >> i, 1) * max(width >> i, 1) for i in range(mip_levels(shape)))
+
+
 def read_finer_mip(context: Context, texture: moderngl.Texture) -> None:
     """Set MIP_BIAS as a state of the texture; moderngl has no word for it."""
     texture.use()

@@ -8,8 +8,9 @@ from jaxtyping import Bool, Float, Int, UInt16
 
 from avatar.baked_avatar import Level
 from avatar.camera import Camera
-from player.plan import TILE
 
+# pixels a side
+TILE = 16
 # metres; patches of the surface are split until they fit a ball of this radius
 LARGEST = 0.10
 

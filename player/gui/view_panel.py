@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from player.scenes.effects import ANTIALIASINGS, SKINNINGS, VIEWS
+from player.passes.view import VIEWS
+from player.scenes.effects import ANTIALIASINGS, SKINNINGS
 
 if TYPE_CHECKING:
     from player.window.window import Window

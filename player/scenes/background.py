@@ -5,6 +5,7 @@ Arrays are sRGB, premultiplied, row 0 on top. Nothing here touches OpenGL.
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -13,9 +14,9 @@ from PIL import Image
 from avatar.errors import AssetError
 from avatar.input_file import one_line, open_input
 from avatar.picture import MAX_PIXELS, WITH_WEBP, read_picture
-from player.scenes.effects import RGBA, Background
 from player.scenes.radiance import read_radiance
 
+RGBA = tuple[float, float, float, float]
 Pixels = UInt8[np.ndarray, "_ _ 4"]  # rows, columns
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 # texels at most: a view of 60 degrees then still has 680 of them across
@@ -25,6 +26,15 @@ FAR = 2.0
 MAX_FILM_BYTES = 1 << 36
 # FFmpeg's names of the containers that are read
 FILMS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,gif,webp,apng,ogg,flv,asf,h264,hevc,mpegvideo,m4v"
+
+
+class Placing(NamedTuple):
+    """How pictures of any size fill the image."""
+
+    # cover, contain or stretch: see `placed`
+    fit: str = "cover"
+    # premultiplied, where the picture does not reach
+    color: RGBA = (0.0, 0.0, 0.0, 0.0)
 
 
 def placed(size: tuple[int, int], into: tuple[int, int], fit: str) -> tuple[int, int, int, int]:
@@ -93,16 +103,14 @@ def read_panorama(path: Path | str) -> Float32[np.ndarray, "height width 3"]:
 class StillPicture:
     """One picture, the same at all times."""
 
-    def __init__(self, background: Background):
-        assert background.path is not None
-        self.background, self.picture = background, _picture(background.path)
-        self.opaque = background.fit != "contain" and bool(self.picture[..., 3].min() == 255)
+    def __init__(self, path: Path, placing: Placing):
+        self.placing, self.picture = placing, _picture(path)
 
     def number(self, seconds: float) -> int:
         return 0
 
     def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
-        return fitted(self.picture, size, self.background.fit, self.background.color)
+        return fitted(self.picture, size, *self.placing)
 
     def close(self) -> None:
         pass
@@ -111,22 +119,17 @@ class StillPicture:
 class Frames:
     """A folder of pictures, in the order of their names, at a stated rate. The last one stays."""
 
-    # not known before all are read
-    opaque = False
-
-    def __init__(self, background: Background):
-        assert background.path is not None
-        self.background = background
-        self.files = sorted(f for f in Path(background.path).iterdir() if f.suffix.lower() in PICTURES)
+    def __init__(self, path: Path, placing: Placing, rate: float):
+        self.placing, self.rate = placing, rate
+        self.files = sorted(f for f in path.iterdir() if f.suffix.lower() in PICTURES)
         if not self.files:
-            raise AssetError(f"{background.path}: expected pictures ({', '.join(PICTURES)}), found none")
+            raise AssetError(f"{path}: expected pictures ({', '.join(PICTURES)}), found none")
 
     def number(self, seconds: float) -> int:
-        return min(max(int(seconds * self.background.rate + 1e-6), 0), len(self.files) - 1)
+        return min(max(int(seconds * self.rate + 1e-6), 0), len(self.files) - 1)
 
     def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
-        picture = _picture(self.files[self.number(seconds)])
-        return fitted(picture, size, self.background.fit, self.background.color)
+        return fitted(_picture(self.files[self.number(seconds)]), size, *self.placing)
 
     def close(self) -> None:
         pass
@@ -135,19 +138,17 @@ class Frames:
 class Video:
     """A film, one decoded frame in memory. The last frame stays. Only opening it imports the decoder."""
 
-    def __init__(self, background: Background):
+    def __init__(self, path: Path, placing: Placing):
         import av
         import av.error
 
-        assert background.path is not None
-        self.background, self.path = background, background.path
-        self.opaque = background.fit != "contain"
+        self.path, self.placing = path, placing
         # a regular file, before another library opens it
         open_input(self.path, "a film", most=MAX_FILM_BYTES).close()
         try:
             # play lists and scripts of FFmpeg's own name other files and addresses
             options = {"format_whitelist": FILMS, "protocol_whitelist": "file"}
-            self.container = av.open(self.path, options=options)
+            self.container = av.open(str(self.path), options=options)
         except (OSError, ValueError, av.error.FFmpegError) as error:
             raise AssetError(f"{self.path}: cannot be read as a film: {one_line(error)}") from None
         if not self.container.streams.video:
@@ -225,31 +226,14 @@ class Video:
         assert self.shown is not None
         turned = self.shown.rotation % 180 != 0
         source = (self.shown.width, self.shown.height)
-        left, top, width, height = placed(source[::-1] if turned else source, size, self.background.fit)
+        left, top, width, height = placed(source[::-1] if turned else source, size, self.placing.fit)
         across = (height, width) if turned else (width, height)
         image = self.shown.reformat(width=across[0], height=across[1], format="rgba").to_ndarray()
         image = np.rot90(image, self.shown.rotation // 90 % 4)
-        return laid(image, left, top, size, self.background.color)
+        return laid(image, left, top, size, self.placing.color)
 
     def close(self) -> None:
         self.container.close()
 
 
 Source = StillPicture | Frames | Video
-
-
-def opened_source(background: Background) -> Source | None:
-    """What an image or video background is drawn from; None for the kinds that need none.
-
-    Raises:
-        AssetError: the file is absent, or is not what its kind says.
-    """
-    if background.kind == "image":
-        return StillPicture(background)
-    if background.kind != "video":
-        return None
-    assert background.path is not None
-    path = Path(background.path)
-    if not path.exists():
-        raise AssetError(f"{path}: no such file")
-    return Frames(background) if path.is_dir() else Video(background)

@@ -1,21 +1,30 @@
-"""What a scene asks of the renderer beyond the avatars themselves. Nothing here touches OpenGL.
+"""The effects that a scene can ask for: one line each, from which everything that names effects is read.
 
-player/plan.py turns it into passes; what is not asked for is in no plan and costs nothing. The notes on each field
-are its documentation in docs/scenes.md and in the JSON schema.
+A line is a field of `Effects`: its type or its `Makes` names the settings of a file in player/passes/, its notes are
+its rules and its documentation. Scene files, their schema and tables, `--effect NAME`, `--explain` and the window's
+panel follow from the fields. What is not asked for is in no plan and costs nothing.
 """
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
-from avatar.settings import Above, Color, OneOf, check
+from avatar.settings import Fact, OneOf, check, facts, rule_of
+from player.passes.antialiasing import BestAntialiasing
+from player.passes.background import Background
+from player.passes.fxaa import Fxaa
+from player.passes.msaa import Msaa
+from player.passes.view import VIEWS
+from player.plan import Effect, Stage
 
-VIEWS = ("off", "vertex", "linear", "network")
 SKINNINGS = ("lbs", "dual_quaternion")
 ANTIALIASINGS = ("auto", "none", "fxaa", "msaa")
-BACKGROUNDS = ("color", "image", "video", "hdr", "transparent")
-FITS = ("cover", "contain", "stretch")
 
-RGBA = tuple[float, float, float, float]
+
+class Makes(NamedTuple):
+    """Words of a field that ask for an effect; the field's other words ask for none."""
+
+    of: Mapping[str, type[Effect]]
 
 
 @dataclass(frozen=True)
@@ -35,6 +44,7 @@ class Effects:
     antialiasing: Annotated[
         str,
         OneOf(ANTIALIASINGS),
+        Makes({"auto": BestAntialiasing, "fxaa": Fxaa, "msaa": Msaa}),
         "smooth outlines: fxaa filters them in the finished picture, msaa takes 4 samples a pixel; auto is msaa on a "
         "GPU and fxaa on a software rasteriser",
     ] = "auto"
@@ -42,45 +52,13 @@ class Effects:
     def __post_init__(self):
         check(self)
 
-
-@dataclass(frozen=True)
-class Background:
-    """What is behind the avatars.
-
-    Raises:
-        ValueError: a value that is not known, a kind without the file it needs, or a file for a kind that has none.
-    """
-
-    kind: Annotated[str, OneOf(BACKGROUNDS), "what it is; image, video and hdr need a path"] = "color"
-    color: Annotated[
-        RGBA,
-        Color(),
-        "of kind color, and where an image or a video does not reach",
-    ] = (0.0, 0.0, 0.0, 0.0)  # premultiplied sRGB
-    path: Annotated[
-        str | None, "picture; film or folder of frames; panorama (Radiance .hdr, twice as wide as high)"
-    ] = None
-    fit: Annotated[
-        str, OneOf(FITS), "of image and video: cover crops, contain leaves bars of `color`, stretch distorts"
-    ] = "cover"
-    rate: Annotated[float, Above(0), "frames per second of a folder of frames; films know theirs"] = 30.0
-    exposure: Annotated[float, "of hdr, stops: +1 is twice as bright"] = 0.0
-    turn_deg: Annotated[float, "of hdr, about the vertical: at 0 a camera in front sees the middle of the panorama"] = (
-        0.0
-    )
-
-    def __post_init__(self):
-        check(self)
-        needs_file = self.kind in ("image", "video", "hdr")
-        if needs_file != (self.path is not None):
-            need = "needs a path" if needs_file else f"takes no path, has {self.path!r}"
-            raise ValueError(f"background {self.kind} {need}")
-
-    @property
-    def transparent(self) -> bool:
-        """Whether pixels may be left that are not opaque, as far as can be said without reading files."""
-        bars = self.kind in ("image", "video") and self.fit == "contain"
-        return self.kind == "transparent" or ((self.kind == "color" or bars) and self.color[3] < 1)
+    def effects(self) -> Iterator[tuple[Fact, Stage, Effect | None]]:
+        """Every field that can ask for an effect: where in a frame it draws, and what it asks for."""
+        for fact in facts(Effects):
+            value, makes = getattr(self, fact.name), rule_of(fact, Makes)
+            if makes is not None:
+                stage = next(iter(makes.of.values())).stage
+                yield fact, stage, makes.of[value]() if value in makes.of else None
 
 
 # where a scene says nothing

@@ -9,7 +9,8 @@ from typing import Annotated
 from avatar.motion.hands import HANDS
 from avatar.motion.read import BUILTIN_MOTIONS
 from avatar.settings import Above, AtLeast, OneOf, Place, check
-from player.scenes.effects import STUDIO, USUAL, Background, Effects
+from player.passes.background import Background
+from player.scenes.effects import STUDIO, USUAL, Effects
 
 CAMERAS = ("front", "orbit", "turntable", "file", "path", "capture")
 MANNEQUINS = ("mannequin", "mannequin:female")

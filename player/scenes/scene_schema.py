@@ -13,7 +13,8 @@ from typing import Any, get_args, get_origin
 
 from avatar.files import whole_file
 from avatar.settings import Above, AtLeast, Color, Fact, OneOf, facts
-from player.scenes.effects import STUDIO, Background, Effects
+from player.passes.background import Background
+from player.scenes.effects import STUDIO, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 DOCS = Path(__file__).parents[2] / "docs"

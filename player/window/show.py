@@ -15,7 +15,8 @@ from player.filming.stage import opened_avatar
 from player.framing import FOV, extent, facing, fitted_camera
 from player.live.playback import LivePlayback
 from player.motions import notes, opened_motion, retargeted, standing
-from player.scenes.effects import STUDIO, Background, Effects
+from player.passes.background import Background
+from player.scenes.effects import STUDIO, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 from player.window.cameras import TURN_SECONDS, Cameras, Orbit
 from player.window.capture_view import CaptureView, open_capture

@@ -20,8 +20,9 @@ from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.skeleton import JOINTS
 from player.context import Context
+from player.passes.background import Background
 from player.renderer import Pose, Renderer
-from player.scenes.effects import Background, Effects
+from player.scenes.effects import Effects
 from player.stop import Stop
 from player.window.cameras import WALK, moved_into
 from player.window.glfw_window import ScreenReader, open_window, window_context
@@ -156,7 +157,7 @@ class Window:
         """Select the avatar and joint under a pixel; beside them the joint is let go."""
         if self.camera is None or (self.tool is not None and self.tool.pick(x, y)):
             return None
-        levels = [a.levels[min(self.level, len(a.levels) - 1)] for a in self.show.avatars]
+        levels = [avatar.level(self.level) for avatar in self.show.avatars]
         found = pick(self.show.avatars, levels, self.poses, self.camera, (x, y))
         self.selection = Selection(found.avatar, found.joint) if found else self.selection._replace(joint=None)
         return found

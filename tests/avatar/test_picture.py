@@ -16,8 +16,8 @@ from avatar.errors import AssetError
 from avatar.picture import WITH_WEBP, decode_picture, picture_size, read_picture
 from capture.folder import _read_frames
 from capture.imports.folder import read_frame, read_mask
+from player.passes.background import Background
 from player.scenes.background import Frames, Picture, opened_source
-from player.scenes.effects import Background
 
 ROOT = Path(__file__).parent.parent.parent
 EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n(%pipe%id) (w) file\nshowpage\n%%EOF\n"

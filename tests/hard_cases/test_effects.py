@@ -12,9 +12,10 @@ from avatar.skeleton import BIG_POSE
 from avatar.skinning import SkinWeights, skin_points_dual_quaternion
 from player.context import open_context
 from player.mannequin import mannequin
+from player.passes.background import Background
 from player.posing import Poser, dual_parts
 from player.renderer import Renderer
-from player.scenes.effects import Background, Effects
+from player.scenes.effects import Effects
 
 POSE = (np.array(BIG_POSE), np.zeros(3))
 SMOOTH = ("fxaa", "msaa")

@@ -9,11 +9,12 @@ from PIL import Image
 from avatar.camera import orbit_camera
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, skin_points, skin_points_dual_quaternion
-from player import renderer as renderers
+from player.passes import fxaa as fxaa_pass
+from player.passes.background import Background
 from player.posing import Poser
 from player.raster import Rasteriser
 from player.renderer import Renderer
-from player.scenes.effects import Background, Effects
+from player.scenes.effects import Effects
 from player.tiles import TILE, Patches, covered, rectangles
 
 SIZE = (180, 200)
@@ -93,7 +94,7 @@ def test_fxaa_is_its_reference_where_surfaces_end_and_nothing_elsewhere(context,
 def test_fxaa_on_tiles_is_fxaa_on_the_whole_picture(context, avatar, pose, monkeypatch, skinning, size):
     renderer = Renderer(context, [avatar], size, effects=Effects("off", skinning, "fxaa"))
     tiles = renderer.draw([pose], CAMERA)
-    monkeypatch.setattr(renderers, "covered", lambda boxes, size, margin: np.full_like(covered(boxes, size, 0), True))
+    monkeypatch.setattr(fxaa_pass, "covered", lambda boxes, size, margin: np.full_like(covered(boxes, size, 0), True))
     assert np.array_equal(tiles, renderer.draw([pose], CAMERA))
     renderer.release()
 

@@ -10,9 +10,10 @@ from radiance_writer import radiance_bytes, sky
 from avatar.camera import look_at, orbit_camera, pixel_rays
 from avatar.errors import AssetError
 from player.context import open_context
+from player.passes.background import Background, opened_source
 from player.renderer import Renderer
-from player.scenes.background import _picture, fitted, opened_source, placed, read_panorama
-from player.scenes.effects import Background, Effects
+from player.scenes.background import _picture, fitted, placed, read_panorama
+from player.scenes.effects import Effects
 from player.scenes.radiance import read_radiance
 
 SIZE = (120, 90)

@@ -9,8 +9,8 @@ import glfw  # before imgui_bundle
 from imgui_bundle import imgui
 
 from player.gui.draw import DrawLists
+from player.passes.background import Background
 from player.play_command import play_parser, scene_of
-from player.scenes.effects import Background
 from player.window.show import opened_show, read_avatars
 from player.window.window import Window
 

@@ -10,11 +10,15 @@ import pytest
 from radiance_writer import radiance_bytes, sky
 
 from avatar.camera import orbit_camera
+from avatar.errors import AssetError
 from player import plan as plans
 from player.context import open_context
 from player.mannequin import mannequin
+from player.passes.background import BACKGROUNDS, Background
+from player.passes.view import VIEWS
 from player.renderer import Renderer
-from player.scenes.effects import ANTIALIASINGS, BACKGROUNDS, PLAIN, SKINNINGS, VIEWS, Background, Effects
+from player.resolve import resolve
+from player.scenes.effects import ANTIALIASINGS, PLAIN, SKINNINGS, Effects
 
 SIZE = (96, 80)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.9, 0.5, 0.1, SIZE)
@@ -51,7 +55,7 @@ def plan_is_what_lives(context, renderer, **others):
     live = Counter(context.counts.objects()) - Counter(others)
     assert live == renderer.plan.objects()
     bytes_of_others = 8 * renderer.size[0] * renderer.size[1] if others else 0
-    planned = sum(resource.bytes for resource in renderer.plan.resources.values())
+    planned = renderer.plan.bytes
     assert context.counts.live_bytes - bytes_of_others == planned
 
 
@@ -108,10 +112,10 @@ def test_an_effect_that_cannot_show_is_the_frame_that_never_asked(
 
 def test_msaa_on_a_device_without_it_is_the_plan_without_it(avatar):
     canvas = plans.Canvas(SIZE, max_samples=1)
-    asked = plans.resolve([avatar], canvas, Effects("off", antialiasing="msaa"))
-    plain = plans.resolve([avatar], canvas, Effects("off", antialiasing="none"))
-    assert asked.resources == plain.resources and asked.variants == plain.variants
-    assert asked.passes[-1].why == "the device has 1 samples a pixel, 4 are needed" and not asked.passes[-1].asked
+    asked = resolve([avatar], canvas, Effects("off", antialiasing="msaa"))
+    plain = resolve([avatar], canvas, Effects("off", antialiasing="none"))
+    assert set(asked.handles) == set(plain.handles)
+    assert asked.passes[-1] == plans.Absent("antialiasing", "the device has 1 samples a pixel, 4 are needed")
 
 
 def test_a_panorama_is_evaluated_only_when_the_camera_turns(context, render, avatar, pose, backgrounds):
@@ -125,7 +129,39 @@ def test_a_panorama_is_evaluated_only_when_the_camera_turns(context, render, ava
     nearer = orbit_camera((0.1, 0, -0.2), 2.5, 0.5, 0.1, SIZE)  # same direction: the surroundings are far away
     turned = orbit_camera((0.1, 0, -0.2), 2.9, 0.6, 0.1, SIZE)
     assert [draws(camera) for camera in (CAMERA, CAMERA, nearer, turned, turned)] == [2, 1, 1, 2, 1]
-    assert renderer.drawn[0].state == "kept" and renderer.drawn[0].why == "kept: the camera has not turned"
+    assert renderer.drawn[0].decision == plans.Decision(plans.State.KEPT, "the camera has not turned")
+
+
+def test_another_panorama_of_the_same_size_is_another_texture(render, avatar, pose, backgrounds, tmp_path):
+    (tmp_path / "night.hdr").write_bytes(radiance_bytes(0.05 * sky(64)))
+    night = Background("hdr", path=str(tmp_path / "night.hdr"))
+    renderer = render(avatar, SIZE, effects=Effects("off"), background=backgrounds["hdr"])
+    day = renderer.draw([pose], AWAY)
+    renderer.change(background=night)
+    fresh = render(avatar, SIZE, effects=Effects("off"), background=night)
+    assert np.array_equal(renderer.draw([pose], AWAY), fresh.draw([pose], AWAY))
+    assert renderer.draw([pose], AWAY).mean() < day.mean() - 20
+
+
+def test_a_background_that_cannot_be_read_changes_nothing(context, render, avatar, pose, backgrounds, tmp_path):
+    (tmp_path / "broken.hdr").write_bytes(b"no panorama")
+    renderer = render(avatar, SIZE, effects=Effects("off"), background=backgrounds["image"])
+    before = renderer.draw([pose], CAMERA)
+    with pytest.raises(AssetError, match=r"broken\.hdr"):
+        renderer.change(background=Background("hdr", path=str(tmp_path / "broken.hdr")))
+    plan_is_what_lives(context, renderer)
+    assert np.array_equal(renderer.draw([pose], CAMERA), before)
+
+
+def test_a_film_stays_open_while_it_is_asked_for_and_is_closed_after(render, avatar, pose, backgrounds, monkeypatch):
+    renderer = render(avatar, SIZE, effects=PLAIN, background=backgrounds["video"])
+    (behind,) = renderer.plan.kept.values()
+    renderer.change(effects=EVERYTHING, size=(50, 40))
+    assert behind in renderer.plan.kept.values()
+    closed = []
+    monkeypatch.setattr(behind.source, "close", lambda: closed.append(1))
+    renderer.change(background=backgrounds["color"])
+    assert closed == [1] and behind not in renderer.plan.kept.values()
 
 
 def test_a_film_behind_is_uploaded_only_when_its_frame_changes(context, render, avatar, pose, backgrounds):
@@ -205,8 +241,8 @@ def test_edges_are_smooth_unless_it_is_said_otherwise(avatar):
     """auto: MSAA on a GPU; FXAA on a software rasteriser, and where samples are too few."""
 
     def runs(effects, *, software, samples=4):
-        plan = plans.resolve([avatar], plans.Canvas(SIZE, software=software, max_samples=samples), effects)
-        return {item.name for item in plan.passes if item.asked and item.kind == "antialiasing"}
+        plan = resolve([avatar], plans.Canvas(SIZE, software=software, max_samples=samples), effects)
+        return {item.name for item in plan.filters}
 
     assert runs(Effects(), software=True) == {"antialiasing: fxaa"}
     assert runs(Effects(), software=False) == {"antialiasing: msaa"}

@@ -9,7 +9,7 @@ from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import joint_transforms
 from player import kinematics
 from player.mannequin import mannequin
-from player.posing import Poser, quaternions, reach
+from player.posing import Poser, quaternions, screen_bounds
 
 # zero, denormal, both sides of the series' branch, both sides of a half turn, full turns
 ANGLES = [0.0, 1e-300, 1e-30, 1e-8, 0.0099, 0.0101, 1.0, np.pi - 1e-9, np.pi, np.pi + 1e-9, 2 * np.pi, 1e3]
@@ -63,7 +63,7 @@ def test_the_reach_of_a_sphere_is_its_silhouette_or_a_little_more():
     bones = Poser(avatar, avatar.levels[0]).posed(np.zeros((52, 3)), np.array([0.4, -0.2, 0.1]), camera)
     one = bones._replace(radii=np.where(np.arange(52) == 15, 0.15, -1.0))
     x, y, z = one.centers[15] * (1, -1, -1)
-    box = reach(one, camera).box
+    box = screen_bounds(one, camera).box
     for k, (offset, side) in enumerate(((x, 0), (y, 1))):
         middle, half = np.arctan2(offset, z), np.arcsin(0.15 / np.hypot(offset, z))
         true = camera.K[side, side] * np.tan([middle - half, middle + half]) + camera.K[side, 2]

@@ -9,10 +9,11 @@ from avatar.skinning import SkinWeights, skin_points, skin_points_dual_quaternio
 from avatar.texture import sample_texture
 from player.context import open_context
 from player.doctor import difference
-from player.plan import Canvas, resolve
-from player.posing import Poser, reach
+from player.plan import Absent, Canvas
+from player.posing import Poser, screen_bounds
 from player.raster import Rasteriser
 from player.renderer import Renderer
+from player.resolve import resolve
 from player.scenes.effects import Effects
 
 SIZE = (200, 240)
@@ -99,7 +100,7 @@ def test_live_objects_are_exactly_the_plan_and_release_frees_them(avatar, pose, 
     assert context.counts.objects() == renderer.plan.objects()
     renderer.draw([pose], CAMERA)
     assert context.counts.objects() == renderer.plan.objects()
-    assert context.counts.live_bytes == sum(resource.bytes for resource in renderer.plan.resources.values())
+    assert context.counts.live_bytes == renderer.plan.bytes
     renderer.release()
     assert context.counts.objects() == {} and context.gl.error == "GL_NO_ERROR"
     context.release()
@@ -128,9 +129,10 @@ def test_drawing_makes_nothing(context, render, avatar, pose, view):
 
 def test_what_is_not_asked_for_is_not_compiled_nor_allocated(avatar):
     off, vertex = (planned(avatar, view) for view in ("off", "vertex"))
-    assert len(off.variants) == 1 and dict(off.variants[0].defines)["VIEW_STAGE"] == 0
-    assert not [name for name in off.resources if "view" in name or "turns" in name or "features" in name]
-    assert {"avatar view vertices", "avatar turns", "avatar features"} <= set(vertex.resources)
+    named = [{handle.name for handle in plan.handles} for plan in (off, vertex)]
+    assert off.objects()["program"] == 1
+    assert not [name for name in named[0] if "view" in name or "turns" in name or "features" in name]
+    assert {"avatar view vertices", "avatar turns", "avatar features"} <= named[1]
     context = open_context()
     renderer = Renderer(context, [avatar], SIZE, view="off")
     assert context.counts.objects()["program"] == 1 and context.counts.objects()["texture"] == 1
@@ -140,7 +142,7 @@ def test_what_is_not_asked_for_is_not_compiled_nor_allocated(avatar):
 
 def test_auto_is_per_vertex_on_software_and_the_files_own_on_a_gpu(avatar):
     def modes(plan):
-        return [item.name for item in plan.passes if item.variant]
+        return [item.name for item in plan.passes if not isinstance(item, Absent)]
 
     assert modes(planned(avatar, "auto")) == ["avatar: paper", "avatar: view vertex"]
     assert modes(planned(avatar, "auto", software=False)) == ["avatar: paper", "avatar: view network"]
@@ -191,10 +193,10 @@ def test_explain_lists_every_pass_with_why_time_and_bytes(render, avatar, pose):
     assert view["ms"] > 0 and view["bytes"] > paper["bytes"] > 0 and view["why"] == "asked for"
 
 
-def test_the_reach_holds_every_vertex(avatar, pose):
+def test_the_bounds_hold_every_vertex(avatar, pose):
     vertices = posed_vertices(avatar, pose)
     bones = Poser(avatar, avatar.levels[0]).posed(*pose, CAMERA)
-    bounds = reach(bones, CAMERA)
+    bounds = screen_bounds(bones, CAMERA)
     local = vertices @ CAMERA.camera_from_world[:3, :3].T + CAMERA.camera_from_world[:3, 3]
     pixels = local @ CAMERA.K.T
     pixels = pixels[:, :2] / pixels[:, 2:]
@@ -232,6 +234,16 @@ def test_transparent_background_and_two_avatars(render, avatar, pose):
     assert set(np.unique(image[..., 3])) == {0, 255} and (image[image[..., 3] == 0] == 0).all()
     with pytest.raises(ValueError, match="2 avatars need as many poses, found 1"):
         double.draw([pose], CAMERA)
+
+
+def test_without_filters_a_framebuffer_of_any_size_will_do(context, render, avatar, pose):
+    renderer, small = render([avatar], view="off"), (30, 40)
+    attachments = context.gl.renderbuffer(small), context.gl.depth_renderbuffer(small)
+    other = context.gl.framebuffer([attachments[0]], attachments[1])
+    renderer.draw_into(other, [pose], CAMERA)
+    assert any(other.read(components=4))
+    for thing in (other, *attachments):
+        thing.release()
 
 
 def test_drawing_into_another_framebuffer_is_the_same_picture_upside_down(context, render, avatar, pose):

@@ -10,8 +10,9 @@ from PIL import Image
 
 from avatar.errors import AssetError
 from avatar.settings import facts
+from player.passes.background import Background
 from player.render_command import render_main
-from player.scenes.effects import STUDIO, Background, Effects
+from player.scenes.effects import STUDIO, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 from player.scenes.scene_file import lines_of_keys, read_scene
 from player.scenes.scene_schema import DOCS, scene_schema, with_tables

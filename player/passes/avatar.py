@@ -1,0 +1,96 @@
+"""Avatars in the paper's colors: color depends on the surface point alone (the global direction of Eq. 14)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import moderngl
+
+from player.drawing import Drawing, Layer, Warming
+from player.passes.view import ViewPass, view_pass
+from player.plan import Decision, Draft, Pass, Stage, State
+from player.posed_mesh import PosedMesh, posed_mesh
+from player.resources import Handle, PlanResources
+from player.texture import image_texture, mipmapped_bytes, read_finer_mip
+
+OUT_OF_VIEW = Decision(State.SKIPPED, "out of view")
+VIEW_DRAWS_IT = Decision(State.SKIPPED, "the view pass draws this avatar")
+
+
+@dataclass(frozen=True)
+class Avatars:
+    """Every avatar of the scene, in paper mode or with view dependence."""
+
+    view: str = "auto"
+    stage: ClassVar[Stage] = Stage.AVATARS
+
+    def passes(self, draft: Draft) -> Sequence[Pass]:
+        if draft.canvas.own_image and draft.layer.image is None:
+            draft.own_image(depth=True)
+        passes: list[Pass] = []
+        for index in range(len(draft.avatars)):
+            base_color = base_color_of(draft, index)
+            view = view_pass(draft, index, self.view, base_color)
+            passes += [paper_pass(draft, index, base_color, view), view]
+        return passes
+
+
+@dataclass(frozen=True)
+class PaperPass:
+    """One avatar in the colors of its texture."""
+
+    name: str
+    uses: tuple[Handle[Any], ...]
+    mesh: PosedMesh
+    layer: Layer
+    array: Handle[moderngl.VertexArray]
+    base_color: Handle[moderngl.Texture]
+    # draws the avatar instead, where it can show
+    view: ViewPass | None
+    running: Decision
+
+    def decide(self, drawing: Drawing) -> Decision:
+        if not drawing.visible[self.mesh.avatar]:
+            return OUT_OF_VIEW
+        if self.view is not None and self.view.decide(drawing).runs:
+            return VIEW_DRAWS_IT
+        return self.running
+
+    def draw(self, drawing: Drawing) -> None:
+        drawing.enter(self.layer)
+        self.mesh.pose(drawing)
+        drawing.resources[self.base_color].use(0)
+        drawing.resources[self.array].render()
+
+    def warm(self, warming: Warming) -> None:
+        if warming.enter(self.layer):
+            self.mesh.warm(warming.resources)
+            warming.resources[self.base_color].use(0)
+            warming.resources[self.array].render(vertices=3)
+
+
+def paper_pass(draft: Draft, avatar: int, base_color: Handle[moderngl.Texture], view: Pass) -> PaperPass:
+    mesh = posed_mesh(draft, avatar)
+    program = draft.program("avatar.vert", "avatar.frag", samplers=("base_color",), SKINNING=int(draft.dual),
+                            VIEW_STAGE=0)  # fmt: skip
+    array = mesh.array(draft, program)
+    what = f"{draft.avatars[avatar].name}, {len(draft.levels[avatar].faces)} triangles"
+    return PaperPass(
+        f"{draft.tag(avatar)}: paper", (*draft.drawn_on, *mesh.handles, base_color, array), mesh, draft.layer, array,
+        base_color, view if isinstance(view, ViewPass) else None,
+        Decision(State.RUNS, what + draft.dual * ", dual quaternions"),
+    )  # fmt: skip
+
+
+def base_color_of(draft: Draft, avatar: int) -> Handle[moderngl.Texture]:
+    image = draft.levels[avatar].base_color
+
+    def make(made: PlanResources) -> moderngl.Texture:
+        texture = image_texture(made.context, image)
+        if made.context.software:
+            read_finer_mip(made.context, texture)
+        return texture
+
+    return draft.texture(
+        f"{draft.tag(avatar)} base color", mipmapped_bytes(image.shape), avatar, draft.level, make=make
+    )
