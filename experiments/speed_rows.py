@@ -23,9 +23,9 @@ from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar
 from bench.alternating import Turn, alternate
 from experiments.live_sender import sending
+from player.address import Address
 from player.context import Context
 from player.filming.film import Film
-from player.live.address import Address
 from player.live.inbox import Inbox
 from player.live.latency import Latency
 from player.live.playback import LivePlayback

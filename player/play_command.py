@@ -10,9 +10,9 @@ import numpy as np
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from avatar.skeleton import PARTS
+from player.address import Address, parse_address
 from player.arguments import add_hands, parse_background, parse_size
 from player.context import NoContextError
-from player.live.address import Address, parse_address
 from player.live.command import add_live_options
 from player.motions import beside
 from player.passes.view import VIEWS

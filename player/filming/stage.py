@@ -21,7 +21,7 @@ from player.framing import FOV, evenly, extent, facing, fitted_camera, orbit, ou
 from player.motions import BLOCK, opened_motion, retargeted
 from player.renderer import Pose
 from player.scenes.scene import Scene, SceneCamera
-from player.window.playback import Track
+from player.track import Track
 
 CameraAt = Callable[[int, Float[np.ndarray, "3"]], Camera]  # of the frame number and the first avatar's pelvis
 FITTED = ("front", "orbit", "turntable")
@@ -153,7 +153,7 @@ class Stage:
         if path is None:
             raise AssetError(f"camera {kind}: needs a path")
         if kind == "capture":
-            from player.window.capture_view import open_capture
+            from player.capture_view import open_capture
 
             return list(open_capture(path, self.camera.name or "body").cameras)
         if Path(path).suffix.lower() == ".npz":

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from player.window.cameras import NAMES
+from player.cameras import NAMES
 
 if TYPE_CHECKING:
     from player.window.window import Window

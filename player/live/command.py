@@ -17,8 +17,8 @@ from avatar.motion.clip import Clip, Motion, fitted
 from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 from avatar.settings import Help, Option, parse
+from player.address import Address, parse_address
 from player.live import json_pose
-from player.live.address import Address, parse_address
 from player.live.frame import LivePose
 from player.live.inbox import LONGEST_DELAY
 from player.live.one_euro import LEAST

@@ -17,7 +17,6 @@ from jaxtyping import Float
 
 from player.live.frame import Counters, LivePose
 
-PORT = 39550
 LARGEST = 16384  # bytes; a message has about 3000
 # a sequence number older by more is a restarted sender
 REORDERED = 64

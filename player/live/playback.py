@@ -8,8 +8,8 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Motion
+from player.address import Address
 from player.framing import pelvis_height
-from player.live.address import Address
 from player.live.frame import LivePose
 from player.live.inbox import SILENT, Inbox
 from player.live.latency import Latency

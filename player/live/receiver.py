@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from avatar.errors import AssetError
-from player.live.address import Address
+from player.address import Address
 from player.live.inbox import Inbox
 
 # Linux: the kernel's time of arrival comes with the datagram

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
-from player.live.address import Address
+from player.address import Address
 from player.live.inbox import Inbox
 from player.live.latency import Latency
 from player.live.playback import LivePlayback

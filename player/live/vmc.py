@@ -20,7 +20,6 @@ from avatar.skeleton import PARENTS
 from player.live.frame import Counters
 from player.live.osc import Message, OscError, build_bundle, build_message, parse_packet
 
-PORT = 39539
 # seconds; a clock set back by more was restarted, by less its datagram came late
 RESTART = 1.0
 # datagrams, to know a repeated one

@@ -10,7 +10,7 @@ from typing import Any, NoReturn, get_args, get_origin
 
 from avatar.errors import AssetError
 from avatar.settings import Color, Fact, Place, broken_rule, facts
-from player.live.address import PORTS, parse_address
+from player.address import PORTS, parse_address
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera

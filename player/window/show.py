@@ -11,16 +11,17 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, read_camera, read_cameras
 from avatar.rotation import matrix_from_axis_angle
 from player.camera_path import CameraPath
+from player.cameras import TURN_SECONDS, Cameras, Orbit
+from player.capture_view import CaptureView, open_capture
 from player.filming.stage import opened_avatar
 from player.framing import FOV, extent, facing, fitted_camera
 from player.live.playback import LivePlayback
-from player.motions import notes, opened_motion, retargeted, standing
+from player.motions import BLOCK, notes, opened_motion, retargeted, standing
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
-from player.window.cameras import TURN_SECONDS, Cameras, Orbit
-from player.window.capture_view import CaptureView, open_capture
-from player.window.playback import BLOCK, Playback, Track
+from player.track import Track
+from player.window.playback import Playback
 
 KINDS = {
     "front": "orbit",

@@ -1,6 +1,6 @@
 """The window: one frame after the other, and what its keys and panels ask for.
 
-What is shown is a `Show` (player/window/show.py); time is player/window/timeline.py, cameras player/window/cameras.py,
+What is shown is a `Show` (player/window/show.py); time is player/window/timeline.py, cameras player/cameras.py,
 keys
 player/window/keys.py, the mouse player/window/pointer.py, panels player/gui/. The same code runs without a display:
 glfw's null platform with OSMesa, driven by a script (player/window/script.py) that calls what glfw calls.
@@ -19,12 +19,12 @@ from jaxtyping import UInt8
 from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.skeleton import JOINTS
+from player.cameras import WALK, moved_into
 from player.context import Context
 from player.passes.background import Background
 from player.renderer import Pose, Renderer
 from player.scenes.effects import Effects
 from player.stop import Stop
-from player.window.cameras import WALK, moved_into
 from player.window.glfw_window import ScreenReader, open_window, window_context
 from player.window.keys import ACTIONS, HELP, HELP_LIVE, HELP_WALK, WALKING
 from player.window.overlay import TextLine

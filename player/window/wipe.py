@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from player.cameras import inner_box
+from player.capture_view import CaptureView
 from player.context import Context
-from player.window.cameras import inner_box
-from player.window.capture_view import CaptureView
 from player.window.picture import Box, PictureLayer
 
 if TYPE_CHECKING:

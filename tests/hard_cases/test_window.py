@@ -7,7 +7,8 @@ from tiny_avatar import tiny_avatar
 
 from player.context import NoContextError, open_context
 from player.scenes.scene import Scene, SceneAvatar
-from player.window.playback import Playback, Track
+from player.track import Track
+from player.window.playback import Playback
 from player.window.show import opened_show
 from player.window.timeline import LONGEST_STEP
 from player.window.window import Window

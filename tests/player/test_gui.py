@@ -319,7 +319,7 @@ def test_a_click_on_a_dense_screen_picks_what_is_under_it(osmesa, avatar_path, m
 
 
 def test_the_live_panel_tells_rate_loss_and_latency(osmesa, avatar, avatar_path, monkeypatch, tmp_path):
-    from player.live.address import Address
+    from player.address import Address
     from player.live.inbox import Inbox
     from player.live.json_pose import build_pose
     from player.live.playback import LivePlayback

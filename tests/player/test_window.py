@@ -14,13 +14,13 @@ from PIL import Image
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
 from player.camera_path import CameraPath
+from player.cameras import Cameras, Orbit, Walk
 from player.context import open_context
 from player.framing import extent, facing, fitted_camera
 from player.motions import opened_motion, retargeted
 from player.play_command import play_main
 from player.renderer import Renderer
 from player.scenes.effects import USUAL
-from player.window.cameras import Cameras, Orbit, Walk
 from player.window.keys import ACTIONS, KEYS
 from player.window.script import NUMBERS, steps
 from player.window.window import Window

@@ -14,9 +14,9 @@ from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
+from player.capture_view import open_capture
 from player.play_command import play_parser, scene_of
 from player.renderer import Renderer
-from player.window.capture_view import open_capture
 from player.window.pick import posed_vertices
 from player.window.picture import PictureLayer
 from player.window.show import opened_show, read_avatars

@@ -20,7 +20,7 @@ from avatar.motion.amass import read_amass, write_amass
 from avatar.motion.clip import Clip
 from avatar.motion.read import builtin_motion, read_motion
 from avatar.rotation import matrix_from_axis_angle
-from player.live.address import Address, parse_address
+from player.address import Address, parse_address
 from player.live.command import connected, encoder, send, stream_main, timed_poses
 from player.live.frame import LivePose
 from player.live.inbox import Inbox

@@ -3,10 +3,9 @@
 import ipaddress
 from typing import NamedTuple
 
-from player.live import json_pose, vmc
-
 LOCAL = "127.0.0.1"
-PORTS = {"vmc": vmc.PORT, "udp": json_pose.PORT, "ws": json_pose.PORT + 1}
+# where nothing else is said; 39539 is VMC's own
+PORTS = {"vmc": 39539, "udp": 39550, "ws": 39551}
 
 
 class Address(NamedTuple):
