@@ -34,7 +34,8 @@ from bake.network import AMPLITUDE, Distilled, distil, write_onnx
 from bake.options import BakeOptions
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
 from capture.solid import solid_inside
-from geometry.isosurface import Extraction, Mesh, enclosed_volume, extract
+from geometry.isosurface import Extraction, extract
+from geometry.mesh import TriangleMesh, enclosed_volume
 from train.field_onnx import is_exportable, write_field
 
 
@@ -159,7 +160,7 @@ def run_surface(surface: Any, joint_count: int) -> Origin:
     """The run's surface in double precision, its triangles facing outwards, and its view statistics as cones."""
     vertices = np.asarray(surface.vertices, np.float64)
     faces = np.asarray(surface.faces, np.int64)
-    if enclosed_volume(Mesh(vertices, faces)) < 0:
+    if enclosed_volume(TriangleMesh(vertices, faces)) < 0:
         # only the normals of a run's surface are promised to face outwards
         faces = faces[:, ::-1]
     cone = view_cone(
@@ -174,7 +175,7 @@ def run_surface(surface: Any, joint_count: int) -> Origin:
 
 
 def check_complete(
-    mesh: Mesh, vertices: Float[np.ndarray, "v 3"], part: Integer[np.ndarray, "v"], limit: float = 0.03
+    mesh: TriangleMesh, vertices: Float[np.ndarray, "v 3"], part: Integer[np.ndarray, "v"], limit: float = 0.03
 ) -> None:
     """Every part of the run's surface must have the extracted one within `limit` metres, else a part broke off.
 

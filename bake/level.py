@@ -18,10 +18,12 @@ from bake.options import BakeOptions
 from bake.seams import ChartEdges, chart_edges, equalised, seam_steps
 from bake.skin import quantised, transferred_weights
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
-from geometry.decimate import Enlargement, balanced, decimate, find_faults
-from geometry.isosurface import Extraction, Mesh, project_to_zero
-from geometry.mesh import face_areas
-from geometry.transfer import match_surface
+from geometry.closest import match_surface
+from geometry.decimate import Enlargement, balanced, decimate
+from geometry.isosurface import Extraction, project_to_zero
+from geometry.mesh import TriangleMesh, face_areas
+from geometry.repair import find_faults
+from geometry.sample import stratified_samples
 
 # bytes: 99 of 100 colour steps across chart edges are below it in every mip
 SEAM_GOAL = 3.8
@@ -66,7 +68,7 @@ class Carried(NamedTuple):
     filled: int
 
 
-def carried(origin: Origin, mesh: Mesh, normals: Float[np.ndarray, "n 3"]) -> Carried:
+def carried(origin: Origin, mesh: TriangleMesh, normals: Float[np.ndarray, "n 3"]) -> Carried:
     """Skin weights, cone and part of another mesh of the same surface; `normals` are its vertices', unit."""
     match = match_surface(mesh.vertices, normals, origin.vertices, origin.faces)
     corners = origin.faces[match.face]
@@ -196,7 +198,7 @@ def lifted(
 
 def level_facts(
     level: Level,
-    mesh: Mesh,
+    mesh: TriangleMesh,
     face_part: Integer[np.ndarray, "faces"],
     chart: Unwrapped,
     edges: ChartEdges,
@@ -232,14 +234,14 @@ def seam_facts(level: Level, edges: ChartEdges) -> dict[str, Any]:
     return {key: max(mip[key] for mip in mips) for key in ("median", "p99")} | {"mips": mips}
 
 
-def _triangle_sizes(mesh: Mesh, part: Integer[np.ndarray, "faces"]) -> dict[str, float | None]:
+def _triangle_sizes(mesh: TriangleMesh, part: Integer[np.ndarray, "faces"]) -> dict[str, float | None]:
     """Side of a square as large as the mean triangle of each part, millimetres."""
     areas = face_areas(mesh.vertices, mesh.faces)
     return {PARTS[int(p)]: rounded(1e3 * float(np.sqrt(areas[part == p].mean()))) for p in np.unique(part)}
 
 
 def _texel_sizes(
-    chart: Unwrapped, mesh: Mesh, mesh_parts: Integer[np.ndarray, "faces"], size: int
+    chart: Unwrapped, mesh: TriangleMesh, mesh_parts: Integer[np.ndarray, "faces"], size: int
 ) -> dict[str, float | None]:
     """Side of a texel on each part's surface, millimetres."""
     a, b, c = (chart.uv[chart.faces[:, i]] * size for i in range(3))
@@ -254,12 +256,11 @@ def _texel_sizes(
 
 def surface_points(field: NumpyField, level: Level, origin: Origin, options: BakeOptions) -> SurfacePoints:
     """Points of the finest level for the network: head and hands count four times their area."""
-    rng = np.random.default_rng(options.seed + 1)
-    mesh = Mesh(level.positions.astype(np.float64), level.faces.astype(np.int64))
+    mesh = TriangleMesh(level.positions.astype(np.float64), level.faces.astype(np.int64))
     match = match_surface(mesh.vertices, level.normals.astype(np.float64), origin.vertices, origin.faces)
     part = origin.part[origin.faces[match.face, 0]]
     importance = np.where(part[mesh.faces[:, 0]] != PARTS.index("body"), 4.0, 1.0)
-    face, weight = measure.spread_over(mesh, options.samples, rng, importance)
+    face, weight = stratified_samples(*mesh, options.samples, seed=options.seed + 1, weight=importance)
     corners = mesh.faces[face]
     normals = (weight[:, :, None] * level.normals[corners]).sum(1)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)

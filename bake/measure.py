@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer
+from jaxtyping import Bool, Float
 from scipy.ndimage import binary_erosion
 
 from avatar.camera import Camera, orbit_camera, pixel_rays
@@ -13,8 +13,9 @@ from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, skin_points, strongest_four
 from bake.cone import ColorFunction, ViewCone, clamped_tangent, cone_direction, interpolated
 from bake.truth import Errors, errors_of, modes_of, sum_of
-from geometry.isosurface import Mesh, PointFunction, project_to_zero
-from geometry.mesh import face_areas
+from geometry.isosurface import PointFunction, project_to_zero
+from geometry.mesh import TriangleMesh
+from geometry.sample import stratified_samples
 
 HEAD, LEFT_WRIST, RIGHT_WRIST = 15, 20, 21
 LEFT_MIDDLE, RIGHT_MIDDLE = 25, 40
@@ -34,7 +35,7 @@ class ScoredView(NamedTuple):
 class FieldSurface(NamedTuple):
     """The fine mesh of the field with all that is needed to draw the field in any pose."""
 
-    mesh: Mesh
+    mesh: TriangleMesh
     normals: Float[np.ndarray, "vertices 3"]
     skin: SkinWeights
     cone: ViewCone
@@ -209,19 +210,8 @@ def compare(
 
 
 def field_to_mesh(
-    distance: PointFunction, mesh: Mesh, *, count: int = 40_000, seed: int = 0
+    distance: PointFunction, mesh: TriangleMesh, *, count: int = 40_000, seed: int = 0
 ) -> Float[np.ndarray, "count"]:
     """|distance| of points spread evenly over a mesh, metres: how far its triangles cut through the surface."""
-    rng = np.random.default_rng(seed)
-    face, weight = spread_over(mesh, count, rng)
-    return np.abs(distance((weight[:, :, None] * mesh.vertices[mesh.faces[face]]).sum(1)))
-
-
-def spread_over(
-    mesh: Mesh, count: int, rng: np.random.Generator, importance: Float[np.ndarray, "faces"] | None = None
-) -> tuple[Integer[np.ndarray, "count"], Float[np.ndarray, "count 3"]]:
-    """Random points of a mesh, uniform in area (times importance): face and barycentric coordinates."""
-    areas = face_areas(mesh.vertices, mesh.faces) * (1.0 if importance is None else importance)
-    face = np.searchsorted(np.cumsum(areas), rng.random(count) * areas.sum()).clip(0, len(areas) - 1)
-    root, along = np.sqrt(rng.random(count)), rng.random(count)
-    return face, np.stack([1 - root, root * (1 - along), root * along], 1)
+    samples = stratified_samples(*mesh, count, seed=seed)
+    return np.abs(distance(samples.on(*mesh)))

@@ -5,9 +5,9 @@ from jaxtyping import Bool, Float, Integer, UInt8
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from geometry.closest import Match
 from geometry.harmonic import fill_harmonic
 from geometry.mesh import component_labels, half_edges
-from geometry.transfer import Match
 
 # the limb a joint moves: torso and head, each leg, each arm, each finger
 LIMBS = np.array([0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 3, 4, 0, 3, 4, 3, 4, 3, 4, *np.repeat(np.arange(5, 15), 3)])

@@ -12,7 +12,7 @@ from avatar.npz import read_npz
 from avatar.skinning import SkinWeights
 from bake.cone import view_cone
 from bake.measure import FieldImage, FieldSurface, ScoredView, draw_field
-from geometry.isosurface import Mesh
+from geometry.mesh import TriangleMesh
 from player.context import open_context
 from player.raster import Rasteriser
 
@@ -98,7 +98,7 @@ def field_surface(run: Path | str) -> FieldSurface:
     if joints.shape != (52, 3):
         raise AssetError(f"{run / 'subject.npz'}: joints should be (52, 3), is {joints.shape}")
     double = {name: values.astype(np.float64) for name, values in surface.items()}
-    mesh = Mesh(double["vertices"], surface["faces"].astype(np.int64))
+    mesh = TriangleMesh(double["vertices"], surface["faces"].astype(np.int64))
     cone = view_cone(
         double["view_count"], double["view_mean"], double["view_covariance"], double["normals"], mesh.faces
     )

@@ -5,12 +5,17 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights
-from bench import surface_distance as geometry
 from bench.field_view import PosableSurface
 from bench.picture_scores import REGION_PART
+from bench.surface_distance import SurfaceDistance, check_same_unit, surface_distance
 from bench.true_mesh import TrueMesh
+from geometry.closest import TriangleIndex, closest_points, triangle_index
+from geometry.mesh import check_mesh
+from geometry.register import rigid_icp
+from geometry.sample import SurfaceSamples, stratified_samples
 
 SAMPLES = {"total": 4000, "head": 1500, "left_hand": 1000, "right_hand": 1000}  # in every pose
 
@@ -23,8 +28,8 @@ class GeometryCase:
     truth_faces: Int[np.ndarray, "f 3"]  # visible
     surface: PosableSurface
     faces: Int[np.ndarray, "g 3"]  # visible faces of the reconstruction
-    on_truth: dict[str, geometry.SurfaceSamples]  # into truth_faces
-    on_surface: dict[str, geometry.SurfaceSamples]  # into faces
+    on_truth: dict[str, SurfaceSamples]  # into truth_faces
+    on_surface: dict[str, SurfaceSamples]  # into faces
 
 
 def geometry_case(
@@ -32,13 +37,13 @@ def geometry_case(
 ) -> GeometryCase:
     """Sample both surfaces. A face of the reconstruction belongs to the region of the true surface nearest to it in
     the canonical pose; the reconstruction's own labels are not trusted."""
-    geometry.check_mesh(truth.vertices, truth.faces, "truth")
-    geometry.check_mesh(surface.vertices, surface.faces, "reconstruction")
-    geometry.check_same_unit(truth.vertices, surface.vertices)
+    check_mesh(truth.vertices, truth.faces, "truth")
+    check_mesh(surface.vertices, surface.faces, "reconstruction")
+    check_same_unit(truth.vertices, surface.vertices)
     truth_faces, faces = truth.faces[truth.visible], surface.faces[visible]
     canonical = truth.canonical()
     middles = canonical[truth_faces].mean(1)
-    nearest = geometry.centre_tree(middles).query(surface.vertices[faces].mean(1))[1]
+    nearest = KDTree(middles).query(surface.vertices[faces].mean(1))[1]
     truth_part = truth.part[truth_faces[:, 0]]
     part = truth_part[nearest]
 
@@ -46,12 +51,12 @@ def geometry_case(
     for number, (region, count) in enumerate(SAMPLES.items()):
         keep_truth = None if region == "total" else truth_part == REGION_PART[region]
         keep = None if region == "total" else part == REGION_PART[region]
-        on_truth[region] = geometry.sample_surface(
-            truth.vertices, truth_faces, count, seed=seed + 2 * number, keep=keep_truth
+        on_truth[region] = stratified_samples(
+            truth.vertices, truth_faces, count, seed=seed + 2 * number, weight=keep_truth
         )
         if keep is None or keep.any():
-            on_surface[region] = geometry.sample_surface(
-                surface.vertices, faces, count, seed=seed + 2 * number + 1, keep=keep
+            on_surface[region] = stratified_samples(
+                surface.vertices, faces, count, seed=seed + 2 * number + 1, weight=keep
             )
     return GeometryCase(truth, truth_faces, surface, faces, on_truth, on_surface)
 
@@ -74,15 +79,15 @@ class Distances:
             self.hair_to_surface + other.hair_to_surface,
         )
 
-    def scores(self, hair: bool | None = None) -> geometry.SurfaceDistance:
+    def scores(self, hair: bool | None = None) -> SurfaceDistance:
         """All surface, or only what is hair (True) or is not (False)."""
         if not self.to_truth or not self.to_surface:
-            return geometry.SurfaceDistance(None, None, None)
+            return SurfaceDistance(None, None, None)
         to_truth, to_surface = np.concatenate(self.to_truth), np.concatenate(self.to_surface)
         if hair is not None:
             to_truth = to_truth[np.concatenate(self.hair_to_truth) == hair]
             to_surface = to_surface[np.concatenate(self.hair_to_surface) == hair]
-        return geometry.surface_distance(to_truth, to_surface)
+        return surface_distance(to_truth, to_surface)
 
 
 class PosedPair(NamedTuple):
@@ -90,16 +95,16 @@ class PosedPair(NamedTuple):
 
     truth: Float[np.ndarray, "v 3"]
     surface: Float[np.ndarray, "w 3"]
-    truth_index: geometry.TriangleIndex
-    index: geometry.TriangleIndex
+    truth_index: TriangleIndex
+    index: TriangleIndex
 
 
 def posed_pair(case: GeometryCase, truth_posed: Float[np.ndarray, "v 3"], posed: Float[np.ndarray, "w 3"]) -> PosedPair:
     return PosedPair(
         truth_posed,
         posed,
-        geometry.triangle_index(truth_posed, case.truth_faces),
-        geometry.triangle_index(posed, case.faces),
+        triangle_index(truth_posed, case.truth_faces),
+        triangle_index(posed, case.faces),
     )
 
 
@@ -122,8 +127,8 @@ def measure_pose(
     if truth_from_surface is not None:
         R, t = truth_from_surface[:3, :3], truth_from_surface[:3, 3]
         there, back = there @ R.T + t, (back - t) @ R
-    to_truth = geometry.closest_points(there, pair.truth_index)
-    to_surface = geometry.closest_points(back, pair.index)
+    to_truth = closest_points(there, pair.truth_index)
+    to_surface = closest_points(back, pair.index)
     ends = (
         np.cumsum([len(samples.face) for samples in ours])[:-1],
         np.cumsum([len(s.face) for s in true])[:-1],
@@ -137,22 +142,22 @@ def measure_pose(
         into[region].hair_to_surface.append(hair[true[i].face])
 
 
-def thinned(samples: geometry.SurfaceSamples, every: int) -> geometry.SurfaceSamples:
+def thinned(samples: SurfaceSamples, every: int) -> SurfaceSamples:
     """Each n-th sample: still even over the surface, because samples are drawn along it."""
-    return geometry.SurfaceSamples(samples.face[::every], samples.barycentric[::every])
+    return SurfaceSamples(samples.face[::every], samples.barycentric[::every])
 
 
 def alignment(case: GeometryCase, pair: PosedPair) -> Float[np.ndarray, "4 4"]:
     """truth_from_surface by rigid ICP of the whole reconstruction onto the truth (what the paper's code does)."""
     few = thinned(case.on_surface["total"], 16)
-    return geometry.rigid_alignment(few.on(pair.surface, case.faces), pair.truth_index, rounds=15)
+    return rigid_icp(few.on(pair.surface, case.faces), pair.truth_index, rounds=15)
 
 
 def own_weights_surface(truth: TrueMesh, surface: PosableSurface) -> PosableSurface:
     """The reconstruction skinned by the subject's own rig weights, looked up at the nearest true surface point."""
     canonical = truth.canonical()
     faces = truth.faces[truth.visible]
-    corners = faces[geometry.centre_tree(canonical[faces].mean(1)).query(surface.vertices)[1]]
+    corners = faces[KDTree(canonical[faces].mean(1)).query(surface.vertices)[1]]
     gap = np.linalg.norm(canonical[corners] - surface.vertices[:, None], axis=-1)
     nearest = corners[np.arange(len(corners)), gap.argmin(1)]
     skin = SkinWeights(truth.skin.joints[nearest], truth.skin.weights[nearest])

@@ -41,9 +41,9 @@ from bench.posed_geometry import (
 from bench.quality_table import PAPER, markdown, print_table
 from bench.region_scores import gather, regions_of
 from bench.remeasure import remeasured
-from bench.surface_distance import triangle_index
 from bench.true_mesh import TrueMesh, read_true_mesh
 from capture.held_out import SETS, HeldOutView, read_capture_facts, read_held_out
+from geometry.closest import triangle_index
 from player.context import open_context
 from synth.surface import visible_faces
 from train.run import read_run

@@ -18,8 +18,7 @@ from bake.bake import run_surface, told
 from bake.field import numpy_field
 from bake.level import rounded
 from capture.held_out import HeldOutView
-from geometry.isosurface import Mesh
-from geometry.mesh import face_areas
+from geometry.mesh import TriangleMesh, face_areas
 
 
 def field_surface(run: Any) -> measure.FieldSurface:
@@ -27,7 +26,7 @@ def field_surface(run: Any) -> measure.FieldSurface:
     field, joints = numpy_field(run.field), np.asarray(run.subject.joints, np.float64)
     origin = run_surface(run.surface, len(joints))
     normals = np.asarray(run.surface.normals, np.float64)
-    mesh = Mesh(origin.vertices, origin.faces)
+    mesh = TriangleMesh(origin.vertices, origin.faces)
     return measure.FieldSurface(
         mesh, normals, strongest_four(origin.weights), origin.cone, joints, field.distance, field.color
     )
@@ -78,7 +77,7 @@ def as_view(view: HeldOutView, group: str) -> measure.ScoredView:
 
 def level_again(level: Level, surface: measure.FieldSurface, run: Any) -> dict[str, Any]:
     """Distance of a level's triangles to the field, triangles and texel side by part."""
-    mesh = Mesh(level.positions.astype(np.float64), level.faces.astype(np.int64))
+    mesh = TriangleMesh(level.positions.astype(np.float64), level.faces.astype(np.int64))
     away = measure.field_to_mesh(surface.distance, mesh)
     part = parts_of_faces(mesh, surface.mesh, np.asarray(run.surface.part, np.int64))
     height, width = level.base_color.shape[:2]
@@ -101,7 +100,9 @@ def level_again(level: Level, surface: measure.FieldSurface, run: Any) -> dict[s
     return out
 
 
-def parts_of_faces(mesh: Mesh, origin: Mesh, part: Integer[np.ndarray, "v"]) -> Integer[np.ndarray, "faces"]:
+def parts_of_faces(
+    mesh: TriangleMesh, origin: TriangleMesh, part: Integer[np.ndarray, "v"]
+) -> Integer[np.ndarray, "faces"]:
     """Part of each face: of the run's vertex nearest to its middle."""
     _, nearest = KDTree(origin.vertices).query(mesh.vertices[mesh.faces].mean(1))
     return part[nearest]

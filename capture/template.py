@@ -15,6 +15,7 @@ from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from capture.folder import CaptureSubject
 from geometry.cells import connected_to, nearest_marked
 from geometry.mesh import face_normals, vertex_normals
+from geometry.sample import lattice_samples
 
 Array = np.ndarray
 
@@ -45,30 +46,6 @@ def signed(points: Array, length: Array, nearest: Array, normals: Array, spacing
     """
     along = ((points - nearest) * normals).sum(-1)
     return np.where(length < 1.5 * spacing, along, np.where(along < 0, -length, length))
-
-
-def sample_faces(
-    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], spacing: Float[Array, "f"]
-) -> tuple[Int[Array, "s"], Float[Array, "s 3"]]:
-    """Face and barycentric coordinates of samples about `spacing` apart.
-
-    Each face is cut into n^2 equal triangles, n = longest edge / spacing rounded, and sampled at their centres.
-    """
-    corners = vertices[faces]
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
-    counts = np.clip(np.round(longest / spacing), 1, 64).astype(int)
-    rows, weights = [], []
-    for n in np.unique(counts):
-        chosen = np.flatnonzero(counts == n)
-        i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
-        up = (i + j) < n
-        down = (i + j) < n - 1
-        a = np.concatenate([(i[up] + 1 / 3) / n, (i[down] + 2 / 3) / n])
-        b = np.concatenate([(j[up] + 1 / 3) / n, (j[down] + 2 / 3) / n])
-        barycentric = np.stack([1 - a - b, a, b], 1)
-        rows.append(np.repeat(chosen, len(barycentric)))
-        weights.append(np.tile(barycentric, (len(chosen), 1)))
-    return np.concatenate(rows), np.concatenate(weights)
 
 
 def visible_faces(subject: CaptureSubject, cell: float = 0.003) -> Bool[Array, "f"]:
@@ -103,7 +80,7 @@ def air_reaches(
     eyelids; it then creeps back three cells through free cells, never through a wall.
     """
     normals = face_normals(vertices, faces)
-    face, barycentric = sample_faces(vertices, faces, np.full(len(faces), 0.5 * cell))
+    face, barycentric = lattice_samples(vertices, faces, np.full(len(faces), 0.5 * cell))
     points = np.einsum("sk,skc->sc", barycentric, vertices[faces[face]])
     low = points.min(0) - 6 * cell
     index = ((points - low) / cell).astype(int)
@@ -137,7 +114,7 @@ def surface_cloud(
     # the majority of the three
     part = np.sort(subject.part[faces], 1)[:, 1]
     gap = np.where(part == fine_part, fine, max(fine, coarse))
-    face, barycentric = sample_faces(subject.vertices, faces, gap)
+    face, barycentric = lattice_samples(subject.vertices, faces, gap)
     corners = faces[face]
     blend = lambda values: np.einsum("sk,skc->sc", barycentric, values[corners])
     normals = blend(vertex_normals(subject.vertices, subject.faces))

@@ -25,10 +25,10 @@ from torch import Tensor
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.progress import Reporter
+from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from bench.machine import commit, cpu_name
 from capture.folder import read_capture
-from geometry.register import similarity_from_landmarks
 from train.distributed import ALONE
 from train.field import PartField
 from train.objective import RayTensors, beta_at, render_rays

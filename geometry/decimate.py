@@ -4,29 +4,13 @@ from typing import NamedTuple
 
 import fast_simplification
 import numpy as np
-from jaxtyping import Float, Integer
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
+from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from avatar.errors import AssetError
-from geometry.isosurface import Mesh, PointFunction, compact, largest_component
-from geometry.mesh import area_normals, component_labels, face_areas, half_edges
-
-
-class Fault(NamedTuple):
-    """What keeps a mesh from being one closed, oriented 2-manifold; all zero when nothing does."""
-
-    open_edges: int  # used by one triangle
-    # used by three or more, or twice in the same direction
-    crowded_edges: int
-    # their triangles form more than one fan
-    split_vertices: int
-    # triangles that name a vertex twice
-    degenerate: int
-
-    def __bool__(self) -> bool:
-        return any(self)
+from geometry.isosurface import PointFunction
+from geometry.mesh import TriangleMesh, area_normals, compact, component_labels, face_areas, largest_component
+from geometry.repair import find_faults, repair, split_nonmanifold
 
 
 class Enlargement(NamedTuple):
@@ -37,44 +21,6 @@ class Enlargement(NamedTuple):
     axis: Float[np.ndarray, "3"]  # unit, from the anchor into the part
     radius: float  # metres around the axis
     scale: float
-
-
-def find_faults(faces: Integer[np.ndarray, "faces 3"], count: int) -> Fault:
-    """Edges and vertices at which the mesh is not a closed oriented 2-manifold."""
-    degenerate = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-    directed = half_edges(faces)
-    key = directed[:, 0] * count + directed[:, 1]
-    _, times = np.unique(key, return_counts=True)
-    pair = np.sort(directed, axis=1)
-    _, both = np.unique(pair[:, 0] * count + pair[:, 1], return_counts=True)
-    crowded = int((both > 2).sum()) + int((times > 1).sum())
-    return Fault(int((both == 1).sum()), crowded, _split_count(faces, count), int(degenerate.sum()))
-
-
-def _fans(faces: Integer[np.ndarray, "faces 3"], count: int) -> Integer[np.ndarray, "corners"]:
-    """Fan label of every corner (face-major): corners at one vertex share it if their triangles share an edge there."""
-    corner = np.arange(faces.size).reshape(-1, 3)
-    # each undirected edge joins, in its two triangles, the corners at its two ends
-    start = np.concatenate([corner[:, 0], corner[:, 1], corner[:, 2]])
-    end = np.concatenate([corner[:, 1], corner[:, 2], corner[:, 0]])
-    pair = half_edges(faces)
-    flipped = pair[:, 0] > pair[:, 1]
-    low, high = np.where(flipped, end, start), np.where(flipped, start, end)
-    pair = np.sort(pair, axis=1)
-    key = pair[:, 0] * count + pair[:, 1]
-    order = np.argsort(key, kind="stable")
-    same = np.flatnonzero(key[order][1:] == key[order][:-1])
-    left, right = order[same], order[same + 1]
-    rows = np.concatenate([low[left], high[left]])
-    columns = np.concatenate([low[right], high[right]])
-    graph = coo_matrix((np.ones(len(rows), np.int8), (rows, columns)), shape=(faces.size, faces.size))
-    return connected_components(graph, directed=False)[1]
-
-
-def _split_count(faces: Integer[np.ndarray, "faces 3"], count: int) -> int:
-    fans = _fans(faces, count)
-    pairs = np.unique(faces.reshape(-1).astype(np.int64) * (fans.max() + 1) + fans)
-    return int((np.bincount(pairs // (fans.max() + 1), minlength=count) > 1).sum())
 
 
 def enlarged(vertices: Float[np.ndarray, "vertices 3"], parts: list[Enlargement], ramp: float = 0.06) -> np.ndarray:
@@ -90,147 +36,12 @@ def enlarged(vertices: Float[np.ndarray, "vertices 3"], parts: list[Enlargement]
     return result
 
 
-def parted(mesh: Mesh, *, rounds: int = 6) -> Mesh:
-    """Sheets that were collapsed onto one edge, parted again without losing a triangle.
-
-    The triangles round a crowded edge are paired across the solid wedges between them; every pair but the
-    first gets a midpoint of its own, and fans that touch in one vertex a copy each. A closed mesh comes back
-    closed and manifold; edges whose triangles do not pair up (an open mesh) are left for `mend`.
-    """
-    vertices, faces = mesh.vertices, mesh.faces.copy()
-    for _ in range(rounds):
-        directed = half_edges(faces)
-        pair = np.sort(directed, axis=1)
-        key = pair[:, 0].astype(np.int64) * len(vertices) + pair[:, 1]
-        order = np.argsort(key, kind="stable")
-        starts = np.flatnonzero(np.r_[True, np.diff(key[order]) > 0, True])
-        crowded = [order[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True) if b - a > 2]
-        if not crowded:
-            break
-        touched: set[int] = set()
-        added: list[np.ndarray] = []
-        points: list[np.ndarray] = []
-        for uses in crowded:
-            owners = uses % len(faces)
-            if touched & set(owners.tolist()) or len(set(owners.tolist())) < len(owners):
-                # changed in this round already: the next one sees it
-                continue
-            wedges = _wedges(vertices, faces, pair[uses[0]], directed[uses], owners)
-            if wedges is None:
-                continue
-            touched |= set(owners.tolist())
-            for wedge in wedges[1:]:
-                middle = len(vertices) + len(points)
-                points.append(vertices[pair[uses[0]]].mean(0))
-                for face in owners[list(wedge)]:
-                    u, v = (int(i) for i in pair[uses[0]])
-                    whole = faces[face]
-                    added.append(np.where(whole == u, middle, whole))
-                    faces[face] = np.where(whole == v, middle, whole)
-        if not touched:
-            break
-        if points:
-            vertices = np.concatenate([vertices, np.array(points)])
-            faces = np.concatenate([faces, np.array(added)])
-    return _touching_fans_parted(vertices, faces)
-
-
-def _wedges(
-    vertices: np.ndarray, faces: np.ndarray, edge: np.ndarray, directed: np.ndarray, owners: np.ndarray
-) -> list[tuple[int, int]] | None:
-    """Pairs of uses of an edge with the solid between them; None when forward and backward uses do not match.
-
-    Round the edge (from its lower to its higher vertex) a triangle that runs forward faces larger angles, so
-    the solid lies below it, down to the next triangle that runs backward.
-    """
-    forward = directed[:, 0] == edge[0]
-    if forward.sum() * 2 != len(forward):
-        return None
-    apex = vertices[faces[owners].sum(1) - edge.sum()] - vertices[edge[0]]
-    axis = vertices[edge[1]] - vertices[edge[0]]
-    axis = axis / max(float(np.linalg.norm(axis)), 1e-20)
-    first = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    first /= max(float(np.linalg.norm(first)), 1e-20)
-    angle = np.arctan2(apex @ np.cross(axis, first), apex @ first)
-    free, result = {int(i) for i in np.flatnonzero(forward)}, []
-    for back in np.flatnonzero(~forward)[np.argsort(angle[~forward], kind="stable")]:
-        ahead = min(free, key=lambda i: ((angle[i] - angle[back]) % (2 * np.pi), i))
-        free.remove(ahead)
-        result.append((int(back), ahead))
-    return result
-
-
-def _touching_fans_parted(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
-    """Fans that touch in one vertex get a copy of it each."""
-    fans = _fans(faces, len(vertices))
-    key = faces.reshape(-1).astype(np.int64) * (fans.max() + 1) + fans
-    owners, renumbered = np.unique(key, return_inverse=True)
-    return Mesh(vertices[owners // (fans.max() + 1)], renumbered.reshape(-1, 3))
-
-
-def mend(mesh: Mesh, *, rounds: int = 8) -> Mesh:
-    """Close what a collapse tore open: crowded edges lose their triangles, touching fans are parted, and every
-    hole is closed by a fan about its centre. The mesh that comes back has no faults, or AssetError."""
-    vertices, faces = mesh.vertices, mesh.faces
-    for _ in range(rounds):
-        distinct = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-        faces = faces[distinct]
-        _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-        faces = faces[np.sort(first)]
-        faces = faces[~_crowded(faces, len(vertices))]
-        if len(faces) == 0:
-            break
-        vertices, faces = _touching_fans_parted(vertices, faces)
-        loops = _boundary_loops(faces, len(vertices))
-        centres = [vertices[loop].mean(0) for loop in loops]
-        new = [
-            np.stack([np.roll(loop, -1), loop, np.full(len(loop), len(vertices) + i)], 1)
-            for i, loop in enumerate(loops)
-        ]
-        if loops:
-            vertices = np.concatenate([vertices, np.array(centres)])
-            faces = np.concatenate([faces, *new])
-        closed, _, _ = largest_component(Mesh(vertices, faces))
-        vertices, faces = closed
-        if not find_faults(faces, len(vertices)):
-            return Mesh(vertices, faces)
-    fault = find_faults(faces, len(vertices)) if len(faces) else "no triangle left"
-    raise AssetError(f"surface: should close into a manifold in {rounds} rounds of mending, left {fault}")
-
-
-def _crowded(faces: Integer[np.ndarray, "faces 3"], count: int) -> np.ndarray:
-    """Triangles at an edge used by more than two, or twice in one direction."""
-    directed = half_edges(faces)
-    _, inverse, times = np.unique(directed[:, 0] * count + directed[:, 1], return_inverse=True, return_counts=True)
-    pair = np.sort(directed, axis=1)
-    _, inverse2, both = np.unique(pair[:, 0] * count + pair[:, 1], return_inverse=True, return_counts=True)
-    bad = (times[inverse] > 1) | (both[inverse2] > 2)
-    return np.any(bad.reshape(3, -1), axis=0)
-
-
-def _boundary_loops(faces: Integer[np.ndarray, "faces 3"], count: int) -> list[np.ndarray]:
-    """Closed chains of edges used once, in the direction of their triangles. Fans are parted: chains are simple."""
-    directed = half_edges(faces)
-    key = directed[:, 0] * count + directed[:, 1]
-    lone = ~np.isin(key, directed[:, 1] * count + directed[:, 0])
-    following = dict(zip(directed[lone, 0].tolist(), directed[lone, 1].tolist(), strict=True))
-    loops = []
-    while following:
-        start, nxt = following.popitem()
-        loop = [start]
-        while nxt != start:
-            loop.append(nxt)
-            nxt = following.pop(nxt)
-        loops.append(np.array(loop))
-    return loops
-
-
-def decimate(mesh: Mesh, target: int, parts: list[Enlargement] | None = None) -> Mesh:
+def decimate(mesh: TriangleMesh, target: int, parts: list[Enlargement] | None = None) -> TriangleMesh:
     """Closed manifold mesh of about `target` triangles (Garland and Heckbert 1997, quadric collapse).
 
     Collapsed in gentle passes: the library's own default raises its threshold so fast that it takes twice the
     error. It does not check the link condition and can tear or crowd edges: such a pass is tried again towards
-    other targets, and what is left is mended. Where mending took more than LOST of the surface (a finger pinched
+    other targets, and what is left is repaired. Where repair took more than LOST of the surface (a finger pinched
     off is half a percent), the whole collapse is tried again towards another number of triangles.
 
     Raises:
@@ -249,15 +60,15 @@ def decimate(mesh: Mesh, target: int, parts: list[Enlargement] | None = None) ->
     problems = []
     for share in RETRIES:
         try:
-            collapsed, lost = _collapsed(Mesh(grown, mesh.faces), max(4, int(share * target)))
+            collapsed, lost = _collapsed(TriangleMesh(grown, mesh.faces), max(4, int(share * target)))
         except AssetError as problem:
             problems.append(str(problem))
             continue
         if lost <= LOST:
             if parts:
-                collapsed = Mesh(shrunk(collapsed.vertices, grown, mesh.vertices, parts), collapsed.faces)
+                collapsed = TriangleMesh(shrunk(collapsed.vertices, grown, mesh.vertices, parts), collapsed.faces)
             return collapsed
-        problems.append(f"mending {len(collapsed.faces)} triangles lost {lost * 100:.1f} % of the surface")
+        problems.append(f"repairing {len(collapsed.faces)} triangles lost {lost * 100:.1f} % of the surface")
     raise AssetError(
         f"surface: should collapse to about {target} triangles without a hole, did in none of {len(RETRIES)} attempts "
         f"({'; '.join(problems)})"
@@ -269,22 +80,22 @@ RETRIES = (1.0, 1.03, 0.96, 1.1)
 LOST = 0.003
 
 
-def _collapsed(mesh: Mesh, target: int) -> tuple[Mesh, float]:
-    """The mesh collapsed, closed and in one piece, and the share of its area that mending took or put in."""
+def _collapsed(mesh: TriangleMesh, target: int) -> tuple[TriangleMesh, float]:
+    """The mesh collapsed, closed and in one piece, and the share of its area that repair took or put in."""
     points, faces = (
         np.ascontiguousarray(mesh.vertices, np.float32),
         np.ascontiguousarray(mesh.faces, np.int32),
     )
-    patience = GENTLE
-    while len(faces) > 1.01 * target and patience <= 10:
-        points, faces, patience = _gentle_pass(points, faces, target, patience)
-    collapsed = Mesh(points.astype(np.float64), faces.astype(np.int64))
+    aggression = GENTLE
+    while len(faces) > 1.01 * target and aggression <= 10:
+        points, faces, aggression = _gentle_pass(points, faces, target, aggression)
+    collapsed = TriangleMesh(points.astype(np.float64), faces.astype(np.int64))
     if not find_faults(collapsed.faces, len(points)) and component_labels(collapsed.faces, len(points)).max() == 0:
         return collapsed, 0.0
     before = face_areas(*collapsed).sum()
-    collapsed, _, _ = largest_component(parted(collapsed))
+    collapsed, _, _ = largest_component(split_nonmanifold(collapsed))
     if find_faults(collapsed.faces, len(collapsed.vertices)):
-        collapsed = mend(collapsed)
+        collapsed = repair(collapsed)
     return collapsed, float(abs(face_areas(*collapsed).sum() / before - 1))
 
 
@@ -293,12 +104,12 @@ GENTLE = 3
 
 
 def _gentle_pass(
-    points: np.ndarray, faces: np.ndarray, target: int, patience: int
+    points: np.ndarray, faces: np.ndarray, target: int, aggression: int
 ) -> tuple[np.ndarray, np.ndarray, int]:
     """One call of the library; the attempt with the fewest faults, and the aggressiveness of the next pass."""
     best: tuple[int, np.ndarray, np.ndarray] | None = None
     for attempt in (target, int(target * 1.008), int(target * 0.985)):
-        found, triangles = fast_simplification.simplify(points, faces, target_count=attempt, agg=patience)[:2]
+        found, triangles = fast_simplification.simplify(points, faces, target_count=attempt, agg=aggression)[:2]
         faults = sum(find_faults(triangles.astype(np.int64), len(found)))
         if best is None or faults < best[0]:
             best = faults, found, triangles
@@ -307,7 +118,7 @@ def _gentle_pass(
     assert best is not None
     _, found, triangles = best
     slow = len(triangles) > 0.9 * len(faces)
-    return np.ascontiguousarray(found, np.float32), triangles.astype(np.int32), patience + slow
+    return np.ascontiguousarray(found, np.float32), triangles.astype(np.int32), aggression + slow
 
 
 def shrunk(
@@ -334,8 +145,8 @@ def shrunk(
 
 
 def balanced(
-    mesh: Mesh, distance: PointFunction, normal: PointFunction, *, rounds: int = 2, reach: float = 0.006
-) -> Mesh:
+    mesh: TriangleMesh, distance: PointFunction, normal: PointFunction, *, rounds: int = 2, reach: float = 0.006
+) -> TriangleMesh:
     """Vertices moved along the field's normal until the triangles around each lie half inside, half outside.
 
     With its vertices on the zero set a mesh lies inside every convex part; balanced, its mean distance to the
@@ -357,7 +168,7 @@ def balanced(
         error = np.where(np.abs(error) > reach, 0.0, error)
         moved = vertices - error[:, None] * normal(vertices)
         vertices = unfolded(moved, vertices, faces)
-    return Mesh(vertices, faces)
+    return TriangleMesh(vertices, faces)
 
 
 def unfolded(moved: np.ndarray, before: np.ndarray, faces: np.ndarray) -> np.ndarray:

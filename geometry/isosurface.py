@@ -17,22 +17,15 @@ from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
 from avatar.errors import AssetError
-from geometry.mesh import component_labels, face_areas
+from geometry.mesh import TriangleMesh, enclosed_volume, largest_component
 
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
-
-
-class Mesh(NamedTuple):
-    """Triangles, counter-clockwise from outside."""
-
-    vertices: Float[np.ndarray, "vertices 3"]  # canonical, metres
-    faces: Integer[np.ndarray, "faces 3"]
 
 
 class Extraction(NamedTuple):
     """The zero set of a field, and how well it was found."""
 
-    mesh: Mesh
+    mesh: TriangleMesh
     normals: Float[np.ndarray, "vertices 3"]  # unit gradient of the field
     # distance queries spent on the grid
     queries: int
@@ -165,29 +158,12 @@ def _pieces(mask: Bool[np.ndarray, "x y z"], connectivity: int) -> Integer[np.nd
     return np.asarray(label(mask, generate_binary_structure(3, connectivity))[0])  # type: ignore[index]
 
 
-def enclosed_volume(mesh: Mesh) -> float:
-    """Signed volume of a closed mesh, cubic metres; positive when its triangles face outwards."""
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    return float((np.cross(a, b) * c).sum() / 6)
-
-
-def compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, Integer[np.ndarray, "kept"]]:
-    """The mesh without unreferenced vertices, and the old index of each that stays."""
-    kept, renumbered = np.unique(faces, return_inverse=True)
-    return Mesh(vertices[kept], renumbered.reshape(-1, 3)), kept
-
-
-def largest_component(mesh: Mesh) -> tuple[Mesh, int, float]:
-    """The component of greatest area, how many others were dropped, and their share of the area.
-
-    A person is one closed surface: floaters and sheets inside the body are separate components.
-    """
-    labels = component_labels(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
-    areas = np.bincount(labels, face_areas(mesh.vertices, mesh.faces))
-    best = int(areas.argmax())
-    dropped = int((areas > 0).sum()) - 1
-    kept, _ = compact(mesh.vertices, mesh.faces[labels == best])
-    return kept, max(dropped, 0), float(1 - areas[best] / areas.sum())
+def zero_set_mesh(volume: Float[np.ndarray, "x y z"], axes: Sequence[np.ndarray]) -> TriangleMesh:
+    """Marching cubes (Lewiner et al. 2003) on a rectilinear grid; triangles face where the values grow."""
+    # "descent" turns triangles outwards for distances that grow outwards (skimage names it for densities)
+    vertices, faces, _, _ = marching_cubes(volume, 0.0, gradient_direction="descent")
+    places = [np.interp(vertices[:, i], np.arange(len(axis)), axis) for i, axis in enumerate(axes)]
+    return TriangleMesh(np.stack(places, 1), faces.astype(np.int64))
 
 
 def project_to_zero(
@@ -282,16 +258,13 @@ def extract(
     volume, slits = slits_filled(volume, axes)
     # a sample exactly on the surface would make triangles without area
     volume[volume == 0] = 1e-9
-    # "descent" turns triangles outwards for distances that grow outwards (skimage names it for densities)
-    vertices, faces, _, _ = marching_cubes(volume, 0.0, gradient_direction="descent")
-    vertices = np.stack([np.interp(vertices[:, i], np.arange(len(axes[i])), axes[i]) for i in range(3)], 1)
-    mesh, islands, island_area = largest_component(Mesh(vertices, faces.astype(np.int64)))
+    mesh, islands, island_area = largest_component(zero_set_mesh(volume, axes))
     if enclosed_volume(mesh) <= 0:
         raise AssetError(
             "fused field: distance should be negative inside the person, its largest surface is inside out"
         )
     projected, residual = project_to_zero(distance, normal, mesh.vertices, reach=coarse_step)
-    mesh = Mesh(projected, mesh.faces)
+    mesh = TriangleMesh(projected, mesh.faces)
     exceeded = float(np.quantile(residual, 0.999))
     return Extraction(mesh, normal(projected), queries, islands, island_area, exceeded, slits)
 

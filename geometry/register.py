@@ -1,4 +1,4 @@
-"""The head video's frame in the canonical one: landmarks first (Eq. 6), then the two surfaces (Eq. 5)."""
+"""Registration of surfaces: point-to-plane ICP from a good start (Eq. 5), rigid point-to-point ICP for measuring."""
 
 from typing import NamedTuple
 
@@ -7,8 +7,8 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from avatar.rotation import matrix_from_axis_angle
-from avatar.similarity import Registration as Registration
-from avatar.similarity import similarity_from_landmarks as similarity_from_landmarks
+from avatar.similarity import Registration
+from geometry.closest import TriangleIndex, closest_points
 
 Array = np.ndarray
 
@@ -145,3 +145,22 @@ def _plane_step(
     update[:3, :3] = R
     update[:3, 3] = centre - R @ centre + delta[3:]
     return update, float(np.abs(delta).max())
+
+
+def rigid_icp(source: Float[Array, "n 3"], target: TriangleIndex, *, rounds: int = 20) -> Float[Array, "4 4"]:
+    """target_from_source by point-to-point ICP (Besl and McKay 1992); rigid, never a mirror."""
+    target_from_source = np.eye(4)
+    moved = np.asarray(source, np.float64)
+    for _ in range(rounds):
+        nearest = closest_points(moved, target).point
+        middle, aim = moved.mean(0), nearest.mean(0)
+        U, _, Vt = np.linalg.svd((nearest - aim).T @ (moved - middle))
+        R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        step = np.eye(4)
+        step[:3, :3], step[:3, 3] = R, aim - R @ middle
+        moved = moved @ R.T + step[:3, 3]
+        target_from_source = step @ target_from_source
+        # a hundredth of a millimetre
+        if np.abs(step - np.eye(4)).max() < 1e-5:
+            break
+    return target_from_source

@@ -13,7 +13,8 @@ from avatar.body import builtin_body
 from avatar.skeleton import BIG_POSE, LEFT_HAND, PARENTS, RIGHT_HAND, joint_transforms
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
-from geometry.isosurface import Mesh, extract
+from geometry.isosurface import extract
+from geometry.mesh import TriangleMesh
 
 BODY, HEAD, LEFT, RIGHT = range(4)
 
@@ -150,7 +151,7 @@ def sphere(radius: float, centre=(0.0, 0.0, 0.0)):
     return distance, normal
 
 
-def ball_mesh(radius: float = 0.1, step: float = 0.01) -> Mesh:
+def ball_mesh(radius: float = 0.1, step: float = 0.01) -> TriangleMesh:
     distance, normal = sphere(radius)
     corners = radius * np.array([[-1.0, -1, -1], [1, 1, 1]])
     return extract(distance, normal, corners, np.zeros(2, bool), coarse_step=step, fine_step=step).mesh

@@ -46,7 +46,7 @@ def assert_same_capture(
 
 def head_pixels(capture: Capture, frame: int) -> np.ndarray:
     """The template's head as the frame's camera sees it, through the landmarks."""
-    from geometry.register import similarity_from_landmarks
+    from avatar.similarity import similarity_from_landmarks
 
     video, subject = capture.videos["head"], capture.subject
     fit = similarity_from_landmarks(subject.vertices[video.landmark_vertices], video.landmarks)

@@ -70,7 +70,7 @@ def write_authors(capture: Capture, root: Path) -> Path:
 
 
 def _head_from_canonical(capture: Capture) -> np.ndarray:
-    from geometry.register import similarity_from_landmarks
+    from avatar.similarity import similarity_from_landmarks
 
     video = capture.videos["head"]
     return similarity_from_landmarks(capture.subject.vertices[video.landmark_vertices], video.landmarks).transform

@@ -15,12 +15,13 @@ import torch
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
+from avatar.similarity import Registration
 from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
 from capture.folder import Capture, CaptureSubject
 from capture.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
 from geometry.mesh import vertex_normals
-from geometry.register import Anchors, Registration, refine_by_surfaces
+from geometry.register import Anchors, refine_by_surfaces
 from train.appearance import match_appearance, overlap_rays
 from train.field import PartField
 from train.fused import FusedField

@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage
-from skimage.measure import marching_cubes
 
 from avatar.camera import Camera, project
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
@@ -23,6 +22,8 @@ from avatar.skinning import SkinWeights
 from capture.folder import Capture, CaptureSubject, PartVideo
 from capture.template import neck_height, surface_cloud, visible_faces
 from geometry.cells import distance_to
+from geometry.isosurface import zero_set_mesh
+from geometry.mesh import TriangleMesh
 from train.template_grid import TemplateGrid, template_grid
 
 Array = np.ndarray
@@ -155,10 +156,11 @@ def with_hair(subject: CaptureSubject, capture: Capture, canonical_from_head: Fl
     return joined(subject, subject.faces[~covered], vertices, faces, neck)
 
 
-def hair_mesh(hair: Hair) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"]]:
+def hair_mesh(hair: Hair) -> TriangleMesh:
     """The closed surface of a volume of hair, canonical, faces outwards."""
-    vertices, faces, _, _ = marching_cubes(np.pad(hair.share, 1), 0.5, gradient_direction="ascent")
-    return (vertices - 1) * hair.cell + hair.low, faces.astype(np.int64)
+    density = np.pad(hair.share, 1)
+    axes = [low + hair.cell * (np.arange(count) - 1) for low, count in zip(hair.low, density.shape)]
+    return zero_set_mesh(0.5 - density, axes)
 
 
 def closed_grid(subject: CaptureSubject, low: Float[Array, "3"], high: Float[Array, "3"], neck: float) -> TemplateGrid:

@@ -11,10 +11,11 @@ from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from capture.folder import CaptureSubject
-from capture.template import blend_skin, sample_faces, visible_faces
+from capture.template import blend_skin, visible_faces
 from geometry.closest import closest_on_triangles
 from geometry.harmonic import anchored, fill_harmonic
 from geometry.mesh import vertex_normals
+from geometry.sample import lattice_samples
 
 Array = np.ndarray
 
@@ -30,7 +31,7 @@ class CanonicalSkin:
         self.vertices, self.faces, self.skin = subject.vertices, subject.faces[visible], subject.skin
         self.normals = vertex_normals(subject.vertices, subject.faces)
         on_hand = (subject.part[self.faces] >= 2).any(1)
-        self.face, barycentric = sample_faces(self.vertices, self.faces, np.where(on_hand, 0.0015, 0.006))
+        self.face, barycentric = lattice_samples(self.vertices, self.faces, np.where(on_hand, 0.0015, 0.006))
         self.tree = KDTree(np.einsum("sk,skc->sc", barycentric, self.vertices[self.faces[self.face]]))
 
     def closest(

@@ -16,9 +16,9 @@ import torch
 from avatar.errors import AssetError
 from avatar.files import whole_folder
 from avatar.progress import Progress, ProgressBoard, Reporter
+from avatar.similarity import Registration, similarity_from_landmarks
 from capture.folder import Capture, read_capture, write_subject
 from capture.repair.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
-from geometry.register import Registration, similarity_from_landmarks
 from train import run as run_folder
 from train.compose import compose
 from train.distributed import Ranks, join_ranks

@@ -6,12 +6,12 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
-from skimage.measure import marching_cubes
 
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
 from capture.solid import solid_inside
-from geometry.mesh import component_labels, half_edges
+from geometry.isosurface import zero_set_mesh
+from geometry.mesh import TriangleMesh, half_edges, largest_component
 from train.fused import FusedField
 from train.parts import Part
 
@@ -62,8 +62,8 @@ def extract_surface(
     head_cell: float,
     hand_cell: float,
     near: float = 0.02,
-) -> tuple[Float[Array, "v 3"], Int[Array, "f 3"]]:
-    """Marching cubes (Lewiner et al. 2003) on a rectilinear grid; the largest connected piece, facing outwards.
+) -> TriangleMesh:
+    """Marching cubes on a rectilinear grid; the largest connected piece, facing outwards.
 
     The field is asked only at grid points within `near` of a coarse pass (every fourth line) that found the
     surface near; all others take the coarse value. Neither floaters nor a second person survive, nor sheets deep
@@ -87,10 +87,7 @@ def extract_surface(
     values[tuple(index.T)] = distance(points)
     if not (values.min() < 0 < values.max()):
         raise ValueError("the field has no zero crossing: nothing to extract")
-    vertices, faces, _, _ = marching_cubes(values, 0.0, gradient_direction="descent")
-    for axis in range(3):
-        vertices[:, axis] = np.interp(vertices[:, axis], np.arange(len(axes[axis])), axes[axis])
-    return largest_piece(vertices.astype(np.float64), faces.astype(np.int64))
+    return largest_component(zero_set_mesh(values, axes))[0]
 
 
 def _ask(field: FusedField, points: Array) -> Array:
@@ -102,17 +99,6 @@ def _interpolated(values: Array, old: Array, new: Array, axis: int) -> Array:
     f = ((new - old[right - 1]) / (old[right] - old[right - 1])).astype(np.float32)
     f = f.reshape([-1 if i == axis else 1 for i in range(3)])
     return np.take(values, right - 1, axis) * (1 - f) + np.take(values, right, axis) * f
-
-
-def largest_piece(
-    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]
-) -> tuple[Float[Array, "w 3"], Int[Array, "g 3"]]:
-    """The connected piece with the most faces."""
-    of_face = component_labels(faces, len(vertices))[faces[:, 0]]
-    keep = of_face == np.bincount(of_face).argmax()
-    used = np.zeros(len(vertices), bool)
-    used[faces[keep]] = True
-    return vertices[used], (np.cumsum(used) - 1)[faces[keep]]
 
 
 def fill_from_neighbours(

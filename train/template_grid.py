@@ -8,8 +8,9 @@ from scipy import ndimage
 from torch import Tensor
 
 from capture.folder import CaptureSubject
-from capture.template import SurfaceCloud, air_beyond, sample_faces
+from capture.template import SurfaceCloud, air_beyond
 from geometry.cells import connected_to, distance_to
+from geometry.sample import lattice_samples
 
 Array = np.ndarray
 
@@ -120,7 +121,7 @@ def close_cavities(
     """
     subject, neck = closed
     faces = subject.faces[(subject.vertices[subject.faces, 1] > neck - 0.05).any(1)]
-    face, barycentric = sample_faces(subject.vertices, faces, np.full(len(faces), 0.5 * cell))
+    face, barycentric = lattice_samples(subject.vertices, faces, np.full(len(faces), 0.5 * cell))
     points = np.einsum("sk,skc->sc", barycentric, subject.vertices[faces[face]])
     low = np.array([axis[0] for axis in axes])
     index = np.round((points - low) / cell).astype(int)

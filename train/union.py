@@ -16,8 +16,9 @@ from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject
-from capture.template import sample_faces, visible_faces
+from capture.template import visible_faces
 from geometry.mesh import face_normals
+from geometry.sample import lattice_samples
 from train.fused import FusedField
 from train.objective import Extra, RayTensors, StepReport
 from train.preset import PartPreset, Preset
@@ -65,7 +66,7 @@ def overlap_surface(
     out = []
     for index in range(1, len(fused.fields)):
         near = faces[in_overlap(shares, index).numpy()]
-        face, barycentric = sample_faces(subject.vertices, near, np.full(len(near), spacing))
+        face, barycentric = lattice_samples(subject.vertices, near, np.full(len(near), spacing))
         seeds = np.einsum("sk,skc->sc", barycentric, subject.vertices[near[face]])
         level = zero_level(fused, index, seeds, face_normals(subject.vertices, near)[face])
         points = torch.as_tensor(level.points[level.arrived], dtype=torch.float32)

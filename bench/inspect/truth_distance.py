@@ -10,8 +10,9 @@ from avatar.baked_avatar import Avatar, Level
 from avatar.errors import AssetError
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from bench import surface_distance as geometry
+from bench.surface_distance import check_same_unit
 from bench.true_mesh import read_true_mesh
+from geometry.closest import closest_points, triangle_index
 
 
 def from_run(level: Level, run: Path) -> Float[np.ndarray, "f"]:
@@ -48,8 +49,8 @@ def from_truth(avatar: Avatar, level: Level, capture: Path) -> Float[np.ndarray,
     )
     points = skin_points(level.positions.astype(np.float64), skin, transforms)
     try:
-        geometry.check_same_unit(truth.vertices, points)
+        check_same_unit(truth.vertices, points)
     except ValueError as error:
         raise AssetError(f"{capture}: {error}") from None
-    index = geometry.triangle_index(truth.vertices, truth.faces[truth.visible])
-    return 1e3 * geometry.closest_points(points, index).distance
+    index = triangle_index(truth.vertices, truth.faces[truth.visible])
+    return 1e3 * closest_points(points, index).distance

@@ -6,13 +6,13 @@ import numpy as np
 from jaxtyping import Bool
 
 from avatar.camera import project
+from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.check.coverage import Coverage, coverage
 from capture.check.pictures import Exposure, blurred, exposure, missing, repeated, sharpness
 from capture.check.silhouette import Agreement, Outline, agreement, even, outline, posed_template
 from capture.folder import Capture
 from capture.template import visible_faces
-from geometry.register import similarity_from_landmarks
 
 Array = np.ndarray
 

@@ -8,12 +8,12 @@ from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from avatar.camera import Camera
+from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.folder import Capture, CaptureSubject
 from geometry.cells import distance_to, nearest_marked
 from geometry.rasterise import Fragments, rasterise
-from geometry.register import similarity_from_landmarks
 
 Array = np.ndarray
 

@@ -22,6 +22,7 @@ from avatar.motion.easymocap import RESULT_FOLDERS, frame_numbers, read_fit
 from avatar.motion.up_axis import TURNS, up_axis
 from avatar.picture import picture_size
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
+from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.imports.colmap import read_colmap
 from capture.imports.folder import (
@@ -36,7 +37,6 @@ from capture.imports.landmarks import LEAST, read_pixels, triangulated
 from capture.imports.opencv_yaml import read_easymocap_camera
 from capture.imports.places import SPOTS, landmark_vertices
 from capture.imports.template import Template, body_template, check_height
-from geometry.register import similarity_from_landmarks
 
 Array = np.ndarray
 

@@ -10,8 +10,8 @@ from avatar.skeleton import PARTS
 from bake.bake import BakeOptions, bake_run, check_complete
 from bake.command import main
 from bench.remeasure import remeasured, said_by
-from geometry.decimate import find_faults
-from geometry.isosurface import Mesh
+from geometry.mesh import TriangleMesh
+from geometry.repair import find_faults
 
 
 @pytest.fixture(scope="module")
@@ -130,10 +130,10 @@ def test_a_hand_that_broke_off_is_named(run):
     surface = run.surface
     body = (surface.part[surface.faces] != 2).all(1)
     with pytest.raises(AssetError, match="hand_left should be one piece"):
-        from geometry.isosurface import compact
+        from geometry.mesh import compact
 
         check_complete(compact(surface.vertices, surface.faces[body])[0], surface.vertices, surface.part)
-    check_complete(Mesh(surface.vertices, surface.faces), surface.vertices, surface.part)
+    check_complete(TriangleMesh(surface.vertices, surface.faces), surface.vertices, surface.part)
 
 
 @pytest.mark.parametrize("options", [{"faces": 10}, {"texture": 1000}, {"texture": 32}])

@@ -3,8 +3,8 @@ import pytest
 from capsules import ball_mesh
 
 from bake.skin import quantised, strayed, transferred_weights
+from geometry.closest import match_surface
 from geometry.harmonic import fill_harmonic
-from geometry.transfer import match_surface
 
 
 @pytest.mark.parametrize(

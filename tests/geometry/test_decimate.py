@@ -5,8 +5,9 @@ from capsules import ball_mesh, sphere
 
 from avatar.errors import AssetError
 from bake.measure import field_to_mesh
-from geometry.decimate import Enlargement, balanced, decimate, enlarged, find_faults, mend, parted, shrunk
-from geometry.isosurface import Mesh, enclosed_volume
+from geometry.decimate import Enlargement, balanced, decimate, enlarged, shrunk
+from geometry.mesh import TriangleMesh, enclosed_volume
+from geometry.repair import find_faults, repair, split_nonmanifold
 
 
 @pytest.mark.parametrize("target", [4000, 2000, 800])
@@ -21,7 +22,7 @@ def test_person_decimates_closed_with_more_triangles_on_hands(run):
         Enlargement(run.subject.joints[20], np.array([1.0, 0, 0]), 0.25, 2.4),
         Enlargement(run.subject.joints[21], np.array([-1.0, 0, 0]), 0.25, 2.4),
     ]
-    whole = Mesh(run.surface.vertices, run.surface.faces)
+    whole = TriangleMesh(run.surface.vertices, run.surface.faces)
 
     def on_hands(mesh):
         return (np.abs(mesh.vertices[mesh.faces[:, 0], 0]) > run.subject.joints[20, 0] + 0.05).sum()
@@ -44,16 +45,16 @@ def test_shrinking_undoes_the_enlargement():
 def test_balanced_ball_is_nearer_to_the_sphere_than_one_with_its_vertices_on_it():
     distance, normal = sphere(0.1)
     mesh = decimate(ball_mesh(step=0.005), 600)
-    on = Mesh(0.1 * mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True), mesh.faces)
+    on = TriangleMesh(0.1 * mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True), mesh.faces)
     better = balanced(on, distance, normal)
     assert field_to_mesh(distance, better).mean() < 0.6 * field_to_mesh(distance, on).mean()
 
 
 def test_mending_closes_a_torn_mesh():
     ball = ball_mesh()
-    torn = Mesh(ball.vertices, np.delete(ball.faces, [3, 4, 5, 100, 101, 300], axis=0))
+    torn = TriangleMesh(ball.vertices, np.delete(ball.faces, [3, 4, 5, 100, 101, 300], axis=0))
     assert find_faults(torn.faces, len(torn.vertices)).open_edges > 0
-    closed = mend(torn)
+    closed = repair(torn)
     assert not find_faults(closed.faces, len(closed.vertices))
 
 
@@ -69,7 +70,7 @@ def test_faults_are_counted_by_kind():
 def test_mesh_with_a_hole_is_refused():
     ball = ball_mesh()
     with pytest.raises(ValueError, match="closed and manifold, has Fault"):
-        decimate(Mesh(ball.vertices, ball.faces[1:]), 100)
+        decimate(TriangleMesh(ball.vertices, ball.faces[1:]), 100)
 
 
 @pytest.mark.parametrize("share", ["edge", "edge and both sheets joined"])
@@ -81,17 +82,17 @@ def test_sheets_that_share_an_edge_are_parted_without_losing_volume(share):
         one = np.array([[0, 1, 2], [1, 0, 3], [0, 2, 3], [1, 3, 2]])
         other = np.array([[1, 0, 4], [0, 1, 5], [4, 0, 5], [1, 4, 5]])
         other, one = (f if _volume(vertices, f) > 0 else f[:, ::-1] for f in (other, one))
-        mesh = Mesh(vertices, np.concatenate([one, other]))
+        mesh = TriangleMesh(vertices, np.concatenate([one, other]))
     else:
         mesh = _pinched_ring()
     assert find_faults(mesh.faces, len(mesh.vertices)).crowded_edges > 0
-    found = parted(mesh)
+    found = split_nonmanifold(mesh)
     assert not find_faults(found.faces, len(found.vertices))
     assert enclosed_volume(found) == pytest.approx(enclosed_volume(mesh), rel=1e-12)
 
 
 def _volume(vertices, faces):
-    return enclosed_volume(Mesh(vertices, faces))
+    return enclosed_volume(TriangleMesh(vertices, faces))
 
 
 def _pinched_ring():
@@ -113,7 +114,7 @@ def _pinched_ring():
     for low, high in ((2, 18), (3, 19)):  # inner edge of column 0 and of column 4
         vertices[low] = vertices[high] = 0.5 * (vertices[low] + vertices[high])
         faces = np.where(faces == high, low, faces)
-    return Mesh(vertices, faces)
+    return TriangleMesh(vertices, faces)
 
 
 @pytest.mark.parametrize("harm", ["cut in half", "pinched off", "folded"])

@@ -3,8 +3,9 @@ import pytest
 import torch
 from capsules import sphere
 
-from geometry.decimate import find_faults
-from geometry.isosurface import enclosed_volume, extract, graded_axis, project_to_zero, sample_near_surface
+from geometry.isosurface import extract, graded_axis, project_to_zero, sample_near_surface
+from geometry.mesh import enclosed_volume
+from geometry.repair import find_faults
 
 
 def test_graded_axis_is_fine_inside_its_spans_only():
@@ -49,9 +50,9 @@ def test_person_is_one_closed_manifold_on_the_zero_set(run):
 
     surface = run.surface
     assert not find_faults(surface.faces, len(surface.vertices))
-    from geometry.isosurface import Mesh
+    from geometry.mesh import TriangleMesh
 
-    assert enclosed_volume(Mesh(surface.vertices, surface.faces)) > 0.03
+    assert enclosed_volume(TriangleMesh(surface.vertices, surface.faces)) > 0.03
     away = np.abs(distance(surface.vertices))
     assert np.quantile(away, 0.999) < 1e-4  # metres; creases between capsules have no exact normal
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1, atol=1e-5)

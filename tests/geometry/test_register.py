@@ -2,9 +2,15 @@
 
 import numpy as np
 import pytest
+import trimesh
+import trimesh.registration
 
+from avatar.body import builtin_body
 from avatar.rotation import matrix_from_axis_angle
-from geometry.register import Anchors, refine_by_surfaces, similarity_from_landmarks
+from avatar.similarity import similarity_from_landmarks
+from geometry.closest import triangle_index
+from geometry.register import Anchors, refine_by_surfaces, rigid_icp
+from geometry.sample import stratified_samples
 
 
 def _landmarks(count: int = 8, seed: int = 0) -> np.ndarray:
@@ -120,3 +126,26 @@ def test_noisy_landmarks_give_way_to_surfaces_that_determine_the_place():
     np.testing.assert_allclose(free, np.eye(4), atol=1e-6)
     pulled = refine_by_surfaces(target[::2], target, normals, anchors=Anchors(places, wrong, 0.002)).transform
     assert np.linalg.norm(pulled[:3, 3]) < 0.0015
+
+
+def test_rigid_icp_undoes_a_rigid_motion():
+    mesh = trimesh.creation.box((0.3, 0.5, 1.7))
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    points = stratified_samples(vertices, faces, 800, seed=0).on(vertices, faces)
+    moved_from_truth = trimesh.transformations.rotation_matrix(0.05, [1, 2, 3])
+    moved_from_truth[:3, 3] = [0.01, -0.02, 0.015]
+    moved = points @ moved_from_truth[:3, :3].T + moved_from_truth[:3, 3]
+    found = rigid_icp(moved, triangle_index(vertices, faces), rounds=100)
+    np.testing.assert_allclose(found @ moved_from_truth, np.eye(4), atol=2e-3)
+
+
+def test_rigid_icp_takes_the_steps_of_trimesh():
+    body = builtin_body("male")
+    # millimetres: trimesh's tolerances are absolute
+    vertices = 1000 * body.vertices.astype(np.float64)
+    turn = trimesh.transformations.rotation_matrix(0.03, [1, -1, 2])
+    moved = trimesh.transform_points(vertices[::40], turn) + [5, -4, 6]
+    found = rigid_icp(moved, triangle_index(vertices, body.faces), rounds=5)
+    mesh = trimesh.Trimesh(vertices, body.faces, process=False)
+    expected, _, _ = trimesh.registration.icp(moved, mesh, max_iterations=5, threshold=0, reflection=False, scale=False)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)

@@ -5,7 +5,10 @@ import pytest
 import trimesh
 
 from bench.metrics import PooledError, flip, lpips, psnr, rectangle, ssim
-from bench.surface_distance import closest_points, mesh_distance, rigid_alignment, sample_surface, triangle_index
+from bench.surface_distance import mesh_distance
+from geometry.closest import closest_points, triangle_index
+from geometry.register import rigid_icp
+from geometry.sample import stratified_samples
 
 IMAGE = np.random.default_rng(0).random((32, 32, 3))
 
@@ -111,7 +114,7 @@ def test_a_mesh_without_faces_is_refused():
     with pytest.raises(ValueError, match="no faces"):
         triangle_index(vertices, nothing)
     with pytest.raises(ValueError, match="has any area"):
-        sample_surface(vertices, faces, 10, seed=0, keep=np.zeros(len(faces), bool))
+        stratified_samples(vertices, faces, 10, seed=0, weight=np.zeros(len(faces), bool))
 
 
 @pytest.mark.parametrize(
@@ -157,9 +160,9 @@ def test_alignment_finds_a_known_motion_and_never_a_mirror(turn, within):
     known = trimesh.transformations.rotation_matrix(turn, [0.2, 1.0, -0.3])
     known[:3, 3] = [0.01, -0.02, 0.015]
     source = (np.asarray(middle.vertices) - known[:3, 3]) @ known[:3, :3]
-    found = rigid_alignment(source, triangle_index(vertices, faces), rounds=200)
+    found = rigid_icp(source, triangle_index(vertices, faces), rounds=200)
     moved = source @ found[:3, :3].T + found[:3, 3]
     within(moved - np.asarray(middle.vertices), 2e-3, "m")
     assert np.linalg.det(found[:3, :3]) == pytest.approx(1)
-    mirrored = rigid_alignment(source * [-1, 1, 1] + [0.01, 0, 0], triangle_index(vertices, faces))
+    mirrored = rigid_icp(source * [-1, 1, 1] + [0.01, 0, 0], triangle_index(vertices, faces))
     assert np.linalg.det(mirrored[:3, :3]) == pytest.approx(1)

@@ -12,9 +12,11 @@ from bake.atlas import unwrap
 from bake.seams import chart_edges, equalised, seam_steps
 from bake.skin import transferred_weights
 from bake.texels import barycentric, bytes_from_unit, rasterise_charts, spread
-from geometry.decimate import balanced, decimate, find_faults, mend
-from geometry.isosurface import Mesh, compact, extract
-from geometry.transfer import match_surface
+from geometry.closest import match_surface
+from geometry.decimate import balanced, decimate
+from geometry.isosurface import extract
+from geometry.mesh import TriangleMesh, compact
+from geometry.repair import find_faults, repair
 
 BOX = np.array([[-0.12, -0.12, -0.12], [0.12, 0.12, 0.12]])
 COARSE = np.zeros(2, bool)
@@ -102,16 +104,16 @@ def torn(kind):
     ball = ball_mesh()
     faces = ball.faces.copy()
     if kind == "hole":
-        return Mesh(ball.vertices, faces[~(ball.vertices[faces].mean(1)[:, 1] > 0.08)])
+        return TriangleMesh(ball.vertices, faces[~(ball.vertices[faces].mean(1)[:, 1] > 0.08)])
     if kind == "doubled":
-        return Mesh(ball.vertices, np.concatenate([faces, faces[:7], faces[20:24, ::-1]]))
+        return TriangleMesh(ball.vertices, np.concatenate([faces, faces[:7], faces[20:24, ::-1]]))
     if kind == "fin":
         fin = np.array([[faces[0, 0], faces[0, 1], faces[50, 2]]])
-        return Mesh(ball.vertices, np.concatenate([faces, fin]))
+        return TriangleMesh(ball.vertices, np.concatenate([faces, fin]))
     if kind == "degenerate":
-        return Mesh(ball.vertices, np.concatenate([faces, [[3, 3, 9], [5, 5, 5]]]))
+        return TriangleMesh(ball.vertices, np.concatenate([faces, [[3, 3, 9], [5, 5, 5]]]))
     if kind == "pinched":
-        return Mesh(ball.vertices, np.where(faces == faces[0, 0], faces[200, 0], faces))
+        return TriangleMesh(ball.vertices, np.where(faces == faces[0, 0], faces[200, 0], faces))
     raise ValueError(kind)
 
 
@@ -121,14 +123,14 @@ def test_broken_meshes_are_refused_by_decimation_and_closed_by_mending(kind, wit
     assert find_faults(mesh.faces, len(mesh.vertices))
     with pytest.raises(ValueError, match="closed and manifold"):
         decimate(mesh, 100)
-    closed = mend(mesh)
+    closed = repair(mesh)
     within(find_faults(closed.faces, len(closed.vertices)), 0, "faults")
     assert len(decimate(closed, 800).faces) <= 810
 
 
 def test_nothing_left_to_mend_is_an_error():
     with pytest.raises(AssetError, match="no triangle left"):
-        mend(Mesh(np.zeros((3, 3)), np.array([[0, 0, 1], [1, 2, 2]])))
+        repair(TriangleMesh(np.zeros((3, 3)), np.array([[0, 0, 1], [1, 2, 2]])))
 
 
 @pytest.mark.parametrize("target", [3000, 800, 100, 20])
@@ -139,7 +141,7 @@ def test_decimation_never_opens_a_hole(target, within):
 
 def test_vertices_never_referenced_are_dropped(within):
     ball = ball_mesh()
-    loose = Mesh(np.concatenate([[[9.0, 9, 9]], ball.vertices, [[np.nan] * 3]]), ball.faces + 1)
+    loose = TriangleMesh(np.concatenate([[[9.0, 9, 9]], ball.vertices, [[np.nan] * 3]]), ball.faces + 1)
     kept, index = compact(loose.vertices, loose.faces)
     assert len(kept.vertices) == len(ball.vertices) and index[0] == 1
     within(np.linalg.norm(decimate(loose, 800).vertices, axis=1) - 0.1, 0.01, "m")
@@ -148,7 +150,7 @@ def test_vertices_never_referenced_are_dropped(within):
 def test_balancing_turns_no_triangle_over(within):
     distance, normal = sphere(0.1)
     mesh = decimate(ball_mesh(step=0.005), 500)
-    rough = Mesh(mesh.vertices * (1 + 0.02 * np.sin(40 * mesh.vertices[:, :1])), mesh.faces)
+    rough = TriangleMesh(mesh.vertices * (1 + 0.02 * np.sin(40 * mesh.vertices[:, :1])), mesh.faces)
     smooth = balanced(rough, distance, normal, rounds=4)
     facing = [np.cross(m.vertices[m.faces[:, 1]] - m.vertices[m.faces[:, 0]],
                        m.vertices[m.faces[:, 2]] - m.vertices[m.faces[:, 0]]) for m in (rough, smooth)]  # fmt: skip
@@ -250,7 +252,7 @@ def test_thin_parts_back_to_back_do_not_swap_sides(gap, within):
 def test_ear_in_front_of_the_head_keeps_its_own_weights(within):
     """A thin shell (an ear, 2 mm) over a surface that follows another joint, both facing out: no weight crosses."""
     head = ball_mesh(0.1, step=0.012)
-    ear = Mesh(head.vertices * 1.02, head.faces)
+    ear = TriangleMesh(head.vertices * 1.02, head.faces)
     ear, _ = compact(ear.vertices, ear.faces[ear.vertices[ear.faces].mean(1)[:, 0] > 0.06])
     vertices = np.concatenate([head.vertices, ear.vertices])
     faces = np.concatenate([head.faces, ear.faces + len(head.vertices)])

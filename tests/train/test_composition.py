@@ -6,12 +6,13 @@ import torch
 from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights, blended_rotations
-from capture.template import SurfaceCloud, sample_faces
+from capture.template import SurfaceCloud
 from geometry.closest import closest_on_triangles
+from geometry.sample import lattice_samples
 from train.deform import canonical_directions, inverse_transforms
 from train.parts import Box, Part, part_weight
 from train.skin import harmonic_fill
-from train.surface import fill_from_neighbours, largest_piece
+from train.surface import fill_from_neighbours
 from train.template_grid import TemplateGrid, template_grid
 
 BOX = Box(np.array([0.5, -0.3, -0.3]), np.array([1.5, 0.3, 0.3]))
@@ -66,7 +67,7 @@ def test_template_gradient_is_the_derivative_of_its_own_values():
 
 def test_samples_of_a_face_are_its_own_and_evenly_spaced():
     vertices = np.array([[0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]])
-    face, barycentric = sample_faces(vertices, np.array([[0, 1, 2]]), np.array([0.1]))
+    face, barycentric = lattice_samples(vertices, np.array([[0, 1, 2]]), np.array([0.1]))
     assert (barycentric >= 0).all() and np.allclose(barycentric.sum(1), 1)
     points = barycentric @ vertices
     gap, _ = KDTree(points).query(np.random.default_rng(0).dirichlet([1, 1, 1], 2000) @ vertices)
@@ -130,10 +131,8 @@ def test_harmonic_fill_of_a_strip_is_linear():
     np.testing.assert_allclose(share, np.linspace(0, 1, count), atol=1e-6)
 
 
-def test_the_largest_piece_drops_islands_and_fill_reaches_everything_connected():
+def test_fill_reaches_everything_connected():
     faces = np.array([[0, 1, 2], [1, 2, 3], [4, 5, 6]])
-    vertices, kept = largest_piece(np.arange(21.0).reshape(7, 3), faces)
-    assert len(vertices) == 4 and kept.tolist() == [[0, 1, 2], [1, 2, 3]]
     values = fill_from_neighbours(np.eye(7)[:, :1] * 5, np.arange(7) == 0, faces)
     assert values[:4, 0].tolist() == [5, 5, 5, 5] and values[4:, 0].tolist() == [0, 0, 0]
 

@@ -11,11 +11,11 @@ from PIL import Image
 from scipy import ndimage
 from turning_capture import TURN, with_video
 
+from avatar.similarity import similarity_from_landmarks
 from capture.check.coverage import largest_gap, turn_angles
 from capture.check.pictures import blurred, exposure, missing, repeated, sharpness
 from capture.check.report import examine, examine_part, report_facts
 from capture.check.verdict import Verdict, verdict
-from geometry.register import similarity_from_landmarks
 from selfscan.__main__ import main
 
 
