@@ -122,7 +122,7 @@ def test_a_file_that_lost_more_than_it_says_is_found_out(sheen, sheen_run):
         level, positions=level.positions + np.float32(0.003) * level.normals, base_color=level.base_color // 2
     )
     found = remeasured(replace(avatar, levels=(swollen,)), sheen_run, {})["differences"]
-    assert found["levels[0].field_to_mesh_mm.mean"] > 2
+    assert found["levels[0].field_to_mesh_mm.mean"] > 1.9
     assert found["against_field.paper_db"] < -5 and found["against_field.cone_db.off"] < -5
 
 

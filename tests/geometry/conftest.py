@@ -1,0 +1,7 @@
+import pytest
+from capsules import make_run
+
+
+@pytest.fixture(scope="session")
+def run():
+    return make_run()
