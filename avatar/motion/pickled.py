@@ -48,6 +48,8 @@ BOTH = ("pose_hand", "hand_pose", "poses_hand")
 PLACE = ("trans", "transl", "pose_est_trans")
 SHAPE = ("betas", "shape_est_betas", "beta")
 RATE = ("mocap_framerate", "mocap_frame_rate", "mosh_framerate", "framerate", "frame_rate", "fps")
+# of a field that is lists of numbers: 300 MB as Python holds them
+MAX_NUMBERS = 10_000_000
 # looked at for the up axis
 SAMPLED_FRAMES = 200
 
@@ -116,7 +118,7 @@ def _person(path: Path, content: Any) -> dict[str, Any]:
         if type(inner) is not list or not inner or type(inner[0]) is not dict:
             break
         content = inner[0]
-    found = sorted(map(str, content))[:12] if type(content) is dict else f"a {type(content).__name__}"
+    found = sorted(str(key)[:40] for key in content)[:12] if type(content) is dict else f"a {type(content).__name__}"
     raise AssetError(f"{path}: no poses; expected one of {', '.join(WHOLE + BODY)}; found {found}")
 
 
@@ -137,12 +139,29 @@ def _numbers(path: Path, fields: dict[str, Any], name: str) -> Array:
     value = fields[name]
     if not isinstance(value, Array):
         try:
+            if _numbers_within(value, {}) > MAX_NUMBERS:
+                raise AssetError(f"{path}: {name} should be an array, is lists of more than {MAX_NUMBERS} numbers")
             value = np.array(value)
-        except ValueError:
-            raise AssetError(f"{path}: {name} should be an array, is a list of unequal lengths") from None
+        except (ValueError, OverflowError):
+            raise AssetError(
+                f"{path}: {name} should be an array of numbers, is no list of equally long lists"
+            ) from None
     if value.dtype.kind not in "fiu":
         raise AssetError(f"{path}: {name} should be numbers, is {value.dtype}")
     return value
+
+
+def _numbers_within(value: Any, counted: dict[int, int]) -> int:
+    """How many numbers lists of lists (or arrays) hold; one that is there twice counts twice, but is walked once."""
+    if isinstance(value, Array) and value.dtype.kind in "biuf":
+        return value.size
+    if isinstance(value, (int, float, np.number)):
+        return 1
+    if not isinstance(value, (list, tuple)):
+        raise ValueError(f"a {type(value).__name__}")
+    if id(value) not in counted:
+        counted[id(value)] = sum(_numbers_within(item, counted) for item in value)
+    return counted[id(value)]
 
 
 def _flat(path: Path, fields: dict[str, Any], name: str, frames: int | None = None) -> Array:
@@ -175,7 +194,9 @@ def _rows(path: Path, fields: dict[str, Any], notes: list[str]) -> tuple[str, Ar
             raise AssetError(f"{path}: {name} should have {expected} columns, has {rows.shape[1]}: {why}")
     if not apart:
         absent = " or ".join((ROOT if root_name is None else BODY)[:2])
-        raise AssetError(f"{path}: no {absent} beside {body_name or root_name}; it has {sorted(fields)[:20]}")
+        raise AssetError(
+            f"{path}: no {absent} beside {body_name or root_name}; it has {sorted(key[:40] for key in fields)[:20]}"
+        )
     root, rows = _flat(path, fields, str(root_name)), _flat(path, fields, str(body_name))
     if root.shape != (len(rows), 3):
         raise AssetError(f"{path}: {root_name} should be ({len(rows)}, 3), is {root.shape}")
@@ -226,8 +247,9 @@ def _betas(path: Path, fields: dict[str, Any]) -> Float[Array, "n"]:
 def _up(path: Path, fields: dict[str, Any], rows: Array, name: str, notes: list[str]) -> str:
     if "up_axis" in fields:
         axis = fields["up_axis"]
-        if axis not in ("y", "z"):
-            raise AssetError(f"{path}: up_axis should be 'y' or 'z', is {str(axis)[:40]!r}")
+        if not isinstance(axis, str) or axis not in ("y", "z"):
+            found = repr(axis[:40]) if isinstance(axis, str) else f"a {type(axis).__name__}"
+            raise AssetError(f"{path}: up_axis should be 'y' or 'z', is {found}")
         notes.append(f"up: {axis}, as the file says" + ("; turned to y" if axis == "z" else ""))
         return f"+{axis}"
     sample = np.unique(np.linspace(0, len(rows) - 1, min(len(rows), SAMPLED_FRAMES)).astype(int))

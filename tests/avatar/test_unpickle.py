@@ -6,6 +6,7 @@ import io
 import os
 import pickle
 import struct
+import subprocess
 import sys
 import tracemalloc
 import types
@@ -189,31 +190,34 @@ def test_nothing_is_run_and_the_name_is_said(tmp_path, protocol):
         (b"Px\n.", "PERSID"),
         (b"\x82\x01.", "EXT1"),
         (b"\x80\x05\x97.", "NEXT_BUFFER"),
-        (b"\xff.", "byte 0xff"),
+        (b"\xff.", r"b'.xff' at byte 0, which no pickle"),
         (b"N", "ends at byte 1"),
         (b"", "ends at byte 0"),
         (b".", "empty stack"),
         (b"0.", "empty stack"),
         (b"g7\n.", "reference to object 7"),
-        (b"e.", "no mark"),
-        (b"I1\nI2\na.", "expected a list"),
-        (b"}]N s.", "0x20"),
-        (b"}]Ns.", "a dict key that is a list"),
-        (b"})\x85Ns.", "a dict key that is a tuple"),
-        (b"L999999999999999999999999999999999999999L\n.", "for a whole number"),
-        (b"\x8b\xff\xff\xff\x7f", "too early"),
-        (b"\x8d" + struct.pack("<Q", 1 << 62), "too early"),
-        (b"\x8e" + struct.pack("<Q", 1 << 62), "too early"),
+        (b"e.", "APPENDS without a mark"),
+        (b"I1\nI2\na.", "has no attribute 'append'"),
+        (b"}]N s.", "b' ' at byte 3"),
+        (b"}]Ns.", "unhashable type: 'list'"),
+        (b"})\x85Ns.", "a key that is a tuple"),
+        (b"L" + b"9" * 300 + b"L\n.", "a whole number of 997 bits"),
+        (b"L" + b"9" * 9000 + b"L\n.", "LONG at byte 0: Exceeds the limit"),
+        (b"\x8b\xff\xff\xff\x7f", "LONG4 at byte 0: not enough data"),
+        (b"\x8d" + struct.pack("<Q", 1 << 62), "BINUNICODE8 at byte 0: expected"),
+        (b"\x8e" + struct.pack("<Q", 1 << 62), "BINBYTES8 at byte 0: expected"),
         (b"]q\x00h\x00a.", "hold themselves"),
         (b"c__builtin__\nset\n(I1\ntR.", "cannot be rebuilt"),
         (b"cnumpy\ndtype\n(S'V8'\nI0\nI1\ntR.", "'V8'"),
         (b"cnumpy\ndtype\n(S'S9999999999'\nI0\nI1\ntR.", "expected numbers or text"),
-        (b"c_codecs\nencode\n(Vx\nS'rot13'\ntR.", "encoding 'rot13'"),
+        (b"c_codecs\nencode\n(Vx\nS'rot13'\ntR.", "encoding rot13"),
         (b"c_codecs\nencode\n(Vx\nS'nonsense'\ntR.", "cannot be rebuilt"),
-        (b"cchumpy.ch\nCh\n)\x81.", "without 'x'"),
+        (b"cchumpy.ch\nCh\n)\x81.", "a state that is a NoneType"),
         (b"ccopy_reg\n_reconstructor\n(c_codecs\nencode\nc__builtin__\nobject\nNtR.", "cannot be rebuilt"),
-        (b"S'abc\n.", "without quotes"),
-        (b"X\x02\x00\x00\x00\xff\xfe\x93.", "empty stack"),
+        (b"S'abc\n.", "STRING opcode argument must be quoted"),
+        (b"X\x02\x00\x00\x00\xff\xfe\x93.", "can't decode byte 0xff"),
+        (b"(i__builtin__\neval\n.", "'__builtin__.eval'"),
+        (b"(c__builtin__\neval\no.", "'__builtin__.eval'"),
     ],
 )
 def test_broken_programs_are_refused_with_a_reason(tmp_path, program, message):
@@ -259,6 +263,53 @@ def test_no_program_takes_more_than_its_share(tmp_path, program, monkeypatch):
     finally:
         tracemalloc.stop()
     assert (peak - 2 * len(program)) / STEPS * MAX_STEPS < 1 << 29 or peak < 3 << 26
+
+
+SHARED = b"](" + b"K\x01" * 1000 + b"eq\x000"  # a list of a thousand, remembered
+PRIME = (1 << 61) - 1  # hashes of whole numbers are counted modulo this
+ATTACKS = {
+    "tuples in tuples, as a pose": b"}X\x05\0\0\0posesK\x01" + b"2\x86" * 60 + b"s.",
+    "tuples in tuples, as a key": b"}K\x01" + b"2\x86" * 60 + b"K\x01s.",
+    "tuples in tuples, in a set": b"\x8f(K\x01" + b"2\x86" * 60 + b"\x90.",
+    "a tuple as deep as the stack of C": b"})" + b"\x85" * 300_000 + b"K\x01s.",
+    "lists as deep as the stack of C": b"]" * 300_000 + b"a" * 299_999 + b".",
+    "made things as deep as the stack of C": b"c__builtin__\nlist\nq\x000h\x00)Rq\x01"
+    + b"0h\x00h\x01\x85Rq\x01" * 150_000 + b"h\x01.",
+    "copies of lists": SHARED + b"c__builtin__\nlist\nq\x010](" + b"h\x01h\x00\x85R" * 50_000 + b"e.",
+    "copies of sets": SHARED + b"c__builtin__\nset\nq\x010](" + b"h\x01h\x00\x85R" * 50_000 + b"e.",
+    "a list many times in a pose": b"}X\x05\0\0\0poses" + SHARED + b"](" + b"h\x00" * 50_000 + b"es.",
+    "keys that collide": b"}(" + b"".join(
+        b"\x8a\x0c" + (PRIME * n).to_bytes(12, "little") + b"N" for n in range(1, 30_000)) + b"u.",
+    "fractions that collide": b"}(" + b"".join(
+        b"G" + struct.pack(">d", n * 2.0**61) + b"N" for n in range(1, 30_000)) + b"u.",
+    "a memo that is far away": b"Nr\xff\xff\xff\xff.",
+    "a memo in text": b"Np4000000000\n.",
+    "bytes by their number": b"c__builtin__\nbytes\nJ\xff\xff\xff\x7f\x85R.",
+    "bytes that are not there": b"\x80\x05\x96" + struct.pack("<Q", 1 << 40) + b".",
+    "a frame that is not there": b"\x80\x04\x95" + struct.pack("<Q", 1 << 60) + b"N.",
+    "a class given a state": b"c__builtin__\nlist\n(N}X\x04\0\0\0kindX\x04\0\0\0dictstb.",
+    "a name with dots": b"\x80\x04X\x08\0\0\0builtinsX\x0e\0\0\0list.__class__\x93.",
+    "keywords": b"\x80\x04c__builtin__\nlist\n)}\x92.",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_work_is_bounded_whatever_the_program(tmp_path, name):
+    """In a process of its own: what these did before was to end it, or to take gigabytes and minutes."""
+    (tmp_path / "a.pkl").write_bytes(ATTACKS[name])
+    program = (
+        "import resource, sys\n"
+        "from avatar.errors import AssetError\n"
+        "from avatar.motion.pickled import read_pickled_motion\n"
+        "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (used + (1 << 29), used + (1 << 29)))\n"
+        "seconds = round(resource.getrusage(resource.RUSAGE_SELF).ru_utime)\n"
+        "resource.setrlimit(resource.RLIMIT_CPU, (seconds + 10, seconds + 10))\n"
+        "try:\n    read_pickled_motion(sys.argv[1])\nexcept AssetError as error:\n    print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program, str(tmp_path / "a.pkl")], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-500:]
+    assert "a.pkl: " in done.stdout and done.stdout.count("\n") == 1 and not done.stderr
 
 
 def test_a_value_that_names_itself_twice_at_each_level_is_walked_once(tmp_path):
