@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.errors import AssetError
-from avatar.motion.clip import Motion
+from avatar.motion.clip import Motion, RestSkeleton
 from avatar.rotation import matrix_from_axis_angle
 
 Array = np.ndarray
@@ -297,7 +297,7 @@ def _index(reader: _Lines, frames: int, width: int) -> tuple[tuple[int, int], ..
     return tuple(places)
 
 
-def read_bvh(path: Path | str) -> Motion:
+def read_bvh(path: Path | str, skeleton: RestSkeleton | None = None) -> Motion:
     """Open a BVH file as a motion of our skeleton: exactly where its rig is ours, else by avatar/motion/retarget.py."""
     # both import what is here
     from avatar.motion.retarget import retarget
@@ -305,11 +305,11 @@ def read_bvh(path: Path | str) -> Motion:
 
     bvh = open_bvh(path)
     if not is_smplh(bvh):
-        return retarget(bvh)
+        return retarget(bvh, skeleton)
     leg = leg_length(bvh.rest_positions(), {name: k for k, name in enumerate(bvh.names)})
     unit = next((unit for unit in UNITS if LEGS[0] < leg * unit < LEGS[1]), None)
     if unit is None:
-        return retarget(bvh)
+        return retarget(bvh, skeleton)
     # where the skeleton rests on the ground, as avatar/motion/bvh_write.py has it
     height = float(bvh.offsets[0, 1])
     notes = [f"unit: {UNITS[unit]}, by the length of the legs, {leg:.4g}"]

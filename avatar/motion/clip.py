@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
 
 from avatar.errors import AssetError
+from avatar.body import Body, builtin_body
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 
 Array = np.ndarray
@@ -70,6 +72,25 @@ def checked_pelvis_height(place: str, height: float) -> float:
     if not PELVIS_HEIGHTS[0] <= height <= PELVIS_HEIGHTS[1]:
         raise AssetError(f"{place} should be positive, {PELVIS_HEIGHTS[0]:g} to {PELVIS_HEIGHTS[1]:g} m, is {height:g}")
     return height
+
+
+@dataclass(frozen=True)
+class RestSkeleton:
+    """The skeleton that a motion is read for: its bones in pose 0."""
+
+    joints: Float[Array, "52 3"]  # pelvis at the origin, metres
+    pelvis_height: float  # above the soles, metres
+
+
+def rest_skeleton(body: Body) -> RestSkeleton:
+    """The skeleton of a body model."""
+    return RestSkeleton(body.joints, float(-body.vertices[:, 1].min()))
+
+
+@cache
+def builtin_skeleton() -> RestSkeleton:
+    """The built-in man's."""
+    return rest_skeleton(builtin_body("male"))
 
 
 def resample(clip: Clip, rate: float | int) -> Clip:

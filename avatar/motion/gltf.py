@@ -21,7 +21,7 @@ from avatar.errors import AssetError
 from avatar.gltf.document import Gltf, read_gltf
 from avatar.gltf.humanoid import Naming, find_naming
 from avatar.gltf.scene import node_parents, parents_first, read_skin
-from avatar.motion.clip import Motion
+from avatar.motion.clip import Motion, RestSkeleton
 from avatar.motion.retarget import retarget
 from avatar.motion.smplh_rig import LIMBS, is_smplh, off_t_pose, read_exactly
 from avatar.rotation import (
@@ -142,8 +142,8 @@ class GltfRig:
         return R, at
 
 
-def read_gltf_motion(path: Path | str) -> Motion:
-    """Open the first animation of a rigged glTF.
+def read_gltf_motion(path: Path | str, skeleton: RestSkeleton | None = None) -> Motion:
+    """Open the first animation of a rigged glTF; `skeleton` is the one that it is to move.
 
     Raises:
         AssetError: not a glTF we read, no animation of a humanoid's joints, channels that are not as they
@@ -156,7 +156,7 @@ def read_gltf_motion(path: Path | str) -> Motion:
     unturned = np.abs(rig.rest[[name in J for name in rig.names]] - np.eye(3)).max(initial=0) < 1e-4
     if naming.name == "SMPL+H" and unturned and is_smplh(rig):
         return read_exactly(rig, notes, pelvis_height=_pelvis_height(gltf))
-    return retarget(rig, up_known=True, assumed=tuple(notes))
+    return retarget(rig, skeleton, up_known=True, assumed=tuple(notes))
 
 
 def _pelvis_height(gltf: Gltf) -> float | None:

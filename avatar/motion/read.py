@@ -5,18 +5,19 @@ from pathlib import Path
 
 from avatar.body import Body
 from avatar.errors import AssetError
-from avatar.motion.clip import Motion
+from avatar.motion.clip import Motion, RestSkeleton
 
 BUILTIN_MOTIONS = ("counting", "walking")
 MOTION_FILES = "a motion (.npz AMASS, .pkl, .bvh, .glb .gltf .vrm .vrma, EasyMocap .json or folder)"
 
 
-def read_motion(source: Path | str, *, body: Body | None = None) -> Motion:
+def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestSkeleton | None = None) -> Motion:
     """Open a motion: a pose file, a folder of them, or the name of a built-in one.
 
     .npz (AMASS), .pkl (SMPL+H, MoSh, 3DPW), .bvh, .glb .gltf .vrm .vrma (animation), .json or a folder of them
     (EasyMocap). `body` is the body the file was made for; it settles where `trans` puts the pelvis and what hand
-    coefficients mean. What had to be assumed is in `notes`.
+    coefficients mean. `skeleton` is the one that the motion is to move: other rigs' bone directions are laid on its bones
+    (the built-in man's where none is given). What had to be assumed is in `notes`.
 
     Raises:
         AssetError: the file is absent, of an unknown kind, or holds what cannot be explained.
@@ -42,11 +43,11 @@ def read_motion(source: Path | str, *, body: Body | None = None) -> Motion:
     if suffix == ".bvh":
         from avatar.motion.bvh import read_bvh
 
-        return read_bvh(path)
+        return read_bvh(path, skeleton)
     if suffix in (".glb", ".gltf", ".vrm", ".vrma"):
         from avatar.motion.gltf import read_gltf_motion
 
-        return read_gltf_motion(path)
+        return read_gltf_motion(path, skeleton)
     raise AssetError(f"{path}: expected {MOTION_FILES}, found '{path.suffix}'")
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from avatar.body import builtin_body
 from avatar.motion.clip import Motion
-from avatar.motion.retarget import REQUIRED, AnimatedRig
+from avatar.motion.rig import REQUIRED, AnimatedRig
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, PARENTS
 

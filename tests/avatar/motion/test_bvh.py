@@ -7,7 +7,7 @@ from avatar.body import builtin_body
 from avatar.errors import AssetError
 from avatar.motion.bvh import open_bvh, read_bvh
 from avatar.motion.read import read_motion
-from avatar.motion.retarget import side_and_base
+from avatar.motion.rig import side_and_base
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 

@@ -1,0 +1,199 @@
+"""How an avatar's rest bones lie along those of a rig that rests as a person stands: T-pose, A-pose, arms down.
+
+A_k (avatar/motion/retarget.py) starts as the turn between the two rest frames (up axis, facing) and is passed down
+each limb with the smallest turn that aligns the bone, so twist is carried along.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.errors import AssetError
+from avatar.motion.rig import FINGER_NAMES, JointMap, AnimatedRig
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
+from avatar.skeleton import JOINTS
+
+Array = np.ndarray
+
+J = {name: index for index, name in enumerate(JOINTS)}
+# cosine of a thigh to the way from hips to head, above which nobody stands: it points up, or sideways like a split
+THIGH_UP = -0.2
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """The constant turns A_k between a rig's rest pose and ours."""
+
+    # of our limb joints by name
+    limbs: dict[str, Float[Array, "3 3"]]
+    # of the rig's own joints from the pelvis to the head
+    column: dict[int, Float[Array, "3 3"]]
+
+
+class RestBones:
+    """Bones at rest by the names of our joints: the rig's and the avatar's."""
+
+    def __init__(self, rig: AnimatedRig, joints: JointMap, ours: Float[Array, "52 3"]):
+        self.joints, self.rest, self._ours = joints, rig.rest_positions(), ours
+        self._ends = dict(rig.ends)
+
+    def theirs(self, a: str, b: str) -> Float[Array, "3"]:
+        """From joint a to joint b at rest, in the rig's axes."""
+        return self.rest[self.joints.places[b]] - self.rest[self.joints.places[a]]
+
+    def ours(self, a: str, b: str) -> Float[Array, "3"]:
+        """From joint a to joint b of the avatar in pose 0."""
+        return self._ours[J[b]] - self._ours[J[a]]
+
+    def toe(self, side: str) -> Float[Array, "3"]:
+        """From the ankle to the toes of the rig, or to the end of its foot; 0 where it has neither."""
+        ankle, foot = f"{side}_ankle", f"{side}_foot"
+        places = self.joints.places
+        if foot in places and places[foot] != places[ankle]:
+            return self.theirs(ankle, foot)
+        return np.array(self._ends.get(places[ankle], (0.0, 0.0, 0.0)))
+
+    def aligned(self, base: Float[Array, "3 3"], a: str, b: str) -> Float[Array, "3 3"]:
+        """`base`, turned by the least that lays our bone from a to b along theirs."""
+        theirs = self.theirs(a, b)
+        if np.linalg.norm(theirs) < 1e-9:
+            return base
+        return rotation_between(unit(base @ self.ours(a, b)), unit(theirs)) @ base
+
+
+def rests_standing(rig: AnimatedRig, joints: JointMap) -> bool:
+    """Whether the rest pose is a person's: thighs that lead away from the head, shoulders over the hips."""
+    at = rig.rest_positions()[list(joints.places.values())]
+    place = dict(zip(joints.places, at, strict=True))
+    hips = (place["left_hip"] + place["right_hip"]) / 2
+    up, left = place["head"] - hips, place["left_hip"] - place["right_hip"]
+    shoulders = place["left_shoulder"] - place["right_shoulder"]
+    if min(np.linalg.norm(v) for v in (up, left, shoulders)) == 0:
+        return False
+    thighs = [place[f"{side}_knee"] - place[f"{side}_hip"] for side in ("left", "right")]
+    down = all(cosine(thigh, up) < THIGH_UP for thigh in thighs)
+    return down and abs(cosine(left, up)) < 0.5 and cosine(left, shoulders) > 0.7
+
+
+def rest_alignment(
+    rig: AnimatedRig, joints: JointMap, ours: Float[Array, "52 3"], notes: list[str]
+) -> tuple[Alignment, Alignment]:
+    """Two alignments that differ in the feet: rolled with the leg, and flat on the ground at rest."""
+    bones = RestBones(rig, joints, ours)
+    rest, places = bones.rest, joints.places
+    left = rest[places["left_hip"]] - rest[places["right_hip"]]
+    up = rest[places["head"]] - (rest[places["left_hip"]] + rest[places["right_hip"]]) / 2
+    root = snapped(frame_of(left, up))
+    notes.append(f"rest pose: up {axis_name(root[:, 1])}, facing {axis_name(root[:, 2])}")
+    A: dict[str, Array] = {}
+    flat: dict[str, Array] = {}
+    for side in ("left", "right"):
+        hip, knee, ankle, foot = (f"{side}_{n}" for n in ("hip", "knee", "ankle", "foot"))
+        A[hip] = bones.aligned(root, hip, knee)
+        A[knee] = bones.aligned(A[hip], knee, ankle)
+        toe = bones.toe(side)
+        A[ankle] = A[foot] = A[knee] @ _heading(bones.ours(ankle, foot), A[knee].T @ toe)
+        flat[ankle] = flat[foot] = root @ _heading(bones.ours(ankle, foot), root.T @ toe)
+
+        collar, shoulder, elbow = (f"{side}_{n}" for n in ("collar", "shoulder", "elbow"))
+        A[collar] = root
+        if collar in places:
+            mine, theirs = root @ bones.ours(collar, shoulder), bones.theirs(collar, shoulder)
+            # it rests raised, not sideways
+            if np.linalg.norm(theirs) > 0 and cosine(mine, theirs) < 0.5:
+                A[collar] = bones.aligned(root, collar, shoulder)
+        A[shoulder] = bones.aligned(root, shoulder, elbow)
+        A |= below_elbow(bones, side, A[shoulder])
+    for name in ("left_hip", "left_shoulder"):
+        angle = np.degrees(np.linalg.norm(axis_angle_from_matrix(root.T @ A[name])))
+        if angle > 10:
+            notes.append(f"rest pose: {name.split('_')[1]} bones rest {angle:.0f} degrees off our T-pose, aligned")
+    column = dict.fromkeys((joints.pelvis, *joints.spine, *joints.neck, joints.head), root)
+    with_leg = Alignment(A, column)
+    return with_leg, replace(with_leg, limbs=A | flat)
+
+
+def below_elbow(bones: RestBones, side: str, upper_arm: Float[Array, "3 3"]) -> dict[str, Float[Array, "3 3"]]:
+    """A of elbow, wrist and fingers, passed down from the upper arm's."""
+    places = bones.joints.places
+    elbow, wrist = f"{side}_elbow", f"{side}_wrist"
+    A = {elbow: bones.aligned(upper_arm, elbow, wrist) if wrist in places else upper_arm}
+    A[wrist] = A[elbow]
+    if f"{side}_index1" in places and f"{side}_pinky1" in places and f"{side}_middle1" in places:
+        names = [f"{side}_{n}" for n in ("middle1", "index1", "pinky1")]
+        mine = _palm(bones.ours(wrist, names[0]), bones.ours(names[2], names[1]))
+        theirs = _palm(bones.theirs(wrist, names[0]), bones.theirs(names[2], names[1]))
+        # finger joints at one place span no palm
+        if np.isfinite(theirs).all():
+            A[wrist] = theirs @ mine.T
+    for finger in FINGER_NAMES:
+        base = A[wrist]
+        for n in (1, 2, 3):
+            name, beyond = f"{side}_{finger}{n}", f"{side}_{finger}{n + 1}"
+            if name in places and beyond in places:
+                base = bones.aligned(base, name, beyond)
+            A[name] = base
+    return A
+
+
+def unit(v: Array) -> Array:
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def cosine(a: Float[Array, "3"], b: Float[Array, "3"]) -> float:
+    """Of the angle between two directions; 0 where one has no length."""
+    length = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / length if length > 0 else 0.0
+
+
+def frame_of(left: Float[Array, "3"], up: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """The rotation with columns left, up, forward; up is kept, left made square to it."""
+    up = unit(up)
+    left = unit(left - up * (left @ up))
+    return np.stack([left, up, np.cross(left, up)], -1)
+
+
+def snapped(R: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """The rotation onto the axes that lies nearest, up before left."""
+    out = np.zeros((3, 3))
+    for column in (1, 0):
+        free = np.abs(R[:, column]) * (np.abs(out).sum(1) == 0)
+        row = int(np.argmax(free))
+        out[row, column] = np.sign(R[row, column])
+    out[:, 2] = np.cross(out[:, 0], out[:, 1])
+    return out
+
+
+def axis_name(direction: Float[Array, "3"]) -> str:
+    """ "+x", "-z" ...: the axis that a direction lies along."""
+    axis = int(np.argmax(np.abs(direction)))
+    return "+-"[int(direction[axis] < 0)] + "xyz"[axis]
+
+
+def check_torso(rig: AnimatedRig, left: Array, up: Array) -> None:
+    """Refuse a torso that has no sides or no height.
+
+    Raises:
+        AssetError: both hips, or hips and head, are at one place.
+    """
+    if np.linalg.norm(left) == 0 or np.linalg.norm(up) == 0:
+        raise AssetError(f"{rig.path}: hips or hips and head rest at the same place")
+
+
+def _palm(along: Array, across: Array) -> Float[Array, "3 3"]:
+    """Frame of a palm; NaN where the two directions are parallel or have no length."""
+    length = np.linalg.norm(along)
+    x = along / length if length > 1e-9 else np.full(3, np.nan)
+    z = across - x * (across @ x)
+    length = np.linalg.norm(z)
+    z = z / length if length > 1e-9 else np.full(3, np.nan)
+    return np.stack([x, np.cross(z, x), z], -1)
+
+
+def _heading(ours: Array, theirs: Array) -> Float[Array, "3 3"]:
+    """Turn about our up axis that gives our foot their heading; both in our rest frame."""
+    if np.hypot(theirs[0], theirs[2]) < 1e-9:
+        return np.eye(3)
+    angle = np.arctan2(theirs[0], theirs[2]) - np.arctan2(ours[0], ours[2])
+    return matrix_from_axis_angle(np.array([0, angle, 0]))
