@@ -61,7 +61,10 @@ def posed_hull(
             for bone in np.flatnonzero(np.bincount(hull.skin.joints[:, slot], minlength=52)):
                 mine = np.flatnonzero(hull.skin.joints[:, slot] == bone)
                 weights = hull.skin.weights[mine, slot]
-                moved = hull.points[mine] @ np.swapaxes(transforms[:, bone, :, :3], -1, -2) + transforms[:, bone, None, :, 3]
+                moved = (
+                    hull.points[mine] @ np.swapaxes(transforms[:, bone, :, :3], -1, -2)
+                    + transforms[:, bone, None, :, 3]
+                )
                 out[frames, mine] += weights[:, None] * moved
     return out
 
