@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from avatar.baked_avatar import Avatar
+from avatar.body import Body
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights
 
@@ -33,19 +34,26 @@ class Hull(NamedTuple):
 def hull_of(avatar: Avatar) -> Hull:
     """The outer points of an avatar's finest level, which every reading of a file has."""
     level = avatar.levels[0]
-    points = level.positions.astype(np.float64)
-    strongest = np.take_along_axis(level.joints, level.weights.argmax(1)[:, None], 1)[:, 0]
+    skin = SkinWeights(level.joints, level.weights.astype(np.float32) / 255)
+    return _hull(level.positions, skin, avatar.joint_positions, avatar.canonical_pose)
+
+
+def body_hull(body: Body) -> Hull:
+    """The outer points of a body model."""
+    return _hull(body.vertices, body.skin, body.joints, np.zeros((52, 3)))
+
+
+def _hull(points: Array, skin: SkinWeights, joints: Array, rest: Array) -> Hull:
+    points = points.astype(np.float64)
+    strongest = np.take_along_axis(skin.joints, skin.weights.argmax(1)[:, None], 1)[:, 0]
     chosen: list[Array] = []
     for bone in range(52):
         mine = np.flatnonzero(strongest == bone)
         if len(mine):
             chosen.append(mine[outermost(points[mine], DIRECTIONS)])
     outer = np.concatenate(chosen)
-    weights = level.weights[outer].astype(np.float32)
-    skin = SkinWeights(level.joints[outer].astype(np.int64), weights / weights.sum(1, keepdims=True))
-    return Hull(
-        points[outer], skin, avatar.joint_positions.astype(np.float64), avatar.canonical_pose.astype(np.float64)
-    )
+    own = SkinWeights(skin.joints[outer].astype(np.int64), skin.weights[outer])
+    return Hull(points[outer], own, joints.astype(np.float64), rest.astype(np.float64))
 
 
 def posed_hull(

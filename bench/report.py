@@ -135,7 +135,7 @@ def motion_frames(avatar: Avatar, count: int = FRAMES) -> list[ComparedFrame]:
     skin = SkinWeights(level.joints.astype(np.int64), (level.weights / np.float32(255)).astype(np.float32))
     standing = skin_points(level.positions, skin, rest)
     height = float(np.ptp(standing[:, 1]))
-    clip = fitted(builtin_motion("counting").read(), -float(standing[:, 1].min()))
+    clip = fitted(builtin_motion("counting"), -float(standing[:, 1].min())).read()
     chosen = np.linspace(0.15, 0.85, count) * (len(clip.root) - 1)
     frames = []
     for i in chosen.round().astype(int):

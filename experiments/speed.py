@@ -33,7 +33,7 @@ from player.arguments import parse_size
 from player.context import Context, opened
 from player.framing import extent, facing, fitted_camera
 from player.ladder import VIEW_NAMES, views_of
-from player.motions import opened_motion, retargeted
+from player.motions import motion_for
 from player.renderer import Pose, Renderer
 
 SIZES = ((640, 640), (1280, 720), (1920, 1080))
@@ -74,7 +74,7 @@ def with_stand_in(avatar: Avatar) -> tuple[Avatar, bool]:
 
 def body_frames(avatar: Avatar) -> tuple[list[Pose], Any]:
     """Poses of the counting clip, and the camera `selfscan render` would take for a size."""
-    clip = retargeted(opened_motion("counting", None), avatar)(0, 120)
+    clip = motion_for(avatar, "counting").read(0, 120)
     chosen = np.linspace(0, 119, POSES).round().astype(int)
     poses = [(clip.axis_angle[i].astype(np.float64), clip.root[i].astype(np.float64)) for i in chosen]
     points, azimuth = (

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from avatar.motion.hands import HANDS
 from player.passes.background import Background
+from player.scenes.scene import GROUNDS
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
@@ -90,6 +91,17 @@ HANDS_HELP = (
 )
 
 
+GROUND_HELP = (
+    "find: the motion is moved up or down so that the soles touch the ground; keep: the file's heights; auto: keep "
+    "before a camera file or a capture, else find"
+)
+
+
 def add_hands(parser: argparse.ArgumentParser) -> None:
     """The option --hands."""
     parser.add_argument("--hands", choices=HANDS, default="file", help=HANDS_HELP)
+
+
+def add_ground(parser: argparse.ArgumentParser) -> None:
+    """The option --ground."""
+    parser.add_argument("--ground", choices=GROUNDS, default="auto", help=f"{GROUND_HELP} (default: auto)")

@@ -1,6 +1,6 @@
 """`selfscan export`: a motion, fitted to an avatar, for other people's programs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,8 +15,9 @@ from avatar.motion.clip import Clip, Motion
 from avatar.motion.hands import HANDS
 from avatar.progress import progress
 from avatar.settings import Help, OneOf, Option, parse
-from player.arguments import HANDS_HELP, parse_frames
-from player.motions import BLOCK, frame_range, notes, opened_motion, retargeted
+from player.arguments import GROUND_HELP, HANDS_HELP, parse_frames
+from player.motions import BLOCK, frame_range, ground_for, motion_for
+from player.scenes.scene import GROUNDS
 
 EXAMPLES = """examples
   selfscan export me.glb --motion counting -o me_counting.glb     for Blender, three.js and others
@@ -29,7 +30,7 @@ OUT decides the kind:
   .bvh   skeleton of this avatar at rest in T-pose, y up, metres (--unit cm where centimetres are expected)
   .npz   AMASS keys (poses, trans, mocap_framerate ...), z up as AMASS is
 
-The root is scaled to the avatar's legs, as render and play do. What was assumed is printed.
+The root is scaled to the avatar's legs and its ground is found, as render and play do. What was assumed is printed.
 docs/interchange.md says how to open each in Blender, three.js and others."""
 SUFFIXES = (".bvh", ".glb", ".npz")
 UNITS = {"m": 1.0, "cm": 0.01}
@@ -53,6 +54,7 @@ class ExportCommand:
         str | None, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
     ] = None
     hands: Annotated[str, OneOf(HANDS), HANDS_HELP] = "file"
+    ground: Annotated[str, OneOf(GROUNDS), GROUND_HELP] = "auto"
     unit: Annotated[str, OneOf(tuple(UNITS)), "of lengths in a .bvh"] = "m"
 
     def __post_init__(self):
@@ -78,16 +80,10 @@ def export_main(argv: list[str]) -> int:
     options = parse(ExportCommand, argv, EXPORT)
     out, kind = options.output, options.kind
     avatar = read_avatar(options.avatar)
-    motion = opened_motion(options.motion, options.body, options.hands)
+    ground = ground_for(options.ground, ())
+    motion = motion_for(avatar, options.motion, body=options.body, hands=options.hands, ground=ground)
     start, stop = frame_range(motion, None, options.frames, single=False)
-    read = retargeted(motion, avatar)
-    first = read(start, start + 1)
-
-    def block(a: int, b: int) -> tuple:
-        clip = read(start + a, start + b)
-        return clip.axis_angle, clip.root
-
-    fitted = Motion(motion.name, stop - start, motion.rate, first.notes, block, first.pelvis_height)
+    fitted = replace(motion, frames=stop - start, block=lambda a, b: motion.block(start + a, start + b))
     try:
         if kind == ".bvh":
             write_bvh(out, fitted, avatar.joint_positions, unit=UNITS[options.unit])
@@ -97,7 +93,7 @@ def export_main(argv: list[str]) -> int:
             write_amass(out, _whole(fitted))
     except ValueError as error:
         raise AssetError(f"{motion.name}: {error}") from None
-    for note in notes([read], start):
+    for note in motion.notes:
         print(note)
     seconds = (stop - start) / motion.rate
     size = out.stat().st_size / 1e6

@@ -1,6 +1,6 @@
-"""The motion of each avatar on screen: opened, fitted to its legs, in stretches of constant memory."""
+"""The motion of each avatar on screen: opened for its skeleton, fitted to its legs, its ground found."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -8,30 +8,55 @@ import numpy as np
 from avatar.baked_avatar import Avatar
 from avatar.body import read_body
 from avatar.errors import AssetError
-from avatar.motion.clip import Clip, Motion, fitted
+from avatar.hull import hull_of
+from avatar.motion.clip import Motion, RestSkeleton, fitted
+from avatar.motion.ground import on_ground
 from avatar.motion.hands import with_hands
 from avatar.motion.read import read_motion
 from player.framing import pelvis_height
+from player.scenes.scene import SceneCamera
 
 # frames read at once: memory does not grow with the film
 BLOCK = 256
 SPACING = 1.0  # metres between several avatars, side by side
 
 
-def opened_motion(source: str | None, body: str | None, hands: str = "file") -> Motion:
-    """The motion with the hands asked for, or one frame of T-pose."""
+def motion_for(
+    avatar: Avatar, source: str | None, *, body: str | None = None, hands: str = "file", ground: str = "find"
+) -> Motion:
+    """The motion on this avatar: its bones, its legs, its soles on the ground; without a source one frame of T-pose.
+
+    `body` is the model that the file was made for. What was assumed and done is in the notes.
+    """
     model = read_body(body) if body else None
+    height = pelvis_height(avatar)
     if source is None:
-        note = "no --motion: one frame, T-pose"
-
-        def block(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-            return np.zeros((stop - start, 52, 3)), np.zeros((stop - start, 3))
-
-        return with_hands(Motion("T-pose", 1, 30.0, (note,), block), hands, model)
-    motion = read_motion(source, body=model)
+        # where the ground is kept, the pelvis is the origin
+        at = 0.0 if ground == "keep" else height
+        return with_hands(standing(at, "no --motion: one frame, T-pose"), hands, model)
+    skeleton = RestSkeleton(avatar.joint_positions.astype(np.float64), height)
+    motion = read_motion(source, body=model, skeleton=skeleton)
     if motion.frames < 1:
         raise AssetError(f"{source}: expected at least one frame, found none")
-    return with_hands(motion, hands, model)
+    own = motion.grounded and motion.pelvis_height is not None and abs(motion.pelvis_height / height - 1) < 1e-6
+    motion = with_hands(fitted(motion, height), hands, model)
+    # a motion made for this very avatar: a pose in the air is meant
+    return motion if own or ground == "keep" else on_ground(motion, hull_of(avatar))
+
+
+def ground_for(asked: str, cameras: Sequence[SceneCamera]) -> str:
+    """What "auto" means: a camera that was measured with the motion shows it where it was, any other on the ground."""
+    measured = any(camera.kind in ("file", "capture") for camera in cameras)
+    return asked if asked != "auto" else "keep" if measured else "find"
+
+
+def standing(height: float, *notes: str) -> Motion:
+    """One frame of T-pose, the pelvis at this height."""
+
+    def block(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros((stop - start, 52, 3)), np.tile([0.0, height, 0.0], (stop - start, 1))
+
+    return Motion("T-pose", 1, 30.0, notes, block)
 
 
 @runtime_checkable
@@ -58,32 +83,6 @@ def frame_range(
     return start, stop
 
 
-def retargeted(motion: Motion, avatar: Avatar) -> Callable[[int, int], Clip]:
-    """Stretches of the motion with the root scaled to this avatar's legs."""
-    height = pelvis_height(avatar)
-
-    def read(start: int, stop: int) -> Clip:
-        return fitted(motion.read(start, stop), height)
-
-    return read
-
-
-def notes(clips: Sequence[Callable[[int, int], Clip]], start: int) -> list[str]:
-    """What was assumed in reading the motion and fitting it to each avatar, each said once."""
-    return list(dict.fromkeys(note for clip in clips for note in clip(start, start + 1).notes))
-
-
 def beside(index: int, count: int) -> np.ndarray:
     """Where avatar `index` of `count` stands, metres."""
     return np.array([(index - 0.5 * (count - 1)) * SPACING, 0.0, 0.0])
-
-
-def standing(avatar: Avatar) -> Callable[[int, int], Clip]:
-    """Frames of T-pose with the soles on the ground."""
-    height = pelvis_height(avatar)
-
-    def read(start: int, stop: int) -> Clip:
-        count = stop - start
-        return Clip(np.zeros((count, 52, 3)), np.tile([0.0, height, 0.0], (count, 1)), 30.0)
-
-    return read

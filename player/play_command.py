@@ -11,7 +11,7 @@ from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from avatar.skeleton import PARTS
 from player.address import Address, parse_address
-from player.arguments import add_hands, parse_background, parse_size
+from player.arguments import add_ground, add_hands, parse_background, parse_size
 from player.context import NoContextError
 from player.live.command import add_live_options
 from player.motions import beside
@@ -60,6 +60,7 @@ def play_parser() -> argparse.ArgumentParser:
     parser.add_argument("--camera-path", metavar="FILE", help="a path of camera keys (.json) to look along")
     parser.add_argument("--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for")
     add_hands(parser)
+    add_ground(parser)
     parser.add_argument("--size", type=parse_size, metavar="WxH", help="of the window (default: 1280x800)")
     parser.add_argument("--view", choices=("auto", *VIEWS), help="view dependence: off is the paper")
     parser.add_argument("--skinning", choices=SKINNINGS, help="lbs (default), or dual quaternions, which keep volume")
@@ -106,8 +107,14 @@ def check_options(parser: argparse.ArgumentParser, options: argparse.Namespace) 
     """Stop with a usage message where options exclude each other."""
     if bool(options.scene) == bool(options.avatar):
         parser.error("give AVATAR or --scene")
-    if options.scene and (options.motion or options.live or options.at or options.body or options.hands != "file"):
-        parser.error("--motion, --live, --at, --body and --hands are in the scene file")
+    if options.scene and (
+        options.motion
+        or options.live
+        or options.at
+        or options.body
+        or (options.hands, options.ground) != ("file", "auto")
+    ):
+        parser.error("--motion, --live, --at, --body, --hands and --ground are in the scene file")
     if (
         options.live is None
         and options.scene is None
@@ -156,7 +163,11 @@ def _avatars(options: argparse.Namespace) -> tuple[SceneAvatar, ...]:
         if options.at and (len(options.at) > 1 or count == 1):
             x, y, z, turn = options.at[k]
         motion = motions[k % len(motions)]
-        avatars.append(SceneAvatar(path, motion, live, (x, y, z), turn, options.hands, options.body))
+        avatars.append(
+            SceneAvatar(
+                path, motion, live, (x, y, z), turn, hands=options.hands, ground=options.ground, body=options.body
+            )
+        )
     return tuple(avatars)
 
 

@@ -16,6 +16,7 @@ from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.progress import Progress, progress
 from player.arguments import (
+    add_ground,
     add_hands,
     frame_number,
     parse_background,
@@ -86,6 +87,7 @@ def render_parser() -> argparse.ArgumentParser:
     add("--level", type=frame_number, metavar="N", help="level of detail, 0 the finest")
     add("--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for")
     add_hands(parser)
+    add_ground(parser)
     add("--encoder", default="auto", metavar="auto|software|NAME",
         help="of .mp4: auto takes the GPU's if it really encodes a frame, else x264")  # fmt: skip
     add("--resume", action="store_true", help="go on with the parts that an earlier run of this film left")
@@ -131,8 +133,8 @@ def render_main(argv: list[str]) -> int:
         parser.error("--explain asks the context that drew: leave --workers out")
     if bool(options.scene) == bool(options.avatar):
         parser.error("give AVATAR or --scene")
-    if options.scene and (options.motion or options.body or options.hands != "file"):
-        parser.error("--motion, --body and --hands are in the scene file")
+    if options.scene and (options.motion or options.body or (options.hands, options.ground) != ("file", "auto")):
+        parser.error("--motion, --body, --hands and --ground are in the scene file")
 
     scene = scene_of(options)
     # while files are read and unpacked, the driver wakes up; both are work outside of Python
@@ -187,7 +189,14 @@ def scene_of(options: argparse.Namespace) -> Scene:
     else:
         places = [beside(k, len(options.avatar)) for k in range(len(options.avatar))]
         avatars = tuple(
-            SceneAvatar(path, options.motion, at=tuple(at.tolist()), hands=options.hands, body=options.body)
+            SceneAvatar(
+                path,
+                options.motion,
+                at=tuple(at.tolist()),
+                hands=options.hands,
+                ground=options.ground,
+                body=options.body,
+            )
             for path, at in zip(options.avatar, places, strict=True)
         )
         scene = Scene(avatars)

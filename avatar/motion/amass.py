@@ -109,7 +109,8 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
             pose[:, 0] = _turned(pose[:, 0], Y_FROM_Z)
         return pose, root
 
-    return Motion(path.name, frames, rate, tuple(notes), block, height)
+    own = "pelvis_height" in names
+    return Motion(path.name, frames, rate, tuple(notes), block, height, grounded=own)
 
 
 def _turned(axis_angle: Float[Array, "frames 3"], turn: Float[Array, "4"]) -> Float[Array, "frames 3"]:

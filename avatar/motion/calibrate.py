@@ -4,12 +4,12 @@ Bandai Namco's and LaFAN1's rigs have every bone along its own x axis: with all 
 and the rest pose says neither where the knees point nor where the chest faces. What does not depend on the rest pose:
 
     pelvis, chest   sides and height of the body as the joint's own frame sees them, averaged over the motion
-    thigh           its direction, and the hinge of the knee: the axis thigh x shin, averaged over the frames that bend
+    thigh           its direction, and the hinge of the knee: the axis about which the shin swings, averaged
     upper arm       its direction, and the hinge of the elbow
     shin, forearm   passed down: with its rotations 0 a limb is straight
     foot            the direction of the toes, pitched as it is while the ankle is lowest (flat on the ground)
-    spine, neck     between pelvis and chest, and as the chest, on average
-    collar          its direction, rolled as the chest, on average
+    spine           between pelvis and chest, on average
+    neck, collar    as the chest, on average
 
 Frames of torso joints that lie within 25 degrees of the axes are snapped to them: rigs are built that way.
 """
@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from avatar.errors import AssetError
 from avatar.motion.rest_pose import Alignment, RestBones, axis_name, below_elbow, cosine, frame_of, snapped, unit
-from avatar.motion.rig import JointMap, AnimatedRig
+from avatar.motion.rig import AnimatedRig, JointMap
 from avatar.rotation import axis_angle_from_matrix, matrix_from_quaternion, quaternion_from_matrix, slerp
 from avatar.skeleton import JOINTS
 
@@ -99,7 +99,6 @@ def calibrated_alignment(
         A[collar] = chest
         if collar in joints.turns:
             A[collar] = near_axes(_mean_relative(G[:, joints.turns[collar]], top))
-            A[collar] = bones.aligned(A[collar], collar, shoulder)
         if wrist in place:
             A[shoulder] = _limb(bones, sampled, (shoulder, elbow, wrist), top, notes)
         else:
@@ -112,19 +111,24 @@ def _limb(
     bones: RestBones, sampled: Sampled, chain: tuple[str, str, str], above: Array, notes: list[str]
 ) -> Float[Array, "3 3"]:
     """A of a thigh or upper arm: its direction, and its hinge; where that never bends, as the body on average."""
-    turn, place = bones.joints.turns[chain[0]], [bones.joints.places[name] for name in chain]
-    upper, lower = (unit_or_zero(sampled.places[:, b] - sampled.places[:, a]) for a, b in zip(place, place[1:]))
-    hinges = (np.swapaxes(sampled.rotations[:, turn], -1, -2) @ np.cross(upper, lower)[..., None])[..., 0]
-    hinge, bend = hinges.mean(0), float(np.linalg.norm(hinges, axis=1).mean())
+    turn, (joint, end) = bones.joints.turns[chain[0]], (bones.joints.places[name] for name in chain[1:])
+    lower = unit_or_zero(sampled.places[:, end] - sampled.places[:, joint])[..., None]
+    # how far the lower bone has swung from where it lies with its rotations 0, as the upper one's frame sees it
+    straight = unit_or_zero(bones.theirs(chain[1], chain[2]))
+    hinges = np.cross(straight, (np.swapaxes(sampled.rotations[:, turn], -1, -2) @ lower)[..., 0])
+    sines = np.linalg.norm(hinges, axis=1)
+    # wide bends count most: knees that are no hinge, or knock a little, tilt the axis of small ones
+    hinge, agreement = (hinges * sines[:, None]).sum(0), (sines * sines).sum()
     theirs = bones.theirs(chain[0], chain[1])
-    if bend > LEAST_BEND and np.linalg.norm(hinge) > LEAST_AGREEMENT * bend and abs(cosine(hinge, theirs)) < 0.7:
+    agrees = np.linalg.norm(hinge) > LEAST_AGREEMENT * agreement and abs(cosine(hinge, theirs)) < 0.7
+    if sines.mean() > LEAST_BEND and agrees:
         ours = OUR_HINGES[chain[0]]
         return frame_of(hinge, theirs) @ frame_of(ours, bones.ours(chain[0], chain[1])).T
     notes.append(f"{chain[1]}: it hardly bends, so the limb's own turn is only guessed")
     return bones.aligned(_mean_relative(sampled.rotations[:, turn], above), chain[0], chain[1])
 
 
-# upper x lower where a joint of ours bends: knees backward, elbows forward
+# the axis about which a joint of ours bends: knees backward, elbows forward
 OUR_HINGES = {
     "left_hip": np.array([1.0, 0, 0]), "right_hip": np.array([1.0, 0, 0]),
     "left_shoulder": np.array([0, -1.0, 0]), "right_shoulder": np.array([0, 1.0, 0]),

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
 from avatar.body import Body, builtin_body
+from avatar.errors import AssetError
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 
 Array = np.ndarray
@@ -45,6 +45,8 @@ class Motion:
     notes: tuple[str, ...]
     block: Callable[[int, int], tuple[Array, Array]] = field(repr=False)  # (start, stop) -> axis_angle, root
     pelvis_height: float | None = None
+    # the file says that its ground is y = 0 (ours do); else avatar/motion/ground.py looks for it
+    grounded: bool = False
 
     def read(self, start: int = 0, stop: int | None = None) -> Clip:
         """Frames start .. stop - 1.
@@ -114,16 +116,21 @@ def resample(clip: Clip, rate: float | int) -> Clip:
     return replace(clip, axis_angle=joints, root=root, rate=rate)
 
 
-def fitted(clip: Clip, pelvis_height: float | int) -> Clip:
-    """The clip for a body whose pelvis stands at another height: root scaled by the ratio of the heights.
+def fitted(motion: Motion, pelvis_height: float) -> Motion:
+    """The motion for a body whose pelvis stands at another height: root scaled by the ratio of the heights.
 
-    Unchanged, with a note, where the clip does not know the height of its own body.
+    Unchanged, with a note, where the motion does not know the height of its own body.
     """
     if not pelvis_height > 0:
         raise ValueError(f"pelvis_height should be positive metres, is {pelvis_height}")
-    if clip.pelvis_height is None:
+    if motion.pelvis_height is None:
         note = "root: not scaled, the file's own body is unknown"
-        return replace(clip, notes=(*clip.notes, note))
-    ratio = pelvis_height / clip.pelvis_height
+        return replace(motion, notes=(*motion.notes, note))
+    ratio = pelvis_height / motion.pelvis_height
     note = f"root: scaled by {ratio:.3f}, the ratio of pelvis heights"
-    return replace(clip, root=clip.root * ratio, pelvis_height=pelvis_height, notes=(*clip.notes, note))
+
+    def block(start: int, stop: int) -> tuple[Array, Array]:
+        axis_angle, root = motion.block(start, stop)
+        return axis_angle, root * ratio
+
+    return replace(motion, pelvis_height=pelvis_height, notes=(*motion.notes, note), block=block)

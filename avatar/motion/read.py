@@ -16,8 +16,8 @@ def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestS
 
     .npz (AMASS), .pkl (SMPL+H, MoSh, 3DPW), .bvh, .glb .gltf .vrm .vrma (animation), .json or a folder of them
     (EasyMocap). `body` is the body the file was made for; it settles where `trans` puts the pelvis and what hand
-    coefficients mean. `skeleton` is the one that the motion is to move: other rigs' bone directions are laid on its bones
-    (the built-in man's where none is given). What had to be assumed is in `notes`.
+    coefficients mean. `skeleton` is the one that the motion is to move (default: the built-in man's): its bones take
+    the directions of another rig's. What had to be assumed is in `notes`.
 
     Raises:
         AssetError: the file is absent, of an unknown kind, or holds what cannot be explained.

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.errors import AssetError
-from avatar.motion.rig import FINGER_NAMES, JointMap, AnimatedRig
+from avatar.motion.rig import FINGER_NAMES, AnimatedRig, JointMap
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
 from avatar.skeleton import JOINTS
 

@@ -18,7 +18,7 @@ from avatar.errors import AssetError
 from avatar.motion.calibrate import Sampled, calibrated_alignment
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton
 from avatar.motion.rest_pose import Alignment, check_torso, rest_alignment, rests_standing
-from avatar.motion.rig import JointMap, AnimatedRig, find_joints
+from avatar.motion.rig import AnimatedRig, JointMap, find_joints
 from avatar.rotation import (
     axis_angle_from_matrix,
     matrix_from_quaternion,

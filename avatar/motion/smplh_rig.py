@@ -11,8 +11,7 @@ is the SMPL rotation, whatever the lengths of the bones.
 import numpy as np
 from jaxtyping import Float
 
-from avatar.body import builtin_body
-from avatar.motion.clip import Motion
+from avatar.motion.clip import Motion, builtin_skeleton
 from avatar.motion.rig import REQUIRED, AnimatedRig
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, PARENTS
@@ -86,9 +85,9 @@ def read_exactly(rig: AnimatedRig, notes: list[str], unit: float = 1.0, pelvis_h
                 pose[:, joint] = axis_angle_from_matrix(local)
         return pose, unit * at[:, own[0]]
 
+    known = pelvis_height is not None
     if pelvis_height is None:
-        body = builtin_body("male")
-        ratio = unit * leg_length(rig.rest_positions(), place) / leg_length(body.joints, J)
-        height = float(-body.vertices[:, 1].min()) * ratio
+        usual = builtin_skeleton()
+        height = usual.pelvis_height * unit * leg_length(rig.rest_positions(), place) / leg_length(usual.joints, J)
         pelvis_height = height if height > 0 else None
-    return Motion(rig.path.name, rig.frames, rig.rate, tuple(notes), block, pelvis_height)
+    return Motion(rig.path.name, rig.frames, rig.rate, tuple(notes), block, pelvis_height, grounded=known)

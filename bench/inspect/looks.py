@@ -7,12 +7,11 @@ from jaxtyping import UInt8
 
 from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Clip
-from avatar.motion.read import builtin_motion
 from avatar.skeleton import JOINTS
 from bench.inspect.views import InspectView
 from player.context import Context
 from player.framing import extent, facing, fitted_camera, orbit
-from player.motions import retargeted
+from player.motions import motion_for
 from player.renderer import Pose, Renderer
 
 BACKGROUND = (0.965, 0.965, 0.957, 1.0)
@@ -28,8 +27,8 @@ def strained_poses(avatar: Avatar) -> dict[str, Pose]:
             axis_angle[J[name]] = turn
         return axis_angle, np.zeros(3)
 
-    counting = retargeted(builtin_motion("counting"), avatar)(205, 206)
-    walking = retargeted(builtin_motion("walking"), avatar)(12, 13)
+    counting = motion_for(avatar, "counting").read(205, 206)
+    walking = motion_for(avatar, "walking").read(12, 13)
     fists = pose(
         left_shoulder=(0, -0.9, -0.4),
         right_shoulder=(0, 0.9, 0.4),
@@ -85,7 +84,7 @@ def turntable(
     context: Context, avatar: Avatar, size: tuple[int, int], frames: int
 ) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
     """One turn round the avatar at ease, as its file asks to be drawn."""
-    clip = retargeted(builtin_motion("counting"), avatar)(0, 1)
+    clip = motion_for(avatar, "counting").read(0, 1)
     camera_at = orbit(extent(avatar, clip, following=True), 0.0, size)
     renderer = Renderer(context, [avatar], size, view=avatar.default_view, background=BACKGROUND)
     for frame in range(frames):

@@ -18,7 +18,7 @@ from avatar.gltf.avatar_file import read_avatar
 from avatar.motion.clip import Clip
 from player.camera_path import CameraPath, is_path, turntable
 from player.framing import FOV, evenly, extent, facing, fitted_camera, orbit, outermost
-from player.motions import BLOCK, opened_motion, retargeted
+from player.motions import BLOCK, ground_for, motion_for
 from player.renderer import Pose
 from player.scenes.scene import Scene, SceneCamera
 from player.track import Track
@@ -57,13 +57,13 @@ class Stage:
             if actor.live is not None:
                 raise AssetError(f"{actor.path}: live = {actor.live!r} is for `selfscan play`; a film needs a motion")
             avatar = opened_avatar(actor.path, levels)
-            motion = opened_motion(actor.motion, actor.body, actor.hands)
-            clip = retargeted(motion, avatar)
-            self.notes += [note for note in clip(0, 1).notes if note not in self.notes]
+            ground = ground_for(actor.ground, scene.cameras[:1])
+            motion = motion_for(avatar, actor.motion, body=actor.body, hands=actor.hands, ground=ground)
+            self.notes += [note for note in motion.notes if note not in self.notes]
             self.avatars.append(avatar)
             self.tracks.append(
                 Track(
-                    clip, motion.frames, motion.rate, actor.start, np.array(actor.at, np.float64),
+                    motion.read, motion.frames, motion.rate, actor.start, np.array(actor.at, np.float64),
                     np.radians(actor.turn_deg), motion.name,
                 )
             )  # fmt: skip

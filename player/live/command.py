@@ -13,7 +13,9 @@ import numpy as np
 
 from avatar.body import Body, builtin_body, read_body
 from avatar.errors import AssetError
-from avatar.motion.clip import Clip, Motion, fitted
+from avatar.hull import body_hull
+from avatar.motion.clip import Clip, Motion, builtin_skeleton, fitted
+from avatar.motion.ground import on_ground
 from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 from avatar.settings import Help, Option, parse
@@ -132,6 +134,7 @@ def stream_main(argv: list[str]) -> int:
     """Send a motion as live poses."""
     options = parse(StreamCommand, argv, STREAM)
     motion = read_motion(options.motion, body=read_body(options.body) if options.body else None)
+    motion = on_ground(fitted(motion, builtin_skeleton().pelvis_height), body_hull(builtin_body("male")))
     for note in motion.notes:
         print(note)
     encode = encoder(options.to.kind, builtin_body("male"))
@@ -196,8 +199,6 @@ def timed_poses(motion: Motion, rate: float | int, *, loop: bool) -> Iterator[tu
     """The motion at a rate, read in blocks: seconds since the start, and the pose then, between frames on the
     shorter arc. The last pose is the last that is not after the motion's last frame; looping, the first frame
     follows one step after it."""
-    body = builtin_body("male")
-    height = -float(body.vertices[:, 1].min())
     count = int(np.floor((motion.frames - 1) / motion.rate * rate * (1 + 1e-12))) + 1
     first, block = 0, None
     for number in itertools.count() if loop else range(count):
@@ -205,7 +206,7 @@ def timed_poses(motion: Motion, rate: float | int, *, loop: bool) -> Iterator[tu
         frame = min(int(at + 1e-9), motion.frames - 1)
         if block is None or not first <= frame < first + len(block.root) - 1:
             first = frame
-            block = fitted(motion.read(first, min(first + BLOCK, motion.frames)), height)
+            block = motion.read(first, min(first + BLOCK, motion.frames))
         yield number / rate, between(block, frame - first, at - frame)
 
 

@@ -46,9 +46,9 @@ def read_pose(path: Path | str, frame: int = 0, *, pelvis_height: float | None =
     motion = read_motion(path)
     if not 0 <= frame < motion.frames:
         raise AssetError(f"{path}: frame {frame} asked for, it has {motion.frames} (0 to {motion.frames - 1})")
-    clip = motion.read(frame, frame + 1)
     if pelvis_height is not None:
-        clip = fitted(clip, pelvis_height)
+        motion = fitted(motion, pelvis_height)
+    clip = motion.read(frame, frame + 1)
     return Pose(clip.axis_angle[0], clip.root[0])
 
 
@@ -94,9 +94,9 @@ def read_keys(path: Path | str, *, pelvis_height: float | None = None) -> Timeli
         easing = _easing(path, fields)
     elif motion.frames > LONGEST:
         raise AssetError(f"{path}: {motion.frames} frames are too many to edit, at most {LONGEST}; take one of them")
-    clip = motion.read()
     if pelvis_height is not None:
-        clip = fitted(clip, pelvis_height)
+        motion = fitted(motion, pelvis_height)
+    clip = motion.read()
     keys = tuple((int(f), Pose(clip.axis_angle[f], clip.root[f])) for f in frames)
     return Timeline(keys, float(clip.rate), easing, clip.notes)
 

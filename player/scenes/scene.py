@@ -12,6 +12,8 @@ from avatar.settings import Above, AtLeast, OneOf, Place, check
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, USUAL, Effects
 
+# where the ground of a motion is: avatar/motion/ground.py
+GROUNDS = ("auto", "find", "keep")
 CAMERAS = ("front", "orbit", "turntable", "file", "path", "capture")
 MANNEQUINS = ("mannequin", "mannequin:female")
 
@@ -28,6 +30,12 @@ class SceneAvatar:
     at: Annotated[tuple[float, float, float], "metres, added to where the motion puts it"] = (0.0, 0.0, 0.0)
     turn_deg: Annotated[float, "about the vertical through the world's origin, before `at`"] = 0.0
     hands: Annotated[str, OneOf(HANDS), "the motion's hands; mean needs `body`"] = "file"
+    ground: Annotated[
+        str,
+        OneOf(GROUNDS),
+        "find: the motion is moved so that the soles touch the ground; keep: the file's heights; "
+        "auto: keep before cameras that were measured (file, capture), else find",
+    ] = "auto"
     body: Annotated[str | None, Place(), "SMPL+H model (.npz, .pkl) that the pose file was made for"] = None
     start: Annotated[float, AtLeast(0), "seconds into the motion at which the scene begins"] = 0.0
 

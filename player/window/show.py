@@ -14,9 +14,9 @@ from player.camera_path import CameraPath
 from player.cameras import TURN_SECONDS, Cameras, Orbit
 from player.capture_view import CaptureView, open_capture
 from player.filming.stage import opened_avatar
-from player.framing import FOV, extent, facing, fitted_camera
+from player.framing import FOV, extent, facing, fitted_camera, pelvis_height
 from player.live.playback import LivePlayback
-from player.motions import BLOCK, notes, opened_motion, retargeted, standing
+from player.motions import BLOCK, ground_for, motion_for, standing
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
@@ -81,7 +81,7 @@ def opened_show(
                 named[camera.name or Path(camera.path or "").stem] = opened
     said: list[str] = []
     tracks = [
-        _track(entry, avatar, capture if index == 0 else None, said)
+        _track(entry, avatar, capture if index == 0 else None, ground_for(entry.ground, scene.cameras), said)
         for index, (entry, avatar) in enumerate(zip(scene.avatars, avatars, strict=True))
     ]
     first = scene.cameras[0] if scene.cameras else SceneCamera()
@@ -113,17 +113,16 @@ def opened_camera(camera: SceneCamera) -> CameraPath | Sequence[Camera]:
     return [read_camera(camera.path)]
 
 
-def _track(entry: SceneAvatar, avatar: Avatar, capture: CaptureView | None, said: list[str]) -> Track:
+def _track(entry: SceneAvatar, avatar: Avatar, capture: CaptureView | None, ground: str, said: list[str]) -> Track:
     at, turn = np.array(entry.at, np.float64), float(np.radians(entry.turn_deg))
     if entry.live is not None:
-        return Track(standing(avatar), 1, 30.0, at=at, turn=turn, name=entry.live)
+        return Track(standing(pelvis_height(avatar)).read, 1, 30.0, at=at, turn=turn, name=entry.live)
     if entry.motion is None and capture is not None:
         name = f"the {capture.part} video"
         return Track(capture.clip, len(capture.images), capture.rate, at=at, turn=turn, name=name)
-    motion = opened_motion(entry.motion, entry.body, entry.hands)
-    clip = retargeted(motion, avatar)
-    said += notes([clip], 0)
-    return Track(clip, motion.frames, motion.rate, entry.start, at, turn, entry.motion or "T-pose")
+    motion = motion_for(avatar, entry.motion, body=entry.body, hands=entry.hands, ground=ground)
+    said += motion.notes
+    return Track(motion.read, motion.frames, motion.rate, entry.start, at, turn, entry.motion or "T-pose")
 
 
 def read_avatars(scene: Scene) -> list[Avatar]:

@@ -12,7 +12,7 @@ from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, joint_transforms
 from player.framing import pelvis_height
-from player.motions import opened_motion, retargeted
+from player.motions import motion_for
 from player.play_command import play_parser, scene_of
 from player.pose.fingers import PRESETS, hand_shape
 from player.pose.ik import LIMBS
@@ -250,7 +250,7 @@ def test_keyframes_are_made_played_saved_and_play_as_a_motion(opened, avatar):
     run(window, "wait")
     motion = read_motion("mine.npz")
     assert motion.frames == 11 and motion.rate == session.rate
-    clip = retargeted(opened_motion("mine.npz", None), window.show.avatars[0])(0, 11)
+    clip = motion_for(window.show.avatars[0], "mine.npz").read(0, 11)
     np.testing.assert_allclose(clip.axis_angle[10], session.keys[1][1].axis_angle, atol=1e-9)
     np.testing.assert_allclose(clip.root[10], session.keys[1][1].root, atol=1e-9)
     # undo goes to the frame where the change was; leaving gives the avatar its motion back
@@ -276,7 +276,7 @@ def test_a_pose_is_kept_in_the_library_and_plays_as_a_motion(opened, tmp_path):
     tool.take("Arm up")
     assert session.pose.same(wanted)
     # the same pose as a motion, by the way of `--motion`
-    clip = retargeted(opened_motion(str(kept), None), window.show.avatars[0])(0, 1)
+    clip = motion_for(window.show.avatars[0], str(kept)).read(0, 1)
     assert np.array_equal(clip.axis_angle[0], wanted.axis_angle)
     np.testing.assert_allclose(clip.root[0], wanted.root, atol=1e-12)
     (kept.parent / "broken.npz").write_bytes(b"nothing")

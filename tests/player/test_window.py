@@ -17,7 +17,7 @@ from player.camera_path import CameraPath
 from player.cameras import Cameras, Orbit, Walk
 from player.context import open_context
 from player.framing import extent, facing, fitted_camera
-from player.motions import opened_motion, retargeted
+from player.motions import motion_for
 from player.play_command import play_main
 from player.renderer import Renderer
 from player.scenes.effects import USUAL
@@ -93,10 +93,9 @@ def test_view_dependence_switches_and_the_window_resizes(avatar_path, tmp_path):
 def test_the_window_shows_the_frame_that_render_writes(avatar, avatar_path, tmp_path):
     """Within 1/255 outside the contours, on the same camera."""
     shown = screenshot(avatar_path, tmp_path / "a.png", "space home", "--background", "#000000")
-    motion = opened_motion("counting", None)
-    clip = retargeted(motion, avatar)
-    points = extent(avatar, clip(0, min(256, motion.frames)))
-    frame = clip(0, 1)
+    motion = motion_for(avatar, "counting")
+    points = extent(avatar, motion.read(0, min(256, motion.frames)))
+    frame = motion.read(0, 1)
     camera = fitted_camera(points, facing(frame.axis_angle[0], avatar.joint_positions), (160, 200))
     context = open_context()
     renderer = Renderer(context, [avatar], (160, 200), effects=USUAL)

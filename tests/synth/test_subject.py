@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import rigs
 
 from avatar.errors import AssetError
 from avatar.gltf.document import read_gltf
@@ -17,7 +18,6 @@ from avatar.gltf.scene import (
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
-from synth import rigs
 from synth.humanoid import find_joints
 from synth.subject import read_subject
 

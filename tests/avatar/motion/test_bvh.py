@@ -5,7 +5,9 @@ import pytest
 
 from avatar.body import builtin_body
 from avatar.errors import AssetError
+from avatar.hull import body_hull
 from avatar.motion.bvh import open_bvh, read_bvh
+from avatar.motion.ground import on_ground
 from avatar.motion.read import read_motion
 from avatar.motion.rig import side_and_base
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
@@ -59,7 +61,8 @@ def other_side(name: str) -> str:
 
 
 def ours(motion):
-    clip = motion.read()
+    """The motion on the built-in man, on the ground, and his joints' frames."""
+    clip = on_ground(motion, body_hull(builtin_body("male"))).read()
     return clip, joint_transforms(clip.axis_angle, builtin_body("male").joints, clip.root)
 
 

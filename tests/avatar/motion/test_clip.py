@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,11 +56,11 @@ def test_a_rate_that_is_not_positive_is_refused(rate):
 
 
 def test_fitting_scales_the_root_by_the_ratio_of_pelvis_heights_and_says_so():
-    clip = builtin_motion("walking").read(0, 4)
-    out = fitted(clip, clip.pelvis_height * 0.9)
+    motion = builtin_motion("walking")
+    clip, out = motion.read(0, 4), fitted(motion, motion.pelvis_height * 0.9).read(0, 4)
     np.testing.assert_allclose(out.root, 0.9 * clip.root)
     assert "0.900" in out.notes[-1]
-    unknown = fitted(Clip(clip.axis_angle, clip.root, 30.0), 0.8)
+    unknown = fitted(replace(motion, pelvis_height=None), 0.8).read(0, 4)
     np.testing.assert_array_equal(unknown.root, clip.root)
     assert "not scaled" in unknown.notes[-1]
 

@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+import rigs
 
 from avatar.body import builtin_body
 from avatar.errors import AssetError
@@ -22,7 +23,6 @@ from avatar.rotation import (
     quaternion_product,
 )
 from avatar.skeleton import JOINTS, joint_transforms
-from synth import rigs
 
 J = {name: index for index, name in enumerate(JOINTS)}
 
