@@ -109,7 +109,7 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
             pose[:, 0] = _turned(pose[:, 0], Y_FROM_Z)
         return pose, root
 
-    own = "pelvis_height" in names
+    own = "pelvis_height" in npz.names
     return Motion(path.name, frames, rate, tuple(notes), block, height, grounded=own)
 
 
