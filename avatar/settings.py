@@ -91,6 +91,11 @@ class Fact(NamedTuple):
     rules: tuple[Any, ...]
     means: str
 
+    @property
+    def table(self) -> Any:
+        """The dataclass that the field holds, if it holds one: a table in a file."""
+        return self.type if isinstance(self.type, type) and is_dataclass(self.type) else None
+
 
 def rule_of(fact: Fact, kind: type[Rule]) -> Rule | None:
     """The rule of this kind, if the field has one."""

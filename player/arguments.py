@@ -1,10 +1,14 @@
 """Arguments that several commands share: sizes, frame ranges, colours, hands."""
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from avatar.motion.hands import HANDS
+from avatar.settings import OneOf, facts, rule_of
 from player.passes.background import Background
+from player.scenes.effects import Effects
 from player.scenes.scene import GROUNDS
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
@@ -95,6 +99,32 @@ GROUND_HELP = (
     "find: the motion is moved up or down so that the soles touch the ground; keep: the file's heights; auto: keep "
     "before a camera file or a capture, else find"
 )
+
+
+def add_effects(parser: argparse.ArgumentParser) -> None:
+    """An option for each field of the scene's effects that takes a word, and --effect for those that are tables."""
+    tables = []
+    for fact in facts(Effects):
+        if fact.table is not None:
+            tables.append(fact)
+            continue
+        known = rule_of(fact, OneOf)
+        assert known is not None, f"effects.{fact.name} is a word of a list, or a table"
+        parser.add_argument(f"--{fact.name}", choices=known.values, help=f"{fact.means} (default: {fact.default})")
+    parser.add_argument("--effect", action="append", choices=[fact.name for fact in tables], metavar="NAME", default=[],
+                        help="; ".join(f"{fact.name}: {fact.means}" for fact in tables)
+                        + "; may be given several times, docs/scenes.md has their settings")  # fmt: skip
+
+
+def with_effects(effects: Effects, options: argparse.Namespace) -> Effects:
+    """The effects with what the options ask for; an effect that a scene has set up stays as it is."""
+    given: dict[str, Any] = {}
+    for fact in facts(Effects):
+        if fact.table is None:
+            given[fact.name] = getattr(options, fact.name)
+        elif fact.name in options.effect and getattr(effects, fact.name) is None:
+            given[fact.name] = fact.table()
+    return replace(effects, **{name: value for name, value in given.items() if value is not None})
 
 
 def add_hands(parser: argparse.ArgumentParser) -> None:

@@ -11,12 +11,10 @@ from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from avatar.skeleton import PARTS
 from player.address import Address, parse_address
-from player.arguments import add_ground, add_hands, parse_background, parse_size
+from player.arguments import add_effects, add_ground, add_hands, parse_background, parse_size, with_effects
 from player.context import NoContextError
 from player.live.command import add_live_options
 from player.motions import beside
-from player.passes.view import VIEWS
-from player.scenes.effects import ANTIALIASINGS, SKINNINGS
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 EXAMPLES = """examples
@@ -62,10 +60,7 @@ def play_parser() -> argparse.ArgumentParser:
     add_hands(parser)
     add_ground(parser)
     parser.add_argument("--size", type=parse_size, metavar="WxH", help="of the window (default: 1280x800)")
-    parser.add_argument("--view", choices=("auto", *VIEWS), help="view dependence: off is the paper")
-    parser.add_argument("--skinning", choices=SKINNINGS, help="lbs (default), or dual quaternions, which keep volume")
-    parser.add_argument("--antialiasing", choices=ANTIALIASINGS,
-                        help="smooth outlines; auto (default): msaa on a GPU, fxaa in software")  # fmt: skip
+    add_effects(parser)
     parser.add_argument("--background", type=parse_background, metavar="#rrggbb|FILE",
                         help="colour (default #2b2d33), a picture, film or panorama (.hdr)")  # fmt: skip
     parser.add_argument("--no-gui", action="store_true",
@@ -145,10 +140,8 @@ def scene_of(options: argparse.Namespace) -> Scene:
         cameras.insert(0, SceneCamera("path", options.camera_path))
     if options.capture:
         cameras.insert(0, SceneCamera("capture", options.capture, options.part))
-    names = ("view", "skinning", "antialiasing")
-    given = {name: value for name in names if (value := getattr(options, name)) is not None}
     return replace(
-        scene, cameras=tuple(cameras), effects=replace(scene.effects, **given), size=options.size or scene.size,
+        scene, cameras=tuple(cameras), effects=with_effects(scene.effects, options), size=options.size or scene.size,
         background=options.background or scene.background,
     )  # fmt: skip
 

@@ -16,6 +16,7 @@ from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.progress import Progress, progress
 from player.arguments import (
+    add_effects,
     add_ground,
     add_hands,
     frame_number,
@@ -24,6 +25,7 @@ from player.arguments import (
     parse_gpu,
     parse_share,
     parse_size,
+    with_effects,
 )
 from player.context import Context, opened
 from player.filming.film import VIDEO, film_kind, join_pieces
@@ -31,9 +33,8 @@ from player.filming.parts import LENGTH, Parts
 from player.filming.shot import Set, Shot, with_whole_paths
 from player.filming.stage import Stage, camera_from_option
 from player.motions import beside, frame_range
-from player.passes.view import VIEWS
 from player.renderer import Renderer
-from player.scenes.effects import ANTIALIASINGS, SKINNINGS, Effects
+from player.scenes.effects import Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 RENDER_EXAMPLES = """examples
@@ -76,11 +77,7 @@ def render_parser() -> argparse.ArgumentParser:
     add("--size", type=parse_size, metavar="WxH", help="pixels (default: the camera file's, else 640x640)")
     add("--background", type=parse_background, metavar="#rrggbb|transparent|FILE",
         help="colour (default #2b2d33), nothing, a picture, film or panorama (.hdr)")  # fmt: skip
-    add("--view", choices=("auto", *VIEWS),
-        help="view dependence: off is the paper; auto (default) picks by avatar and device")  # fmt: skip
-    add("--skinning", choices=SKINNINGS, help="lbs (default), or dual quaternions, which keep volume")
-    add("--antialiasing", choices=ANTIALIASINGS,
-        help="smooth outlines; auto (default): msaa on a GPU, fxaa on a software rasteriser")  # fmt: skip
+    add_effects(parser)
     add("--quality", choices=("draft", "good", "best"), default="good",
         help="draft: coarsest mesh, paper colours, jagged edges, small file; best: the avatar's own view model per "
         "pixel, MSAA, large file; single options go before it (default: good)")  # fmt: skip
@@ -205,9 +202,7 @@ def scene_of(options: argparse.Namespace) -> Scene:
     if options.seconds is not None:
         camera = replace((scene.cameras or (SceneCamera(),))[0], seconds=options.seconds)
         scene = replace(scene, cameras=(camera,))
-    names = ("view", "skinning", "antialiasing")
-    given = {name: value for name in names if (value := getattr(options, name)) is not None}
-    scene = replace(scene, effects=replace(scene.effects, **given))
+    scene = replace(scene, effects=with_effects(scene.effects, options))
     if options.size is not None:
         scene = replace(scene, size=options.size)
     if options.background is not None:

@@ -1,8 +1,9 @@
 """The effects that a scene can ask for: one line each, from which everything that names effects is read.
 
 A line is a field of `Effects`: its type or its `Makes` names the settings of a file in player/passes/, its notes are
-its rules and its documentation. Scene files, their schema and tables, `--effect NAME`, `--explain` and the window's
-panel follow from the fields. What is not asked for is in no plan and costs nothing.
+its rules and its documentation. A field of such a type is a table of the scene, None where it is not asked for.
+Scene files, their schema and tables, `--effect NAME`, `--explain` and the window's panel follow from the fields. What
+is not asked for is in no plan and costs nothing.
 """
 
 from collections.abc import Iterator, Mapping
@@ -59,6 +60,8 @@ class Effects:
             if makes is not None:
                 stage = next(iter(makes.of.values())).stage
                 yield fact, stage, makes.of[value]() if value in makes.of else None
+            elif fact.table is not None:
+                yield fact, fact.table.stage, value
 
 
 # where a scene says nothing

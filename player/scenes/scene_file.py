@@ -172,6 +172,11 @@ class _Reader:
 
     def value(self, at: KeyPath, fact: Fact, found: Any) -> Any:
         """A value of the type and within the rules of its field."""
+        if fact.table is not None:
+            shown = f"[{'.'.join(map(str, at))}]"
+            if not isinstance(found, dict):
+                self.fail(at, f"expected a table, {shown}, found {_kind(found)}")
+            return self.record(at, fact.table, found, shown)
         if any(isinstance(rule, Color) for rule in fact.rules):
             return self.color(at, found)
         value = self.typed(at, fact.type, found)

@@ -62,8 +62,10 @@ def _table(record: type) -> dict[str, Any]:
 
 def _property(fact: Fact) -> dict[str, Any]:
     out: dict[str, Any] = {"description": fact.means}
+    if fact.table is not None:
+        return _table(fact.table) | out
     if any(isinstance(rule, Color) for rule in fact.rules):
-        return out | {"type": "string", "pattern": "^#[0-9a-fA-F]{6}([0-9a-fA-F]{2})?$", "default": _color()}
+        return out | {"type": "string", "pattern": "^#[0-9a-fA-F]{6}([0-9a-fA-F]{2})?$", "default": _color(fact)}
     limits: dict[str, Any] = {}
     for rule in fact.rules:
         if isinstance(rule, OneOf):
@@ -83,8 +85,10 @@ def _property(fact: Fact) -> dict[str, Any]:
     return out
 
 
-def _color() -> str:
-    return "#" + "".join(f"{round(255 * share):02x}" for share in STUDIO.color[:3])
+def _color(fact: Fact) -> str:
+    """The default of a color; what is transparent in memory is the studio's in a file."""
+    color = fact.default if fact.default[3] else STUDIO.color
+    return "#" + "".join(f"{round(255 * share):02x}" for share in color[:3])
 
 
 def scene_table(name: str) -> str:
@@ -92,10 +96,15 @@ def scene_table(name: str) -> str:
     rows = ["| key | value | default | |", "|---|---|---|---|"]
     for fact in facts(TABLES[name]) if name else _own_keys():
         rows.append(f"| `{fact.name}` | {_values(fact)} | {_default(fact)} | {fact.means} |")
+        for inner in facts(fact.table) if fact.table is not None else ():
+            key = f"{fact.name}.{inner.name}"
+            rows.append(f"| `{key}` | {_values(inner)} | {_default(inner)} | {inner.means} |")
     return "\n".join(rows)
 
 
 def _values(fact: Fact) -> str:
+    if fact.table is not None:
+        return "table"
     for rule in fact.rules:
         if isinstance(rule, OneOf):
             return ", ".join(rule.values)
@@ -109,7 +118,7 @@ def _values(fact: Fact) -> str:
 
 def _default(fact: Fact) -> str:
     if any(isinstance(rule, Color) for rule in fact.rules):
-        return f"`{_color()}`"
+        return f"`{_color(fact)}`"
     if fact.default is MISSING:
         return "needed"
     if fact.default is None:
