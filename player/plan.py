@@ -245,9 +245,9 @@ class Draft:
         """A vertex array: buffers as (handle, format, names ...), and triangles."""
 
         def make(resources: PlanResources) -> moderngl.VertexArray:
-            content = [(resources[handle], *rest) for handle, *rest in buffers]
-            index = None if faces is None else resources[faces]
-            return resources.context.gl.vertex_array(resources[program], content, index)
+            made, index = resources[program], None if faces is None else resources[faces]
+            content = [(resources[handle], *_read_by(made, *rest)) for handle, *rest in buffers]
+            return resources.context.gl.vertex_array(made, content, index)
 
         handle = Handle(moderngl.VertexArray, program.name, 0, (program, *buffers, faces), make)
         return self.need(handle)
@@ -311,6 +311,14 @@ def close_all(kept: Iterable[Any]) -> None:
     for one in kept:
         if isinstance(one, Closable):
             one.close()
+
+
+def _read_by(program: moderngl.Program, layout: str, *names: str) -> tuple[str, ...]:
+    """The layout of a buffer for a program: what it does not read is passed over."""
+    parts, each = layout.split()[: len(names)], layout.split()[len(names) :]
+    read = [name in program for name in names]
+    skipped = [part if there else f"{int(part[0]) * int(part[2])}x" for part, there in zip(parts, read, strict=True)]
+    return " ".join([*skipped, *each]), *(name for name, there in zip(names, read, strict=True) if there)
 
 
 def _clamped(texture: moderngl.Texture) -> moderngl.Texture:
