@@ -15,6 +15,7 @@ from player.passes.antialiasing import BestAntialiasing
 from player.passes.background import Background
 from player.passes.fxaa import Fxaa
 from player.passes.msaa import Msaa
+from player.passes.outline import Outline
 from player.passes.view import VIEWS
 from player.plan import Effect, Stage
 
@@ -49,6 +50,7 @@ class Effects:
         "smooth outlines: fxaa filters them in the finished picture, msaa takes 4 samples a pixel; auto is msaa on a "
         "GPU and fxaa on a software rasteriser",
     ] = "auto"
+    outline: Annotated[Outline | None, "a line round each avatar, and where its limbs pass before it"] = None
 
     def __post_init__(self):
         check(self)

@@ -1,0 +1,90 @@
+"""A line of one color round each avatar and where its limbs pass before it: its hull turned inside out, a little larger
+(shaders/outline.vert). Drawn among the avatars, so that antialiasing smooths it with them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import Annotated, Any, ClassVar
+
+import moderngl
+import numpy as np
+
+from avatar.settings import Above, AtMost, Color, check
+from player.drawing import Drawing, Layer, Warming
+from player.plan import Decision, Draft, Pass, Stage, State
+from player.posed_mesh import PosedMesh, posed_mesh, vertex_order
+from player.resources import Handle, PlanResources
+from player.shader import uniform
+
+NOBODY = Decision(State.SKIPPED, "no avatar in view")
+
+
+@dataclass(frozen=True)
+class Outline:
+    """How the line looks.
+
+    Raises:
+        ValueError: a width that is no width, or a color that is not opaque.
+    """
+
+    stage: ClassVar[Stage] = Stage.AVATARS
+
+    color: Annotated[tuple[float, float, float, float], Color(), "of the line, opaque"] = (0.0, 0.0, 0.0, 1.0)
+    width: Annotated[float, Above(0), AtMost(64), "of the line, pixels"] = 2.0
+
+    def __post_init__(self):
+        check(self)
+        if self.color[3] < 1:
+            raise ValueError("color: an outline is opaque: expected #rrggbb")
+
+    def passes(self, draft: Draft) -> Sequence[Pass]:
+        draft.widen(ceil(self.width))
+        program = draft.program("outline.vert", "plain.frag", SKINNING=int(draft.dual))
+        hulls, uses = [], [*draft.drawn_on]
+        for index, level in enumerate(draft.levels):
+            mesh = posed_mesh(draft, index)
+            normals = draft.buffer(
+                f"{draft.tag(index)} normals", level.normals.nbytes, index, draft.level,
+                content=lambda made, level=level: level.normals[vertex_order(made, level)[0]].tobytes(),
+            )  # fmt: skip
+            array = mesh.array(draft, program, (normals, "3f4", "normal"))
+            hulls.append((mesh, array))
+            uses += [*mesh.handles, normals, array]
+        running = Decision(State.RUNS, f"{self.width:g} pixels")
+        return (OutlinePass(tuple(uses), self, tuple(hulls), program, draft.layer, running),)
+
+
+@dataclass(frozen=True)
+class OutlinePass:
+    uses: tuple[Handle[Any], ...]
+    outline: Outline
+    hulls: tuple[tuple[PosedMesh, Handle[moderngl.VertexArray]], ...]
+    program: Handle[moderngl.Program]
+    layer: Layer
+    running: Decision
+    name: str = "outline"
+
+    def decide(self, drawing: Drawing) -> Decision:
+        return self.running if any(drawing.visible) else NOBODY
+
+    def draw(self, drawing: Drawing) -> None:
+        drawing.enter(self.layer)
+        self._color(drawing.resources, drawing.inputs.camera.size)
+        drawing.gl.cull_face = "front"
+        for mesh, array in self.hulls:
+            if drawing.visible[mesh.avatar]:
+                mesh.pose(drawing)
+                drawing.resources[array].render()
+        drawing.gl.cull_face = "back"
+
+    def warm(self, warming: Warming) -> None:
+        if warming.enter(self.layer):
+            self._color(warming.resources, (1, 1))
+            for mesh, array in self.hulls:
+                mesh.warm(warming.resources)
+                warming.resources[array].render(vertices=3)
+
+    def _color(self, resources: PlanResources, size: tuple[int, int]) -> None:
+        program = resources[self.program]
+        uniform(program, "width").value = tuple(2 * self.outline.width / np.array(size))
+        uniform(program, "plain").value = self.outline.color[:3]
