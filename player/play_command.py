@@ -1,9 +1,10 @@
 """`selfscan play`: avatars in a window, moved by files or by live poses."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +17,11 @@ from player.context import NoContextError
 from player.live.command import add_live_options
 from player.motions import beside
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
+from player.window.help import command_line_help
+
+if TYPE_CHECKING:
+    from player.gui.panels import Panels
+    from player.window.parts import Parts
 
 EXAMPLES = """examples
   selfscan play me.glb                                      the counting motion
@@ -23,21 +29,14 @@ EXAMPLES = """examples
   selfscan play me.glb --capture my_capture                 against the video it was made from
   selfscan play me.glb --live vmc:39539                     posed by a sender
   selfscan play --scene two.toml                            as a scene file says
-
-keys
-  space play/pause    , . step        left right 1 s    home end     [ ] slower, faster   l loop, to and fro, once
-  a b range A-B       x whole clip    c next camera     r reset it   f follow             k add camera key   j save keys
-  - = move the wipe   v view on/off   s screenshot      o film       tab next avatar      t T-pose (live)
-  g panels            h keys on screen                  q quit
-mouse
-  drag turns, right drag shifts, wheel comes nearer, click picks an avatar and its joint; docs/play.md has more"""
+"""
 
 
 def play_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="selfscan play",
         description="Avatars in a window: orbit, scrub, pick, film, compare with the video.",
-        epilog=EXAMPLES,
+        epilog=f"{EXAMPLES}\n{command_line_help()}\ndocs/play.md has more",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("avatar", nargs="*", metavar="AVATAR", help="avatar file (.glb); several stand side by side")
@@ -181,9 +180,20 @@ def play_scene(scene: Scene, options: argparse.Namespace, script: Sequence[str] 
         for note in show.notes:
             print(note)
         return play(
-            show, size=scene.size or (1280, 800), null=options.platform == "null", gui=not options.no_gui,
-            script=script, screenshot=options.screenshot,
+            show, size=scene.size or (1280, 800), null=options.platform == "null",
+            panels=None if options.no_gui else installed_panels(), script=script, screenshot=options.screenshot,
         )  # fmt: skip
+
+
+def installed_panels() -> "Callable[[Parts], Panels] | None":
+    """What makes the panels; None where imgui-bundle is not installed: then there are keys and a line of text."""
+    try:
+        from player.gui.panels import Panels
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] != "imgui_bundle":
+            raise
+        return None
+    return Panels
 
 
 def _addresses(scene: Scene, options: argparse.Namespace) -> list[tuple[Address, list[int]]]:

@@ -1,43 +1,34 @@
 """The panel of avatars: which there are, where each stands, what moves it."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from imgui_bundle import imgui
 
-from avatar.skeleton import JOINTS
-from player.window.pose_tool import toggle_posing
+from player.gui.widgets import Widgets
+from player.window.actions import POSE
+from player.window.parts import Parts
+from player.window.state import joint_name
 
-if TYPE_CHECKING:
-    from player.window.window import Window
 
-
-def avatars_panel(window: "Window") -> None:
+def avatars_panel(ui: Widgets, parts: Parts) -> None:
     """A row an avatar; below, the place and the start of the one that is selected."""
-    panels = window.panels
-    assert panels is not None
-    for index, name in enumerate(window.show.names):
-        if imgui.selectable(f"{name}##{index}", index == window.selection.avatar)[0]:
-            window.select(index)
-        panels.mark(f"avatar {index}")
-    index, joint = window.selection
-    track = window.playback.tracks[index]
-    imgui.text_disabled(f"moved by {track.name or 'its motion'}")
-    changed, at = imgui.drag_float3("place, m", [float(v) for v in track.at], 0.01, -100.0, 100.0, "%.2f")
-    panels.mark("place")
-    if changed:
+    selection, posing = parts.state.selection, parts.posing
+    for index, name in enumerate(selection.names):
+        tip = f"{name}\nSelect this avatar. Key: tab selects the next."
+        if ui.row(name, tip, name=f"avatar {index}", selected=index == selection.avatar):
+            selection.choose(index)
+    track = parts.state.playback.tracks[selection.avatar]
+    ui.path("motion: ", track.name or "its own")
+    tip = "Where the avatar stands, metres: x, y (up) and z. Drag, or Ctrl+click to type."
+    at = ui.numbers("place, m", track.at.tolist(), tip, name="place")
+    if at is not None:
         track.at = np.array(at, np.float64)
-    changed, turn = imgui.slider_float("turn", float(np.degrees(track.turn)), -180.0, 180.0, "%.0f deg")
-    panels.mark("turn")
-    if changed:
+    turn = ui.slider("turn", float(np.degrees(track.turn)), (-180.0, 180.0), "Turn the avatar about the vertical.")
+    if turn is not None:
         track.turn = float(np.radians(turn))
     if track.frames > 1:
-        changed, start = imgui.slider_float("start, s", track.start, 0.0, track.frames / track.rate, "%.2f")
-        panels.mark("start at")
-        if changed:
-            track.start = start
-    posing = window.pose_session is not None
-    if imgui.button("Stop posing" if posing else "Pose by hand"):
-        toggle_posing(window)
-    panels.mark("pose")
-    imgui.text(f"joint: {JOINTS[joint]}" if joint is not None else "click the avatar to pick a joint")
+        tip = "The second of its motion at which this avatar begins."
+        start = ui.slider("start, s", track.start, (0.0, track.frames / track.rate), tip, name="start at", form="%.2f")
+        track.start = track.start if start is None else start
+    ui.action("Pose by hand" if posing.edit is None else "Stop posing", POSE, parts, name="pose")
+    joint = selection.joint
+    imgui.text_disabled(f"joint: {joint_name(joint)}" if joint is not None else "click the avatar to pick a joint")

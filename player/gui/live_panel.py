@@ -1,32 +1,29 @@
 """The panel of live poses: who sends, how many came, what was lost, and how late each picture is."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from imgui_bundle import imgui
 
-if TYPE_CHECKING:
-    from player.live.playback import LivePlayback
-    from player.window.window import Window
+from player.gui.widgets import Widgets, tip_of
+from player.live.playback import LivePlayback
+from player.window.actions import T_POSE
+from player.window.playback import Playback
 
 SPANS = ("sent to received", "received to applied", "received to drawn")
 
 
-def live_panel(window: "Window") -> None:
+def live_panel(ui: Widgets, playback: Playback) -> None:
     """A block for each source."""
-    panels = window.panels
-    assert panels is not None
-    for number, (live, _) in enumerate(window.playback.live):
+    for number, (live, _) in enumerate(playback.live):
         imgui.push_id(number)
         _source(live)
         asked = live.countdown is not None
-        if imgui.button(f"T-pose in {live.countdown:.0f} s" if asked else "Take the T-pose in 3 s"):
+        text = f"T-pose in {live.countdown:.0f} s" if asked else "Take the T-pose in 3 s"
+        if ui.button(text, tip_of(T_POSE), name="T-pose"):
             live.ask_for_t_pose()
-        panels.mark("T-pose")
         imgui.pop_id()
 
 
-def _source(live: "LivePlayback") -> None:
+def _source(live: LivePlayback) -> None:
     facts = live.inbox.facts(live.clock())
     imgui.text(str(live.address))
     if facts.age is None:

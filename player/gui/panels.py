@@ -1,46 +1,31 @@
 """The panels around the picture: Dear ImGui's context, its input, and where each panel stands.
 
-On the left what is shown and how, at the bottom time, on the right what was opened (posing); the picture keeps the
-middle. A panel is a function of the window, in its own file; it calls `window.panels.mark` after a widget that
-scripts should find by name.
+On the left what is shown and how, at the bottom time, on the right posing; the picture keeps the middle. A panel is a
+function in its own file, of the widgets (player/gui/widgets.py) and of the parts of the window that it shows.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import glfw
 import imgui_bundle
 import moderngl
 from imgui_bundle import imgui
 
-from player.context import Context
 from player.gui.avatars_panel import avatars_panel
 from player.gui.camera_panel import camera_panel
 from player.gui.draw import DrawLists
 from player.gui.hud_panel import hud_panel, joint_mark
 from player.gui.live_panel import live_panel
 from player.gui.pose_overlay import pose_overlay
-from player.gui.pose_panel import POSE_PANELS
+from player.gui.pose_panel import PosePanels
 from player.gui.timeline_panel import timeline_panel
 from player.gui.view_panel import view_panel
+from player.gui.widgets import Widgets
+from player.window.parts import Parts
+from player.window.screen import LETTER, density
 
-if TYPE_CHECKING:
-    from player.window.window import Area, Window
-
-Panel = Callable[["Window"], None]
-
-LEFT: Sequence[tuple[str, Panel, Callable[["Window"], bool]]] = (
-    ("Avatars", avatars_panel, lambda window: True),
-    ("Live", live_panel, lambda window: bool(window.playback.live)),
-    ("Camera", camera_panel, lambda window: True),
-    ("View", view_panel, lambda window: True),
-)
-# shown at the right while `window.pose_session` is there; overlays are drawn over the picture, under the panels
-RIGHT: Sequence[tuple[str, Panel]] = POSE_PANELS
-OVERLAYS: Sequence[Panel] = (joint_mark, pose_overlay, hud_panel)
-
-FONT = 15.0  # window units
 # width and height of the panels, in letters' heights
 SIDE, BOTTOM = 19.0, 4.5
 # letters' heights that the picture must keep, else there are no panels
@@ -69,36 +54,46 @@ MODIFIERS = {
 LETTERS = {ord(letter.upper()): getattr(imgui.Key, letter) for letter in "acvxyz"}  # those of text fields' shortcuts
 
 
+class Section(NamedTuple):
+    """A panel on the left, under a heading that folds it."""
+
+    title: str
+    tip: str
+    draw: Callable[[], None]
+
+
 class Panels:
     """Everything of Dear ImGui that one window has."""
 
-    def __init__(self, context: Context, handle: Any):
-        self.handle = handle
-        self.imgui = imgui.create_context()
-        imgui.set_current_context(self.imgui)
-        self.visible = True  # switched on
-        self.drawn = False  # in the last frame
-        self.places: dict[str, tuple[float, float]] = {}  # middle of each marked widget of the last frame, window units
-        self._marking: dict[str, tuple[float, float]] = {}
+    def __init__(self, parts: Parts):
+        self._parts, self._layout = parts, parts.state.layout
+        self._layout.borders = self._borders
+        self._ui = Widgets()
+        self._posing = PosePanels(self._ui, parts)
+        context = self._layout.screen.context
+        self._imgui = imgui.create_context()
+        imgui.set_current_context(self._imgui)
         io = imgui.get_io()
-        io.set_ini_filename("")  # nothing is written beside the user's files
+        # nothing is written beside the user's files
+        io.set_ini_filename("")
         io.set_log_filename("")
         io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
         imgui.get_platform_io().renderer_texture_max_width = context.gl.info["GL_MAX_TEXTURE_SIZE"]
         imgui.get_platform_io().renderer_texture_max_height = context.gl.info["GL_MAX_TEXTURE_SIZE"]
         self._use_clipboard()
-        font = Path(imgui_bundle.__file__).parent / "assets" / "fonts" / "DroidSans.ttf"
-        if font.is_file():
-            io.fonts.add_font_from_file_ttf(str(font), FONT)
-        self.scale = density(handle)
-        style = imgui.get_style()
-        style.font_size_base, style.font_scale_dpi = FONT, self.scale
-        style.scale_all_sizes(self.scale)
-        style.window_rounding = style.frame_rounding = 3 * self.scale
-        style.set_color_(imgui.Col_.window_bg, imgui.ImVec4(0.11, 0.12, 0.14, 0.97))
-        style.set_color_(imgui.Col_.popup_bg, imgui.ImVec4(0.11, 0.12, 0.14, 1.0))
-        style.set_color_(imgui.Col_.frame_bg, imgui.ImVec4(0.2, 0.22, 0.26, 1.0))
-        self.lists = DrawLists(context)
+        self._scale = density(self._layout.screen.handle)
+        _set_style(self._scale)
+        self._lists = DrawLists(context)
+
+    @property
+    def places(self) -> dict[str, tuple[float, float]]:
+        """Middle of each widget of the last frame, window units, by its name."""
+        return self._ui.places
+
+    @property
+    def tips(self) -> dict[str, str]:
+        """Tooltip of each widget of the last frame."""
+        return self._ui.tips
 
     def _use_clipboard(self) -> None:
         """Text fields copy to and paste from the system's clipboard."""
@@ -118,7 +113,7 @@ class Panels:
     # -- input; each answers whether a panel took it
 
     def _io(self) -> imgui.IO:
-        imgui.set_current_context(self.imgui)
+        imgui.set_current_context(self._imgui)
         return imgui.get_io()
 
     def on_pointer(self, x: float | int, y: float | int) -> None:
@@ -134,10 +129,8 @@ class Panels:
         return self.takes_pointer(over_picture)
 
     def takes_pointer(self, over_picture: bool) -> bool:
-        """The panels' places are known at once;
-        what lies over the picture (a list that opened) since the last frame.
-        """
-        return self.drawn and (self._io().want_capture_mouse or not over_picture)
+        """Where panels stand is known at once; what lies over the picture (a list that opened) since the last frame."""
+        return self._layout.panels_drawn and (self._io().want_capture_mouse or not over_picture)
 
     def on_key(self, key: int, down: bool) -> bool:
         io = self._io()
@@ -146,97 +139,103 @@ class Panels:
             io.add_key_event(found, down)
             if found in MODIFIERS:
                 io.add_key_event(MODIFIERS[found], down)
-        return self.drawn and io.want_text_input
+        return self._layout.panels_drawn and io.want_text_input
 
     def on_text(self, letter: int) -> None:
         self._io().add_input_character(letter)
 
     # -- places
 
-    def mark(self, name: str) -> None:
-        """Remember where the last widget is, so that a script can press it by name."""
-        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
-        self._marking[name] = (0.5 * (low.x + high.x), 0.5 * (low.y + high.y))
-
-    def area(self, window: "Window", size: tuple[int, int]) -> "Area":
-        """What the panels leave of a framebuffer of `size` pixels; all of it where they are hidden."""
-        left, right, bottom = self._borders(window, size)
-        return left, 0, size[0] - left - right, size[1] - bottom
-
-    def shown(self, window: "Window") -> bool:
-        """Whether there are panels: not when switched off, nor when they would leave too little of the picture."""
-        return self._borders(window, glfw.get_framebuffer_size(self.handle)) != (0, 0, 0)
-
-    def _borders(self, window: "Window", size: tuple[int, int]) -> tuple[int, int, int]:
-        """Left, right and lower border, pixels."""
-        letter = FONT * self.scale * size[0] / max(window.size_in_units()[0], 1)
+    def _borders(self) -> tuple[int, int, int]:
+        """Left, right and lower border, pixels: none when panels are switched off, nor where they would leave too
+        little of the picture."""
+        size, letter = self._layout.screen.size, LETTER * self._scale * self._layout.screen.scale
         left = round(SIDE * letter)
-        right, bottom = left if shows_right(window) else 0, round(BOTTOM * letter)
+        right, bottom = left if self._parts.posing.edit is not None else 0, round(BOTTOM * letter)
         fits = min(size[0] - left - right, size[1] - bottom) >= LEAST * letter
-        return (left, right, bottom) if self.visible and fits else (0, 0, 0)
+        return (left, right, bottom) if self._layout.panels_on and fits else (0, 0, 0)
 
     # -- one frame
 
-    def draw(self, window: "Window", screen: moderngl.Framebuffer, size: tuple[int, int]) -> None:
+    def draw(self, screen: moderngl.Framebuffer) -> None:
         """Ask the panels what they show, and draw it."""
-        imgui.set_current_context(self.imgui)
-        io = imgui.get_io()
-        wide, high = window.size_in_units()
+        imgui.set_current_context(self._imgui)
+        io, size, (wide, high) = imgui.get_io(), self._layout.screen.size, self._layout.screen.units
         io.display_size = imgui.ImVec2(wide, high)
         io.display_framebuffer_scale = imgui.ImVec2(size[0] / max(wide, 1), size[1] / max(high, 1))
-        io.delta_time = min(max(window.frame_times[-1] if window.frame_times else 1 / 60, 1e-4), 0.25)
+        times = self._parts.state.last.times
+        io.delta_time = min(max(times[-1] if times else 1 / 60, 1e-4), 0.25)
         imgui.new_frame()
-        self._marking = {}
-        self.drawn = self.shown(window)
-        if self.drawn:
-            self._show(window, wide, high)
-        self.places = self._marking
+        self._ui.begin()
+        self._layout.panels_drawn = self._borders() != (0, 0, 0)
+        if self._layout.panels_drawn:
+            self._draw_overlays()
+            self._draw_panels(wide, high)
+        self._ui.end()
         imgui.render()
-        self.lists.draw(imgui.get_draw_data(), screen, size)
+        self._lists.draw(imgui.get_draw_data(), screen, size)
 
-    def _show(self, window: "Window", wide: int, high: int) -> None:
-        letter = FONT * self.scale
+    def _draw_overlays(self) -> None:
+        """Over the picture, under the panels. Posing shows in its own way what is selected."""
+        parts = self._parts
+        if parts.posing.edit is None:
+            joint_mark(parts.state)
+        else:
+            pose_overlay(parts.posing.edit.tool, parts.state)
+        hud_panel(parts)
+
+    def _draw_panels(self, wide: int, high: int) -> None:
+        letter = LETTER * self._scale
         side, bottom = SIDE * letter, BOTTOM * letter
-        for overlay in OVERLAYS:
-            overlay(window)
-        self._place(0, 0, side, high - bottom)
-        if imgui.begin("##left", None, FIXED | imgui.WindowFlags_.no_title_bar)[0]:
-            imgui.push_item_width(-7.0 * letter)
-            for title, panel, wanted in LEFT:
-                if wanted(window) and imgui.collapsing_header(title, imgui.TreeNodeFlags_.default_open):
-                    panel(window)
-            imgui.pop_item_width()
-        imgui.end()
-        self._place(0, high - bottom, wide, bottom)
-        if imgui.begin("##time", None, FIXED | imgui.WindowFlags_.no_title_bar)[0]:
-            timeline_panel(window)
-        imgui.end()
-        if shows_right(window):
-            self._place(wide - side, 0, side, high - bottom)
-            if imgui.begin("##right", None, FIXED | imgui.WindowFlags_.no_title_bar)[0]:
-                imgui.push_item_width(-7.0 * letter)
-                for title, panel in RIGHT:
-                    if imgui.collapsing_header(title, imgui.TreeNodeFlags_.default_open):
-                        panel(window)
-                imgui.pop_item_width()
-            imgui.end()
+        ui, parts = self._ui, self._parts
 
-    def _place(self, left: float | int, top: float | int, width: float | int, height: float | int) -> None:
+        def left() -> None:
+            for section in self._sections():
+                if ui.section(section.title, section.tip):
+                    section.draw()
+
+        self._panel("left", (0.0, 0.0, side, high - bottom), left)
+        self._panel("time", (0.0, high - bottom, float(wide), bottom), lambda: timeline_panel(ui, parts))
+        if parts.posing.edit is not None:
+            self._panel("right", (wide - side, 0.0, side, high - bottom), self._posing.draw)
+
+    def _sections(self) -> list[Section]:
+        """What stands on the left."""
+        ui, parts, playback = self._ui, self._parts, self._parts.state.playback
+        live = Section("Live", "Who sends poses, and how late they are.", lambda: live_panel(ui, playback))
+        return [
+            Section("Avatars", "Which avatars there are, and where they stand.", lambda: avatars_panel(ui, parts)),
+            *([live] if playback.live else []),
+            Section("Camera", "What the picture is seen through.", lambda: camera_panel(ui, parts)),
+            Section("View", "How the avatars are drawn.", lambda: view_panel(ui, parts)),
+        ]
+
+    def _panel(self, name: str, place: tuple[float, float, float, float], draw: Callable[[], None]) -> None:
+        """A panel at a place: left, top, width, height in window units."""
+        left, top, width, height = place
         imgui.set_next_window_pos(imgui.ImVec2(left, top))
         imgui.set_next_window_size(imgui.ImVec2(width, max(height, 1.0)))
+        if imgui.begin(f"##{name}", None, FIXED | imgui.WindowFlags_.no_title_bar)[0]:
+            imgui.push_item_width(-7.0 * LETTER * self._scale)
+            draw()
+            imgui.pop_item_width()
+        imgui.end()
 
     def release(self) -> None:
-        imgui.set_current_context(self.imgui)
-        self.lists.release()
-        imgui.destroy_context(self.imgui)
+        imgui.set_current_context(self._imgui)
+        self._lists.release()
+        imgui.destroy_context(self._imgui)
 
 
-def shows_right(window: "Window") -> bool:
-    return bool(RIGHT) and window.pose_session is not None
-
-
-def density(handle: Any) -> float:
-    """How many window units a usual screen's pixel is: where units are pixels, what the system scales text by."""
-    scale = glfw.get_window_content_scale(handle)[0]
-    units, pixels = glfw.get_window_size(handle)[0], glfw.get_framebuffer_size(handle)[0]
-    return min(max(scale * units / max(pixels, 1), 0.5), 4.0) if scale > 0 and units else 1.0
+def _set_style(scale: float) -> None:
+    """Letters and colours; `scale` is window units a usual screen's pixel."""
+    font = Path(imgui_bundle.__file__).parent / "assets" / "fonts" / "DroidSans.ttf"
+    if font.is_file():
+        imgui.get_io().fonts.add_font_from_file_ttf(str(font), LETTER)
+    style = imgui.get_style()
+    style.font_size_base, style.font_scale_dpi = LETTER, scale
+    style.scale_all_sizes(scale)
+    style.window_rounding = style.frame_rounding = 3 * scale
+    style.set_color_(imgui.Col_.window_bg, imgui.ImVec4(0.11, 0.12, 0.14, 0.97))
+    style.set_color_(imgui.Col_.popup_bg, imgui.ImVec4(0.11, 0.12, 0.14, 1.0))
+    style.set_color_(imgui.Col_.frame_bg, imgui.ImVec4(0.2, 0.22, 0.26, 1.0))

@@ -1,7 +1,5 @@
 """What posing draws over the avatar: rings of the gizmo, handles of hands, feet and body, dots of the joints."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from imgui_bundle import imgui
 from jaxtyping import Float
@@ -10,9 +8,7 @@ from avatar.camera import Camera, project
 from avatar.skeleton import PARENTS
 from player.pose.gizmo import VIEW_RING, Gizmo, ring_front, ring_points
 from player.window.pose_tool import HANDLES, Handle, PoseTool
-
-if TYPE_CHECKING:
-    from player.window.window import Window
+from player.window.state import WindowState
 
 COLORS = (
     (230, 70, 70),
@@ -47,12 +43,11 @@ class Paper:
             self.draw.add_polyline(_vectors(points), color, width, 0)
 
 
-def pose_overlay(window: "Window") -> None:
+def pose_overlay(tool: PoseTool, state: WindowState) -> None:
     """All of it, for the avatar that is being posed."""
-    tool = window.tool
-    if not isinstance(tool, PoseTool) or window.camera is None:
+    if state.last.camera is None:
         return
-    paper = Paper(window.camera, window.pixel(1.0, 1.0))
+    paper = Paper(state.last.camera, state.layout.screen.pixel(1.0, 1.0))
     places, depth = paper.points(tool.session.world()[:, :3, 3])
     ahead = depth > 1e-3
     fingers = np.ptp(places[20:52], axis=0).max() > 0 and _hand_size(places) > FEWEST

@@ -1,267 +1,228 @@
-"""The panels of posing: undo and mirror, the joint's angles, hands and fingers, reach, keyframes, library and files."""
+"""The panels of posing: the whole pose and its file, a joint's angles, hands, reach, keyframes, the library."""
 
 from collections.abc import Callable
-from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from imgui_bundle import imgui
 
 from avatar.motion.builtin import FINGERS
+from player.gui.widgets import Widgets
 from player.pose.fingers import CURL_RANGE, PRESETS, SPREAD_RANGE, Side, finger_name, hand_shape
 from player.pose.ik import LIMBS
 from player.pose.library import BUILTIN
+from player.pose.limbs import hand_joints, limb_of
 from player.pose.limits import joint_angles, limits
 from player.pose.mirror import PARTNER
-from player.pose.session import hand_joints, limb_of
-from player.window.pose_tool import PoseTool, spoken
-from player.window.recorder import free_name
-
-if TYPE_CHECKING:
-    from player.window.window import Window
+from player.window.actions import (
+    COPY_LIMB,
+    COPY_POSE,
+    DELETE_KEY,
+    MIRROR,
+    PASTE,
+    PASTE_MIRRORED,
+    REDO,
+    SET_KEY,
+    TO_GROUND,
+    UNDO,
+)
+from player.window.parts import Parts
+from player.window.posing import PoseEdit
+from player.window.state import joint_name
 
 SIDES: tuple[Side, Side] = ("left", "right")
 # of the list of joints
 ORDER = sorted(range(52), key=lambda joint: (joint >= 22, joint))
+# fingers from the thumb on
+FROM_THUMB = (4, 0, 1, 3, 2)
+DEGREES = (-180.0, 180.0)
+Change = Callable[[float, object], object]
 
 
-def _tool(window: "Window") -> PoseTool:
-    assert isinstance(window.tool, PoseTool)
-    return window.tool
+class PosePanels:
+    """The panels on the right while an avatar is posed by hand."""
 
+    def __init__(self, ui: Widgets, parts: Parts):
+        self.ui, self.parts = ui, parts
 
-def _button(window: "Window", text: str, act: Callable[[], object], *, name: str = "", beside: bool = False) -> None:
-    """A button that does what may be refused, found by scripts under its name."""
-    if beside:
-        imgui.same_line()
-    if imgui.button(f"{text}##{name}"):
-        _tool(window).tried(act)
-    assert window.panels is not None
-    window.panels.mark(name or text.lower())
+    def draw(self) -> None:
+        edit = self.parts.posing.edit
+        if edit is None:
+            return
+        for title, tip, panel in (
+            ("Pose", "The whole pose, and its file.", self._pose),
+            ("Joint", "The selected joint and its angles.", self._joint),
+            ("Hands", "Hand shapes by name, and each finger.", self._hands),
+            ("Reach", "How hands and feet are pulled, and which stay where they are.", self._reach),
+            ("Keyframes", "Poses at frames of the timeline, and what is between them.", self._keyframes),
+            ("Library", "Poses to take, and your own to keep.", self._library),
+        ):
+            if self.ui.section(title, tip):
+                panel(edit)
 
+    def _button(self, edit: PoseEdit, text: str, tip: str, act: Callable[[], object], *, name="", beside=False) -> None:
+        """A button that does what may be refused."""
+        if self.ui.button(text, tip, name=name, beside=beside):
+            edit.tried(act)
 
-def _slider(
-    window: "Window",
-    text: str,
-    value: float,
-    span: tuple[float, float],
-    change: Callable[[float, object], object],
-    *,
-    name: str = "",
-    form: str = "%.0f deg",
-) -> None:
-    """A slider whose whole drag is one step of undo: the session gets the same mark until it is let go."""
-    tool = _tool(window)
-    assert window.panels is not None
-    changed, new = imgui.slider_float(f"{text}##{name}", value, *span, form)
-    window.panels.mark(name or text)
-    if changed:
-        tool.tried(lambda: change(new, f"{name or text}"))
-    if imgui.is_item_deactivated():
-        tool.session.end_drag()
+    def _slider(
+        self, edit: PoseEdit, text: str, value: float, span: tuple[float, float], tip: str, change: Change, *,
+        name: str, form: str = "%.0f deg",
+    ) -> None:  # fmt: skip
+        """A slider whose whole drag is one step of undo: the session gets the same mark until it is let go."""
+        new = self.ui.slider(text, value, span, tip, name=name, form=form)
+        if new is not None:
+            edit.tried(lambda: change(new, name))
+        if imgui.is_item_deactivated():
+            edit.session.history.end_drag()
 
+    def _pose(self, edit: PoseEdit) -> None:
+        """Undo and redo, the file, limits, axes; what is done to the whole pose."""
+        ui, parts, session = self.ui, self.parts, edit.session
+        ui.action("Undo", UNDO, parts)
+        ui.action("Redo", REDO, parts, beside=True)
+        ui.action("Mirror", MIRROR, parts, beside=True)
+        ui.action("To ground", TO_GROUND, parts, name="ground", beside=True)
+        ui.action("Copy pose", COPY_POSE, parts, name="copy whole")
+        if session.copied is not None:
+            ui.action("Paste", PASTE, parts, beside=True)
+            ui.action("Paste mirrored", PASTE_MIRRORED, parts, name="paste mirrored", beside=True)
+        tip = "Keep joints within the range of healthy adults."
+        session.limited = ui.checkbox("limits", session.limited, tip)
+        tip = "On: the rings turn about x, y and z of the world. Off: about the bone's own axes."
+        world = ui.checkbox("world axes", edit.tool.frame == "world", tip, beside=True)
+        edit.tool.frame = "world" if world else "local"
+        tip = "The .npz file (AMASS) to save or load; empty saves to a new one, selfscan-pose-000.npz."
+        edit.file = ui.field("file", edit.file, tip, hint="name.npz")
+        what = "keyframes" if session.keys else "pose"
+        self._button(edit, f"Save {what}", f"Write the {what} to the file.", edit.save, name="save")
+        self._button(edit, "Load", "Take the pose or keyframes of the file.", edit.load, beside=True)
+        if session.history.dirty:
+            imgui.same_line()
+            imgui.text_disabled("not saved")
 
-def pose_panel(window: "Window") -> None:
-    """Undo and redo, limits, axes; what is done to the whole pose."""
-    tool = _tool(window)
-    session = tool.session
-    _button(window, "Undo", tool.undo)
-    _button(window, "Redo", tool.redo, beside=True)
-    _button(window, "Mirror", session.mirror, beside=True)
-    _button(window, "To ground", tool.to_ground, name="ground", beside=True)
-    assert window.panels is not None
-    session.limited = imgui.checkbox("limits", session.limited)[1]
-    window.panels.mark("limits")
-    imgui.same_line()
-    world = imgui.checkbox("world axes", tool.frame == "world")[1]
-    tool.frame = "world" if world else "local"
-    window.panels.mark("world axes")
-    _button(window, "Copy whole", lambda: tool.copy("whole"), name="copy whole")
-    if session.copied is not None:
-        _button(window, "Paste", tool.paste, beside=True)
-        _button(window, "Paste mirrored", lambda: tool.paste(mirrored=True), name="paste mirrored", beside=True)
-    if session.dirty:
-        imgui.text_disabled("not saved")
+    def _joint(self, edit: PoseEdit) -> None:
+        """The selected joint: a list to choose from and its three angles."""
+        ui, parts, session, joint, table = self.ui, self.parts, edit.session, edit.tool.joint, limits()
 
+        def joints() -> None:
+            for other in ORDER:
+                name = joint_name(other)
+                if ui.row(name, f"Select {name}.", name=name, selected=other == joint):
+                    parts.state.selection.choose(edit.index, other)
 
-def joint_panel(window: "Window") -> None:
-    """The selected joint: a list to choose from and its three angles."""
-    tool = _tool(window)
-    session, joint, table = tool.session, tool.joint, limits()
-    imgui.set_next_item_width(-1)
-    if imgui.begin_combo("##joint", "click a joint, or choose" if joint is None else spoken(joint)):
-        for other in ORDER:
-            if imgui.selectable(spoken(other), other == joint)[0]:
-                window.select(tool.index, other)
-        imgui.end_combo()
-    assert window.panels is not None
-    window.panels.mark("joint")
-    if joint is None:
-        return
-    angles = np.round(np.degrees(joint_angles(session.pose.axis_angle)[joint]), 6) + 0.0  # no -0
-    low, high = np.degrees(table.low[joint]), np.degrees(table.high[joint])
-    if not session.limited:
-        low, high = np.full(3, -180.0), np.full(3, 180.0)
-    for k, text in enumerate(table.names[joint]):
-
-        def change(value: float, mark: object, k: int = k) -> None:
-            session.set_angle(joint, k, float(np.radians(value)), drag=mark)
-
-        _slider(window, text, float(angles[k]), (float(low[k]), float(high[k])), change, name=f"angle {k}")
-    _button(window, "Reset joint", lambda: session.reset([joint]), name="reset joint")
-    _button(window, "Copy joint", lambda: tool.copy("joint"), name="copy joint", beside=True)
-    if joint:
-        _button(window, "Copy limb", lambda: tool.copy("limb"), name="copy limb", beside=True)
-        _button(window, "Reset limb", lambda: session.reset(limb_of(joint)), name="reset limb")
-    if PARTNER[joint] != joint:
-        _button(
-            window,
-            "Other side too",
-            lambda: session.to_other_side(limb_of(joint)),
-            name="other side",
-            beside=True,
+        preview = "click a joint, or choose" if joint is None else joint_name(joint)
+        ui.long_choice(
+            "joint", preview, "The joint that rings and sliders turn. Click one in the picture, too.", joints
         )
+        if joint is None:
+            return
+        # no -0
+        angles = np.round(np.degrees(joint_angles(session.pose.axis_angle)[joint]), 6) + 0.0
+        low, high = np.degrees(table.low[joint]), np.degrees(table.high[joint])
+        for k, text in enumerate(table.names[joint]):
 
+            def change(value: float, mark: object, k: int = k) -> None:
+                session.set_angle(joint, k, float(np.radians(value)), drag=mark)
 
-def hands_panel(window: "Window") -> None:
-    """Hand shapes by name for either hand or both, then each finger."""
-    tool = _tool(window)
-    session = tool.session
-    assert window.panels is not None
-    for side in SIDES:
-        imgui.text(f"{side} hand")
-        for number, name in enumerate(PRESETS):
-            _button(
-                window, name, partial(session.set_hand, side, PRESETS[name]),
-                name=f"{side} {name}", beside=number % 4 != 0,
-            )  # fmt: skip
-        if not imgui.tree_node(f"{side} fingers"):
-            window.panels.mark(f"{side} fingers")
-            continue
-        window.panels.mark(f"{side} fingers")
+            span = (float(low[k]), float(high[k])) if session.limited else DEGREES
+            tip = f"{text} of the {joint_name(joint)}; people reach {low[k]:.0f} to {high[k]:.0f} degrees."
+            self._slider(edit, text, float(angles[k]), span, tip, change, name=f"angle {k}")
+        self._button(edit, "Reset joint", "This joint as in the T-pose.", lambda: session.reset([joint]))
+        self._button(edit, "Copy joint", "Copy this joint alone.", edit.copy_joint, beside=True)
+        if joint:
+            self._button(edit, "Reset limb", "The joint's whole limb as in the T-pose.",
+                         lambda: session.reset(limb_of(joint)))  # fmt: skip
+            ui.action("Copy limb", COPY_LIMB, parts, beside=True)
+        if PARTNER[joint] != joint:
+            self._button(edit, "Other side too", "The other side's limb does the same, mirrored.",
+                         lambda: session.to_other_side(limb_of(joint)), name="other side", beside=True)  # fmt: skip
+
+    def _hands(self, edit: PoseEdit) -> None:
+        """Hand shapes by name for either hand, then each finger."""
+        for side in SIDES:
+            imgui.text(f"{side} hand")
+            for number, name in enumerate(PRESETS):
+                self._button(
+                    edit, name, f"The {side} hand: {name}.",
+                    lambda side=side, name=name: edit.session.set_hand(side, PRESETS[name]),
+                    name=f"{side} {name}", beside=number > 0,
+                )  # fmt: skip
+            self.ui.fold(
+                f"{side} fingers", "Curl and spread of each finger.", lambda side=side: self._fingers(edit, side)
+            )
+
+    def _fingers(self, edit: PoseEdit, side: Side) -> None:
+        session = edit.session
         shape = hand_shape(session.pose.axis_angle, side)
-        for finger in (4, 0, 1, 3, 2):
+        low, high = np.degrees(SPREAD_RANGE)
+        for finger in FROM_THUMB:
 
-            def curl(value: float, mark: object, finger: int = finger, side: Side = side) -> None:
+            def curl(value: float, mark: object, finger: int = finger) -> None:
                 session.set_curl(side, finger, value, drag=mark)
 
-            def spread(value: float, mark: object, finger: int = finger, side: Side = side) -> None:
+            def spread(value: float, mark: object, finger: int = finger) -> None:
                 session.set_spread(side, finger, float(np.radians(value)), drag=mark)
 
             name = finger_name(finger)
-            _slider(
-                window,
-                name,
-                shape.curl[finger],
-                CURL_RANGE,
-                curl,
-                name=f"{side} curl {FINGERS[finger]}",
-                form="%.2f",
-            )
-            low, high = np.degrees(SPREAD_RANGE)
-            _slider(
-                window, "  spread", float(np.degrees(shape.spread[finger])), (float(low), float(high)), spread,
-                name=f"{side} spread {FINGERS[finger]}",
+            self._slider(
+                edit, name, shape.curl[finger], CURL_RANGE, f"Curl of the {name}: 0 straight, 1 a fist.", curl,
+                name=f"{side} curl {FINGERS[finger]}", form="%.2f",
             )  # fmt: skip
-        _button(
-            window,
-            "Other hand too",
-            partial(session.to_other_side, hand_joints(side)),
-            name=f"{side} other",
-        )
-        imgui.tree_pop()
+            self._slider(
+                edit, "  spread", float(np.degrees(shape.spread[finger])), (float(low), float(high)),
+                f"Spread of the {name} sideways.", spread, name=f"{side} spread {FINGERS[finger]}",
+            )  # fmt: skip
+        self._button(edit, "Other hand too", "The other hand does the same, mirrored.",
+                     lambda: session.to_other_side(hand_joints(side)), name=f"{side} other")  # fmt: skip
 
+    def _reach(self, edit: PoseEdit) -> None:
+        """How hands and feet are pulled, and which are held in place while the body moves."""
+        ui = self.ui
+        imgui.text_wrapped("Drag squares: hands and feet. Diamond: the body. Rings: elbows and knees.")
+        tip = "On: hands and feet turn with forearm and shin. Off: they stay turned as they are in the room."
+        edit.tool.follow = ui.checkbox("hands and feet turn along", edit.tool.follow, tip, name="turn along")
+        for number, limb in enumerate(LIMBS):
+            name = limb.replace("_", " ")
+            tip = f"The {name} stays where it is while the body moves."
+            on = ui.checkbox(f"pin {name}", limb in edit.session.pinned, tip, beside=bool(number % 2))
+            if on != (limb in edit.session.pinned):
+                edit.session.pin(limb, on)
 
-def reach_panel(window: "Window") -> None:
-    """How hands and feet are pulled, and which are held in place while the body moves."""
-    tool = _tool(window)
-    assert window.panels is not None
-    imgui.text_wrapped("Drag squares: hands and feet. Diamond: the body. Rings: elbows and knees.")
-    tool.follow = imgui.checkbox("hands and feet turn along", tool.follow)[1]
-    window.panels.mark("turn along")
-    for number, limb in enumerate(LIMBS):
-        if number % 2:
-            imgui.same_line()
-        changed, on = imgui.checkbox(f"pin {limb.replace('_', ' ')}", limb in tool.session.pinned)
-        window.panels.mark(f"pin {limb.replace('_', ' ')}")
-        if changed:
-            tool.session.pin(limb, on)
+    def _keyframes(self, edit: PoseEdit) -> None:
+        """Keyframes: the present pose at the frame that the timeline shows."""
+        ui, parts, session, line = self.ui, self.parts, edit.session, self.parts.state.timeline
+        ui.action("Set keyframe", SET_KEY, parts, name="key")
+        if session.frame in dict(session.keys):
+            ui.action("Delete keyframe", DELETE_KEY, parts, name="delete key", beside=True)
+        smooth = ui.checkbox("smooth", session.state.easing == "smooth", "Start and stop softly at each keyframe.")
+        session.ease("smooth" if smooth else "linear")
+        tip = "Every change of the pose becomes a keyframe at once."
+        session.auto_key = ui.checkbox("key every change", session.auto_key, tip, beside=True)
+        seconds = ui.number("length, s", line.duration, "How long the timeline is.", name="length")
+        if seconds is not None:
+            edit.set_length(seconds)
+        for number, (frame, _) in enumerate(session.keys):
+            if number % 6:
+                imgui.same_line()
+            text = f"[{frame}]" if frame == session.frame else f"{frame}"
+            if ui.small_button(text, f"Go to the keyframe at frame {frame}.", name=f"key {frame}"):
+                edit.show_frame(frame)
+        if session.state.unkeyed:
+            imgui.text_disabled("changed here, and no keyframe yet")
 
+    def _library(self, edit: PoseEdit) -> None:
+        """Poses to take; the present pose to keep under a name."""
+        ui, library = self.ui, edit.library
 
-def keys_panel(window: "Window") -> None:
-    """Keyframes: the pose in hand at the frame that the timeline shows."""
-    tool = _tool(window)
-    session, line = tool.session, window.timeline
-    assert window.panels is not None
-    _button(window, "Key here", tool.insert_key, name="key")
-    here = session.frame in dict(session.keys)
-    if here:
-        _button(window, "Delete key", session.delete_key, name="delete key", beside=True)
-    smooth = imgui.checkbox("smooth", session.state.easing == "smooth")[1]
-    window.panels.mark("smooth")
-    session.ease("smooth" if smooth else "linear")
-    imgui.same_line()
-    session.auto_key = imgui.checkbox("key every change", session.auto_key)[1]
-    window.panels.mark("key every change")
-    changed, seconds = imgui.input_float("length, s", line.duration, 1.0, 5.0, "%.2f")
-    window.panels.mark("length")
-    if changed:
-        last = session.keys[-1][0] if session.keys else 0
-        frames = max(round(min(seconds, 3600.0) * line.rate), round((last + 1) * line.rate / session.rate), 1)
-        line.frames = frames
-        line.seek(line.frame)
-    for number, (frame, _) in enumerate(session.keys):
-        if number % 6:
-            imgui.same_line()
-        text = f"[{frame}]" if frame == session.frame else f"{frame}"
-        if imgui.small_button(f"{text}##key{frame}"):
-            line.playing = False
-            line.seek(int((frame + 0.5) * line.rate / session.rate))
-        window.panels.mark(f"key {frame}")
-    if session.unkeyed:
-        imgui.text_disabled("changed here, and no key yet")
+        def poses() -> None:
+            for name in library.names():
+                if ui.row(name, f"Take the pose {name}, set on the ground.", name=f"take {name}"):
+                    edit.tried(lambda name=name: edit.take(name))
+                    edit.name = "" if name in BUILTIN else name
 
-
-def library_panel(window: "Window") -> None:
-    """Poses to take; the pose in hand to keep under a name; files."""
-    tool = _tool(window)
-    assert window.panels is not None
-    typed = tool.typed
-    imgui.set_next_item_width(-1)
-    if imgui.begin_combo("##library", "take a pose", imgui.ComboFlags_.height_large):
-        for name in tool.library.names():
-            if imgui.selectable(f"{name}##pose", False)[0]:
-                tool.tried(partial(tool.take, name))
-                typed["name"] = "" if name in BUILTIN else name
-            window.panels.mark(f"take {name}")
-        imgui.end_combo()
-    window.panels.mark("library")
-    typed["name"] = imgui.input_text("name", typed["name"])[1]
-    window.panels.mark("name")
-    _button(window, "Keep", lambda: tool.keep(typed["name"]))
-    if typed["name"] and typed["name"] not in BUILTIN and (tool.library.folder / f"{typed['name']}.npz").is_file():
-        _button(window, "Delete", lambda: tool.library.delete(typed["name"]), name="delete pose", beside=True)
-    imgui.separator()
-    typed["file"] = imgui.input_text_with_hint("file", "name.npz", typed["file"])[1]
-    window.panels.mark("file")
-
-    def save() -> None:
-        window.say(tool.session.save(typed["file"] or free_name("selfscan-pose", ".npz")) + " written")
-
-    def load() -> None:
-        for note in tool.session.load(typed["file"]):
-            window.say(note)
-        tool.show_frame()
-
-    _button(window, "Save keys" if tool.session.keys else "Save pose", save, name="save")
-    _button(window, "Load", load, beside=True)
-
-
-POSE_PANELS = (
-    ("Pose", pose_panel),
-    ("Joint", joint_panel),
-    ("Hands", hands_panel),
-    ("Reach", reach_panel),
-    ("Keyframes", keys_panel),
-    ("Library and files", library_panel),
-)
+        ui.long_choice("library", "take a pose", "Built-in poses and your own.", poses)
+        edit.name = ui.field("name", edit.name, "The name under which the pose is kept.")
+        self._button(edit, "Keep", f"Keep the pose in {library.folder}.", lambda: edit.keep(edit.name))
+        if edit.name and edit.name not in BUILTIN and (library.folder / f"{edit.name}.npz").is_file():
+            self._button(edit, "Delete", "Delete this pose from the library.", lambda: library.delete(edit.name),
+                         name="delete pose", beside=True)  # fmt: skip

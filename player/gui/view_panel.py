@@ -1,54 +1,53 @@
 """The panel of how it is drawn: view dependence, skinning, edges, level of detail, background; screenshot and film."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
+from player.gui.widgets import Widgets
 from player.passes.view import VIEWS
 from player.scenes.effects import ANTIALIASINGS, SKINNINGS
+from player.window.actions import FILM, SCREENSHOT
+from player.window.parts import Parts
 
-if TYPE_CHECKING:
-    from player.window.window import Window
+VIEW_TIP = (
+    "How colours change with the view. off: the paper, one colour a point. vertex, linear, network: more exact and "
+    "dearer. auto: what the avatar ships with, on a software rasteriser per vertex. Key: v switches it on and off."
+)
+SKINNING_TIP = "How skin follows the bones. lbs: linear blend. dual quaternion: keeps volume where joints twist."
+EDGES_TIP = "Smooth outlines. fxaa filters them, msaa takes four samples a pixel, auto is msaa on a GPU, else fxaa."
 
 
-def view_panel(window: "Window") -> None:
+def view_panel(ui: Widgets, parts: Parts) -> None:
     """Choices that change the plan make a new renderer, so nothing that is not chosen is ever run."""
-    panels, effects = window.panels, window.effects
-    assert panels is not None
-    for name, label, known in (
-        ("view", "view", ("auto", *VIEWS)), ("skinning", "skinning", SKINNINGS),
-        ("antialiasing", "edges", ANTIALIASINGS),
+    look, effects = parts.look, parts.look.effects
+    for name, label, known, tip in (
+        ("view", "view", ("auto", *VIEWS), VIEW_TIP), ("skinning", "skinning", SKINNINGS, SKINNING_TIP),
+        ("antialiasing", "edges", ANTIALIASINGS, EDGES_TIP),
     ):  # fmt: skip
         shown = [value.replace("_", " ") for value in known]
-        changed, chosen = imgui.combo(label, known.index(getattr(effects, name)), shown)
-        panels.mark(name)
-        if changed:
-            window.draw_otherwise(effects=replace(effects, **{name: known[chosen]}))
-    if window.renderer.has_view:
-        _, window.renderer.view_amount = imgui.slider_float("amount", window.renderer.view_amount, 0.0, 1.0, "%.2f")
-        panels.mark("amount")
-    levels = max(len(avatar.levels) for avatar in window.show.avatars)
+        chosen = ui.choice(label, known.index(getattr(effects, name)), shown, tip, name=name)
+        if chosen is not None:
+            look.change(effects=replace(effects, **{name: known[chosen]}))
+    if look.renderer.has_view:
+        tip = "How much of the view dependence is shown. 0 is the paper."
+        amount = ui.slider("amount", look.renderer.view_amount, (0.0, 1.0), tip, form="%.2f")
+        look.renderer.view_amount = look.renderer.view_amount if amount is None else amount
+    levels = max(len(avatar.levels) for avatar in parts.state.avatars)
     if levels > 1:
-        names = [f"{len(level.faces)} triangles" for level in window.show.avatars[0].levels]
+        names = [f"{len(level.faces)} triangles" for level in parts.state.avatars[0].levels]
         names += [f"level {k}" for k in range(len(names), levels)]
-        changed, chosen = imgui.combo("detail", min(window.level, levels - 1), names)
-        panels.mark("detail")
-        if changed:
-            window.draw_otherwise(level=chosen)
-    background = window.background
-    if background.kind == "color":
-        changed, color = imgui.color_edit3("background", list(background.color[:3]))
-        panels.mark("background")
-        if changed:
-            window.draw_otherwise(background=replace(background, color=(*color, 1.0)))
-    if imgui.button("Screenshot"):
-        window.shoot = True
-    panels.mark("screenshot")
-    imgui.same_line()
-    if imgui.button("Stop film" if window.film else "Film"):
-        window.toggle_film()
-    panels.mark("film")
-    if window.film is not None:
+        chosen = ui.choice("detail", min(look.level, levels - 1), names, "Level of detail: fewer triangles are faster.")
+        if chosen is not None:
+            look.change(level=chosen)
+    if look.background.kind == "color":
+        color = ui.color("background", look.background.color[:3], "Colour behind the avatars; click the patch.")
+        if color is not None:
+            red, green, blue = color
+            look.change(background=replace(look.background, color=(red, green, blue, 1.0)))
+    film = parts.recorder.film
+    ui.action("Screenshot", SCREENSHOT, parts)
+    ui.action("Stop film" if film else "Film", FILM, parts, name="film", beside=True)
+    if film is not None:
         imgui.same_line()
-        imgui.text(f"{window.film.frames} frames")
+        imgui.text(f"{film.frames} frames")

@@ -1,7 +1,6 @@
-"""A posing session: the pose in hand, keyframes, undo, copy and paste, what is pinned, whether it is saved.
+"""A posing session: the present pose, keyframes, copy and paste, what is pinned.
 
-Every change replaces one immutable `State` by another; undo and redo walk along those. Changes that carry the same
-drag mark become one step, however many pixels the pointer took. Moving along the timeline and copying are no
+Every change is a step of the session's history (player/pose/history.py). Moving along the timeline and copying are no
 changes: they are not undone and do not make a session unsaved. Which joint is selected is the window's business.
 """
 
@@ -15,29 +14,17 @@ from jaxtyping import Float
 
 from avatar.motion.clip import Clip
 from avatar.rotation import axis_angle_from_matrix
-from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, RIGHT_HAND, joint_transforms
+from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from player.pose import pose_file
 from player.pose.fingers import HandShape, Side, with_curl, with_hand, with_spread
 from player.pose.gizmo import turned
+from player.pose.history import History, State
 from player.pose.ik import LIMBS, reach_for
 from player.pose.keyframes import Easing, Keys, Pose, clip_of, moved_key, pose_at, with_key, without_key
 from player.pose.limits import clamped, with_angle
 from player.pose.mirror import PARTNER, mirrored_in_place, onto_other_side
 
 Array = np.ndarray
-
-# of undo that are kept
-STEPS = 500
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """All that undo brings back."""
-
-    pose: Pose
-    keys: Keys = ()
-    easing: Easing = "linear"
-    frame: int = 0  # of the timeline
 
 
 class Pin(NamedTuple):
@@ -72,13 +59,7 @@ class PoseSession:
         self.joints = np.array(joints, np.float64)
         self.pelvis_height = pelvis_height
         self.rest = Pose(np.zeros((52, 3)) if axis_angle is None else axis_angle, root)
-        self.state = State(self.rest)
-        self.saved = self.state
-        # what was done, and the state before it
-        self.past: list[tuple[str, State]] = []
-        self.future: list[tuple[str, State]] = []
-        # mark of the drag that the last step belongs to
-        self.drag: object | None = None
+        self.history = History(State(self.rest))
         self.limited = True
         # with keys: each change of the pose is a key at once
         self.auto_key = False
@@ -87,6 +68,10 @@ class PoseSession:
         self.rate = rate
 
     # what there is
+
+    @property
+    def state(self) -> State:
+        return self.history.state
 
     @property
     def pose(self) -> Pose:
@@ -100,48 +85,11 @@ class PoseSession:
     def frame(self) -> int:
         return self.state.frame
 
-    @property
-    def unkeyed(self) -> bool:
-        """Whether there are keys and the pose in hand is not what they give at this frame."""
-        state = self.state
-        return bool(state.keys) and not pose_at(state.keys, state.frame, state.easing).same(state.pose)
-
-    @property
-    def dirty(self) -> bool:
-        """Whether there is what a file would lack: keys, easing, or a pose changed since saving or loading.
-
-        Undoing back to what was saved counts as unchanged.
-        """
-        state, saved = self.state, self.saved
-        if state.keys is not saved.keys or state.easing != saved.easing:
-            return True
-        return self.unkeyed if state.keys else state.pose is not saved.pose
-
     def world(self) -> Float[Array, "52 4 4"]:
-        """world_from_joint of the pose in hand."""
+        """world_from_joint of the present pose."""
         return joint_transforms(self.pose.axis_angle, self.joints, self.pose.root)
 
     # changing it
-
-    def change(self, label: str, state: State, drag: object | None = None) -> None:
-        """Put `state` in place of what is; steps with an equal `drag` mark (not None) are one step of undo."""
-        if drag is None or drag != self.drag:
-            if self.state is state:
-                return
-            self.past.append((label, self.state))
-            del self.past[:-STEPS]
-        self.future.clear()
-        self.drag = drag
-        self.state = state
-
-    def end_drag(self) -> None:
-        """The pointer was let go: the next change is a step of its own. A drag that led nowhere leaves no step."""
-        if self.drag is not None and self.past:
-            before = self.past[-1][1]
-            if before.pose.same(self.state.pose) and before.keys is self.state.keys:
-                self.state = before
-                self.past.pop()
-        self.drag = None
 
     def put(
         self,
@@ -177,7 +125,7 @@ class PoseSession:
         keys = self.keys
         if self.auto_key and keys:
             keys = with_key(keys, self.frame, pose)
-        self.change(label, replace(self.state, pose=pose, keys=keys), drag)
+        self.history.change(label, replace(self.state, pose=pose, keys=keys), drag)
         for limb in self.pinned:
             if not hold or LIMBS[limb].end == joint:
                 self.pin(limb, True)
@@ -295,60 +243,52 @@ class PoseSession:
 
     def undo(self) -> str | None:
         """One step back; its name, or None where there is none."""
-        return self._walk(self.past, self.future)
+        return self._pinned_again(self.history.undo())
 
     def redo(self) -> str | None:
-        return self._walk(self.future, self.past)
+        return self._pinned_again(self.history.redo())
 
-    def _walk(self, come_from: list[tuple[str, State]], leave_to: list[tuple[str, State]]) -> str | None:
-        self.end_drag()
-        if not come_from:
-            return None
-        label, state = come_from.pop()
-        leave_to.append((label, self.state))
-        self.state = state
-        # held where it is in the pose that came back
-        for limb in self.pinned:
-            self.pin(limb, True)
+    def _pinned_again(self, label: str | None) -> str | None:
+        """Held where they are in the pose that came back."""
+        if label is not None:
+            for limb in self.pinned:
+                self.pin(limb, True)
         return label
 
     # the timeline
 
     def seek(self, frame: int) -> None:
-        """Go to a frame; with keys, the pose in hand becomes the timeline's there.
+        """Go to a frame; with keys, the present pose becomes the timeline's there.
 
-        No step of undo, unless the pose in hand was changed and is no key: then undo brings it back.
+        No step of undo, unless the present pose was changed and is no key: then undo brings it back.
         """
         frame = max(int(frame), 0)
         if frame == self.frame:
             return
-        self.end_drag()
-        if self.unkeyed:
-            self.past.append(("go to frame", self.state))
-            self.future.clear()
+        self.history.end_drag()
         pose = pose_at(self.keys, frame, self.state.easing) if self.keys else self.pose
-        self.state = replace(self.state, pose=pose, frame=frame)
+        self.history.go_to("go to frame", replace(self.state, pose=pose, frame=frame))
 
     def key(self) -> None:
-        """The pose in hand becomes a key at the present frame."""
-        self.change("key", replace(self.state, keys=with_key(self.keys, self.frame, self.pose)))
+        """The present pose becomes a key at the present frame."""
+        self.history.change("key", replace(self.state, keys=with_key(self.keys, self.frame, self.pose)))
 
     def delete_key(self, frame: int | None = None) -> None:
         keys = without_key(self.keys, self.frame if frame is None else frame)
         if len(keys) != len(self.keys):
-            self.change("delete key", replace(self.state, keys=keys))
+            self.history.change("delete key", replace(self.state, keys=keys))
 
     def move_key(self, frame: int, to: int) -> None:
         keys = moved_key(self.keys, frame, max(to, 0))
         if keys is not self.keys and frame != to:
-            self.change("move key", replace(self.state, keys=keys))
+            self.history.change("move key", replace(self.state, keys=keys))
 
     def ease(self, easing: Easing) -> None:
         if easing != self.state.easing:
-            self.change("easing", replace(self.state, easing=easing))
+            self.history.change("easing", replace(self.state, easing=easing))
 
     def clip(self) -> Clip:
-        """The timeline as a clip, or the pose in hand as a clip of one frame."""
+        """The timeline as a clip, or the present pose as a clip of one frame."""
         keys = self.keys or ((0, self.pose),)
         return clip_of(keys, self.rate, self.state.easing, self.pelvis_height)
 
@@ -364,8 +304,7 @@ class PoseSession:
         else:
             pose_file.write_pose(path, self.pose, pelvis_height=self.pelvis_height, up=up)
             done = f"{path}: one pose"
-        self.end_drag()
-        self.saved = self.state
+        self.history.mark_saved()
         return done
 
     def load(self, path: Path | str) -> tuple[str, ...]:
@@ -377,31 +316,13 @@ class PoseSession:
         timeline = pose_file.read_keys(path, pelvis_height=self.pelvis_height)
         pose = timeline.keys[0][1]
         keys = timeline.keys if len(timeline.keys) > 1 else ()
-        self.end_drag()
-        self.change("load", State(pose, keys, timeline.easing))
-        self.rate, self.saved = timeline.rate, self.state
+        self.history.end_drag()
+        self.history.change("load", State(pose, keys, timeline.easing))
+        self.rate = timeline.rate
+        self.history.mark_saved()
         self.pinned.clear()
         return timeline.notes
 
     def load_pose(self, label: str, pose: Pose) -> None:
         """A pose from the library."""
         self.put(label, pose.axis_angle, pose.root, limited=False, hold=False)
-
-
-def limb_of(joint: int) -> tuple[int, ...]:
-    """The joints that are copied with one as its limb: arm with hand, leg with foot, trunk with neck and head."""
-    name = JOINTS[joint]
-    if name.startswith(("left", "right")):
-        side, part = name.split("_", 1)
-        leg = part in ("hip", "knee", "ankle", "foot")
-        return tuple(
-            k
-            for k, other in enumerate(JOINTS)
-            if other.startswith(side) and (other.split("_", 1)[1] in ("hip", "knee", "ankle", "foot")) == leg
-        )
-    return tuple(k for k, other in enumerate(JOINTS) if not other.startswith(("left", "right")) and k)
-
-
-def hand_joints(side: Side) -> tuple[int, ...]:
-    """The fingers' joints of one hand."""
-    return tuple(range(52)[LEFT_HAND if side == "left" else RIGHT_HAND])

@@ -1,98 +1,93 @@
 """The mouse over the picture: what a press takes hold of, what a drag moves, and what a click picks."""
 
-from typing import TYPE_CHECKING, Protocol
+from typing import Literal
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from player.window.window import Window
+from player.window.parts import Parts
+from player.window.pick import Picked, pick
+from player.window.pose_tool import PoseTool
+from player.window.screen import Screen
 
 # window units that a click may wander
 CLICK = 4.0
-
-
-class Tool(Protocol):
-    """Something drawn over the picture that can be dragged. Places are pixels of the framebuffer."""
-
-    def press(self, x: float, y: float) -> bool:
-        """The left button went down; True takes the drag, and the camera stays."""
-        ...
-
-    def drag(self, x: float, y: float) -> None: ...
-
-    def release(self, x: float, y: float) -> None: ...
-
-    def hover(self, x: float, y: float) -> None:
-        """The pointer moved with no button down."""
-        ...
-
-    def pick(self, x: float, y: float) -> bool:
-        """A click that moved nothing; True where the tool selected something itself."""
-        ...
-
-    def key(self, key: int, down: bool) -> bool:
-        """A key; True where the tool took it."""
-        ...
-
-    def follow_timeline(self) -> None:
-        """A frame is about to be drawn; the window's timeline stands where it will be shown."""
-        ...
-
-    def may_leave(self) -> bool:
-        """Whether the window may close; False, once, where something would be lost, which is said."""
-        ...
+Hold = Literal["nothing", "camera", "wipe", "tool"]
 
 
 class Pointer:
     """Where the pointer is, window units, and what it holds: nothing yet, the camera, the wipe's line or the tool."""
 
-    def __init__(self, window: "Window"):
-        self.window = window
+    def __init__(self, parts: Parts):
+        self.parts = parts
         self.at: tuple[float, float] = (0.0, 0.0)
         # button and where it went down
-        self.pressed: tuple[int, float, float] | None = None
-        self.holds = ""
+        self._pressed: tuple[int, float, float] | None = None
+        self._holds: Hold = "nothing"
+
+    @property
+    def _tool(self) -> PoseTool | None:
+        edit = self.parts.posing.edit
+        return None if edit is None else edit.tool
+
+    @property
+    def _screen(self) -> Screen:
+        return self.parts.state.layout.screen
 
     def move(self, x: float | int, y: float | int) -> None:
         """The pointer moved."""
-        window = self.window
+        cameras, wipe, tool = self.parts.viewpoint.cameras, self.parts.wipe, self._tool
         dx, dy = x - self.at[0], y - self.at[1]
         self.at = (float(x), float(y))
-        if self.pressed is None:
-            if window.tool is not None:
-                window.tool.hover(*window.pixel(x, y))
+        pixel = self._screen.pixel(x, y)
+        if self._pressed is None:
+            if tool is not None:
+                tool.hover(*pixel)
             return
-        button, x0, y0 = self.pressed
-        if not self.holds and np.hypot(x - x0, y - y0) > CLICK:
-            self.holds, dx, dy = "camera", x - x0, y - y0
-        if self.holds == "wipe" and window.wipe is not None:
-            window.wipe.move_to(window.pixel(x, y)[0], window.area())
-        elif self.holds == "tool" and window.tool is not None:
-            window.tool.drag(*window.pixel(x, y))
-        elif self.holds == "camera" and button == 0:
-            window.cameras.turn(dx, dy)
-        elif self.holds == "camera":
-            window.cameras.shift(dx, dy, window.size_in_units()[1])
+        button, x0, y0 = self._pressed
+        if self._holds == "nothing" and np.hypot(x - x0, y - y0) > CLICK:
+            self._holds, dx, dy = "camera", x - x0, y - y0
+        if self._holds == "wipe" and wipe is not None:
+            wipe.move_to(pixel[0], self.parts.state.layout.area)
+        elif self._holds == "tool" and tool is not None:
+            tool.drag(*pixel)
+        elif self._holds == "camera" and button == 0:
+            cameras.turn(dx, dy)
+        elif self._holds == "camera":
+            cameras.shift(dx, dy, self._screen.units[1])
 
     def press(self, button: int) -> None:
         """A button went down over the picture."""
-        window = self.window
-        self.pressed, self.holds = (button, self.at[0], self.at[1]), ""
+        self._pressed, self._holds = (button, *self.at), "nothing"
         if button != 0:
             return
-        x, y = window.pixel(*self.at)
-        if window.tool is not None and window.tool.press(x, y):
-            self.holds = "tool"
-        elif window.shows_video and window.wipe is not None and window.wipe.near(x, window):
-            self.holds = "wipe"
+        x, y = self._screen.pixel(*self.at)
+        wipe, edit = self.parts.wipe, self.parts.posing.edit
+        if edit is not None and edit.tool.press(x, y):
+            edit.pause()
+            self._holds = "tool"
+        elif wipe is not None and self.parts.viewpoint.shows_video and wipe.near(x, self.parts.state.layout):
+            self._holds = "wipe"
 
     def release(self, button: int) -> None:
         """A button was let go, wherever."""
-        if self.pressed is None or self.pressed[0] != button:
+        if self._pressed is None or self._pressed[0] != button:
             return
-        window = self.window
-        if self.holds == "tool" and window.tool is not None:
-            window.tool.release(*window.pixel(*self.at))
-        elif not self.holds and button == 0:
-            window.pick_at(*window.pixel(*self.at))
-        self.pressed, self.holds = None, ""
+        pixel, tool = self._screen.pixel(*self.at), self._tool
+        if self._holds == "tool" and tool is not None:
+            tool.release(*pixel)
+        elif self._holds == "nothing" and button == 0:
+            self.pick(*pixel)
+        self._pressed, self._holds = None, "nothing"
+
+    def pick(self, x: float | int, y: float | int) -> Picked | None:
+        """Select the avatar and joint under a pixel; beside them the joint is let go."""
+        state, tool = self.parts.state, self._tool
+        if state.last.camera is None or (tool is not None and tool.pick(x, y)):
+            return None
+        levels = [avatar.level(self.parts.look.level) for avatar in state.avatars]
+        found = pick(state.avatars, levels, state.last.poses, state.last.camera, (x, y))
+        if found is None:
+            state.selection.joint = None
+        else:
+            state.selection.choose(found.avatar, found.joint)
+        return found

@@ -70,18 +70,18 @@ def _steps(word: str) -> list[Step]:
     if name == "move":
         return [lambda window: window.on_pointer(*numbers)]
     if name == "scrub":
-        return [lambda window: window.timeline.scrub(numbers[0])]
+        return [lambda window: window.parts.state.timeline.scrub(numbers[0])]
     if name == "turn":
-        return [lambda window: window.cameras.turn(*numbers)]
+        return [lambda window: window.parts.viewpoint.cameras.turn(*numbers)]
     if name == "near":
-        return [lambda window: window.cameras.approach(numbers[0])]
+        return [lambda window: window.parts.viewpoint.cameras.approach(numbers[0])]
     if name == "wheel":
         return [lambda window: window.on_wheel(numbers[0])]
-    return [lambda window: glfw.set_window_size(window.handle, int(numbers[0]), int(numbers[1]))]
+    return [lambda window: glfw.set_window_size(window.screen.handle, int(numbers[0]), int(numbers[1]))]
 
 
 def _wait_for_pose(window: "Window") -> None:
-    for live, _ in window.playback.live:
+    for live, _ in window.parts.state.playback.live:
         live.wait_for_pose()
 
 

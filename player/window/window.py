@@ -1,56 +1,64 @@
-"""The window: one frame after the other, and what its keys and panels ask for.
+"""The window: its parts put together, one frame after the other.
 
-What is shown is a `Show` (player/window/show.py); time is player/window/timeline.py, cameras player/cameras.py,
-keys
-player/window/keys.py, the mouse player/window/pointer.py, panels player/gui/. The same code runs without a display:
-glfw's null platform with OSMesa, driven by a script (player/window/script.py) that calls what glfw calls.
+What is shown is a `Show` (player/window/show.py). The parts that keys, mouse and panels change are
+player/window/parts.py, each in a file of its own; what keys do is the table of player/window/actions.py. Panels
+(player/gui/) are given to the window, which knows of them only what `PanelLayer` says. The same code runs without a
+display: glfw's null platform with OSMesa, driven by a script (player/window/script.py) that calls what glfw calls.
 """
 
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Protocol
 
 import glfw
-import numpy as np
-from jaxtyping import UInt8
+import moderngl
 
-from avatar.camera import Camera
-from avatar.errors import AssetError
-from avatar.skeleton import JOINTS
-from player.cameras import WALK, moved_into
-from player.context import Context
-from player.passes.background import Background
-from player.renderer import Pose, Renderer
-from player.scenes.effects import Effects
+from player.cameras import moved_into
 from player.stop import Stop
-from player.window.glfw_window import ScreenReader, open_window, window_context
-from player.window.keys import ACTIONS, HELP, HELP_LIVE, HELP_WALK, WALKING
-from player.window.overlay import TextLine
-from player.window.pick import Picked, pick
+from player.window.actions import GROUPS
+from player.window.keyboard import Keyboard
+from player.window.look import Look
+from player.window.parts import Parts
 from player.window.picture import PictureLayer
-from player.window.pointer import Pointer, Tool
-from player.window.recorder import Recorder, free_name, save_picture
+from player.window.pointer import Pointer
+from player.window.posing import Posing
+from player.window.recorder import Recorder, save_picture
+from player.window.screen import Screen
 from player.window.script import RATE, steps
 from player.window.show import Show
-from player.window.timeline import LONGEST_STEP, Timeline
+from player.window.state import LastFrame, Layout, Messages, Selection, WindowState
+from player.window.text import TextPlate
+from player.window.timeline import LONGEST_STEP
+from player.window.viewpoint import Viewpoint
 from player.window.wipe import Wipe
 
-if TYPE_CHECKING:
-    from player.gui.panels import Panels
-    from player.pose.session import PoseSession
-
-# left, top, width, height, pixels of the framebuffer
-Area = tuple[int, int, int, int]
-NOTED = 5.0  # seconds that a message stays
+Clock = Callable[[], float]
 
 
-class Selection(NamedTuple):
-    """The avatar that panels are about, and its joint that was clicked."""
+class PanelLayer(Protocol):
+    """Panels over and round the picture. Events answer whether a panel took them."""
 
-    avatar: int = 0
-    joint: int | None = None
+    @property
+    def places(self) -> Mapping[str, tuple[float, float]]:
+        """Middle of each named widget of the last frame, window units."""
+        ...
+
+    def on_key(self, key: int, down: bool) -> bool: ...
+
+    def on_text(self, letter: int) -> None: ...
+
+    def on_wheel(self, clicks: float | int, over_picture: bool) -> bool: ...
+
+    def on_pointer(self, x: float | int, y: float | int) -> None: ...
+
+    def on_button(self, button: int, down: bool, over_picture: bool) -> bool: ...
+
+    def draw(self, screen: moderngl.Framebuffer) -> None:
+        """Draw the panels that there is room for, and tell the layout whether there were any."""
+        ...
+
+    def release(self) -> None: ...
 
 
 class Window:
@@ -62,73 +70,48 @@ class Window:
         *,
         size: tuple[int, int],
         null: bool = False,
-        gui: bool = True,
-        clock: Callable[[], float] = time.perf_counter,
+        panels: Callable[[Parts], PanelLayer] | None = None,
+        clock: Clock = time.perf_counter,
     ):
-        self.show, self.playback, self.cameras, self.clock = show, show.playback, show.cameras, clock
-        self.handle = open_window(size, null)
-        self.context: Context = window_context(self.handle, null)
-        self.effects, self.background, self.level = show.effects, show.background, 0
-        self.renderer = self.new_renderer(show.effects, show.background, 0)
-        self.wipe = Wipe(self.context, show.capture) if show.capture else None
-        self.text, self.screen_reader = TextLine(self.context), ScreenReader(self.context)
-        self.backdrop = PictureLayer(self.context)
-        # posing by hand: the avatar `posed` has the session's pose, in the world, instead of its motion's
-        self.pose_session: PoseSession | None = None
-        self.posed = 0
-        self.panels: Panels | None = open_panels(self.context, self.handle) if gui else None
-        self.show.fit_orbit(self.area()[2:])
-        self.pointer, self.held = Pointer(self), set[int]()
-        # what keys and panels change
-        self.selection = Selection()
-        self.follow, self.help, self.shoot, self.closing = show.follow, False, False, False
-        self.film: Recorder | None = None
-        # takes drags over the picture before the camera does
-        self.tool: Tool | None = None
-        self.message, self.message_until = "", 0.0
-        # the last frame
-        self.drawn_size = (0, 0)
-        self.poses: list[Pose] = self.playback.poses()
-        self.start = self.poses[0][1]
-        self.camera: Camera | None = None
-        self.image: UInt8[np.ndarray, "height width 4"] | None = None
-        self.frame_times: deque[float] = deque(maxlen=120)  # seconds, of whole frames
-        self.last_tick = clock()
-        glfw.set_key_callback(self.handle, lambda _w, key, _s, action, _m: self.on_key(key, bool(action)))
-        glfw.set_char_callback(self.handle, lambda _w, letter: self.on_text(letter))
-        glfw.set_scroll_callback(self.handle, lambda _w, _dx, dy: self.on_wheel(dy))
-        glfw.set_cursor_pos_callback(self.handle, lambda _w, x, y: self.on_pointer(x, y))
-        glfw.set_mouse_button_callback(self.handle, lambda _w, button, action, _m: self.on_button(button, bool(action)))
+        self.clock, self.screen = clock, Screen(size, null=null)
+        self.parts = _parts(show, self.screen, clock)
+        self.keyboard, self.pointer = Keyboard(self.parts), Pointer(self.parts)
+        context = self.screen.context
+        self.status_line, self.key_list, self.backdrop = TextPlate(context), TextPlate(context), PictureLayer(context)
+        self.panels = panels(self.parts) if panels is not None else None
+        show.fit_orbit(self.parts.state.layout.area[2:])
+        self._last_tick = clock()
+        self._connect()
 
-    @property
-    def timeline(self) -> Timeline:
-        return self.playback.timeline
+    def _connect(self) -> None:
+        """glfw calls what a script calls."""
+        handle = self.screen.handle
+        glfw.set_key_callback(handle, lambda _w, key, _s, action, _m: self.on_key(key, bool(action)))
+        glfw.set_char_callback(handle, lambda _w, letter: self.on_text(letter))
+        glfw.set_scroll_callback(handle, lambda _w, _dx, dy: self.on_wheel(dy))
+        glfw.set_cursor_pos_callback(handle, lambda _w, x, y: self.on_pointer(x, y))
+        glfw.set_mouse_button_callback(handle, lambda _w, button, action, _m: self.on_button(button, bool(action)))
+        glfw.set_window_close_callback(
+            handle, lambda handle: glfw.set_window_should_close(handle, self.parts.posing.may_leave())
+        )
 
     # -- events; a script calls the same
 
     def on_key(self, key: int, down: bool) -> None:
         """A key went down (or repeats), or up."""
-        if self.tool is not None and not down:
-            # also when it was let go over a panel's text field
-            self.tool.key(key, False)
-        if self.panels is not None and self.panels.on_key(key, down):
-            return
-        if self.tool is not None and down and self.tool.key(key, True):
-            return
         if not down:
-            self.held.discard(key)
-        elif self.cameras.kind == "walk" and key in WALKING:
-            self.held.add(key)
-        elif key in ACTIONS:
-            ACTIONS[key](self)
+            self.keyboard.release(key)
+        taken = self.panels is not None and self.panels.on_key(key, down)
+        if down and not taken:
+            self.keyboard.press(key)
 
     def on_text(self, letter: int) -> None:
         if self.panels is not None:
             self.panels.on_text(letter)
 
     def on_wheel(self, clicks: float | int) -> None:
-        if self.panels is None or not self.panels.on_wheel(clicks, self.over_picture()):
-            self.cameras.approach(clicks)
+        if self.panels is None or not self.panels.on_wheel(clicks, self._over_picture()):
+            self.parts.viewpoint.cameras.approach(clicks)
 
     def on_pointer(self, x: float | int, y: float | int) -> None:
         """The pointer moved, window units."""
@@ -138,231 +121,84 @@ class Window:
 
     def on_button(self, button: int, down: bool) -> None:
         """A mouse button went down or up where the pointer is. On a minimised window there is nothing to press."""
-        if down and 0 in glfw.get_framebuffer_size(self.handle):
+        if down and 0 in self.screen.size:
             return
-        taken = self.panels is not None and self.panels.on_button(button, down, self.over_picture())
+        taken = self.panels is not None and self.panels.on_button(button, down, self._over_picture())
         if not down:
             self.pointer.release(button)
         elif not taken:
             self.pointer.press(button)
 
-    # -- what keys and panels ask for
-
-    def say(self, message: str) -> None:
-        """Print a message, and show it for some seconds."""
-        print(message)
-        self.message, self.message_until = message, self.clock() + NOTED
-
-    def pick_at(self, x: float | int, y: float | int) -> Picked | None:
-        """Select the avatar and joint under a pixel; beside them the joint is let go."""
-        if self.camera is None or (self.tool is not None and self.tool.pick(x, y)):
-            return None
-        levels = [avatar.level(self.level) for avatar in self.show.avatars]
-        found = pick(self.show.avatars, levels, self.poses, self.camera, (x, y))
-        self.selection = Selection(found.avatar, found.joint) if found else self.selection._replace(joint=None)
-        return found
-
-    def select(self, avatar: int, joint: int | None = None) -> None:
-        self.selection = Selection(avatar % len(self.show.avatars), joint)
-
-    def add_key(self) -> None:
-        """Record the camera of now as a key of the path."""
-        self.cameras.add_key(self.timeline.seconds, self.area_camera())
-        count = len(self.cameras.keys)
-        self.say(f"camera key {count} at {self.timeline.seconds:.2f} s; j saves the path")
-
-    def save_path(self) -> None:
-        if not self.cameras.keys or self.cameras.path is None:
-            self.say("no camera keys yet: k records one")
-            return
-        name = free_name("selfscan-path", ".json")
-        self.cameras.path.write(name)
-        self.say(f"{name} written: {len(self.cameras.keys)} keys")
-
-    def toggle_film(self) -> None:
-        """Start a film, or write the one that runs."""
-        if self.film is not None:
-            film, self.film = self.film, None
-            self.say(film.close())
-            return
-        rate = 30.0 if self.playback.live else self.timeline.rate
-        self.film = Recorder(free_name("selfscan", ".mp4"), rate, live=bool(self.playback.live))
-        self.say(f"filming {self.film.path}; o ends it")
-
-    def draw_otherwise(
-        self,
-        *,
-        effects: Effects | None = None,
-        background: Background | None = None,
-        level: int | None = None,
-    ) -> None:
-        """Draw with other effects, background or level of detail; where that cannot be,
-        it is said and nothing changes.
-        """
-        effects, background = effects or self.effects, background or self.background
-        try:
-            if level is not None and level != self.level:
-                new = self.new_renderer(effects, background, level)
-                new.view_amount = self.renderer.view_amount
-                self.renderer.release()
-                self.renderer, self.level = new, level
-            else:
-                self.renderer.change(effects=effects, background=self.behind(background))
-        except (ValueError, AssetError) as error:
-            self.say(str(error))
-            return
-        self.effects, self.background = effects, background
-
-    def new_renderer(self, effects: Effects, background: Background, level: int) -> Renderer:
-        return Renderer(
-            self.context,
-            self.show.avatars,
-            None,
-            effects=effects,
-            background=self.behind(background),
-            level=level,
-        )
-
-    def behind(self, background: Background) -> Background:
-        """What the renderer draws first. Where a capture's video may lie behind, the background comes last,
-        under all.
-        """
-        return background if self.show.capture is None else Background("transparent")
-
-    # -- places
-
-    def size_in_units(self) -> tuple[int, int]:
-        """The window as the pointer counts it; on screens of high density a unit is several pixels."""
-        return glfw.get_window_size(self.handle)
-
-    def pixel(self, x: float | int, y: float | int) -> tuple[float, float]:
-        """Window units as pixels of the framebuffer."""
-        wide, high = self.size_in_units()
-        across, down = glfw.get_framebuffer_size(self.handle)
-        return x * across / max(wide, 1), y * down / max(high, 1)
-
-    def area(self) -> Area:
-        """Where the picture is free of panels."""
-        size = glfw.get_framebuffer_size(self.handle)
-        return (0, 0, *size) if self.panels is None else self.panels.area(self, size)
-
-    def over_picture(self) -> bool:
-        """Whether the pointer is where the picture is free of panels."""
-        x, y = self.pixel(*self.pointer.at)
-        left, top, width, height = self.area()
-        return left <= x < left + width and top <= y < top + height
-
-    def area_camera(self) -> Camera:
-        """What is looked through now, for the free area."""
-        _, _, width, height = self.area()
-        along = (self.poses[0][1] - self.start) * [1.0, 0.0, 1.0] if self.follow else None
-        size = (max(width, 1), max(height, 1))
-        return self.cameras.camera(size, self.timeline.seconds, self.video_frame(), along)
-
-    def video_frame(self) -> int:
-        """The frame of the capture's video that belongs to now."""
-        capture = self.show.capture
-        if capture is None:
-            return 0
-        return min(int(self.timeline.seconds * capture.rate + 1e-6), len(capture.images) - 1)
-
-    @property
-    def shows_video(self) -> bool:
-        return self.wipe is not None and self.cameras.kind == "capture"
+    def _over_picture(self) -> bool:
+        return self.parts.state.layout.holds(*self.pointer.at)
 
     # -- one frame
 
     def advance(self, dt: float) -> None:
         """Let time pass for everything. A stall counts as LONGEST_STEP; a clock going backwards stands still."""
-        if self.film is not None and self.film.step is not None:
-            dt = self.film.step
-        dt = min(max(dt, 0.0), LONGEST_STEP)
-        self.playback.advance(dt)
-        self.cameras.advance(dt)
-        for key in self.held & WALKING.keys():
-            self.cameras.walk.go(*(WALK * dt * way for way in WALKING[key]))
-
-    def shown_poses(self) -> list[Pose]:
-        """The poses of now; the avatar that is posed by hand has its hand-made one."""
-        if self.tool is not None:
-            self.tool.follow_timeline()
-        poses = self.playback.poses()
-        if self.pose_session is not None:
-            pose = self.pose_session.pose
-            poses[self.posed] = (pose.axis_angle, pose.root)
-        return poses
+        step = self.parts.recorder.step
+        dt = min(max(dt if step is None else step, 0.0), LONGEST_STEP)
+        self.parts.state.playback.advance(dt)
+        self.parts.viewpoint.cameras.advance(dt)
+        self.keyboard.advance(dt)
 
     def draw(self, *, keep: bool = False) -> None:
-        """One frame. A minimised window (0 x 0) is not drawn."""
-        size = glfw.get_framebuffer_size(self.handle)
+        """One frame; `keep` reads it back. A minimised window (0 x 0) is not drawn."""
+        size = self.screen.size
         if not (size[0] and size[1]):
             return
-        # OSMesa takes the window's memory when it is made current
-        if size != self.drawn_size:
-            glfw.make_context_current(self.handle)
-            self.drawn_size = size
-        screen = self.context.screen()
-        self.poses = self.shown_poses()
-        area = self.area()
-        self.camera = moved_into(self.area_camera(), area, size)
-        self.renderer.draw_into(screen, self.poses, self.camera, seconds=self.timeline.seconds)
-        if self.wipe is not None:
-            screen.use()
-            if self.shows_video:
-                self.wipe.draw(self.video_frame(), area, size, self.background.color[:3])
-            self.backdrop.fill(self.background.color[:3], (0, 0, *size), size, under=True)
-        if self.shoot or self.film is not None:
-            self.take(self.screen_reader.read(area, size))
+        parts, last = self.parts, self.parts.state.last
+        screen = self.screen.begin()
+        last.poses = parts.posing.poses()
+        self._draw_picture(screen)
+        if parts.recorder.wants_picture:
+            parts.recorder.take(self.screen.read(parts.state.layout.area))
         screen.use()
         if self.panels is not None:
-            self.panels.draw(self, screen, size)
-        if self.panels is None or not self.panels.drawn:
-            self.text.draw(self.line(), size)
+            self.panels.draw(screen)
+        self._draw_text(size)
         if keep:
-            self.image = self.screen_reader.read((0, 0, *size), size)
-        glfw.swap_buffers(self.handle)
-        self.playback.drawn()
+            last.image = self.screen.read((0, 0, *size))
+        glfw.swap_buffers(self.screen.handle)
+        parts.state.playback.drawn()
         now = self.clock()
-        self.frame_times.append(max(now - self.last_tick, 0.0))
-        self.last_tick = now
+        last.times.append(max(now - self._last_tick, 0.0))
+        self._last_tick = now
 
-    def take(self, image: UInt8[np.ndarray, "height width 4"]) -> None:
-        """A screenshot and the film, of what is drawn so far."""
-        if self.film is not None and not self.film.add(image, self.clock()):
-            self.toggle_film()
-            self.say("the picture has another size now: the film ends here")
-        if self.shoot:
-            self.shoot = False
-            name = free_name("selfscan", ".png")
-            save_picture(name, image)
-            self.say(f"{name} written")
+    def _draw_picture(self, screen: moderngl.Framebuffer) -> None:
+        """The avatars, and the source video where there is one."""
+        parts, size = self.parts, self.screen.size
+        area, viewpoint, look = parts.state.layout.area, parts.viewpoint, parts.look
+        camera = parts.state.last.camera = moved_into(viewpoint.camera(), area, size)
+        look.renderer.draw_into(screen, parts.state.last.poses, camera, seconds=parts.state.timeline.seconds)
+        if parts.wipe is not None:
+            screen.use()
+            around = look.background.color[:3]
+            if viewpoint.shows_video:
+                parts.wipe.draw(viewpoint.video_frame, area, size, around)
+            self.backdrop.fill(around, (0, 0, *size), size, under=True)
 
-    @property
-    def frames_per_second(self) -> float:
-        spent = sum(self.frame_times)
-        return len(self.frame_times) / spent if spent > 0 else 0.0
+    def _draw_text(self, size: tuple[int, int]) -> None:
+        """The line of text where there are no panels, and the list of keys."""
+        layout, letter = self.parts.state.layout, self.screen.letter
+        if not layout.panels_drawn:
+            self.status_line.line(self.status(), size, letter)
+        if layout.help_on:
+            self.key_list.keys([group for group in GROUPS if group.when(self.parts)], size, letter)
 
-    def line(self) -> str:
-        """The line of text: a message, the keys, or frames per second, where the playback is, view and selection."""
-        if self.clock() < self.message_until:
-            return self.message
-        if self.help:
-            return HELP_WALK if self.cameras.kind == "walk" else HELP_LIVE if self.playback.live else HELP
-        view = f"view {'on' if self.renderer.view_amount else 'off'}" if self.renderer.has_view else "paper mode"
-        parts = [f"{self.frames_per_second:.0f} fps", self.playback.status(), view]
-        if self.cameras.kind != "orbit":
-            parts.append(self.cameras.kind)
-        if self.film is not None:
-            parts.append(f"filming {self.film.frames}")
-        if self.selection != Selection():
-            parts.append(self.selected())
-        return "  ".join([*parts, "h: keys"])
-
-    def selected(self) -> str:
-        """The name of what is selected."""
-        avatar, joint = self.selection
-        name = self.show.names[avatar]
-        return name if joint is None else f"{name}: {JOINTS[joint]}"
+    def status(self) -> str:
+        """The line of text: a message, or frames per second, where the playback is, view and selection."""
+        parts, state = self.parts, self.parts.state
+        if state.messages.shown:
+            return state.messages.shown
+        words = [f"{state.last.rate:.0f} fps", state.playback.status(), parts.look.status]
+        if parts.viewpoint.cameras.kind != "orbit":
+            words.append(parts.viewpoint.cameras.kind)
+        if parts.recorder.film is not None:
+            words.append(f"filming {parts.recorder.film.frames}")
+        if state.selection.any:
+            words.append(state.selection.name)
+        return "    ".join([*words, "h: keys"])
 
     # -- the loop
 
@@ -371,7 +207,7 @@ class Window:
         waiting = None if script is None else steps(script)
         last = self.clock()
         with Stop() as stop:
-            while not (self.closing or glfw.window_should_close(self.handle)):
+            while not (self.parts.closing or glfw.window_should_close(self.screen.handle)):
                 stop.check()
                 if waiting is not None:
                     if not waiting:
@@ -386,32 +222,46 @@ class Window:
                     last = now
                 self.draw(keep=keep)
                 glfw.poll_events()
-                if waiting is None and 0 in glfw.get_framebuffer_size(self.handle):
+                if waiting is None and 0 in self.screen.size:
                     glfw.wait_events_timeout(0.1)
 
     def close(self) -> None:
         """Write what is being filmed, free everything and close the window."""
+        parts = self.parts
         try:
-            if self.film is not None:
-                self.toggle_film()
+            parts.recorder.close()
         finally:
-            self.playback.close()
-            for thing in (self.panels, self.wipe, self.backdrop, self.text, self.renderer, self.context):
+            parts.state.playback.close()
+            for thing in (
+                self.panels, parts.wipe, self.backdrop, self.status_line, self.key_list, parts.look.renderer,
+            ):  # fmt: skip
                 if thing is not None:
                     thing.release()
-            glfw.destroy_window(self.handle)
-            glfw.terminate()
+            self.screen.close()
 
 
-def open_panels(context: Context, handle: Any) -> "Panels | None":
-    """The panels, or None where imgui-bundle is not installed: then there are the keys and the line of text."""
-    try:
-        from player.gui.panels import Panels
-    except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] != "imgui_bundle":
-            raise
-        return None
-    return Panels(context, handle)
+def _parts(show: Show, screen: Screen, clock: Clock) -> Parts:
+    """The parts for a show, as it was opened."""
+    messages, capture = Messages(clock), show.capture
+    state = WindowState(
+        avatars=show.avatars,
+        playback=show.playback,
+        selection=Selection(show.names),
+        layout=Layout(screen),
+        last=LastFrame(show.playback.poses()),
+        messages=messages,
+    )
+    return Parts(
+        state=state,
+        viewpoint=Viewpoint(state, show.cameras, capture=capture, follow=show.follow),
+        look=Look(
+            screen.context, show.avatars, show.effects, show.background, over_video=capture is not None,
+            messages=messages,
+        ),
+        posing=Posing(state),
+        recorder=Recorder(state, clock),
+        wipe=Wipe(screen.context, capture) if capture is not None else None,
+    )  # fmt: skip
 
 
 def play(
@@ -419,7 +269,7 @@ def play(
     *,
     size: tuple[int, int],
     null: bool,
-    gui: bool,
+    panels: Callable[[Parts], PanelLayer] | None,
     script: Sequence[str] | None,
     screenshot: str | None,
 ) -> int:
@@ -427,18 +277,19 @@ def play(
     if script is not None:
         steps(script)
     try:
-        window = Window(show, size=size, null=null, gui=gui)
+        window = Window(show, size=size, null=null, panels=panels)
     except BaseException:
         show.playback.close()
         # with the window, where there is one already
         glfw.terminate()
         raise
     try:
-        print(window.context.attempts[-1])
+        print(window.screen.context.attempts[-1])
         glfw.swap_interval(0 if script is not None else 1)
         window.run(script, keep=screenshot is not None)
-        if screenshot is not None and window.image is not None:
-            save_picture(Path(screenshot), window.image)
+        image = window.parts.state.last.image
+        if screenshot is not None and image is not None:
+            save_picture(Path(screenshot), image)
             print(f"{screenshot} written")
     finally:
         window.close()

@@ -1,16 +1,12 @@
 """The source video of a capture in the window: behind the avatar, and over it on one side of a movable line."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from player.cameras import inner_box
 from player.capture_view import CaptureView
 from player.context import Context
 from player.window.picture import Box, PictureLayer
-
-if TYPE_CHECKING:
-    from player.window.window import Window
+from player.window.state import Layout
 
 LINE = (1.0, 0.8, 0.2)
 # window units beside the line where it can be grabbed
@@ -42,9 +38,9 @@ class Wipe:
         left, _, width, _ = self.box(area)
         return left + self.part * width
 
-    def near(self, x: float | int, window: "Window") -> bool:
+    def near(self, x: float | int, layout: Layout) -> bool:
         """Whether pixel x is so near the line that it can be grabbed there."""
-        return abs(x - self.line(window.area())) < window.pixel(REACH, 0)[0]
+        return abs(x - self.line(layout.area)) < REACH * layout.screen.scale
 
     def move_to(self, x: float | int, area: tuple[int, int, int, int]) -> None:
         """Put the line at pixel x."""

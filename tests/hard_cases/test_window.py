@@ -8,9 +8,8 @@ from tiny_avatar import tiny_avatar
 from player.context import NoContextError, open_context
 from player.scenes.scene import Scene, SceneAvatar
 from player.track import Track
-from player.window.playback import Playback
 from player.window.show import opened_show
-from player.window.timeline import LONGEST_STEP
+from player.window.timeline import LONGEST_STEP, Timeline
 from player.window.window import Window
 
 MONTH = 30 * 86400.0
@@ -34,41 +33,43 @@ def window(request):
         pytest.skip(str(error))
     if request.param == "panels":
         pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
-    avatar = tiny_avatar()
-    show = opened_show(Scene((SceneAvatar("tiny.glb", "counting"),)), [avatar])
-    window = Window(show, size=(700, 400), null=True, gui=request.param == "panels", clock=Clock(MONTH))
+        from player.gui.panels import Panels
+    show = opened_show(Scene((SceneAvatar("tiny.glb", "counting"),)), [tiny_avatar()])
+    panels = Panels if request.param == "panels" else None
+    window = Window(show, size=(700, 400), null=True, panels=panels, clock=Clock(MONTH))
     try:
         window.run(["space", "home", "wait"], keep=True)
         yield window
-        assert window.context.gl.error == "GL_NO_ERROR"
+        assert window.screen.context.gl.error == "GL_NO_ERROR"
     finally:
         window.close()
 
 
 def same_picture(window, image):
     """Whether the last frame is `image`, but for the corner and the line that tell the frame rate."""
-    left, top, width, height = window.area()
+    left, top, width, height = window.parts.state.layout.area
     part = slice(top + 60, top + height - 30), slice(left, left + width)
-    return window.image.shape == image.shape and np.array_equal(window.image[part], image[part])
+    shown = window.parts.state.last.image
+    return shown.shape == image.shape and np.array_equal(shown[part], image[part])
 
 
 def test_a_window_minimised_to_nothing_draws_nothing_and_comes_back(window, monkeypatch):
-    before, real = window.image, glfw.get_framebuffer_size
+    before, real = window.parts.state.last.image, glfw.get_framebuffer_size
     monkeypatch.setattr(glfw, "get_framebuffer_size", lambda handle: (0, 0))
-    calls = dict(window.context.counts.calls)
+    calls = dict(window.screen.context.counts.calls)
     window.run("wait click:100:100 drag:300:100:320:120 near:1 c c c r g g s o o v v wait".split(), keep=True)
-    assert dict(window.context.counts.calls) == calls
-    window.shoot = False
+    assert dict(window.screen.context.counts.calls) == calls
+    window.parts.recorder.shoot(on=False)
     monkeypatch.setattr(glfw, "get_framebuffer_size", real)
     window.run(["r", "wait"], keep=True)
     assert same_picture(window, before)
 
 
 def test_windows_of_a_pixel_and_of_a_long_line_are_drawn(window):
-    before = window.image
+    before = window.parts.state.last.image
     for size in ((1, 1), (3000, 1), (1, 2000), (37, 51)):
         window.run([f"size:{size[0]}:{size[1]}", "wait", "click:0:0", "wait"], keep=True)
-        assert window.image.shape == (size[1], size[0], 4)
+        assert window.parts.state.last.image.shape == (size[1], size[0], 4)
     window.run(["size:700:400", "r", "wait"], keep=True)
     assert same_picture(window, before)
 
@@ -79,12 +80,12 @@ def test_after_30_days_with_a_stall_and_a_clock_set_back_time_goes_on_evenly(win
 
     def drawn(**options):
         draw(**options)
-        seconds.append(window.timeline.seconds)
+        seconds.append(window.parts.state.timeline.seconds)
         clock.now += jumps.get(len(seconds), 1 / 60)
-        window.closing = len(seconds) == 50
+        window.parts.closing = len(seconds) == 50
 
     window.draw = drawn
-    window.timeline.playing = True
+    window.parts.state.timeline.playing = True
     window.run()
     assert len(seconds) == 50
     steps = np.diff(seconds)
@@ -92,7 +93,7 @@ def test_after_30_days_with_a_stall_and_a_clock_set_back_time_goes_on_evenly(win
         assert steps[frame - 1] == pytest.approx(LONGEST_STEP if jump > 0 else 0.0, abs=1e-9)
     usual = np.delete(steps, [frame - 1 for frame in jumps])
     within(np.abs(usual - 1 / 60).max(), 1e-9, "s")
-    assert np.isfinite(window.frames_per_second)
+    assert np.isfinite(window.parts.state.last.rate)
 
 
 def test_a_motion_of_30_days_is_stepped_and_scrubbed_frame_by_frame(window):
@@ -105,12 +106,14 @@ def test_a_motion_of_30_days_is_stepped_and_scrubbed_frame_by_frame(window):
         return Clip(np.zeros((stop - start, 52, 3)), root, 30.0)
 
     frames = int(MONTH) * 30
-    window.playback.close()
-    window.playback = Playback([Track(clip, frames, 30.0)])
-    window.timeline.playing = False
+    playback = window.parts.state.playback
+    playback.close()
+    playback.tracks.append(Track(clip, frames, 30.0))
+    playback.timeline = Timeline(frames, 30.0)
+    playback.timeline.playing = False
     for second in (0.0, 12_345.6, MONTH / 2, MONTH - 1.0):
         window.run([f"scrub:{second}", ".", ".", ","])
-        assert window.poses[0][1][0] == int(second * 30 + 1e-6) + 1
+        assert window.parts.state.last.poses[0][1][0] == int(second * 30 + 1e-6) + 1
     window.run(["end"])
-    assert window.poses[0][1][0] == frames - 1
-    assert sum(len(block.root) for _, block in window.playback.tracks[0]._blocks) <= 512
+    assert window.parts.state.last.poses[0][1][0] == frames - 1
+    assert sum(len(block.root) for _, block in window.parts.state.playback.tracks[0]._blocks) <= 512

@@ -9,6 +9,7 @@ import glfw  # before imgui_bundle
 from imgui_bundle import imgui
 
 from player.gui.draw import DrawLists
+from player.gui.panels import Panels
 from player.passes.background import Background
 from player.play_command import play_parser, scene_of
 from player.window.show import opened_show, read_avatars
@@ -22,29 +23,29 @@ def window(osmesa, avatar_path, tmp_path, monkeypatch):
     """A window with panels, paused at its first frame."""
     monkeypatch.chdir(tmp_path)
     scene = scene_of(play_parser().parse_args([avatar_path]))
-    window = Window(opened_show(scene, read_avatars(scene)), size=SIZE, null=True)
+    window = Window(opened_show(scene, read_avatars(scene)), size=SIZE, null=True, panels=Panels)
     try:
         run(window, "space home wait")
         yield window
-        assert window.context.gl.error == "GL_NO_ERROR"
+        assert window.screen.context.gl.error == "GL_NO_ERROR"
     finally:
         window.close()
-    assert window.context.released
+    assert window.screen.context.released
 
 
 def run(window, script):
     window.run(script.split(), keep=True)
-    return window.image[..., :3].astype(int)
+    return window.parts.state.last.image[..., :3].astype(int)
 
 
 def picture(window, image):
-    left, top, width, height = window.area()
+    left, top, width, height = window.parts.state.layout.area
     return image[top : top + height, left : left + width]
 
 
 def test_panels_stand_around_the_picture_and_g_hides_them(window):
     with_panels = run(window, "wait")
-    left, top, width, height = window.area()
+    left, top, width, height = window.parts.state.layout.area
     assert left > 200 and width > 400 and height > 400
     assert {"play", "scrub", "avatar 0", "camera", "view", "screenshot"} <= window.panels.places.keys()
     assert "T-pose" not in window.panels.places  # nothing live
@@ -54,7 +55,7 @@ def test_panels_stand_around_the_picture_and_g_hides_them(window):
     rows, columns = figure[40:].nonzero()
     assert columns.min() > 5 and columns.max() < width - 5  # the avatar is in the free part
     without = run(window, "g wait")
-    assert window.area() == (0, 0, *SIZE)
+    assert window.parts.state.layout.area == (0, 0, *SIZE)
     assert (without[: SIZE[1] - 40, :200] == without[0, 0]).all()
     assert np.array_equal(picture(window, run(window, "g wait"))[40:], picture(window, with_panels)[40:])
 
@@ -67,7 +68,7 @@ def test_the_picture_is_the_same_before_and_after_panels_were_drawn(window):
 
 
 def test_widgets_do_what_their_keys_do(window):
-    line = window.timeline
+    line = window.parts.state.timeline
     run(window, "press:on press:on")
     assert line.frame == 2 and not line.playing
     run(window, "press:play")
@@ -83,36 +84,38 @@ def test_widgets_do_what_their_keys_do(window):
 def test_scrubbing_by_dragging_the_long_slider(window):
     x, y = window.panels.places["scrub"]
     run(window, f"drag:{x - 200}:{y}:{x}:{y}")
-    middle = window.timeline.frame
-    assert abs(middle - window.timeline.frames / 2) < 5
+    middle = window.parts.state.timeline.frame
+    assert abs(middle - window.parts.state.timeline.frames / 2) < 5
     run(window, f"drag:{x}:{y}:{x + 5000}:{y}")
-    assert window.timeline.frame == window.timeline.frames - 1
-    assert window.cameras.orbit.azimuth == window.cameras.orbit.home[2]  # the camera did not turn along
+    assert window.parts.state.timeline.frame == window.parts.state.timeline.frames - 1
+    assert (
+        window.parts.viewpoint.cameras.orbit.azimuth == window.parts.viewpoint.cameras.orbit.home[2]
+    )  # the camera did not turn along
 
 
 def test_lists_open_over_the_picture_and_choose(window):
     run(window, "press:loop wait")
     x, y = window.panels.places["loop"]
     run(window, f"click:{x}:{y - 30} wait")
-    assert window.timeline.loop != "loop"
+    assert window.parts.state.timeline.loop != "loop"
     run(window, "press:camera wait")
     x, y = window.panels.places["camera"]
     run(window, f"click:{x}:{y + 46} wait")
-    assert window.cameras.kind == "walk"
+    assert window.parts.viewpoint.cameras.kind == "walk"
 
 
 def test_a_place_is_typed_and_the_avatar_goes_there(window):
     before = picture(window, run(window, "wait"))
     x, y = window.panels.places["turn"]
     run(window, f"drag:{x}:{y}:{x + 40}:{y}")
-    assert 20 < np.degrees(window.playback.tracks[0].turn) < 180
+    assert 20 < np.degrees(window.parts.state.playback.tracks[0].turn) < 180
     # control and click turn a slider into a field; letters there are no keys
     left, y = x - 60, window.panels.places["place"][1]
     window.on_key(glfw.KEY_LEFT_CONTROL, True)
     run(window, f"click:{left}:{y}")
     window.on_key(glfw.KEY_LEFT_CONTROL, False)
     run(window, "wait type:1.5 q wait enter wait")
-    assert np.isclose(window.playback.tracks[0].at[0], 1.5) and not window.closing
+    assert np.isclose(window.parts.state.playback.tracks[0].at[0], 1.5) and not window.parts.closing
     assert not np.array_equal(picture(window, run(window, "wait")), before)
 
 
@@ -123,16 +126,18 @@ def test_a_number_is_pasted_from_the_clipboard(window):
     run(window, f"click:{x - 60}:{y} wait v wait")  # control and v paste; the view stays on
     window.on_key(glfw.KEY_LEFT_CONTROL, False)
     run(window, "enter wait")
-    assert np.isclose(window.playback.tracks[0].at[0], -2.25) and window.renderer.view_amount == 1
+    assert (
+        np.isclose(window.parts.state.playback.tracks[0].at[0], -2.25) and window.parts.look.renderer.view_amount == 1
+    )
 
 
 def test_clicking_the_avatar_marks_the_joint(window):
-    left, top, width, height = window.area()
+    left, top, width, height = window.parts.state.layout.area
     image = picture(window, run(window, "wait"))[60:]
     rows, columns = (image != image[0, 0]).any(-1).nonzero()
     x, y = left + columns[rows < rows.min() + 20].mean(), 60 + rows.min() + 20
     marked = picture(window, run(window, f"click:{x}:{y} wait"))
-    assert window.selected() == "someone: head"
+    assert window.parts.state.selection.name == "someone: head"
     yellow = (np.abs(marked - [255, 204, 51]).max(-1) < 12).nonzero()
     assert len(yellow[0]) > 30 and abs(yellow[0].mean() - y) < 40
 
@@ -142,12 +147,12 @@ def test_effects_change_what_is_drawn_and_what_cannot_be_is_said(window, capsys)
     run(window, "press:antialiasing wait")
     x, y = window.panels.places["antialiasing"]
     plain = picture(window, run(window, f"click:{x}:{y + 46} wait"))[60:]
-    assert window.effects.antialiasing == window.renderer.effects.antialiasing == "none"
+    assert window.parts.look.effects.antialiasing == window.parts.look.renderer.effects.antialiasing == "none"
     changed = (plain != smooth).any(-1)
     assert 20 < changed.sum() < 0.2 * (plain != plain[0, 0]).any(-1).sum()  # contours and edges of the paint
-    before = window.renderer
-    window.draw_otherwise(background=Background("image", path="absent.png"))
-    assert "absent.png" in capsys.readouterr().out and window.renderer is before
+    before = window.parts.look.renderer
+    window.parts.look.change(background=Background("image", path="absent.png"))
+    assert "absent.png" in capsys.readouterr().out and window.parts.look.renderer is before
     assert np.array_equal(picture(window, run(window, "wait"))[60:], plain)
 
 
@@ -157,14 +162,14 @@ def test_a_film_has_the_picture_without_panels(window, tmp_path):
     run(window, "press:film wait wait press:film wait")
     with av.open(str(tmp_path / "selfscan-000.mp4")) as film:
         frame = next(film.decode(video=0)).to_ndarray(format="rgb24")
-    _, _, width, height = window.area()
+    _, _, width, height = window.parts.state.layout.area
     assert frame.shape[:2] == (height + height % 2, width + width % 2)
     assert np.abs(frame[:30, -200:].astype(int) - frame[2, 2]).max() < 8  # no frame rate in the corner
 
 
 def test_small_windows_have_no_panels_but_the_line_of_text(window):
     image = run(window, "size:300:200 wait wait")
-    assert image.shape == (200, 300, 3) and window.area() == (0, 0, 300, 200)
+    assert image.shape == (200, 300, 3) and window.parts.state.layout.area == (0, 0, 300, 200)
     assert (image[185:, :40] != image[0, 0]).any()
     assert picture(window, run(window, f"size:{SIZE[0]}:{SIZE[1]} wait wait")).shape[1] < SIZE[0]
 
@@ -267,7 +272,7 @@ def test_thousands_of_triangles_make_the_buffers_grow(context, imgui_context):
 
 def opened(avatar_path, size, live=()):
     scene = scene_of(play_parser().parse_args([avatar_path, *(("--live", "udp:1") if live else ())]))
-    return Window(opened_show(scene, read_avatars(scene), live), size=size, null=True)
+    return Window(opened_show(scene, read_avatars(scene), live), size=size, null=True, panels=Panels)
 
 
 @pytest.mark.parametrize("system", ["units", "pixels"])
@@ -283,13 +288,13 @@ def test_on_a_screen_of_double_density_everything_is_twice_as_large_in_pixels(
     window = opened(avatar_path, (2 * SIZE[0], 2 * SIZE[1]))
     try:
         image = run(window, "space home wait")
-        area, marks = window.area(), dict(window.panels.places)
+        area, marks = window.parts.state.layout.area, dict(window.panels.places)
         monkeypatch.undo()
         plain = opened(avatar_path, SIZE)
         try:
             small = run(plain, "space home wait")
-            assert np.abs(np.array(area) - 2 * np.array(plain.area())).max() <= 1
-            left, _, width, height = plain.area()
+            assert np.abs(np.array(area) - 2 * np.array(plain.parts.state.layout.area)).max() <= 1
+            left, _, width, height = plain.parts.state.layout.area
             for name, (x, y) in plain.panels.places.items():
                 factor = 1 if system == "units" else 2
                 a, b = marks[name]
@@ -313,7 +318,7 @@ def test_a_click_on_a_dense_screen_picks_what_is_under_it(osmesa, avatar_path, m
         x, y = columns[rows < rows.min() + 20].mean(), rows.min() + 20
         monkeypatch.setattr(glfw, "get_window_size", lambda handle: tuple(n // 2 for n in real(handle)))
         run(window, f"click:{x / 2}:{y / 2} wait")
-        assert window.selected() == "someone: head"
+        assert window.parts.state.selection.name == "someone: head"
     finally:
         window.close()
 
@@ -338,7 +343,7 @@ def test_the_live_panel_tells_rate_loss_and_latency(osmesa, avatar, avatar_path,
             now[0] = 100.01 + n / 60
             posed = run(window, "wait")
         assert (picture(window, posed) != picture(window, waiting)).any(-1).mean() > 0.01
-        left = window.area()[0]
+        left = window.parts.state.layout.area[0]
         x, y = window.panels.places["T-pose"]
         table = posed[int(y) - 110 : int(y) - 10, 5 : left - 5]
         assert len(np.unique(table.reshape(-1, 3), axis=0)) > 20  # letters of the latency table

@@ -12,13 +12,14 @@ from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, joint_transforms
 from player.framing import pelvis_height
+from player.gui.panels import Panels
 from player.motions import motion_for
 from player.play_command import play_parser, scene_of
 from player.pose.fingers import PRESETS, hand_shape
 from player.pose.ik import LIMBS
 from player.pose.limits import joint_angles, within
 from player.pose.mirror import mirrored_in_place
-from player.window.pose_tool import HANDLES, PoseTool
+from player.window.pose_tool import HANDLES
 from player.window.show import opened_show, read_avatars
 from player.window.window import Window
 
@@ -36,28 +37,28 @@ def opened(osmesa, avatar_path, tmp_path, monkeypatch):
 
     def open_(*more, gui=True):
         scene = scene_of(play_parser().parse_args([avatar_path, *more]))
-        window = Window(opened_show(scene, read_avatars(scene)), size=SIZE, null=True, gui=gui)
+        window = Window(opened_show(scene, read_avatars(scene)), size=SIZE, null=True, panels=Panels if gui else None)
         windows.append(window)
         run(window, "space home p wait")
-        assert isinstance(window.tool, PoseTool) and window.pose_session is window.tool.session
-        return window, window.tool, window.tool.session
+        edit = window.parts.posing.edit
+        return window, edit, edit.session
 
     yield open_
     for window in windows:
-        assert window.context.gl.error == "GL_NO_ERROR"
+        assert window.screen.context.gl.error == "GL_NO_ERROR"
         window.close()
-        assert window.context.released
+        assert window.screen.context.released
 
 
 def run(window, script):
     window.run(script.split(), keep=True)
-    return window.image[..., :3].astype(int)
+    return window.parts.state.last.image[..., :3].astype(int)
 
 
 def at(window, world):
     """Where a world point is, window units."""
-    pixel, _ = project(window.camera, np.asarray(world, float)[None])
-    scale = window.pixel(1.0, 1.0)[0]
+    pixel, _ = project(window.parts.state.last.camera, np.asarray(world, float)[None])
+    scale = window.screen.pixel(1.0, 1.0)[0]
     return float(pixel[0, 0]) / scale, float(pixel[0, 1]) / scale
 
 
@@ -87,18 +88,18 @@ def press(window, *names):
 
 
 def figure(window, image):
-    left, top, width, height = window.area()
+    left, top, width, height = window.parts.state.layout.area
     return image[top : top + height, left : left + width]
 
 
 def test_a_joint_is_picked_and_its_ring_turns_it_as_far_as_the_pointer_goes(opened):
-    window, tool, session = opened()
+    window, edit, session = opened()
     before = session.pose
     plain = run(window, "wait")
     elbow = session.world()[J["left_elbow"], :3, 3]
     run(window, "click:{:.1f}:{:.1f} wait".format(*at(window, elbow)))
-    assert tool.joint == J["left_elbow"] and session.pose is before
-    gizmo = tool.gizmo()
+    assert edit.tool.joint == J["left_elbow"] and session.pose is before
+    gizmo = edit.tool.gizmo()
     rings = run(window, "move:5:5 wait")
     # the rings are drawn: in the middle of the near side of each there is its color
     for ring, strong in ((0, 0), (1, 1), (2, 2)):
@@ -117,18 +118,18 @@ def test_a_joint_is_picked_and_its_ring_turns_it_as_far_as_the_pointer_goes(open
     angle = 1.0
     end = np.cos(angle) * start + np.sin(angle) * np.cross(axis, start)
     run(window, drag(at(window, gizmo.center + radius * start), at(window, gizmo.center + radius * end)))
-    turned = joint_transforms(session.pose.axis_angle, session.joints, session.pose.root)[tool.joint, :3, :3]
-    was = joint_transforms(before.axis_angle, session.joints, before.root)[tool.joint, :3, :3]
+    turned = joint_transforms(session.pose.axis_angle, session.joints, session.pose.root)[edit.tool.joint, :3, :3]
+    was = joint_transforms(before.axis_angle, session.joints, before.root)[edit.tool.joint, :3, :3]
     np.testing.assert_allclose(axis_angle_from_matrix(turned @ was.T), axis * angle, atol=0.02)
-    others = np.delete(np.arange(52), tool.joint)
+    others = np.delete(np.arange(52), edit.tool.joint)
     assert np.array_equal(session.pose.axis_angle[others], before.axis_angle[others])
-    assert [label for label, _ in session.past] == ["left_elbow"]
+    assert [label for label, _ in session.history.past] == ["left_elbow"]
     # what is drawn is what is posed; undo brings the first picture back
     assert not np.array_equal(run(window, "wait"), rings)
     assert np.array_equal(figure(window, run(window, f"{CTRL_Z} move:5:5")), figure(window, rings)) or (
         np.abs(figure(window, run(window, "wait wait"))[200:] - figure(window, rings)[200:]).max() == 0
     )
-    assert session.pose.same(before) and not session.dirty
+    assert session.pose.same(before) and not session.history.dirty
     run(window, CTRL_Y)
     assert not session.pose.same(before)
 
@@ -137,12 +138,12 @@ def near_points(window, gizmo, ring):
     from player.pose.gizmo import ring_front, ring_points
 
     world = ring_points(gizmo, ring)
-    pixels, _ = project(window.camera, world)
-    return pixels[ring_front(gizmo, world, window.camera)]
+    pixels, _ = project(window.parts.state.last.camera, world)
+    return pixels[ring_front(gizmo, world, window.parts.state.last.camera)]
 
 
 def test_hands_feet_body_and_elbows_are_pulled_and_pins_hold(opened):
-    window, tool, session = opened()
+    window, edit, session = opened()
     start = session.pose
     for handle in HANDLES:
         session.limited = False
@@ -157,10 +158,10 @@ def test_hands_feet_body_and_elbows_are_pulled_and_pins_hold(opened):
         else:
             end = LIMBS[handle.name].end
             assert np.linalg.norm(now - place) > 1e-3
-            before = session.past[-1][1].pose
+            before = session.history.past[-1][1].pose
             kept = joint_transforms(before.axis_angle, session.joints, before.root)[end, :3, 3]
             np.testing.assert_allclose(session.world()[end, :3, 3], kept, atol=1e-9)
-        tool.undo()
+        edit.undo()
         assert session.pose is start
     press(window, "pin left foot")
     assert set(session.pinned) == {"left_foot"}
@@ -179,19 +180,19 @@ def test_hands_feet_body_and_elbows_are_pulled_and_pins_hold(opened):
     assert not session.pose.same(here)
     run(window, "escape")
     window.pointer.release(0)
-    assert session.pose.same(here) and not window.closing
+    assert session.pose.same(here) and not window.parts.closing
     # a press on a handle that does not move selects its joint; beside everything the camera turns
     x, y = at(window, session.world()[J["right_ankle"], :3, 3])
     run(window, f"move:{x:.1f}:{y:.1f} wait click:{x:.1f}:{y:.1f}")
-    assert tool.joint == J["right_ankle"]
-    azimuth, (left, top, *_) = window.cameras.orbit.azimuth, window.area()
+    assert edit.tool.joint == J["right_ankle"]
+    azimuth, (left, top, *_) = window.parts.viewpoint.cameras.orbit.azimuth, window.parts.state.layout.area
     run(window, drag((left + 20, top + 20), (left + 60, top + 20)))
-    assert window.cameras.orbit.azimuth != azimuth and session.pose.same(here)
+    assert window.parts.viewpoint.cameras.orbit.azimuth != azimuth and session.pose.same(here)
 
 
 def test_panels_set_angles_hands_mirror_copy_and_take_poses(opened):
-    window, tool, session = opened()
-    window.select(0, J["left_elbow"])
+    window, edit, session = opened()
+    window.parts.state.selection.choose(0, J["left_elbow"])
     run(window, "wait wait")
     press(window, "angle 0")  # somewhere right of its middle
     assert 0.9 < joint_angles(session.pose.axis_angle)[J["left_elbow"], 0] < 2.2
@@ -199,7 +200,7 @@ def test_panels_set_angles_hands_mirror_copy_and_take_poses(opened):
     run(window, drag((x, y), (x + 3000, y)))  # far beyond the end: the limit holds
     assert 149 < np.degrees(joint_angles(session.pose.axis_angle)[J["left_elbow"], 0]) <= 150.001
     assert within(session.pose.axis_angle)[J["left_elbow"]]
-    assert len(session.past) == 2  # each drag of a slider is one step
+    assert len(session.history.past) == 2  # each drag of a slider is one step
     press(window, "left fist", "right peace")
     for side, name in (("left", "fist"), ("right", "peace")):
         np.testing.assert_allclose(hand_shape(session.pose.axis_angle, side).curl, PRESETS[name].curl, atol=1e-6)
@@ -209,7 +210,7 @@ def test_panels_set_angles_hands_mirror_copy_and_take_poses(opened):
     press(window, "undo", "copy whole")
     press(window, "library", "take T-pose")
     assert np.abs(session.pose.axis_angle).max() == 0
-    assert session.pose.root[1] == pytest.approx(pelvis_height(window.show.avatars[0]), abs=1e-6)
+    assert session.pose.root[1] == pytest.approx(pelvis_height(window.parts.state.avatars[0]), abs=1e-6)
     press(window, "paste")
     np.testing.assert_allclose(session.pose.axis_angle[1:], pose[1:], atol=1e-9)
     press(window, "paste mirrored")
@@ -221,7 +222,7 @@ def test_panels_set_angles_hands_mirror_copy_and_take_poses(opened):
 
 
 def test_keyframes_are_made_played_saved_and_play_as_a_motion(opened, avatar):
-    window, tool, session = opened()
+    window, edit, session = opened()
     run(window, "i scrub:0.34 wait")
     assert session.frame == 10 and [f for f, _ in session.keys] == [0]
     session.set_angle(J["right_elbow"], 0, 1.5)
@@ -230,39 +231,39 @@ def test_keyframes_are_made_played_saved_and_play_as_a_motion(opened, avatar):
     assert [f for f, _ in session.keys] == [0, 10] and session.frame == 5
     a, b, c = (joint_angles(p.axis_angle)[J["right_elbow"], 0] for p in (first, session.pose, session.keys[1][1]))
     assert c == pytest.approx(1.5, abs=1e-9) and a < b < c
-    shown = window.shown_poses()[0][0]
+    shown = window.parts.posing.poses()[0][0]
     assert np.array_equal(shown, session.pose.axis_angle)
     # playing: the window's timeline moves the pose; an unsaved session asks before it closes
     run(window, "home space wait wait wait space")
-    assert 0 < session.frame < 10 and not session.unkeyed
+    assert 0 < session.frame < 10 and not session.state.unkeyed
     # what is done by hand pauses it
     run(window, "space wait")
     x, y = at(window, session.world()[J["right_wrist"], :3, 3])
     pull(window, (x, y), (x, y - 10))
-    assert not window.timeline.playing and session.unkeyed
-    tool.undo()
+    assert not window.parts.state.timeline.playing and session.state.unkeyed
+    edit.undo()
     run(window, "q")
-    assert not window.closing and "not saved" in window.message
+    assert not window.parts.closing and "not saved" in window.parts.state.messages.last
     press(window, "file")
     window.run(["type:mine.npz"])
     press(window, "save")
-    assert not session.dirty
+    assert not session.history.dirty
     run(window, "wait")
     motion = read_motion("mine.npz")
     assert motion.frames == 11 and motion.rate == session.rate
-    clip = motion_for(window.show.avatars[0], "mine.npz").read(0, 11)
+    clip = motion_for(window.parts.state.avatars[0], "mine.npz").read(0, 11)
     np.testing.assert_allclose(clip.axis_angle[10], session.keys[1][1].axis_angle, atol=1e-9)
     np.testing.assert_allclose(clip.root[10], session.keys[1][1].root, atol=1e-9)
     # undo goes to the frame where the change was; leaving gives the avatar its motion back
     run(window, f"{CTRL_Z}")
     assert [f for f, _ in session.keys] == [0]
     run(window, "p p")
-    assert window.tool is None and window.pose_session is None
-    assert np.array_equal(window.shown_poses()[0][0], window.playback.poses()[0][0])
+    assert window.parts.posing.edit is None
+    assert np.array_equal(window.parts.posing.poses()[0][0], window.parts.state.playback.poses()[0][0])
 
 
 def test_a_pose_is_kept_in_the_library_and_plays_as_a_motion(opened, tmp_path):
-    window, tool, session = opened()
+    window, edit, session = opened()
     session.set_angle(J["left_shoulder"], 0, 0.6)
     session.move(session.pose, session.pose.root + [0.05, 0, 0])
     wanted = session.pose
@@ -270,29 +271,29 @@ def test_a_pose_is_kept_in_the_library_and_plays_as_a_motion(opened, tmp_path):
     window.run(["type:Arm_up"])
     press(window, "keep")
     kept = tmp_path / "data" / "selfscan" / "poses" / "Arm up.npz"
-    assert kept.is_file() and tool.library.names()[-1] == "Arm up"
-    tool.take("T-pose")
+    assert kept.is_file() and edit.library.names()[-1] == "Arm up"
+    edit.take("T-pose")
     assert not session.pose.same(wanted)
-    tool.take("Arm up")
+    edit.take("Arm up")
     assert session.pose.same(wanted)
     # the same pose as a motion, by the way of `--motion`
-    clip = motion_for(window.show.avatars[0], str(kept)).read(0, 1)
+    clip = motion_for(window.parts.state.avatars[0], str(kept)).read(0, 1)
     assert np.array_equal(clip.axis_angle[0], wanted.axis_angle)
     np.testing.assert_allclose(clip.root[0], wanted.root, atol=1e-12)
     (kept.parent / "broken.npz").write_bytes(b"nothing")
     before = session.state
-    tool.tried(lambda: tool.take("broken"))
-    assert session.state is before and "broken.npz" in window.message
+    edit.tried(lambda: edit.take("broken"))
+    assert session.state is before and "broken.npz" in window.parts.state.messages.last
 
 
 def test_without_panels_the_keys_pose_one_of_two(opened, avatar_path):
-    window, tool, session = opened(avatar_path, gui=False)
+    window, edit, session = opened(avatar_path)
     pose = session.pose.axis_angle
     run(window, "m")
     np.testing.assert_allclose(session.pose.axis_angle, mirrored_in_place(pose), atol=1e-9)
     run(window, CTRL_Z)
     assert np.array_equal(session.pose.axis_angle, pose)
-    window.select(0, J["right_wrist"])
+    window.parts.state.selection.choose(0, J["right_wrist"])
     run(window, "down:ctrl c up:ctrl down:ctrl down:shift v up:shift up:ctrl")
     arm = [J[f"left_{p}"] for p in ("collar", "shoulder", "elbow", "wrist")]
     np.testing.assert_allclose(
@@ -304,37 +305,37 @@ def test_without_panels_the_keys_pose_one_of_two(opened, avatar_path):
     run(window, "n")
     assert session.pose.root[1] < 1.2
     run(window, "p")
-    assert window.tool is tool and "not saved" in window.message
+    assert window.parts.posing.edit is edit and "not saved" in window.parts.state.messages.last
     run(window, "p")
-    assert window.tool is None
+    assert window.parts.posing.edit is None
     # the other avatar, from where it stands; the first has its motion again
     run(window, "tab p")
-    assert window.posed == 1 and window.tool is not tool
-    place = window.playback.poses()[1][1]
-    assert np.array_equal(window.pose_session.pose.root, place) and abs(place[0]) > 0.3
+    assert window.parts.posing.edit.index == 1 and window.parts.posing.edit is not edit
+    place = window.parts.state.playback.poses()[1][1]
+    assert np.array_equal(window.parts.posing.edit.session.pose.root, place) and abs(place[0]) > 0.3
     run(window, ". . . m wait")
-    assert np.array_equal(window.poses[0][0], window.playback.poses()[0][0])
-    np.testing.assert_allclose(window.poses[1][0], mirrored_in_place(pose), atol=1e-9)
-    before = window.timeline.frame
+    assert np.array_equal(window.parts.state.last.poses[0][0], window.parts.state.playback.poses()[0][0])
+    np.testing.assert_allclose(window.parts.state.last.poses[1][0], mirrored_in_place(pose), atol=1e-9)
+    before = window.parts.state.timeline.frame
     run(window, CTRL_Z)  # without keys time stays where it is
-    assert window.timeline.frame == before
+    assert window.parts.state.timeline.frame == before
 
 
 def test_posing_leaves_no_objects_behind(opened):
-    window, tool, session = opened()
-    window.select(0, J["head"])
+    window, edit, session = opened()
+    window.parts.state.selection.choose(0, J["head"])
     run(window, "wait wait wait")
-    counts = window.context.counts.objects()
+    counts = window.screen.context.counts.objects()
     start = session.pose
     for k in range(20):
         session.turn(start, J["head"], np.array([0.0, 1, 0]), 0.02 * k, drag="nod")
         run(window, "wait")
-    assert window.context.counts.objects() == counts
-    assert len(session.past) == 1
+    assert window.screen.context.counts.objects() == counts
+    assert len(session.history.past) == 1
     # with the panels hidden nothing is drawn over the avatar, and nothing there can be seized
-    pixel = window.pixel(*at(window, session.world()[J["left_wrist"], :3, 3]))
-    assert tool.under(*pixel) is HANDLES[0]
+    pixel = window.screen.pixel(*at(window, session.world()[J["left_wrist"], :3, 3]))
+    assert edit.tool.under(*pixel) is HANDLES[0]
     run(window, "g wait")
-    pixel = window.pixel(*at(window, session.world()[J["left_wrist"], :3, 3]))
-    assert tool.under(*pixel) is None and tool.gizmo() is not None
-    assert glfw.get_window_size(window.handle) == SIZE
+    pixel = window.screen.pixel(*at(window, session.world()[J["left_wrist"], :3, 3]))
+    assert edit.tool.under(*pixel) is None and edit.tool.gizmo() is not None
+    assert glfw.get_window_size(window.screen.handle) == SIZE

@@ -72,18 +72,18 @@ def window(osmesa, avatar, capture, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_avatar(tmp_path / "a.glb", avatar)
     scene = scene_of(play_parser().parse_args(["a.glb", "--capture", str(capture[0])]))
-    window = Window(opened_show(scene, read_avatars(scene)), size=(192, 256), null=True, gui=False)
+    window = Window(opened_show(scene, read_avatars(scene)), size=(192, 256), null=True)
     try:
         window.run(["space", "home", "wait"])
         yield window
-        assert window.context.gl.error == "GL_NO_ERROR"
+        assert window.screen.context.gl.error == "GL_NO_ERROR"
     finally:
         window.close()
 
 
 def run(window, script):
     window.run(script.split(), keep=True)
-    return window.image[:230, :, :3].astype(int)  # without the line of text
+    return window.parts.state.last.image[:230, :, :3].astype(int)  # without the line of text
 
 
 def source(capture, frame):
@@ -94,26 +94,26 @@ def source(capture, frame):
 def test_the_avatar_lies_on_the_video_that_it_was_filmed_in(window, capture):
     """Each frame: the same silhouette within a pixel of the small picture, the video's green around."""
     for frame in range(FRAMES):
-        window.timeline.seek(frame)
+        window.parts.state.timeline.seek(frame)
         avatar = run(window, "wait")
-        line = round(window.wipe.line(window.area()))
+        line = round(window.parts.wipe.line(window.parts.state.layout.area))
         assert abs(line - 96) <= 1
         video = source(capture, frame)
         right = np.abs(avatar - video)[:, line + 2 :]
         assert np.median(right) <= 3 and (right.max(-1) > 60).mean() < 0.03
-        window.wipe.behind = False
+        window.parts.wipe.behind = False
         plain = run(window, "wait")
-        window.wipe.behind = True
+        window.parts.wipe.behind = True
         green = (video == [0, 255, 0]).all(-1)
         inner = green[:, line + 6 :] & ~(np.abs(plain - [43, 45, 51]).max(-1) > 2)[:, line + 6 :]
         assert inner.sum() > 0.98 * green[:, line + 6 :].sum()  # the background where the video is hidden
 
 
 def test_the_wipe_parts_video_and_avatar_at_its_line(window, capture):
-    window.timeline.seek(1)
-    window.wipe.behind = False
+    window.parts.state.timeline.seek(1)
+    window.parts.wipe.behind = False
     for part in (0.0, 0.25, 1.0):
-        window.wipe.move(part)
+        window.parts.wipe.move(part)
         image = run(window, "wait")
         line = round(part * 192)
         green = np.abs(image - [0, 255, 0]).max(-1) < 3
@@ -127,27 +127,28 @@ def test_the_wipe_parts_video_and_avatar_at_its_line(window, capture):
 
 def test_beside_the_video_is_nothing_but_the_background(window):
     """A wide window: where the camera saw nothing, the avatar is not shown either."""
-    glfw.set_window_size(window.handle, 400, 256)
-    window.wipe.move(0.0)
-    window.cameras.capture = [
-        Camera(c.K @ np.diag([4.0, 4.0, 1.0]), c.camera_from_world, c.size) for c in window.cameras.capture
+    glfw.set_window_size(window.screen.handle, 400, 256)
+    window.parts.wipe.move(0.0)
+    window.parts.viewpoint.cameras.capture = [
+        Camera(c.K @ np.diag([4.0, 4.0, 1.0]), c.camera_from_world, c.size)
+        for c in window.parts.viewpoint.cameras.capture
     ]  # near enough to fill more than the video
     window.run(["wait", "wait"], keep=True)
-    image = window.image[:230, :, :3].astype(int)
+    image = window.parts.state.last.image[:230, :, :3].astype(int)
     left = round((400 - 192) / 2)
     assert (image[:, : left - 1] == [43, 45, 51]).all() and (image[:, left + 193 :] == [43, 45, 51]).all()
     assert (image[:, left + 2 : left + 190] != [43, 45, 51]).any()
 
 
 def test_the_line_is_dragged_and_the_camera_is_the_film_s(window):
-    before = window.camera.camera_from_world
+    before = window.parts.state.last.camera.camera_from_world
     run(window, "drag:96:100:150:120 wait")
-    assert abs(window.wipe.part - 150 / 192) < 0.01
+    assert abs(window.parts.wipe.part - 150 / 192) < 0.01
     run(window, "drag:20:100:60:100 - - wait")
-    assert abs(window.wipe.part - 150 / 192 + 0.1) < 0.01
-    assert np.array_equal(window.camera.camera_from_world, before)
+    assert abs(window.parts.wipe.part - 150 / 192 + 0.1) < 0.01
+    assert np.array_equal(window.parts.state.last.camera.camera_from_world, before)
     moved = run(window, "c wait")  # another camera: no video
-    assert window.cameras.kind == "orbit" and not (np.abs(moved - [0, 255, 0]).max(-1) < 3).any()
+    assert window.parts.viewpoint.cameras.kind == "orbit" and not (np.abs(moved - [0, 255, 0]).max(-1) < 3).any()
 
 
 def test_a_head_s_camera_stands_before_the_t_pose(avatar, capture):

@@ -13,9 +13,10 @@ from avatar.skeleton import JOINTS, PARENTS
 from player.pose.fingers import PRESETS
 from player.pose.ik import LIMBS
 from player.pose.keyframes import Pose, clip_of, pose_at, with_key
+from player.pose.limbs import hand_joints, limb_of
 from player.pose.limits import joint_angles, within
 from player.pose.mirror import PARTNER
-from player.pose.session import PoseSession, hand_joints, limb_of
+from player.pose.session import PoseSession
 
 SOME = settings(max_examples=12, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
@@ -41,7 +42,7 @@ def act(s, rng):
         start = s.pose
         for k in range(4):
             s.turn(start, joint, np.array([0.0, 1, 0]), 0.1 * k, drag=mark)
-        s.end_drag()
+        s.history.end_drag()
     elif kind == 4:
         s.reach(s.pose, f"{side}_hand", s.world()[J[f"{side}_wrist"], :3, 3] + rng.normal(size=3) * 0.1)
     elif kind == 5:
@@ -67,14 +68,14 @@ def test_undo_walks_back_through_every_state_and_redo_forth(seed):
     s, rng = session(), np.random.default_rng(seed)
     seen = [s.state]
     for _ in range(15):
-        before = len(s.past)
+        before = len(s.history.past)
         act(s, rng)
-        if len(s.past) > before:
+        if len(s.history.past) > before:
             seen.append(s.state)
         else:
             seen[-1] = s.state  # moving along the timeline is no step
     assert within(s.pose.axis_angle, 1e-6).all()
-    states = [state for _, state in s.past]
+    states = [state for _, state in s.history.past]
     last = s.state
     walked = []
     while s.undo() is not None:
@@ -91,33 +92,33 @@ def test_a_drag_is_one_step_and_one_that_led_nowhere_is_none():
     start, mark = s.pose, object()
     for k in range(50):
         s.turn(start, J["left_elbow"], np.array([0.0, -1, 0]), 0.01 * k, drag=mark)
-    s.end_drag()
-    assert [label for label, _ in s.past] == ["left_elbow"]
+    s.history.end_drag()
+    assert [label for label, _ in s.history.past] == ["left_elbow"]
     s.set_angle(J["left_elbow"], 0, 1.0, drag=mark)  # the same mark after the end is another drag
-    s.end_drag()
-    assert len(s.past) == 2
+    s.history.end_drag()
+    assert len(s.history.past) == 2
     here, mark = s.pose, object()
     s.turn(here, J["head"], np.array([0.0, 1, 0]), 0.3, drag=mark)
     s.turn(here, J["head"], np.array([0.0, 1, 0]), 0.0, drag=mark)
-    s.end_drag()
-    assert len(s.past) == 2 and s.pose is here
+    s.history.end_drag()
+    assert len(s.history.past) == 2 and s.pose is here
     s.set_angle(3, 0, 0.0)  # nothing changed
-    assert len(s.past) == 2
+    assert len(s.history.past) == 2
     s.undo()
     s.undo()
-    assert s.pose is start and not s.dirty
+    assert s.pose is start and not s.history.dirty
 
 
 def test_a_change_after_undo_forgets_what_could_be_redone_and_old_steps_are_dropped(monkeypatch):
-    monkeypatch.setattr("player.pose.session.STEPS", 20)
+    monkeypatch.setattr("player.pose.history.STEPS", 20)
     s = session()
     for k in range(35):
         s.set_angle(J["head"], 2, 0.001 * (k + 1))
-    assert len(s.past) == 20
+    assert len(s.history.past) == 20
     s.undo()
-    assert len(s.future) == 1
+    assert len(s.history.future) == 1
     s.set_angle(J["head"], 2, -0.2)
-    assert not s.future and s.redo() is None
+    assert not s.history.future and s.redo() is None
 
 
 def test_limits_touch_only_what_a_change_touches_and_can_be_turned_off():
@@ -151,7 +152,7 @@ def test_copy_and_paste_of_a_joint_a_limb_a_hand_and_the_whole_to_either_side():
             assert s.undo() == "paste" and not s.pose.axis_angle.any()
     empty = session()
     empty.paste()
-    assert not empty.past
+    assert not empty.history.past
 
 
 def test_limbs_divide_the_body():
@@ -238,13 +239,13 @@ def test_keys_are_met_exactly_and_between_them_joints_turn_evenly():
 
 def test_the_pose_follows_the_timeline_and_an_unkeyed_change_is_not_lost():
     s = keyed_session()
-    steps = len(s.past)
+    steps = len(s.history.past)
     s.seek(10)
     s.seek(4)
-    assert len(s.past) == steps and s.pose.same(pose_at(s.keys, 4)) and not s.unkeyed
+    assert len(s.history.past) == steps and s.pose.same(pose_at(s.keys, 4)) and not s.state.unkeyed
     s.set_angle(J["head"], 0, 0.3)
     changed = s.pose
-    assert s.unkeyed
+    assert s.state.unkeyed
     s.seek(20)
     assert s.pose.same(pose_at(s.keys, 20))
     assert s.undo() == "go to frame" and s.pose is changed and s.frame == 4
@@ -259,7 +260,7 @@ def test_the_pose_follows_the_timeline_and_an_unkeyed_change_is_not_lost():
     s.auto_key = True
     s.seek(15)
     s.set_angle(J["head"], 2, 0.2)
-    assert dict(s.keys)[15] is s.pose and not s.unkeyed
+    assert dict(s.keys)[15] is s.pose and not s.state.unkeyed
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
@@ -267,12 +268,12 @@ def test_the_pose_follows_the_timeline_and_an_unkeyed_change_is_not_lost():
 def test_keys_come_back_from_their_file_and_it_plays_as_a_motion(tmp_path, up, easing):
     s = keyed_session()
     s.ease(easing)
-    assert s.dirty
+    assert s.history.dirty
     s.save(tmp_path / "keys.npz", up=up)
-    assert not s.dirty
+    assert not s.history.dirty
     other = session()
     other.load(tmp_path / "keys.npz")
-    assert [f for f, _ in other.keys] == [0, 10, 25] and other.state.easing == easing and not other.dirty
+    assert [f for f, _ in other.keys] == [0, 10, 25] and other.state.easing == easing and not other.history.dirty
     for (_, a), (_, b) in zip(s.keys, other.keys, strict=True):
         if up == "y":
             assert a.same(b)
@@ -287,20 +288,20 @@ def test_keys_come_back_from_their_file_and_it_plays_as_a_motion(tmp_path, up, e
         matrix_from_axis_angle(clip.axis_angle), matrix_from_axis_angle(wanted.axis_angle), atol=1e-12
     )
     other.undo()
-    assert other.dirty and not other.keys
+    assert other.history.dirty and not other.keys
 
 
 def test_a_saved_pose_is_a_motion_of_one_frame_fitted_to_whoever_takes_it(tmp_path):
     s = session()
     s.set_angle(J["right_hip"], 0, 0.7)
     s.move(s.pose, np.array([0.1, 0.95, -0.3]))
-    assert s.dirty
+    assert s.history.dirty
     assert s.save(tmp_path / "pose.npz").endswith("one pose")
-    assert not s.dirty
+    assert not s.history.dirty
     s.set_angle(J["right_hip"], 0, 0.2)
-    assert s.dirty
+    assert s.history.dirty
     s.undo()
-    assert not s.dirty  # back at what was saved
+    assert not s.history.dirty  # back at what was saved
     assert read_motion(tmp_path / "pose.npz").frames == 1
     taller = PoseSession(builtin_body("male").joints.astype(float), pelvis_height=1.9)
     taller.load(tmp_path / "pose.npz")

@@ -1,15 +1,78 @@
-"""A glfw window with OpenGL in it: on a display, or on glfw's null platform drawn by OSMesa."""
+"""A glfw window with OpenGL in it, its sizes and pixels: on a display, or on glfw's null platform drawn by OSMesa."""
 
 import ctypes
 from ctypes import c_int, c_uint, c_void_p
 from typing import Any
 
 import glfw
+import moderngl
 import numpy as np
 from jaxtyping import UInt8
 
 from avatar.errors import AssetError
 from player.context import Context, wrap_context
+
+# height of letters, pixels of a usual screen
+LETTER = 15.0
+
+
+class Screen:
+    """The window itself. Sizes are in units, which the pointer counts, or in pixels of the framebuffer: on screens of
+    high density a unit is several pixels, or letters are larger."""
+
+    def __init__(self, size: tuple[int, int], *, null: bool):
+        self.handle = open_window(size, null)
+        self.context: Context = window_context(self.handle, null)
+        self._reader = ScreenReader(self.context)
+        self._drawn_size = (0, 0)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Of the framebuffer, pixels; (0, 0) when minimised."""
+        return glfw.get_framebuffer_size(self.handle)
+
+    @property
+    def units(self) -> tuple[int, int]:
+        """Of the window as the pointer counts it."""
+        return glfw.get_window_size(self.handle)
+
+    def pixel(self, x: float | int, y: float | int) -> tuple[float, float]:
+        """A place in units as pixels."""
+        (wide, high), (across, down) = self.units, self.size
+        return x * across / max(wide, 1), y * down / max(high, 1)
+
+    @property
+    def scale(self) -> float:
+        """Pixels a unit."""
+        return self.pixel(1.0, 1.0)[0]
+
+    @property
+    def letter(self) -> float:
+        """Height of letters, pixels."""
+        return LETTER * density(self.handle) * self.scale
+
+    def begin(self) -> moderngl.Framebuffer:
+        """What a frame is drawn into. OSMesa takes the window's memory when it is made current."""
+        if self.size != self._drawn_size:
+            glfw.make_context_current(self.handle)
+            self._drawn_size = self.size
+        return self.context.screen()
+
+    def read(self, area: tuple[int, int, int, int]) -> UInt8[np.ndarray, "height width 4"]:
+        """What is drawn in an area (left, top, width, height); row 0 on top, opaque."""
+        return self._reader.read(area, self.size)
+
+    def close(self) -> None:
+        self.context.release()
+        glfw.destroy_window(self.handle)
+        glfw.terminate()
+
+
+def density(handle: Any) -> float:
+    """How many window units a usual screen's pixel is: where units are pixels, what the system scales text by."""
+    scale = glfw.get_window_content_scale(handle)[0]
+    units, pixels = glfw.get_window_size(handle)[0], glfw.get_framebuffer_size(handle)[0]
+    return min(max(scale * units / max(pixels, 1), 0.5), 4.0) if scale > 0 and units else 1.0
 
 
 def open_window(size: tuple[int, int], null: bool):

@@ -1,0 +1,237 @@
+"""The table of keys: what each does, in words and in code. From it come the keys (player/window/keyboard.py), the
+help over the picture and in `selfscan play --help`, the tooltips of buttons, and the tables of docs/play.md and
+docs/posing.md (player/window/help.py).
+
+An `Action` is one thing that keys do; a button that does the same is made from it. Actions are grouped by when their
+keys hold; the groups of a mode (first person, posing) go before the others.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from player.window.parts import Parts
+    from player.window.posing import PoseEdit
+
+Walk = tuple[int, int, int]  # right, up, ahead
+When = Callable[["Parts"], bool]
+
+
+def _always(_parts: "Parts") -> bool:
+    return True
+
+
+def _nothing(_parts: "Parts") -> None:
+    """Of keys that are held down."""
+
+
+@dataclass(frozen=True)
+class Action:
+    """What keys do: `means` says it in the imperative, small letters. Keys are named as in player/window/keys.py, with
+    ctrl+ and shift+ before them. `walk` is where a key takes the camera while it is held down."""
+
+    means: str
+    keys: tuple[str, ...]
+    do: Callable[["Parts"], object] = _nothing
+    when: When = _always
+    walk: Walk | None = None
+
+    @property
+    def shown_keys(self) -> tuple[str, ...]:
+        """The keys as people write them: Ctrl+Z, space."""
+        return tuple(shown_key(key) for key in self.keys)
+
+
+class Group(NamedTuple):
+    """Actions under one heading; `when` says in which state of the window their keys hold."""
+
+    title: str
+    actions: tuple[Action, ...]
+    when: When = _always
+
+
+def shown_key(key: str) -> str:
+    """A key's name as people write it."""
+    *modifiers, name = key.split("+")
+    name = name.upper() if modifiers and len(name) == 1 else ARROWS.get(name, name)
+    return "+".join([*(word.capitalize() for word in modifiers), name])
+
+
+ARROWS = {"left": "left arrow", "right": "right arrow", "f1": "F1", "escape": "Escape", "delete": "Delete"}
+
+
+def step(frames: int) -> Callable[["Parts"], None]:
+    return lambda parts: parts.state.timeline.step(frames)
+
+
+def jump(seconds: float) -> Callable[["Parts"], None]:
+    def go(parts: "Parts") -> None:
+        line = parts.state.timeline
+        line.seek(line.frame + round(seconds * line.rate))
+
+    return go
+
+
+def range_off(parts: "Parts") -> None:
+    parts.state.timeline.set_a(None)
+    parts.state.timeline.set_b(None)
+
+
+def toggle_follow(parts: "Parts") -> None:
+    parts.viewpoint.follow = not parts.viewpoint.follow
+
+
+def toggle_panels(parts: "Parts") -> None:
+    parts.state.layout.panels_on = not parts.state.layout.panels_on
+
+
+def toggle_help(parts: "Parts") -> None:
+    parts.state.layout.help_on = not parts.state.layout.help_on
+
+
+def ask_for_t_pose(parts: "Parts") -> None:
+    for live, _ in parts.state.playback.live:
+        live.ask_for_t_pose()
+
+
+def move_wipe(part: float) -> Callable[["Parts"], None]:
+    def move(parts: "Parts") -> None:
+        if parts.wipe is not None:
+            parts.wipe.move(parts.wipe.part + part)
+
+    return move
+
+
+def posed(act: Callable[["PoseEdit"], object]) -> Callable[["Parts"], None]:
+    """What is done to the avatar that is posed by hand; where it is refused, that is said."""
+
+    def do(parts: "Parts") -> None:
+        edit = parts.posing.edit
+        if edit is not None:
+            edit.tried(lambda: act(edit))
+
+    return do
+
+
+def is_posing(parts: "Parts") -> bool:
+    return parts.posing.edit is not None
+
+
+def is_dragging(parts: "Parts") -> bool:
+    return parts.posing.edit is not None and parts.posing.edit.tool.held is not None
+
+
+PLAY = Action("play or pause", ("space",), lambda parts: parts.state.timeline.toggle())
+STEP_BACK = Action("pause and go one frame back", (",",), step(-1))
+STEP_ON = Action("pause and go one frame on", (".",), step(1))
+SECOND_BACK = Action("go one second back", ("left",), jump(-1.0))
+SECOND_ON = Action("go one second on", ("right",), jump(1.0))
+FIRST_FRAME = Action("go to the first frame", ("home",), lambda parts: parts.state.timeline.seek(0))
+LAST_FRAME = Action(
+    "go to the last frame", ("end",), lambda parts: parts.state.timeline.seek(parts.state.timeline.frames - 1)
+)
+SLOWER = Action("play slower (down to 0.1 times)", ("[",), lambda parts: parts.state.timeline.faster(-1))
+FASTER = Action("play faster (up to 4 times)", ("]",), lambda parts: parts.state.timeline.faster(1))
+LOOP = Action("at the end: loop, to and fro, or once", ("l",), lambda parts: parts.state.timeline.next_loop())
+RANGE_A = Action(
+    "begin the range A-B at this frame", ("a",), lambda parts: parts.state.timeline.set_a(parts.state.timeline.frame)
+)
+RANGE_B = Action(
+    "end the range A-B with this frame", ("b",), lambda parts: parts.state.timeline.set_b(parts.state.timeline.frame)
+)
+RANGE_OFF = Action("play the whole motion again", ("x",), range_off)
+
+NEXT_CAMERA = Action("next camera", ("c",), lambda parts: parts.viewpoint.next_camera())
+RESET_CAMERA = Action("reset the orbit", ("r",), lambda parts: parts.viewpoint.cameras.orbit.reset())
+FOLLOW = Action("let the orbit follow the avatar, or stop", ("f",), toggle_follow)
+ADD_CAMERA_KEY = Action(
+    "add this view to the camera path, at this moment", ("k",), lambda parts: parts.viewpoint.add_key()
+)
+SAVE_CAMERA_PATH = Action("save the camera path", ("j",), lambda parts: parts.viewpoint.save_path())
+
+WIPE_LEFT = Action("show less of the video", ("-",), move_wipe(-0.05))
+WIPE_RIGHT = Action("show more of the video", ("=",), move_wipe(0.05))
+
+NEXT_AVATAR = Action(
+    "select the next avatar", ("tab",), lambda parts: parts.state.selection.choose(parts.state.selection.avatar + 1)
+)
+VIEW = Action("view dependence on or off", ("v",), lambda parts: parts.look.toggle_view())
+POSE = Action("pose the selected avatar by hand, or stop", ("p",), lambda parts: parts.posing.toggle())
+T_POSE = Action("take the T-pose of the sender in 3 seconds", ("t",), ask_for_t_pose)
+
+SCREENSHOT = Action("save a screenshot, without panels", ("s",), lambda parts: parts.recorder.shoot())
+FILM = Action("start or end a film, without panels", ("o",), lambda parts: parts.recorder.toggle_film())
+PANELS = Action("show or hide the panels", ("g",), toggle_panels)
+HELP = Action("show or hide this list of keys", ("h", "f1"), toggle_help)
+QUIT = Action("quit", ("q", "escape"), lambda parts: parts.close())
+
+AHEAD = Action("go ahead", ("w",), walk=(0, 0, 1))
+BACK = Action("go back", ("s",), walk=(0, 0, -1))
+LEFT = Action("go left", ("a",), walk=(-1, 0, 0))
+RIGHT = Action("go right", ("d",), walk=(1, 0, 0))
+UP = Action("go up", ("e",), walk=(0, 1, 0))
+DOWN = Action("go down", ("q",), walk=(0, -1, 0))
+
+UNDO = Action("undo (500 steps)", ("ctrl+z",), posed(lambda edit: edit.undo()))
+REDO = Action("redo", ("ctrl+shift+z", "ctrl+y"), posed(lambda edit: edit.redo()))
+COPY_LIMB = Action("copy the limb of the selected joint", ("ctrl+c",), posed(lambda edit: edit.copy_limb()))
+COPY_POSE = Action("copy the whole pose", ("ctrl+a",), posed(lambda edit: edit.copy_pose()))
+PASTE = Action("paste", ("ctrl+v",), posed(lambda edit: edit.session.paste()))
+PASTE_MIRRORED = Action(
+    "paste mirrored (the left arm onto the right)",
+    ("ctrl+shift+v",),
+    posed(lambda edit: edit.session.paste(mirrored=True)),
+)
+MIRROR = Action("mirror the pose; place and heading stay", ("m",), posed(lambda edit: edit.session.mirror()))
+TO_GROUND = Action("set the body on the ground", ("n",), posed(lambda edit: edit.to_ground()))
+SET_KEY = Action("set a keyframe at this frame", ("i",), posed(lambda edit: edit.set_key()))
+DELETE_KEY = Action("delete the keyframe at this frame", ("delete",), posed(lambda edit: edit.session.delete_key()))
+GIVE_UP = Action("give up the drag", ("escape",), posed(lambda edit: edit.tool.cancel()), when=is_dragging)
+CLOSE_HELP = Action("close the list of keys", ("escape",), toggle_help, when=lambda parts: parts.state.layout.help_on)
+
+VIDEO = Group("Source video", (WIPE_LEFT, WIPE_RIGHT), lambda parts: parts.wipe is not None)
+FIRST_PERSON = Group(
+    "First person", (AHEAD, BACK, LEFT, RIGHT, UP, DOWN), lambda parts: parts.viewpoint.cameras.kind == "walk"
+)
+POSING = Group(
+    "Posing by hand",
+    (
+        UNDO, REDO, COPY_LIMB, COPY_POSE, PASTE, PASTE_MIRRORED, MIRROR, TO_GROUND, SET_KEY, DELETE_KEY, GIVE_UP,
+    ),
+    is_posing,
+)  # fmt: skip
+GROUPS = (
+    Group(
+        "Time",
+        (
+            PLAY, STEP_BACK, STEP_ON, SECOND_BACK, SECOND_ON, FIRST_FRAME, LAST_FRAME, SLOWER, FASTER, LOOP, RANGE_A,
+            RANGE_B, RANGE_OFF,
+        ),
+    ),
+    Group("Camera", (NEXT_CAMERA, RESET_CAMERA, FOLLOW, ADD_CAMERA_KEY, SAVE_CAMERA_PATH)),
+    Group("Avatars", (NEXT_AVATAR, VIEW, POSE)),
+    Group("Window", (SCREENSHOT, FILM, PANELS, HELP, CLOSE_HELP, QUIT)),
+    VIDEO,
+    Group("Live", (T_POSE,), lambda parts: bool(parts.state.playback.live)),
+    FIRST_PERSON,
+    POSING,
+)  # fmt: skip
+# whose keys mean something else in the other groups
+MODES = (POSING, FIRST_PERSON)
+
+# what the mouse does, and what it does with a source video
+MOUSE = (
+    ("drag", "turn the camera; in first person, look around"),
+    ("right or middle drag", "shift the camera"),
+    ("wheel", "come nearer, go farther"),
+    ("click", "select the avatar and the joint there; beside it, no joint"),
+)
+MOUSE_ON_VIDEO = (("drag the yellow line", "move the wipe between video and avatar"),)
+
+
+def found(key: str, parts: "Parts") -> Action | None:
+    """What a key (with its modifiers) does now; None: nothing."""
+    groups = [group for group in (*MODES, *GROUPS) if group.when(parts)]
+    actions = [action for group in groups for action in group.actions if key in action.keys and action.when(parts)]
+    return actions[0] if actions else None

@@ -1,0 +1,111 @@
+"""One table of keys: what keys do, the help, the tooltips and the documentation all come from it."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from player.play_command import play_parser
+from player.window import actions
+from player.window.actions import GROUPS, Action, Group
+from player.window.help import DOCS, TABLES, command_line_help, rows, with_table
+from player.window.keys import KEYS
+from player.window.text import in_columns, keys_image, line_image, shortened
+
+ACTIONS = [action for group in GROUPS for action in group.actions]
+
+
+def test_every_action_is_in_a_group_and_every_key_has_a_name():
+    assert {id(value) for value in vars(actions).values() if isinstance(value, Action)} == {id(a) for a in ACTIONS}
+    assert len(ACTIONS) == len({id(action) for action in ACTIONS}) > 40
+    for action in ACTIONS:
+        assert action.keys and action.means
+        for key in action.keys:
+            assert set(key.split("+")) <= KEYS.keys(), key
+
+
+def test_no_key_means_two_things_in_one_group():
+    for group in GROUPS:
+        keys = [key for action in group.actions if action.when is actions._always for key in action.keys]
+        assert len(keys) == len(set(keys)), group.title
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_documentation_has_the_table_of_keys_as_it_is(name):
+    """Else: python -m player.window.help"""
+    page = (DOCS / name).read_text("utf-8")
+    assert page == with_table(page, TABLES[name])
+    for group in TABLES[name]:
+        for action in group.actions:
+            assert f"| {action.means} |" in page
+
+
+def test_the_command_line_names_every_key():
+    text = play_parser().format_help()
+    assert command_line_help() in text
+    for group in GROUPS:
+        for keys, means in rows(group):
+            assert f"{keys} " in text and means in text
+    assert {"p", "i", "m", "n", "Ctrl+Z"} <= {keys for group in GROUPS for keys, _ in rows(group)}
+    assert max(map(len, command_line_help().splitlines())) <= 112
+
+
+def test_modes_go_before_what_keys_mean_elsewhere():
+    """a goes left in first person and begins the range else; Escape quits unless a drag can be given up."""
+
+    def parts(kind="orbit", held=None, posing=False, help_on=False) -> Any:
+        edit = SimpleNamespace(tool=SimpleNamespace(held=held)) if posing else None
+        return SimpleNamespace(
+            viewpoint=SimpleNamespace(cameras=SimpleNamespace(kind=kind)),
+            posing=SimpleNamespace(edit=edit),
+            wipe=None,
+            state=SimpleNamespace(playback=SimpleNamespace(live=[]), layout=SimpleNamespace(help_on=help_on)),
+        )
+
+    assert actions.found("a", parts()) is actions.RANGE_A
+    assert actions.found("a", parts("walk")) is actions.LEFT
+    assert actions.found("escape", parts()) is actions.QUIT
+    assert actions.found("escape", parts(help_on=True)) is actions.CLOSE_HELP
+    assert actions.found("escape", parts(posing=True)) is actions.QUIT
+    assert actions.found("escape", parts(posing=True, held=1)) is actions.GIVE_UP
+    assert actions.found("ctrl+z", parts()) is None and actions.found("ctrl+z", parts(posing=True)) is actions.UNDO
+    assert actions.found("t", parts()) is None
+
+
+@pytest.mark.parametrize(
+    ("size", "letter"), [((1280, 800), 15), ((1920, 1080), 15), ((2560, 1600), 30), ((640, 480), 15)]
+)
+def test_the_list_of_keys_fits_the_window_in_readable_letters(size, letter):
+    image = keys_image(GROUPS, size, letter)
+    assert image.width <= size[0] and image.height <= size[1]
+    # as large as asked for where the window is no smaller than usual
+    smaller = keys_image(GROUPS, size, letter - 1)
+    assert (image.height > smaller.height) == (size[0] > 640)
+
+
+def test_columns_keep_groups_whole_and_in_order():
+    blocks = [("a", [("k", "m")] * 5), ("b", [("k", "m")] * 2), ("c", [("k", "m")] * 3)]
+    assert [[title for title, _ in column] for column in in_columns(blocks, 2)] == [["a"], ["b", "c"]]
+    assert [[title for title, _ in column] for column in in_columns(blocks, 1)] == [["a", "b", "c"]]
+    assert len(in_columns(blocks, 9)) == 3
+
+
+def test_the_line_of_text_is_smooth_and_grows_with_the_screen():
+    """Letters have grey edges, which those of a bitmap font do not, and are twice as high on a dense screen."""
+    plain, dense = (np.asarray(line_image("frame 72/300", 4000, letter))[..., 0].astype(int) for letter in (15, 30))
+    assert len(np.unique(plain)) > 20
+    high = [np.ptp(np.flatnonzero((image > 128).any(1))) + 1 for image in (plain, dense)]
+    assert 1.8 < high[1] / high[0] < 2.2 and high[0] >= 10
+    short = line_image("a" * 500, 300, 15)
+    assert short.width <= 302
+
+
+def test_what_is_too_long_loses_its_middle():
+    assert shortened("abcdef", lambda cut: True) == "abcdef"
+    cut = shortened("/home/someone/very/long/name.npz", lambda cut: len(cut) <= 15)
+    assert len(cut) == 15 and cut.startswith("/hom") and cut.endswith("name.npz") and "..." in cut
+
+
+def test_groups_are_shown_when_their_keys_hold():
+    assert isinstance(GROUPS[0], Group) and [group.title for group in GROUPS][-2:] == ["First person", "Posing by hand"]
