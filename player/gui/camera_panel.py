@@ -3,8 +3,8 @@
 from imgui_bundle import imgui
 
 from player.cameras import NAMES
-from player.gui.widgets import Widgets
-from player.window.actions import ADD_CAMERA_KEY, FIRST_PERSON, RESET_CAMERA, SAVE_CAMERA_PATH
+from player.gui.widgets import Widgets, tip_of
+from player.window.actions import ADD_CAMERA_KEY, FIRST_PERSON, FOLLOW, RESET_CAMERA, SAVE_CAMERA_PATH
 from player.window.parts import Parts
 from player.window.viewpoint import Viewpoint
 from player.window.wipe import Wipe
@@ -20,8 +20,9 @@ def camera_panel(ui: Widgets, parts: Parts) -> None:
         viewpoint.choose(kinds[chosen])
     if cameras.kind in ("orbit", "turntable"):
         ui.action("Reset", RESET_CAMERA, parts, name="reset camera")
-        tip = "The orbit goes along with the first avatar.\nKey: f"
-        viewpoint.follow = ui.checkbox("follow the avatar", viewpoint.follow, tip, name="follow", beside=True)
+        viewpoint.follow = ui.checkbox(
+            "follow the avatar", viewpoint.follow, tip_of(FOLLOW), name="follow", beside=True
+        )
     elif cameras.kind == "walk":
         imgui.text_disabled("\n".join(f"{action.shown_keys[0]}  {action.means}" for action in FIRST_PERSON.actions))
     if parts.wipe is not None and viewpoint.shows_video:

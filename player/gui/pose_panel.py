@@ -68,8 +68,10 @@ class PosePanels:
         self, edit: PoseEdit, text: str, value: float, span: tuple[float, float], tip: str, change: Change, *,
         name: str, form: str = "%.0f deg",
     ) -> None:  # fmt: skip
-        """A slider whose whole drag is one step of undo: the session gets the same mark until it is let go."""
-        new = self.ui.slider(text, value, span, tip, name=name, form=form)
+        """A slider whose whole drag is one step of undo: the session gets the same mark until it is let go. Its name
+        is inside, where the longest has room."""
+        imgui.set_next_item_width(-1)
+        new = self.ui.slider("", value, span, tip, name=name, form=f"{text}: {form}")
         if new is not None:
             edit.tried(lambda: change(new, name))
         if imgui.is_item_deactivated():
@@ -116,8 +118,7 @@ class PosePanels:
         )
         if joint is None:
             return
-        # no -0
-        angles = np.round(np.degrees(joint_angles(session.pose.axis_angle)[joint]), 6) + 0.0
+        angles = joint_angles(session.pose.axis_angle)[joint]
         low, high = np.degrees(table.low[joint]), np.degrees(table.high[joint])
         for k, text in enumerate(table.names[joint]):
 
@@ -126,7 +127,7 @@ class PosePanels:
 
             span = (float(low[k]), float(high[k])) if session.limited else DEGREES
             tip = f"{text} of the {joint_name(joint)}; people reach {low[k]:.0f} to {high[k]:.0f} degrees."
-            self._slider(edit, text, float(angles[k]), span, tip, change, name=f"angle {k}")
+            self._slider(edit, text, shown_degrees(angles[k]), span, tip, change, name=f"angle {k}")
         self._button(edit, "Reset joint", "This joint as in the T-pose.", lambda: session.reset([joint]))
         self._button(edit, "Copy joint", "Copy this joint alone.", edit.copy_joint, beside=True)
         if joint:
@@ -148,7 +149,9 @@ class PosePanels:
                     name=f"{side} {name}", beside=number > 0,
                 )  # fmt: skip
             self.ui.fold(
-                f"{side} fingers", "Curl and spread of each finger.", lambda side=side: self._fingers(edit, side)
+                f"{side} fingers",
+                f"Curl and spread of each finger of the {side} hand.",
+                lambda side=side: self._fingers(edit, side),
             )
 
     def _fingers(self, edit: PoseEdit, side: Side) -> None:
@@ -169,7 +172,7 @@ class PosePanels:
                 name=f"{side} curl {FINGERS[finger]}", form="%.2f",
             )  # fmt: skip
             self._slider(
-                edit, "  spread", float(np.degrees(shape.spread[finger])), (float(low), float(high)),
+                edit, f"{name} spread", shown_degrees(shape.spread[finger]), (float(low), float(high)),
                 f"Spread of the {name} sideways.", spread, name=f"{side} spread {FINGERS[finger]}",
             )  # fmt: skip
         self._button(edit, "Other hand too", "The other hand does the same, mirrored.",
@@ -226,3 +229,9 @@ class PosePanels:
         if edit.name and edit.name not in BUILTIN and (library.folder / f"{edit.name}.npz").is_file():
             self._button(edit, "Delete", "Delete this pose from the library.", lambda: library.delete(edit.name),
                          name="delete pose", beside=True)  # fmt: skip
+
+
+def shown_degrees(angle: float) -> float:
+    """Radians as degrees that are shown without decimals, never as -0."""
+    degrees = float(np.degrees(angle))
+    return 0.0 if abs(degrees) < 0.5 else degrees

@@ -300,7 +300,7 @@ class PoseSession:
             pose_file.write_keys(
                 path, self.keys, self.rate, easing=self.state.easing, pelvis_height=self.pelvis_height, up=up
             )
-            done = f"{path}: {len(self.keys)} keys, {self.keys[-1][0] + 1} frames"
+            done = f"{path}: {len(self.keys)} keyframes, {self.keys[-1][0] + 1} frames"
         else:
             pose_file.write_pose(path, self.pose, pelvis_height=self.pelvis_height, up=up)
             done = f"{path}: one pose"

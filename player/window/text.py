@@ -96,7 +96,7 @@ def line_image(text: str, width: int, letter: int) -> Image.Image:
     """A line of text on a dark plate; what is wider than the window loses its middle."""
     letters, pad = font(letter), max(round(PADDING * letter), 1)
     text = shortened(text, lambda cut: letters.getlength(cut) <= width - 2 * pad)
-    size = int(letters.getlength(text)) + 2 * pad + 1, round(SPACING * letter) + 2 * pad
+    size = int(letters.getlength(text)) + 2 * pad + 1, round(SPACING * letter) + pad
     image = Image.new("RGBA", size, PLATE)
     ImageDraw.Draw(image).text((pad, size[1] // 2), text, fill=INK, font=letters, anchor="lm")
     return image
