@@ -22,7 +22,7 @@ from jaxtyping import Float
 from avatar.camera import Camera, checked_camera, look_at
 from avatar.errors import AssetError
 from avatar.files import whole_file
-from player.framing import ELEVATION, FOV, at_distance, needed_distance
+from player.framing import ELEVATION, FOV, at_distance, fitted_round
 
 Array = np.ndarray
 
@@ -141,13 +141,11 @@ def turntable(
     """
     if not (math.isfinite(seconds) and seconds > 0):
         raise ValueError(f"a turn should take a positive number of seconds, not {seconds}")
-    target = 0.5 * (points.min(0) + points.max(0))
-    sides = start + np.linspace(0, 2 * np.pi, 16, endpoint=False)
-    distance = max(needed_distance(points, target, side, ELEVATION, size, fov) for side in sides)
+    view = fitted_round(points, size, fov=fov)
 
     def camera(at: float) -> Camera:
         turn = math.fmod(at / seconds, 1.0)
-        return at_distance(target, distance, start + 2 * np.pi * turn, ELEVATION, size, fov)
+        return at_distance(view, start + 2 * np.pi * turn, ELEVATION, size, fov)
 
     return camera
 

@@ -15,9 +15,9 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, read_camera, read_cameras
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar
-from avatar.motion.clip import Clip
+from avatar.hull import hull_of, outermost, posed_hull
 from player.camera_path import CameraPath, is_path, turntable
-from player.framing import FOV, evenly, extent, facing, fitted_camera, orbit, outermost
+from player.framing import FOV, evenly, facing, fitted_camera, orbit
 from player.motions import BLOCK, ground_for, motion_for
 from player.renderer import Pose
 from player.scenes.scene import Scene, SceneCamera
@@ -26,6 +26,8 @@ from player.track import Track
 CameraAt = Callable[[int, Float[np.ndarray, "3"]], Camera]  # of the frame number and the first avatar's pelvis
 FITTED = ("front", "orbit", "turntable")
 SIZE = (640, 640)
+# frames of each block of a film that fitted cameras look at
+FITTED_TO = 64
 # seconds of a turntable's round when nothing on it moves
 TURN = 6.0
 
@@ -110,10 +112,11 @@ class Stage:
             start, stop = self.still, self.still + 1
         following = self.camera.kind == "orbit"
         everything, azimuth = np.zeros((0, 3)), 0.0
+        hulls = [hull_of(avatar) for avatar in self.avatars]
         for first in range(start, stop, BLOCK):
-            # 48 frames of a block tell its extent; a motion of any length takes the memory of one block
+            # so many frames of a block tell its extent; a motion of any length takes the memory of one block
             count = min(BLOCK, stop - first)
-            chosen = first + evenly(count, 48)
+            chosen = first + evenly(count, FITTED_TO)
             poses = [[track.pose(frame / self.rate) for track in self.tracks] for frame in chosen.tolist()]
             for k, avatar in enumerate(self.avatars):
                 axis_angle = np.stack([row[k][0] for row in poses])
@@ -123,8 +126,8 @@ class Stage:
                     root = root - np.stack([row[0][1] for row in poses]) * [1.0, 0.0, 1.0]
                 if k == 0 and first == start:
                     azimuth = facing(axis_angle[0], avatar.joint_positions.astype(np.float64))
-                points = extent(avatar, Clip(axis_angle, root, self.rate))
-                everything = np.concatenate([everything, points])
+                points = posed_hull(hulls[k], axis_angle, root).reshape(-1, 3)
+                everything = np.concatenate([everything, points[outermost(points)]])
                 everything = everything[outermost(everything)]
         return Fit(everything, azimuth)
 

@@ -14,7 +14,7 @@ from player.camera_path import CameraPath
 from player.cameras import TURN_SECONDS, Cameras, Orbit
 from player.capture_view import CaptureView, open_capture
 from player.filming.stage import opened_avatar
-from player.framing import FOV, extent, facing, fitted_camera, pelvis_height
+from player.framing import FOV, extent, facing, fitted, pelvis_height
 from player.live.playback import LivePlayback
 from player.motions import BLOCK, ground_for, motion_for, standing
 from player.passes.background import Background
@@ -55,9 +55,7 @@ class Show:
         first = self.playback.tracks[0].pose(0.0)[0]
         azimuth = facing(first, self.avatars[0].joint_positions.astype(np.float64))
         fov = self.cameras.orbit.fov
-        camera = fitted_camera(everything, azimuth, size, fov=fov)
-        target = 0.5 * (everything.min(0) + everything.max(0))
-        distance = float(np.linalg.norm(camera.eye - target))
+        target, distance = fitted(everything, azimuth, size, fov=fov)
         self.cameras.orbit = Orbit(target, distance, azimuth, fov)
 
 

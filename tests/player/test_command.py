@@ -7,7 +7,8 @@ from PIL import Image
 from avatar.camera import orbit_camera, write_camera
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
-from player.framing import extent, facing, fitted_camera, orbit, outermost, pelvis_height
+from avatar.hull import outermost
+from player.framing import extent, facing, fitted_camera, orbit, pelvis_height
 from player.render_command import render_main
 
 
