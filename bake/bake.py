@@ -136,7 +136,6 @@ def bake_run(
     view, facts["default_view"] = chosen_view(avatar, distilled, true)
     clock(f"default view: {view} ({facts['default_view']['reason']})")
     avatar = replace(avatar, default_view=view, provenance={**run.provenance, "baked": facts})
-    out.parent.mkdir(parents=True, exist_ok=True)
     write_avatar(out, avatar)
     if distilled.network is not None:
         write_onnx(out.with_suffix(".onnx"), distilled.network)

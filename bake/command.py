@@ -1,6 +1,7 @@
 """selfscan bake: run folder -> avatar file."""
 
 from avatar.errors import AssetError
+from avatar.files import check_file
 from avatar.settings import Help, parse
 from bake.options import BakeCommand
 
@@ -26,6 +27,7 @@ def main(argv: list[str]) -> int:
     if not command.run.is_dir():
         found = "a file" if command.run.exists() else "nothing"
         raise AssetError(f"{command.run}: expected a run folder, found {found}")
+    check_file(command.out)
     from bake.bake import bake
 
     bake(command.run, command.out, command.options, capture=command.capture)

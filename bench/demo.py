@@ -92,6 +92,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("out", type=Path, nargs="?", default=Path("out/demo"), help="folder (%(default)s)")
     options = parser.parse_args(argv)
     start = time.perf_counter()
+    options.out.mkdir(parents=True, exist_ok=True)
     try:
         run_stages(stages(options.out))
     except AssetError as error:

@@ -17,7 +17,7 @@ import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
-from avatar.files import whole_file
+from avatar.files import check_file, whole_file
 from avatar.progress import progress
 from avatar.settings import AtLeast, Help, Option, parse
 from avatar.skeleton import BIG_POSE
@@ -291,6 +291,8 @@ def eval_main(argv: list[str]) -> int:
     command = parse(EvalCommand, argv, EVAL)
     if not command.subject.exists():
         raise AssetError(f"{command.subject}: expected a run folder or an avatar file, found nothing")
+    for output in filter(None, (command.json, command.markdown)):
+        check_file(output)
     result = evaluate(
         command.subject,
         command.capture,

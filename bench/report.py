@@ -15,7 +15,7 @@ from PIL import Image
 
 from avatar.camera import Camera, orbit_camera
 from avatar.errors import AssetError
-from avatar.files import whole_file, whole_folder
+from avatar.files import check_folder, whole_file, whole_folder
 from avatar.gltf.avatar_file import Avatar, read_avatar
 from avatar.motion.clip import fitted
 from avatar.motion.read import builtin_motion
@@ -190,6 +190,7 @@ best one, with the field it came from (--run) and with the truth (--capture)."""
 def bench_main(argv: list[str]) -> int:
     """`selfscan bench AVATAR [--run RUN] [--capture CAPTURE] -o DIR`."""
     command = parse(BenchCommand, argv, BENCH)
+    check_folder(command.out)
     result = bench(
         command.avatar,
         command.out,

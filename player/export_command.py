@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from avatar.errors import AssetError
+from avatar.files import check_file
 from avatar.gltf.animation import write_animated
 from avatar.gltf.avatar_file import read_avatar
 from avatar.motion.amass import write_amass
@@ -79,6 +80,7 @@ def export_main(argv: list[str]) -> int:
     """Write a motion for other programs."""
     options = parse(ExportCommand, argv, EXPORT)
     out, kind = options.output, options.kind
+    check_file(out)
     avatar = read_avatar(options.avatar)
     ground = ground_for(options.ground, ())
     motion = motion_for(avatar, options.motion, body=options.body, hands=options.hands, ground=ground)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
-from avatar.files import whole_file
+from avatar.files import check_file, check_folder, whole_file
 from avatar.progress import Progress, progress
 from player.arguments import (
     add_effects,
@@ -133,6 +133,9 @@ def render_main(argv: list[str]) -> int:
     if options.scene and (options.motion or options.body or (options.hands, options.ground) != ("file", "auto")):
         parser.error("--motion, --body, --hands and --ground are in the scene file")
 
+    (check_file if kind else check_folder)(options.output)
+    if options.json:
+        check_file(options.json)
     scene = scene_of(options)
     # while files are read and unpacked, the driver wakes up; both are work outside of Python
     with ThreadPoolExecutor(1) as pool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from avatar.camera import write_cameras
 from avatar.errors import AssetError
-from avatar.files import whole_file, whole_folder
+from avatar.files import check_folder, whole_file, whole_folder
 from avatar.progress import Progress
 from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, check, parse
 from avatar.skeleton import PARENTS, PARTS
@@ -86,6 +86,7 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
         AssetError: the subject cannot be read, or the folder not be written.
     """
     light_of(config.light, "body", config.seed)
+    check_folder(out)
     person = cut_out(load_subject(subject))
     print(f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces; {'; '.join(person.notes)}")
 

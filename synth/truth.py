@@ -224,7 +224,7 @@ def write_png(path: Path, pixels: UInt8[np.ndarray, "..."]) -> None:
 
 def write_rest(folder: Path, subject: SynthSubject, visible: Bool[np.ndarray, " F"]) -> None:
     """rest.npz and a picture per material: the subject's own mesh in pose 0."""
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(exist_ok=True)
     with whole_file(folder / "rest.npz") as file:
         np.savez_compressed(
             file,

@@ -48,7 +48,7 @@ def write_field(path: Path, field: FusedField) -> None:
     if not is_exportable(field):
         raise ValueError("only a fused field of tri-plane networks (preset demo) can be exported")
     data = FieldGraph().of(field)
-    with whole_file(path) as file:
+    with whole_file(path, listed=True) as file:
         file.write(data)
 
 

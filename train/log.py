@@ -33,6 +33,7 @@ class TrainingLog:
         """
         rows = _rows_until(self.path, last_step) if last_step and self.path.exists() else []
         self.columns = rows[0] if rows else None
+        self.folder.mkdir(exist_ok=True)
         with whole_file(self.path, "w") as file:
             csv.writer(file, lineterminator="\n").writerows(rows)
         # a row is one write in append mode: readers and a kill never see half of one

@@ -56,6 +56,7 @@ class Preview:
             rendered[row, column] = _bytes(drawn.color)
             normals[row, column] = _bytes(opacity * (0.5 + 0.5 * n))
         image = np.concatenate([self.observed, rendered, normals], 1)
+        self.path.parent.mkdir(exist_ok=True)
         with whole_file(self.path) as file:
             file.write(encode_png(image))
         return image

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from avatar.errors import AssetError
-from avatar.files import whole_file
+from avatar.files import check_folder, whole_file
 
 FILE = "session.json"
 
@@ -44,7 +44,7 @@ def digest_of(facts: dict[str, Any]) -> str:
 
 
 @contextmanager
-def alone(out: Path) -> Iterator[None]:
+def exclusive_lock(out: Path) -> Iterator[None]:
     """No second process trains into the same folder meanwhile: two would overwrite each other's checkpoints.
 
     The lock goes with the process, however it ends.
@@ -59,7 +59,6 @@ def alone(out: Path) -> Iterator[None]:
         return
     path = out.with_name(f".{out.name}.lock")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
         raise AssetError(f"{path}: cannot be written: {error.strerror}") from None
@@ -107,6 +106,7 @@ def open_session(
                 f"{partial}: was begun with {_listed(before, other)}, not with {_listed(settings, other)}; "
                 "--resume needs the same, --force begins anew"
             )
+        check_folder(out)
         return Session(out, partial, True)
     if resume and finished:
         say(f"{out} is finished already; nothing to resume (--force trains it anew)")
@@ -117,9 +117,11 @@ def open_session(
         raise AssetError(
             f"{out}: a finished run lies here; --force replaces it once the new one is complete, or choose another -o"
         )
+    check_folder(out)
     if resume:
         say(f"{partial} holds no checkpoint: nothing to resume, training begins")
     shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir()
     with whole_file(partial / FILE, "w") as file:
         json.dump(settings, file, indent=1)
     return Session(out, partial, False)

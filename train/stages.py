@@ -28,7 +28,7 @@ from train.log import tensorboard_installed
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
 from train.preset import Preset
 from train.rigid import with_rigid_head
-from train.session import Session, alone, capture_digest, digest_of, open_session
+from train.session import Session, capture_digest, digest_of, exclusive_lock, open_session
 from train.single import part_names, part_presets
 from train.stored_preset import preset_json
 from train.trainer import peak_memory
@@ -67,7 +67,7 @@ def train(
         }
         session = None
         if ranks.writes:
-            held.enter_context(alone(out))
+            held.enter_context(exclusive_lock(out))
             session = open_session(out, settings, resume=resume, force=force, say=say)
         session = ranks.tell(session)
         if session is None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from avatar.errors import AssetError
-from avatar.files import whole_folder
+from avatar.files import check_folder, whole_folder
 from avatar.gltf.avatar_file import read_avatar
 from avatar.progress import progress
 from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, parse
@@ -148,6 +148,7 @@ def inspect_main(argv: list[str]) -> int:
         import pyvista  # noqa: F401
     except ModuleNotFoundError:
         raise AssetError("needs the package 'pyvista': pip install 'selfscan[inspect]'") from None
+    check_folder(options.output)
     began = time.perf_counter()
     inspection = inspect(
         options.avatar,

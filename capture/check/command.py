@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from avatar.errors import AssetError
-from avatar.files import whole_file
+from avatar.files import check_file, check_folder, whole_file
 from avatar.settings import Help, Option, parse
 from capture.check.report import CaptureReport, PartReport, examine, report_facts
 from capture.check.sheet import contact_sheet, overlay
@@ -41,6 +41,10 @@ frames, sharpness and view directions sound? Ends in a verdict: usable; usable, 
 def main(argv: list[str]) -> int:
     """Parse the command line, examine, print; 1 when the capture is not usable."""
     arguments = parse(CheckCommand, argv, ABOUT)
+    if arguments.json:
+        check_file(arguments.json)
+    if arguments.out and not arguments.out.is_dir():
+        check_folder(arguments.out)
     capture = read_capture(arguments.capture)
     try:
         report = examine(capture)
@@ -53,7 +57,7 @@ def main(argv: list[str]) -> int:
     files = [arguments.json] if arguments.json else []
     if arguments.out:
         out = arguments.out
-        out.mkdir(parents=True, exist_ok=True)
+        out.mkdir(exist_ok=True)
         files.append(out / "check.json")
         write_overlays(out / "overlays.png", capture, report)
         print(f"{out / 'overlays.png'}: outline of the mask red, of the template's parts in other colours")

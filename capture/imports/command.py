@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from avatar.body import read_body
+from avatar.files import check_folder
 from avatar.settings import AtLeast, AtMost, Help, Option, parse
 from avatar.skeleton import PARTS
 from capture.imports.easymocap import MOST_FRAMES, import_easymocap
@@ -93,12 +94,14 @@ def main(argv: Sequence[str]) -> int:
         return 0
     if kind == "totalselfscan":
         command = parse(TotalSelfScanCommand, rest, RELEASED)
+        check_folder(command.out)
         body = read_body(command.body) if command.body else None
         notes = import_totalselfscan(
             command.source, command.out, body=body, most=command.frames.frames, select=dict(command.frames.select)
         )
     elif kind == "easymocap":
         command = parse(EasyMocapCommand, rest, OWN)
+        check_folder(command.out)
         notes = import_easymocap(
             command.source,
             command.out,

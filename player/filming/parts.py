@@ -5,20 +5,23 @@ in OUT.parts, each written whole or not at all; what they are parts of is in fil
 they are joined to OUT (player.filming.film.join_pieces) and the folder goes.
 """
 
+import contextlib
 import hashlib
 import json
+import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from avatar.errors import AssetError
-from avatar.files import whole_file
+from avatar.files import check_folder, whole_file
 from player.filming.film import VIDEO, film_kind
 
 # frames of a part: eight seconds at 30 a second, and as far apart as key frames may be
 LENGTH = 240
 MARK = "film.json"
+_PIECE = re.compile(r"\d{8,}-\d{8,}(\.[a-z0-9]+)?")
 
 
 @dataclass(frozen=True)
@@ -81,13 +84,20 @@ class Parts:
                     )
                 return
             self.discard()
-        self.folder.mkdir(parents=True, exist_ok=True)
+        check_folder(self.folder)
+        self.folder.mkdir(exist_ok=True)
         with whole_file(mark, "w") as file:
             json.dump({"format": "selfscan-film-parts", "film": self._film()}, file, indent=1)
 
     def discard(self) -> None:
-        """Remove the parts."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        """Remove the parts, and their folder if nothing else is in it."""
+        for path in list(self.folder.glob("*")):
+            if path.is_dir() and _PIECE.fullmatch(path.name):
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name == MARK or _PIECE.fullmatch(path.name):
+                path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            self.folder.rmdir()
 
     def _film(self) -> dict[str, Any]:
         return json.loads(json.dumps({**self.identity, "frames": [self.start, self.stop], "part": LENGTH}))

@@ -16,7 +16,7 @@ from painted_capture import write_capture
 
 from avatar.errors import AssetError
 from train.preset import DEMO
-from train.session import FILE, alone, capture_digest, open_session
+from train.session import FILE, capture_digest, exclusive_lock, open_session
 from train.stages import train
 
 DRIVER = Path(__file__).parents[1] / "hands_training.py"
@@ -194,10 +194,10 @@ def test_a_finished_run_is_replaced_only_by_force(tmp_path):
 
 def test_two_processes_do_not_train_into_one_folder(capture, tmp_path):
     out = tmp_path / "run"
-    with alone(out), pytest.raises(AssetError, match=rf"process {os.getpid()} is training into it"):
+    with exclusive_lock(out), pytest.raises(AssetError, match=rf"process {os.getpid()} is training into it"):
         train(capture, out, DEMO)
     assert list(tmp_path.iterdir()) == []
-    with alone(out):  # the lock went with its holder
+    with exclusive_lock(out):  # the lock went with its holder
         pass
 
 
