@@ -12,6 +12,27 @@ from typing import NamedTuple, TextIO, TypeVar
 T = TypeVar("T")
 
 
+class _Display:
+    """Where progress is shown. What cannot be shown is lost: the work goes on."""
+
+    def __init__(self, stream: TextIO | TextIOBase | None):
+        # None where the program was started without one
+        self.stream = sys.stderr if stream is None else stream
+        try:
+            self.live = self.stream is not None and self.stream.isatty()
+        except (OSError, ValueError):
+            self.live, self.stream = False, None
+
+    def write(self, text: str) -> None:
+        if self.stream is None:
+            return
+        try:
+            self.stream.write(text)
+            self.stream.flush()
+        except (OSError, ValueError):  # the reader has gone, or the stream was closed
+            self.live, self.stream = False, None
+
+
 class Progress:
     """Reports how far a count has come, with the time left and a note such as a loss.
 
@@ -19,27 +40,25 @@ class Progress:
     every ten seconds after that.
     """
 
-    def __init__(self, label: str, total: int, stream: TextIO | None = None):
+    def __init__(self, label: str, total: int, stream: TextIO | TextIOBase | None = None):
         self.label, self.total = label, total
-        self.stream = sys.stderr if stream is None else stream
-        self.live = self.stream.isatty()
+        self.display = _Display(stream)
         self.began = self.shown = time.monotonic()
 
     def update(self, done: int, note: str = "") -> None:
         now = time.monotonic()
         last = done >= self.total
-        if now - self.shown < (0.1 if self.live else 10.0) and not (last and self.live):
+        live = self.display.live
+        if now - self.shown < (0.1 if live else 10.0) and not (last and live):
             return
         self.shown = now
         spent = now - self.began
         left = spent / max(done, 1) * (self.total - done)
         text = f"{self.label} {done}/{self.total}  {spent:.0f} s, {left:.0f} s left  {note}".rstrip()
-        if self.live:
+        if live:
             filled = int(24 * done / max(self.total, 1))
-            self.stream.write(f"\r\x1b[K[{'#' * filled}{'.' * (24 - filled)}] {text}" + ("\n" if last else ""))
-        else:
-            self.stream.write(text + "\n")
-        self.stream.flush()
+            text = f"\r\x1b[K[{'#' * filled}{'.' * (24 - filled)}] {text}"
+        self.display.write(text if live and not last else text + "\n")
 
 
 def progress(items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
@@ -77,8 +96,7 @@ class ProgressBoard:
         self, totals: Mapping[str, int], workers: int, *, after: float = 0.0, stream: TextIO | TextIOBase | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):  # fmt: skip
-        self.stream = sys.stderr if stream is None else stream
-        self.live = self.stream.isatty()
+        self.display = _Display(stream)
         self.clock, self.workers, self.after = clock, workers, after
         self.jobs = {name: _Job(total) for name, total in totals.items()}
         self.began = self.shown = clock()
@@ -103,20 +121,19 @@ class ProgressBoard:
     def say(self, text: str) -> None:
         """A line that stays, above the others, on standard output."""
         self._erase()
-        print(text, flush=True)
+        _Display(sys.stdout).write(text + "\n")
 
     def refresh(self, *, now: bool = False) -> None:
         """Show the lines if it is time to; call it often."""
-        if now or self.clock() - self.shown >= (0.2 if self.live else 10.0):
+        if now or self.clock() - self.shown >= (0.2 if self.display.live else 10.0):
             self.shown = self.clock()
             self._erase()
             lines = self.lines()
-            if self.live:
+            if self.display.live:
                 width = shutil.get_terminal_size().columns - 1
                 lines = [line[:width] for line in lines]
                 self.drawn = len(lines)
-            self.stream.write("".join(line + "\n" for line in lines))
-            self.stream.flush()
+            self.display.write("".join(line + "\n" for line in lines))
 
     def close(self) -> None:
         """No more lines; what is on the terminal is taken away."""
@@ -193,8 +210,7 @@ class ProgressBoard:
 
     def _erase(self) -> None:
         if self.drawn:
-            self.stream.write(f"\x1b[{self.drawn}A\x1b[J")
-            self.stream.flush()
+            self.display.write(f"\x1b[{self.drawn}A\x1b[J")
             self.drawn = 0
 
 

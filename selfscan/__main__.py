@@ -1,8 +1,14 @@
 """The `selfscan` command: finds the subcommand, imports it only then, and turns bad input into one line."""
 
+import os
+import signal
 import sys
+import tempfile
+import traceback
 
 from avatar.errors import AssetError
+from avatar.interrupt import prompt_stop
+from selfscan.streams import exit_code, guard_streams
 
 USAGE = """usage: selfscan COMMAND ...
 
@@ -27,8 +33,8 @@ judge it
   bench   AVATAR -o DIR                  accuracy against time on this machine
   doctor                                 which OpenGL context works here, and what is missing
 
-`selfscan COMMAND --help` explains a command, `selfscan --version` says which this is. Try `selfscan render avatar.glb
---motion counting -o film.mp4`.
+`selfscan COMMAND --help` explains a command, `selfscan --version` says which this is, `selfscan --debug COMMAND ...`
+shows where an error arose. Try `selfscan render avatar.glb --motion counting -o film.mp4`.
 """
 PACKAGES = ("avatar", "geometry", "capture", "train", "player", "bake", "shaders", "synth", "bench", "experiments")
 # commands that hold decoded images
@@ -36,27 +42,72 @@ DRAWING = ("render", "play")
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one subcommand; the exit code: 0 done, 1 bad input (one line says what), 2 wrong usage."""
-    argv = sys.argv[1:] if argv is None else argv
+    """Run one subcommand; the exit code: 0 done, 1 bad input (one line says what), 2 wrong usage, 130 or 143 a signal.
+
+    Without arguments the process is ours, and its streams are guarded.
+    """
+    if argv is not None:
+        return _run(argv)
+    guard_streams()
+    try:
+        code = _run(sys.argv[1:])
+    except SystemExit as stop:  # argparse
+        code = stop.code if isinstance(stop.code, int) else int(stop.code is not None)
+    return exit_code(code)
+
+
+def _run(argv: list[str]) -> int:
+    debug = argv[:1] == ["--debug"]
+    argv = argv[1:] if debug else argv
     if not argv or argv[0] in ("-h", "--help"):
         print(USAGE, end="")
         return 0 if argv else 2
     if argv[0] in ("-V", "--version"):
-        from importlib.metadata import version
-
-        print(f"selfscan {version('selfscan')}")
+        print(f"selfscan {_version()}")
         return 0
     name, rest = argv[0], argv[1:]
     try:
-        return _dispatch(name, rest)
-    except AssetError as error:
-        print(f"selfscan {name}: {error}", file=sys.stderr)
-        return 1
-    except BrokenPipeError:
-        return 1
-    except KeyboardInterrupt:
+        with prompt_stop():
+            return _dispatch(name, rest)
+    except KeyboardInterrupt as stop:
         print(f"\nselfscan {name}: stopped", file=sys.stderr)
-        return 130
+        return 128 + getattr(stop, "number", signal.SIGINT)
+    except Exception as error:
+        print(f"selfscan {name}: {_explained(error, argv, debug)}", file=sys.stderr)
+        if debug:
+            traceback.print_exc()
+        return 1
+
+
+def _explained(error: Exception, argv: list[str], debug: bool) -> str:
+    """One line on what went wrong: with the input, with the machine, or, in all other cases, with us."""
+    if isinstance(error, AssetError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{f'{error.filename}: ' if error.filename else ''}{error.strerror or error}"
+    if isinstance(error, MemoryError):
+        return f"not enough memory {error}".rstrip()
+    said = (str(error).splitlines() or [""])[0][:200]
+    line = f"an error that should not happen, {type(error).__name__}: {said}; please report it"
+    return line if debug else f"{line} with {_written_report(error, argv)}"
+
+
+def _written_report(error: Exception, argv: list[str]) -> str:
+    """The file that holds what a report needs, or where there can be none, how to see it."""
+    lines = [f"selfscan {_version()}, Python {sys.version}", f"arguments: {argv}", *traceback.format_exception(error)]
+    try:
+        handle, path = tempfile.mkstemp(prefix="selfscan-report-", suffix=".txt")
+        with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+            file.write("\n".join(lines))
+    except OSError:
+        return "what `selfscan --debug ...` shows"
+    return path
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("selfscan")
 
 
 def _dispatch(name: str, rest: list[str]) -> int:

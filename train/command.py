@@ -8,10 +8,10 @@ from typing import Annotated
 import torch
 
 from avatar.errors import AssetError
+from avatar.interrupt import Stopped
 from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, parse
 from capture.repair.refine import CHOICES
 from train.distributed import leave_ranks
-from train.interrupt import Stopped
 from train.preset import PRESETS, shortened
 from train.stages import train
 

@@ -15,6 +15,7 @@ import torch
 
 from avatar.errors import AssetError
 from avatar.files import whole_folder
+from avatar.interrupt import prompt_stop
 from avatar.progress import Progress, ProgressBoard, Reporter
 from avatar.similarity import Registration, similarity_from_landmarks
 from capture.folder import Capture, read_capture, write_subject
@@ -23,7 +24,6 @@ from train import run as run_folder
 from train.compose import compose
 from train.distributed import Ranks, join_ranks
 from train.hull import with_hair
-from train.interrupt import prompt_stop
 from train.log import tensorboard_installed
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
 from train.preset import Preset

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import torch
 
+from avatar.interrupt import Stopped, deferred_stop
 from train.checkpoint import Position, load_checkpoint, save_checkpoint
 from train.distributed import ALONE, Ranks
 from train.field import PartField
-from train.interrupt import Stopped, deferred_stop
 from train.log import TrainingLog
 from train.networks.hash import HashGrid, open_levels
 from train.networks.triplane import TriPlane

@@ -13,8 +13,8 @@ from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
 from avatar.errors import AssetError
+from avatar.interrupt import Stopped, deferred_stop, prompt_stop, signals_arrive, signals_wait
 from avatar.progress import ProgressBoard, Reporter
-from train.interrupt import Stopped, deferred_stop, prompt_stop, signals_arrive, signals_wait
 
 T = TypeVar("T")
 

@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import UInt8
 
 from avatar.errors import AssetError
+from avatar.interrupt import deferred_stop
 from avatar.motion.read import BUILTIN_MOTIONS
 from player.context import Context, opened
 from player.filming.film import Film, Frame
 from player.filming.stage import Fit, Stage
 from player.renderer import Renderer
 from player.scenes.scene import MANNEQUINS, Scene
-from player.stop import Stop
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class Set:
     def film(self, path: Path, frames: Iterable[int], pieces: Sequence[tuple[Path, int]] = ()) -> Film:
         """Draw these frames into a film, or into pieces of one; the film, written."""
         shot = self.shot
-        with Stop() as stop, Film(
+        with deferred_stop(patience=0) as stop, Film(
             path, shot.rate, transparent=shot.transparent, encoder=shot.encoder, quality=shot.quality, pieces=pieces
         ) as film:  # fmt: skip
             for frame in frames:
@@ -135,6 +135,8 @@ class Set:
                 self.drawing += time.perf_counter() - began
                 film.add(image)
                 stop.check()
+        # what came while the film was finished
+        stop.check()
         return film
 
     def release(self) -> None:

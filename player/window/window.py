@@ -14,8 +14,8 @@ from typing import Protocol
 import glfw
 import moderngl
 
+from avatar.interrupt import deferred_stop
 from player.cameras import moved_into
-from player.stop import Stop
 from player.window.actions import GROUPS
 from player.window.keyboard import Keyboard
 from player.window.look import Look
@@ -206,7 +206,7 @@ class Window:
         """Until closed or Ctrl-C, or through the words of a script."""
         waiting = None if script is None else steps(script)
         last = self.clock()
-        with Stop() as stop:
+        with deferred_stop(patience=0) as stop:
             while not (self.parts.closing or glfw.window_should_close(self.screen.handle)):
                 stop.check()
                 if waiting is not None:

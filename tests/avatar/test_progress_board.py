@@ -2,7 +2,7 @@
 
 import io
 
-from avatar.progress import ProgressBoard, clock_time
+from avatar.progress import Progress, ProgressBoard, clock_time, progress
 
 
 def test_the_time_left_schedules_what_waits_on_the_workers():
@@ -51,3 +51,31 @@ def test_a_terminal_is_redrawn_in_place():
 
 def test_times_are_read_at_a_glance():
     assert [clock_time(t) for t in (7.4, 754.0, 3723.0)] == ["0:07", "12:34", "1:02:03"]
+
+
+class Gone(io.StringIO):
+    """A stream whose reader has gone."""
+
+    def write(self, text):
+        raise BrokenPipeError
+
+
+def test_progress_that_cannot_be_shown_stops_no_work(monkeypatch):
+    assert list(progress(range(5), "frames")) == [0, 1, 2, 3, 4]
+    closed = io.StringIO()
+    closed.close()
+    monkeypatch.setattr("sys.stdout", Gone())
+    for stream in (Gone(), closed):
+        report = Progress("frames", 2, stream)
+        report.began = report.shown = -100.0
+        report.update(1)
+        report.update(2)
+        board = ProgressBoard({"body": 2}, 1, stream=stream)
+        board.begin("body")
+        board.update("body", 1)
+        board.say("half")
+        board.refresh(now=True)
+        board.close()
+    monkeypatch.setattr("sys.stderr", None)  # as with 2>&-
+    Progress("frames", 2).update(1)
+    ProgressBoard({"body": 2}, 1).refresh(now=True)

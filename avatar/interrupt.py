@@ -1,4 +1,8 @@
-"""Ctrl-C and SIGTERM, taken at a moment of our choosing."""
+"""Ctrl-C and SIGTERM, taken at a moment of our choosing.
+
+While OpenGL draws, and while a training step runs, a signal is only noted (`deferred_stop`): a KeyboardInterrupt that
+Python raises while OpenGL calls back into it (player/counting.py) is dropped by ctypes, and the OpenGL call with it.
+"""
 
 import signal
 import time
@@ -31,6 +35,11 @@ class StopRequest:
         if self.number is None:
             self.number, self.at = number, time.monotonic()
 
+    def check(self) -> None:
+        """Raise what was noted."""
+        if self.number is not None:
+            raise Stopped(self.number)
+
 
 @contextmanager
 def prompt_stop() -> Iterator[None]:
@@ -44,16 +53,16 @@ def prompt_stop() -> Iterator[None]:
 
 
 @contextmanager
-def deferred_stop() -> Iterator[StopRequest]:
-    """In this block a signal is only noted; the block looks at `.asked` where it can save and leave.
+def deferred_stop(*, patience: float | int = 1.0) -> Iterator[StopRequest]:
+    """In this block a signal is only noted; the block looks at `.asked`, or calls `.check()`, where it can leave.
 
-    A second Ctrl-C, a second or more after the first, raises `Stopped` wherever the block is. Other repeats say
-    nothing new: `timeout` and torchrun send to a process and then to its group.
+    A second Ctrl-C, `patience` seconds or more after the first, raises `Stopped` wherever the block is. Other repeats
+    say nothing new: `timeout` and torchrun send to a process and then to its group.
     """
     request = StopRequest()
 
     def handler(number, frame):
-        if request.asked and number == signal.SIGINT and time.monotonic() - request.at > 1.0:
+        if request.asked and number == signal.SIGINT and time.monotonic() - request.at >= patience:
             raise Stopped(number)
         request.ask(number)
 
