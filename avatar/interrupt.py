@@ -41,15 +41,29 @@ class StopRequest:
             raise Stopped(self.number)
 
 
+# of the innermost `prompt_stop` block
+_prompt = StopRequest()
+
+
 @contextmanager
-def prompt_stop() -> Iterator[None]:
-    """In this block either signal raises `Stopped` at once, so that `finally` and context managers run."""
+def prompt_stop() -> Iterator[StopRequest]:
+    """In this block either signal raises `Stopped` at once, so that `finally` and context managers run.
+
+    Where the exception was dropped the request still knows, and so does a `deferred_stop` block that begins later.
+    """
+    global _prompt
+    request, outer = StopRequest(), _prompt
 
     def handler(number, frame):
+        request.ask(number)
         raise Stopped(number)
 
-    with _handled(handler):
-        yield
+    _prompt = request
+    try:
+        with _handled(handler):
+            yield request
+    finally:
+        _prompt = outer
 
 
 @contextmanager
@@ -60,6 +74,8 @@ def deferred_stop(*, patience: float | int = 1.0) -> Iterator[StopRequest]:
     say nothing new: `timeout` and torchrun send to a process and then to its group.
     """
     request = StopRequest()
+    if _prompt.number is not None:
+        request.ask(_prompt.number)
 
     def handler(number, frame):
         if request.asked and number == signal.SIGINT and time.monotonic() - request.at >= patience:

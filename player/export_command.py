@@ -92,7 +92,7 @@ def export_main(argv: list[str]) -> int:
         elif kind == ".glb":
             write_animated(out, options.avatar, _whole(fitted), name=Path(motion.name).stem)
         else:
-            write_amass(out, _whole(fitted))
+            write_amass(out, fitted)
     except ValueError as error:
         raise AssetError(f"{motion.name}: {error}") from None
     for note in motion.notes:

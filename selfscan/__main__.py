@@ -7,7 +7,7 @@ import tempfile
 import traceback
 
 from avatar.errors import AssetError
-from avatar.interrupt import prompt_stop
+from avatar.interrupt import StopRequest, prompt_stop
 from selfscan.streams import exit_code, guard_streams
 
 USAGE = """usage: selfscan COMMAND ...
@@ -66,17 +66,25 @@ def _run(argv: list[str]) -> int:
         print(f"selfscan {_version()}")
         return 0
     name, rest = argv[0], argv[1:]
+    stop = StopRequest()
     try:
-        with prompt_stop():
+        with prompt_stop() as stop:
             return _dispatch(name, rest)
-    except KeyboardInterrupt as stop:
-        print(f"\nselfscan {name}: stopped", file=sys.stderr)
-        return 128 + getattr(stop, "number", signal.SIGINT)
+    except KeyboardInterrupt as stopped:
+        return _stopped(name, getattr(stopped, "number", signal.SIGINT))
     except Exception as error:
+        # what it was raised into made another error of it
+        if stop.number is not None and not isinstance(error, AssetError):
+            return _stopped(name, stop.number)
         print(f"selfscan {name}: {_explained(error, argv, debug)}", file=sys.stderr)
         if debug:
             traceback.print_exc()
         return 1
+
+
+def _stopped(name: str, number: int) -> int:
+    print(f"\nselfscan {name}: stopped", file=sys.stderr)
+    return 128 + number
 
 
 def _explained(error: Exception, argv: list[str], debug: bool) -> str:

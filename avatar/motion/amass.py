@@ -11,6 +11,7 @@ USUAL_PELVIS, and the notes say so. Betas are not used without a body: they mean
 Arrays are never unpickled and are read row by row out of the archive, deflated or not.
 """
 
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,6 +45,7 @@ from avatar.rotation import (
 Array = np.ndarray
 
 RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "framerate", "fps")
+WRITTEN_AT_ONCE = 1024  # frames
 # quaternion, a quarter turn about -x
 Y_FROM_Z = np.array([-np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
 
@@ -217,14 +219,14 @@ def _numbers(npz: NpzFile, name: str, count: int) -> Array:
 
 def write_amass(
     path: Path | str,
-    clip: Clip,
+    clip: Clip | Motion,
     *,
     up: str = "z",
     pelvis: Float[Array, "3"] | None = None,
     dtype: type = np.float64,
     beside: Mapping[str, Array] | None = None,
 ) -> None:
-    """Write a clip with AMASS keys, whole or not at all.
+    """Write a clip, or a motion of any length in constant memory, with AMASS keys, whole or not at all.
 
     up="z" is what AMASS and its tools expect: the clip is turned and trans = pelvis_z - J0, with J0 the usual
     one of SMPL+H unless `pelvis` gives another. up="y" keeps our world, with trans = pelvis (J0 = 0) unless
@@ -236,16 +238,27 @@ def write_amass(
     """
     if up not in ("y", "z"):
         raise ValueError(f"up should be 'y' or 'z', is {up!r}")
-    if not len(clip.root) or not (np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()):
-        raise ValueError(f"a clip of {len(clip.root)} frames should have some, all finite")
+    frames = clip.frames if isinstance(clip, Motion) else len(clip.root)
+    if not frames:
+        raise ValueError("a clip of 0 frames should have some, all finite")
     J0 = np.asarray(pelvis if pelvis is not None else USUAL_PELVIS if up == "z" else np.zeros(3), np.float64)
-    pose, root = np.array(clip.axis_angle, np.float64), np.asarray(clip.root, np.float64)
-    if up == "z":
-        pose[:, 0] = _turned(pose[:, 0], quaternion_inverse(Y_FROM_Z))
-        root = np.stack([root[:, 0], -root[:, 2], root[:, 1]], -1)
+
+    def rows(start: int, stop: int) -> dict[str, Array]:
+        """Poses and trans of some frames."""
+        if isinstance(clip, Motion):
+            part = clip.read(start, stop)
+            pose, root = np.array(part.axis_angle, np.float64), np.asarray(part.root, np.float64)
+        else:
+            pose = np.array(clip.axis_angle[start:stop], np.float64)
+            root = np.asarray(clip.root[start:stop], np.float64)
+        if not (np.isfinite(pose).all() and np.isfinite(root).all()):
+            raise ValueError(f"a clip of {frames} frames should have some, all finite")
+        if up == "z":
+            pose[:, 0] = _turned(pose[:, 0], quaternion_inverse(Y_FROM_Z))
+            root = np.stack([root[:, 0], -root[:, 2], root[:, 1]], -1)
+        return {"poses": pose.reshape(len(pose), 156).astype(dtype), "trans": (root - J0).astype(dtype)}
+
     fields = {
-        "poses": pose.reshape(len(pose), 156).astype(dtype),
-        "trans": (root - J0).astype(dtype),
         "betas": np.zeros(16),
         "gender": np.array("neutral"),
         "mocap_framerate": np.array(float(clip.rate)),
@@ -255,9 +268,19 @@ def write_amass(
     if clip.pelvis_height is not None:
         fields["pelvis_height"] = np.array(float(clip.pelvis_height))
     if beside is not None:
-        taken = fields.keys() & beside.keys()
+        taken = {"poses", "trans", *fields} & beside.keys()
         if taken:
             raise ValueError(f"{sorted(taken)} beside a clip are names of its own")
         fields |= beside
-    with whole_file(path) as file:
-        np.savez_compressed(file, **fields)
+    # the members that NumPy writes, the first two by rows
+    with whole_file(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, width in (("poses", 156), ("trans", 3)):
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                descr = np.lib.format.dtype_to_descr(np.dtype(dtype))
+                header = {"descr": descr, "fortran_order": False, "shape": (frames, width)}
+                np.lib.format.write_array_header_1_0(member, header)
+                for start in range(0, frames, WRITTEN_AT_ONCE):
+                    member.write(rows(start, min(start + WRITTEN_AT_ONCE, frames))[name].tobytes())
+        for name, value in fields.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(value), allow_pickle=False)

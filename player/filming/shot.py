@@ -101,10 +101,12 @@ class Set:
         self.camera_at = stage.camera_at(shot.fit, shot.start, shot.stop, shot.size)
         self.context: Context = opened(shot.context, shot.gpu) if context is None else context
         try:
-            self.renderer = Renderer(
-                self.context, stage.avatars, shot.size, effects=shot.scene.effects,
-                background=shot.scene.background, level=shot.level,
-            )  # fmt: skip
+            with deferred_stop(patience=0) as stop:
+                self.renderer = Renderer(
+                    self.context, stage.avatars, shot.size, effects=shot.scene.effects,
+                    background=shot.scene.background, level=shot.level,
+                )  # fmt: skip
+            stop.check()
         except ValueError as error:
             self.context.release()
             raise AssetError(str(error)) from None

@@ -1,12 +1,14 @@
 """The thread that listens: UDP datagrams or WebSocket messages into an inbox. Bound to this machine unless told."""
 
 import errno
+import logging
 import socket
 import struct
 import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from avatar.errors import AssetError
@@ -18,6 +20,14 @@ SO_TIMESTAMPNS = 35
 STAMP = struct.Struct("@qq")
 LARGEST_MESSAGE = 65536  # bytes; a WebSocket that sends more is closed
 MOST_CLIENTS = 8
+# connections at once, with those that have not said yet what they want
+MOST_CONNECTIONS = 32
+# seconds in which a connection must say what it wants
+HANDSHAKE = 5.0
+# seconds; a sender silent for longer gives its place to a new one
+SILENT = 5.0
+# out of descriptors or memory, or the other side has gone already: nothing that lasts
+PASSING = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM, errno.ECONNABORTED, errno.EPROTO)
 LOCAL_PAGES = ("localhost", "127.0.0.1", "[::1]")
 
 
@@ -92,49 +102,111 @@ def _reason(error: OSError) -> str:
     return error.strerror or str(error)
 
 
+class Door(socket.socket):
+    """A listening socket that lets in so many at once and closes the rest; what passes does not end it."""
+
+    # those inside
+    inside: set[socket.socket]
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        while True:
+            try:
+                connection, place = super().accept()
+            except OSError as error:
+                if error.errno not in PASSING:
+                    raise
+                time.sleep(0.05)
+                continue
+            if len(self.inside) < MOST_CONNECTIONS:
+                self.inside.add(connection)
+                return connection, place
+            connection.close()
+
+
 class WebSocketListener:
-    """A WebSocket server for pose messages. Pages of other sites are refused: a browser lets them reach us."""
+    """A WebSocket server for pose messages. Pages of other sites are refused: a browser lets them reach us.
+
+    At most MOST_CLIENTS senders are heard; one more takes the place of the one that has been silent for longest.
+    """
 
     def __init__(self, address: Address, inbox: Inbox):
-        self.inbox, self.clients = inbox, threading.Semaphore(MOST_CLIENTS)
+        self.inbox, self.lock = inbox, threading.Lock()
+        # senders, and when each was heard last
+        self.heard: dict[Any, float] = {}
         serve = _websocket_server()
         try:
-            self.server = serve(
-                self._client,
-                address.host,
-                address.port,
-                max_size=LARGEST_MESSAGE,
-                process_request=refuse_foreign_pages,
-                compression=None,
-                server_header=None,
-            )
+            family, kind, proto, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)[0]
+            listening = socket.create_server(place[:2], family=family)
         except OSError as error:
             raise AssetError(f"{address}: {_reason(error)}") from None
-        self.address = address._replace(port=self.server.socket.getsockname()[1])
-        self.open: set[Any] = set()
+        self.door = Door(family, kind, proto, listening.detach())
+        self.door.inside = set()
+        quiet = logging.getLogger("selfscan.live")
+        quiet.addHandler(logging.NullHandler())
+        quiet.propagate = False
+        self.server = serve(
+            self._client,
+            sock=self.door,
+            max_size=LARGEST_MESSAGE,
+            process_request=refuse_foreign_pages,
+            compression=None,
+            server_header=None,
+            open_timeout=HANDSHAKE,
+            close_timeout=1,
+            logger=quiet,
+        )
+        self.server.handler = self._leaving(self.server.handler)
+        self.address = address._replace(port=self.door.getsockname()[1])
         self.thread = threading.Thread(target=self.server.serve_forever, name="live poses", daemon=True)
         self.thread.start()
+
+    def _leaving(self, handler: Callable[[socket.socket, Any], None]) -> Callable[[socket.socket, Any], None]:
+        """The handler of a connection, which is let out when it is done."""
+
+        def handled(connection: socket.socket, place: Any) -> None:
+            try:
+                handler(connection, place)
+            finally:
+                self.door.inside.discard(connection)
+
+        return handled
 
     def _client(self, connection: Any) -> None:
         from websockets.exceptions import ConnectionClosed
 
-        if not self.clients.acquire(blocking=False):
+        if not self._admitted(connection):
             connection.close(1013, "too many senders")
             return
-        self.open.add(connection)
         try:
             for message in connection:
-                self.inbox.feed(message, time.monotonic())
+                self.heard[connection] = time.monotonic()
+                self.inbox.feed(message, self.heard[connection])
         except ConnectionClosed as error:
             if error.sent is not None and error.sent.code == 1009:
                 self.inbox.oversize()
         finally:
-            self.open.discard(connection)
-            self.clients.release()
+            with self.lock:
+                self.heard.pop(connection, None)
+
+    def _admitted(self, connection: Any) -> bool:
+        """Whether there is a place for one more, or a silent sender that leaves its own."""
+        with self.lock:
+            now = time.monotonic()
+            quietest = min(self.heard, key=lambda sender: self.heard[sender], default=None)
+            if len(self.heard) >= MOST_CLIENTS and now - self.heard[quietest] < SILENT:
+                return False
+            leaving = quietest if len(self.heard) >= MOST_CLIENTS else None
+            if leaving is not None:
+                del self.heard[leaving]
+            self.heard[connection] = now
+        if leaving is not None:
+            leaving.close(1008, "silent, and others wait")
+        return True
 
     def close(self) -> None:
-        for connection in list(self.open):
-            connection.close()
+        for connection in list(self.door.inside):
+            with suppress(OSError):
+                connection.shutdown(socket.SHUT_RDWR)
         self.server.shutdown()
         self.thread.join()
 
@@ -149,12 +221,14 @@ def _websocket_server() -> Callable[..., Any]:
 
 def refuse_foreign_pages(connection: Any, request: Any) -> Any:
     """Programs have no origin; pages must come from this machine."""
-    origin = request.headers.get("Origin")
-    if origin in (None, "null"):
-        return None if origin is None else connection.respond(403, "only pages of this machine\n")
-    host = origin.partition("://")[2]
+    # a list: a request may name several, or none
+    origins = request.headers.get_all("Origin")
+    if not origins:
+        return None
+    host = origins[0].partition("://")[2]
     name = host.partition("]")[0] + "]" if host.startswith("[") else host.partition(":")[0]
-    return None if name in LOCAL_PAGES else connection.respond(403, "only pages of this machine\n")
+    allowed = len(origins) == 1 and name in LOCAL_PAGES
+    return None if allowed else connection.respond(403, "only pages of this machine\n")
 
 
 def listen(address: Address, inbox: Inbox) -> UdpListener | WebSocketListener:

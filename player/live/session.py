@@ -1,13 +1,14 @@
 """A live session from start to end: listens while the block runs, then writes what was asked for."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
+from avatar.interrupt import deferred_stop
 from player.address import Address
 from player.live.inbox import Inbox
 from player.live.latency import Latency
@@ -30,44 +31,49 @@ class LiveOptions:
 def live_session(
     options: LiveOptions, avatars: Sequence[Avatar], beside: Sequence[Float[np.ndarray, "3"]]
 ) -> Iterator[LivePlayback]:
-    """Listen, and give the playback. At the end the take and the stamps are written, and all is printed.
+    """Listen, and give the playback. However the block ends, the take and the stamps are written, and all is printed.
 
     Raises:
         AssetError: the address cannot be listened at, or a file cannot be written.
         ValueError: an option out of its range.
     """
-    take = Take() if options.record else None
-    inbox = Inbox(options.address.kind, delay=options.buffer, take=take)
-    latency = Latency(options.latency)
-    try:
+    # from here on the other way round: the take is written last
+    with ExitStack() as ending:
+        take = None
+        if options.record:
+            take = Take(options.record)
+            ending.callback(_write_take, take)
+        inbox = Inbox(options.address.kind, delay=options.buffer, take=take)
+        latency = Latency(options.latency)
+        ending.callback(_write_latency, latency, options)
         listener = listen(options.address, inbox)
-        try:
-            playback = LivePlayback(
-                inbox,
-                listener.address,
-                avatars,
-                beside,
-                smooth=options.smooth,
-                latency=latency,
-                calibrate_after=options.calibrate_after,
-            )
-            print(f"live: {listener.address}", end="")
-            print(" (this machine only)" if options.address.local else ": anyone who reaches this port poses it")
-            yield playback
-        finally:
-            listener.close()
-            inbox.finish()
-    finally:
-        latency.close()
+        ending.callback(listener.close)
+        playback = LivePlayback(
+            inbox, listener.address, avatars, beside, smooth=options.smooth, latency=latency,
+            calibrate_after=options.calibrate_after,
+        )  # fmt: skip
+        if take is not None:
+            take.sender_height = playback.sender_height
+        ending.callback(_print_summary, playback)
+        ending.callback(inbox.finish)
+        print(f"live: {listener.address}", end="")
+        print(" (this machine only)" if options.address.local else ": anyone who reaches this port poses it")
+        yield playback
+
+
+def _print_summary(playback: LivePlayback) -> None:
     for line in playback.summary():
         print(line)
+
+
+def _write_latency(latency: Latency, options: LiveOptions) -> None:
+    latency.close()
     if options.latency:
         print(f"{options.latency} written")
-    if take is not None and options.record:
-        if not take.times:
-            print("no pose came: no take written")
-        else:
-            clip = take.write(options.record, playback.sender_height())
-            for note in clip.notes:
-                print(note)
-            print(f"{options.record}: {len(clip.root)} frames at {clip.rate:g} a second")
+
+
+def _write_take(take: Take) -> None:
+    # a signal that comes twice, to the process and to its group, ends no writing
+    with deferred_stop():
+        for line in take.finish():
+            print(line)

@@ -1,63 +1,163 @@
-"""A live take: the poses that came, put on an even clock and written with AMASS keys."""
+"""A live take: the poses that came, on the disk as they come, then put on an even clock and written with AMASS keys.
 
+While it is recorded, the frames lie in FILE.recording, one record each. Whatever ends the program costs at most the
+frame in hand: the next recording to the same FILE first saves what lies there beside it. Memory does not grow.
+"""
+
+import contextlib
+import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from avatar.errors import AssetError
+from avatar.files import check_file
 from avatar.motion.amass import write_amass
-from avatar.motion.clip import Clip
+from avatar.motion.clip import Motion
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 from player.live.frame import LivePose
 
-# about 190 MB, 80 minutes at 60 frames a second
+# 80 minutes at 60 frames a second; at most so many are recorded, and at most so many are written
 MOST_FRAMES = 300_000
 USUAL_RATES = (24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 144, 240)
+# frames a second; poses that came faster came in a burst
+FASTEST = 1000.0
 LONGEST_PAUSE = 2.0  # seconds; a longer silence is cut to this
+MAGIC = b"selfscan-take-1\n"
+# pelvis height of the sender's body in metres, NaN where it is not known
+HEADER = np.dtype([("magic", "S16"), ("pelvis_height", "<f8")])
+# joints, then the root
+RECORD = np.dtype([("time", "<f8"), ("pose", "<f4", (53, 3))])
+# frames between two notes of the pelvis height
+NOTED = 64
 
 
 class Take:
-    """Frames of a live source, in the order of their times. Stops at MOST_FRAMES rather than fill the memory."""
+    """Frames of a live source, in the order of their times. Stops at `most` rather than fill the disk.
 
-    def __init__(self, most: int = MOST_FRAMES):
-        self.times: list[float] = []
-        self.poses: list[Float[np.ndarray, "53 3"]] = []  # joints, then the root
-        self.most, self.full = most, False
+    Raises:
+        AssetError: the file cannot be written, or another process records into it.
+    """
+
+    def __init__(self, path: Path | str, most: int = MOST_FRAMES):
+        self.path, self.most = Path(path), most
+        check_file(path)
+        self.recording = self.path.with_name(self.path.name + ".recording")
+        self.notes: list[str] = []
+        self.frames = 0
+        # why no more frames are taken
+        self.stopped: str | None = None
+        self.sender_height: Callable[[], float | None] = lambda: None
+        try:
+            self.file = os.open(self.recording, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            raise AssetError(f"{self.recording}: cannot be written: {error.strerror}") from None
+        try:
+            if not _locked(self.file):
+                raise AssetError(f"{path}: another process records into it; choose another name")
+            if os.fstat(self.file).st_size:
+                self._save_what_was_left()
+            os.ftruncate(self.file, 0)
+            os.write(self.file, np.array([(MAGIC, np.nan)], HEADER).tobytes())
+        except BaseException:
+            os.close(self.file)
+            raise
 
     def add(self, time: float | int, pose: LivePose) -> None:
-        if len(self.times) >= self.most:
-            self.full = True
+        """The next frame. A disk that is full stops the take, not the program."""
+        if self.stopped is not None:
             return
-        self.times.append(float(time))
-        self.poses.append(np.concatenate([pose.axis_angle, pose.root[None]]).astype(np.float32))
+        if self.frames >= self.most:
+            self.stopped = "as many as a take holds"
+            return
+        numbers = np.concatenate([pose.axis_angle, pose.root[None]]).astype(np.float32)
+        data = np.array([(time, numbers)], RECORD).tobytes()
+        place = HEADER.itemsize + self.frames * RECORD.itemsize
+        try:
+            if os.pwrite(self.file, data, place) < len(data):
+                raise OSError(28, "No space left on device")
+            if self.frames % NOTED == 0:
+                self._note_height()
+        except OSError as error:
+            self.stopped = error.strerror or str(error)
+            return
+        self.frames += 1
 
-    def clip(self, pelvis_height: float | None = None) -> Clip:
-        """The take at an even rate: the usual one nearest to the median step, else that step's own.
+    def motion(self) -> Motion:
+        """The take so far at an even rate; see `even_motion`."""
+        return even_motion(_records(self.recording)[: self.frames], self.sender_height(), str(self.path))
 
-        Each frame goes to its nearest tick and keeps its pose to the bit; of two on one tick the later stays; ticks
-        without a frame are filled on the shorter arc.
+    def finish(self) -> list[str]:
+        """Write the take as an AMASS file, whole or not at all, and remove the recording; what was done, in lines.
 
         Raises:
-            ValueError: no frame was recorded.
+            AssetError: it cannot be written; the recording is kept.
         """
-        if not self.times:
-            raise ValueError("no pose came, so there is no take")
-        steps = np.minimum(np.maximum(np.diff(self.times), 0.0), LONGEST_PAUSE)
-        rate = even_rate(steps)
-        ticks = np.round(np.concatenate([[0.0], np.cumsum(steps)]) * rate).astype(np.int64)
-        # the later of two on one tick
-        last = np.append(np.flatnonzero(np.diff(ticks)), len(ticks) - 1)
-        ticks = ticks[last] - ticks[last[0]]
-        poses = np.stack([self.poses[i] for i in last]).astype(np.float64)
-        axis_angle, root = filled(ticks, poses)
-        notes = () if not self.full else (f"take: stopped after {self.most} frames",)
-        return Clip(axis_angle, root, rate, notes, pelvis_height)
+        if not self.frames:
+            self.close()
+            self.recording.unlink(missing_ok=True)
+            return [*self.notes, "no pose came: no take written"]
+        try:
+            self._note_height()
+            motion = self.motion()
+            write_amass(self.path, motion)
+        except BaseException as error:
+            self.close()
+            kept = f"{self.frames} frames are kept in {self.recording}; recording to {self.path} again saves them"
+            raise AssetError(f"{error}; {kept}" if isinstance(error, AssetError) else kept) from None
+        self.close()
+        self.recording.unlink(missing_ok=True)
+        stopped = [] if self.stopped is None else [f"take: stopped after {self.frames} frames: {self.stopped}"]
+        return [
+            *self.notes,
+            *motion.notes,
+            *stopped,
+            f"{self.path}: {motion.frames} frames at {motion.rate:g} a second",
+        ]
 
-    def write(self, path: Path | str, pelvis_height: float | None = None) -> Clip:
-        """Write the take as an AMASS file, whole or not at all."""
-        clip = self.clip(pelvis_height)
-        write_amass(path, clip)
-        return clip
+    def close(self) -> None:
+        """Give the recording up, as it is."""
+        os.close(self.file)
+
+    def _note_height(self) -> None:
+        height = self.sender_height()
+        os.pwrite(self.file, np.array([(MAGIC, np.nan if height is None else height)], HEADER).tobytes(), 0)
+
+    def _save_what_was_left(self) -> None:
+        """Write the take of a process that was killed beside this one."""
+        records, height = _records(self.recording), _height(self.recording)
+        if not len(records):
+            return
+        names = (self.path.with_name(f"{self.path.stem}-recovered{n or ''}.npz") for n in range(1 << 30))
+        kept = next(name for name in names if not name.exists())
+        write_amass(kept, even_motion(records, height, str(kept)))
+        self.notes.append(f"{kept}: {len(records)} frames of a take that was cut off")
+
+
+def even_motion(records: np.ndarray, pelvis_height: float | None, name: str) -> Motion:
+    """Recorded frames at an even rate: the usual one nearest to the median step, else that step's own.
+
+    Each frame goes to its nearest tick and keeps its pose to the bit; of two on one tick the later stays; ticks
+    without a frame are filled on the shorter arc. Where there would be more than MOST_FRAMES, the rate is lower.
+    """
+    steps = np.minimum(np.maximum(np.diff(records["time"]), 0.0), LONGEST_PAUSE)
+    seconds = np.concatenate([[0.0], np.cumsum(steps)])
+    rate, notes = even_rate(steps), ()
+    if seconds[-1] * rate > MOST_FRAMES:
+        notes = (f"take: at {rate:g} a second it would have more than {MOST_FRAMES} frames",)
+        rate = MOST_FRAMES / seconds[-1]
+    ticks = np.round(seconds * rate).astype(np.int64)
+    # the later of two on one tick
+    last = np.append(np.flatnonzero(np.diff(ticks)), len(ticks) - 1)
+    ticks = ticks[last] - ticks[last[0]]
+
+    def block(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        return filled(ticks, lambda chosen: records["pose"][last[chosen]].astype(np.float64), start, stop)
+
+    return Motion(name, int(ticks[-1]) + 1, rate, notes, block, pelvis_height)
 
 
 def even_rate(steps: Float[np.ndarray, "steps"]) -> float:
@@ -65,24 +165,63 @@ def even_rate(steps: Float[np.ndarray, "steps"]) -> float:
     steps = steps[steps > 1e-4]
     if not len(steps):
         return 30.0
-    rate = 1 / float(np.median(steps))
+    rate = min(1 / float(np.median(steps)), FASTEST)
     nearest = min(USUAL_RATES, key=lambda usual: abs(usual - rate))
     return float(nearest) if abs(nearest - rate) < 0.02 * nearest else rate
 
 
 def filled(
-    ticks: np.ndarray, poses: Float[np.ndarray, "frames 53 3"]
+    ticks: Int[np.ndarray, "frames"], poses: Callable[[np.ndarray], Any], start: int, stop: int
 ) -> tuple[Float[np.ndarray, "ticks 52 3"], Float[np.ndarray, "ticks 3"]]:
-    """Poses on every tick from 0 to the last: given ones as they are, the others between their neighbours."""
-    wanted = np.arange(ticks[-1] + 1)
+    """Poses on the ticks start .. stop - 1: those of a frame as they are, the others between their neighbours.
+
+    `poses` gives the poses (chosen, 53, 3) of frames by their numbers.
+    """
+    wanted = np.arange(start, stop)
     after = np.searchsorted(ticks, wanted)
-    out = poses[after].copy()
+    out = poses(after)
     missing = ticks[after] != wanted
     if missing.any():
         b = after[missing]
         a = b - 1
         part = (wanted[missing] - ticks[a]) / (ticks[b] - ticks[a])
-        qa, qb = (quaternion_from_axis_angle(poses[i, :52]) for i in (a, b))
+        before, behind = poses(a), poses(b)
+        qa, qb = (quaternion_from_axis_angle(pose[:, :52]) for pose in (before, behind))
         out[missing, :52] = axis_angle_from_quaternion(slerp(qa, qb, np.repeat(part[:, None], 52, 1)))
-        out[missing, 52] = poses[a, 52] + part[:, None] * (poses[b, 52] - poses[a, 52])
+        out[missing, 52] = before[:, 52] + part[:, None] * (behind[:, 52] - before[:, 52])
     return out[:, :52], out[:, 52]
+
+
+def _records(path: Path) -> np.ndarray:
+    """The whole records of a recording, read from the disk where they are used."""
+    count = max(path.stat().st_size - HEADER.itemsize, 0) // RECORD.itemsize
+    if not count:
+        return np.zeros(0, RECORD)
+    return np.memmap(path, RECORD, "r", HEADER.itemsize, (count,))
+
+
+def _height(path: Path) -> float | None:
+    """The pelvis height that a recording notes.
+
+    Raises:
+        AssetError: the file is no recording.
+    """
+    head = np.fromfile(path, np.uint8, HEADER.itemsize).tobytes()
+    if len(head) < HEADER.itemsize or not head.startswith(MAGIC):
+        raise AssetError(f"{path}: expected what is left of a take, found something else; move it away")
+    height = float(np.frombuffer(head, HEADER)["pelvis_height"][0])
+    return height if np.isfinite(height) and height > 0 else None
+
+
+def _locked(file: int) -> bool:
+    """Lock an open file until its process ends; False: another has it."""
+    try:
+        import fcntl
+    except ModuleNotFoundError:  # Windows
+        return True
+    with contextlib.suppress(OSError):
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+    return True

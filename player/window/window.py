@@ -277,13 +277,15 @@ def play(
     if script is not None:
         steps(script)
     try:
-        window = Window(show, size=size, null=null, panels=panels)
+        with deferred_stop(patience=0) as stop:
+            window = Window(show, size=size, null=null, panels=panels)
     except BaseException:
         show.playback.close()
         # with the window, where there is one already
         glfw.terminate()
         raise
     try:
+        stop.check()
         print(window.screen.context.attempts[-1])
         glfw.swap_interval(0 if script is not None else 1)
         window.run(script, keep=screenshot is not None)

@@ -29,7 +29,7 @@ def angles(a, b):
 @pytest.mark.parametrize("motion", ["counting", "walking"])
 def test_a_motion_sent_out_comes_back_as_the_same_file(kind, motion, tmp_path, within):
     source = builtin_motion(motion)
-    now, take = [0.0], Take()
+    now, take = [0.0], Take(tmp_path / "take.npz")
     inbox = Inbox(kind, take=take)
     encode = encoder(kind, builtin_body("male"), lambda: 2e9 + now[0])
     send(
@@ -37,7 +37,7 @@ def test_a_motion_sent_out_comes_back_as_the_same_file(kind, motion, tmp_path, w
         clock=lambda: now[0], sleep=lambda wait: now.__setitem__(0, now[0] + wait),
     )  # fmt: skip
     inbox.finish()
-    take.write(tmp_path / "take.npz")
+    take.finish()
     found, sent = read_amass(tmp_path / "take.npz").read(), source.read()
     assert found.axis_angle.shape == sent.axis_angle.shape and found.rate == sent.rate
     within(angles(found.axis_angle, sent.axis_angle), 1e-4, "rad")

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ import selfscan.__main__ as command
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.gltf.avatar_file import write_avatar
-from avatar.interrupt import Stopped
+from avatar.interrupt import Stopped, deferred_stop
 from selfscan.__main__ import main
 
 ROOT = Path(__file__).parents[2]
@@ -67,7 +68,9 @@ def test_a_full_disk_is_one_line_for_every_command_that_writes(film, tmp_path, c
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(disk)], capture_output=True).returncode:
         pytest.skip("cannot mount")
     try:
-        (disk / "filler").write_bytes(bytes(60 << 10))
+        with suppress(OSError), open(disk / "filler", "wb", buffering=0) as file:
+            while file.write(bytes(1 << 12)):
+                pass
         motion = [avatar, "--motion", "counting", "--frames", "0:9"]
         for arguments in (
             ["export", *motion, "-o", f"{disk}/a.glb"], ["export", *motion, "-o", f"{disk}/a.npz"],
@@ -129,6 +132,28 @@ def test_a_signal_ends_a_command_with_its_code(monkeypatch, capsys, number, code
     assert main(["render"]) == code
     assert "selfscan render: stopped" in capsys.readouterr().err and signal.getsignal(number) == before
     assert issubclass(Stopped, KeyboardInterrupt)
+
+
+def test_a_signal_that_was_dropped_is_taken_up_later(monkeypatch, capsys):
+    """ctypes drops an exception that is raised while OpenGL calls back."""
+
+    def dropped(_name, _rest):
+        with suppress(Stopped):
+            signal.raise_signal(signal.SIGTERM)
+        with deferred_stop() as stop:
+            stop.check()
+
+    def broken(_name, _rest):
+        with suppress(Stopped):
+            signal.raise_signal(signal.SIGTERM)
+        raise RuntimeError("half a shader")
+
+    for dispatch in (dropped, broken):
+        monkeypatch.setattr(command, "_dispatch", dispatch)
+        assert main(["render"]) == 143
+        assert capsys.readouterr().err == "\nselfscan render: stopped\n"
+    with deferred_stop() as stop:
+        assert not stop.asked
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

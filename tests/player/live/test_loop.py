@@ -1,12 +1,13 @@
 """Out over sockets and in again: stream to receiver, receiver to window, all on this machine."""
 
 import json
+import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from player.live.inbox import Inbox
 from player.live.json_pose import build_pose
 from player.live.playback import LivePlayback
 from player.live.receiver import UdpListener, listen
-from player.live.take import Take
+from player.live.take import HEADER, RECORD, Take
 from player.play_command import play_main
 
 
@@ -57,7 +58,7 @@ def free_port():
 @pytest.mark.parametrize("kind", ["vmc", "udp"])
 def test_npz_out_and_in_again_is_the_same_npz(kind, moving, tmp_path):
     path, clip = moving
-    take, now = Take(), [0.0]
+    take, now = Take(tmp_path / "take.npz"), [0.0]
     inbox = Inbox(kind, take=take)
     encode = encoder(kind, builtin_body("male"), lambda: 2e9 + now[0])
     motion = read_motion(path)
@@ -66,7 +67,7 @@ def test_npz_out_and_in_again_is_the_same_npz(kind, moving, tmp_path):
         clock=lambda: now[0], sleep=lambda wait: now.__setitem__(0, now[0] + wait),
     )  # fmt: skip
     inbox.finish()
-    take.write(tmp_path / "take.npz")
+    take.finish()
     found = read_amass(tmp_path / "take.npz").read()
     assert sent == 90 and found.rate == 30
     assert worst_angle(found.axis_angle, clip.axis_angle) < 1e-4
@@ -74,9 +75,9 @@ def test_npz_out_and_in_again_is_the_same_npz(kind, moving, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["vmc", "udp"])
-def test_every_datagram_sent_over_a_socket_is_received_and_recorded(kind, moving):
+def test_every_datagram_sent_over_a_socket_is_received_and_recorded(kind, moving, tmp_path):
     path, clip = moving
-    take = Take()
+    take = Take(tmp_path / "take.npz")
     inbox = Inbox(kind, take=take)
     listener = listen(Address(kind, "127.0.0.1", 0), inbox)
     motion, encode = read_motion(path), encoder(kind, builtin_body("male"))
@@ -87,7 +88,9 @@ def test_every_datagram_sent_over_a_socket_is_received_and_recorded(kind, moving
     listener.close()
     inbox.finish()
     assert inbox.counters.received == inbox.counters.frames == 90 and inbox.counters.lost == 0
-    assert worst_angle(np.stack([p[:52] for p in take.poses]), clip.axis_angle) < 1e-4
+    poses = np.fromfile(take.recording, RECORD, offset=HEADER.itemsize)["pose"]
+    take.close()
+    assert worst_angle(poses[:, :52], clip.axis_angle) < 1e-4
 
 
 def test_a_motion_streams_at_another_rate_and_loops():
@@ -154,6 +157,113 @@ def test_web_sockets_take_poses_of_programs_and_of_no_foreign_page():
             assert inbox.wait(2, 10)
     finally:
         listener.close()
+
+
+WEB_SOCKETS = """
+import resource, socket, sys, time
+resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
+import numpy as np
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+from player.live.address import Address
+from player.live.inbox import Inbox
+from player.live.json_pose import build_pose
+from player.live.receiver import listen
+
+inbox = Inbox("ws")
+listener = listen(Address("ws", "127.0.0.1", 0), inbox)
+place = ("127.0.0.1", listener.address.port)
+"""
+ENDING = """
+deadline = time.monotonic() + 60
+while inbox.counters.frames == 0 and time.monotonic() < deadline:
+    try:
+        with connect(f"ws://127.0.0.1:{place[1]}", open_timeout=2) as sender:
+            sender.send(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.0, sequence=0))
+            inbox.wait(0, 2)
+    except (OSError, WebSocketException):
+        time.sleep(0.2)
+assert inbox.counters.frames == 1, inbox.counters
+began = time.monotonic()
+listener.close()
+assert time.monotonic() - began < 5
+"""
+
+
+def web_sockets(middle: str) -> str:
+    """What a process prints to standard error that listens, meets what `middle` does, and must then take a pose."""
+    done = subprocess.run([sys.executable, "-c", WEB_SOCKETS + middle + ENDING], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stderr
+
+
+def test_connections_that_say_nothing_are_closed_and_the_listener_goes_on():
+    """At 256 descriptors; each connection takes one here and one there."""
+    silent = "silent = [socket.create_connection(place) for _ in range(110)]\ntime.sleep(0.5)\n"
+    inside = "assert len(listener.door.inside) <= 32\n"
+    assert web_sockets(silent + inside) == ""
+
+
+def test_a_listener_that_is_out_of_descriptors_waits_for_some():
+    middle = """
+time.sleep(0.5)
+spare = [socket.socket() for _ in range(3)]
+kept = []
+while True:
+    try:
+        kept.append(open("/dev/null"))
+    except OSError:
+        break
+spare.pop().close()
+waiting = socket.create_connection(place)
+time.sleep(0.5)
+assert listener.thread.is_alive()
+waiting.close()
+for file in kept:
+    file.close()
+"""
+    assert web_sockets(middle.replace("waiting = socket.create_connection(place)", CONNECT)) == ""
+
+
+CONNECT = "waiting = spare.pop(); waiting.connect(place); kept.append(open('/dev/null'))"
+
+
+def test_silent_senders_give_their_place_to_a_new_one(monkeypatch):
+    from websockets.exceptions import ConnectionClosed
+    from websockets.sync.client import connect
+
+    monkeypatch.setattr("player.live.receiver.SILENT", 0.3)
+    inbox = Inbox("ws")
+    listener = listen(Address("ws", "127.0.0.1", 0), inbox)
+    url = f"ws://127.0.0.1:{listener.address.port}"
+    try:
+        with ExitStack() as senders:
+            silent = [senders.enter_context(connect(url)) for _ in range(8)]
+            early = senders.enter_context(connect(url))
+            with pytest.raises(ConnectionClosed, match="too many senders"):
+                early.recv(timeout=5)
+            time.sleep(0.5)
+            sender = senders.enter_context(connect(url))
+            sender.send(build_pose(np.zeros((52, 3)), np.zeros(3), time=0.0, sequence=0))
+            assert inbox.wait(0, 10)
+            with pytest.raises(ConnectionClosed, match="silent, and others wait"):
+                silent[0].recv(timeout=5)
+    finally:
+        listener.close()
+
+
+def test_two_origins_are_refused_without_a_word():
+    middle = """
+both = socket.create_connection(place)
+both.sendall(b"GET / HTTP/1.1\\r\\nHost: a\\r\\nUpgrade: websocket\\r\\nConnection: Upgrade\\r\\nSec-WebSocket-Key: "
+             b"dGhlIHNhbXBsZSBub25jZQ==\\r\\nSec-WebSocket-Version: 13\\r\\nOrigin: http://localhost\\r\\n"
+             b"Origin: http://localhost\\r\\n\\r\\n")
+assert both.recv(100).startswith(b"HTTP/1.1 403"), "not refused"
+junk = socket.create_connection(place)
+junk.sendall(b"nonsense\\r\\n\\r\\n")
+junk.recv(100)
+"""
+    assert web_sockets(middle) == ""
 
 
 def test_without_websockets_one_line_says_what_to_install(monkeypatch):
@@ -267,6 +377,40 @@ def play_file(avatar_path, tmp_path, clip):
     """The same pose from a file, standing at the origin, drawn by the live window's camera: held by a silent sender."""
     with Sender("udp", LivePose(clip.axis_angle[0], clip.root[0] * [0, 1, 0])) as sender:
         return play_live(avatar_path, sender.address, tmp_path / "b.png", "pose pose pose")
+
+
+PLAYED = """
+import sys
+from selfscan.__main__ import main
+sys.exit(main(["play", *sys.argv[1:]]))
+"""
+
+
+@pytest.mark.usefixtures("osmesa")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)])
+def test_a_take_outlives_what_ends_the_window(number, code, avatar_path, tmp_path):
+    path, recording = tmp_path / "take.npz", tmp_path / "take.npz.recording"
+    with Sender("vmc", LivePose(np.full((52, 3), 0.1), np.array([0.0, 0.9, 0.0]))) as sender:
+        arguments = [avatar_path, "--live", str(sender.address), "--platform", "null", "--size", "160x200"]
+        process = subprocess.Popen(
+            [sys.executable, "-c", PLAYED, *arguments, "--record", str(path), "--latency", str(tmp_path / "l.csv")],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        )  # fmt: skip
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and not (recording.exists() and recording.stat().st_size > 30_000):
+            time.sleep(0.05)
+        process.send_signal(number)
+        said, _ = process.communicate(timeout=60)
+    assert process.returncode == code, said
+    if number == signal.SIGKILL:
+        assert not path.exists() and recording.exists()
+        assert "a take that was cut off" in Take(path).finish()[0]
+        path = tmp_path / "take-recovered.npz"
+    else:
+        assert "frames at" in said and "Traceback" not in said and (tmp_path / "l.csv").exists()
+        assert not recording.exists()
+    take = read_amass(path)
+    assert take.frames >= 10 and worst_angle(take.read(0, 1).axis_angle, np.full((1, 52, 3), 0.1)) < 1e-4
 
 
 @pytest.mark.usefixtures("osmesa")
