@@ -165,7 +165,7 @@ resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
 import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
-from player.live.address import Address
+from player.address import Address
 from player.live.inbox import Inbox
 from player.live.json_pose import build_pose
 from player.live.receiver import listen
