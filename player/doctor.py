@@ -246,8 +246,8 @@ def compare(avatar_path: str | None = None, size: int = 512) -> dict[str, Any]:
     Equal means: no channel differs by more than 1/255 outside the pixels at the silhouette. The window is a real
     one where there is a display, and glfw's null platform with OSMesa.
     """
-    from player.filming.stage import opened_avatar
     from player.ladder import views_of
+    from player.scenes.opened import opened_avatar
 
     avatar = opened_avatar(avatar_path or "mannequin")
     views = views_of(avatar)

@@ -165,12 +165,13 @@ def _avatars(options: argparse.Namespace) -> tuple[SceneAvatar, ...]:
 
 def play_scene(scene: Scene, options: argparse.Namespace, script: Sequence[str] | None) -> int:
     """Open the scene's files and sources, then the window."""
-    from player.window.show import opened_show, read_avatars
+    from player.scenes.opened import opened_avatars
+    from player.window.show import opened_show
 
     # glfw only when a window is asked for
     from player.window.window import play
 
-    avatars = read_avatars(scene)
+    avatars = opened_avatars(scene)
     with ExitStack() as sources:
         live = [
             (sources.enter_context(_listening(address, options, [avatars[k] for k in indices])), indices)

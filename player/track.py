@@ -27,6 +27,8 @@ class Track:
     at: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))  # metres
     turn: float = 0.0  # radians about y
     name: str = ""
+    # what was assumed in reading it
+    notes: tuple[str, ...] = ()
     _blocks: list[tuple[int, Clip]] = field(default_factory=list, repr=False)
 
     @property

@@ -4,24 +4,22 @@ All of it follows from the scene and the frame number alone, so any machine that
 frame.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from avatar.baked_avatar import Avatar
-from avatar.camera import Camera, read_camera, read_cameras
+from avatar.camera import Camera
 from avatar.errors import AssetError
-from avatar.gltf.avatar_file import read_avatar
 from avatar.hull import hull_of, outermost, posed_hull
 from player.camera_path import CameraPath, is_path, turntable
 from player.framing import FOV, evenly, facing, fitted_camera, orbit
-from player.motions import BLOCK, ground_for, motion_for
+from player.motions import BLOCK
 from player.renderer import Pose
+from player.scenes.opened import notes_of, opened_avatars, opened_camera, opened_tracks
 from player.scenes.scene import Scene, SceneCamera
-from player.track import Track
 
 CameraAt = Callable[[int, Float[np.ndarray, "3"]], Camera]  # of the frame number and the first avatar's pelvis
 FITTED = ("front", "orbit", "turntable")
@@ -52,23 +50,12 @@ class Stage:
         self.scene = scene
         if not scene.avatars:
             raise AssetError("the scene has no avatar")
-        self.avatars: list[Avatar] = []
-        self.tracks: list[Track] = []
-        self.notes: list[str] = []
         for actor in scene.avatars:
             if actor.live is not None:
                 raise AssetError(f"{actor.path}: live = {actor.live!r} is for `selfscan play`; a film needs a motion")
-            avatar = opened_avatar(actor.path, levels)
-            ground = ground_for(actor.ground, scene.cameras[:1])
-            motion = motion_for(avatar, actor.motion, body=actor.body, hands=actor.hands, ground=ground)
-            self.notes += [note for note in motion.notes if note not in self.notes]
-            self.avatars.append(avatar)
-            self.tracks.append(
-                Track(
-                    motion.read, motion.frames, motion.rate, actor.start, np.array(actor.at, np.float64),
-                    np.radians(actor.turn_deg), motion.name,
-                )
-            )  # fmt: skip
+        self.avatars = opened_avatars(scene, levels)
+        self.tracks = opened_tracks(scene, self.avatars, scene.cameras[:1])
+        self.notes = notes_of(self.tracks)
         self.rate = float(scene.rate or self.tracks[0].rate)
         self.camera = scene.cameras[0] if scene.cameras else SceneCamera()
         ends = [int(np.ceil(track.end * self.rate - 1e-6)) for track in self.tracks]
@@ -76,7 +63,7 @@ class Stage:
         self.still: int | None = None  # the one frame that a turntable holds
         if self.camera.kind == "turntable" and self.frames == 1:
             self.hold(0)
-        self.kept = self._camera_file() if self.camera.kind not in FITTED else None
+        self.kept = opened_camera(self.camera) if self.camera.kind not in FITTED else None
 
     @property
     def name(self) -> str:
@@ -97,7 +84,7 @@ class Stage:
         """Pixels: the scene's, the camera file's, or 640 x 640."""
         if self.scene.size is not None:
             return self.scene.size
-        return self.kept[0].size if isinstance(self.kept, list) else SIZE
+        return SIZE if self.kept is None or isinstance(self.kept, CameraPath) else self.kept[0].size
 
     def poses(self, frame: int) -> list[Pose]:
         """One pose for each avatar. A motion that has ended stays at its last frame."""
@@ -151,31 +138,6 @@ class Stage:
         cameras = [camera.resized(size) if camera.size != size else camera for camera in kept]
         return lambda frame, _root: cameras[min(frame, len(cameras) - 1)]
 
-    def _camera_file(self) -> CameraPath | list[Camera]:
-        kind, path = self.camera.kind, self.camera.path
-        if path is None:
-            raise AssetError(f"camera {kind}: needs a path")
-        if kind == "capture":
-            from player.capture_view import open_capture
-
-            return list(open_capture(path, self.camera.name or "body").cameras)
-        if Path(path).suffix.lower() == ".npz":
-            return read_cameras(path)
-        if kind == "path" or is_path(path):
-            return CameraPath.read(path)
-        return [read_camera(path)]
-
-
-def opened_avatar(path: str, levels: int | None = None) -> Avatar:
-    """An avatar file, or the built-in body by the names mannequin and mannequin:female."""
-    if path in ("mannequin", "mannequin:female"):
-        from player.mannequin import mannequin
-
-        body = mannequin("female" if path.endswith(":female") else "male")
-        # its view network is random, to test with
-        return replace(body, default_view="off")
-    return read_avatar(path, levels=levels)
-
 
 def camera_from_option(text: str) -> SceneCamera:
     """The camera that --camera names: front, orbit, turntable, a camera file, a camera path, or a capture folder.
@@ -191,8 +153,3 @@ def camera_from_option(text: str) -> SceneCamera:
     if Path(text).suffix.lower() == ".npz":
         return SceneCamera("file", text)
     return SceneCamera("path" if is_path(text) else "file", text)
-
-
-def placed_side_by_side(count: int, spacing: float) -> Sequence[tuple[float, float, float]]:
-    """Where several avatars of the command line stand, metres."""
-    return [((k - 0.5 * (count - 1)) * spacing, 0.0, 0.0) for k in range(count)]

@@ -8,19 +8,17 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
-from avatar.camera import Camera, read_camera, read_cameras
 from avatar.rotation import matrix_from_axis_angle
 from player.camera_path import CameraPath
 from player.cameras import TURN_SECONDS, Cameras, Orbit
 from player.capture_view import CaptureView, open_capture
-from player.filming.stage import opened_avatar
-from player.framing import FOV, extent, facing, fitted, pelvis_height
+from player.framing import FOV, extent, facing, fitted
 from player.live.playback import LivePlayback
-from player.motions import BLOCK, ground_for, motion_for, standing
+from player.motions import BLOCK
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, Effects
-from player.scenes.scene import Scene, SceneAvatar, SceneCamera
-from player.track import Track
+from player.scenes.opened import notes_of, opened_camera, opened_tracks
+from player.scenes.scene import Scene, SceneCamera
 from player.window.playback import Playback
 
 KINDS = {
@@ -77,11 +75,7 @@ def opened_show(
                 path = opened
             else:
                 named[camera.name or Path(camera.path or "").stem] = opened
-    said: list[str] = []
-    tracks = [
-        _track(entry, avatar, capture if index == 0 else None, ground_for(entry.ground, scene.cameras), said)
-        for index, (entry, avatar) in enumerate(zip(scene.avatars, avatars, strict=True))
-    ]
+    tracks = opened_tracks(scene, avatars, scene.cameras, capture)
     first = scene.cameras[0] if scene.cameras else SceneCamera()
     kind = KINDS.get(first.kind, first.kind)
     cameras = Cameras(
@@ -95,35 +89,5 @@ def opened_show(
     return Show(
         list(avatars), [Path(entry.path).stem for entry in scene.avatars],
         Playback(tracks, live, rate=scene.rate), cameras, scene.effects, scene.background, capture,
-        follow=first.kind == "orbit", notes=list(dict.fromkeys(said)),
+        follow=first.kind == "orbit", notes=notes_of(tracks),
     )  # fmt: skip
-
-
-def opened_camera(camera: SceneCamera) -> CameraPath | Sequence[Camera]:
-    """The cameras of a file: along a path, or one for each frame."""
-    assert camera.path is not None, "these kinds have a path"
-    if camera.kind == "capture":
-        return open_capture(camera.path, camera.name or "body").cameras
-    if camera.kind == "path":
-        return CameraPath.read(camera.path)
-    if Path(camera.path).suffix.lower() == ".npz":
-        return read_cameras(camera.path)
-    return [read_camera(camera.path)]
-
-
-def _track(entry: SceneAvatar, avatar: Avatar, capture: CaptureView | None, ground: str, said: list[str]) -> Track:
-    at, turn = np.array(entry.at, np.float64), float(np.radians(entry.turn_deg))
-    if entry.live is not None:
-        return Track(standing(pelvis_height(avatar)).read, 1, 30.0, at=at, turn=turn, name=entry.live)
-    if entry.motion is None and capture is not None:
-        name = f"the {capture.part} video"
-        return Track(capture.clip, len(capture.images), capture.rate, at=at, turn=turn, name=name)
-    motion = motion_for(avatar, entry.motion, body=entry.body, hands=entry.hands, ground=ground)
-    said += motion.notes
-    return Track(motion.read, motion.frames, motion.rate, entry.start, at, turn, entry.motion or "T-pose")
-
-
-def read_avatars(scene: Scene) -> list[Avatar]:
-    """The avatars of a scene; one that stands several times is read once."""
-    read = {path: opened_avatar(path) for path in dict.fromkeys(entry.path for entry in scene.avatars)}
-    return [read[entry.path] for entry in scene.avatars]

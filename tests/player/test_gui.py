@@ -12,7 +12,8 @@ from player.gui.draw import DrawLists
 from player.gui.panels import Panels
 from player.passes.background import Background
 from player.play_command import play_parser, scene_of
-from player.window.show import opened_show, read_avatars
+from player.scenes.opened import opened_avatars
+from player.window.show import opened_show
 from player.window.window import Window
 
 SIZE = (900, 640)
@@ -23,7 +24,7 @@ def window(osmesa, avatar_path, tmp_path, monkeypatch):
     """A window with panels, paused at its first frame."""
     monkeypatch.chdir(tmp_path)
     scene = scene_of(play_parser().parse_args([avatar_path]))
-    window = Window(opened_show(scene, read_avatars(scene)), size=SIZE, null=True, panels=Panels)
+    window = Window(opened_show(scene, opened_avatars(scene)), size=SIZE, null=True, panels=Panels)
     try:
         run(window, "space home wait")
         yield window
@@ -272,7 +273,7 @@ def test_thousands_of_triangles_make_the_buffers_grow(context, imgui_context):
 
 def opened(avatar_path, size, live=()):
     scene = scene_of(play_parser().parse_args([avatar_path, *(("--live", "udp:1") if live else ())]))
-    return Window(opened_show(scene, read_avatars(scene), live), size=size, null=True, panels=Panels)
+    return Window(opened_show(scene, opened_avatars(scene), live), size=size, null=True, panels=Panels)
 
 
 @pytest.mark.parametrize("system", ["units", "pixels"])

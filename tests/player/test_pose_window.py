@@ -19,8 +19,9 @@ from player.pose.fingers import PRESETS, hand_shape
 from player.pose.ik import LIMBS
 from player.pose.limits import joint_angles, within
 from player.pose.mirror import mirrored_in_place
+from player.scenes.opened import opened_avatars
 from player.window.pose_tool import HANDLES
-from player.window.show import opened_show, read_avatars
+from player.window.show import opened_show
 from player.window.window import Window
 
 J = {name: k for k, name in enumerate(JOINTS)}
@@ -37,7 +38,7 @@ def opened(osmesa, avatar_path, tmp_path, monkeypatch):
 
     def open_(*more, gui=True):
         scene = scene_of(play_parser().parse_args([avatar_path, *more]))
-        window = Window(opened_show(scene, read_avatars(scene)), size=SIZE, null=True, panels=Panels if gui else None)
+        window = Window(opened_show(scene, opened_avatars(scene)), size=SIZE, null=True, panels=Panels if gui else None)
         windows.append(window)
         run(window, "space home p wait")
         edit = window.parts.posing.edit

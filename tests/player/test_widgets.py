@@ -18,8 +18,9 @@ from player.gui import widgets
 from player.gui.panels import Panels
 from player.gui.widgets import Widgets, elided
 from player.play_command import play_parser, scene_of
+from player.scenes.opened import opened_avatars
 from player.window.actions import GROUPS
-from player.window.show import opened_show, read_avatars
+from player.window.show import opened_show
 from player.window.window import Window
 
 FOLDER = Path(player.gui.__file__).parent
@@ -79,7 +80,7 @@ def opened(osmesa, avatar_path, tmp_path, monkeypatch):
 
     def open_(*more, size=(1280, 800)):
         scene = scene_of(play_parser().parse_args([avatar_path, *more]))
-        windows.append(Window(opened_show(scene, read_avatars(scene)), size=size, null=True, panels=Panels))
+        windows.append(Window(opened_show(scene, opened_avatars(scene)), size=size, null=True, panels=Panels))
         run(windows[-1], "space home wait")
         return windows[-1]
 

@@ -17,9 +17,10 @@ from avatar.skeleton import joint_transforms
 from player.capture_view import open_capture
 from player.play_command import play_parser, scene_of
 from player.renderer import Renderer
+from player.scenes.opened import opened_avatars
 from player.window.pick import posed_vertices
 from player.window.picture import PictureLayer
-from player.window.show import opened_show, read_avatars
+from player.window.show import opened_show
 from player.window.window import Window
 
 SIZE = (96, 128)
@@ -72,7 +73,7 @@ def window(osmesa, avatar, capture, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_avatar(tmp_path / "a.glb", avatar)
     scene = scene_of(play_parser().parse_args(["a.glb", "--capture", str(capture[0])]))
-    window = Window(opened_show(scene, read_avatars(scene)), size=(192, 256), null=True)
+    window = Window(opened_show(scene, opened_avatars(scene)), size=(192, 256), null=True)
     try:
         window.run(["space", "home", "wait"])
         yield window
