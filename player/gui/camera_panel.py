@@ -6,6 +6,7 @@ from player.cameras import NAMES
 from player.gui.widgets import Widgets, tip_of
 from player.window.actions import ADD_CAMERA_KEY, FIRST_PERSON, FOLLOW, RESET_CAMERA, SAVE_CAMERA_PATH
 from player.window.parts import Parts
+from player.window.state import counted
 from player.window.viewpoint import Viewpoint
 from player.window.wipe import Wipe
 
@@ -33,7 +34,7 @@ def camera_panel(ui: Widgets, parts: Parts) -> None:
         if ui.button("Clear", "Forget the recorded keys.", name="clear keys", beside=True):
             cameras.clear_keys()
     if cameras.keys:
-        imgui.text_disabled(f"{len(cameras.keys)} keys, the last at {cameras.keys[-1][0]:.2f} s")
+        imgui.text_disabled(f"{counted(len(cameras.keys), 'camera key')}, the last at {cameras.keys[-1][0]:.2f} s")
 
 
 def _wipe(ui: Widgets, wipe: Wipe, viewpoint: Viewpoint) -> None:

@@ -6,7 +6,7 @@ from imgui_bundle import imgui
 from avatar.camera import project
 from avatar.skeleton import joint_transforms
 from player.window.parts import Parts
-from player.window.state import WindowState
+from player.window.state import WindowState, counted
 
 INK = imgui.IM_COL32(255, 255, 255, 230)
 PLATE = imgui.IM_COL32(0, 0, 0, 120)
@@ -27,7 +27,7 @@ def hud_panel(parts: Parts) -> None:
         if spans:
             lines.append(f"pose to picture {spans.p50:.1f} ms, p95 {spans.p95:.1f}")
     if film is not None:
-        lines.append(f"filming: {film.frames} frames")
+        lines.append(f"filming: {counted(film.frames, 'frame')}")
     if state.messages.shown:
         lines.append(state.messages.shown)
     y, wrap = top + 0.5 * letter, width - 2 * letter

@@ -9,6 +9,7 @@ from player.passes.view import VIEWS
 from player.scenes.effects import ANTIALIASINGS, SKINNINGS
 from player.window.actions import FILM, SCREENSHOT
 from player.window.parts import Parts
+from player.window.state import counted
 
 VIEW_TIP = (
     "How colours change with the view. off: the paper, one colour a point. vertex, linear, network: more exact and "
@@ -50,4 +51,4 @@ def view_panel(ui: Widgets, parts: Parts) -> None:
     ui.action("Stop film" if film else "Film", FILM, parts, name="film", beside=True)
     if film is not None:
         imgui.same_line()
-        imgui.text(f"{film.frames} frames")
+        imgui.text(counted(film.frames, "frame"))

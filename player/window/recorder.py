@@ -10,7 +10,7 @@ from PIL import Image
 
 from avatar.files import whole_file
 from player.filming.film import Film
-from player.window.state import WindowState
+from player.window.state import WindowState, counted
 
 FASTEST = 60.0  # frames a second of a film
 # frames of a live film that a late picture stands for
@@ -62,7 +62,7 @@ class WindowFilm:
             self.film.__exit__(ValueError, ValueError("no frames"), None)
             return f"{self.path}: no frame was drawn, no film written"
         self.film.__exit__(None, None, None)
-        return f"{self.path} written: {self.frames} frames, {self.rate:g} a second"
+        return f"{self.path} written: {counted(self.frames, 'frame')}, {self.rate:g} a second"
 
 
 class Recorder:

@@ -4,7 +4,7 @@ from avatar.camera import Camera
 from player.cameras import Cameras
 from player.capture_view import CaptureView
 from player.window.recorder import free_name
-from player.window.state import WindowState
+from player.window.state import WindowState, counted
 
 
 class Viewpoint:
@@ -53,4 +53,4 @@ class Viewpoint:
             return
         name = free_name("selfscan-path", ".json")
         self.cameras.path.write(name)
-        self.state.messages.say(f"{name} written: {len(self.cameras.keys)} keys")
+        self.state.messages.say(f"{name} written: {counted(len(self.cameras.keys), 'key')}")

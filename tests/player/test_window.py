@@ -205,6 +205,24 @@ def test_a_window_that_cannot_be_made_says_so_and_the_next_one_opens(avatar, ava
     assert screenshot(avatar_path, tmp_path / "a.png", "wait").shape == (200, 160, 3)
 
 
+@pytest.mark.usefixtures("osmesa")
+def test_text_is_twice_as_high_on_a_dense_screen(avatar_path, tmp_path, monkeypatch):
+    heights, real = [], Window.close
+
+    def close(self):
+        heights.append((self.status_line.texture.size[1], np.sqrt(np.prod(self.key_list.texture.size))))
+        real(self)
+
+    monkeypatch.setattr(Window, "close", close)
+    for scale in (1.0, 2.0):
+        monkeypatch.setattr("glfw.get_window_content_scale", lambda handle, scale=scale: (scale, scale))
+        image = screenshot(avatar_path, tmp_path / "a.png", "space h", size="2000x1600")
+        assert (np.abs(image - [255, 204, 51]).max(-1) < 40).sum() > 500
+    plain, dense = np.array(heights)
+    # columns may be others, letters are as large
+    assert np.abs(dense / plain - 2).max() < 0.2
+
+
 def test_an_unknown_word_in_a_script_is_refused(avatar_path):
     with pytest.raises(AssetError, match="'fly' is no key"):
         play_main([avatar_path, "--platform", "null", "--script", "space fly"])
