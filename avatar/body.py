@@ -87,6 +87,8 @@ def read_body(path: Path | str) -> Body:
     vertices = field(path, fields, "v_template", (None, 3))
     count = len(vertices)
     faces = field(path, fields, "f", (None, 3)).astype(np.int64)
+    if not len(faces):
+        raise AssetError(f"{path}: f should be triangles, is empty")
     if faces.min() < 0 or faces.max() >= count:
         raise AssetError(f"{path}: f should index {count} vertices, holds {int(faces.min())}..{int(faces.max())}")
     weights = field(path, fields, "weights", (count, 52))

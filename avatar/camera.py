@@ -1,6 +1,7 @@
 """Cameras: OpenCV intrinsics and extrinsics, files, rays, and the exact OpenGL matrices of the same camera."""
 
 import json
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,10 +11,16 @@ from jaxtyping import Float
 
 from avatar.errors import AssetError
 from avatar.files import whole_file
+from avatar.input_file import read_json_object
 from avatar.npz import read_npz
 
 Array = np.ndarray
 Vector = Sequence[float | int] | Array
+
+# of a camera file
+MAX_BYTES = 1 << 20
+# pixels and metres that leave every product of them finite
+LARGEST = 1e9
 
 
 @dataclass(frozen=True)
@@ -162,15 +169,10 @@ def read_camera(path: Path | str) -> Camera:
     Raises:
         AssetError: the file is not JSON, a field is absent, misshapen or does not make a camera.
     """
-    try:
-        content = json.loads(Path(path).read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise AssetError(f"{path}: expected a camera file (JSON), found: {error}") from None
-    if not isinstance(content, dict):
-        raise AssetError(f"{path}: expected a JSON object, found {type(content).__name__}")
+    content = read_json_object(path, "a camera file", most=MAX_BYTES)
     absent = {"size", "K", "camera_from_world"} - content.keys()
     if absent:
-        raise AssetError(f"{path}: no {sorted(absent)}; the file has {sorted(content)}")
+        raise AssetError(f"{path}: no {sorted(absent)}; the file has {sorted(key[:40] for key in content)[:20]}")
     return checked_camera(
         str(path),
         content["K"],
@@ -199,8 +201,8 @@ def read_cameras(path: Path | str) -> list[Camera]:
         AssetError: a field is absent, misshapen, not finite, or the focal length is not positive.
     """
     fields = read_npz(path, "cameras", ("K", "camera_from_world", "size"), ("distortion",))
-    K, pose = fields["K"], fields["camera_from_world"]
-    distortion = fields.get("distortion", np.zeros((len(K), 5)))
+    K, pose = np.atleast_1d(fields["K"]), np.atleast_1d(fields["camera_from_world"])
+    distortion = np.atleast_1d(fields.get("distortion", np.zeros((len(K), 5))))
     if not len(K) == len(pose) == len(distortion) or len(K) == 0:
         found = f"{len(K)}, {len(pose)}, {len(distortion)}"
         raise AssetError(f"{path}: K, camera_from_world and distortion should be equally many, are {found}")
@@ -218,17 +220,29 @@ def checked_camera(place: str, K: object, pose: object, size: object, distortion
                                ("size", size, (2,))]:  # fmt: skip
         try:
             array = np.asarray(value, np.float64)
-        except (TypeError, ValueError):
-            raise AssetError(f"{place}: {name} should be numbers of shape {shape}, is {str(value)[:60]}") from None
+        except (TypeError, ValueError, OverflowError):
+            raise AssetError(f"{place}: {name} should be numbers of shape {shape}, is {_shown(value)}") from None
         if array.shape != shape or not np.isfinite(array).all():
-            raise AssetError(f"{place}: {name} should be finite and of shape {shape}, is {str(array.tolist())[:60]}")
+            raise AssetError(f"{place}: {name} should be finite and of shape {shape}, is {_shown(value)}")
+        if not (np.abs(array) < LARGEST).all():
+            raise AssetError(f"{place}: {name} should be below {LARGEST:g}, is {_shown(value)}")
         arrays[name] = array
     K_, pose_, size_ = arrays["K"], arrays["camera_from_world"], arrays["size"]
     if not (K_[0, 0] > 0 and K_[1, 1] > 0):
         raise AssetError(f"{place}: focal length should be positive, is {K_[0, 0]:g}, {K_[1, 1]:g}")
+    if K_[1, 0] != 0 or (K_[2] != [0, 0, 1]).any():
+        raise AssetError(f"{place}: K should be [fx s cx; 0 fy cy; 0 0 1], its lower rows are {K_[1:].tolist()}")
+    if (pose_[3] != [0, 0, 0, 1]).any():
+        raise AssetError(f"{place}: camera_from_world should end in the row 0 0 0 1, ends in {pose_[3].tolist()}")
     R = pose_[:3, :3]
     if not (np.abs(R @ R.T - np.eye(3)).max() < 1e-4 and np.linalg.det(R) > 0):
         raise AssetError(f"{place}: camera_from_world should hold a rotation; R Rᵀ differs from 1 or mirrors")
     if not (size_ >= 1).all() or not (size_ <= 65536).all() or (size_ != np.round(size_)).any():
         raise AssetError(f"{place}: size should be two whole numbers from 1 to 65536, is {size_.tolist()}")
     return Camera(K_, pose_, (int(size_[0]), int(size_[1])), arrays["distortion"])
+
+
+def _shown(value: object) -> str:
+    """A value of a file, as text for one line."""
+    text = reprlib.repr(value.tolist() if isinstance(value, Array) and value.size < 40 else value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -65,8 +65,11 @@ def read_bytes(path: Path | str, what: str, *, most: int = MAX_BYTES) -> bytes:
     """The content of a file; AssetError as in `open_input`."""
     try:
         with open_input(path, what, most=most) as file:
+            # as much memory is taken as is asked for, so no more is asked for than is there
+            data = file.read(os.fstat(file.fileno()).st_size + 1)
             # some files of the system claim to be empty
-            data = file.read(most + 1)
+            while len(data) <= most and (more := file.read(1 << 16)):
+                data += more
     except OSError as error:
         raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
     if len(data) > most:

@@ -121,7 +121,7 @@ def _check_program(data: bytes) -> None:
             if text > MAX_TEXT_BYTES:
                 raise Refused(f"text of more than {MAX_TEXT_BYTES} letters")
         if name in ("PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE"):
-            key = len(memo) if argument is None else argument
+            key: Any = len(memo) if argument is None else argument
             if not 0 <= key < MAX_STEPS or not stack:
                 raise Refused(f"object {key} to be remembered at byte {at}")
             memo[key] = stack[-1]

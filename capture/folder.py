@@ -1,6 +1,5 @@
 """The capture folder: four part videos with masks, cameras and poses, and the subject's registered template."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from avatar.camera import Camera, project, read_cameras
 from avatar.errors import AssetError
 from avatar.files import whole_file
+from avatar.input_file import read_json_object
 from avatar.npz import field, read_npz
 from avatar.picture import read_picture
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
@@ -70,7 +70,7 @@ def read_capture(path: Path | str) -> Capture:
         AssetError: something is absent, misshapen, not finite, or disagrees with its neighbour.
     """
     path = Path(path)
-    facts = _read_json(path / "capture.json")
+    facts = read_json_object(path / "capture.json", "the facts of a capture folder, as `selfscan synth` makes it")
     if facts.get("format") != "selfscan-capture" or facts.get("version") != 1:
         found = f"{facts.get('format')!r} version {facts.get('version')!r}"
         raise AssetError(f"{path / 'capture.json'}: expected format 'selfscan-capture' version 1, found {found}")
@@ -226,7 +226,7 @@ def _other_unit(metres: float) -> str:
 
 
 def _read_landmarks(path: Path, vertex_count: int) -> tuple[Array, Array]:
-    content = _read_json(path)
+    content = read_json_object(path, "landmarks")
     points, vertices = content.get("points"), content.get("vertices")
     if not isinstance(points, dict) or not isinstance(vertices, dict) or set(points) != set(vertices):
         raise AssetError(f"{path}: expected 'points' and 'vertices' with the same names")
@@ -257,15 +257,3 @@ def _read_frames(folder: Path, mode: str) -> tuple[list[str], Array]:
             size, first = frames[-1].shape[1::-1], frames[0].shape[1::-1]
             raise AssetError(f"{path}: should be {first} pixels as the first frame, is {size}")
     return [path.name for path in paths], np.stack(frames)
-
-
-def _read_json(path: Path) -> dict:
-    try:
-        content = json.loads(path.read_text("utf-8"))
-    except FileNotFoundError:
-        raise AssetError(f"{path}: no such file; expected a capture folder made by `selfscan synth`") from None
-    except (OSError, ValueError) as error:
-        raise AssetError(f"{path}: expected JSON, found: {error}") from None
-    if not isinstance(content, dict):
-        raise AssetError(f"{path}: expected a JSON object, found {type(content).__name__}")
-    return content

@@ -3,7 +3,6 @@
 truth/novel_pose/, novel_view/ images/, masks/, parts/ NAME.png and views.npz
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 
 from avatar.camera import Camera
 from avatar.errors import AssetError
+from avatar.input_file import read_json_object
 from avatar.npz import read_npz
 from avatar.picture import read_picture
 from avatar.skeleton import PARTS
@@ -55,11 +55,8 @@ class HeldOutView:
 def read_capture_facts(capture: Path) -> dict:
     """capture.json as a dictionary."""
     path = Path(capture) / "capture.json"
-    try:
-        facts = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise AssetError(f"{path}: expected the facts of a capture (JSON), found: {error}") from None
-    if not isinstance(facts, dict) or facts.get("format") != "selfscan-capture":
+    facts = read_json_object(path, "the facts of a capture")
+    if facts.get("format") != "selfscan-capture":
         raise AssetError(f"{path}: format should be 'selfscan-capture'")
     return facts
 

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from avatar.camera import Camera, checked_camera, look_at
+from avatar import input_file
+from avatar.camera import LARGEST, Camera, checked_camera, look_at
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from player.framing import ELEVATION, FOV, at_distance, fitted_round
@@ -29,6 +30,8 @@ Array = np.ndarray
 # eye (3), target (3), up (3), log of the two focal lengths, skew, principal point from the middle;
 # the last five in image heights, so that any image size shows the same vertical field of view
 Key = Float[Array, "14"]
+# of a file of camera paths
+MAX_BYTES = 1 << 24
 # metres from eye to target under which no direction is left
 SHORTEST = 1e-6
 
@@ -161,10 +164,7 @@ def is_path(path: Path | str) -> bool:
 
 
 def read_json(path: Path | str) -> Any:
-    try:
-        return json.loads(Path(path).read_text("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise AssetError(f"{path}: expected a camera or a camera path (JSON), found: {error}") from None
+    return input_file.read_json(path, "a camera or a camera path", most=MAX_BYTES)
 
 
 def slopes_at(times: Float[Array, "keys"], values: Float[Array, "keys numbers"]) -> Float[Array, "keys numbers"]:
@@ -210,7 +210,7 @@ def _read_key(place: str, key: dict[str, Any]) -> Key:
     up = _vector(place, key, "up") if "up" in key else np.array([0.0, 1.0, 0.0])
     if np.linalg.norm(target - eye) < SHORTEST:
         raise AssetError(f"{place}: eye and target coincide at {eye.tolist()}")
-    if not np.linalg.norm(up) > 0:
+    if not np.linalg.norm(up) > SHORTEST:
         raise AssetError(f"{place}: up should be a direction, is {up.tolist()}")
     fov = _number(place, key, "fov_deg") if "fov_deg" in key else math.degrees(FOV)
     if not 0.1 <= fov <= 175:
@@ -221,7 +221,7 @@ def _read_key(place: str, key: dict[str, Any]) -> Key:
 
 def _number(place: str, key: dict[str, Any], name: str) -> float:
     value = key.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
         raise AssetError(f"{place}: {name} should be a number, is {str(value)[:60]}")
     return float(value)
 
@@ -230,8 +230,8 @@ def _vector(place: str, key: dict[str, Any], name: str) -> Float[Array, "3"]:
     value = key.get(name)
     try:
         array = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         array = np.zeros(0)
-    if array.shape != (3,) or not np.isfinite(array).all():
+    if array.shape != (3,) or not (np.abs(array) < LARGEST).all():
         raise AssetError(f"{place}: {name} should be three numbers, is {str(value)[:60]}")
     return array

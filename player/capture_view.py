@@ -8,7 +8,6 @@ landmarks that both frames know place its cameras about the avatar in T-pose:
 which shows the same picture, since a pinhole does not see scale.
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +16,8 @@ from jaxtyping import Float, UInt8
 
 from avatar.camera import Camera, read_cameras
 from avatar.errors import AssetError
-from avatar.motion.clip import Clip
+from avatar.input_file import read_json_object
+from avatar.motion.clip import Clip, checked_rate
 from avatar.npz import read_npz
 from avatar.picture import read_picture
 from avatar.similarity import similarity_from_landmarks
@@ -65,7 +65,7 @@ def open_capture(path: Path | str, part: str = "body") -> CaptureView:
         AssetError: not a capture, or the video's pictures, cameras and poses do not agree.
     """
     path = Path(path)
-    facts = read_facts(path / "capture.json")
+    facts = read_json_object(path / "capture.json", "the facts of a capture")
     if facts.get("format") != "selfscan-capture":
         raise AssetError(f"{path}: expected a capture folder, found format {facts.get('format')!r}")
     if part not in PARTS:
@@ -101,16 +101,17 @@ def read_poses(
             joint = f", joint {bad[0][1] // 3}" if name == "poses" else ""
             raise AssetError(f"{path}: {name} should be finite, is not in frame {bad[0][0]}{joint}")
         arrays[name] = fields[name].astype(np.float64)
-    rate = float(np.asarray(fields.get("mocap_framerate", 30.0)).reshape(-1)[0])
-    if not (np.isfinite(rate) and rate > 0):
-        raise AssetError(f"{path}: mocap_framerate should be positive, is {rate}")
+    given = fields.get("mocap_framerate", np.array(30.0))
+    if given.size != 1 or given.dtype.kind not in "iuf":
+        raise AssetError(f"{path}: mocap_framerate should be one number, is {given.dtype} {given.shape}")
+    rate = checked_rate(f"{path}: mocap_framerate", float(given.reshape(())))
     return arrays["poses"].reshape(frames, 52, 3), arrays["trans"], rate
 
 
 def head_from_world(path: Path) -> tuple[float, Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
     """Scale, rotation and translation from the avatar's T-pose to the head video's frame, by its landmarks."""
     place = path / "head" / "landmarks.json"
-    content = read_facts(place)
+    content = read_json_object(place, "landmarks")
     template = read_npz(path / "subject.npz", "subject", ("v_template",))["v_template"]
     points, vertices = content.get("points"), content.get("vertices")
     if not isinstance(points, dict) or not isinstance(vertices, dict):
@@ -132,14 +133,3 @@ def from_world(camera: Camera, scale: float, R: Float[np.ndarray, "3 3"], t: Flo
     Rc, tc = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     pose[:3, :3], pose[:3, 3] = Rc @ R, (Rc @ t + tc) / scale
     return Camera(camera.K, pose, camera.size, camera.distortion)
-
-
-def read_facts(path: Path) -> dict:
-    """A JSON object of a capture."""
-    try:
-        content = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise AssetError(f"{path}: expected JSON, found: {error}") from None
-    if not isinstance(content, dict):
-        raise AssetError(f"{path}: expected a JSON object, found {type(content).__name__}")
-    return content

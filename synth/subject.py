@@ -233,6 +233,8 @@ def _read_mesh_node(rig: _NodeTree, node: int) -> list[_Primitive]:
         material = -1 if primitive.material is None else primitive.material
         texcoord = f"TEXCOORD_{_base_texture(gltf, material).get('texCoord', 0)}"
         uv = attributes.get(texcoord, np.zeros((count, 2)))
+        if uv.shape != (count, 2):
+            raise gltf.error(f"{field}.{texcoord}", f"({count}, 2)", uv.shape)
         vertices = attributes["POSITION"].astype(np.float64) @ place[:3, :3].T + place[:3, 3]
         faces = primitive.faces.astype(np.int64)
         if np.linalg.det(place[:3, :3]) < 0:
@@ -314,16 +316,29 @@ def _material(gltf: Gltf, index: int) -> dict:
     return gltf.items("materials")[index] if index >= 0 else {}
 
 
+def _within(gltf: Gltf, index: int, *keys: str) -> dict:
+    """An object inside a material, empty where the file has none."""
+    found = _material(gltf, index)
+    for key in keys:
+        found = found.get(key, {})
+        if not isinstance(found, dict):
+            raise gltf.error(f"materials[{index}].{key}", "an object", found)
+    return found
+
+
 def _base_texture(gltf: Gltf, index: int) -> dict:
-    return _material(gltf, index).get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
+    return _within(gltf, index, "pbrMetallicRoughness", "baseColorTexture")
 
 
 def _read_material(gltf: Gltf, index: int, notes: list[str]) -> tuple[np.ndarray, np.ndarray | None]:
     """Base colour (H, W, 3) sRGB and, where the material cuts holes, alpha (H, W) with its cutoff moved to 128."""
     material = _material(gltf, index)
     described = _base_texture(gltf, index)
-    factor = np.array(material.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1, 1]), np.float64)
-    if "KHR_texture_transform" in described.get("extensions", {}):
+    coloring = _within(gltf, index, "pbrMetallicRoughness")
+    factor = np.ones(4)
+    if "baseColorFactor" in coloring:
+        factor = gltf.numbers(coloring, "baseColorFactor", f"materials[{index}].pbrMetallicRoughness", (4,))
+    if "KHR_texture_transform" in gltf.extensions(described, f"materials[{index}].baseColorTexture"):
         raise AssetError(
             f"{gltf.path}: materials[{index}]: expected plain texture coordinates, found KHR_texture_transform; "
             "bake it with a glTF tool first"
@@ -350,6 +365,8 @@ def _read_material(gltf: Gltf, index: int, notes: list[str]) -> tuple[np.ndarray
     if mode == "OPAQUE":
         return np.ascontiguousarray(color), None
     cutoff = material.get("alphaCutoff", 0.5) if mode == "MASK" else 0.5
+    if type(cutoff) not in (int, float) or not 0 <= cutoff < 1e6:
+        raise gltf.error(f"materials[{index}].alphaCutoff", "a number from 0", cutoff)
     if mode == "BLEND":
         notes.append(f"material {material.get('name', index)} blends: drawn with holes where alpha is below one half")
     opacity = rgba[..., 3] / 255 * factor[3]

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from avatar.errors import AssetError
+from avatar.input_file import read_json
 from avatar.npz import field as field_of
 from avatar.npz import read_npz
 from avatar.skeleton import PARTS
@@ -160,12 +161,7 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
         AssetError: not a run folder, or a file in it is unusable.
     """
     path = Path(path)
-    try:
-        facts = json.loads((path / "run.json").read_text("utf-8"))
-    except FileNotFoundError:
-        raise AssetError(f"{path / 'run.json'}: no such file; expected a run folder made by `selfscan train`") from None
-    except (OSError, ValueError) as error:
-        raise AssetError(f"{path / 'run.json'}: expected JSON, found: {error}") from None
+    facts = read_json(path / "run.json", "the facts of a run folder made by `selfscan train`")
     if not isinstance(facts, dict) or facts.get("format") != FORMAT or facts.get("version") != VERSION:
         raise AssetError(f"{path / 'run.json'}: expected format {FORMAT!r} version {VERSION}")
     try:

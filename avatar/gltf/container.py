@@ -2,18 +2,18 @@
 
 import base64
 import binascii
-import json
 import reprlib
 import struct
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
+from avatar import input_file
 from avatar.errors import AssetError
+from avatar.input_file import read_bytes
 
 # a file, and all buffers together; text and base64 are held a few times over
 MAX_BYTES = 1 << 28
-MAX_JSON_VALUES = 2_000_000  # a parsed value costs Python some 60-200 bytes
 
 
 def short(value: object) -> str:
@@ -24,15 +24,7 @@ def short(value: object) -> str:
 
 def file_bytes(path: Path) -> bytes:
     """A regular file of bounded size, whole."""
-    try:
-        if not path.is_file():
-            raise AssetError(f"{path}: should be a file, is {'a folder' if path.is_dir() else 'not there'}")
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise AssetError(f"{path}: should be at most {MAX_BYTES} bytes, is {size}")
-        return path.read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a NUL in a name that a file gave
-        raise AssetError(f"{path}: cannot be read: {error}") from None
+    return read_bytes(path, "a glTF file", most=MAX_BYTES)
 
 
 def glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:
@@ -61,19 +53,7 @@ def glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:
 
 def parse_json(path: Path, text: memoryview) -> dict[str, Any]:
     """A JSON object, with as many values as a small part of the memory holds, and no NaN or Infinity."""
-    raw = bytes(text)
-    if raw.count(b",") + raw.count(b"[") + raw.count(b"{") > MAX_JSON_VALUES:
-        raise AssetError(f"{path}: JSON should hold at most {MAX_JSON_VALUES} values, holds more")
-
-    def refuse(name: str) -> None:
-        raise ValueError(f"{name} is not a JSON number")
-
-    try:
-        document = json.loads(raw.decode("utf-8-sig"), parse_constant=refuse)
-    except RecursionError:
-        raise AssetError(f"{path}: JSON should be nested a few levels deep, is nested thousands") from None
-    except ValueError as error:
-        raise AssetError(f"{path}: should be glTF JSON, is not: {short(str(error))}") from None
+    document = input_file.parse_json(bytes(text), str(path), "glTF")
     if not isinstance(document, dict):
         raise AssetError(f"{path}: should be glTF JSON, is {short(document)}")
     return document

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.errors import AssetError
-from avatar.motion.clip import Motion, RestSkeleton
+from avatar.input_file import open_input
+from avatar.motion.clip import Motion, RestSkeleton, checked_rate
 from avatar.rotation import matrix_from_axis_angle
 
 Array = np.ndarray
@@ -22,6 +23,10 @@ Array = np.ndarray
 INDEX_STEP = 64
 MOST_JOINTS = 10_000
 LONGEST_LINE = 1 << 20  # bytes
+# of any number, so that what is made of it is finite
+LARGEST = 1e9
+# frames are read in blocks: a file may be longer than memory
+MAX_BYTES = 1 << 40
 UNITS = {1.0: "metre", 0.01: "centimetre", 0.001: "millimetre"}
 # metres of thigh and shin, a child's to a giant's
 LEGS = (0.3, 1.4)
@@ -59,7 +64,7 @@ class Bvh:
         block = start // INDEX_STEP
         byte, line = self.places[block]
         skip, rows, row = start - block * INDEX_STEP, [], []
-        with open(self.path, "rb") as file:
+        with open_input(self.path, "a BVH file", most=MAX_BYTES) as file:
             file.seek(byte)
             while len(rows) < stop - start:
                 text = file.readline(LONGEST_LINE)
@@ -84,10 +89,12 @@ class Bvh:
             raise AssetError(
                 f"{self.path}: line {line}: frame {frame} should have {self.width} numbers, has {len(row)}"
             )
-        if not np.isfinite(row).all():
-            channel = int(np.argmax(~np.isfinite(row)))
+        if not (np.abs(row) < LARGEST).all():
+            channel = int(np.argmax(~(np.abs(row) < LARGEST)))
             joint = int(np.searchsorted(np.cumsum([len(c) for c in self.channels]), channel, side="right"))
-            raise AssetError(f"{self.path}: line {line}: frame {frame}, joint {self.names[joint]} is not finite")
+            raise AssetError(
+                f"{self.path}: line {line}: frame {frame}, joint {self.names[joint]} is not finite, or beyond {LARGEST:g}"
+            )
         return row
 
     def transforms(
@@ -133,7 +140,7 @@ def open_bvh(path: Path | str) -> Bvh:
     """
     path = Path(path)
     try:
-        with open(path, "rb") as file:
+        with open_input(path, "a BVH file", most=MAX_BYTES) as file:
             reader = _Lines(path, file)
             names, parents, offsets, ends, channels = _hierarchy(reader)
             frames, rate = _motion_header(reader)
@@ -170,8 +177,8 @@ class _Lines:
             values = [float(word) for word in words]
         except ValueError as error:
             raise self.error(f"{what}: {error}") from None
-        if len(values) != count or not np.isfinite(values).all():
-            raise self.error(f"{what} should be {count} finite numbers, found {' '.join(words)[:60]}")
+        if len(values) != count or not (np.abs(values) < LARGEST).all():
+            raise self.error(f"{what} should be {count} finite numbers below {LARGEST:g}, found {' '.join(words)[:60]}")
         return values
 
 
@@ -269,7 +276,8 @@ def _motion_header(reader: _Lines) -> tuple[int, float]:
     (seconds,) = reader.floats(words[2:], 1, "Frame Time")
     if not seconds > 0:
         raise reader.error(f"Frame Time should be positive seconds, is {seconds}")
-    return frames, 1 / seconds
+    place = f"{reader.path}: line {reader.number}: the rate that Frame Time {seconds:g} gives"
+    return frames, checked_rate(place, 1 / max(seconds, 1e-9))
 
 
 def _index(reader: _Lines, frames: int, width: int) -> tuple[tuple[int, int], ...]:

@@ -12,7 +12,6 @@ practice, or none (63, 69, 75, 84, 153, 162). Hands are in `poses` or apart, in 
 Newer files put the list under "annots". The files do not know their frame rate.
 """
 
-import json
 import os
 import re
 from collections.abc import Sequence
@@ -25,6 +24,7 @@ from jaxtyping import Float
 
 from avatar.body import Body
 from avatar.errors import AssetError
+from avatar.input_file import read_json
 from avatar.motion.clip import Motion
 from avatar.motion.file_body import given_pelvis, usual_pelvis
 from avatar.motion.pose_vector import (
@@ -48,7 +48,6 @@ from avatar.rotation import (
 Array = np.ndarray
 
 MAX_BYTES = 1 << 24  # of one frame's file
-MAX_VALUES = 500_000  # in one frame's file
 # looked at for the up axis
 SAMPLED_FRAMES = 30
 ASSUMED_RATE = 30.0
@@ -217,18 +216,7 @@ def _frames(path: Path, notes: list[str]) -> tuple[Any, int]:
 
 def _people(path: Path) -> dict[int, dict[str, Any]]:
     """The people of one frame by their id."""
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise AssetError(f"{path}: expected at most {MAX_BYTES} bytes, found {path.stat().st_size}")
-        data = path.read_bytes()
-    except OSError as error:
-        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
-    if data.count(b",") + data.count(b"[") + data.count(b"{") > MAX_VALUES:
-        raise AssetError(f"{path}: expected at most {MAX_VALUES} values")
-    try:
-        content = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise AssetError(f"{path}: expected a frame of EasyMocap (JSON), found: {str(error)[:100]}") from None
+    content = read_json(path, "a frame of EasyMocap", most=MAX_BYTES)
     people = content
     if isinstance(content, dict):
         people = content.get("annots", [content])

@@ -36,6 +36,8 @@ Array = np.ndarray
 
 PATHS = {"rotation": 4, "translation": 3}  # numbers a key
 LONGEST = 1e6  # seconds
+# of all samplers together; accessors may share their bytes
+MAX_KEY_BYTES = 1 << 28
 # frames per second of keys that are taken for the file's own frames
 SLOWEST, FASTEST = 10.0, 480.0
 ASSUMED_RATE = 30.0
@@ -244,6 +246,7 @@ def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple
     samplers = _objects(gltf, animation, "samplers", where)
     entries = _objects(gltf, animation, "channels", where)
     channels: dict[tuple[int, str], Channel] = {}
+    held: dict[tuple[int, str], Channel] = {}
     left_out: set[str] = set()
     for i, entry in enumerate(entries):
         field_name = f"{where}.channels[{i}]"
@@ -264,7 +267,14 @@ def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple
         number = entry.get("sampler")
         if type(number) is not int or not 0 <= number < len(samplers):
             raise gltf.error(f"{field_name}.sampler", f"an index below {len(samplers)}", number)
-        channels[key] = _channel(gltf, samplers[number], target["path"], f"{where}.samplers[{number}]")
+        # channels may share a sampler: its keys are held once
+        if (number, target["path"]) not in held:
+            channel = _channel(gltf, samplers[number], target["path"], f"{where}.samplers[{number}]")
+            held[number, target["path"]] = channel
+            size = sum(one.times.nbytes + one.values.nbytes for one in held.values())
+            if size > MAX_KEY_BYTES:
+                raise gltf.error(f"{where}.samplers", f"keys of at most {MAX_KEY_BYTES} bytes together", size)
+        channels[key] = held[number, target["path"]]
     if not channels:
         raise gltf.error(f"{where}.channels", "rotations of a humanoid's joints", f"{len(entries)} others")
     if left_out:
@@ -346,10 +356,16 @@ def _rest(
             if node in order:
                 if not np.linalg.det(joint_from_mesh[:3, :3]) > 0:
                     raise gltf.error(f"skins[{number}].inverseBindMatrices", "of bones not mirrored", node)
+                if not 1e-12 < np.linalg.det(joint_from_mesh) < 1e12:
+                    raise gltf.error(
+                        f"skins[{number}].inverseBindMatrices", "of bones that are neither flat nor vast", node
+                    )
                 frames[order.index(node)] = np.linalg.inv(joint_from_mesh)
         anchor = place["head"]
         # the mesh's own units against the world's: told by the distance of the hips to the head
         hip = place["left_hip"]
+        if anchor not in frames or hip not in frames:
+            continue
         mine = np.linalg.norm(frames[anchor][:3, 3] - frames[hip][:3, 3])
         if not mine > 0:
             continue

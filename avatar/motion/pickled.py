@@ -81,7 +81,8 @@ def read_pickled_motion(path: Path | str, *, body: Body | None = None) -> Motion
     if place_name is None:
         notes.append("no trans: the pelvis stays in place")
     else:
-        place = _numbers(path, fields, place_name).reshape(-1, 3) if frames == 1 else _numbers(path, fields, place_name)
+        place = _numbers(path, fields, place_name)
+        place = place[None] if frames == 1 and place.shape == (3,) else place
         if place.shape != (frames, 3):
             raise AssetError(f"{path}: {place_name} should be ({frames}, 3), is {place.shape}")
     rate = _rate(path, fields, notes)
@@ -143,9 +144,7 @@ def _numbers(path: Path, fields: dict[str, Any], name: str) -> Array:
                 raise AssetError(f"{path}: {name} should be an array, is lists of more than {MAX_NUMBERS} numbers")
             value = np.array(value)
         except (ValueError, OverflowError):
-            raise AssetError(
-                f"{path}: {name} should be an array of numbers, is no list of equally long lists"
-            ) from None
+            raise AssetError(f"{path}: {name} should be numbers, is no array or has lists of unequal lengths") from None
     if value.dtype.kind not in "fiu":
         raise AssetError(f"{path}: {name} should be numbers, is {value.dtype}")
     return value
@@ -228,7 +227,7 @@ def _rate(path: Path, fields: dict[str, Any], notes: list[str]) -> float:
         return 30.0
     value = _numbers(path, fields, name)
     if value.size != 1:
-        raise AssetError(f"{path}: {name} should be one number, is {value.shape}")
+        raise AssetError(f"{path}: {name} should be positive frames per second, one number, is {value.shape}")
     return checked_rate(f"{path}: {name}", float(value.reshape(())))
 
 

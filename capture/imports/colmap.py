@@ -17,6 +17,7 @@ import numpy as np
 
 from avatar.camera import Camera, checked_camera
 from avatar.errors import AssetError
+from avatar.input_file import read_bytes
 from avatar.rotation import matrix_from_quaternion
 
 Array = np.ndarray
@@ -55,12 +56,7 @@ def read_colmap(folder: Path | str) -> dict[str, Camera]:
 
 
 def _read(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise AssetError(f"{path}: expected at most {MAX_BYTES} bytes, found {path.stat().st_size}")
-        return path.read_bytes()
-    except OSError as error:
-        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
+    return read_bytes(path, "a COLMAP model", most=MAX_BYTES)
 
 
 def _lens(place: str, model: str, width: int, height: int, p: tuple[float, ...]) -> Lens:

@@ -7,7 +7,6 @@ x to the right, y down, pixels; (0, 0) is the corner of the picture, (.5, .5) th
 Names are those of `capture/imports/places.py`; any other needs its vertex of the body model under "vertices".
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from jaxtyping import Float
 
 from avatar.camera import Camera, pixel_rays, project
 from avatar.errors import AssetError
+from avatar.input_file import read_json
 
 Array = np.ndarray
 
@@ -33,14 +33,7 @@ def read_pixels(path: Path) -> tuple[dict[str, dict[str, Array]], dict[str, int]
     Raises:
         AssetError: absent, not such a file, a pixel that is not two numbers.
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise AssetError(f"{path}: expected landmarks in at most {MAX_BYTES} bytes, found {path.stat().st_size}")
-        content = json.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:
-        raise AssetError(f"{path}: expected landmarks (JSON), found: {str(error)[:100]}") from None
+    content = read_json(path, "landmarks", most=MAX_BYTES)
     pixels = content.get("pixels") if isinstance(content, dict) else None
     vertices = content.get("vertices", {}) if isinstance(content, dict) else None
     if not isinstance(pixels, dict) or not isinstance(vertices, dict):

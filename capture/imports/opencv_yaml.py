@@ -21,6 +21,7 @@ import numpy as np
 
 from avatar.camera import Camera, checked_camera
 from avatar.errors import AssetError
+from avatar.input_file import read_text
 from avatar.rotation import matrix_from_axis_angle
 
 Array = np.ndarray
@@ -38,14 +39,7 @@ def read_opencv_yaml(path: Path) -> tuple[list[str], dict[str, Array]]:
     Raises:
         AssetError: absent, not such a file, or a matrix whose data do not fill its rows and columns.
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise AssetError(f"{path}: expected cameras in at most {MAX_BYTES} bytes, found {path.stat().st_size}")
-        text = path.read_text("utf-8")
-    except FileNotFoundError:
-        raise AssetError(f"{path}: no such file; expected EasyMocap's cameras (OpenCV YAML)") from None
-    except (OSError, ValueError) as error:
-        raise AssetError(f"{path}: expected EasyMocap's cameras (OpenCV YAML), found: {error}") from None
+    text = read_text(path, "EasyMocap's cameras (OpenCV YAML)", most=MAX_BYTES)
     entries: dict[str, list[str]] = {}
     current: list[str] | None = None
     for line in text.splitlines():

@@ -18,7 +18,6 @@ What differs from our capture folder, and is undone here:
 .npy files of objects are pickles; they are rebuilt by the restricted unpickler, and nothing in them is run.
 """
 
-import json
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -29,6 +28,7 @@ from scipy.spatial import KDTree
 from avatar.body import Body
 from avatar.camera import Camera, checked_camera
 from avatar.errors import AssetError
+from avatar.input_file import read_json_object
 from avatar.npz import read_npy
 from avatar.picture import picture_size
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
@@ -156,10 +156,10 @@ def _removed(path: Path) -> list[tuple[int, int]]:
     """Half-open ranges of frame indices that are to be left out."""
     if not path.exists():
         return []
+    content = read_json_object(path, "frames to leave out")
     try:
-        ranges = json.loads(path.read_text("utf-8"))["bad_frame"]
-        return [(int(start), int(stop)) for start, stop in ranges]
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return [(int(start), int(stop)) for start, stop in content["bad_frame"]]
+    except (ValueError, TypeError, KeyError, OverflowError):
         raise AssetError(f"{path}: expected {{'bad_frame': [[start, stop], ...]}}") from None
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from avatar.errors import AssetError
 from avatar.files import check_folder, whole_file
+from avatar.input_file import read_json_object
 from player.filming.film import VIDEO, film_kind
 
 # frames of a part: eight seconds at 30 a second, and as far apart as key frames may be
@@ -71,9 +72,10 @@ class Parts:
         mark = self.folder / MARK
         if self.folder.exists():
             try:
-                held = json.loads(mark.read_text("utf-8"))
-                held = held["film"]
-            except (OSError, ValueError, KeyError, TypeError):
+                held = read_json_object(mark, "the film that parts belong to")["film"]
+                if not isinstance(held, dict):
+                    raise KeyError("film")
+            except (AssetError, KeyError):
                 raise AssetError(f"{self.folder}: expected parts of a film with {MARK}; move it away") from None
             if resume:
                 differing = sorted(key for key in {*held, *self._film()} if held.get(key) != self._film().get(key))

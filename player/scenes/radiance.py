@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from avatar.errors import AssetError
+from avatar.input_file import read_bytes
 
 MAGIC = (b"#?RADIANCE", b"#?RGBE")
 RESOLUTION = re.compile(rb"-Y (\d{1,6}) \+X (\d{1,6})\Z")
@@ -24,10 +25,7 @@ def read_radiance(path: Path | str) -> Float32[np.ndarray, "height width 3"]:
         AssetError: not such a file, cut short, or rows in another order than top to bottom, left to right.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
+    data = read_bytes(path, "a Radiance picture")
     if not data.startswith(MAGIC):
         raise AssetError(f"{path}: should begin with #?RADIANCE or #?RGBE, begins with {data[:10]!r}")
     end = data.find(b"\n\n", 0, HEADER_LIMIT)
@@ -36,10 +34,10 @@ def read_radiance(path: Path | str) -> Float32[np.ndarray, "height width 3"]:
         raise AssetError(f"{path}: expected a header that ends with an empty line and a line of the size")
     form = re.search(rb"^FORMAT=(.*)$", data[:end], re.MULTILINE)
     if form is not None and form[1].strip() != b"32-bit_rle_rgbe":
-        raise AssetError(f"{path}: FORMAT should be 32-bit_rle_rgbe, is {form[1].strip().decode('latin-1')}")
+        raise AssetError(f"{path}: FORMAT should be 32-bit_rle_rgbe, is {form[1].strip()[:40]!r}")
     size = RESOLUTION.match(data[end + 2 : last].strip())
     if size is None:
-        raise AssetError(f"{path}: size should read -Y HEIGHT +X WIDTH, reads {data[end + 2 : last]!r}")
+        raise AssetError(f"{path}: size should read -Y HEIGHT +X WIDTH, reads {data[end + 2 : last][:60]!r}")
     height, width = int(size[1]), int(size[2])
     if not (0 < height * width <= PIXEL_LIMIT):
         raise AssetError(f"{path}: {width}x{height} pixels; expected 1 to {PIXEL_LIMIT}")

@@ -1,6 +1,7 @@
 """Reads scene.toml. Every complaint names the file, the line and the key, what was expected and what was found."""
 
 import difflib
+import math
 import re
 import tomllib
 from collections.abc import Mapping
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn, get_args, get_origin
 
 from avatar.errors import AssetError
+from avatar.input_file import one_line, read_text
 from avatar.settings import Color, Fact, Place, broken_rule, facts
 from player.address import PORTS, parse_address
 from player.passes.background import Background
@@ -22,6 +24,8 @@ HEADER = re.compile(r"^\s*(\[\[|\[)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
 KEY = re.compile(r"""^\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=""")
 STRINGS = re.compile(r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL)
 LARGEST_FILE = 1 << 20  # bytes; a scene is a page of text
+# beyond it nothing that a scene says has a meaning, and squares still are numbers
+LARGEST_NUMBER = 1e18
 SCALARS = {str: "a string", float: "a number", int: "a whole number"}
 
 
@@ -32,22 +36,15 @@ def read_scene(path: Path | str) -> Scene:
         AssetError: no TOML, an unknown key, a wrong value, or a file that is not there, by line and key.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_FILE + 1)
-        text = data.decode("utf-8")
-    except OSError as error:
-        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise AssetError(f"{path}: expected UTF-8 text, found byte {error.start} to be none") from None
-    if len(data) > LARGEST_FILE:
-        raise AssetError(f"{path}: expected a scene of at most {LARGEST_FILE} bytes")
+    text = read_text(path, "a scene", most=LARGEST_FILE)
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise AssetError(_with_line(path, str(error))) from None
     except RecursionError:
         raise AssetError(f"{path}: nested too deeply") from None
+    except ValueError as error:  # a whole number of thousands of digits
+        raise AssetError(f"{path}: {one_line(error)}") from None
     return _Reader(path, text).scene(content)
 
 
@@ -200,6 +197,8 @@ class _Reader:
         right = type(found) is kind or (kind is float and type(found) is int)  # true is no number
         if not right:
             self.fail(at, f"expected {SCALARS[kind]}, found {_kind(found)}")
+        if kind in (int, float) and LARGEST_NUMBER <= abs(found) != math.inf:
+            self.fail(at, f"expected a number below {LARGEST_NUMBER:g}, found {_kind(found)}")
         return kind(found)
 
     def color(self, at: KeyPath, found: Any) -> tuple[float, float, float, float]:
@@ -213,8 +212,12 @@ class _Reader:
 
     def file(self, at: KeyPath, value: str, names: tuple[str, ...]) -> str:
         """A path as it counts from here. It has to be there."""
-        place = self.path.parent / Path(value).expanduser()
-        if not place.exists():
+        try:
+            place = self.path.parent / Path(value).expanduser()
+            there = place.exists()
+        except (ValueError, OSError, RuntimeError) as error:  # a NUL, a name too long, ~ of a user who is not there
+            self.fail(at, f"{_kind(value)} is no path: {one_line(error)}")
+        if not there:
             or_name = f" (and it is none of {', '.join(names)})" if names else ""
             self.fail(at, f"no such file: {place}{or_name}")
         return str(place)
@@ -234,6 +237,8 @@ def _kind(found: Any) -> str:
         return "true" if found else "false"
     if isinstance(found, str):
         return f"the string {found!r}" if len(found) < 60 else f"a string of {len(found)} characters"
+    if isinstance(found, int) and abs(found) >= 1 << 64:
+        return f"a whole number of {found.bit_length()} bits"
     if isinstance(found, (int, float)):
         return f"the number {found}"
     return {list: "an array", dict: "a table"}.get(type(found), f"a {type(found).__name__}")

@@ -4,6 +4,7 @@ import copy
 import json
 import os
 import random
+import re
 import struct
 import time
 import tracemalloc
@@ -11,6 +12,7 @@ import zlib
 
 import numpy as np
 import pytest
+from radiance_writer import radiance_bytes
 from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_high_avatar
 
 from avatar.baked_avatar import check_avatar
@@ -412,3 +414,172 @@ def test_a_folder_a_pipe_and_nothing_are_refused(tmp_path):
     ]:
         with pytest.raises(AssetError, match=match):
             read_avatar(tmp_path / name)
+
+
+# every other kind of file that is read
+
+
+def camera_text() -> bytes:
+    camera = {"size": [64, 48], "K": [[50, 0, 32], [0, 50, 24], [0, 0, 1]], "camera_from_world": np.eye(4).tolist()}
+    return json.dumps(camera).encode()
+
+
+PATH_TEXT = (
+    b'{"keys": [{"t": 0, "eye": [0, 1, 3], "target": [0, 1, 0]}, {"t": 2.5, "eye": [1, 1, 3], "target": [0, 1, 0]}]}'
+)
+SCENE_TEXT = b'size = [64, 48]\nrate = 25.0\n[[avatar]]\nfile = "a.toml"\n[[camera]]\nkind = "orbit"\n'
+YAML_TEXT = b'%YAML:1.0\nnames:\n   - "1"\nK_1: !!opencv-matrix\n   rows: 1\n   cols: 2\n   dt: d\n   data: [1., 2.]\n'
+LANDMARKS_TEXT = b'{"pixels": {"nose_tip": {"a.png": [1, 2], "b.png": [3.5, 4]}}, "vertices": {"mole": 7}}'
+
+
+def readers() -> dict:
+    """Each kind of file: an honest one, and what reads it."""
+    from avatar.camera import read_camera
+    from capture.imports.landmarks import read_pixels
+    from capture.imports.opencv_yaml import read_opencv_yaml
+    from player.camera_path import CameraPath
+    from player.scenes.radiance import read_radiance
+    from player.scenes.scene_file import read_scene
+
+    return {
+        "camera.json": (camera_text(), read_camera),
+        "path.json": (PATH_TEXT, CameraPath.read),
+        "scene.toml": (SCENE_TEXT, read_scene),
+        "intri.yml": (YAML_TEXT, read_opencv_yaml),
+        "landmarks.json": (LANDMARKS_TEXT, read_pixels),
+        "sky.hdr": (radiance_bytes(np.ones((8, 16, 3))), read_radiance),
+    }
+
+
+KINDS = ("camera.json", "path.json", "scene.toml", "intri.yml", "landmarks.json", "sky.hdr")
+
+
+def read_or_one_line(path, read) -> bool:
+    """Whether it is refused, by its name and in one line; no other error is raised."""
+    try:
+        read(path)
+    except AssetError as error:
+        assert path.name in str(error) and "\n" not in str(error) and len(str(error)) < 600 + len(str(path))
+        return True
+    return False
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_changed_and_cut_files_are_read_or_one_line(tmp_path, kind):
+    whole, read = readers()[kind]
+    rng, refused = np.random.default_rng(6), 0
+    for n in range(300):
+        data = bytearray(whole)
+        for place in rng.integers(0, len(whole), n % 4):
+            data[place] = rng.integers(256) if n % 2 else rng.choice(list(b'0123456789.-+eE[]{}",:\n '))
+        (tmp_path / kind).write_bytes(data[: rng.integers(len(whole))] if n % 3 == 0 else data)
+        refused += read_or_one_line(tmp_path / kind, read)
+    assert refused > 50
+
+
+HARD_NUMBERS = (b"1e308", b"-1e308", b"5e-324", b"1e999", b"9" * 400, b"9" * 6000, b"-1", b"0", b"nan", b"[1]", b'"1"')
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_number_may_be_absurd(tmp_path, kind):
+    whole, read = readers()[kind]
+    if kind == "sky.hdr":
+        whole = whole[: whole.index(b"+X")] + b"+X 16\n"
+    for match in re.finditer(rb"\d+(\.\d+)?", whole):
+        for number in HARD_NUMBERS:
+            (tmp_path / kind).write_bytes(whole[: match.start()] + number + whole[match.end() :])
+            with np.errstate(over="raise", invalid="raise", divide="raise"):
+                read_or_one_line(tmp_path / kind, read)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_devices_pipes_folders_and_deep_or_endless_text_are_refused_at_once(tmp_path, kind):
+    read = readers()[kind][1]
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "deep").write_bytes(b"[" * 200_000 if kind.endswith("json") else b"a = " + b"[" * 200_000)
+    (tmp_path / "many").write_bytes(b"[" + b"0," * 3_000_000 + b"0]")
+    os.symlink("/dev/zero", tmp_path / "zero")
+    started = time.process_time()
+    for name in ("pipe", "deep", "many", "zero", "absent", "."):
+        assert read_or_one_line(tmp_path / name, read), name
+    assert time.process_time() - started < 5
+
+
+CAMERA_LIES = [
+    ("K", [[50, 0, 32], [0, 50, 24], [0, 0, 2]], "its lower rows are"),
+    ("K", [[50, 0, 32], [3, 50, 24], [0, 0, 1]], "its lower rows are"),
+    ("K", [[1e200, 0, 32], [0, 50, 24], [0, 0, 1]], "K should be below 1e"),
+    ("K", [[10**400, 0, 32], [0, 50, 24], [0, 0, 1]], "a whole number of 401 digits"),
+    ("camera_from_world", [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1]], "should end in the row 0 0 0 1"),
+    ("camera_from_world", [[1, 0, 0, 1e300], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "should be below"),
+    ("size", [10**200, 48], "size should be"),
+]
+
+
+@pytest.mark.parametrize("field, value, match", CAMERA_LIES)
+def test_matrices_that_make_no_camera_are_named(tmp_path, field, value, match):
+    from avatar.camera import read_camera
+
+    (tmp_path / "a.json").write_text(json.dumps(json.loads(camera_text()) | {field: value}))
+    with pytest.raises(AssetError, match=match):
+        read_camera(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("name, value", [("mocap_framerate", 1e-5), ("mocap_framerate", 1e300),
+                                         ("mocap_framerate", 5e-324), ("pelvis_height", 1e-320),
+                                         ("pelvis_height", 1e300), ("betas", 1e300)])  # fmt: skip
+def test_rates_and_heights_that_nothing_has_are_refused(tmp_path, name, value):
+    from avatar.motion.read import read_motion
+
+    np.savez(tmp_path / "a.npz", poses=np.zeros((2, 156)), trans=np.zeros((2, 3)), **{name: np.array(value)})
+    with pytest.raises(AssetError, match=name):
+        read_motion(tmp_path / "a.npz")
+
+
+def test_a_surface_of_a_run_cut_anywhere_is_one_line(tmp_path):
+    run = pytest.importorskip("train.run", reason="torch is not installed")
+    rows = {name: np.zeros((4, *columns), np.float32) for name, columns in run.SURFACE.items()}
+    np.savez(tmp_path / "whole.npz", **(rows | {"faces": np.zeros((2, 3), np.uint32)}))
+    run.read_surface(tmp_path / "whole.npz")
+    whole = (tmp_path / "whole.npz").read_bytes()
+    for length in np.random.default_rng(7).integers(0, len(whole), 300):
+        (tmp_path / "surface.npz").write_bytes(whole[:length])
+        assert read_or_one_line(tmp_path / "surface.npz", run.read_surface)
+
+
+def test_channels_that_share_a_sampler_hold_its_keys_once(tmp_path):
+    """300 channels of one sampler of half a million keys took 3.5 GB."""
+    from avatar.gltf.document import Gltf
+    from avatar.motion.gltf import Channel, _channels
+
+    keys = 200_000
+    times, values = np.arange(keys, dtype="<f4"), np.tile(np.array([0, 0, 0, 1], "<f4"), (keys, 1))
+    binary = memoryview(times.tobytes() + values.tobytes())
+    document = {
+        "nodes": [{} for _ in range(300)],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": times.nbytes},
+            {"buffer": 0, "byteOffset": times.nbytes, "byteLength": values.nbytes},
+        ],
+        "buffers": [{"byteLength": len(binary)}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "type": "SCALAR", "count": keys},
+            {"bufferView": 1, "componentType": 5126, "type": "VEC4", "count": keys},
+        ],
+        "animations": [{
+            "samplers": [{"input": 0, "output": 1}],
+            "channels": [{"sampler": 0, "target": {"node": n, "path": "rotation"}} for n in range(300)],
+        }],
+    }  # fmt: skip
+    gltf = Gltf(tmp_path / "a.glb", document, (binary,))
+    tracemalloc.start()
+    channels = _channels(gltf, {n: n for n in range(300)}, [])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(channels) == 300 and isinstance(channels[0, "rotation"], Channel) and peak < 64 << 20
+    many = document["animations"][0]
+    many["samplers"] = [{"input": 0, "output": 1}] * 300
+    for n, channel in enumerate(many["channels"]):
+        channel["sampler"] = n
+    with pytest.raises(AssetError, match="keys of at most"):
+        _channels(gltf, {n: n for n in range(300)}, [])
