@@ -92,9 +92,8 @@ class Bvh:
         if not (np.abs(row) < LARGEST).all():
             channel = int(np.argmax(~(np.abs(row) < LARGEST)))
             joint = int(np.searchsorted(np.cumsum([len(c) for c in self.channels]), channel, side="right"))
-            raise AssetError(
-                f"{self.path}: line {line}: frame {frame}, joint {self.names[joint]} is not finite, or beyond {LARGEST:g}"
-            )
+            place = f"{self.path}: line {line}: frame {frame}, joint {self.names[joint]}"
+            raise AssetError(f"{place} is not finite, or beyond {LARGEST:g}")
         return row
 
     def transforms(

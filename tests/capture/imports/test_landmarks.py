@@ -78,7 +78,10 @@ def test_pixels_that_meet_behind_a_camera_are_refused():
         ("[]", 'expected {"pixels"'),
         ('{"pixels": {"nose_tip": [1, 2]}}', r"pixels\.nose_tip should be \{picture"),
         ('{"pixels": {"nose_tip": {"a.png": [1]}}}', r"pixels\.nose_tip\.a\.png should be \[x, y\]"),
-        ('{"pixels": {"nose_tip": {"a.png": [1, NaN]}}}', "NaN, which is not a number of JSON"),
+        (
+            '{"pixels": {"nose_tip": {"a.png": [1, NaN]}}}',
+            r"expected landmarks \(JSON\), found: NaN, which is not a number of JSON",
+        ),
         ('{"pixels": {}, "vertices": {"mole": -1}}', r"vertices\.mole should be the number of a vertex"),
         ("[" * 5000, "expected landmarks"),
     ],
