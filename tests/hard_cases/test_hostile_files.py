@@ -157,7 +157,7 @@ def at(document, place: str):
 OURS = "extensions.SELFSCAN_avatar"
 POSITION, WEIGHTS, INDICES = 1, 5, 10  # accessors of the finest level; 0 holds the inverse bind matrices
 VIEW = 2  # the buffer view of POSITION
-HUGE = [2**31, 2**63, 10**400, -1, 1.5, True, "7", None, [], {}]
+HUGE = [2**31, 2**63, 10**200, -1, 1.5, True, "7", None, [], {}]
 LIES = [
     *((f"accessors.{POSITION}.count", value, r"accessors\[1\]") for value in [*HUGE, 0, 9, 2**29]),
     *((f"accessors.{POSITION}.byteOffset", value, r"accessors\[1\]") for value in [*HUGE[:-1], 1, 2**29]),
@@ -209,7 +209,7 @@ LIES = [
     (f"{OURS}.network.b1", [0.0] * 15 + [1e20], "network.b1 should be below"),
     (f"{OURS}.network", [], "network should be an object"),
     (f"{OURS}.linear", [0.0] * 35, "linear should be 36 numbers"),
-    (f"{OURS}.amplitude", 10**400, f"{OURS}|float"),
+    (f"{OURS}.amplitude", 10**400, "a whole number of 401 digits"),
     (f"{OURS}.amplitude", True, "amplitude should be a number"),
     (f"{OURS}.amplitude", 1.01, "amplitude should be from 0 to 1"),
     (f"{OURS}.defaultView", "neural", "defaultView should be network, linear or off"),
@@ -410,7 +410,7 @@ def test_a_folder_a_pipe_and_nothing_are_refused(tmp_path):
     for name, match in [
         ("", "is a folder"),
         ("pipe", "not there|should be a file"),
-        ("none", "is not there"),
+        ("none", "no such file"),
     ]:
         with pytest.raises(AssetError, match=match):
             read_avatar(tmp_path / name)
