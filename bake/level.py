@@ -15,7 +15,7 @@ from bake.cone import ViewCone, interpolated
 from bake.field import NumpyField
 from bake.network import Distilled, SurfacePoints
 from bake.options import BakeOptions
-from bake.seams import ChartEdges, chart_edges, equalised, seam_steps
+from bake.seams import ChartEdges, chart_edges, solve_seams, seam_steps
 from bake.skin import quantised, transferred_weights
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from geometry.closest import match_surface
@@ -116,7 +116,7 @@ def bake_level(
     texels = rasterise_charts(chart.uv, chart.faces, size)
     edges = chart_edges(chart.uv, chart.faces, chart.source)
     image = spread(texel_colors(field, charted, texels), texels)
-    closed = equalised(image, texels, chart.uv, edges, mip_levels(image.shape), goal=SEAM_GOAL)
+    closed = solve_seams(image, texels, chart.uv, edges, mip_levels(image.shape), goal=SEAM_GOAL)
     base = bytes_from_unit(closed)
     level = Level(
         positions=charted.points.astype(np.float32),
@@ -285,7 +285,7 @@ def with_features(baked: BakedLevel, distilled: Distilled, field: NumpyField) ->
     values = [distilled.features(_shown_by(baked, field, texels.rows(piece))) for piece in pieces]
     image = spread(np.concatenate(values) / 255.0, texels)
     uv = level.uv.astype(np.float64)
-    features = bytes_from_unit(equalised(image, texels, uv, baked.edges, mip_levels(image.shape)))
+    features = bytes_from_unit(solve_seams(image, texels, uv, baked.edges, mip_levels(image.shape)))
     return baked._replace(level=replace(level, features=features))
 
 

@@ -1,9 +1,10 @@
 """Chart edges that agree: the texels around them are solved together, so that no mip in use shows a seam."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer, UInt8
+from jaxtyping import Float, Integer, UInt8
 from scipy.sparse import csr_matrix, diags
 
 from avatar.texture import mipmaps, sample_texture
@@ -12,19 +13,22 @@ from geometry.mesh import half_edges
 
 # weight of keeping a texel as it was sampled: one that shows surface, one that only bilinear filtering reads
 # beside it, and one of the gutter, which nothing but coarser mips reads
-KEEP_INSIDE, KEEP_SKIRT, KEEP_GUTTER = 4.0, 0.1, 0.004
+KEEP_INSIDE, KEEP_SKIRT, KEEP_GUTTER = 20.0, 0.1, 0.004
+# a texel inside a chart that no edge reads in the finest mip moves no further than this for the coarser ones
+FAR_FROM_EDGE = 6 / 255
 # weight of a point on a chart edge looking the same from both sides, at 1024; more where texels are few
 AGREE = 4.0
-GROW = (
-    # as many times more in each coarser mip: fewer points lie along an edge there, and means resist more
-    8.0
-)
+# as many times more in each coarser mip: fewer points lie along an edge there, and means resist more
+GROW = 3.0
+# steps of descent between two looks at which points still differ by more than STEP; those count more from then on
+DESCENT = 40
 STEP = 1.5 / 255
-# short rounds, each urging a little more: no further than the goal
-FURTHER = 8 * (8,)
-# most that one round makes a point count more
-URGE, URGE_FURTHER = 3.0, 1.5
-# between points farther apart two bilinear images can differ much more than at them
+# how much more at most: in the passes that are always made, and from each pass to the next while the goal is missed
+EMPHASIS, FURTHER_EMPHASIS = (1.0, 3.0, 3.0), 8 * (1.5,)
+# root mean square by which closing edges further may move what shows inside the charts of 2048 texels: 49 dB; with
+# their size it falls, as does what texels can show
+LARGEST_CHANGE = 0.9 / 255
+# points for each texel of an edge: between points farther apart two bilinear images can differ much more than at them
 DENSE = 3
 
 
@@ -82,144 +86,161 @@ class _Mip(NamedTuple):
 
     texels: Integer[np.ndarray, "n"]  # row * size + column, ascending
     # points on edges x texels: left side minus right side
-    agree: csr_matrix
+    reads: csr_matrix
     # texels x the finer mip's texels: mean of 2 x 2
     finer: csr_matrix | None
     # share of a texel in this mip that no finer mip reads
     rest: Float[np.ndarray, "n 1"]
-    weight: float  # by which the rows of `agree` are multiplied
+    weight: float  # of the difference at a point
 
 
-def equalised(
+class _Unknowns(NamedTuple):
+    """What is solved for: the mean of each group of texels that move together, within its bounds."""
+
+    texel: Integer[np.ndarray, "t"]  # row * size + column
+    owner: Integer[np.ndarray, "t"]  # the unknown that moves it
+    texel_low: Float[np.ndarray, "t channels"]
+    texel_high: Float[np.ndarray, "t channels"]
+    low: Float[np.ndarray, "unknowns channels"]
+    given: Float[np.ndarray, "unknowns channels"]
+    high: Float[np.ndarray, "unknowns channels"]
+    keep: Float[np.ndarray, "unknowns 1"]
+
+    def texels_at(
+        self, values: Float[np.ndarray, "unknowns channels"], given: Float[np.ndarray, "t channels"]
+    ) -> Float[np.ndarray, "t channels"]:
+        """The texels when the unknowns have these values: each the same share of its way to its bound."""
+        up = values > self.given
+        way = np.where(up, self.high, self.low) - self.given
+        share = np.clip((values - self.given) / np.where(way == 0, 1, way), 0, 1)[self.owner]
+        return given + share * (np.where(up[self.owner], self.texel_high, self.texel_low) - given)
+
+
+def solve_seams(
     image: Float[np.ndarray, "height width channels"],
     texels: TexelMap,
     uv: Float[np.ndarray, "corners 2"],
     edges: ChartEdges,
     levels: int,
     *,
-    rounds: tuple[int, ...] = (25, 15, 15),
     goal: float | None = None,
 ) -> Float[np.ndarray, "height width channels"]:
-    """The image with its chart edges closed in the first `levels` mips, values kept in [0, 1].
+    """The image with its chart edges closed in the first `levels` mips, no texel beyond the colors of the two sides.
 
-    Least squares over every texel that a point on a chart edge reads in any of these mips:
+    Least squares within bounds over every texel that a point on a chart edge reads in any of these mips:
 
-        min over x   sum_i keep_i (x_i - image_i)^2 + sum_mips agree GROW^mip sum_points (left(x) - right(x))^2
+        min over low <= x <= high   sum_i keep_i (x_i - image_i)^2
+                                    + sum_mips agree GROW^mip sum_points (left(x) - right(x))^2
 
-    by conjugate gradients, `rounds` of them; then what left [0, 1] is held at its bound, points that still differ
-    by more than STEP count up to nine times, and the others are solved again. The mips are means of 2 x 2 texels, as
-    the player makes them, so a coarse mip is closed mostly by what lies in the gutters, which the finest never shows.
-    Texels that only a coarse mip reads enter through their mean alone: they are one unknown, and its change goes to
-    each by 1 / keep.
+    low and high are, channel by channel, the range of what the points that read a texel read in the given image on
+    both sides of the edge, so nothing overshoots, whatever the contrast. Texels that only a coarse mip reads enter
+    through their mean alone: they are one unknown, and each goes the same share of its way to its bound. The mips are
+    means of 2 x 2 texels, as the player makes them, so a coarse mip is closed mostly by what lies in the gutters, which
+    the finest never shows.
 
-    With a `goal` (bytes) the rounds of FURTHER follow while the 99th percentile of the steps lies above it in any mip,
-    and what a point that differs counts grows from round to round.
+    With a `goal` (bytes) more passes follow while the 99th percentile of the steps lies above it in any mip and the
+    insides of the charts have moved by no more than LARGEST_CHANGE.
     """
     if len(edges.left) == 0:
         return image
-    size, channels = texels.size, image.shape[-1]
-    chain = _chain(uv, edges, size, levels)
-    owner = _owners(chain, size)
-    owned = np.flatnonzero(owner >= 0)
-    owner = owner[owned]
-    loose = 1 / _keep(texels)[owned]
-    unknowns = sum(len(mip.texels) for mip in chain)
-    slack = np.maximum(np.bincount(owner, loose, unknowns), 1e-20)
-    many = np.bincount(owner, minlength=unknowns)
-    # the least cost of changing the mean of n texels by d is d^2 n^2 / sum(1 / keep)
-    keep = np.where(many > 0, many**2 / slack, 1.0).astype(np.float32)[:, None]
-    each = (loose * (many / slack)[owner])[:, None]  # a texel's change, of its unknown's
-
-    before = image.reshape(-1, channels)[owned]
-    after = before
-    result = image.reshape(-1, channels).copy()
-    held = np.zeros((unknowns, channels), bool)
-    urges = [np.ones(len(mip.agree.indptr) - 1, np.float32) for mip in chain]
-    for passed, count in enumerate([*rounds, *FURTHER]):
-        shown = result.reshape(size, size, channels)
-        if passed >= len(rounds) and (goal is None or _largest(uv, edges, shown, levels) <= goal):
+    chain = _chain(uv, edges, texels.size, levels)
+    unknowns = _unknowns(chain, texels, image)
+    given = image.reshape(-1, image.shape[-1])
+    counts = [np.ones(len(mip.reads.indptr) - 1, np.float32) for mip in chain]
+    solved, result = unknowns.given, image
+    for number, most in enumerate([*EMPHASIS, *FURTHER_EMPHASIS]):
+        further = number >= len(EMPHASIS)
+        if further and (goal is None or _largest_step(uv, edges, result, levels) <= goal):
             break
-        done = np.zeros((unknowns, channels), np.float32)
-        if passed:
-            for channel in range(channels):
-                done[:, channel] = np.bincount(owner, (after - before)[:, channel], unknowns)
-            done /= np.maximum(many, 1)[:, None]
-        shown = shown.astype(np.float32)
-        if passed:
-            further = passed >= len(rounds)
-            fresh = _urges(chain, shown, URGE_FURTHER if further else URGE)
-            urges = [old * new if further else new for old, new in zip(urges, fresh, strict=True)]
-        change = _solved(_urged(chain, urges), shown, keep, done, held, count)
-        wanted = after + each * change[owner]
-        after = np.clip(wanted, 0, 1)
-        result[owned] = after
-        out = np.zeros_like(held)
-        for channel in range(channels):
-            out[owner[wanted[:, channel] != after[:, channel]], channel] = True
-        held |= out
-    return result.reshape(image.shape)
+        fresh = _emphasis(chain, result, most)
+        counts = [old * new if further else new for old, new in zip(counts, fresh, strict=True)]
+        weighted = [
+            mip._replace(reads=csr_matrix(diags(mip.weight * count) @ mip.reads))
+            for mip, count in zip(chain, counts, strict=True)
+        ]
+        solved = _descended(weighted, unknowns, _differences(weighted, image), solved)
+        moved = image.copy()
+        moved.reshape(-1, image.shape[-1])[unknowns.texel] = unknowns.texels_at(solved, given[unknowns.texel])
+        shown = texels.index[texels.inside]
+        change = np.sqrt(np.mean(np.square((moved.reshape(given.shape) - given)[shown])))
+        if number and change > LARGEST_CHANGE * np.sqrt(2048 / texels.size):
+            break
+        result = moved
+    return result
 
 
-def _solved(
+def _descended(
     chain: list[_Mip],
-    image: Float[np.ndarray, "height width channels"],
-    keep: Float[np.ndarray, "unknowns 1"],
-    done: Float[np.ndarray, "unknowns channels"],
-    held: Bool[np.ndarray, "unknowns channels"],
-    rounds: int,
+    unknowns: _Unknowns,
+    differences: list[Float[np.ndarray, "_ channels"]],
+    start: Float[np.ndarray, "unknowns channels"],
 ) -> Float[np.ndarray, "unknowns channels"]:
-    """Change of the unknowns that closes the edges of `image`, which has moved by `done` already; 0 where held."""
-    free = (~held).astype(np.float32)
-    differences = _differences(chain, image)
-    residual = free * -(_spread_back(chain, differences) + keep * done)
+    """The unknowns after DESCENT steps from `start`; `differences` are those of the given image.
+
+    Accelerated projected gradients (Nesterov 1983), scaled by the diagonal and restarted where they turn uphill
+    (O'Donoghue and Candes 2015): every step ends within the bounds.
+    """
+    low, given, high, keep = unknowns.low, unknowns.given, unknowns.high, unknowns.keep
     diagonal = keep + _diagonal(chain)
-    change = np.zeros_like(residual)
-    goal = 1e-9 * _dot(residual, residual)
-    step = residual / diagonal
-    score = _dot(residual, step)
-    for _ in range(rounds):
-        if (_dot(residual, residual) <= goal).all():
-            break
-        moved = keep * step + _spread_back(chain, [m.agree @ v for m, v in _means(chain, step)])
-        moved *= free
-        length = score / np.maximum(_dot(step, moved), 1e-30)
-        change += length * step
-        residual = residual - length * moved
-        better = residual / diagonal
-        fresh = _dot(residual, better)
-        step = better + fresh / np.maximum(score, 1e-30) * step
-        score = fresh
-    return change
+    length = 1 / (_largest_eigenvalue(chain, keep, diagonal) * diagonal)
+    values, ahead, momentum = start, start, 1.0
+    for _ in range(DESCENT):
+        change = ahead - given
+        apart = [there + mip.reads @ v for there, (mip, v) in zip(differences, _means(chain, change), strict=True)]
+        gradient = keep * change + _spread_back(chain, apart)
+        found = np.clip(ahead - length * gradient, low, high)
+        if np.vdot(gradient, found - values) > 0:
+            momentum = 1.0
+        following = 0.5 * (1 + np.sqrt(1 + 4 * momentum * momentum))
+        ahead = found + np.float32((momentum - 1) / following) * (found - values)
+        values, momentum = found, following
+    return values
+
+
+def _largest_eigenvalue(
+    chain: list[_Mip], keep: Float[np.ndarray, "unknowns 1"], diagonal: Float[np.ndarray, "unknowns 1"]
+) -> float:
+    """Of the normal matrix scaled by its diagonal, by powers, a tenth more to be safe."""
+    vector = np.random.default_rng(0).normal(size=diagonal.shape).astype(np.float32)
+    value = 1.0
+    for _ in range(12):
+        vector /= np.linalg.norm(np.sqrt(diagonal) * vector)
+        vector = (keep * vector + _spread_back(chain, [mip.reads @ v for mip, v in _means(chain, vector)])) / diagonal
+        value = float(np.linalg.norm(np.sqrt(diagonal) * vector))
+    return 1.1 * value
 
 
 def _differences(
     chain: list[_Mip], image: Float[np.ndarray, "height width channels"]
 ) -> list[Float[np.ndarray, "_ channels"]]:
-    """Left side minus right side of the points on edges, weighted, in each mip of an image."""
+    """Left side minus right side of the points on edges in each mip of an image, times what they count."""
+    return [mip.reads @ values for mip, values in zip(chain, _values(chain, image), strict=True)]
+
+
+def _values(
+    chain: list[_Mip],
+    image: Float[np.ndarray, "height width channels"],
+    one_of: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda a, b: 0.5 * (a + b),
+) -> list[Float[np.ndarray, "_ channels"]]:
+    """The texels of each mip in an image; `one_of` two texels becomes one of the next mip, their mean."""
     result = []
+    image = image.astype(np.float32)
     for mip in chain:
-        result.append(mip.agree @ image.reshape(-1, image.shape[-1])[mip.texels])
-        image = _halved(image)
+        result.append(image.reshape(-1, image.shape[-1])[mip.texels])
+        rows = one_of(image[::2], image[1::2])
+        image = one_of(rows[:, ::2], rows[:, 1::2])
     return result
 
 
-def _urges(
+def _emphasis(
     chain: list[_Mip], image: Float[np.ndarray, "height width channels"], most: float
 ) -> list[Float[np.ndarray, "_"]]:
     """For the points of each mip how much more they count: those that differ by more than STEP up to `most` times, as
     least squares leaves a few large steps."""
-    return [
-        np.clip(np.abs(found).max(1) / mip.weight / STEP, 1, most).astype(np.float32)
-        for mip, found in zip(chain, _differences(chain, image), strict=True)
-    ]
+    return [np.clip(np.abs(found).max(1) / STEP, 1, most) for found in _differences(chain, image)]
 
 
-def _urged(chain: list[_Mip], urges: list[Float[np.ndarray, "_"]]) -> list[_Mip]:
-    """The mips with their points weighted up."""
-    return [mip._replace(agree=csr_matrix(diags(urge) @ mip.agree)) for mip, urge in zip(chain, urges, strict=True)]
-
-
-def _largest(
+def _largest_step(
     uv: Float[np.ndarray, "corners 2"],
     edges: ChartEdges,
     image: Float[np.ndarray, "height width channels"],
@@ -234,15 +255,58 @@ def _dot(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "channels"]:
     return np.einsum("nc,nc->c", a, b)
 
 
-def _halved(image: Float[np.ndarray, "height width channels"]) -> Float[np.ndarray, "h w channels"]:
-    rows = image[::2] + image[1::2]
-    return 0.25 * (rows[:, ::2] + rows[:, 1::2])
+def _unknowns(chain: list[_Mip], texels: TexelMap, image: Float[np.ndarray, "height width channels"]) -> _Unknowns:
+    """The texels that move, each with its unknown and its bounds, and what moving an unknown costs.
 
-
-def _keep(texels: TexelMap) -> Float[np.ndarray, "all"]:
-    weight = np.full(texels.size * texels.size, KEEP_GUTTER)
+    A texel that the finest mip reads is an unknown of its own; else it belongs to the first mip's texel above it
+    that is read. There those of the gutter alone move, where there are any.
+    """
+    size, channels = texels.size, image.shape[-1]
+    owner = _owners(chain, size)
+    texel = np.flatnonzero(owner >= 0)
+    owner = owner[texel]
+    count = sum(len(mip.texels) for mip in chain)
+    weight = np.full(size * size, KEEP_GUTTER)
     weight[texels.index] = np.where(texels.inside, KEEP_INSIDE, KEEP_SKIRT)
-    return weight
+    weight = weight[texel]
+    soft = weight < KEEP_INSIDE
+    # the unknowns of the finest mip come first
+    far = owner >= len(chain[0].texels)
+    extremes = (_values(chain, image, pick) for pick in (np.minimum, np.maximum))
+    ranges = [_range(mip, *values) for mip, *values in zip(chain, *extremes, strict=True)]
+    low, high = (np.concatenate([one[side] for one in ranges])[owner] for side in (0, 1))
+    given = image.reshape(-1, channels)[texel]
+    # a texel inside a chart gives way to coarse mips only a little, and not at all beside gutter
+    stays = far & ~soft
+    near = FAR_FROM_EDGE * ~(np.bincount(owner, soft, count) > 0)[owner]
+    low = np.where(stays[:, None], np.maximum(low, given - near[:, None]), low)
+    high = np.where(stays[:, None], np.minimum(high, given + near[:, None]), high)
+    low, high = np.minimum(low, given), np.maximum(high, given)
+    many = np.bincount(owner, minlength=count)
+    low_mean, mean, high_mean = (
+        np.stack([np.bincount(owner, channel, count) for channel in values.T], 1) / np.maximum(many, 1)[:, None]
+        for values in (low, given, high)
+    )
+    # the least cost of changing the mean of n texels by d is d^2 n^2 / sum(1 / keep)
+    keep = np.where(many > 0, many**2 / np.maximum(np.bincount(owner, 1 / weight, count), 1e-20), 1.0)[:, None]
+    means = (values.astype(np.float32) for values in (low_mean, mean, high_mean, keep))
+    return _Unknowns(texel, owner, low, high, *means)
+
+
+def _range(
+    mip: _Mip, least: Float[np.ndarray, "n channels"], most: Float[np.ndarray, "n channels"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """For each texel of a mip the least and the largest value that the points which read it read, on both sides."""
+    readers = mip.reads.T.tocsr()
+    read = np.flatnonzero(np.diff(readers.indptr))
+    result = []
+    for extreme, values in ((np.minimum, least), (np.maximum, most)):
+        at_texel = values.copy()
+        for _ in range(1 if mip.finer is None else 2):
+            at_point = extreme.reduceat(at_texel[mip.reads.indices], mip.reads.indptr[:-1], axis=0)
+            at_texel[read] = extreme.reduceat(at_point[readers.indices], readers.indptr[read], axis=0)
+        result.append(at_texel)
+    return result[0], result[1]
 
 
 def _chain(uv: Float[np.ndarray, "corners 2"], edges: ChartEdges, size: int, levels: int) -> list[_Mip]:
@@ -263,9 +327,8 @@ def _chain(uv: Float[np.ndarray, "corners 2"], edges: ChartEdges, size: int, lev
             finer = csr_matrix((np.full(len(below), 0.25, np.float32), (parent, np.arange(len(below)))), shape)
             rest = (1 - 0.25 * np.bincount(parent, minlength=len(texels))).astype(np.float32)[:, None]
         weight = float(np.sqrt(AGREE * 1024 / size * GROW**number))
-        values = (weight * values).astype(np.float32)
-        agree = csr_matrix((values, (rows, place)), shape=(count, len(texels)))
-        chain.append(_Mip(texels, agree, finer, rest, weight))
+        reads = csr_matrix((values.astype(np.float32), (rows, place)), shape=(count, len(texels)))
+        chain.append(_Mip(texels, reads, finer, rest, weight))
     return chain
 
 
@@ -331,7 +394,7 @@ def _spread_back(
     parts: list[np.ndarray] = []
     above: np.ndarray | None = None
     for mip, value in zip(reversed(chain), reversed(points), strict=True):
-        here = mip.agree.T @ value
+        here = mip.reads.T @ value
         if above is not None:
             here = here + above
         parts.append(mip.rest * here)
@@ -344,7 +407,7 @@ def _diagonal(chain: list[_Mip]) -> Float[np.ndarray, "unknowns 1"]:
     parts: list[np.ndarray] = []
     above: np.ndarray | None = None
     for mip in reversed(chain):
-        here = np.asarray(mip.agree.multiply(mip.agree).sum(0)).reshape(-1, 1)
+        here = np.asarray(mip.reads.multiply(mip.reads).sum(0)).reshape(-1, 1)
         if above is not None:
             here = here + above
         parts.append(mip.rest**2 * here)

@@ -57,6 +57,22 @@ def test_hair_and_shoes_have_volume(dressed):
     assert np.percentile(shoe, 2) > 0.002 and 0.005 < np.median(shoe) < 0.02
 
 
+def test_no_island_of_the_atlas_lies_on_another(dressed):
+    """The right shoe once lay on the right middle fingertip and painted it black."""
+    material, atlas = layout(dressed)
+    middle = dressed.mesh.vertices[dressed.mesh.faces].mean(1)
+    for number in (0, 1):
+        faces = np.flatnonzero(material == number)
+        texels = covered_texels(atlas[faces], 1024)
+        owner = np.full(1024 * 1024, -1)
+        owner[texels.index] = faces[texels.face]
+        column, row = np.floor(atlas[faces].mean(1) * 1024).astype(int).T
+        painted = owner[row * 1024 + column]
+        there = painted >= 0
+        away = np.linalg.norm(middle[painted[there]] - middle[faces[there]], axis=1)
+        assert away.max() < 0.1
+
+
 def test_face_and_hands_are_bare_skin(dressed):
     naked = builtin_body(sex_of(dressed))
     rows = np.unique(dressed.mesh.faces[dressed.kind == SKIN])
