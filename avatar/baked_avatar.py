@@ -13,6 +13,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Float32, UInt8, UInt32
 
+from avatar.skinning import SkinWeights
+
 VIEW_MODES = ("network", "linear", "off")
 
 
@@ -35,6 +37,11 @@ class Level:
     base_color: UInt8[np.ndarray, "height width 3"]  # sRGB
     # 4 or 8, linear, f = value / 255
     features: UInt8[np.ndarray, "feature_height feature_width planes"] | None
+
+    @property
+    def skin(self) -> SkinWeights:
+        """Joints and weights as skinning takes them; rows of weights sum to 1."""
+        return SkinWeights(self.joints.astype(np.int64), self.weights.astype(np.float32) / np.float32(255))
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@
     skin      four 8-bit weights per vertex that sum to exactly 255
     cone      per-vertex global view direction, tangent metric Q and visibility v (FRAMES, "View statistics")
     network   view-dependent residual inside that cone: 8 -> 16 -> 3, or linear, or none
+    promises  what a bake promises, and what to do where it missed
     measure   what was lost: baked avatar against field, in images
     field     the run's field behind NumPy functions
     level     one level of detail out of the pieces above

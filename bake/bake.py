@@ -32,6 +32,7 @@ from bake.level import (
 )
 from bake.network import AMPLITUDE, Distilled, distil, write_onnx
 from bake.options import BakeOptions
+from bake.promises import missed_promises
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
 from capture.solid import solid_inside
 from geometry.isosurface import Extraction, extract
@@ -132,14 +133,21 @@ def bake_run(
         default_view=distilled.default_view,
         provenance={**run.provenance, "baked": facts},
     )
-    facts["against_field"] = measured(avatar, extraction, fine, field, options, clock)
+    facts["missed"] = []
+    facts["against_field"] = compared_with_field(avatar, extraction, fine, field, options, clock)
     view, facts["default_view"] = chosen_view(avatar, distilled, true)
     clock(f"default view: {view} ({facts['default_view']['reason']})")
     avatar = replace(avatar, default_view=view, provenance={**run.provenance, "baked": facts})
     write_avatar(out, avatar)
+    facts["missed"] = missed_promises(facts, options, out.stat().st_size)
+    if facts["missed"]:
+        avatar = replace(avatar, provenance={**run.provenance, "baked": facts})
+        write_avatar(out, avatar)
     if distilled.network is not None:
         write_onnx(out.with_suffix(".onnx"), distilled.network)
     clock(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+    for line in facts["missed"]:
+        report(f"missed: {line}")
     return avatar
 
 
@@ -229,7 +237,7 @@ def bake_levels(
     return levels, distilled
 
 
-def measured(
+def compared_with_field(
     avatar: Avatar,
     extraction: Extraction,
     fine: Carried,
@@ -261,11 +269,11 @@ def measured(
         "pixels": score.pixels,
         "image": options.image,
         "per_view_db": {k: rounded(v) for k, v in score.per_view.items()},
-        **told(score),
+        **score_json(score),
     }
 
 
-def told(score: measure.Score) -> dict[str, Any]:
+def score_json(score: measure.Score) -> dict[str, Any]:
     """A score as the file holds it: dB of paper mode against the paper field, of each mode against the cone field."""
     groups = {
         group: {

@@ -15,7 +15,8 @@ from bake.cone import ViewCone, interpolated
 from bake.field import NumpyField
 from bake.network import Distilled, SurfacePoints
 from bake.options import BakeOptions
-from bake.seams import ChartEdges, chart_edges, solve_seams, seam_steps
+from bake.promises import SEAM_STEP
+from bake.seams import ChartEdges, chart_edges, seam_steps, solve_seams
 from bake.skin import quantised, transferred_weights
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from geometry.closest import match_surface
@@ -24,9 +25,6 @@ from geometry.isosurface import Extraction, project_to_zero
 from geometry.mesh import TriangleMesh, face_areas
 from geometry.repair import find_faults
 from geometry.sample import stratified_samples
-
-# bytes: 99 of 100 colour steps across chart edges are below it in every mip
-SEAM_GOAL = 3.8
 
 
 class Charted(NamedTuple):
@@ -40,7 +38,7 @@ class Charted(NamedTuple):
 
 
 class BakedLevel(NamedTuple):
-    """A level as it goes into the file, the surface under its texels, and what is told of it."""
+    """A level as it goes into the file, the surface under its texels, and what the file says of it."""
 
     level: Level
     charted: Charted
@@ -116,7 +114,7 @@ def bake_level(
     texels = rasterise_charts(chart.uv, chart.faces, size)
     edges = chart_edges(chart.uv, chart.faces, chart.source)
     image = spread(texel_colors(field, charted, texels), texels)
-    closed = solve_seams(image, texels, chart.uv, edges, mip_levels(image.shape), goal=SEAM_GOAL)
+    closed = solve_seams(image, texels, chart.uv, edges, mip_levels(image.shape), goal=SEAM_STEP)
     base = bytes_from_unit(closed)
     level = Level(
         positions=charted.points.astype(np.float32),
@@ -204,7 +202,7 @@ def level_facts(
     edges: ChartEdges,
     field: NumpyField,
 ) -> dict[str, Any]:
-    """What the file's provenance tells of a level; `mesh` is its mesh before the atlas split vertices."""
+    """What the file's provenance says of a level; `mesh` is its mesh before the atlas split vertices."""
     size = len(level.base_color)
     away = measure.field_to_mesh(field.distance, mesh)
     fault = find_faults(mesh.faces, len(mesh.vertices))

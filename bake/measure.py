@@ -28,7 +28,7 @@ class ScoredView(NamedTuple):
     axis_angle: Float[np.ndarray, "52 3"]
     root: Float[np.ndarray, "3"]
     camera: Camera
-    # or novel_pose: scores are told apart by it
+    # or novel_pose: scores are kept apart by it
     group: str = "novel_view"
 
 
@@ -165,7 +165,7 @@ def compare(
 ) -> Score:
     """Draw every view of field and file and score them; pictures go into `keep` when it is given.
 
-    `modes` are all that the file holds unless told; views are drawn at the size of their cameras.
+    `modes` are all that the file holds unless given; views are drawn at the size of their cameras.
     """
     from player.context import open_context
     from player.raster import Rasteriser

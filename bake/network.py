@@ -233,8 +233,8 @@ def choose(
     features: Callable[[SurfacePoints], UInt8[np.ndarray, "n f"]],
 ) -> Distilled:
     """The simplest mode that is not GAIN_DB worse than a richer one; what is not worth it is not in the file."""
-    told = ", ".join(f"{mode} {scores[mode]:.1f} dB" for mode in ("network", "linear", "off"))
-    reason = f"against the cone field on samples kept out: {told}; a richer mode must gain {GAIN_DB} dB"
+    scores_text = ", ".join(f"{mode} {scores[mode]:.1f} dB" for mode in ("network", "linear", "off"))
+    reason = f"against the cone field on samples kept out: {scores_text}; a richer mode must gain {GAIN_DB} dB"
     if scores["network"] >= max(scores["linear"], scores["off"]) + GAIN_DB:
         return Distilled(network, linear.astype(np.float32), "network", features, scores, reason)
     if scores["linear"] >= scores["off"] + GAIN_DB:

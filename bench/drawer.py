@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float
 
 from avatar.camera import Camera
 from avatar.gltf.avatar_file import Avatar, Level, read_avatar
-from avatar.skinning import SkinWeights
 from bench import metrics
 from bench.field_view import Directions, FieldView, MaskedPicture, PosableSurface, averaged
 from player.context import opened
@@ -18,11 +17,10 @@ from train.run import Run, read_run
 
 def level_surface(avatar: Avatar, level: Level) -> PosableSurface:
     """One level of a baked avatar as a posable mesh."""
-    skin = SkinWeights(level.joints.astype(np.int64), (level.weights / np.float32(255)).astype(np.float32))
     return PosableSurface(
         level.positions.astype(np.float64),
         level.faces.astype(np.int64),
-        skin,
+        level.skin,
         np.asarray(avatar.joint_positions, np.float64),
         np.asarray(avatar.canonical_pose, np.float64),
     )

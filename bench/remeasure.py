@@ -14,7 +14,7 @@ from avatar.baked_avatar import Avatar, Level
 from avatar.skeleton import PARTS
 from avatar.skinning import strongest_four
 from bake import measure
-from bake.bake import run_surface, told
+from bake.bake import run_surface, score_json
 from bake.field import numpy_field
 from bake.level import rounded
 from capture.held_out import HeldOutView
@@ -38,19 +38,19 @@ def remeasured(avatar: Avatar, run: Any, held_out: dict[str, list[HeldOutView]])
     `run` as train.run.read_run gives it: .field, .surface, .subject.joints.
     """
     surface = field_surface(run)
-    said = said_by(avatar)
+    said = recorded_facts(avatar)
     views = measure.test_views(surface.joints, said["against_field"].get("image", 512))
     found = {
-        "against_field": told(measure.compare(avatar, surface, views)),
-        "levels": [level_again(level, surface, run) for level in avatar.levels],
+        "against_field": score_json(measure.compare(avatar, surface, views)),
+        "levels": [level_facts_again(level, surface, run) for level in avatar.levels],
     }
     out: dict[str, Any] = {"said": said, "found": found, "differences": differences(said, found)}
-    pictures = [as_view(view, name) for name, group in held_out.items() for view in group]
+    pictures = [scored_view(view, name) for name, group in held_out.items() for view in group]
     if pictures:
         score = measure.compare(avatar, surface, pictures)
         worst = min(score.per_view, key=lambda name: score.per_view[name])
         out["on_held_out"] = {
-            **told(score),
+            **score_json(score),
             "worst_db": rounded(score.per_view[worst]),
             "worst": worst,
             "pictures": len(pictures),
@@ -58,7 +58,7 @@ def remeasured(avatar: Avatar, run: Any, held_out: dict[str, list[HeldOutView]])
     return out
 
 
-def said_by(avatar: Avatar) -> dict[str, Any]:
+def recorded_facts(avatar: Avatar) -> dict[str, Any]:
     """The part of a bake's provenance that is measured again; empty where the file does not say."""
     baked = avatar.provenance.get("baked")
     baked = baked if isinstance(baked, dict) else {}
@@ -69,13 +69,13 @@ def said_by(avatar: Avatar) -> dict[str, Any]:
     }
 
 
-def as_view(view: HeldOutView, group: str) -> measure.ScoredView:
+def scored_view(view: HeldOutView, group: str) -> measure.ScoredView:
     """A held-out picture's pose and camera."""
     name = f"{view.view} of {group.replace('_', ' ')} {view.pose_index}"
     return measure.ScoredView(name, view.axis_angle, view.root, view.camera, group)
 
 
-def level_again(level: Level, surface: measure.FieldSurface, run: Any) -> dict[str, Any]:
+def level_facts_again(level: Level, surface: measure.FieldSurface, run: Any) -> dict[str, Any]:
     """Distance of a level's triangles to the field, triangles and texel side by part."""
     mesh = TriangleMesh(level.positions.astype(np.float64), level.faces.astype(np.int64))
     away = measure.field_to_mesh(surface.distance, mesh)

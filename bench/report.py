@@ -21,7 +21,7 @@ from avatar.motion.clip import fitted
 from avatar.motion.read import builtin_motion
 from avatar.settings import AtLeast, AtMost, Help, Option, parse
 from avatar.skeleton import skin_transforms
-from avatar.skinning import SkinWeights, skin_points
+from avatar.skinning import skin_points
 from bench.alternating import Quiet, warning
 from bench.contact import save_sheet, spread_poses
 from bench.machine import machine
@@ -132,8 +132,7 @@ def motion_frames(avatar: Avatar, count: int = FRAMES) -> list[ComparedFrame]:
     """Frames of the built-in counting clip from the front."""
     level = avatar.levels[0]
     rest = skin_transforms(np.zeros((52, 3)), avatar.joint_positions, rest=avatar.canonical_pose)
-    skin = SkinWeights(level.joints.astype(np.int64), (level.weights / np.float32(255)).astype(np.float32))
-    standing = skin_points(level.positions, skin, rest)
+    standing = skin_points(level.positions, level.skin, rest)
     height = float(np.ptp(standing[:, 1]))
     clip = fitted(builtin_motion("counting"), -float(standing[:, 1].min())).read()
     chosen = np.linspace(0.15, 0.85, count) * (len(clip.root) - 1)

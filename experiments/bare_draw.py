@@ -14,7 +14,7 @@ from jaxtyping import Float, UInt8
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, clip_from_view
 from avatar.skeleton import skin_transforms
-from avatar.skinning import SkinWeights, skin_normals, skin_points
+from avatar.skinning import skin_normals, skin_points
 from avatar.texture import mip_levels
 from player.context import Context
 from player.mesh import draw_order, interleaved
@@ -145,8 +145,7 @@ def coverage(image: UInt8[np.ndarray, "h w 4"]) -> float:
 def posed_vertices(avatar: Avatar, pose: Pose) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:
     """World positions and normals of the finest mesh, skinned here: what peers that cannot skin are given."""
     level = avatar.levels[0]
-    skin = SkinWeights(level.joints.astype(np.int64), level.weights.astype(np.float32) / np.float32(255))
     joints = avatar.joint_positions.astype(np.float64)
     bones = skin_transforms(pose[0], joints, root=pose[1], rest=avatar.canonical_pose.astype(np.float64))
-    points = skin_points(level.positions.astype(np.float64), skin, bones)
-    return points, skin_normals(level.normals.astype(np.float64), skin, bones)
+    points = skin_points(level.positions.astype(np.float64), level.skin, bones)
+    return points, skin_normals(level.normals.astype(np.float64), level.skin, bones)

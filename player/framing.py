@@ -11,7 +11,7 @@ from avatar.camera import Camera, look_at, pinhole
 from avatar.hull import hull_of, outermost, posed_hull
 from avatar.motion.clip import Clip
 from avatar.skeleton import joint_transforms, skin_transforms
-from avatar.skinning import SkinWeights, skin_points
+from avatar.skinning import skin_points
 
 Array = np.ndarray
 
@@ -30,10 +30,9 @@ def pelvis_height(avatar: Avatar) -> float:
     """Height of the pelvis joint above the soles in pose 0, metres."""
     # the finest: every reading has it
     level = avatar.levels[0]
-    skin = SkinWeights(level.joints.astype(np.int64), level.weights.astype(np.float32) / np.float32(255))
     joints = avatar.joint_positions.astype(np.float64)
     transforms = skin_transforms(np.zeros((52, 3)), joints, rest=avatar.canonical_pose.astype(np.float64))
-    return -float(skin_points(level.positions.astype(np.float64), skin, transforms)[:, 1].min())
+    return -float(skin_points(level.positions.astype(np.float64), level.skin, transforms)[:, 1].min())
 
 
 def facing(axis_angle: Float[Array, "52 3"], joints: Float[Array, "52 3"]) -> float:

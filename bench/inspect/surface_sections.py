@@ -47,7 +47,7 @@ def parts(inspector: Inspector) -> Section:
 def weights(inspector: Inspector, joints: list[str]) -> Section:
     """Skin weights: the heaviest joint, and single joints."""
     palette = categorical(52).astype(np.float64)
-    share = inspector.level.weights.astype(np.float64) / 255
+    share = inspector.level.skin.weights
     blended = np.einsum("vi,vic->vc", share, palette[inspector.level.joints])
     pictures = [
         PagePicture(

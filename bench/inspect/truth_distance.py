@@ -9,7 +9,7 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar, Level
 from avatar.errors import AssetError
 from avatar.skeleton import skin_transforms
-from avatar.skinning import SkinWeights, skin_points
+from avatar.skinning import skin_points
 from bench.surface_distance import check_same_unit
 from bench.true_mesh import read_true_mesh
 from geometry.closest import closest_points, triangle_index
@@ -40,14 +40,13 @@ def from_field(level: Level, distance: Callable[[np.ndarray], np.ndarray]) -> Fl
 def from_truth(avatar: Avatar, level: Level, capture: Path) -> Float[np.ndarray, "v"]:
     """P2S at each vertex, millimetres: to the visible surface of the subject, both in pose 0."""
     truth = read_true_mesh(capture)
-    skin = SkinWeights(level.joints.astype(np.int64), (level.weights / np.float32(255)).astype(np.float32))
     transforms = skin_transforms(
         np.zeros((52, 3)),
         avatar.joint_positions.astype(np.float64),
         truth.joints[0],
         rest=avatar.canonical_pose.astype(np.float64),
     )
-    points = skin_points(level.positions.astype(np.float64), skin, transforms)
+    points = skin_points(level.positions.astype(np.float64), level.skin, transforms)
     try:
         check_same_unit(truth.vertices, points)
     except ValueError as error:

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
 from avatar.skeleton import skin_transforms
-from avatar.skinning import SkinWeights, skin_points
+from avatar.skinning import skin_points
 
 Array = np.ndarray
 
@@ -16,10 +16,9 @@ def lowest_point(avatar: Avatar, axis_angle: Float[Array, "52 3"]) -> float:
     Taken from the avatar's coarsest level, as the height of its pelvis is (player/framing.py).
     """
     level = avatar.levels[-1]
-    skin = SkinWeights(level.joints.astype(np.int64), level.weights.astype(np.float32) / np.float32(255))
     joints = avatar.joint_positions.astype(np.float64)
     transforms = skin_transforms(axis_angle, joints, np.zeros(3), rest=avatar.canonical_pose.astype(np.float64))
-    return float(skin_points(level.positions.astype(np.float64), skin, transforms)[:, 1].min())
+    return float(skin_points(level.positions.astype(np.float64), level.skin, transforms)[:, 1].min())
 
 
 def grounded(

@@ -29,11 +29,7 @@ def posed_vertices(avatar: Avatar, level: Level, pose: Pose) -> Float[np.ndarray
     transforms = skin_transforms(
         pose[0], avatar.joint_positions.astype(np.float64), pose[1], avatar.canonical_pose.astype(np.float64)
     )
-    return skin_points(level.positions.astype(np.float64), skin_of(level), transforms)
-
-
-def skin_of(level: Level) -> SkinWeights:
-    return SkinWeights(level.joints.astype(np.int64), level.weights.astype(np.float32) / np.float32(255))
+    return skin_points(level.positions.astype(np.float64), level.skin, transforms)
 
 
 def pick(
@@ -67,7 +63,7 @@ def pick(
         face = int(np.argmin(np.where(hit, t, np.inf)))
         if best is None or t[face] < best.distance:
             corners = np.array([1 - u[face] - v[face], u[face], v[face]])
-            skin = SkinWeights(*(part[faces[face]] for part in skin_of(level)))
+            skin = SkinWeights(*(part[faces[face]] for part in level.skin))
             joint = int(np.argmax(corners @ dense_weights(skin)))
             best = Picked(number, joint, face, origin + t[face] * direction, float(t[face]))
     return best

@@ -9,7 +9,7 @@ from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import PARTS
 from bake.bake import BakeOptions, bake_run, check_complete
 from bake.command import main
-from bench.remeasure import remeasured, said_by
+from bench.remeasure import recorded_facts, remeasured
 from geometry.mesh import TriangleMesh
 from geometry.repair import find_faults
 
@@ -93,11 +93,11 @@ def test_without_a_capture_the_file_says_that_the_field_chose(sheen):
 
 def test_what_the_file_says_was_lost_is_found_again(sheen, sheen_run):
     found = remeasured(sheen[1], sheen_run, {})
-    said = said_by(sheen[1])["against_field"]
+    said = recorded_facts(sheen[1])["against_field"]
     assert found["found"]["against_field"]["paper_db"] == pytest.approx(said["paper_db"], abs=1)
     for mode, db in said["cone_db"].items():
         assert found["found"]["against_field"]["cone_db"][mode] == pytest.approx(db, abs=1)
-    (level,), (again,) = said_by(sheen[1])["levels"], found["found"]["levels"]
+    (level,), (again,) = recorded_facts(sheen[1])["levels"], found["found"]["levels"]
     assert again["faces"] == level["faces"] and sum(again["faces_by_part"].values()) == level["faces"]
     assert again["field_to_mesh_mm"]["mean"] == pytest.approx(level["field_to_mesh_mm"]["mean"], rel=0.05)
     for part, size in level["texel_mm_by_part"].items():

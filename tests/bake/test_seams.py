@@ -7,7 +7,7 @@ from scipy.spatial import KDTree
 from avatar.texture import mipmaps
 from bake import seams
 from bake.atlas import unwrap
-from bake.seams import chart_edges, solve_seams, seam_steps
+from bake.seams import chart_edges, seam_steps, solve_seams
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from geometry.decimate import decimate
 

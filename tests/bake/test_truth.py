@@ -10,7 +10,15 @@ from avatar.camera import orbit_camera
 from avatar.errors import AssetError
 from bake.bake import chosen_view
 from bake.network import Distilled
-from bake.truth import better_mode, mode_errors, modes_of, read_true_views
+from bake.truth import (
+    better_mode,
+    halves,
+    measured_default,
+    mode_errors,
+    modes_of,
+    pose_numbers,
+    read_true_views,
+)
 from player.context import open_context
 from player.mannequin import mannequin
 from player.renderer import Renderer
@@ -78,8 +86,35 @@ def test_the_mode_that_made_the_true_pictures_becomes_the_default_and_the_file_s
     assert facts["psnr_db"]["all"][truth] is None or facts["psnr_db"]["all"][truth] > 60
     others = {"off", "linear", "network"} - {truth}
     assert all(facts["psnr_db"]["all"][other] < 40 for other in others)
-    assert facts["pictures"] == {"novel_pose": 2, "novel_view": 2}
+    assert facts["pictures"] == {"novel_pose": 1, "novel_view": 1}
+    assert facts["chosen_on"]["poses"] == {"novel_pose": [0], "novel_view": [0]}
     assert facts["richest"] == "the field said so" and truth in facts["reason"]
+
+
+def test_the_mode_is_chosen_on_one_half_and_reported_on_the_other(context, tmp_path):
+    """Pose 0 was drawn with the network, pose 1 with the paper's color: the first chooses, the second is reported."""
+    avatar = mannequin()
+    for view in ("network", "off"):
+        write_truth(context, tmp_path / view, avatar, view)
+    network, off = (read_true_views(tmp_path / view) for view in ("network", "off"))
+    mixed = {
+        name: [one for one in network.sets[name] if one.pose_index == 0]
+        + [one for one in off.sets[name] if one.pose_index == 1]
+        for name in network.sets
+    }
+    mode, facts = measured_default(avatar, network._replace(sets=mixed))
+    assert mode == "network"
+    assert facts["psnr_db"]["all"]["network"] < 40
+    assert facts["psnr_db"]["all"]["off"] is None or facts["psnr_db"]["all"]["off"] > 60
+
+
+def test_halves_share_no_picture(context, tmp_path):
+    write_truth(context, tmp_path / "capture", mannequin(), "off")
+    sets = read_true_views(tmp_path / "capture").sets
+    choosing, reporting = halves(sets)
+    for name, views in sets.items():
+        assert not set(pose_numbers(choosing[name])) & set(pose_numbers(reporting[name]))
+        assert len(choosing[name]) + len(reporting[name]) == len(views)
 
 
 def test_without_truth_the_field_decides(context, tmp_path):

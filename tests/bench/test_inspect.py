@@ -12,7 +12,7 @@ from tiny_avatar import tiny_avatar, tiny_level, unit
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
 from avatar.skeleton import JOINTS, skin_transforms
-from avatar.skinning import SkinWeights, skin_points
+from avatar.skinning import skin_points
 from bench.inspect import mesh_facts
 from bench.inspect.colors import ABSENT, SEQUENTIAL, ramp, rgb
 from bench.inspect.command import inspect, inspect_main
@@ -161,7 +161,7 @@ def test_distance_to_a_field_is_the_farthest_of_corners_and_centre():
 def write_truth(folder, avatar, offset):
     """A capture whose truth is the avatar's own finest mesh in T-pose, moved."""
     level = avatar.levels[0]
-    skin = SkinWeights(level.joints.astype(np.int64), level.weights / np.float32(255))
+    skin = level.skin
     transforms = skin_transforms(np.zeros((52, 3)), avatar.joint_positions, np.zeros(3), rest=avatar.canonical_pose)
     (folder / "truth").mkdir(parents=True)
     np.savez(

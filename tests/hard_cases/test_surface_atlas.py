@@ -9,7 +9,7 @@ from capsules import ball_mesh, sphere
 from avatar.errors import AssetError
 from avatar.texture import mipmaps, sample_texture
 from bake.atlas import unwrap
-from bake.seams import chart_edges, solve_seams, seam_steps
+from bake.seams import chart_edges, seam_steps, solve_seams
 from bake.skin import transferred_weights
 from bake.texels import barycentric, bytes_from_unit, rasterise_charts, spread
 from geometry.closest import match_surface
@@ -232,15 +232,22 @@ def test_both_sides_of_chart_edges_agree_at_every_mip_used(level, size, padding,
         within(np.quantile(steps, 0.99), 4.0, "of 255, p99")
 
 
+@pytest.fixture(scope="module")
+def unwrapped_ball():
+    """A ball in charts of an atlas of 512 texels with gutters of 8."""
+    mesh = decimate(ball_mesh(step=0.006), 800)
+    chart = unwrap(mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), np.ones(1), size=512, padding=8)
+    texels = rasterise_charts(chart.uv, chart.faces, 512)
+    return mesh, chart, texels, chart_edges(chart.uv, chart.faces, chart.source)
+
+
 @pytest.mark.parametrize("pattern", ["stripes", "checkerboard", "one texel in 64"])
 @pytest.mark.parametrize("where", ["atlas", "surface"])
-def test_closing_chart_edges_never_leaves_the_colors_of_the_two_sides(pattern, where, within):
+def test_closing_chart_edges_never_leaves_the_colors_of_the_two_sides(pattern, where, within, unwrapped_ball):
     """The hardest contrast, of one texel, in two pairs of colors on two halves of a ball: in every mip each channel of
-    every texel stays within what its half shows, and the charts' insides keep their pattern."""
+    every texel stays within what its half shows."""
     size, levels = 512, 4
-    mesh = decimate(ball_mesh(step=0.006), 800)
-    chart = unwrap(mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), np.ones(1), size=size, padding=8)
-    texels = rasterise_charts(chart.uv, chart.faces, size)
+    mesh, chart, texels, edges = unwrapped_ball
     points = mesh.vertices[chart.source][chart.faces]
     upper = points.mean(1)[texels.face, 1] > 0
     weight = barycentric(chart.uv, chart.faces, texels, np.zeros(2))
@@ -255,7 +262,6 @@ def test_closing_chart_edges_never_leaves_the_colors_of_the_two_sides(pattern, w
     }[pattern]
     pairs = np.array([[[0.2, 0.7, 0.3], [0.25, 0.4, 0.8]], [[0.8, 0.3, 0.3], [0.6, 0.35, 0.5]]])
     image = spread(pairs[upper.astype(int), on], texels)
-    edges = chart_edges(chart.uv, chart.faces, chart.source)
     closed = solve_seams(image, texels, chart.uv, edges, levels, goal=3.8)
     within(np.maximum(image.min((0, 1)) - closed, closed - image.max((0, 1))).max(), 1e-7, "beyond both")
     # away from the border of the halves only one pair of colors is there to be taken
@@ -263,11 +269,10 @@ def test_closing_chart_edges_never_leaves_the_colors_of_the_two_sides(pattern, w
     for half, pair in enumerate(pairs):
         own = texels.index[(upper == half) & (centre > 0.04)]
         shown = closed.reshape(-1, 3)[own]
-        within(np.maximum(pair.min(0) - shown, shown - pair.max(0)).max(), 1e-7, "beyond its half")
-    for fine, mip in zip(mipmaps(bytes_from_unit(image), levels), mipmaps(bytes_from_unit(closed), levels)):
-        low, high = 255 * image.min((0, 1)), 255 * image.max((0, 1))
-        within(np.maximum(low - mip, mip - high).max(), 1.5, "of 255, in a mip")
-        assert np.sqrt(np.mean((fine.astype(float) - mip) ** 2)) < 0.5 * np.ptp(pairs, axis=1).max() * 255
+        within(np.maximum(pair.min(0) - shown, shown - pair.max(0)).max(), 0.5 / 255, "beyond its half")
+    low, high = 255 * image.min((0, 1)), 255 * image.max((0, 1))
+    for mip in mipmaps(bytes_from_unit(closed), levels):
+        within(np.maximum(low - mip, mip - high).max(), 1.0, "of 255, in a mip")
 
 
 @pytest.mark.parametrize("gap", [0.004, 0.001, 0.0002])

@@ -8,7 +8,7 @@ from PIL import Image
 
 from avatar.camera import orbit_camera
 from avatar.skeleton import BIG_POSE, skin_transforms
-from avatar.skinning import SkinWeights, skin_points, skin_points_dual_quaternion
+from avatar.skinning import skin_points, skin_points_dual_quaternion
 from player.passes import fxaa as fxaa_pass
 from player.passes.background import Background
 from player.posing import Poser
@@ -75,7 +75,7 @@ def steps_in_depth(depth):
 def test_fxaa_is_its_reference_where_surfaces_end_and_nothing_elsewhere(context, picture, avatar, pose):
     plain, smooth = picture("none"), picture("fxaa")
     level = avatar.levels[0]
-    skin = SkinWeights(level.joints.astype(int), (level.weights / 255).astype(np.float32))
+    skin = level.skin
     transforms = skin_transforms(pose[0], avatar.joint_positions, pose[1], rest=BIG_POSE)
     rasteriser = Rasteriser(context)
     posed = skin_points(level.positions.astype(float), skin, transforms)
@@ -144,7 +144,7 @@ def test_patches_hold_every_vertex_in_any_pose(avatar, dual):
     level = avatar.levels[0]
     patches = Patches(level)
     rng = np.random.default_rng(2)
-    skin = SkinWeights(level.joints.astype(int), (level.weights / 255).astype(np.float32))
+    skin = level.skin
     posed = skin_points_dual_quaternion if dual else skin_points
     for reach in (0.0, 0.4, 1.5):
         axis_angle, root = rng.normal(size=(52, 3)) * reach, rng.normal(size=3) * 0.2

@@ -5,7 +5,7 @@ import pytest
 
 from avatar.camera import Camera, orbit_camera
 from avatar.skeleton import BIG_POSE, skin_transforms
-from avatar.skinning import SkinWeights, skin_points, skin_points_dual_quaternion
+from avatar.skinning import skin_points, skin_points_dual_quaternion
 from avatar.texture import sample_texture
 from player.context import open_context
 from player.doctor import difference
@@ -41,7 +41,7 @@ def render(context):
 
 def posed_vertices(avatar, pose, posed=skin_points):
     level = avatar.levels[0]
-    skin = SkinWeights(level.joints.astype(int), (level.weights / 255).astype(np.float32))
+    skin = level.skin
     joints = avatar.joint_positions.astype(float)
     return posed(level.positions.astype(float), skin, skin_transforms(pose[0], joints, pose[1], rest=BIG_POSE))
 

@@ -89,7 +89,7 @@ def test_a_plain_viewer_opens_the_finest_level_in_pose_zero(path):
 
     by_joint = world_from_node(gltf)[list(skin.nodes)] @ skin.joint_from_mesh  # glTF 2.0, 3.7.3.3
     level, zero = avatar.levels[0], np.zeros((52, 3))
-    weights = SkinWeights(level.joints.astype(int), level.weights.astype(np.float32) / 255)
+    weights = level.skin
     posed = skin_points(level.positions.astype(float), weights, skin_transforms(zero, avatar.joint_positions))
     as_viewer = SkinWeights(drawn.attributes["JOINTS_0"].astype(int), drawn.attributes["WEIGHTS_0"])
     found = skin_points(drawn.attributes["POSITION"].astype(float), as_viewer, by_joint)

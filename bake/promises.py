@@ -1,0 +1,51 @@
+"""What a bake promises, and what it says at its end where it missed one: plain lines, each with what to do."""
+
+from typing import Any
+
+from bake.options import BakeOptions
+
+# PSNR of the baked avatar against its field, paper mode
+PAPER_DB = 40.0
+# bytes: 99 of 100 color steps across chart edges are below it in every mip
+SEAM_STEP = 3.8
+# bytes of the avatar file, with the options as they are by default
+FILE_SIZE = 12e6
+# metres: about as tall as the people who are filmed
+PERSON_MM = 1700.0
+
+
+def missed_promises(facts: dict[str, Any], options: BakeOptions, size: int) -> list[str]:
+    """The promises that a bake missed; `facts` as provenance.baked holds them, `size` the file's bytes."""
+    lines = []
+    against = facts["against_field"]
+    if against["paper_db"] is not None and against["paper_db"] < PAPER_DB:
+        views = against["per_view_db"]
+        worst = min((name for name, db in views.items() if db is not None), key=lambda name: views[name])
+        lines.append(
+            f"{against['paper_db']:.1f} dB against the field, promised are {PAPER_DB:g} (worst view: {worst}, "
+            f"{views[worst]:.1f} dB): try --faces {2 * options.faces}; `selfscan inspect` shows where it differs"
+        )
+    for number, level in enumerate(facts["levels"]):
+        steps = [mip["p99"] for mip in level["seam_step"]["mips"]]
+        wide = [mip for mip, step in enumerate(steps) if step > SEAM_STEP]
+        if wide:
+            texel = level["texel_mm_by_part"].get("body") or 1.0
+            pixels = PERSON_MM / (texel * 2 ** wide[0])
+            missed = ", ".join(f"mip {mip} {steps[mip]:.1f}" for mip in wide)
+            lines.append(
+                f"level {number}: 1 in 100 points on chart edges steps by more than {SEAM_STEP:g} of 255 ({missed}): "
+                f"faint lines may show where the person is less than {pixels:.0f} px tall; closing them further "
+                "would blur what lies beside them, `selfscan inspect` shows them"
+            )
+    limit = file_limit(options)
+    if size > limit:
+        lines.append(
+            f"the file has {size / 1e6:.1f} MB, promised are at most {limit / 1e6:.0f}: most of it is --texture's"
+        )
+    return lines
+
+
+def file_limit(options: BakeOptions) -> float:
+    """Bytes that the file may have: more where more texels, triangles or features were asked for."""
+    more = max(1.0, (options.texture / 2048) ** 2, options.faces / 30_000)
+    return FILE_SIZE * more * (4 / 3 if options.quality == "high" else 1.0)
