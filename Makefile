@@ -29,8 +29,9 @@ setup: $(VENV)/ready system
 $(VENV)/ready: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "selfscan needs Python 3.11 or newer: apt install python3 python3-venv"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(if $(TORCH_INDEX),$(VENV)/bin/pip install --quiet --index-url $(TORCH_INDEX) torch)
-	$(VENV)/bin/pip install --quiet --progress-bar off -e '.[bake,bench,dev]'
+	@echo 'installing into $(VENV), once: some minutes, mostly downloads'
+	$(if $(TORCH_INDEX),$(VENV)/bin/pip install --index-url $(TORCH_INDEX) torch)
+	$(VENV)/bin/pip install -e '.[bake,bench,dev]'
 	touch $@
 
 # EGL and a software rasteriser; OSMesa where the distribution still has it.

@@ -31,6 +31,10 @@ REGIONS = {
 TIE_DB = 0.005
 
 
+# what a capture says of itself by which it is known again
+IDENTITY = ("subject", "light", "sheen", "seed")
+
+
 class TrueViews(NamedTuple):
     """Held-out pictures of a capture and what it says of itself."""
 
@@ -50,7 +54,7 @@ def read_true_views(capture: Path, poses: int | None = None) -> TrueViews:
             f"{capture}: expected truth/ with held-out pictures (selfscan synth), found none: bake without --capture"
         )
     sets = {name: some_poses(read_held_out(capture, name), poses) for name in SETS}
-    known = {k: facts[k] for k in ("subject", "light", "sheen", "seed") if k in facts}
+    known = {key: facts[key] for key in IDENTITY if key in facts}
     return TrueViews(known, sets)
 
 

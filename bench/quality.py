@@ -21,7 +21,7 @@ from avatar.files import check_file, whole_file
 from avatar.progress import progress
 from avatar.settings import AtLeast, Help, Option, parse
 from avatar.skeleton import BIG_POSE
-from bake.truth import better_mode, scores_by_mode, some_poses
+from bake.truth import IDENTITY, better_mode, scores_by_mode, some_poses
 from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
 from bench.field_view import one_thread
@@ -84,7 +84,7 @@ def evaluate(
             result = measured(drawer, truth, held_out, few=few, perceive=perceive)
             if drawer.avatar is not None:
                 tell("every view mode of the avatar beside the true pictures")
-                result["view_modes"] = view_modes(drawer.avatar, held_out)
+                result["view_modes"] = view_modes(drawer.avatar, facts, held_out)
             if run is not None and drawer.avatar is not None:
                 tell(f"the avatar against the field of {run}: what the file says, and held-out pictures")
                 some = {name: some_poses(views, FIELD_POSES) for name, views in held_out.items()}
@@ -112,17 +112,32 @@ def evaluate(
     }
 
 
-def view_modes(avatar: Avatar, held_out: dict[str, list[HeldOutView]]) -> dict[str, Any]:
+def view_modes(avatar: Avatar, facts: dict[str, Any], held_out: dict[str, list[HeldOutView]]) -> dict[str, Any]:
     """Every view mode of the file side by side: PSNR inside the true person, by set and region, and which is best."""
+    recorded = (find_key(avatar.provenance, "default_view") or {}).get("default_view")
+    judged = not_chosen_on(recorded, facts, held_out)
     context = open_context()
     try:
-        scores = scores_by_mode(context, avatar, held_out)
+        scores = scores_by_mode(context, avatar, judged)
     finally:
         context.release()
     best, reason = better_mode(scores["all"])
-    facts = find_key(avatar.provenance, "default_view") or {}
-    return {"psnr_db": scores, "best": best, "reason": reason, "default": avatar.default_view,
-            "file_says": facts.get("default_view")}  # fmt: skip
+    return {"psnr_db": scores, "best": best, "reason": reason, "default": avatar.default_view, "file_says": recorded,
+            "pictures": {name: len(views) for name, views in judged.items()}}  # fmt: skip
+
+
+def not_chosen_on(
+    recorded: Any, facts: dict[str, Any], held_out: dict[str, list[HeldOutView]]
+) -> dict[str, list[HeldOutView]]:
+    """The pictures on which the file's view mode was not chosen; all, where it was chosen on another capture, or where
+    none would be left."""
+    if not isinstance(recorded, dict) or any(recorded.get(key) != facts.get(key) for key in IDENTITY):
+        return held_out
+    used = recorded.get("chosen_on", {}).get("poses", {})
+    left = {
+        name: [view for view in views if view.pose_index not in used.get(name, [])] for name, views in held_out.items()
+    }
+    return left if any(left.values()) else held_out
 
 
 def seen_case(drawer: Drawer, truth: TrueMesh) -> GeometryCase:

@@ -22,7 +22,7 @@ PAPER: dict[str, dict[str, float | None]] = {
 COLUMNS = (
     ("P2S cm", "p2s_cm", 2),
     ("CD cm", "chamfer_cm", 2),
-    ("PSNR dB", "psnr_db", 2),
+    ("box dB", "psnr_db", 2),
     ("mask dB", "psnr_mask_db", 2),
     ("SSIM", "ssim", 3),
     ("FLIP", "flip", 3),
@@ -30,6 +30,16 @@ COLUMNS = (
 )
 
 MODES = ("off", "vertex", "linear", "network")
+
+# what the columns of decibels count, under every table
+DECIBELS = (
+    "box dB: PSNR over the box round the region, its black background included, which nearly always is right: higher",
+    "the emptier the box. mask dB: over the true person alone, where a limb beside its place counts in full.",
+)
+INSIDE = (
+    "inside dB: over the pixels inside the true outline, less one, that the avatar covers: color alone, whatever the",
+    "outline. It lies several dB above the mask's, which counts every pixel of a limb that is elsewhere.",
+)
 
 
 def table_rows(result: dict[str, Any]) -> list[list[str]]:
@@ -85,7 +95,8 @@ def markdown(result: dict[str, Any]) -> str:
             "",
             f"On held-out poses: {held['paper_db']} dB, worst {held['worst_db']} ({held['worst']}).",
         ]
-    lines += [line for told in (view_mode_lines(result), lost_lines(result)) if told for line in ("", *told)]
+    lines += ["", *DECIBELS]
+    lines += [line for part in (view_mode_lines(result), lost_lines(result)) if part for line in ("", *part)]
     return "\n".join(lines) + "\n"
 
 
@@ -94,13 +105,13 @@ def view_mode_lines(result: dict[str, Any]) -> list[str]:
     modes = result.get("view_modes")
     if modes is None:
         return []
-    lines = ["View modes against the truth, PSNR dB inside the person (total, head, hands; all pictures):"]
+    lines = ["View modes against the truth, inside dB (total, head, hands; all pictures):", *INSIDE]
     for name, by_mode in modes["psnr_db"].items():
         if name == "all":
             continue
         for mode, scores in by_mode.items():
-            told = "  ".join(f"{region} {number(db)}" for region, db in scores.items())
-            lines.append(f"- {name.replace('_', ' ')}, {mode}: {told}")
+            cells = "  ".join(f"{region} {number(db)}" for region, db in scores.items())
+            lines.append(f"- {name.replace('_', ' ')}, {mode}: {cells}")
     return [*lines, f"- default {modes['default']}; best here {modes['best']} ({modes['reason']})"]
 
 
@@ -119,8 +130,8 @@ def lost_lines(result: dict[str, Any]) -> list[str]:
     ]
     levels = baked["said"]["levels"]
     for index, level in enumerate(baked["found"]["levels"]):
-        told = levels[index].get("field_to_mesh_mm", {}).get("mean") if index < len(levels) else None
-        lines.append(f"- level {index}: field to mesh said {number(told, 3)} mm, "
+        recorded = levels[index].get("field_to_mesh_mm", {}).get("mean") if index < len(levels) else None
+        lines.append(f"- level {index}: field to mesh said {number(recorded, 3)} mm, "
                      f"found {number(level['field_to_mesh_mm']['mean'], 3)}")  # fmt: skip
     return ["What was lost in baking, as the file says and as measured now:", *lines]
 
@@ -134,7 +145,7 @@ def print_table(result: dict[str, Any], file: TextIO | None = None) -> None:
     wide = max(len(row[0]) for row in rows)
     for row in rows:
         print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]), file=file or sys.stdout)
-    for line in (*view_mode_lines(result), *lost_lines(result)):
+    for line in (*DECIBELS, *view_mode_lines(result), *lost_lines(result)):
         print(line, file=file or sys.stdout)
 
 
@@ -154,11 +165,12 @@ def people_table(results: list[dict[str, Any]]) -> str:
         "# Quality",
         "",
         "Made by `python -m bench.quality_table` from files of `selfscan eval --json`. Held-out poses; P2S from our",
-        "surface to the truth and Chamfer, both directions' mean, on the surface that can be seen from outside, "
-        "without",
-        "ICP; PSNR of the pooled error over the rays that meet the region's box, SSIM and FLIP on its rectangle, head",
-        "and hands from close-ups. The head's distances include the hair. The paper's people and crops are others: its",
-        "distances are the bar, its PSNR and SSIM are context. Lights are apart: a fixed one is baked into the person.",
+        "surface to the truth and Chamfer, both directions' mean, on the surface that can be seen from outside,",
+        "without ICP. PSNR is of the pooled error, twice: *box*, over the rays that meet the region's box, where",
+        "black background is nearly always right and lifts the number, the more the emptier the box is; and *mask*,",
+        "over the true person alone. SSIM and FLIP on the box's rectangle; head and hands from close-ups. The head's",
+        "distances include the hair. The paper's people and crops are others: its distances are the bar, its PSNR and",
+        "SSIM are context. Lights are apart: a fixed one is baked into the person.",
         "",
     ]
     lights = sorted({light_of_facts(result["capture"]) for result in results}, key=lights_order)
@@ -188,8 +200,9 @@ def view_table(results: list[dict[str, Any]]) -> list[str]:
     return [
         "## View modes",
         "",
-        "*true*: PSNR in dB of held-out pictures, poses and views pooled, inside the person, each mode on the same",
-        "pixels; the best one is the file's default. *field*, *cone*: PSNR of the baked avatar against its own field,",
+        "*true*: PSNR in dB of held-out pictures, poses and views pooled, each mode on the same pixels: inside the",
+        "true outline, less one pixel, where the avatar covers, so color alone; the best one is the file's default.",
+        "*field*, *cone*: PSNR of the baked avatar against its own field,",
         "as the paper has it (one direction a point) and inside the cone of directions that training saw.",
         "",
         *("| " + " | ".join(row) + " |" for row in (heads, ["-"] * len(heads), *rows)),
@@ -206,7 +219,7 @@ def lights_order(light: str) -> tuple[int, str]:
 
 def region_table(results: list[dict[str, Any]], region: str) -> list[str]:
     """One region of people in one light: each, the mean, the paper, ceilings where they were measured."""
-    keys = ("p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips")
+    keys = ("p2s_cm", "chamfer_cm", "psnr_db", "psnr_mask_db", "ssim", "flip", "lpips")
     ours = [result["novel_pose"][region] for result in results]
     shown = [c for c in COLUMNS if c[1] in keys and (c[1] != "lpips" or any(o.get("lpips") for o in ours))]
     lines = [f"### {region.capitalize()}, novel poses", "", "| | " + " | ".join(c[0] for c in shown) + " |"]

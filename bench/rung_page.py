@@ -33,7 +33,7 @@ def markdown(result: dict[str, Any]) -> str:
         "of the "
         "rounds' ratios; *dominated*: another rung is no slower and no less exact.",
         "",
-        "| rung | ms median | p95 | faster | MB | PSNR dB | SSIM | FLIP |"
+        "| rung | ms median (95 %) | p95 | faster | MB | PSNR dB | SSIM | FLIP |"
         + "".join(f" {n} |" for n in columns.values())
         + " |",
         "|-|-|-|-|-|-|-|-|" + "-|" * len(columns) + "-|",
@@ -42,7 +42,7 @@ def markdown(result: dict[str, Any]) -> str:
         psnr = number(row["psnr_db"], 2) if row["psnr_db"] is not None else "same"
         cells = [
             row["name"],
-            number(row["ms_median"], 2),
+            f"{number(row['ms_median'], 2)} ({interval_text(row)})",
             number(row["ms_p95"], 2),
             number(row["times_faster"], 2),
             number(row["bytes"] / 1e6, 1),
@@ -52,6 +52,12 @@ def markdown(result: dict[str, Any]) -> str:
         cells.append("dominated" if row["dominated"] else "")
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n\n![accuracy against time](pareto.png)\n\n![rungs](rungs.png)\n"
+
+
+def interval_text(row: dict[str, Any]) -> str:
+    """The median's interval of confidence; a file of before has none."""
+    low, high = row.get("ms_interval", (None, None))
+    return f"{number(low, 2)} - {number(high, 2)}"
 
 
 def plot(result: dict[str, Any], path: Path) -> None:
@@ -75,12 +81,27 @@ def plot(result: dict[str, Any], path: Path) -> None:
     for place, (x, y, row) in enumerate(points, 1):
         color = "0.6" if row["dominated"] else "tab:blue"
         axes.scatter([x], [y], s=28, color=color, zorder=2)
-        axes.annotate(str(place), (x, y), fontsize=7, xytext=(4, 4), textcoords="offset points")
         line = 1 - (place - 0.5) / len(points)
         names.text(0, line, f"{place}  {row['name']}", fontsize=7, color="black" if not row["dominated"] else "0.5",
                    va="center")  # fmt: skip
     axes.set_xscale("log")
     axes.margins(x=0.1, y=0.12)
+    # limits and layout are settled before labels are placed in points
+    figure.draw_without_rendering()
+    taken = axes.transData.transform([(x, y) for x, y, _ in points]) * 72 / figure.dpi
+    for place, offset in enumerate(label_offsets(taken), 1):
+        axes.annotate(
+            str(place),
+            points[place - 1][:2],
+            xytext=offset,
+            textcoords="offset points",
+            fontsize=7,
+            ha="center",
+            va="center",
+            arrowprops={"arrowstyle": "-", "color": "0.7", "lw": 0.5, "shrinkA": 3, "shrinkB": 3}
+            if np.hypot(*offset) > 10
+            else None,
+        )
     axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
     few = 3 * min(x for x, _, _ in points) > max(x for x, _, _ in points)  # under a third of a decade: label all ticks
     axes.xaxis.set_minor_formatter(FormatStrFormatter("%g") if few else NullFormatter())
@@ -90,6 +111,24 @@ def plot(result: dict[str, Any], path: Path) -> None:
     axes.grid(alpha=0.3)
     with whole_file(path) as file:
         figure.savefig(file, format="png")
+
+
+def label_offsets(points: Float[np.ndarray, "n 2"]) -> list[tuple[float, float]]:
+    """Where to write a number beside each point (typographic points), on none of the points or earlier numbers."""
+    size = np.array([11.0, 9.0])
+    # a dot is 6 wide
+    boxes = [(place, (size + 6) / 2) for place in points]
+    offsets = []
+    turns = [(radius, turn) for radius in (9, 14, 20, 27, 35, 44, 54) for turn in range(16)]
+    for point in points:
+        for radius, turn in turns:
+            angle = np.pi / 4 + turn * np.pi / 8
+            offset = radius * np.array([np.cos(angle), np.sin(angle)])
+            if not any((np.abs(point + offset - other) < reach).all() for other, reach in boxes):
+                break
+        boxes.append((point + offset, size))
+        offsets.append((float(offset[0]), float(offset[1])))
+    return offsets
 
 
 def rung_sheet(result: dict[str, Any], pictures: dict, crops: list, truths: list) -> Image.Image:

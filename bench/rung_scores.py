@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.stats import binom
 
 from bench import metrics
 
@@ -37,7 +38,22 @@ def compared(references: list, drawn: list, crops: list[tuple[slice, slice]]) ->
 
 def row_of(name: str, ms: Float[np.ndarray, "n"], size: int) -> dict[str, Any]:
     median, tail = float(np.median(ms)), float(np.percentile(ms, 95))
-    return {"name": name, "ms_median": round(median, 3), "ms_p95": round(tail, 3), "bytes": int(size)}
+    interval = [round(edge, 3) for edge in median_interval(ms)]
+    return {
+        "name": name,
+        "ms_median": round(median, 3),
+        "ms_interval": interval,
+        "ms_p95": round(tail, 3),
+        "bytes": int(size),
+    }
+
+
+def median_interval(values: Float[np.ndarray, "n"]) -> tuple[float, float]:
+    """Between which two of the values the median lies with 95 % confidence, whatever their distribution; all of them
+    are too few under 6 values."""
+    ordered = np.sort(values)
+    outside = int(binom.ppf(0.025, len(ordered), 0.5)) if len(ordered) > 5 else 1
+    return float(ordered[outside - 1]), float(ordered[len(ordered) - outside])
 
 
 def mark_dominated(rows: list[dict[str, Any]]) -> None:

@@ -1,9 +1,14 @@
 """The demo keeps what is complete and goes on where it stopped."""
 
+from dataclasses import replace
+
 import pytest
 
 from avatar.errors import AssetError
-from bench.demo import Stage, command, run_stages, stages
+from avatar.gltf.avatar_file import write_avatar
+from bench.demo import SCENE, Stage, command, film, run_stages, stages, summary
+from player.mannequin import mannequin
+from player.scenes.scene_file import read_scene
 
 
 def writing(path, log, name):
@@ -51,3 +56,43 @@ def test_a_command_that_fails_in_its_own_process_stops_the_demo(tmp_path, capfd)
     with pytest.raises(AssetError, match="'bake' ended without"):
         run_stages(todo)
     assert "none" in capfd.readouterr().err
+
+
+def test_the_person_calls_for_a_view_network_and_the_report_has_intervals(tmp_path, monkeypatch):
+    commands = []
+    monkeypatch.setattr("bench.demo.subprocess.run", lambda words, check: commands.append(words[3:]) or Done())
+    for stage in stages(tmp_path):
+        if stage.name != "film":
+            stage.run()
+    synth, _, bake, _, bench = commands
+    assert float(synth[synth.index("--sheen") + 1]) > 0
+    assert "--capture" in bake and "--capture" in bench
+    assert int(bench[bench.index("--rounds") + 1]) >= 20 and int(bench[bench.index("--frames") + 1]) > 1
+
+
+class Done:
+    returncode = 0
+
+
+def test_the_film_is_a_scene_that_shows_the_view_mode_of_the_avatar(tmp_path, monkeypatch):
+    monkeypatch.setattr("bench.demo.subprocess.run", lambda words, check: Done())
+    avatar = mannequin()
+    write_avatar(tmp_path / "avatar.glb", avatar)
+    film(tmp_path / "avatar.glb", tmp_path / "film.toml", tmp_path / "avatar.mp4")()
+    scene = read_scene(tmp_path / "film.toml")
+    assert scene.effects.view == avatar.default_view == "network"
+    assert "orbit" in (tmp_path / "film.toml").read_text() and "antialiasing" in SCENE
+
+
+def test_the_end_says_times_and_what_the_avatar_missed(tmp_path):
+    avatar = replace(mannequin(), provenance={"baked": {"missed": ["34.7 dB against the field"]}})
+    write_avatar(tmp_path / "avatar.glb", avatar)
+    text = "\n".join(summary(tmp_path, {"train": 61.2, "bake": 12.0}))
+    assert "train" in text and "61 s" in text and "73 s" in text
+    assert "missed: 34.7 dB" in text and "bench.md" in text and "film.toml" in text
+
+
+def test_stages_say_their_names_and_what_is_left(tmp_path, capsys):
+    run_stages([writing(tmp_path / name, [], name) for name in ("a", "b")])
+    said = capsys.readouterr().out
+    assert "[1/2] a: about 1 min on 2 cores, 2 to the end" in said and "[2/2] b: about 1 min" in said

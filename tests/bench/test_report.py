@@ -10,7 +10,8 @@ from PIL import Image
 from avatar.gltf.avatar_file import read_avatar
 from bench.contact import LARGEST, WIDTH, contact_sheet, save_sheet, sheet
 from bench.report import bench_main
-from bench.rung_scores import mark_dominated
+from bench.rung_page import label_offsets
+from bench.rung_scores import mark_dominated, median_interval
 from player.ladder import rungs_of, views_of, with_halved_textures
 from player.mannequin import mannequin
 
@@ -25,6 +26,8 @@ def test_bench_writes_json_table_plot_and_pictures(oracle, tmp_path, capsys):
     best, *_, half = result["rungs"]
     for row in result["rungs"]:
         assert row.keys() >= {"name", "ms_median", "ms_p95", "bytes", "psnr_db", "ssim", "flip", "dominated"}
+        low, high = row["ms_interval"]
+        assert low <= row["ms_median"] <= high
         assert 0 < row["ms_median"] <= row["ms_p95"] and row["bytes"] > 0
     assert best["times_faster"] == 1
     assert best["psnr_db"] is None and "identical" in best["reasons"]["psnr_db"]
@@ -32,6 +35,25 @@ def test_bench_writes_json_table_plot_and_pictures(oracle, tmp_path, capsys):
     assert best["against_truth"]["psnr_db"] > half["against_truth"]["psnr_db"]
     assert {path.name for path in out.iterdir()} >= {"bench.json", "bench.md", "pareto.png", "rungs.png"}
     assert "half resolution" in capsys.readouterr().out
+
+
+def test_the_interval_of_a_median_holds_it_19_times_of_20():
+    rng = np.random.default_rng(0)
+    hits = 0
+    for _ in range(2000):
+        low, high = median_interval(rng.exponential(size=20))
+        hits += low <= np.log(2) <= high
+    assert 0.94 < hits / 2000 < 0.98
+    assert median_interval(np.array([3.0, 1.0, 2.0])) == (1.0, 3.0)
+
+
+def test_no_number_of_the_plot_lies_on_a_point_or_on_another():
+    places = np.array([[50.0, 50], [51, 50], [52, 51], [50, 53], [120, 50], [54, 48]])
+    offsets = np.array(label_offsets(places))
+    labels = places + offsets
+    for i, label in enumerate(labels):
+        assert all((np.abs(label - other) >= [8, 7]).any() for other in places)
+        assert all((np.abs(label - other) >= [10, 8]).any() for other in np.delete(labels, i, 0))
 
 
 def test_a_rung_is_dominated_by_one_that_is_no_slower_and_more_exact():
