@@ -3,7 +3,7 @@
     surface   fused field -> closed triangle mesh on its zero set, finer at head and hands
     decimate  the same surface with few triangles, still closed and manifold
     atlas     charts and their packing (a separate process with bounded time)
-    texels    texel -> canonical point; base colour at the global view direction (paper, Eq. 14)
+    texels    texel -> canonical point; base color at the global view direction (paper, Eq. 14)
     transfer  closest points between two meshes of one person, never across to the other side
     skin      four 8-bit weights per vertex that sum to exactly 255
     cone      per-vertex global view direction, tangent metric Q and visibility v (FRAMES, "View statistics")

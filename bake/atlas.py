@@ -145,7 +145,7 @@ def pack(
 def adopt_orphans(atlas: Any, number: int, mapping: np.ndarray, indices: np.ndarray, uv: np.ndarray) -> tuple:
     """Texture coordinates for the triangles without area, which the unwrapper leaves in no chart, at (0, 0).
 
-    All three corners get the place that one of them has in a chart: the triangle shows one colour, and is not
+    All three corners get the place that one of them has in a chart: the triangle shows one color, and is not
     wide enough for more.
     """
     charted = np.zeros(len(indices), bool)

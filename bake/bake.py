@@ -1,4 +1,4 @@
-"""Run folder -> avatar file, in order: surface, decimation, atlas, skin, cone, colour, network, measurement."""
+"""Run folder -> avatar file, in order: surface, decimation, atlas, skin, cone, color, network, measurement."""
 
 import os
 import time

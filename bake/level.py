@@ -1,4 +1,4 @@
-"""One level of detail: its mesh, charts, vertex data and base colour from the fine surface and the field."""
+"""One level of detail: its mesh, charts, vertex data and base color from the fine surface and the field."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -151,7 +151,7 @@ def surface_at(
 
 
 def texel_colors(field: NumpyField, charted: Charted, texels: TexelMap) -> Float[np.ndarray, "texels 3"]:
-    """Base colour of each texel, [0, 1] sRGB: the field on its zero set at the global view direction (Eq. 14)."""
+    """Base color of each texel, [0, 1] sRGB: the field on its zero set at the global view direction (Eq. 14)."""
     lift = texel_lift(field, charted, texels)
 
     def color_at(rows: np.ndarray, jitter: np.ndarray) -> np.ndarray:
@@ -223,7 +223,7 @@ def level_facts(
 
 
 def seam_facts(level: Level, edges: ChartEdges) -> dict[str, Any]:
-    """Colour steps across chart edges (of 255) in every mip that the player draws; the worst mip's first."""
+    """Color steps across chart edges (of 255) in every mip that the player draws; the worst mip's first."""
     mips = []
     for image in mipmaps(level.base_color, mip_levels(level.base_color.shape)):
         steps = seam_steps(level.uv.astype(np.float64), edges, image)
@@ -272,7 +272,7 @@ def surface_points(field: NumpyField, level: Level, origin: Origin, options: Bak
 
 
 def with_features(baked: BakedLevel, distilled: Distilled, field: NumpyField) -> BakedLevel:
-    """The level with its feature texture, half as wide as the base colour's."""
+    """The level with its feature texture, half as wide as the base color's."""
     if distilled.features is None:
         return baked
     level = baked.level
@@ -288,7 +288,7 @@ def with_features(baked: BakedLevel, distilled: Distilled, field: NumpyField) ->
 
 
 def _shown_by(baked: BakedLevel, field: NumpyField, texels: TexelMap) -> SurfacePoints:
-    """The surface under texels of a map that may be coarser than the base colour's."""
+    """The surface under texels of a map that may be coarser than the base color's."""
     points, facing, local = surface_at(baked.charted, texels, np.zeros(2))
     points, _ = lifted(field, points, facing)
     size = len(baked.level.base_color)

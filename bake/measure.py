@@ -99,7 +99,7 @@ def draw_field(
     with_cone: bool,
 ) -> FieldImage:
     """The field as its first surface crossing: the fine mesh posed and rasterised, each pixel's canonical point
-    moved onto the zero set, its colour asked there. draw(vertices_world, faces, camera) -> face, barycentric."""
+    moved onto the zero set, its color asked there. draw(vertices_world, faces, camera) -> face, barycentric."""
     transforms = skin_transforms(view.axis_angle, surface.joints, view.root)
     posed = skin_points(surface.mesh.vertices, surface.skin, transforms)
     face, barycentric = draw(posed, surface.mesh.faces, view.camera)

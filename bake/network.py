@@ -1,10 +1,10 @@
-"""View-dependent residual over the paper's colour, distilled from the field inside the cone that was seen.
+"""View-dependent residual over the paper's color, distilled from the field inside the cone that was seen.
 
-    colour = clamp(base + A |t'| y / (1 + |y|)),   y = W2 relu(W1 x + b1) + b2,   x = [f (4), t' (3), |t'|]
+    color = clamp(base + A |t'| y / (1 + |y|)),   y = W2 relu(W1 x + b1) + b2,   x = [f (4), t' (3), |t'|]
 
 f are four 8-bit features of the surface point (eight, and a second hidden layer, in high quality). The teacher's
 residual is C(x, d') - C(x, d_bar), so at
-d = d_bar the result is the paper's colour whatever the weights. A linear residual (sum f_i M_i) t' over the
+d = d_bar the result is the paper's color whatever the weights. A linear residual (sum f_i M_i) t' over the
 same features is always fitted as well, and ships alone where the network gains less than 0.3 dB over it.
 """
 
@@ -44,7 +44,7 @@ class SurfacePoints(NamedTuple):
 
     points: Float[np.ndarray, "n 3"]  # canonical, metres
     normals: Float[np.ndarray, "n 3"]
-    base: Float[np.ndarray, "n 3"]  # paper colour, [0, 1]
+    base: Float[np.ndarray, "n 3"]  # paper color, [0, 1]
     cone: ViewCone
 
 
@@ -64,7 +64,7 @@ class Distilled(NamedTuple):
 class FeatureEncoder(nn.Module):
     """Surface point -> four or eight features in [0, 1], rounded to 1/255 with the gradient passed straight through.
 
-    The encoder ties texels together, so that a few hundred thousand teacher colours are enough for a million
+    The encoder ties texels together, so that a few hundred thousand teacher colors are enough for a million
     texels; it is thrown away after its output is stored. Position enters as sines of up to 2^5 periods per
     2 m (about 6 cm): a residual of the view varies no faster.
     """
@@ -159,7 +159,7 @@ def distil(
     """Features, network and linear residual for the cone field color(points, directions); `high`, the large ones.
 
     One eighth of the surface points is kept out and scores the modes. When the field's own view dependence
-    inside the cone is below what can be seen, or nothing beats the paper's colour, nothing is shipped and the
+    inside the cone is below what can be seen, or nothing beats the paper's color, nothing is shipped and the
     view is "off".
     """
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Texels <-> surface: which triangle and which canonical point a texel shows, and its base colour."""
+"""Texels <-> surface: which triangle and which canonical point a texel shows, and its base color."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Integer, UInt8
 
 from geometry.cells import nearest_marked
 
-# where in a texel the colour is sampled: its centre, then three places around it
+# where in a texel the color is sampled: its centre, then three places around it
 JITTER = np.array([[0.0, 0.0], [-0.1, -0.37], [0.37, 0.1], [-0.27, 0.27]])
 
 # texels this far outside their chart are still given the surface that lies there: bilinear filtering reads
@@ -183,9 +183,9 @@ def sample_texels(
     *,
     contrast: float = 4 / 255,
 ) -> Float[np.ndarray, "texels 3"]:
-    """Mean colour of each texel: its centre, and three samples more where neighbours differ.
+    """Mean color of each texel: its centre, and three samples more where neighbours differ.
 
-    color(rows, jitter) returns the colour of those rows of `texels` at their centres moved by jitter (texels);
+    color(rows, jitter) returns the color of those rows of `texels` at their centres moved by jitter (texels);
     the centres of all rows are asked first. Where a centre differs from its neighbours by no more than
     `contrast`, more samples would not change its byte by one.
     """

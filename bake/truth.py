@@ -91,7 +91,7 @@ class Errors(NamedTuple):
 
 
 def errors_of(difference: Float[np.ndarray, "pixels 3"]) -> Errors:
-    """Sum of squares and count of a difference of colours."""
+    """Sum of squares and count of a difference of colors."""
     return Errors(float(np.square(difference).sum()), difference.size)
 
 
@@ -106,7 +106,7 @@ def sum_of(errors: Iterable[Errors]) -> Errors:
 def mode_errors(
     context: Context, avatar: Avatar, views: Sequence[HeldOutView], modes: Sequence[str]
 ) -> dict[str, dict[str, Errors]]:
-    """Colour errors by mode and region against true pictures, the same pixels for every mode.
+    """Color errors by mode and region against true pictures, the same pixels for every mode.
 
     Pixels: those of the region's true part (the whole person on the body view), one pixel off its outline, that
     the avatar covers: silhouettes are geometry, which no view mode changes.

@@ -46,7 +46,7 @@ def contact_sheet(run: Path | None, avatar: Path | None, capture: Path, out: Pat
         for kind, count in (("body", 2 * pairs), ("head", 4), ("hand_left", 2), ("hand_right", 2)):
             for view in spread_poses(views, kind, count):
                 tiles = [view.image()]
-                tiles += [d.draw(view.axis_angle, view.root, view.camera, SAMPLES).colour for d in drawers.values()]
+                tiles += [d.draw(view.axis_angle, view.root, view.camera, SAMPLES).color for d in drawers.values()]
                 rows.append(cropped(tiles, square_about(view.mask() if kind == "body" else view.parts() > 0, kind)))
                 names = ["truth", *drawers]
                 titles.append([f"{VIEW_TITLE[kind]} {name}, pose {view.pose_index}".strip() for name in names])

@@ -55,7 +55,7 @@ class Drawer:
         samples: int = 1,
         where: Bool[np.ndarray, "h w"] | None = None,
     ) -> MaskedPicture:
-        """One picture on black; `samples` squared rays for each pixel, averaged. A field is asked for colours only
+        """One picture on black; `samples` squared rays for each pixel, averaged. A field is asked for colors only
         `where` they are looked at."""
         if self.field is not None and where is not None:
             pose = axis_angle, root
@@ -96,5 +96,5 @@ def drawn_where(
     K[:2, 2] -= columns.start, rows.start
     part = Camera(K, camera.camera_from_world, (columns.stop - columns.start, rows.stop - rows.start))
     drawn = field.draw(raster, *pose, part, samples=samples, where=where[rectangle], directions=directions)
-    whole.colour[rectangle], whole.mask[rectangle] = drawn.colour, drawn.mask
+    whole.color[rectangle], whole.mask[rectangle] = drawn.color, drawn.mask
     return whole

@@ -49,7 +49,7 @@ def field_rungs(
                 picture = view.draw(raster, *frame.pose, frame.camera, directions=directions)
                 ms.append(1e3 * (time.perf_counter() - start))
                 if number < len(frames):
-                    drawn.append(picture.colour)
+                    drawn.append(picture.color)
             size = sum(tensor.numel() * tensor.element_size() for tensor in tensors_of(view.field))
             rungs.append((name, np.array(ms), size, drawn))
     finally:

@@ -1,7 +1,7 @@
 """Pictures of the trained field: its first surface crossing under a posed camera.
 
 The fine surface is moved onto the field's zero set, posed and rasterised, and each pixel's canonical point is
-asked for its colour there, at one of three view directions (Directions, below).
+asked for its color there, at one of three view directions (Directions, below).
 """
 
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ from train.fused import FusedField
 from train.run import Run
 
 # The direction that F_c (Eq. 2) is asked at:
-#   global  d_bar of Eq. 14, the non-rigid ray transformation: colour depends on the point alone
+#   global  d_bar of Eq. 14, the non-rigid ray transformation: color depends on the point alone
 #   own     the pixel's own ray turned into the canonical frame by the inverse skin of the point it hits, as the
 #           training rays were: section 3.5's "original view direction", the row "w/o ray transform" of Table 4
 #   cone    that direction pulled into the cone that training saw (d')
@@ -66,7 +66,7 @@ class PosableSurface:
 
 
 class MaskedPicture(NamedTuple):
-    colour: Float[np.ndarray, "h w 3"]  # [0, 1] sRGB, black where nothing is
+    color: Float[np.ndarray, "h w 3"]  # [0, 1] sRGB, black where nothing is
     mask: Bool[np.ndarray, "h w"]
 
 
@@ -105,7 +105,7 @@ class FieldView:
         where: Bool[np.ndarray, "h w"] | None = None,
     ) -> MaskedPicture:
         """One picture on black, silhouettes smoothed by `samples` squared a pixel. `surface` is the same mesh with
-        other skin weights; colours outside `where` stay black."""
+        other skin weights; colors outside `where` stay black."""
         own = surface is None
         surface = surface or self.surface
         posed = self.posed(axis_angle, root) if own else surface.posed(axis_angle, root)
@@ -129,7 +129,7 @@ class FieldView:
             direction = np.einsum("nji,nj->ni", rotations[strongest], rays)
             if directions == "cone":
                 direction = cone_direction(clamped_tangent(direction, seen), seen)
-        return shaded(cover, chosen, self.colour(points, direction), samples)
+        return shaded(cover, chosen, self.color(points, direction), samples)
 
     def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]) -> Float[np.ndarray, "v 3"]:
         """Posed vertices of its own surface; the last pose is kept."""
@@ -138,10 +138,8 @@ class FieldView:
             self.last_pose = key, self.surface.posed(axis_angle, root)
         return self.last_pose[1]
 
-    def colour(
-        self, points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
-    ) -> Float[np.ndarray, "n 3"]:
-        """Colour of canonical points on the surface at given unit directions."""
+    def color(self, points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Color of canonical points on the surface at given unit directions."""
         out = np.empty((len(points), 3), np.float32)
         with torch.no_grad():
             for start in range(0, len(points), CHUNK):
@@ -194,14 +192,14 @@ def first_samples(cover: Bool[np.ndarray, "a b"], samples: int) -> tuple[np.ndar
 def shaded(
     cover: Bool[np.ndarray, "a b"],
     chosen: tuple[np.ndarray, np.ndarray],
-    colour: Float[np.ndarray, "n 3"],
+    color: Float[np.ndarray, "n 3"],
     samples: int,
 ) -> MaskedPicture:
     """The picture of one shaded sample a pixel, dimmed by the share of the pixel that is covered."""
     height, width = cover.shape[0] // samples, cover.shape[1] // samples
     share = cover.reshape(height, samples, width, samples).mean((1, 3), dtype=np.float32)
     image = np.zeros((height, width, 3), np.float32)
-    image[chosen[0] // samples, chosen[1] // samples] = colour
+    image[chosen[0] // samples, chosen[1] // samples] = color
     return MaskedPicture(image * share[..., None], share >= 0.5)
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from skimage.metrics import structural_similarity
 
 SSIM_WINDOW = 7  # pixels, scikit-image's default: uniform window
-# pixels: twice FLIP's widest filter, feature after colour
+# pixels: twice FLIP's widest filter, feature after color
 FLIP_REACH = 21
 LPIPS_REASON = "LPIPS needs network weights under their own licence; none are shipped"
 
@@ -33,7 +33,7 @@ class Score(NamedTuple):
 class PooledError:
     """Squared error summed over many images, so that PSNR is that of the pooled mean (mean dB flatters).
 
-    PSNR = -10 log10(sum of squared errors / number of values), for colours in [0, 1].
+    PSNR = -10 log10(sum of squared errors / number of values), for colors in [0, 1].
     """
 
     squared: float = 0.0

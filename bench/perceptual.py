@@ -28,7 +28,7 @@ CONVOLUTIONS = (
     (8, 384, 256, 3, 1, 1, False),
     (10, 256, 256, 3, 1, 1, False),
 )
-# of colours in [-1, 1], ImageNet's mean and deviation there
+# of colors in [-1, 1], ImageNet's mean and deviation there
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
 # pixels of a side: below it a pooling layer has nothing left
@@ -48,7 +48,7 @@ class Perceptual(nn.Module):
         self.register_buffer("scale", torch.tensor(SCALE)[:, None, None])
 
     def features(self, images: Float[Tensor, "n 3 h w"]) -> list[Float[Tensor, "n channels _ _"]]:
-        """Unit feature vectors of the five layers; colours in [0, 1]."""
+        """Unit feature vectors of the five layers; colors in [0, 1]."""
         x = (2 * images - 1 - self.get_buffer("shift")) / self.get_buffer("scale")
         out = []
         for convolution, (*_, pooled) in zip(self.convolutions, CONVOLUTIONS, strict=True):

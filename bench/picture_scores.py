@@ -151,7 +151,7 @@ def score_images(
         where = metrics.rectangle(box)
         if where is not None:
             looked_at[where] = around[where]
-        image = draw(view.axis_angle, view.root, view.camera, SAMPLES, looked_at).colour * around[..., None]
+        image = draw(view.axis_angle, view.root, view.camera, SAMPLES, looked_at).color * around[..., None]
         truth = view.image() * around[..., None]
         one = ImageScores()
         one.add(truth, image, box, mask, perceive)

@@ -47,7 +47,7 @@ def write_sheet(
     bent = [view for view in views if not is_t_pose(view)]
     for kind in ("body", "head", "hand_left", "hand_right"):
         for view in spread_poses(bent, kind, 1):
-            true, ours = view.image(), drawer.draw(view.axis_angle, view.root, view.camera, 2).colour
+            true, ours = view.image(), drawer.draw(view.axis_angle, view.root, view.camera, 2).color
             apart = np.clip(DIFFERENCE * np.abs(ours - true), 0, 1)
             where = square_about(view.mask() if kind == "body" else view.parts() > 0, kind)
             rows.append(cropped([true, ours, apart], where))
@@ -91,7 +91,7 @@ def close_ups(
             tiles["truth", place, "colour"] = photo.image * (photo.mask > 127)[..., None]
             tiles["truth", place, "shape"] = lit_shape(drawer.raster, posed, truth.faces, camera)
     for place, camera in cameras(drawer.surface.joints).items():
-        colour = drawer.draw(*pose, camera, 2).colour
+        colour = drawer.draw(*pose, camera, 2).color
         tiles[out.name, place, "colour"] = np.round(np.clip(colour, 0, 1) * 255).astype(np.uint8)
         posed = drawer.surface.posed(*pose)
         tiles[out.name, place, "shape"] = lit_shape(drawer.raster, posed, drawer.surface.faces, camera)

@@ -1,4 +1,4 @@
-"""From numbers to colours, and the legend that says which is which."""
+"""From numbers to colors, and the legend that says which is which."""
 
 import colorsys
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ PART_COLORS = ("#8aa6c1", "#e0b354", "#5fae8b", "#c9746d")
 
 @dataclass(frozen=True)
 class Legend:
-    """A ramp with its ticks, or named colours."""
+    """A ramp with its ticks, or named colors."""
 
     stops: tuple[str, ...] = ()
     ticks: tuple[str, ...] = ()  # evenly along the ramp
-    named: tuple[tuple[str, str], ...] = ()  # (colour, name)
+    named: tuple[tuple[str, str], ...] = ()  # (color, name)
 
 
 def rgb(color: str) -> Float[np.ndarray, "3"]:
@@ -31,7 +31,7 @@ def rgb(color: str) -> Float[np.ndarray, "3"]:
 def ramp(
     values: Float[np.ndarray, "n"], low: float, high: float, stops: tuple[str, ...] = SEQUENTIAL
 ) -> UInt8[np.ndarray, "n 3"]:
-    """Colours along the stops; beyond the ends the end's own, NaN is ABSENT."""
+    """Colors along the stops; beyond the ends the end's own, NaN is ABSENT."""
     table = np.stack([rgb(stop) for stop in stops])
     known = np.isfinite(values)
     place = np.clip((np.where(known, values, low) - low) / (high - low), 0, 1) * (len(stops) - 1)
@@ -43,7 +43,7 @@ def ramp(
 
 
 def categorical(count: int) -> UInt8[np.ndarray, "count 3"]:
-    """Colours of joints: hues a golden section apart, so that numbers near each other differ much."""
+    """Colors of joints: hues a golden section apart, so that numbers near each other differ much."""
     hues = (np.arange(count) * 0.61803398875) % 1
     return np.array(
         [[round(255 * x) for x in colorsys.hsv_to_rgb(h, 0.55 + 0.3 * (i % 2), 0.95)] for i, h in enumerate(hues)],

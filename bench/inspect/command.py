@@ -27,10 +27,10 @@ from player.context import opened
 EXAMPLES = f"""DIR gets inspect.html, one page with everything in it (mail it, open it anywhere), the same
 pictures as files, and inspect.json with the numbers. It needs no display. What the page shows, and what to look for:
 
-  as drawn       six standard views, the paper's colours and with view dependence; strained poses; turntable
+  as drawn       six standard views, the paper's colors and with view dependence; strained poses; turntable
   parts          body, head and hands            weights      who moves what; --joint NAME: one joint alone
-  texels         their size on the surface       seams        chart edges by the step of colour across them
-  cones          how far colour may follow the eye, and what no camera ever saw
+  texels         their size on the surface       seams        chart edges by the step of color across them
+  cones          how far color may follow the eye, and what no camera ever saw
   triangles      their size, holes               levels       levels of detail side by side
   field          --run: mesh to field, mm        truth        --capture: mesh to the true surface, mm (P2S)
   accuracy       what baking measured            provenance   where it comes from

@@ -1,4 +1,4 @@
-"""Pictures of a coloured mesh by PyVista, off screen: no display is needed.
+"""Pictures of a colored mesh by PyVista, off screen: no display is needed.
 
 VTK finds a context by itself, first on an X server. Without one it complains and goes on; so where our own context
 was reached through EGL, VTK is told to take EGL at once, and through OSMesa, OSMesa.
@@ -48,7 +48,7 @@ class Studio:
         line_colors: UInt8[np.ndarray, "edges 3"] | None = None,
         normals: Float[np.ndarray, "v 3"] | None = None,
     ) -> UInt8[np.ndarray, "h w 3"]:
-        """The strip of views; colours are one a vertex or one a triangle. `wire` draws the edges in close views."""
+        """The strip of views; colors are one a vertex or one a triangle. `wire` draws the edges in close views."""
         pv = self.pyvista
         mesh = pv.PolyData.from_regular_faces(points.astype(np.float32), faces)
         mesh["rgb"] = colors

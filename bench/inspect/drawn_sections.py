@@ -14,7 +14,7 @@ CHANGE = 8
 def looks(inspector: Inspector) -> Section:
     """As drawn, in the canonical pose."""
     plain = strip(pictures_of.standing(inspector.context, inspector.avatar, inspector.views, "off"))
-    pictures = [PagePicture("look_off", png(plain), "png", "the paper's colours")]
+    pictures = [PagePicture("look_off", png(plain), "png", "the paper's colors")]
     mode = inspector.avatar.default_view
     if mode != "off":
         image = strip(pictures_of.standing(inspector.context, inspector.avatar, inspector.views, mode))
@@ -26,7 +26,7 @@ def looks(inspector: Inspector) -> Section:
     return Section(
         "look",
         "As drawn",
-        "The finest level in the pose it is stored in. Look for blur, colours of one part on "
+        "The finest level in the pose it is stored in. Look for blur, colors of one part on "
         "another, a line at neck or "
         "wrists, fingers grown together.",
         pictures,
@@ -81,7 +81,7 @@ def levels(inspector: Inspector) -> Section:
     return Section(
         "levels",
         "Levels of detail",
-        "The same views of each level, in the paper's colours, the background counted.",
+        "The same views of each level, in the paper's colors, the background counted.",
         pictures,
         None,
         rows,

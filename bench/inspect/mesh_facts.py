@@ -32,7 +32,7 @@ class Seams(NamedTuple):
     """Edges whose two triangles lie in different places of the texture."""
 
     edges: Int[np.ndarray, "edges 2"]  # vertices of the level, on one side
-    step: Float[np.ndarray, "mips edges"]  # largest difference of the two sides' colours along the edge, 0 to 255
+    step: Float[np.ndarray, "mips edges"]  # largest difference of the two sides' colors along the edge, 0 to 255
     # of all samples, as bake.seams.seam_steps
     steps: Float[np.ndarray, "mips samples"]
 
@@ -131,7 +131,7 @@ def closedness(welded: Welded) -> Closedness:
 
 
 def seams(level: Level, welded: Welded) -> Seams:
-    """Chart edges and the step of colour across them, on the texture and its first mipmaps."""
+    """Chart edges and the step of color across them, on the texture and its first mipmaps."""
     uv = level.uv.astype(np.float64)
     edges = chart_edges(uv, level.faces.astype(np.int64), welded.source)
     steps = []

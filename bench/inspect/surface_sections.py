@@ -54,7 +54,7 @@ def weights(inspector: Inspector, joints: list[str]) -> Section:
             "weights",
             png(inspector.draw(np.round(blended).astype(np.uint8))),
             "png",
-            "joints' colours blended by weight",
+            "joints' colors blended by weight",
         )
     ]
     for name in joints:
@@ -69,7 +69,7 @@ def weights(inspector: Inspector, joints: list[str]) -> Section:
         "weights",
         "Skin weights",
         "Soft borders run round a limb, never along it; left and right, and neighbouring fingers, do "
-        "not exchange colours." + (f" No vertex is moved most by: {', '.join(absent)}." if absent else ""),
+        "not exchange colors." + (f" No vertex is moved most by: {', '.join(absent)}." if absent else ""),
         pictures,
         Legend(named=named),
     )
@@ -100,7 +100,7 @@ def texels(inspector: Inspector) -> Section:
 
 
 def _atlas(inspector: Inspector) -> PagePicture:
-    """The base colour with the edges of its charts."""
+    """The base color with the edges of its charts."""
     from PIL import Image, ImageDraw
 
     image = Image.fromarray(inspector.level.base_color).resize((ATLAS, ATLAS), Image.Resampling.LANCZOS)
@@ -110,11 +110,11 @@ def _atlas(inspector: Inspector) -> PagePicture:
     border, uses = np.unique(ends, axis=0, return_counts=True)
     for a, b in ATLAS * inspector.level.uv.astype(np.float64)[border[uses == 1]]:
         draw.line([tuple(a), tuple(b)], fill=(255, 0, 170), width=1)
-    return PagePicture("atlas", png(np.asarray(image)), "png", "base colour, chart edges in pink", width=620)
+    return PagePicture("atlas", png(np.asarray(image)), "png", "base color, chart edges in pink", width=620)
 
 
 def seams(inspector: Inspector) -> Section:
-    """Steps of colour across chart edges."""
+    """Steps of color across chart edges."""
     rows = [("level", "mip", "drawn by us", "median", "p99", "largest", "edges")]
     found = []
     shown = None
@@ -140,7 +140,7 @@ def seams(inspector: Inspector) -> Section:
     if found:
         median, p99 = (max(row[key] for row in found if row["drawn"]) for key in ("median", "p99"))
         inspector.check(
-            "step of colour across chart edges, the worst level and mip that the player draws",
+            "step of color across chart edges, the worst level and mip that the player draws",
             f"median {median:.2f}, p99 {p99:.2f} of 255",
             f"median at most {SEAM_MEDIAN:g}, p99 at most {SEAM_P99:g}",
             median <= SEAM_MEDIAN and p99 <= SEAM_P99,
@@ -155,11 +155,11 @@ def seams(inspector: Inspector) -> Section:
             normals=inspector.level.normals.astype(np.float64),
         )
         near = "seen from near (mip 0)" if mip == 0 else f"seen from {2**mip} times as far (mip {mip})"
-        pictures.append(PagePicture(f"seams_mip{mip}", png(image), "png", f"colour step of the finest level, {near}"))
+        pictures.append(PagePicture(f"seams_mip{mip}", png(image), "png", f"color step of the finest level, {near}"))
     return Section(
         "seams",
         "Chart seams",
-        "Edges where the atlas was cut, coloured by the largest difference of colour between the two "
+        "Edges where the atlas was cut, colored by the largest difference of color between the two "
         "sides (of 255). Where it is "
         "bright a line may be seen; it should not gather on the face, the neck or the wrists. Our "
         "player stops at the mips that the atlas' "
@@ -179,15 +179,15 @@ def cones(inspector: Inspector) -> Section:
         "seen_area_share": share,
         "cone_degrees_median": float(np.median(degrees[~never])) if (~never).any() else None,
     }
-    inspector.check("surface that a camera saw in training", f"{share:.1%}", "the rest keeps the paper's colour", None)
+    inspector.check("surface that a camera saw in training", f"{share:.1%}", "the rest keeps the paper's color", None)
     cone = inspector.draw(ramp(np.where(never, np.nan, degrees), 0.0, CONE_RANGE))
     sight = inspector.draw(ramp(np.where(never, np.nan, seen), 0.0, 1.0))
     return Section(
         "cones",
         "Cones and unseen regions",
-        "How far colour may follow the eye: the half-angle of directions that training saw, mean of "
+        "How far color may follow the eye: the half-angle of directions that training saw, mean of "
         "widest and narrowest, times how "
-        "well the point was seen. Pink was never seen: armpits, between fingers, soles. Its colour "
+        "well the point was seen. Pink was never seen: armpits, between fingers, soles. Its color "
         "is the field's guess.",
         [
             PagePicture("cones", png(cone), "png", f"half-angle of the cone, degrees, 0 to {CONE_RANGE:g}"),

@@ -1,7 +1,7 @@
 """What the painters share: the facts they may ask of a texel, and their strokes.
 
-Every texel is coloured by where it lies on the person, not by where it lies in the picture, so that seams do not
-show and both sexes share the code. Colours are sRGB, 0 to 1. Frame: pose 0, pelvis at the origin, metres.
+Every texel is colored by where it lies on the person, not by where it lies in the picture, so that seams do not
+show and both sexes share the code. Colors are sRGB, 0 to 1. Frame: pose 0, pelvis at the origin, metres.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Canvas:
-    """What the painters may ask about the texels they colour."""
+    """What the painters may ask about the texels they color."""
 
     p: Float[Array, "N 3"]  # on the naked body
     q: Float[Array, "N 3"]  # on the dressed person
@@ -37,7 +37,7 @@ class Canvas:
 
 
 def srgb(rgb: tuple[int, int, int]) -> Float[Array, "3"]:
-    """A colour of 0 to 255 as one of 0 to 1."""
+    """A color of 0 to 255 as one of 0 to 1."""
     return np.array(rgb, np.float32) / 255
 
 
@@ -59,14 +59,14 @@ def spot(
 
 
 def shaded(
-    colour: Float[Array, "N 3"],
+    color: Float[Array, "N 3"],
     c: Canvas,
     strength: float,
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> Float[Array, "N 3"]:
-    """Colour under the baked sky; what is dark takes the tint (light that bled through skin)."""
+    """Color under the baked sky; what is dark takes the tint (light that bled through skin)."""
     dark = np.clip(1 - strength * (1 - c.light / 0.86), 0.12, 1.06)[:, None]
-    return colour * dark ** (1 / np.array(tint, np.float32))
+    return color * dark ** (1 / np.array(tint, np.float32))
 
 
 def weave(points: Float[Array, "N 3"], seed: int, fine: int = 900) -> Float[Array, " N"]:

@@ -71,18 +71,18 @@ def eye_picture(looks: Looks, radius: float, size: int = 512) -> UInt8[Array, "s
         ring * 60 + flat[:, None] * [0, 0, 0.5], seed + 2
     )
     inner = smoothstep(4.6, 2.7, flat)
-    colour = iris * (0.92 + 0.38 * fibre)[:, None]
-    colour = mixed(colour, np.array([0.52, 0.36, 0.18], np.float32) * (1 + 0.3 * fibre)[:, None], 0.6 * inner)
-    colour = mixed(colour, colour * 0.25, smoothstep(5.2, 6.5, flat))
-    colour = mixed(colour, np.array([0.025, 0.02, 0.02], np.float32), smoothstep(2.65, 2.35, flat))
-    colour = mixed(colour, white, smoothstep(6.3, 6.95, flat))
+    color = iris * (0.92 + 0.38 * fibre)[:, None]
+    color = mixed(color, np.array([0.52, 0.36, 0.18], np.float32) * (1 + 0.3 * fibre)[:, None], 0.6 * inner)
+    color = mixed(color, color * 0.25, smoothstep(5.2, 6.5, flat))
+    color = mixed(color, np.array([0.025, 0.02, 0.02], np.float32), smoothstep(2.65, 2.35, flat))
+    color = mixed(color, white, smoothstep(6.3, 6.95, flat))
     up = (np.sin(turn) * mm).ravel()
     shadow = smoothstep(0.6, 4.6, up)  # of the upper lid
-    colour = colour * (1 - 0.52 * shadow)[:, None]
-    colour = colour * (1 - 0.16 * smoothstep(-1.8, -4.4, up))[:, None]
+    color = color * (1 - 0.52 * shadow)[:, None]
+    color = color * (1 - 0.16 * smoothstep(-1.8, -4.4, up))[:, None]
     dx, dy = (np.cos(turn) * mm).ravel() - 1.35, up - 1.35
     glint = smoothstep(1.0, 0.72, np.hypot(dx / 0.95, dy / 0.85)) + 0.35 * smoothstep(
         1.0, 0.5, np.hypot((dx + 3.2) / 0.6, (dy + 3.1) / 0.6)
     )
-    colour = mixed(colour, np.array([0.97, 0.98, 1.0], np.float32), glint)
-    return np.round(255 * np.clip(colour, 0, 1)).astype(np.uint8).reshape(size, size, 3)
+    color = mixed(color, np.array([0.97, 0.98, 1.0], np.float32), glint)
+    return np.round(255 * np.clip(color, 0, 1)).astype(np.uint8).reshape(size, size, 3)

@@ -11,7 +11,7 @@ from experiments.builtin.noise import noise, smoothstep
 Array = np.ndarray
 
 
-def head_skin(colour: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
+def head_skin(color: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
     """The face and ears on plain skin, and single hairs beyond the hairline; sRGB, 0 to 1."""
     p, seed = c.p, looks.seed
     male = looks.sex == "male"
@@ -26,37 +26,37 @@ def head_skin(colour: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) 
     for ear in face.ears:
         blush += 0.6 * spot(p, ear, [0.02, 0.034, 0.024])
     blush *= 0.85 + 0.3 * noise(p * 90, seed + 30)
-    colour = mixed(colour, colour * ([1.0, 0.80, 0.76] if male else [1.01, 0.78, 0.78]), 0.42 * blush)
+    color = mixed(color, color * ([1.0, 0.80, 0.76] if male else [1.01, 0.78, 0.78]), 0.42 * blush)
     # round the eyes: a little darker and cooler, the inner corner most
     for k, centre in enumerate(face.eyes):
         side = (1, -1)[k]
         around = spot(p, centre + [0, -0.002, 0.012], [0.021, 0.0135, 0.03])
         inner = spot(p, centre + [-side * 0.015, -0.001, 0.012], [0.007, 0.010, 0.02])
         bag = spot(p, centre + [0, -0.0150, 0.012], [0.014, 0.003, 0.03])
-        colour = mixed(colour, colour * [0.90, 0.80, 0.80], 0.42 * around + 0.40 * inner + 0.22 * bag)
+        color = mixed(color, color * [0.90, 0.80, 0.80], 0.42 * around + 0.40 * inner + 0.22 * bag)
         lid = spot(p, centre + [side * 0.003, 0.0095, 0.012], [0.015, 0.0045, 0.03])
         shadow = np.array([0.80, 0.70, 0.68] if male else [0.74, 0.60, 0.60], np.float32)
-        colour = mixed(colour, colour * shadow, (0.45 if male else 0.6) * lid)
+        color = mixed(color, color * shadow, (0.45 if male else 0.6) * lid)
     if male:
-        colour = stubble(colour, c, face, looks)
+        color = stubble(color, c, face, looks)
     else:
         freckle = smoothstep(0.48, 0.75, noise(p * 720, seed + 33)) * front
         freckle = freckle * (spot(mirrored, [0.5 * iod, -0.034, face.mouth[2]], [0.03, 0.018, 0.04]) + 0.1)
-        colour = mixed(colour, colour * [0.84, 0.70, 0.60], 0.5 * freckle)
-    colour = lips(colour, c, looks)
+        color = mixed(color, color * [0.84, 0.70, 0.60], 0.5 * freckle)
+    color = lips(color, c, looks)
     # nostrils
     for v in (0.476, 0.4915):
         hole = np.hypot((c.uv[:, 0] - 0.8775) / 0.0030, (c.uv[:, 1] - (1 - v)) / 0.0036)
-        colour = mixed(colour, np.array([0.20, 0.09, 0.08], np.float32), 0.9 * smoothstep(1.25, 0.45, hole))
-    colour = brows(colour, c, face, looks)
-    colour = lashes(colour, c, face, looks)
+        color = mixed(color, np.array([0.20, 0.09, 0.08], np.float32), 0.9 * smoothstep(1.25, 0.45, hole))
+    color = brows(color, c, face, looks)
+    color = lashes(color, c, face, looks)
     # single hairs beyond the hairline
     strand = noise(np.stack([x * 1300, y * 130, p[:, 2] * 260], -1), seed + 35)
     edge = smoothstep(-0.0060, 0.002, c.hair + 0.0022 * noise(p * 200, seed + 36)) * smoothstep(-0.45, 0.25, strand)
-    return mixed(colour, srgb(looks.hair) * 0.9, 0.85 * edge * (c.hair > -0.02))
+    return mixed(color, srgb(looks.hair) * 0.9, 0.85 * edge * (c.hair > -0.02))
 
 
-def stubble(colour: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
+def stubble(color: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
     """A shaved beard: bluish, with dots; round the mouth, on the chin and along the jaw to the ears."""
     p = c.p
     eye, ear = face.eyes.mean(0), face.ears.mean(0)
@@ -67,10 +67,10 @@ def stubble(colour: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) ->
     area = smoothstep(0.010, -0.008, y - top) * smoothstep(-0.085, -0.045, y) * smoothstep(0.004, 0.022, z)
     area *= 1 - 0.5 * spot(np.stack([x, y, z * 0], -1), [0.0, -0.013, 0.0], [0.016, 0.004, 1.0])
     dots = smoothstep(0.05, 0.6, noise(p * 1700, looks.seed + 50))
-    return mixed(colour, colour * [0.74, 0.75, 0.78], area * (0.42 + 0.42 * dots))
+    return mixed(color, color * [0.74, 0.75, 0.78], area * (0.42 + 0.42 * dots))
 
 
-def lips(colour: Float[Array, "N 3"], c: Canvas, looks: Looks) -> Float[Array, "N 3"]:
+def lips(color: Float[Array, "N 3"], c: Canvas, looks: Looks) -> Float[Array, "N 3"]:
     """The red of the lips, by texture coordinates: a cupid's bow above, a full curve below, dark between."""
     u, across = c.uv[:, 0], np.abs(c.uv[:, 1] - (1 - 0.4838))
     upper = np.interp(across, [0, 0.0035, 0.010, 0.0165, 0.0215], [0.8975, 0.8958, 0.8985, 0.9035, 0.9085])
@@ -82,13 +82,13 @@ def lips(colour: Float[Array, "N 3"], c: Canvas, looks: Looks) -> Float[Array, "
     shine = np.exp(-(((u - 0.9165) / 0.0022) ** 2)) * np.exp(-((across / 0.010) ** 2))
     red = red * (1 + 0.16 * shine)[:, None]
     red = np.where((u < 0.907)[:, None], red * 0.86, red)
-    colour = mixed(colour, red, smoothstep(-0.0012, 0.0012, inside) * (0.72 if looks.sex == "male" else 0.92))
+    color = mixed(color, red, smoothstep(-0.0012, 0.0012, inside) * (0.72 if looks.sex == "male" else 0.92))
     gap = (u > 0.9045) & (u < 0.9118) & (across < 0.021)
     line = np.where(gap, smoothstep(0.0035, 0.0014, np.abs(u - 0.9080)), 0)
-    return mixed(colour, np.array([0.30, 0.11, 0.11], np.float32), 0.85 * line)
+    return mixed(color, np.array([0.30, 0.11, 0.11], np.float32), 0.85 * line)
 
 
-def brows(colour: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
+def brows(color: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
     """Eyebrows of single hairs along an arch in the front view."""
     male = looks.sex == "male"
     for k, centre in enumerate(face.eyes):
@@ -120,11 +120,11 @@ def brows(colour: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> F
         density = smoothstep(1.25, 0.30, np.abs(s) + 0.10 * noise(np.stack([x, y, 0 * x], -1) * 300, looks.seed + 72))
         cover = np.clip(density * ends * (0.82 + 0.45 * hairs), 0, 1)
         dark = srgb(looks.hair) * (0.80 if male else 0.72)
-        colour[rows] = mixed(colour[rows], dark, cover * (0.92 if male else 0.85))
-    return colour
+        color[rows] = mixed(color[rows], dark, cover * (0.92 if male else 0.85))
+    return color
 
 
-def lashes(colour: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
+def lashes(color: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
     """The lids' edges in the front view: a dark line of lashes above, a moist rim and sparse lashes below."""
     male = looks.sex == "male"
     for k, centre in enumerate(face.eyes):
@@ -138,21 +138,21 @@ def lashes(colour: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> 
         dark = np.array([0.10, 0.065, 0.055], np.float32)
         wide = (0.0011 if male else 0.0017) * np.interp(x, [-0.012, -0.004, 0.006, 0.0135], [0.55, 0.9, 1.1, 1.35])
         upper = over > -0.0012
-        colour[rows] = mixed(
-            colour[rows],
-            colour[rows] * [0.64, 0.52, 0.48],
+        color[rows] = mixed(
+            color[rows],
+            color[rows] * [0.64, 0.52, 0.48],
             0.5 * smoothstep(0.0048, 0.0012, over) * upper * ends,
         )
         liner = smoothstep(wide + 0.0011, wide, over) * upper * ends
-        colour[rows] = mixed(colour[rows], dark, liner * (0.86 if male else 0.96))
+        color[rows] = mixed(color[rows], dark, liner * (0.86 if male else 0.96))
         lower = ~upper & (under < 0.0012)
         moist = np.array([0.66, 0.40, 0.37], np.float32)
-        colour[rows] = mixed(colour[rows], moist, 0.7 * smoothstep(-0.0018, -0.0008, under) * lower * ends)
+        color[rows] = mixed(color[rows], moist, 0.7 * smoothstep(-0.0018, -0.0008, under) * lower * ends)
         strokes = 0.5 + 0.5 * noise(np.stack([x * 1500, y * 120, 0 * x], -1), looks.seed + 75)
         line = smoothstep(-0.0034, -0.0022, under) * smoothstep(-0.0008, -0.0016, under) * lower * ends
-        colour[rows] = mixed(colour[rows], dark, line * strokes * (0.30 if male else 0.50))
+        color[rows] = mixed(color[rows], dark, line * strokes * (0.30 if male else 0.50))
         # the fold of the upper lid
         fold = np.exp(-(((over - 0.0062 + 12 * (x - 0.003) ** 2) / 0.0007) ** 2)) * smoothstep(-0.012, -0.006, x)
         fold *= smoothstep(0.017, 0.012, x)
-        colour[rows] = mixed(colour[rows], colour[rows] * [0.66, 0.52, 0.48], 0.55 * fold)
-    return colour
+        color[rows] = mixed(color[rows], color[rows] * [0.66, 0.52, 0.48], 0.55 * fold)
+    return color

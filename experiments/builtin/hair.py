@@ -114,11 +114,11 @@ def paint_hair(c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
     base = srgb(looks.hair)
     tone = 1 + 0.26 * strands + 0.16 * clumps
     shine = np.exp(-(((n[:, 1] - 0.62 + 0.10 * strands) / 0.16) ** 2)) * (0.55 + 0.45 * strands)
-    colour = base * np.clip(tone, 0.35, 1.7)[:, None] + shine[:, None] * np.array([0.13, 0.105, 0.08], np.float32)
+    color = base * np.clip(tone, 0.35, 1.7)[:, None] + shine[:, None] * np.array([0.13, 0.105, 0.08], np.float32)
     if parting is not None:
-        colour = mixed(colour, srgb(looks.skin) * 0.74, 0.55 * parting)
+        color = mixed(color, srgb(looks.skin) * 0.74, 0.55 * parting)
     # at the hairline skin shows between the roots
     ragged = c.hair + 0.0028 * noise(p * 300, seed + 9) + 0.0016 * strands
     see = smoothstep(0.0034, -0.0005, ragged) * (0.85 - 0.5 * smoothstep(-0.3, 0.4, strands))
-    colour = mixed(colour, srgb(looks.skin) * np.array([0.80, 0.72, 0.68], np.float32), see)
-    return shaded(colour, c, 0.75)
+    color = mixed(color, srgb(looks.skin) * np.array([0.80, 0.72, 0.68], np.float32), see)
+    return shaded(color, c, 0.75)

@@ -1,11 +1,11 @@
-"""What the two built-in people wear: sizes and colours, no shapes."""
+"""What the two built-in people wear: sizes and colors, no shapes."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Looks:
-    """What one person wears; lengths in metres, colours sRGB 0-255."""
+    """What one person wears; lengths in metres, colors sRGB 0-255."""
 
     sex: str
     seed: int

@@ -36,7 +36,7 @@ class Shade(NamedTuple):
 def paint(
     c: Canvas, kind: Int[Array, " N"], dressed: Dressed, joints: Float[Array, "52 3"], looks: Looks
 ) -> Float[Array, "N 3"]:
-    """The colour of each texel, sRGB, 0 to 1."""
+    """The color of each texel, sRGB, 0 to 1."""
     out = np.zeros((len(kind), 3), np.float32)
     ground = float(dressed.mesh.vertices[:, 1].min())
     painters = {

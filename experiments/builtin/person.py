@@ -79,7 +79,7 @@ def builtin_subject(sex: str, texture: int = TEXTURE) -> SynthSubject:
         joints=np.asarray(body.joints, np.float64),
         part=part[point],
         hair=hair_points[point],
-        licence="CC0-1.0 (body: MakeHuman base mesh; clothes, hair and colours: this project)",
+        licence="CC0-1.0 (body: MakeHuman base mesh; clothes, hair and colors: this project)",
     )
 
 

@@ -17,38 +17,38 @@ def paint_skin(c: Canvas, face: Face, joints: Float[Array, "52 3"], looks: Looks
     p, seed = c.p, looks.seed
     base = srgb(looks.skin)
     tone = 0.030 * fractal(p * 22, seed + 20, 2) + 0.018 * noise(p * 160, seed + 22) + 0.014 * noise(p * 700, seed + 23)
-    colour = base * (1 + tone[:, None] * np.array([0.8, 1.0, 1.1], np.float32))
+    color = base * (1 + tone[:, None] * np.array([0.8, 1.0, 1.1], np.float32))
     red = 0.25 * np.maximum(noise(p * 40, seed + 24), 0)
-    colour = mixed(colour, colour * [1.0, 0.86, 0.84], red)
+    color = mixed(color, color * [1.0, 0.86, 0.84], red)
     # elbows, knuckles and finger tips are redder
     for joint in [18, 19]:
-        colour = mixed(colour, colour * [0.98, 0.83, 0.80], 0.4 * spot(p, joints[joint] + [0, 0, -0.03], 0.03))
-    colour = hands(colour, c, face, joints, looks)
+        color = mixed(color, color * [0.98, 0.83, 0.80], 0.4 * spot(p, joints[joint] + [0, 0, -0.03], 0.03))
+    color = hands(color, c, face, joints, looks)
     head = p[:, 1] > joints[12, 1] - 0.06
     rows = np.flatnonzero(head & (np.abs(p[:, 0] - joints[15, 0]) < 0.15))
     if len(rows):
-        colour[rows] = head_skin(colour[rows], c.at(rows), face, looks)
+        color[rows] = head_skin(color[rows], c.at(rows), face, looks)
     crease = np.clip(1 + np.clip(c.cavity, -1, 0.2) * 0.11, 0.4, 1.12)[:, None]
-    colour = colour * crease ** np.array([0.75, 1.05, 1.1], np.float32)
-    return shaded(colour, c, 0.62, (1.35, 0.95, 0.9))
+    color = color * crease ** np.array([0.75, 1.05, 1.1], np.float32)
+    return shaded(color, c, 0.62, (1.35, 0.95, 0.9))
 
 
 def hands(
-    colour: Float[Array, "N 3"], c: Canvas, face: Face, joints: Float[Array, "52 3"], looks: Looks
+    color: Float[Array, "N 3"], c: Canvas, face: Face, joints: Float[Array, "52 3"], looks: Looks
 ) -> Float[Array, "N 3"]:
     """Nails, redder finger tips and knuckles, creases at the joints."""
     p, seed = c.p, looks.seed
     near = np.abs(p[:, 0]) > abs(joints[20, 0]) - 0.03
     rows = np.flatnonzero(near)
     if not len(rows):
-        return colour
+        return color
     for first in (22, 37):
         for finger in range(5):
             chain = joints[first + 3 * finger : first + 3 * finger + 3]
             axis = (chain[2] - chain[1]) / np.linalg.norm(chain[2] - chain[1])
             nail = face.nails[np.argmin(np.linalg.norm(face.nails - chain[2], axis=1))]
             near = rows[np.linalg.norm(p[rows] - chain[1], axis=1) < np.linalg.norm(nail - chain[1]) + 0.03]
-            q, n, some = p[near], c.n[near], colour[near]
+            q, n, some = p[near], c.n[near], color[near]
             some = mixed(some, some * [1.02, 0.82, 0.80], 0.5 * spot(q, nail - 0.003 * axis, 0.011))
             up = np.array([0.0, 1.0, 0.0]) - axis[1] * axis
             up /= np.linalg.norm(up)
@@ -67,8 +67,8 @@ def hands(
                 some = mixed(some, some * [0.82, 0.68, 0.64], 0.30 * lines * back * reach)
                 palm = np.exp(-(((wave - 0.001) / 0.0009) ** 2)) * (1 - back) * reach
                 some = mixed(some, some * [0.80, 0.64, 0.60], 0.55 * palm)
-            colour[near] = some
-    q, n, some = p[rows], c.n[rows], colour[rows]
+            color[near] = some
+    q, n, some = p[rows], c.n[rows], color[rows]
     for middle in face.nails:
         left = 22 if middle[0] > 0 else 37
         bones = joints[[left + 2, left + 5, left + 8, left + 11, left + 14]]
@@ -90,16 +90,16 @@ def hands(
             else np.array([0.80, 0.36, 0.40], np.float32)
         )
         gloss = 1 + 0.10 * np.exp(-((b / 0.35) ** 2))
-        nail_colour = pink * gloss[:, None]
+        nail_color = pink * gloss[:, None]
         if looks.sex == "male":
-            nail_colour = mixed(nail_colour, np.array([0.95, 0.88, 0.83], np.float32), smoothstep(0.66, 0.80, a))
-            nail_colour = mixed(
-                nail_colour,
+            nail_color = mixed(nail_color, np.array([0.95, 0.88, 0.83], np.float32), smoothstep(0.66, 0.80, a))
+            nail_color = mixed(
+                nail_color,
                 np.array([0.94, 0.80, 0.77], np.float32),
                 0.7 * smoothstep(-0.60, -0.78, a + 0.25 * b * b),
             )
-        some = mixed(some, nail_colour, nail)
+        some = mixed(some, nail_color, nail)
         fold = np.exp(-(((shape - 1.12) / 0.10) ** 2))
         some = mixed(some, some * [0.74, 0.58, 0.54], 0.75 * fold)
-    colour[rows] = some
-    return colour
+    color[rows] = some
+    return color

@@ -57,7 +57,7 @@ def covered_texels(uv: Float[Array, "F 3 2"], size: int, chunk: int = 400_000) -
 
 
 def spread(image: Float[Array, "H W 3"], covered: Bool[Array, "H W"]) -> UInt8[Array, "H W 3"]:
-    """The image in 8 bits; what no triangle covers gets the nearest colour, so that filtering finds no seam."""
+    """The image in 8 bits; what no triangle covers gets the nearest color, so that filtering finds no seam."""
     nearest = distance_transform_edt(~covered, return_distances=False, return_indices=True)
     assert nearest is not None
     return np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)[nearest[0], nearest[1]]

@@ -33,11 +33,11 @@ def paint_trousers(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Flo
         worn += 0.35 * np.exp(-(((t - 1.0) / 0.12) ** 2)) * smoothstep(0.2, 0.9, np.cos(around))
         worn += 0.25 * smoothstep(-0.6, -1.0, np.cos(around)) * np.exp(-(((t - 0.1) / 0.2) ** 2))
         worn *= 0.8 + 0.4 * noise(p * 45, seed + 2)
-        colour = mixed(base * tone[:, None], np.array([0.50, 0.58, 0.70], np.float32) * tone[:, None], 0.75 * worn)
+        color = mixed(base * tone[:, None], np.array([0.50, 0.58, 0.70], np.float32) * tone[:, None], 0.75 * worn)
         thread = np.array([0.74, 0.52, 0.26], np.float32)
     else:
         tone = 1 + 0.05 * weave(p, seed, 1100) + 0.03 * noise(p * 14, seed + 1)
-        colour = base * tone[:, None]
+        color = base * tone[:, None]
         thread = base * 0.6
     outside = (np.abs(around) - np.pi / 2) * 0.075 * np.sign(around + 1e-9)
     outer = np.where(around > 0, outside, 9.0)
@@ -68,13 +68,13 @@ def paint_trousers(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Flo
         lines += [(np.where(hem < 0.05, hem - 0.020, 9.0), around * 0.07, 0.9)]
     else:
         crease = np.where((t > 0.15) & (np.abs(around) < 0.5), around * 0.07, 9.0)
-        colour = mixed(colour, colour * 1.35, 0.5 * np.exp(-(((crease - 0.001) / 0.0016) ** 2)))
-        colour = mixed(colour, colour * 0.6, 0.5 * np.exp(-(((crease + 0.002) / 0.0018) ** 2)))
-    colour = mixed(colour, colour * 0.5, shade)
+        color = mixed(color, color * 1.35, 0.5 * np.exp(-(((crease - 0.001) / 0.0016) ** 2)))
+        color = mixed(color, color * 0.6, 0.5 * np.exp(-(((crease + 0.002) / 0.0018) ** 2)))
+    color = mixed(color, color * 0.5, shade)
     for distance, along, strength in lines:
-        colour = mixed(colour, np.broadcast_to(thread, colour.shape), strength * stitches(distance, along))
+        color = mixed(color, np.broadcast_to(thread, color.shape), strength * stitches(distance, along))
     fold = np.clip(1 + 0.65 * np.clip(c.cavity, -1, 0.5), 0.4, 1.3)[:, None]
-    return shaded(colour * fold, c, 0.80)
+    return shaded(color * fold, c, 0.80)
 
 
 def paint_belt(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "N 3"]:
@@ -100,14 +100,14 @@ def paint_belt(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[A
     metal = (
         np.array([0.80, 0.74, 0.58], np.float32) * (0.75 + 0.35 * smoothstep(-1.0, 1.0, (y - 0.019) / 0.018))[:, None]
     )
-    colour = mixed(leather, metal, np.maximum(buckle, pin))
-    return shaded(colour, c, 0.8)
+    color = mixed(leather, metal, np.maximum(buckle, pin))
+    return shaded(color, c, 0.8)
 
 
 def paint_lining(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "N 3"]:
-    """The inside of a hem: the garment's colour in its own shadow."""
+    """The inside of a hem: the garment's color in its own shadow."""
     near_shirt = c.p[:, 1] > hem_height(joints, looks) - 0.02
-    colour = np.where(
+    color = np.where(
         near_shirt[:, None], srgb(looks.shirt[looks.pattern == "stripes"]) * 0.5, srgb(looks.trousers) * 0.45
     )
-    return shaded(colour, c, 0.5)
+    return shaded(color, c, 0.5)

@@ -36,7 +36,7 @@ def test_same_run_bakes_to_the_same_bytes(run, small, baked):
 
 def test_file_holds_what_was_promised(baked, run):
     avatar = read_avatar(baked[0] / "one.glb")
-    # this field's colour ignores the direction
+    # this field's color ignores the direction
     assert avatar.default_view == "off" and avatar.network is None
     (level,) = avatar.levels
     assert not find_faults(welded(level), len(level.positions))

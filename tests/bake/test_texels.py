@@ -81,7 +81,7 @@ def test_both_sides_of_a_chart_edge_agree(chart):
     assert np.median(steps) <= 1 and np.quantile(steps, 0.99) <= 4
 
 
-def test_gutters_hold_the_colour_of_the_nearest_chart(chart):
+def test_gutters_hold_the_color_of_the_nearest_chart(chart):
     mesh, _, found = chart
     texels, image = texture(mesh, found, lambda p: np.full((len(p), 3), 0.25))
     assert len(texels.index) < SIZE * SIZE
@@ -98,7 +98,7 @@ def test_chart_thinner_than_a_texel_owns_the_texels_it_crosses():
     assert np.abs(weight).max() < 60
 
 
-def test_texel_is_the_mean_of_its_samples_where_colour_changes():
+def test_texel_is_the_mean_of_its_samples_where_color_changes():
     uv = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     texels = rasterise_charts(uv, faces, 32)

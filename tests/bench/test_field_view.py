@@ -25,7 +25,7 @@ SIZE = (96, 96)
 
 
 class DirectionField(FusedField):
-    """A field whose colour is the direction it is asked at; every point is on its surface."""
+    """A field whose color is the direction it is asked at; every point is on its surface."""
 
     def __init__(self):
         torch.nn.Module.__init__(self)
@@ -76,7 +76,7 @@ def drawn(view):
         context.release()
     mask = pictures["own"].mask
     rays = pixel_rays(camera)[1].reshape(*SIZE, 3)[mask]
-    return {mode: 2 * picture.colour[mask] - 1 for mode, picture in pictures.items()}, rays
+    return {mode: 2 * picture.color[mask] - 1 for mode, picture in pictures.items()}, rays
 
 
 def test_with_the_ray_transformation_every_pixel_asks_at_the_global_direction(drawn):

@@ -93,7 +93,7 @@ def test_the_median_by_area_counts_square_metres_not_triangles():
     assert mesh_facts.median_by_area(values, np.array([0.0, 0.0, 0.0, 1.0])) is None
 
 
-def test_seam_steps_are_those_of_the_colours_painted():
+def test_seam_steps_are_those_of_the_colors_painted():
     rng = np.random.default_rng(0)
     level = cube(rng.integers(0, 256, (20, 120, 3), dtype=np.uint8))
     welded = mesh_facts.weld(level)
@@ -103,7 +103,7 @@ def test_seam_steps_are_those_of_the_colours_painted():
     assert seams.step[0].min() > 0  # noise differs everywhere
 
     plain = np.full((64, 384, 3), 50, np.uint8)
-    plain[:, 64:128] = 57  # one side of the cube in another colour: its four edges step by 7, the others by nothing
+    plain[:, 64:128] = 57  # one side of the cube in another color: its four edges step by 7, the others by nothing
     seams = mesh_facts.seams(cube(plain, inset=0.2), welded)
     for step in seams.step[:3]:
         np.testing.assert_array_equal(np.sort(step), [0] * 8 + [7] * 4)

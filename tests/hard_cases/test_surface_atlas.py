@@ -183,7 +183,7 @@ def test_too_many_triangles_are_refused_before_they_are_tried():
 
 @pytest.mark.parametrize("mip", [0, 1, 2])
 def test_no_mip_bleeds_across_charts(within, mip):
-    """Two charts with a gutter of 8 texels: each mip in use keeps their colours apart inside the charts."""
+    """Two charts with a gutter of 8 texels: each mip in use keeps their colors apart inside the charts."""
     uv = np.array([[0.05, 0.05], [0.45, 0.05], [0.45, 0.95], [0.05, 0.95]])
     uv = np.concatenate([uv, uv + [0.4 + 8 / 128, 0]])
     faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
@@ -198,8 +198,8 @@ def test_no_mip_bleeds_across_charts(within, mip):
 
 
 @pytest.mark.parametrize("thickness", [2.0, 0.9, 0.5, 0.1])
-def test_chart_thinner_than_a_texel_shows_its_own_colour(thickness, within):
-    """A strip (texels wide: `thickness`) beside a large chart of another colour:
+def test_chart_thinner_than_a_texel_shows_its_own_color(thickness, within):
+    """A strip (texels wide: `thickness`) beside a large chart of another color:
     read along its middle it is its own.
     """
     size = 64
