@@ -13,7 +13,7 @@ from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar
 from bench.ceiling import ceiling_surface
 from bench.picture_scores import box_pixels, is_t_pose, region_of
-from bench.quality import eval_main, evaluate, view_modes
+from bench.quality import eval_main, evaluate, not_chosen_on, view_modes
 from bench.quality_table import markdown, people_table, view_mode_lines
 from bench.true_mesh import read_true_mesh
 from capture.held_out import read_held_out
@@ -85,7 +85,7 @@ def test_a_view_mode_farther_from_the_truth_loses(oracle):
     level = avatar.levels[0]
     level = replace(level, view_seen=np.ones_like(level.view_seen), features=np.full((4, 4, 4), 255, np.uint8))
     tinted = replace(avatar, levels=(level,), linear=np.full((4, 3, 3), 0.1, np.float32), default_view="linear")
-    found = view_modes(tinted, {name: read_held_out(capture, name) for name in ("novel_pose", "novel_view")})
+    found = view_modes(tinted, {}, {name: read_held_out(capture, name) for name in ("novel_pose", "novel_view")})
     assert (found["default"], found["best"]) == ("linear", "off")
     for name in ("novel_pose", "novel_view"):
         scores = found["psnr_db"][name]
@@ -95,6 +95,27 @@ def test_a_view_mode_farther_from_the_truth_loses(oracle):
     lines = view_mode_lines({"view_modes": found})
     assert any(line.startswith("- novel pose, vertex: total") for line in lines)
     assert lines[-1].startswith("- default linear; best here off (nearest to the true pictures: off")
+
+
+def test_pictures_on_which_the_mode_was_chosen_do_not_judge_it(oracle):
+    held_out = {name: read_held_out(oracle[0], name) for name in ("novel_pose", "novel_view")}
+    facts = {"subject": "striped", "light": "even", "seed": 0}
+    first = {name: [min(view.pose_index for view in views)] for name, views in held_out.items()}
+    recorded = {"by": "truth", **facts, "chosen_on": {"poses": first}}
+    judged = not_chosen_on(recorded, facts, held_out)
+    for name, views in judged.items():
+        assert {v.pose_index for v in views} == {v.pose_index for v in held_out[name]} - set(first[name])
+    assert not_chosen_on(recorded, {**facts, "seed": 1}, held_out) is held_out
+    assert not_chosen_on(None, facts, held_out) is held_out
+    everything = {name: [view.pose_index for view in views] for name, views in held_out.items()}
+    assert not_chosen_on(recorded | {"chosen_on": {"poses": everything}}, facts, held_out) is held_out
+
+
+def test_decibels_that_differ_say_why(result):
+    for text in (markdown(result), people_table([result])):
+        assert "background" in text and "box" in text and "true person alone" in " ".join(text.split())
+        assert "| box dB | mask dB |" in text
+    assert any("color alone" in line for line in view_mode_lines(result))
 
 
 def test_the_command_prints_a_table_with_the_papers_row_and_writes_json(oracle, tmp_path, capsys, result, monkeypatch):
@@ -115,7 +136,9 @@ def test_the_markdown_of_one_evaluation_names_what_was_measured(result):
 
 def test_people_of_different_lights_are_in_sections_of_their_own_and_never_averaged(result):
     def person(light, psnr, **facts):
-        scores = {region: {"p2s_cm": 0.1, "psnr_db": psnr} for region in ("head", "hands", "total")}
+        scores = {
+            region: {"p2s_cm": 0.1, "psnr_db": psnr, "psnr_mask_db": psnr - 4} for region in ("head", "hands", "total")
+        }
         return {"capture": {"subject": light, "light": light, **facts}, "novel_pose": scores, "beside": {}}
 
     text = people_table([person("fixed", 20.0), person("even", 30.0, sheen=0.5), person("even", 27.0),
@@ -125,6 +148,7 @@ def test_people_of_different_lights_are_in_sections_of_their_own_and_never_avera
                       "## Fixed light"]  # fmt: skip
     means = [line for line in text.splitlines() if line.startswith("| **mean**")]
     assert [float(line.split("|")[4]) for line in means[::3]] == [27.5, 24.0, 30.0, 20.0]
+    assert [float(line.split("|")[5]) for line in means[::3]] == [23.5, 20.0, 26.0, 16.0]
 
 
 def test_view_modes_of_every_capture_stand_side_by_side(result):
