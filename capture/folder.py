@@ -1,5 +1,6 @@
 """The capture folder: four part videos with masks, cameras and poses, and the subject's registered template."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -60,11 +61,12 @@ class Capture:
     path: Path
     facts: dict
     subject: CaptureSubject
+    # of the parts that were read
     videos: dict[str, PartVideo]
 
 
-def read_capture(path: Path | str) -> Capture:
-    """Read and check a capture folder.
+def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS) -> Capture:
+    """Read and check a capture folder; of its videos only those of `parts` are read.
 
     Raises:
         AssetError: something is absent, misshapen, not finite, or disagrees with its neighbour.
@@ -81,7 +83,7 @@ def read_capture(path: Path | str) -> Capture:
     if absent:
         raise AssetError(f"{path}: no folder {', '.join(absent)}; all four videos are needed: {', '.join(PARTS)}")
     subject = read_subject(path / "subject.npz", name=str(facts.get("subject", path.name)))
-    videos = {part: _read_video(path / part, part, len(subject.rest)) for part in PARTS}
+    videos = {part: _read_video(path / part, part, len(subject.rest)) for part in parts}
     for part, video in videos.items():
         _check_distance(path / part, video)
     return Capture(path, facts, subject, videos)

@@ -1,4 +1,4 @@
-"""A field made solid deep inside the person, so that its zero level is the skin alone."""
+"""A field made solid deep inside the person, so that its zero level is nothing but the skin."""
 
 from collections.abc import Callable
 
@@ -35,7 +35,7 @@ def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunct
     limit = np.where(np.asarray(subject.hair, bool)[seen], np.maximum(INSIDE[part], HAIR_INSIDE), INSIDE[part])
     tree = KDTree(places)
     hands = places[part >= PARTS.index("hand_left")]
-    # the hands' fields speak up to 10 cm beyond the wrist, where the part is body
+    # the hands' fields have weights up to 10 cm beyond the wrist, where the part is body
     if len(hands):
         limit = np.where(KDTree(hands).query(places)[0] < 0.12, np.minimum(limit, 0.006), limit)
 
@@ -46,7 +46,7 @@ def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunct
         away, near = tree.query(points[doubtful], k=4, distance_upper_bound=0.1, workers=-1)
         found = np.isfinite(away).all(1)
         doubtful, away, near = doubtful[found], np.asarray(away)[found], np.asarray(near)[found]
-        # four vertices must agree: beside a sharp edge one normal alone can be wrong
+        # four vertices must agree: beside a sharp edge a single normal can be wrong
         offset = points[doubtful][:, None] - places[near]
         behind = ((offset * normals[near]).sum(2) < -0.3 * away).all(1)
         deep = behind & (away[:, 0] > limit[near[:, 0]])

@@ -94,7 +94,7 @@ def part_views(
     for frame, camera in enumerate(video.cameras):
         if canonical_from_head is not None:
             scale = np.cbrt(np.linalg.det(canonical_from_head[:3, :3]))
-            turn = canonical_from_head[:3, :3] / scale  # canonical from head, rotation alone
+            turn = canonical_from_head[:3, :3] / scale  # canonical from head, only the rotation
             posed = np.linalg.solve(canonical_from_head, np.c_[points, np.ones(len(points))].T).T[:, :3]
             turned = n @ turn
         else:
@@ -102,7 +102,7 @@ def part_views(
             B = skin_transforms(video.axis_angle[frame], subject.joints, video.root[frame])
             M = blended_transforms(local, B)
             posed = np.einsum("vij,vj->vi", M[:, :3, :3], points) + M[:, :3, 3]
-            # near enough to tell front from back
+            # near enough to know front from back
             turned = np.einsum("vij,vj->vi", M[:, :3, :3], n)
         seen = np.flatnonzero(visible_vertices(posed, turned, camera, video.masks[frame]) & own)
         d = posed[seen] - camera.eye

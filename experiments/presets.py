@@ -24,18 +24,16 @@ from torch import Tensor
 
 from avatar.errors import AssetError
 from avatar.files import whole_file
-from avatar.progress import Reporter
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from bench.machine import commit, cpu_name
 from capture.folder import read_capture
-from train.distributed import ALONE
 from train.field import PartField
-from train.objective import RayTensors, beta_at, render_rays
+from train.objective import Batch, RayTensors, beta_at, functions_of, render_rays
 from train.part_job import PartJob, part_ready
 from train.prefit import fit_template
 from train.preset import PRESETS, PartPreset, Preset
-from train.trainer import peak_memory, train_field
+from train.trainer import FieldTraining, Watch, peak_memory, train_field
 
 HELD_OUT = 8  # each so-many-th frame, from the fourth on
 SCORED = 8192  # held-out rays at most
@@ -73,7 +71,7 @@ def held_out_psnr(
     squared = 0.0
     for part in torch.arange(len(rays.frame), device=rays.frame.device).split(BATCH):
         middle = torch.full((len(part),), 0.5, device=part.device)
-        color = render_rays(field, rays, part, middle, beta, preset, create_graph=False).color
+        color = render_rays(functions_of(field), rays, Batch(part, middle, beta), preset, create_graph=False).color
         squared += float((color - rays.color[part]).square().sum())
     return -10 * math.log10(max(squared / (3 * len(rays.frame)), 1e-10))
 
@@ -105,22 +103,12 @@ def one_preset(
     ).transform
     threads = torch.get_num_threads()
     job = PartJob(
-        capture=str(capture_path),
-        index=index,
-        preset=preset,
-        canonical_from_head=canonical_from_head,
-        folder=str(folder),
-        device=device,
-        seed=seed,
-        resume=False,
-        threads=threads,
-        save_every=math.inf,
-        preview_every=0,
-        ranks=ALONE,
-    )
+        capture=str(capture_path), index=index, preset=preset, canonical_from_head=canonical_from_head,
+        folder=str(folder), device=device, threads=threads, seed=seed,
+    )  # fmt: skip
     torch.set_num_threads(threads)
     torch.manual_seed(seed * 4 + index)
-    ready = part_ready(job, capture, Reporter(lambda text: None, lambda step, note: None))
+    ready = part_ready(job, capture)
     field = ready.field
     fitted = time.monotonic()
     if preset.prefit:
@@ -146,7 +134,8 @@ def one_preset(
         print(f"{preset.name}: {iteration} steps, {seconds:.1f} s, {psnr:.2f} dB", flush=True)
         away += time.monotonic() - now
 
-    skipped = train_field(field, training, settings, preset, seed=seed, report=report)
+    by = FieldTraining(part=settings, preset=preset, seed=seed)
+    skipped = train_field(field, training, by, watch=Watch(report=report))
     per_step = points[-1]["seconds"] / settings.iterations
     memory = peak_memory(device)
     return {

@@ -153,7 +153,10 @@ def seams_as_in_paper(name: str, ours: list[dict[str, Any]], row: list[dict[str,
 
 def title_of(name: str, results: list[dict[str, Any]], people: int) -> str:
     count = len({result["name"] for result in results})
-    return ROWS[name].title + (f" ({count} of {people} people)" if count < people else "")
+    title = ROWS[name].title + (f" ({count} of {people} people)" if count < people else "")
+    # measured before the single network had the parts' place of the head
+    earlier = ROWS[name].single and any(result.get("head") is None for result in results)
+    return title + (" (its head by landmarks only, Eq. 6)" if earlier else "")
 
 
 def comparison(results: list[dict[str, Any]], quality: list[dict[str, Any]]) -> list[str]:

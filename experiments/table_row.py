@@ -128,7 +128,7 @@ def measure_row(
                 measured = row.single or not same_surface(changed, trained)
                 result = measured_row(drawer, truth, some_poses(views, poses), measured, perceive)
             write_sheet(drawer, truth, capture, facts, views, row.title, folder / row.name, steps)
-            told = machine(drawer.context.renderer, drawer.context.kind)
+            measured_on = machine(drawer.context.renderer, drawer.context.kind)
         finally:
             drawer.release()
     return {
@@ -138,10 +138,12 @@ def measure_row(
         "capture": {name: facts[name] for name in CAPTURE_FACTS if name in facts},
         "seed": trained.provenance.get("seed"),
         "preset": trained.provenance.get("preset"),
+        # where its training got the head's place; rows measured before say nothing: Eq. 6 alone
+        "head": trained.provenance.get("registration", {}).get("from", "its own parts") if row.single else None,
         "parameters": sum(p.numel() for p in trained.field.parameters()),
         **result,
         "seams": steps,
-        "machine": told,
+        "machine": measured_on,
         "seconds": round(time.perf_counter() - start, 1),
         "cpu_seconds": round(time.process_time() - cpu_start, 1),
     }

@@ -54,28 +54,32 @@ class Options:
     jobs: int  # rows measured at once
 
 
-def tell(text: str) -> None:
+def note(text: str) -> None:
     print(f"tables: {text}", file=sys.stderr, flush=True)
 
 
-def run_of(options: Options, capture: Path, seed: int, single: bool) -> Path:
+def run_of(options: Options, capture: Path, seed: int, *, single: bool) -> Path:
     name = capture.name + ("_single" if single else "") + (f"_seed{seed}" if seed else "")
     return options.runs / name
 
 
 def train(options: Options, capture: Path, seed: int, single: bool) -> Callable[[], int]:
     """`selfscan train` of one run, going on where an interrupted one stopped."""
-    run = run_of(options, capture, seed, single)
+    run = run_of(options, capture, seed, single=single)
     words: list[str | Path] = ["selfscan", "train", capture, "-o", run, "--preset", options.preset]
     words += ["--seed", str(seed)]
-    words += ["--single"] if single else []
+    if single:
+        words.append("--single")
+        ours = run_of(options, capture, seed, single=False)
+        if (ours / "run.json").exists():
+            words += ["--head-from", ours]
     words += ["--iterations", str(options.iterations)] if options.iterations else []
     words += ["--resume"] if run.with_name(run.name + ".partial").exists() else []
     return command(*words)
 
 
 def measure(options: Options, capture: Path, seed: int, row: Row) -> Callable[[], int]:
-    words: list[str | Path] = ["experiments.table_row", run_of(options, capture, seed, row.single), capture]
+    words: list[str | Path] = ["experiments.table_row", run_of(options, capture, seed, single=row.single), capture]
     words += [row.name, folder_of(options, capture, seed), "--poses", str(options.poses)]
     words += ["--our-poses", str(options.our_poses)] if options.our_poses else []
     words += ["--lpips", *options.lpips] if options.lpips else []
@@ -108,9 +112,9 @@ def check_run(run: Path, capture: Path, options: Options, seed: int) -> None:
 
 def ensure_trained(options: Options, capture: Path, seed: int, single: bool) -> bool:
     """Whether the run is there, after training it where it was not."""
-    run = run_of(options, capture, seed, single)
+    run = run_of(options, capture, seed, single=single)
     if not (run / "run.json").exists():
-        tell(f"{run.name}: training, preset {options.preset}")
+        note(f"{run.name}: training, preset {options.preset}")
         if train(options, capture, seed, single)() != 0:
             return False
     check_run(run, capture, options, seed)
@@ -128,20 +132,20 @@ def person(options: Options, capture: Path, seed: int) -> list[str]:
 
     def one(row: Row) -> str | None:
         path = folder_of(options, capture, seed) / f"{row.name}.json"
-        run = run_of(options, capture, seed, row.single)
+        run = run_of(options, capture, seed, single=row.single)
         expected = stamp(run, capture, row, options.poses, options.our_poses, options.lpips)
         if finished(path, expected):
-            tell(f"{label}: {row.title}: kept")
+            note(f"{label}: {row.title}: kept")
             return None
-        tell(f"{label}: {row.title}")
+        note(f"{label}: {row.title}")
         code = measure(options, capture, seed, row)()
         return f"{label}: {row.title} (failed with status {code})" if code else None
 
     ready = [row for row in rows if trained[row.single]]
     first = [row for row in ready if row.name == "ours"]  # its close-ups stand beside the other rows'
     with ThreadPoolExecutor(options.jobs) as pool:
-        told = [one(row) for row in first] + list(pool.map(one, [row for row in ready if row not in first]))
-    return absent + [text for text in told if text is not None]
+        said = [one(row) for row in first] + list(pool.map(one, [row for row in ready if row not in first]))
+    return absent + [text for text in said if text is not None]
 
 
 def collect(out: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -218,7 +222,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     absent = tables(options)
     for text in absent:
-        tell(f"not measured: {text}")
+        note(f"not measured: {text}")
     print(options.out / "tables.md")
     return 1 if absent else 0
 

@@ -28,7 +28,8 @@ def two_hands() -> None:
     run_jobs = stages.run_jobs
     stages.run_jobs = lambda jobs, *rest: run_jobs({name: jobs[name] for name in HANDS}, *rest)
 
-    def copy_parts(capture, preset, landmarks, session, *rest):
+    def copy_parts(training, *rest):
+        session = training.session
         session.out.mkdir(exist_ok=True)
         for name in (*(f"{hand}.pt" for hand in HANDS), "logs", "preview"):
             copy = shutil.copytree if (session.partial / name).is_dir() else shutil.copyfile

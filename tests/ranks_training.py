@@ -14,7 +14,7 @@ from train.networks.triplane import TriPlaneNetworks, build
 from train.objective import RayTensors
 from train.preset import DEMO
 from train.template_grid import TemplateGrid
-from train.trainer import train_field
+from train.trainer import FieldTraining, Watch, train_field
 
 STEPS, RAYS = 12, 63  # an odd batch: shares of 32 and 31
 
@@ -51,15 +51,8 @@ def main(out: str) -> None:
     preset = replace(DEMO, rays=RAYS, warm_up=2)
     field, losses = small_field(), []
     before = {name: value.clone() for name, value in field.state_dict().items()}
-    train_field(
-        field,
-        small_rays(),
-        part,
-        preset,
-        seed=3,
-        ranks=ranks,
-        report=lambda i, step: losses.append(step.loss),
-    )
+    training = FieldTraining(part=part, preset=preset, seed=3, ranks=ranks)
+    train_field(field, small_rays(), training, watch=Watch(report=lambda i, step: losses.append(step.loss)))
     if ranks.writes:
         torch.save({"before": before, "after": field.state_dict(), "loss": losses[-1], "count": ranks.count}, out)
     leave_ranks()

@@ -1,1 +1,1 @@
-"""Training: a capture folder becomes four part fields and their composition (TotalSelfScan, section 3). Needs torch."""
+"""Training: from a capture folder to four part fields and their composition (TotalSelfScan, section 3). Needs torch."""

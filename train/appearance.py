@@ -1,5 +1,7 @@
 """Appearance composition: the parts take on the body video's light (TotalSelfScan, 3.3, Eq. 8)."""
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -8,6 +10,18 @@ from train.fused import FusedField
 from train.objective import RayTensors, directions_at
 from train.render import crossing
 from train.union import in_overlap
+
+
+@dataclass(frozen=True, kw_only=True)
+class CodeSteps:
+    """How a code is optimised: as the supplement's section 1 says, with the training's optimiser and rates."""
+
+    count: int
+    rate: float = 1e-2
+    # of the first, reached exponentially
+    last_rate: float = 0.05
+    batch: int = 1024  # points
+    seed: int = 0
 
 
 @torch.no_grad()
@@ -35,15 +49,7 @@ def overlap_rays(
 
 
 def match_appearance(
-    field: FusedField,
-    index: int,
-    points: Float[Tensor, "n 3"],
-    directions: Float[Tensor, "n 3"],
-    *,
-    steps: int,
-    rate: float = 1e-2,
-    batch: int = 1024,
-    seed: int = 0,
+    field: FusedField, index: int, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"], steps: CodeSteps
 ) -> tuple[float, float]:
     """Eq. 8: the code of part `index` for which it shows the overlap as the body does.
 
@@ -59,15 +65,16 @@ def match_appearance(
     spread = part.appearance.weight.detach().std(0, unbiased=False).clamp_min(1e-3)
     target = field.part_color(0, points, directions)
     code = start.clone().requires_grad_()
-    optimiser = torch.optim.Adam([code], lr=rate)
-    generator = torch.Generator().manual_seed(seed)
+    optimiser = torch.optim.Adam([code], lr=steps.rate)
+    generator = torch.Generator().manual_seed(steps.seed)
 
     def difference(code: Tensor) -> float:
         return float((field.part_color(index, points, directions, code.detach()) - target).abs().mean())
 
     before = difference(start)
-    for _ in range(steps):
-        chosen = torch.randint(len(points), (min(batch, len(points)),), generator=generator)
+    for step in range(steps.count):
+        optimiser.param_groups[0]["lr"] = steps.rate * steps.last_rate ** (step / steps.count)
+        chosen = torch.randint(len(points), (min(steps.batch, len(points)),), generator=generator).to(points.device)
         shown = field.part_color(index, points[chosen], directions[chosen], code)
         loss = (shown - target[chosen]).abs().mean() + 1e-3 * ((code - start) / spread).square().mean()
         optimiser.zero_grad()

@@ -1,18 +1,15 @@
-"""`selfscan train`: the command line of train/stages.py."""
+"""`selfscan train`: the command line of train/stages.py, made from train/options.py."""
 
 import shlex
 import sys
-from dataclasses import dataclass, replace
-from typing import Annotated
 
 import torch
 
 from avatar.errors import AssetError
 from avatar.interrupt import Stopped
-from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, parse
-from capture.repair.refine import CHOICES
+from avatar.settings import Help, parse
 from train.distributed import leave_ranks
-from train.preset import PRESETS, shortened
+from train.options import TrainOptions
 from train.stages import train
 
 DESCRIPTION = """\
@@ -27,7 +24,8 @@ presets
 while it learns
   RUN.partial/preview/PART.png   observed | rendered | normals, for one frame of each part
   RUN.partial/logs/PART.csv      a row every 10 steps: seconds, learning rate, each loss term, PSNR, |grad|, T_nr
-  RUN.partial/logs/events        the same for `tensorboard --logdir`, with the previews over time
+  RUN.partial/logs/events        the same for `tensorboard --logdir`, with the previews over time, where the
+                                 package is installed (`pip install tensorboard`)
 All of it moves to RUN when the run is complete.
 
 stopping and going on
@@ -48,58 +46,16 @@ examples:
 """
 
 
-@dataclass(frozen=True)
-class TrainCommand:
-    """`selfscan train`."""
-
-    capture: Annotated[
-        str, Option(positional=True, metavar="CAPTURE"), "folder made by `selfscan synth` or `selfscan import`"
-    ]
-    out: Annotated[str, Option(("-o", "--out"), "RUN"), "run folder to write, whole or not at all"]
-    preset: Annotated[str, OneOf(tuple(sorted(PRESETS))), "see above"] = "demo"
-    device: Annotated[str, OneOf(("cpu", "cuda")), "where to compute"] = "cpu"
-    resume: Annotated[bool, "go on from the checkpoints of an interrupted training"] = False
-    force: Annotated[bool, "begin anew; an existing RUN is replaced once the new one is complete"] = False
-    seed: Annotated[int, AtLeast(0), AtMost(2**32 - 1), "of all random numbers"] = 0
-    iterations: Annotated[
-        int | None, AtLeast(1), AtMost(100_000_000), "optimiser steps per part, instead of the preset's"
-    ] = None
-    save_every: Annotated[float, AtLeast(0), AtMost(1e9), Option(metavar="SECONDS"), "between checkpoints"] = 120.0
-    preview: Annotated[
-        int, AtLeast(0), AtMost(100_000_000), Option(metavar="STEPS"), "between previews, 0 for none"
-    ] = 250
-    refine_poses: Annotated[
-        str,
-        OneOf(CHOICES),
-        "move noisy poses onto the masks first, then learn what is left with the field; auto: videos whose outlines "
-        "do not meet",
-    ] = "auto"
-    single: Annotated[bool, "one network with the four parts' parameters, rays and steps, for comparison"] = False
-
-    def __post_init__(self):
-        if self.resume and self.force:
-            raise ValueError("--resume goes on, --force begins anew: choose one")
-
-
-ABOUT = Help("selfscan train", DESCRIPTION, EPILOG)
-
-
 def main(argv: list[str]) -> int:
     """Parse the command line and train; 128 + the signal's number when stopped by one."""
-    arguments = parse(TrainCommand, argv, ABOUT)
-    if arguments.device == "cuda" and not torch.cuda.is_available():
+    options = parse(TrainOptions, argv, Help("selfscan train", DESCRIPTION, EPILOG))
+    if options.device == "cuda" and not torch.cuda.is_available():
         raise AssetError("--device cuda: this machine has no CUDA device that torch can use")
-    preset = PRESETS[arguments.preset]
-    if arguments.iterations is not None:
-        preset = shortened(preset, arguments.iterations)
-    preset = replace(preset, single=arguments.single)
     try:
-        train(arguments.capture, arguments.out, preset, device=arguments.device, seed=arguments.seed,
-              resume=arguments.resume, force=arguments.force, save_every=arguments.save_every,
-              preview_every=arguments.preview, refine_poses=arguments.refine_poses)  # fmt: skip
+        train(options)
     except Stopped as stopped:
-        options = [option for option in argv if option not in ("--resume", "--force")]
-        again = shlex.join(["selfscan", "train", *options, "--resume"])
+        kept = [option for option in argv if option not in ("--resume", "--force")]
+        again = shlex.join(["selfscan", "train", *kept, "--resume"])
         print(f"stopped, nothing is lost; go on with:\n  {again}", file=sys.stderr)
         return 128 + stopped.number
     except FloatingPointError as error:

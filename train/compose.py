@@ -7,7 +7,7 @@ fused field's zero set as a mesh, the directions it was seen from (Eq. 14), and 
 
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,54 +22,93 @@ from capture.folder import Capture, CaptureSubject
 from capture.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
 from geometry.mesh import vertex_normals
 from geometry.register import Anchors, refine_by_surfaces
-from train.appearance import match_appearance, overlap_rays
+from train.appearance import CodeSteps, match_appearance, overlap_rays
 from train.field import PartField
 from train.fused import FusedField
-from train.objective import RayTensors, StepReport
+from train.objective import RayTensors
 from train.parts import eq9_shares, part_boxes, part_weight
 from train.photometric import ColoredHead, refine_on_video
 from train.preset import Preset
 from train.skin import CanonicalSkin
 from train.surface import Surface, extract_surface, fill_from_neighbours
+from train.trainer import UNSAVED, UNWATCHED, Checkpoints, Watch
 from train.union import train_union, zero_level
 
 Array = np.ndarray
-# takes the lines that tell how far the work is
+# takes a line that says what was done
 Say = Callable[[str], None]
 
 
-def compose(
-    capture: Capture, fields: list[PartField], preset: Preset, landmarks: Registration, seed: int,
-    seconds: dict[str, float], say: Say, *, rays: RayTensors | None, checkpoint: Path | None = None,
-    resume: bool = False, report: Callable[[int, StepReport], None] | None = None,
-) -> tuple[Surface, list[ViewStatistics], dict]:  # fmt: skip
-    """The surface with its fused statistics, each part's own statistics, and what run.json says of all this.
+@dataclass(frozen=True)
+class HeadPlacement:
+    """Where the head's video and the head's field lie on the body."""
 
-    `landmarks` is canonical_from_head of Eq. 6, `rays` are the body's. Refines the body (stage 2, with its
-    `checkpoint` and `report`) and sets the parts' reference codes in place; adds the time of each step to
-    `seconds`. A single field, which stands for everyone, has nothing to register, refine or match; its `rays`
-    are None.
+    # Eq. 6: from the head's video frame to where the head's field is learnt
+    landmarks: Registration
+    # Eq. 5, then the body's pixels: canonical_from_head_field, a similarity near the identity
+    correction: Float[Array, "4 4"]
+    # what run.json says of it
+    facts: dict[str, Any]
+
+    @property
+    def canonical_from_head(self) -> Float[Array, "4 4"]:
+        """From the head's video frame to the canonical one, by all that is known."""
+        return self.correction @ self.landmarks.transform
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainedParts:
+    """What stage 1 leaves to composition."""
+
+    # in the order of PARTS; one: a single network, which stands for everyone
+    fields: list[PartField]
+    # the body's; None for a single network
+    rays: RayTensors | None
+    # before composition only Eq. 6 is known of the parts' head; a single network learnt it where it lies in the end
+    head: HeadPlacement
+    seed: int
+    # of each part, and of each step of composition, which are added
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Composition:
+    """One person."""
+
+    # with its fused statistics
+    surface: Surface
+    # each part's own statistics
+    tables: list[ViewStatistics]
+    # what run.json says of it
+    facts: dict[str, Any]
+
+
+def compose(
+    capture: Capture, parts: TrainedParts, preset: Preset, say: Say, *, checkpoints: Checkpoints = UNSAVED,
+    watch: Watch = UNWATCHED, device: str = "cpu",
+) -> Composition:  # fmt: skip
+    """Four parts into one person with one surface; refines the body (stage 2) and sets the reference codes in place.
+
+    `checkpoints` and `watch` are stage 2's. A single network has nothing to register, refine or match.
     """
-    subject, parts = capture.subject, part_boxes(capture.subject)
-    facts: dict = {"registration": {"landmarks_rms_mm": round(landmarks.residual * 1000, 3)}}
+    subject, rays, seconds = capture.subject, parts.rays, parts.seconds
     began = time.monotonic()
-    correction = Registration(np.eye(4), 0.0)
+    head, head_from_field = parts.head, np.eye(4)
     if rays is not None:
-        anchors = landmark_anchors(capture, landmarks)
-        correction, facts["registration"]["surfaces_median_mm"] = place_on_surfaces(subject, fields, anchors, say)
-        correction, facts["registration"]["video"] = place_on_video(capture, fields, correction, anchors, say)
-    head_from_canonical = torch.tensor(np.linalg.inv(correction.transform), dtype=torch.float32)
-    fused = FusedField(fields, parts, head_from_canonical).eval().requires_grad_(False)
-    canonical_from_head = correction.transform @ landmarks.transform
-    facts["head_from_canonical"] = np.linalg.inv(canonical_from_head).tolist()
-    facts["canonical_from_head_field"] = correction.transform.tolist()
+        head = place_head(capture, parts.fields, head.landmarks, say)
+        head_from_field = head.correction
+    facts = placement_facts(head, head_from_field)
+    fused = FusedField(
+        parts.fields, part_boxes(subject), torch.tensor(np.linalg.inv(head_from_field), dtype=torch.float32)
+    )
+    fused.to(device).eval().requires_grad_(False)
     seconds["registration"] = time.monotonic() - began
 
     if rays is not None and preset.union.iterations:
         began = time.monotonic()
         say(f"stage 2: the body meets the parts (Eq. 7, 13), {preset.union.iterations} steps")
         facts["union"] = train_union(
-            fused, subject, rays, preset, seed=seed, checkpoint=checkpoint, resume=resume, report=report
+            fused, subject, rays, preset, seed=parts.seed, checkpoints=checkpoints, watch=watch
         )
         seconds["union"] = time.monotonic() - began
         for name, step in facts["union"]["step_mm_after"].items():
@@ -83,8 +122,8 @@ def compose(
 
     began = time.monotonic()
     points = torch.as_tensor(vertices, dtype=torch.float32)
-    shares = eq9_shares(points, parts).numpy()
-    sums = view_sums(capture, vertices, normals, skin, shares, canonical_from_head)
+    shares = eq9_shares(points, part_boxes(subject)).numpy()
+    sums = view_sums(capture, vertices, normals, skin, shares, head.canonical_from_head)
     tables = [statistics(s) for s in sums]
     surface = with_views(vertices, faces, normals, skin, shares, tables)
     seconds["views"] = time.monotonic() - began
@@ -92,10 +131,40 @@ def compose(
 
     if rays is not None:
         began = time.monotonic()
-        here: dict[str, Any] = {name: value if value is None else value.cpu() for name, value in vars(rays).items()}
-        facts["appearance"] = match_appearances(fused, RayTensors(**here), vertices, tables, preset, seed, say)
+        facts["appearance"] = match_appearances(
+            fused, rays, surface.vertices, tables, code_steps(preset, parts.seed), say
+        )
         seconds["appearance"] = time.monotonic() - began
-    return surface, tables, facts
+    fused.cpu()
+    return Composition(surface, tables, facts)
+
+
+def placement_facts(head: HeadPlacement, canonical_from_head_field: Float[Array, "4 4"]) -> dict[str, Any]:
+    """What run.json says of the head's place."""
+    return {
+        "registration": head.facts,
+        "head_from_canonical": np.linalg.inv(head.canonical_from_head).tolist(),
+        "canonical_from_head_field": canonical_from_head_field.tolist(),
+    }
+
+
+def landmark_placement(landmarks: Registration) -> HeadPlacement:
+    """The head where its landmarks put it (Eq. 6), before any surface is known."""
+    return HeadPlacement(landmarks, np.eye(4), {"landmarks_rms_mm": round(landmarks.residual * 1000, 3)})
+
+
+def place_head(capture: Capture, fields: Sequence[PartField], landmarks: Registration, say: Say) -> HeadPlacement:
+    """The head's place by the surfaces of body and head, the first two fields (Eq. 5), then by the body's pixels."""
+    facts = landmark_placement(landmarks).facts
+    anchors = landmark_anchors(capture, landmarks)
+    correction, facts["surfaces_median_mm"] = place_on_surfaces(capture.subject, fields, anchors, say)
+    correction, facts["video"] = place_on_video(capture, fields, correction, anchors, say)
+    return HeadPlacement(landmarks, correction.transform, facts)
+
+
+def code_steps(preset: Preset, seed: int) -> CodeSteps:
+    """How a preset optimises codes (Eq. 8): its rate decays as that of the training does."""
+    return CodeSteps(count=preset.appearance_steps, rate=preset.appearance_rate, last_rate=preset.last_rate, seed=seed)
 
 
 def displayed_surface(
@@ -106,7 +175,8 @@ def displayed_surface(
     vertices, faces = extract_surface(
         fused, part_boxes(subject), subject, body_cell=body, head_cell=head, hand_cell=hand
     )
-    normals = fused.normal(torch.as_tensor(vertices, dtype=torch.float32)).numpy().astype(np.float64)
+    points = torch.as_tensor(vertices, dtype=torch.float32, device=fused.device)
+    normals = fused.normal(points).cpu().numpy().astype(np.float64)
     return vertices, faces, normals, CanonicalSkin(subject).of_mesh(vertices, faces, normals)
 
 
@@ -134,7 +204,7 @@ def with_views(
 
 def match_appearances(
     fused: FusedField, rays: RayTensors, vertices: Float[Array, "v 3"], tables: Sequence[ViewStatistics],
-    preset: Preset, seed: int, say: Say,
+    steps: CodeSteps, say: Say,
 ) -> dict[str, dict[str, float]]:  # fmt: skip
     """Eq. 8 for head and hands, over the body video's rays that meet the surface in their overlap with the body.
 
@@ -143,21 +213,13 @@ def match_appearances(
     matched, tree = {}, KDTree(vertices)
     for index in range(1, len(PARTS)):
         points, directions = overlap_rays(fused, index, rays)
-        nearest = tree.query(points.numpy())[1]
-        seen = torch.as_tensor(tables[index].count[nearest] > 0)
+        nearest = tree.query(points.cpu().numpy())[1]
+        seen = torch.as_tensor(tables[index].count[nearest] > 0, device=points.device)
         points, directions = points[seen], directions[seen]
         if len(points) < 50:
             say(f"{PARTS[index]}: only {len(points)} rays in the overlap that its video saw; code stays the mean")
             continue
-        before, after = match_appearance(
-            fused,
-            index,
-            points,
-            directions,
-            steps=preset.appearance_steps,
-            rate=preset.appearance_rate,
-            seed=seed,
-        )
+        before, after = match_appearance(fused, index, points, directions, steps)
         matched[PARTS[index]] = {"before": round(before, 4), "after": round(after, 4), "rays": len(points)}
         say(f"{PARTS[index]}: overlap colours (Eq. 8) {before:.3f} -> {after:.3f} of the body's, {len(points)} rays")
     return matched
@@ -223,8 +285,11 @@ def place_on_video(
     chosen = np.flatnonzero(own)
     normals = vertex_normals(subject.vertices, subject.faces)[chosen]
     level = zero_level(apart, 1, subject.vertices[chosen], normals)
-    points, inwards = (torch.as_tensor(a[level.arrived], dtype=torch.float32) for a in (level.points, -level.normals))
-    colors = apart.part_color(1, points, inwards).detach().numpy().astype(np.float64)
+    points, inwards = (
+        torch.as_tensor(a[level.arrived], dtype=torch.float32, device=apart.device)
+        for a in (level.points, -level.normals)
+    )
+    colors = apart.part_color(1, points, inwards).detach().cpu().numpy().astype(np.float64)
     head = ColoredHead(chosen[level.arrived], level.points[level.arrived], colors)
     try:
         fit = refine_on_video(subject, head, capture.videos["body"], correction.transform, anchors)

@@ -33,7 +33,7 @@ class Ranks:
 
     @property
     def writes(self) -> bool:
-        """One rank alone writes files and speaks."""
+        """Only one rank writes files and prints."""
         return self.rank == 0
 
     def share(self, batch: Shaped[Tensor, "b"]) -> Shaped[Tensor, "n"]:
@@ -77,8 +77,8 @@ class Ranks:
         torch.distributed.all_reduce(summed)
         return summed.tolist()
 
-    def tell(self, thing: T) -> T:
-        """What rank 0 holds."""
+    def broadcast(self, thing: T) -> T:
+        """What rank 0 holds, for all ranks."""
         if self.count == 1:
             return thing
         holder = [thing]
@@ -86,18 +86,18 @@ class Ranks:
         return holder[0]
 
 
-ALONE = Ranks()
+ONE_PROCESS = Ranks()
 
 
 def join_ranks(device: str) -> tuple[Ranks, str]:
-    """What torchrun says in the environment, and this rank's device; alone without torchrun.
+    """Which rank torchrun's environment makes this process, and this rank's device; one process without torchrun.
 
     Raises:
         AssetError: more ranks on this machine than it has CUDA devices.
     """
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if "RANK" not in os.environ or count == 1:
-        return ALONE, device
+        return ONE_PROCESS, device
     rank, local = int(os.environ["RANK"]), int(os.environ.get("LOCAL_RANK", "0"))
     if device == "cuda":
         if local >= torch.cuda.device_count():

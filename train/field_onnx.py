@@ -3,7 +3,7 @@
     points (n, 3), directions (n, 3)  ->  distance (n), normal (n, 3), color (n, 3)
 
 Canonical frame, metres, unit directions from the camera to the point, sRGB in [0, 1], float32. As FusedField
-(train/fused.py), part by part, each asked only at the points where Eq. 9 lets it speak; the gradient that
+(train/fused.py), part by part, each evaluated only at the points where its weight (Eq. 9) is not 0; the gradient that
 F_c (Eq. 2) and the normal need is taken by central differences, since a graph has no autograd. Where the direction is
 zero only the distance is worked out: normal and colour stay zero. bench/onnx_field.py reads the file. Only the
 tri-plane networks of the `demo` preset are known here.
@@ -73,12 +73,12 @@ class FieldGraph:
         looking = self("ReduceSumSquare", "directions", self.constant([1], np.int64), keepdims=0)
         looking = self("Greater", looking, self.constant(0.0))
         for index, share in enumerate(shares):
-            speaks = self("Greater", share, self.constant(0.0))
-            rows, own = self.chosen(speaks, share)
+            weighs = self("Greater", share, self.constant(0.0))
+            rows, own = self.chosen(weighs, share)
             distance = self("Mul", own, self.distance(field, index, self("GatherND", "points", rows)))
             totals["distance"] = self.added(totals["distance"], rows, distance)
 
-            rows, own = self.chosen(self("And", speaks, looking), share)
+            rows, own = self.chosen(self("And", weighs, looking), share)
             own = self("Unsqueeze", own, self.constant([1], np.int64))
             asked = self("GatherND", "points", rows), self("GatherND", "directions", rows)
             gradient, color = self.appearance(field, index, *asked)
@@ -109,9 +109,9 @@ class FieldGraph:
         """Eq. 9: weight of each part, the body first."""
         rest, weights = self.like("points", 1, 1.0), []
         for part in parts[1:]:
-            assert part.speaks is not None
-            inner = self("Sub", "points", self.constant(part.speaks.low))
-            outer = self("Sub", self.constant(part.speaks.high), "points")
+            assert part.blend_box is not None
+            inner = self("Sub", "points", self.constant(part.blend_box.low))
+            outer = self("Sub", self.constant(part.blend_box.high), "points")
             depth = self("ReduceMin", self("Min", inner, outer), self.constant([1], np.int64), keepdims=0)
             weights.append(
                 self(

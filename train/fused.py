@@ -16,9 +16,9 @@ class FusedField(nn.Module):
     Everything is canonical, metres, float32. `head_from_canonical` is the correction of Eq. 5, a similarity: the
     head field lives where the landmarks (Eq. 6) put it; points, directions, normals and distances are moved there
     and back inside.
-    Colours use each part's reference code. One field alone (the body, or a single network) speaks everywhere.
+    Colours use each part's reference code. A person of one field (a single network) has weight 1 everywhere.
 
-    With `switch` the colour does not blend: the part that speaks loudest is the only one (ablation of Eq. 9).
+    With `switch` the colour does not blend: the part of the largest weight gives all of it (ablation of Eq. 9).
     """
 
     head_from_canonical: Float[Tensor, "4 4"]
@@ -38,7 +38,7 @@ class FusedField(nn.Module):
         self.register_buffer("head_from_canonical", head_from_canonical.float())
 
     def field(self, index: int) -> PartField:
-        """The field of part `index` alone, in its own frame."""
+        """The field of part `index`, in its own frame."""
         field = self.fields[index]
         assert isinstance(field, PartField)
         return field
@@ -48,7 +48,7 @@ class FusedField(nn.Module):
         return eq9_shares(points, self.parts)
 
     def color_shares(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n p"]:
-        """Each part's share of the colour: Eq. 9's, or with `switch` all for the loudest."""
+        """Each part's share of the colour: Eq. 9's, or with `switch` all for the part of the largest weight."""
         shares = self.shares(points)
         if not self.switch:
             return shares
@@ -67,7 +67,7 @@ class FusedField(nn.Module):
                         own = shares[chosen, index] * self.part_distance(index, piece[chosen])
                         total = total.index_put((chosen,), own, True)
                 out.append(total)
-        return torch.cat(out) if out else torch.zeros(0)
+        return torch.cat(out) if out else points.new_zeros(0)
 
     def normal(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Unit gradient of the distance: the parts' gradients blended with Eq. 9's weights."""
@@ -98,12 +98,17 @@ class FusedField(nn.Module):
         return torch.cat(out) if out else torch.zeros_like(points)
 
     def part_distance(self, index: int, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
-        """Signed distance of one part alone, metres, at canonical points."""
+        """Signed distance of one part, without the others, metres, at canonical points."""
         local, _ = self.local(index, points)
-        return self.field(index)(local).distance / self._scale(index)
+        return self.field(index)(local).distance / self.scale(index)
 
-    def _scale(self, index: int) -> Float[Tensor, ""] | float:
-        """Units of the part's own frame a canonical metre."""
+    @property
+    def device(self) -> torch.device:
+        """Where its points should lie."""
+        return self.head_from_canonical.device
+
+    def scale(self, index: int) -> Float[Tensor, ""] | float:
+        """Length in the part's own frame of a canonical metre: a part's distance over this is in metres."""
         if self.parts[index].name != "head":
             return 1.0
         return torch.linalg.det(self.head_from_canonical[:3, :3]) ** (1 / 3)
@@ -135,7 +140,7 @@ class FusedField(nn.Module):
         if self.parts[index].name == "head":
             A = self.head_from_canonical[:3, :3]
             points = points @ A.T + self.head_from_canonical[:3, 3]
-            R = A / self._scale(index)
+            R = A / self.scale(index)
         field = self.field(index)
         return points + field.displacement.mean(field.unit(points)), R
 
@@ -144,6 +149,6 @@ class FusedField(nn.Module):
         with torch.no_grad():
             local, R = self.local(index, points)
         sample, gradient = self.field(index).with_gradient(local, create_graph=False)
-        sample = FieldSample(sample.distance.detach() / self._scale(index), sample.feature.detach())
+        sample = FieldSample(sample.distance.detach() / self.scale(index), sample.feature.detach())
         gradient = gradient.detach()
         return sample, gradient if R is None else gradient @ R

@@ -2,7 +2,7 @@
 
 Long hair lies farther from a registered body than any band in which a surface is looked for. A visual hull
 (Laurentini 1994) of head and body video shows where it is: what the masks of nearly all views hold is the person,
-and what of that stands far off the template round the head is hair. Everything later reads the template alone, so
+and what of that stands far off the template round the head is hair. Everything later reads only the template, so
 hair joined to it here is marched to, learnt, skinned and baked like skin. It moves with the head (rule H: strands
 hang from it, whatever shoulder they touch).
 """

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from capture.template import SurfaceCloud
 from train.deform import canonical_directions
-from train.field import PartField, unit_normals
+from train.field import FieldSample, PartField, unit_normals
 from train.loss import (
     color_loss,
     color_norm_loss,
@@ -106,6 +106,51 @@ class StepReport:
     saturated: float
 
 
+class Batch(NamedTuple):
+    """Rays of one step, and how sharply they are drawn."""
+
+    # indices into the part's rays
+    chosen: Int[Tensor, "b"]
+    # in [0, 1), each ray's jitter
+    u: Float[Tensor, "b"]
+    beta: float  # width of the surface, metres
+    # of L_mask as the paper prints it
+    rho: float = 50.0
+
+
+class FieldFunctions(NamedTuple):
+    """What volume rendering asks of a field, in the part's canonical frame; b rays or n points."""
+
+    # T_nr(points, frames), metres
+    displacement: Callable[[Tensor, Tensor], Tensor]
+    # F_s(points), metres
+    distance: Callable[[Tensor], Tensor]
+    # as PartField.with_gradient
+    gradient: Callable[..., tuple[FieldSample, Tensor]]
+    # F_c(points, features, normals, directions, frames), sRGB
+    color: Callable[[Tensor, Tensor, Tensor, Tensor, Tensor], Tensor]
+    # section ends of rays (b, ends, 3), their frames, joints and weights, moved to the poses learned so far
+    posed: Callable[[Tensor, Tensor, Tensor, Tensor], Tensor] | None = None
+    # width of VolSDF's density, metres, where the geometry learns it
+    density_width: Callable[[], Tensor] | None = None
+
+
+def functions_of(field: PartField) -> FieldFunctions:
+    """A part's field as volume rendering asks it."""
+
+    def color(points: Tensor, feature: Tensor, normals: Tensor, directions: Tensor, frame: Tensor) -> Tensor:
+        return field.color(points, feature, normals, directions, field.codes(frame))
+
+    return FieldFunctions(
+        displacement=lambda points, frame: field.displacement(field.unit(points), frame),
+        distance=lambda points: field(points).distance,
+        gradient=field.with_gradient,
+        color=color,
+        posed=field.poses,
+        density_width=field.geometry.density_width if isinstance(field.geometry, PaperGeometry) else None,
+    )
+
+
 class Rendered(NamedTuple):
     """A batch of rays drawn through the field, with what the losses ask of it."""
 
@@ -125,49 +170,47 @@ class Rendered(NamedTuple):
 
 
 def render_rays(
-    field: PartField, rays: RayTensors, chosen: Int[Tensor, "b"], u: Float[Tensor, "b"], beta: float,
-    preset: Preset, *, create_graph: bool = True,
-) -> Rendered:  # fmt: skip
-    """Volume rendering of the chosen rays (Eq. 1-4), u in [0, 1) the jitter of each.
+    field: FieldFunctions, rays: RayTensors, batch: Batch, preset: Preset, *, create_graph: bool = True
+) -> Rendered:
+    """Volume rendering of a batch of rays (Eq. 1-4).
 
-    With VolSDF's density F_s, normal and colour are evaluated once, where each section begins, and `beta` is the
-    geometry's own. With NeuS's, F_s is evaluated at all section ends (values only). Normal, Eikonal and colour are
-    evaluated in the
-    `shaded` sections with the largest weights; their colours are scaled to the opacity of the whole ray.
+    With VolSDF's density F_s, normal and colour are evaluated once, where each section begins, and the density's width
+    is the geometry's own. With NeuS's, F_s is evaluated at all section ends (values only). Normal, Eikonal and colour
+    are evaluated in the `shaded` sections with the largest weights; their colours are scaled to the opacity of the
+    whole ray.
     """
+    chosen = batch.chosen
     frame, ends = rays.frame[chosen], rays.ends[chosen]
-    if field.poses is not None:
+    if field.posed is not None:
         row = rays.row[chosen]
-        ends = field.poses(ends, frame, rays.joints[row], rays.weights[row])
-    ends = jittered(ends, u)
-    batch, count, _ = ends.shape
+        ends = field.posed(ends, frame, rays.joints[row], rays.weights[row])
+    ends = jittered(ends, batch.u)
+    size, count, _ = ends.shape
 
     # T_nr (Eq. 3, 4) is smooth on the scale of a section: evaluate some ends, interpolate the others
     knots = torch.arange(0, count, preset.displaced_every, device=ends.device)
-    unit = field.unit(ends[:, knots].reshape(-1, 3))
-    moved = field.displacement(unit, frame.repeat_interleave(len(knots))).view(batch, len(knots), 3)
+    moved = field.displacement(ends[:, knots].reshape(-1, 3), frame.repeat_interleave(len(knots)))
+    moved = moved.view(size, len(knots), 3)
     place = torch.arange(count, device=ends.device) / preset.displaced_every
     left = place.floor().long().clamp_max(max(len(knots) - 2, 0))
     right = (left + 1).clamp_max(len(knots) - 1)
     lengths = section_lengths(ends)
     ends = ends + torch.lerp(moved[:, left], moved[:, right], (place - left)[None, :, None])
     if preset.density == "volsdf":
-        assert isinstance(field.geometry, PaperGeometry)
-        width = field.geometry.density_width()
-        return _render_density(field, rays, chosen, ends[:, :-1], lengths, moved, width, create_graph)
+        return _render_density(field, rays, chosen, ends[:, :-1], lengths, moved, create_graph=create_graph)
 
-    distance = field(ends.reshape(-1, 3)).distance.view(batch, count)
-    rendered = section_weights(distance, beta)
+    distance = field.distance(ends.reshape(-1, 3)).view(size, count)
+    rendered = section_weights(distance, batch.beta)
     opacity = -torch.expm1(rendered.log_transmittance)
 
     top, section = rendered.weights.topk(min(preset.shaded, count - 1), dim=1)
     places = crossing(distance.detach(), ends)
     points = places.gather(1, section[..., None].expand(-1, -1, 3)).reshape(-1, 3)
-    sample, gradient = field.with_gradient(points, create_graph=create_graph)
+    sample, gradient = field.gradient(points, create_graph=create_graph)
     directions = directions_at(rays, chosen, rays.row[chosen].gather(1, section)).reshape(-1, 3)
-    code = field.codes(frame.repeat_interleave(section.shape[1]))
-    color = field.color(points, sample.feature, unit_normals(gradient), directions, code)
-    color = color.view(batch, -1, 3)
+    of_section = frame.repeat_interleave(section.shape[1])
+    color = field.color(points, sample.feature, unit_normals(gradient), directions, of_section)
+    color = color.view(size, -1, 3)
     share = top / (top.sum(1, keepdim=True) + 1e-8)
     shown = (share[..., None] * color).sum(1) * opacity[:, None]
     return Rendered(shown, rendered.log_transmittance, share, ends, distance, points, sample.distance, gradient,
@@ -175,19 +218,20 @@ def render_rays(
 
 
 def _render_density(
-    field: PartField, rays: RayTensors, chosen: Int[Tensor, "b"], points: Float[Tensor, "b k 3"],
-    lengths: Float[Tensor, "b k"], moved: Float[Tensor, "b knots 3"], beta: Float[Tensor, ""],
-    create_graph: bool,
+    field: FieldFunctions, rays: RayTensors, chosen: Int[Tensor, "b"], points: Float[Tensor, "b k 3"],
+    lengths: Float[Tensor, "b k"], moved: Float[Tensor, "b knots 3"], *, create_graph: bool,
 ) -> Rendered:  # fmt: skip
     """Volume rendering with VolSDF's density: all sections shaded, each where it begins; gradients reach T_nr."""
-    batch, count, _ = points.shape
+    if field.density_width is None:
+        raise ValueError("density volsdf needs a geometry that learns the density's width (train/networks/paper.py)")
+    size, count, _ = points.shape
     flat = points.reshape(-1, 3)
-    sample, gradient = field.with_gradient(flat, create_graph=create_graph, attached=True)
-    distance = sample.distance.view(batch, count)
-    rendered = density_weights(distance, lengths, beta)
+    sample, gradient = field.gradient(flat, create_graph=create_graph, attached=True)
+    distance = sample.distance.view(size, count)
+    rendered = density_weights(distance, lengths, field.density_width())
     directions = directions_at(rays, chosen, rays.row[chosen][:, :count]).reshape(-1, 3)
-    code = field.codes(rays.frame[chosen].repeat_interleave(count))
-    color = field.color(flat, sample.feature, unit_normals(gradient), directions, code).view(batch, count, 3)
+    of_section = rays.frame[chosen].repeat_interleave(count)
+    color = field.color(flat, sample.feature, unit_normals(gradient), directions, of_section).view(size, count, 3)
     shown = (rendered.weights[..., None] * color).sum(1)
     share = rendered.weights / (rendered.weights.sum(1, keepdim=True) + 1e-8)
     return Rendered(shown, rendered.log_transmittance, share, points, distance, flat, sample.distance, gradient,
@@ -195,15 +239,14 @@ def _render_density(
 
 
 def losses(
-    field: PartField, rays: RayTensors, chosen: Int[Tensor, "b"], u: Float[Tensor, "b"], beta: float,
-    part: PartPreset, preset: Preset, *, rho: float = 50.0, extra: Extra | None = None,
-) -> tuple[Float[Tensor, ""], Callable[[], StepReport]]:  # fmt: skip
+    field: PartField, rays: RayTensors, batch: Batch, part: PartPreset, preset: Preset, *, extra: Extra | None = None
+) -> tuple[Float[Tensor, ""], Callable[[], StepReport]]:
     """Eq. 10 over a batch of rays; with `extra` (L_g, Eq. 7) it is Eq. 13. Every term is a mean over the batch."""
-    drawn = render_rays(field, rays, chosen, u, beta, preset)
-    observed, mask = rays.color[chosen], rays.mask[chosen]
+    drawn = render_rays(functions_of(field), rays, batch, preset)
+    observed, mask = rays.color[batch.chosen], rays.mask[batch.chosen]
     L_rgb = (color_norm_loss if preset.color_loss == "norm" else color_loss)(drawn.color, observed)
     if preset.mask_loss == "lowest":
-        L_mask = mask_logit_loss(drawn.distance.amin(1), mask, rho)
+        L_mask = mask_logit_loss(drawn.distance.amin(1), mask, batch.rho)
     else:
         L_mask = mask_loss(drawn.log_transmittance, mask)
     L_E = eikonal_loss(drawn.gradient)

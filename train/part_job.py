@@ -1,4 +1,4 @@
-"""The training of one part from its video: what a worker process is told, does and leaves."""
+"""The training of one part from its video: what a worker process is given, does and leaves."""
 
 import json
 import time
@@ -11,12 +11,13 @@ import torch
 
 from avatar.files import whole_file
 from avatar.progress import Reporter
+from avatar.skeleton import PARTS
 from capture.folder import Capture, CaptureSubject, PartVideo, read_capture, read_subject
 from capture.repair.refine import poses_refined, with_refined, write_learned
 from capture.template import SurfaceCloud, neck_height, surface_cloud, visible_faces
 from train import run as run_folder
 from train.checkpoint import Position
-from train.distributed import Ranks
+from train.distributed import ONE_PROCESS, Ranks
 from train.field import PartField
 from train.log import TrainingLog
 from train.objective import RayTensors, StepReport, ray_tensors
@@ -28,29 +29,30 @@ from train.preview import Preview, part_preview
 from train.rays import part_rays
 from train.single import part_names, part_presets, show_as_in_the_body_video, single_rays, single_template
 from train.template_grid import template_grid
-from train.trainer import peak_memory, train_field
+from train.trainer import Checkpoints, FieldTraining, Watch, peak_memory, train_field
 from train.union import write_rays
 
 Array = np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PartJob:
-    """What the training of one part is told; a worker process gets it whole."""
+    """The training of one part, for a worker process."""
 
     capture: str
     index: int  # into PARTS
     preset: Preset
     canonical_from_head: Array
-    folder: str  # RUN.partial
+    # gets the part, its checkpoints, logs and previews; holds the template and what was refined
+    folder: str
     device: str
-    seed: int
-    resume: bool
     threads: int
-    save_every: float  # seconds between checkpoints
+    ranks: Ranks = ONE_PROCESS
+    seed: int = 0
+    resume: bool = False
+    save_every: float = 120.0  # seconds between checkpoints
     # steps between previews; 0: none
-    preview_every: int
-    ranks: Ranks
+    preview_every: int = 0
 
     @property
     def name(self) -> str:
@@ -72,7 +74,7 @@ class Ready(NamedTuple):
     preview: Preview | None
 
 
-def train_part(job: PartJob, tell: Reporter) -> dict:
+def train_part(job: PartJob, reporter: Reporter) -> dict:
     """Train one part from its video and leave PART.pt and PART.ckpt; returns what run.json says of it."""
     name, folder, preset, part_preset = job.name, Path(job.folder), job.preset, job.settings
     checkpoint, done = folder / f"{name}.ckpt", folder / f"{name}.json"
@@ -80,22 +82,23 @@ def train_part(job: PartJob, tell: Reporter) -> dict:
         return json.loads(done.read_text("utf-8"))
     torch.set_num_threads(job.threads)
     began, cpu = time.monotonic(), time.process_time()
-    capture = with_refined(read_capture(job.capture), folder)
+    # one video at 1080p may be a gigabyte: a part reads only its own
+    capture = with_refined(read_capture(job.capture, parts=PARTS if preset.single else (name,)), folder)
     capture = replace(capture, subject=read_subject(folder / "subject.npz", capture.subject.name))
     torch.manual_seed(job.seed * 4 + job.index)
-    ready = (single_ready if preset.single else part_ready)(job, capture, tell)
+    ready = (single_ready if preset.single else part_ready)(job, capture)
     field, rays, frames = ready.field, ready.rays, len(ready.field.appearance.weight)
     # a single network's rays are of four videos: as aligned
     if not preset.single and poses_refined(folder, name):
         field.poses = PoseCorrection(capture.videos[name], capture.subject).to(rays.ends.device)
     if preset.prefit and not (job.resume and checkpoint.exists()):
         off = fit_template(field, preset.prefit, seed=job.seed)
-        tell.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
+        reporter.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
     if name == "body" and job.ranks.writes:
         # for stage 2 and Eq. 8
         write_rays(folder / "body.rays", rays)
     prepared = time.monotonic() - began
-    tell.say(
+    reporter.say(
         f"{name}: {len(rays.ends)} rays of {frames} frames, {ready.flagged:.1%} left out as ambiguous, "
         f"prepared in {prepared:.0f} s"
     )
@@ -103,15 +106,15 @@ def train_part(job: PartJob, tell: Reporter) -> dict:
 
     def report(iteration: int, step: StepReport) -> None:
         last.update(vars(step))
-        tell.step(iteration, step_note(step))
+        reporter.step(iteration, step_note(step))
 
     at = Position()
     log = TrainingLog(folder / "logs", name) if job.ranks.writes else None
     try:
         train_field(
-            field, rays, part_preset, preset, seed=job.seed, checkpoint=checkpoint,
-            resume=job.resume, save_every=job.save_every, report=report, log=log, preview=ready.preview,
-            ranks=job.ranks, at=at,
+            field, rays, FieldTraining(part=part_preset, preset=preset, seed=job.seed, ranks=job.ranks),
+            checkpoints=Checkpoints(path=checkpoint, resume=job.resume, every=job.save_every),
+            watch=Watch(report=report, log=log, preview=ready.preview), at=at,
         )  # fmt: skip
     finally:
         if log is not None:
@@ -133,7 +136,7 @@ def train_part(job: PartJob, tell: Reporter) -> dict:
     if field.poses is not None:
         facts["poses_learned_deg"] = round(field.poses.degrees(), 3)
         _keep_poses(job, field, rays, capture.videos[name])
-        tell.say(
+        reporter.say(
             f"{name}: poses learned with the field, {facts['poses_learned_deg']:.2f} degrees from the aligned ones"
         )
     if job.ranks.writes:
@@ -142,7 +145,7 @@ def train_part(job: PartJob, tell: Reporter) -> dict:
         with whole_file(done, "w") as file:
             json.dump(facts, file)
     psnr = f"PSNR {last['psnr']:.1f} dB, " if last else ""
-    tell.say(
+    reporter.say(
         f"{name}: {part_preset.iterations} steps, {psnr}{at.skipped} skipped, {facts['seconds']:.0f} s, "
         f"{memory_text(memory)}"
     )
@@ -161,7 +164,7 @@ def _keep_poses(job: PartJob, field: PartField, rays: RayTensors, video: PartVid
     write_learned(Path(job.folder), job.name, poses.corrected(video))
 
 
-def part_ready(job: PartJob, capture: Capture, tell: Reporter) -> Ready:
+def part_ready(job: PartJob, capture: Capture) -> Ready:
     """A part's untrained field in its box, and the rays of its video."""
     name, preset, settings, device = job.name, job.preset, job.settings, torch.device(job.device)
     subject, part = capture.subject, part_boxes(capture.subject)[job.index]
@@ -180,7 +183,7 @@ def part_ready(job: PartJob, capture: Capture, tell: Reporter) -> Ready:
     return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, preview)
 
 
-def single_ready(job: PartJob, capture: Capture, tell: Reporter) -> Ready:
+def single_ready(job: PartJob, capture: Capture) -> Ready:
     """The single network (ablation), untrained, and the rays of all four videos; its preview is the body's."""
     device = torch.device(job.device)
     frames = sum(len(video.images) for video in capture.videos.values())

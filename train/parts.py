@@ -1,4 +1,4 @@
-"""The four parts: their canonical boxes, and who speaks where two of them overlap (TotalSelfScan, 3.3, Eq. 9)."""
+"""The four parts: their canonical boxes, and their weights where two of them overlap (TotalSelfScan, 3.3, Eq. 9)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,14 +34,14 @@ class Box:
 class Part:
     """Where a part's field lives and where it takes over from the body.
 
-    `extent` is the box its networks are scaled to; nothing outside it is learnt. `speaks` is the box of Eq. 9:
-    at its border the body speaks alone, `overlap` metres inside it the part does.
+    `extent` is the box its networks are scaled to; nothing outside it is learnt. `blend_box` is the box of Eq. 9:
+    at its border the part's weight is 0 and the body's 1, `overlap` metres inside it the other way round.
     """
 
     name: str
     extent: Box
     # None: the body, which covers everyone
-    speaks: Box | None
+    blend_box: Box | None
     overlap: float  # d_s, metres
 
 
@@ -49,7 +49,7 @@ def part_boxes(subject: CaptureSubject) -> tuple[Part, ...]:
     """The boxes of the four parts, from the template's labelled vertices.
 
     Hands begin 10 cm up the forearm, the head 5 cm under its lowest labelled skin; there the overlap lies. The
-    other faces of `speaks` stand off by d_s more than the surface needs, so that Eq. 9's weight is 1 at the
+    other faces of `blend_box` stand off by d_s more than the surface needs, so that Eq. 9's weight is 1 at the
     fingertips and continuous everywhere.
     """
     everyone = Box(subject.vertices.min(0), subject.vertices.max(0))
@@ -61,32 +61,32 @@ def part_boxes(subject: CaptureSubject) -> tuple[Part, ...]:
         low, high = covered.min(0).copy(), covered.max(0).copy()
         stand_off = overlap + 0.03
         if name == "head":
-            # and the networks' box reaches as far: nobody speaks where it never learnt
+            # and the networks' box reaches as far: no part has a weight where it learnt nothing
             stand_off = overlap + 0.02
             # the neck below: Eq. 9 starts under the lowest skin of the head, hair hanging deeper or not
             low[1] = max(low[1], vertices[:, 1].min())
-            speaks_low, speaks_high = low - stand_off, high + stand_off
-            speaks_low[1] = low[1] - overlap + 0.02
-            low[1] = speaks_low[1] - 0.02
+            blend_low, blend_high = low - stand_off, high + stand_off
+            blend_low[1] = low[1] - overlap + 0.02
+            low[1] = blend_low[1] - 0.02
             extent = Box(low - [stand_off, 0.0, stand_off], high + stand_off)
         else:
             inner = 0 if name == "hand_left" else 1  # the left hand's wrist is its low x
-            speaks_low, speaks_high = low - stand_off, high + stand_off
+            blend_low, blend_high = low - stand_off, high + stand_off
             if inner == 0:
-                speaks_low[0] = low[0] - overlap
-                extent = Box(np.array([speaks_low[0] - 0.02, low[1] - 0.03, low[2] - 0.03]), high + 0.03)
+                blend_low[0] = low[0] - overlap
+                extent = Box(np.array([blend_low[0] - 0.02, low[1] - 0.03, low[2] - 0.03]), high + 0.03)
             else:
-                speaks_high[0] = high[0] + overlap
-                extent = Box(low - 0.03, np.array([speaks_high[0] + 0.02, high[1] + 0.03, high[2] + 0.03]))
-        parts.append(Part(name, extent, Box(speaks_low, speaks_high), overlap))
+                blend_high[0] = high[0] + overlap
+                extent = Box(low - 0.03, np.array([blend_high[0] + 0.02, high[1] + 0.03, high[2] + 0.03]))
+        parts.append(Part(name, extent, Box(blend_low, blend_high), overlap))
     return tuple(parts)
 
 
 def part_weight(points: Float[Tensor, "n 3"], part: Part) -> Float[Tensor, "n"]:
     """Eq. 9's share of a part: d / d_s with d the depth inside its box, 0 outside, 1 from d_s on."""
-    assert part.speaks is not None
-    low = torch.as_tensor(part.speaks.low, dtype=points.dtype, device=points.device)
-    high = torch.as_tensor(part.speaks.high, dtype=points.dtype, device=points.device)
+    assert part.blend_box is not None
+    low = torch.as_tensor(part.blend_box.low, dtype=points.dtype, device=points.device)
+    high = torch.as_tensor(part.blend_box.high, dtype=points.dtype, device=points.device)
     depth = torch.minimum(points - low, high - points).amin(-1)
     return (depth / part.overlap).clamp(0, 1)
 

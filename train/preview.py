@@ -15,7 +15,7 @@ from avatar.skinning import SkinWeights, skin_points
 from capture.folder import CaptureSubject, PartVideo
 from capture.template import SurfaceCloud
 from train.field import PartField, unit_normals
-from train.objective import RayTensors, ray_tensors, render_rays
+from train.objective import Batch, RayTensors, functions_of, ray_tensors, render_rays
 from train.parts import Part
 from train.preset import Preset
 from train.rays import Band, part_rays
@@ -42,13 +42,13 @@ class Preview:
         self.rays, self.pixels, self.observed = rays, pixels, observed
 
     def draw(self, field: PartField, beta: float, preset: Preset) -> UInt8[Array, "h wide 3"]:
-        """The picture, also written to `path`, whole or not at all. Leaves field and random state alone."""
+        """The picture, also written to `path`, whole or not at all. Field and random state stay as they are."""
         rendered, normals = np.zeros_like(self.observed), np.zeros_like(self.observed)
-        device = self.rays.ends.device
+        device, functions = self.rays.ends.device, functions_of(field)
         for chosen in torch.arange(len(self.pixels), device=device).split(BATCH):
             u = torch.full((len(chosen),), 0.5, device=device)
             with torch.no_grad():
-                drawn = render_rays(field, self.rays, chosen, u, beta, preset, create_graph=False)
+                drawn = render_rays(functions, self.rays, Batch(chosen, u, beta), preset, create_graph=False)
                 opacity = -torch.expm1(drawn.log_transmittance)[:, None]
                 n = unit_normals(drawn.gradient).view(len(chosen), -1, 3)
                 n = unit_normals((drawn.share[..., None] * n).sum(1))
@@ -79,7 +79,7 @@ def part_preview(
         small, subject, cloud, part, band, ends=preset.sections + 2, per_frame=2 * everything,
         canonical_from_head=canonical_from_head, rng=np.random.default_rng(0),
     )  # fmt: skip
-    # a ray does not remember its pixel; its direction tells it
+    # a ray does not hold its pixel; its direction leads back to it
     directions = rays.direction.astype(np.float64)
     if canonical_from_head is not None:
         turn = canonical_from_head[:3, :3] / np.cbrt(np.linalg.det(canonical_from_head[:3, :3]))

@@ -14,7 +14,7 @@ HEAD = JOINTS.index("head")
 
 
 def with_rigid_head(subject: CaptureSubject) -> CaptureSubject:
-    """The template whose vertices follow the head bone alone where the head's field speaks alone.
+    """The template whose vertices follow only the head bone where only the head's field has a weight (Eq. 9).
 
     A body model's weights bend the jaw and the back of the head with the neck by a tenth or more; the head's
     video, seen as rigid, contradicts that. Over the upper half of the overlap (Eq. 9) the weights blend.

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float
 
 from avatar.errors import AssetError
 from avatar.input_file import read_json
@@ -154,6 +155,33 @@ def write_json(path: Path, facts: dict) -> None:
     path.write_text(json.dumps({"format": FORMAT, "version": VERSION, **facts}, indent=1), "utf-8")
 
 
+def read_facts(path: Path) -> dict:
+    """run.json of a run folder.
+
+    Raises:
+        AssetError: there is none, or it is of another format.
+    """
+    facts = read_json(path / "run.json", "the facts of a run folder made by `selfscan train`")
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT or facts.get("version") != VERSION:
+        raise AssetError(f"{path / 'run.json'}: expected format {FORMAT!r} version {VERSION}")
+    return facts
+
+
+def matrix_of(path: Path, facts: dict, name: str) -> Float[np.ndarray, "4 4"]:
+    """An invertible matrix of run.json.
+
+    Raises:
+        AssetError: it is absent, misshapen, not finite or singular.
+    """
+    try:
+        matrix = np.array(facts.get(name), np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < 1e-12:
+        raise AssetError(f"{path / 'run.json'}: {name} should be an invertible 4x4 matrix")
+    return matrix
+
+
 def read_run(path: Path | str, device: str = "cpu") -> Run:
     """Read a run folder.
 
@@ -161,9 +189,7 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
         AssetError: not a run folder, or a file in it is unusable.
     """
     path = Path(path)
-    facts = read_json(path / "run.json", "the facts of a run folder made by `selfscan train`")
-    if not isinstance(facts, dict) or facts.get("format") != FORMAT or facts.get("version") != VERSION:
-        raise AssetError(f"{path / 'run.json'}: expected format {FORMAT!r} version {VERSION}")
+    facts = read_facts(path)
     try:
         preset, assumed = preset_from_json(facts.get("settings"), facts.get("preset"))
     except ValueError as error:
@@ -173,12 +199,7 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
     subject = read_subject(path / "subject.npz", name=str(facts.get("subject", "")))
     parts = zip(part_names(preset), part_presets(preset), strict=True)
     fields = [read_part(path / f"{name}.pt", subject, i, own) for i, (name, own) in enumerate(parts)]
-    try:
-        correction = np.array(facts.get("canonical_from_head_field"), np.float64)
-    except (TypeError, ValueError):
-        correction = np.zeros(0)
-    if correction.shape != (4, 4) or not np.isfinite(correction).all() or abs(np.linalg.det(correction)) < 1e-12:
-        raise AssetError(f"{path / 'run.json'}: canonical_from_head_field should be an invertible 4x4 matrix")
+    correction = matrix_of(path, facts, "canonical_from_head_field")
     inverse = torch.tensor(np.linalg.inv(correction), dtype=torch.float32)
     field = FusedField(fields, part_boxes(subject), inverse).to(device).eval().requires_grad_(False)
     return Run(path, field, read_surface(path / "surface.npz"), subject, preset, facts)

@@ -45,7 +45,7 @@ def digest_of(facts: dict[str, Any]) -> str:
 
 @contextmanager
 def exclusive_lock(out: Path) -> Iterator[None]:
-    """No second process trains into the same folder meanwhile: two would overwrite each other's checkpoints.
+    """A lock on a run folder: two processes training into it would overwrite each other's checkpoints.
 
     The lock goes with the process, however it ends.
 
@@ -96,7 +96,7 @@ def open_session(
     settings = json.loads(json.dumps(settings))
     if force:
         shutil.rmtree(partial, ignore_errors=True)
-    interrupted = any(partial.glob("*.ckpt"))
+    interrupted = any(partial.rglob("*.ckpt"))
     finished = (out / "run.json").exists()
     if resume and interrupted:
         before = _read(partial / FILE)

@@ -1,8 +1,9 @@
 """The single network (TotalSelfScan, 4.3, first ablation): one field learns everyone from all four videos.
 
 It has the parameters of the four parts together, in the box of the body, and gets the four parts' rays in as many
-steps as they take together. Its head rays are moved to the canonical frame by Eq. 6, there is nothing to register
-afterwards. It is shown with the mean code of the body's frames.
+steps as they take together. Its head rays are moved to the canonical frame by the transform that the four parts end
+with (Eq. 5, 6 and the body's pixels): one network has one surface, so nothing can be registered afterwards. It is
+shown with the mean code of the body's frames.
 """
 
 from dataclasses import fields, replace
@@ -128,7 +129,7 @@ def joined_cloud(clouds: list[SurfaceCloud]) -> SurfaceCloud:
 
 
 def single_template(capture: Capture, cloud: SurfaceCloud, cell: float) -> TemplateGrid:
-    """The whole template's distance in the body's box, the head's cavities closed as for the head alone."""
+    """The whole template's distance in the body's box, the head's cavities closed as for the head part."""
     extent, neck = part_boxes(capture.subject)[0].extent, neck_height(capture.subject)
     grid = template_grid(cloud, extent.low, extent.high, cell)
     values = grid.values.numpy().astype(np.float64)
@@ -141,6 +142,6 @@ def single_template(capture: Capture, cloud: SurfaceCloud, cell: float) -> Templ
 
 @torch.no_grad()
 def show_as_in_the_body_video(field: PartField, capture: Capture) -> None:
-    """The reference code becomes the mean over the body's frames alone, as its light is everyone's reference."""
+    """The reference code is set to the mean over the body's frames: the light of its video is everyone's reference."""
     frames = len(capture.videos["body"].images)
     field.reference.copy_(field.appearance.weight[:frames].mean(0))

@@ -7,8 +7,9 @@ import shutil
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,93 +22,113 @@ from avatar.similarity import Registration, similarity_from_landmarks
 from capture.folder import Capture, read_capture, write_subject
 from capture.repair.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
 from train import run as run_folder
-from train.compose import compose
+from train.compose import HeadPlacement, TrainedParts, compose, landmark_placement, place_head
 from train.distributed import Ranks, join_ranks
+from train.field import PartField
 from train.hull import with_hair
 from train.log import tensorboard_installed
+from train.options import TrainOptions
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
 from train.preset import Preset
 from train.rigid import with_rigid_head
 from train.session import Session, capture_digest, digest_of, exclusive_lock, open_session
 from train.single import part_names, part_presets
 from train.stored_preset import preset_json
-from train.trainer import peak_memory
+from train.trainer import Checkpoints, Watch, peak_memory
 from train.union import read_rays
 from train.workers import run_jobs
-
-Array = np.ndarray
 
 # time of what follows stage 1, as a share of it, for the time left; demo on two cores
 AFTER = 0.2
 
 
-def train(
-    capture_path: Path | str, out: Path | str, preset: Preset, *, device: str = "cpu", seed: int = 0,
-    resume: bool = False, force: bool = False, save_every: float = 120.0, preview_every: int = 250,
-    refine_poses: str = "auto",
-) -> Path:  # fmt: skip
-    """Train all parts, compose them, and write the run folder.
+@dataclass(frozen=True)
+class _Training:
+    """A training under way: what its stages share."""
+
+    options: TrainOptions
+    preset: Preset
+    capture: Capture
+    session: Session
+    ranks: Ranks
+    # this rank's
+    device: str
+    # Eq. 6: canonical_from_head
+    landmarks: Registration
+    say: Callable[[str], None]
+
+
+def train(options: TrainOptions, preset: Preset | None = None) -> Path:
+    """Train all parts, compose them, and write the run folder; `preset` replaces the one that the options name.
 
     Parts learn independently (stage 1), two at a time on a CPU with two cores, each on its own thread; under
     torchrun one after the other, each on all ranks. Checkpoints, logs and previews lie beside the run folder, in
     RUN.partial, until the run is complete. A signal raises `Stopped` once they are saved.
     """
+    preset = options.chosen_preset() if preset is None else preset
     with prompt_stop(), ExitStack() as held:
-        ranks, device = join_ranks(device)
+        ranks, device = join_ranks(options.device)
         say: Callable[[str], None] = _say if ranks.writes else lambda text: None
-        capture, out = read_capture(capture_path), Path(out)
-        settings = {
-            "capture": capture_digest(capture.path),
-            "preset": preset.name,
-            "iterations": [part.iterations for part in preset.parts],
-            "seed": seed,
-            "numbers": digest_of(preset_json(preset)),
-            "refine_poses": refine_poses,
-            "single": preset.single,
-        }
+        capture, out = read_capture(options.capture), options.out
         session = None
         if ranks.writes:
             held.enter_context(exclusive_lock(out))
-            session = open_session(out, settings, resume=resume, force=force, say=say)
-        session = ranks.tell(session)
+            decides = _what_decides(options, preset, capture)
+            session = open_session(out, decides, resume=options.resume, force=options.force, say=say)
+        session = ranks.broadcast(session)
         if session is None:
             return out
         began = time.monotonic()
         if ranks.writes and not tensorboard_installed():
-            say("logs: CSV only; `pip install tensorboard` adds events for TensorBoard")
+            say("logs: CSV only; `pip install tensorboard` adds events for it")
 
         landmarks = _register_landmarks(capture, say)
+        training = _Training(options, preset, capture, session, ranks, device, landmarks, say)
         say(
             f"stage 1: {', '.join(part_names(preset))} by volume rendering of signed distance (Eq. 10-12), "
             f"preset {preset.name}"
         )
         say(f"logs, previews and checkpoints: {session.partial}")
-        refined = _refine(capture, session, ranks, device, refine_poses, say)
-        capture = _own_template(capture, landmarks, session, ranks, say)
-        facts = _train_parts(capture, preset, landmarks, session, ranks, device, seed, save_every, preview_every)
+        refined = _refine(training)
+        training = _with_own_template(training)
+        head = _head_of_single(training) if preset.single else landmark_placement(landmarks)
+        facts = _train_parts(training, session.partial, head.canonical_from_head)
         if ranks.writes:
-            _compose(capture, preset, landmarks, session, device, seed, facts, refined, began)
+            _compose(training, head, facts, refined, began)
     return out
 
 
-def _compose(
-    capture: Capture, preset: Preset, landmarks: Registration, session: Session, device: str, seed: int,
-    facts: dict[str, dict], refined: dict, began: float,
-) -> None:  # fmt: skip
+def _what_decides(options: TrainOptions, preset: Preset, capture: Capture) -> dict[str, Any]:
+    """What decides the result of a training: --resume needs the same again."""
+    placed = None if options.head_from is None else _place_read_from(options.head_from, capture).canonical_from_head
+    return {
+        "capture": capture_digest(capture.path),
+        "preset": preset.name,
+        "iterations": [part.iterations for part in preset.parts],
+        "seed": options.seed,
+        "numbers": digest_of(preset_json(preset)),
+        "refine_poses": options.refine_poses,
+        "single": preset.single,
+        "head_from": None if placed is None else digest_of({"canonical_from_head": placed.tolist()}),
+    }
+
+
+def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], refined: dict, began: float) -> None:
     """From trained parts to the run folder; under torchrun the work of one rank."""
-    out, partial = session.out, session.partial
-    capture = with_learned(with_refined(capture, partial), partial)
+    preset, device, out, partial = training.preset, training.device, training.session.out, training.session.partial
+    capture = with_learned(with_refined(training.capture, partial), partial)
     seconds = {name: fact["seconds"] for name, fact in facts.items()}
-    names, settings = part_names(preset), part_presets(preset)
-    fields = [run_folder.read_part(partial / f"{name}.pt", capture.subject, i, settings[i])
-              for i, name in enumerate(names)]  # fmt: skip
+    names = part_names(preset)
+    fields = _read_fields(training, partial, len(names))
     torch.set_num_threads(os.cpu_count() or 1)
     progress = Progress("body, stage 2", preset.union.iterations)
     with whole_folder(out) as folder:
         rays = None if preset.single else read_rays(partial / "body.rays", torch.device(device))
-        surface, tables, composition = compose(
-            capture, fields, preset, landmarks, seed, seconds, _say, rays=rays, checkpoint=partial / "union.ckpt",
-            resume=session.resumed, report=lambda step, report: progress.update(step, step_note(report)),
+        parts = TrainedParts(fields=fields, rays=rays, head=head, seed=training.options.seed, seconds=seconds)
+        person = compose(
+            capture, parts, preset, training.say, device=device,
+            checkpoints=Checkpoints(path=partial / "union.ckpt", resume=training.session.resumed),
+            watch=Watch(report=lambda step, report: progress.update(step, step_note(report))),
         )  # fmt: skip
         if not preset.single:
             shutil.copyfile(partial / "body.pt", folder / "body_stage1.pt")
@@ -118,7 +139,7 @@ def _compose(
         for name in ("logs", "preview"):
             if (partial / name).is_dir():
                 shutil.copytree(partial / name, folder / name)
-        run_folder.write_surface(folder / "surface.npz", surface, tables)
+        run_folder.write_surface(folder / "surface.npz", person.surface, person.tables)
         shutil.copyfile(partial / "subject.npz", folder / "subject.npz")
         seconds["all"] = time.monotonic() - began
         memory = peak_memory(device)
@@ -128,7 +149,7 @@ def _compose(
                 "subject": capture.subject.name,
                 "preset": preset.name,
                 "settings": preset_json(preset),
-                "seed": seed,
+                "seed": training.options.seed,
                 "device": device,
                 "machine": f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}",
                 "capture": capture.facts,
@@ -140,11 +161,19 @@ def _compose(
                 | {"composition": megabytes(memory)},
                 "parts": facts,
                 "refined": refined,
-                **composition,
+                **person.facts,
             },
         )
     shutil.rmtree(partial, ignore_errors=True)
-    _say(f"{out}: {len(surface.vertices)} surface vertices, {seconds['all']:.0f} s, {memory_text(memory)}")
+    vertices = len(person.surface.vertices)
+    training.say(f"{out}: {vertices} surface vertices, {seconds['all']:.0f} s, {memory_text(memory)}")
+
+
+def _read_fields(training: _Training, folder: Path, count: int) -> list[PartField]:
+    """The first `count` trained parts, from a folder."""
+    parts = list(zip(part_names(training.preset), part_presets(training.preset), strict=True))[:count]
+    subject = training.capture.subject
+    return [run_folder.read_part(folder / f"{name}.pt", subject, index, own) for index, (name, own) in enumerate(parts)]
 
 
 def _register_landmarks(capture: Capture, say: Callable[[str], None]) -> Registration:
@@ -161,30 +190,67 @@ def _register_landmarks(capture: Capture, say: Callable[[str], None]) -> Registr
     return landmarks
 
 
-def _own_template(
-    capture: Capture, landmarks: Registration, session: Session, ranks: Ranks, say: Callable[[str], None]
-) -> Capture:
-    """The capture with a rigid head and with standing hair joined to its template,
-    written for workers and run folder.
+def _place_read_from(run: Path, capture: Capture) -> HeadPlacement:
+    """Where a finished run of four parts on the same capture has the head.
+
+    Raises:
+        AssetError: it is no such run.
     """
-    subject = with_hair(with_rigid_head(capture.subject), with_refined(capture, session.partial), landmarks.transform)
+    facts = run_folder.read_facts(run)
+    if "single" in facts.get("parts", {}):
+        raise AssetError(f"{run}: is a single network; --head-from needs a run of four parts")
+    if facts.get("capture") != capture.facts:
+        raise AssetError(f"{run}: was trained on another capture; --head-from needs a run on {capture.path}")
+    final = np.linalg.inv(run_folder.matrix_of(run, facts, "head_from_canonical"))
+    correction = run_folder.matrix_of(run, facts, "canonical_from_head_field")
+    landmarks = Registration(np.linalg.solve(correction, final), float("nan"))
+    return HeadPlacement(landmarks, correction, {**facts.get("registration", {}), "from": "a run of four parts"})
+
+
+def _head_of_single(training: _Training) -> HeadPlacement:
+    """Where the single network gets the head: where four parts have it, by a finished run or by placing it now."""
+    options, partial = training.options, training.session.partial
+    if options.head_from is not None:
+        training.say(f"head: where {options.head_from} has it")
+        return _place_read_from(options.head_from, training.capture)
+    training.say("head: body and head are trained as parts and placed first; --head-from RUN takes a finished run's")
+    folder = partial / "placement"
+    if training.ranks.writes:
+        folder.mkdir(exist_ok=True)
+        for path in (partial / "subject.npz", *sorted(partial.glob("refined_*.npz"))):
+            shutil.copyfile(path, folder / path.name)
+    training.ranks.broadcast(None)
+    parts = replace(training, preset=replace(training.preset, single=False))
+    _train_parts(parts, folder, training.landmarks.transform, order=(1, 0))
+    head = None
+    if training.ranks.writes:
+        capture = with_learned(with_refined(training.capture, folder), folder)
+        head = place_head(capture, _read_fields(parts, folder, 2), training.landmarks, training.say)
+        head = replace(head, facts={**head.facts, "from": "body and head trained for it"})
+    head = training.ranks.broadcast(head)
+    assert head is not None
+    return head
+
+
+def _with_own_template(training: _Training) -> _Training:
+    """The template with a rigid head and with standing hair joined to it, written for workers and run folder."""
+    capture, partial = training.capture, training.session.partial
+    subject = with_hair(with_rigid_head(capture.subject), with_refined(capture, partial), training.landmarks.transform)
     added = len(subject.rest) - len(capture.subject.rest)
     if added:
-        say(f"hair stands off the template: {added} vertices carved from the masks join it")
-    if ranks.writes:
-        write_subject(session.partial / "subject.npz", subject)
+        training.say(f"hair stands off the template: {added} vertices carved from the masks join it")
+    if training.ranks.writes:
+        write_subject(partial / "subject.npz", subject)
     # no rank reads it before it is written
-    ranks.tell(None)
-    return replace(capture, subject=subject)
+    training.ranks.broadcast(None)
+    return replace(training, capture=replace(capture, subject=subject))
 
 
-def _refine(
-    capture: Capture, session: Session, ranks: Ranks, device: str, choice: str, say: Callable[[str], None]
-) -> dict:
+def _refine(training: _Training) -> dict:
     """Refined poses and masks into the session's folder, two videos at a time; what was found."""
     found = None
-    if ranks.writes:
-        workers = min(2, os.cpu_count() or 1) if device == "cpu" and ranks.count == 1 else 1
+    if training.ranks.writes:
+        workers = min(2, os.cpu_count() or 1) if _on_one_cpu(training) else 1
 
         def run(jobs: Mapping[str, RefineJob], work: Callable[[RefineJob, Reporter], dict]) -> dict[str, dict]:
             board = ProgressBoard(dict.fromkeys(jobs, ROUNDS), workers)
@@ -193,23 +259,29 @@ def _refine(
             finally:
                 board.close()
 
-        found = refine_capture(capture, session.partial, choice, say, run)
-    return ranks.tell(found) or {}
+        partial, choice = training.session.partial, training.options.refine_poses
+        found = refine_capture(training.capture, partial, choice, training.say, run)
+    return training.ranks.broadcast(found) or {}
+
+
+def _on_one_cpu(training: _Training) -> bool:
+    return training.device == "cpu" and training.ranks.count == 1
 
 
 def _train_parts(
-    capture: Capture, preset: Preset, landmarks: Registration, session: Session, ranks: Ranks, device: str,
-    seed: int, save_every: float, preview_every: int,
-) -> dict[str, dict]:  # fmt: skip
-    """Stage 1 for every part; heavier parts first so that two workers end together."""
+    training: _Training, folder: Path, canonical_from_head: np.ndarray, order: tuple[int, ...] = (1, 0, 2, 3)
+) -> dict[str, dict]:
+    """Stage 1 for the parts of `order`, heavier ones first so that two workers end together."""
+    options, preset, ranks = training.options, training.preset, training.ranks
     cores = os.cpu_count() or 1
-    order = (0,) if preset.single else (1, 0, 2, 3)
-    workers = min(2, cores, len(order)) if device == "cpu" and ranks.count == 1 else 1
+    order = (0,) if preset.single else order
+    workers = min(2, cores, len(order)) if _on_one_cpu(training) else 1
     threads = 1 if workers > 1 else max(cores // ranks.count, 1)
     jobs = {
         part_names(preset)[index]: PartJob(
-            str(capture.path), index, preset, landmarks.transform, str(session.partial), device, seed,
-            session.resumed, threads, save_every, preview_every, ranks,
+            capture=str(training.capture.path), index=index, preset=preset, canonical_from_head=canonical_from_head,
+            folder=str(folder), device=training.device, threads=threads, ranks=ranks, seed=options.seed,
+            resume=training.session.resumed, save_every=options.save_every, preview_every=options.preview,
         )
         for index in order
     }  # fmt: skip

@@ -25,7 +25,7 @@ class Surface:
     vertices: Float[Array, "v 3"]
     faces: Int[Array, "f 3"]
     normals: Float[Array, "v 3"]  # unit, gradient of the field
-    # the part that speaks loudest
+    # the part of the largest weight (Eq. 9)
     part: Int[Array, "v"]
     skin: SkinWeights
     view_count: Float[Array, "v"]  # directions seen
@@ -91,7 +91,7 @@ def extract_surface(
 
 
 def _ask(field: FusedField, points: Array) -> Array:
-    return field.distance(torch.as_tensor(points, dtype=torch.float32)).numpy()
+    return field.distance(torch.as_tensor(points, dtype=torch.float32, device=field.device)).cpu().numpy()
 
 
 def _interpolated(values: Array, old: Array, new: Array, axis: int) -> Array:

@@ -60,7 +60,7 @@ class TemplateGrid(torch.nn.Module):
             return y0 + fx * gx + away, gradient
 
     def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
-        """The value alone, differentiable once: torch's own interpolation, eight times as fast as `sample`."""
+        """The value, differentiable once: torch's own interpolation, eight times as fast as `sample`."""
         shape = torch.tensor(self.values.shape, dtype=points.dtype, device=points.device)
         unit = (points - self.low) / self.cell / (shape - 1) * 2 - 1
         inside = unit.clamp(-1, 1)

@@ -5,19 +5,19 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import torch
 
 from avatar.interrupt import Stopped, deferred_stop
 from train.checkpoint import Position, load_checkpoint, save_checkpoint
-from train.distributed import ALONE, Ranks
+from train.distributed import ONE_PROCESS, Ranks
 from train.field import PartField
 from train.log import TrainingLog
 from train.networks.hash import HashGrid, open_levels
 from train.networks.triplane import TriPlane
-from train.objective import Extra, RayTensors, StepReport, beta_at, choose_rays, losses, rho_at
+from train.objective import Batch, Extra, RayTensors, StepReport, beta_at, choose_rays, losses, rho_at
 from train.preset import PartPreset, Preset
 from train.preview import Preview
 
@@ -50,39 +50,65 @@ def optimiser_of(field: PartField, preset: Preset) -> torch.optim.Adam:
     return torch.optim.Adam(groups, betas=(first, second), eps=epsilon, fused=True)
 
 
+@dataclass(frozen=True, kw_only=True)
+class FieldTraining:
+    """What one field learns by."""
+
+    part: PartPreset
+    preset: Preset
+    seed: int
+    # stage 2's term L_g (Eq. 7)
+    extra: Extra | None = None
+    ranks: Ranks = ONE_PROCESS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checkpoints:
+    """Where a training is kept, so that it can go on."""
+
+    # None: nowhere
+    path: Path | None = None
+    # go on from the file, where there is one
+    resume: bool = False
+    every: float = 120.0  # seconds
+    # steps after which training stops as if asked to
+    stop_after: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watch:
+    """Who is shown how training goes."""
+
+    # takes the step and its numbers
+    report: Callable[[int, StepReport], None] | None = None
+    log: TrainingLog | None = None
+    preview: Preview | None = None
+
+
+UNSAVED, UNWATCHED = Checkpoints(), Watch()
+
+
 def train_field(
-    field: PartField,
-    rays: RayTensors,
-    part: PartPreset,
-    preset: Preset,
-    *,
-    seed: int,
-    checkpoint: Path | None = None,
-    resume: bool = False,
-    save_every: float = 120.0,
-    stop_after: int | None = None,
-    report: Callable[[int, StepReport], None] | None = None,
-    log: TrainingLog | None = None,
-    preview: Preview | None = None,
-    extra: Extra | None = None,
-    ranks: Ranks = ALONE,
-    at: Position | None = None,
-) -> int:
+    field: PartField, rays: RayTensors, training: FieldTraining, *, checkpoints: Checkpoints = UNSAVED,
+    watch: Watch = UNWATCHED, at: Position | None = None,
+) -> int:  # fmt: skip
     """Train a field in place; returns the number of steps skipped because they were not finite.
 
     A step whose loss or gradient is not finite changes nothing and is counted; more than 1 % of such steps is
-    an error. `checkpoint` (weights, optimiser, random state) is written every `save_every` seconds, at the end,
+    an error. A checkpoint (weights, optimiser, random state) is written every so many seconds, at the end,
     after `stop_after` steps, and at Ctrl-C or SIGTERM, which then raise `Stopped`; resuming from it equals never
-    having stopped, bit for bit on one thread. `at` tells the caller how far it is.
+    having stopped, bit for bit on one thread. `at` counts the steps for the caller.
     """
+    part, preset, ranks, extra = training.part, training.preset, training.ranks, training.extra
+    log, preview, report = watch.log, watch.preview, watch.report
     modules = {"field": field}
     optimiser = optimiser_of(field, preset)
     first_rates = [group["lr"] for group in optimiser.param_groups]
     parameters = [p for group in optimiser.param_groups for p in group["params"]]
-    generator = torch.Generator(device="cpu").manual_seed(seed)
+    generator = torch.Generator(device="cpu").manual_seed(training.seed)
     at = Position() if at is None else at
-    if resume and checkpoint is not None and checkpoint.exists():
-        load_checkpoint(checkpoint, modules, optimiser, generator, at)
+    if checkpoints.resume and checkpoints.path is not None and checkpoints.path.exists():
+        load_checkpoint(checkpoints.path, modules, optimiser, generator, at)
     if log is not None:
         log.begin(at.iteration)
     device, weight = rays.ends.device, ranks.weight(preset.rays)
@@ -92,8 +118,8 @@ def train_field(
 
     def save() -> None:
         at.seconds = time.monotonic() - began
-        if checkpoint is not None and ranks.writes:
-            save_checkpoint(checkpoint, modules, optimiser, generator, at)
+        if checkpoints.path is not None and ranks.writes:
+            save_checkpoint(checkpoints.path, modules, optimiser, generator, at)
 
     with deferred_stop() as stop, flushed_denormals():
         while at.iteration < part.iterations:
@@ -107,8 +133,8 @@ def train_field(
             chosen = choose_rays(frame_counts, preset, generator)
             u = torch.rand(preset.rays, generator=generator)
             chosen, u = ranks.share(chosen).to(device), ranks.share(u).to(device)
-            rho = rho_at(rung, part)
-            loss, describe = losses(field, rays, chosen, u, beta, part, preset, rho=rho, extra=extra)
+            batch = Batch(chosen, u, beta, rho_at(rung, part))
+            loss, describe = losses(field, rays, batch, part, preset, extra=extra)
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
             loss, stopping = ranks.combine(parameters, weight, loss, stop.asked)
@@ -131,12 +157,12 @@ def train_field(
                 image = preview.draw(field, beta, preset)
                 if log is not None:
                     log.image(at.iteration, image)
-            if stopping or at.iteration == stop_after:
+            if stopping or at.iteration == checkpoints.stop_after:
                 save()
                 if stopping:
                     raise Stopped(stop.number or signal.SIGTERM)
                 return at.skipped
-            if time.monotonic() - saved > save_every:
+            if time.monotonic() - saved > checkpoints.every:
                 save()
                 saved = time.monotonic()
         with torch.no_grad():

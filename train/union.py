@@ -2,7 +2,6 @@
 13).
 """
 
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -20,9 +19,9 @@ from capture.template import visible_faces
 from geometry.mesh import face_normals
 from geometry.sample import lattice_samples
 from train.fused import FusedField
-from train.objective import Extra, RayTensors, StepReport
+from train.objective import Extra, RayTensors
 from train.preset import PartPreset, Preset
-from train.trainer import train_field
+from train.trainer import UNSAVED, UNWATCHED, Checkpoints, FieldTraining, Watch, train_field
 
 Array = np.ndarray
 
@@ -38,8 +37,8 @@ class ZeroLevel(NamedTuple):
 
 def zero_level(fused: FusedField, index: int, seeds: Float[Array, "n 3"], normals: Float[Array, "n 3"]) -> ZeroLevel:
     """Points where part `index` shows its surface, F(x + mean T_nr(x)) = 0, found from seeds near it."""
-    at = torch.as_tensor(seeds, dtype=torch.float32)
-    start, gradient = at.clone(), torch.as_tensor(normals, dtype=torch.float32)
+    at = torch.as_tensor(seeds, dtype=torch.float32, device=fused.device)
+    start, gradient = at.clone(), torch.as_tensor(normals, dtype=torch.float32, device=fused.device)
     for _ in range(4):
         sample, gradient = fused.part_gradient(index, at)
         slope = gradient.square().sum(-1, keepdim=True).clamp_min(0.1)
@@ -48,11 +47,12 @@ def zero_level(fused: FusedField, index: int, seeds: Float[Array, "n 3"], normal
         left = fused.part_distance(index, at).abs()
     arrived = (left < 1e-3) & ((at - start).norm(dim=1) < 0.02)
     unit = torch.nn.functional.normalize(gradient, dim=1)
-    return ZeroLevel(at.numpy().astype(np.float64), arrived.numpy(), unit.numpy().astype(np.float64))
+    points, unit = (array.cpu().numpy().astype(np.float64) for array in (at, unit))
+    return ZeroLevel(points, arrived.cpu().numpy(), unit)
 
 
 def in_overlap(shares: Float[Tensor, "n p"], index: int) -> Bool[Tensor, "n"]:
-    """Where both the body and part `index` speak: the intersection region of Eq. 7 to 9."""
+    """Where both the body and part `index` have a weight: the intersection region of Eq. 7 to 9."""
     return (shares[:, index] > 0) & (shares[:, index] < 1)
 
 
@@ -61,15 +61,15 @@ def overlap_surface(
 ) -> list[Float[Tensor, "_ 3"]]:
     """S_j of Eq. 7 for head and hands: at most `most` points of the part's zero level in its overlap with the body."""
     faces = np.asarray(subject.faces)[visible_faces(subject)]
-    middle = torch.as_tensor(subject.vertices[faces].mean(1), dtype=torch.float32)
-    shares = fused.shares(middle)
+    middle = torch.as_tensor(subject.vertices[faces].mean(1), dtype=torch.float32, device=fused.device)
+    shares = fused.shares(middle).cpu()
     out = []
     for index in range(1, len(fused.fields)):
         near = faces[in_overlap(shares, index).numpy()]
         face, barycentric = lattice_samples(subject.vertices, near, np.full(len(near), spacing))
         seeds = np.einsum("sk,skc->sc", barycentric, subject.vertices[near[face]])
         level = zero_level(fused, index, seeds, face_normals(subject.vertices, near)[face])
-        points = torch.as_tensor(level.points[level.arrived], dtype=torch.float32)
+        points = torch.as_tensor(level.points[level.arrived], dtype=torch.float32, device=fused.device)
         points = points[in_overlap(fused.shares(points), index)]
         out.append(points[:: -(-len(points) // most) or 1])
     return out
@@ -82,9 +82,9 @@ def geometry_loss(
 
     A batch gives points y = x + T_nr(x, code of the frame) and s_body(y). The fused query adds the mean T_nr
     instead: y is shown at x = y - mean T_nr(y) (to first order), and there the part is asked as the fused query
-    asks it, moved by Eq. 5 and displaced by its own mean. Of the samples where both speak only those count that
-    lie in the band of the part's own rays: farther from its template the part's field was never supervised,
-    and what it says there is no reason to move the body.
+    asks it, moved by Eq. 5 and displaced by its own mean. Of the samples in an overlap only those count that lie in
+    the band of the part's own rays: farther from its template the part's field was never supervised, and its
+    value there is no reason to move the body.
     """
     body = fused.field(0)
     with torch.no_grad():
@@ -103,7 +103,7 @@ def geometry_loss(
                 band = parts[index].band
                 learnt = (away < band.outside) & (away > -band.inside)
                 chosen, local = chosen[learnt], local[learnt]
-                other = fused.field(index)(local).distance
+                other = fused.field(index)(local).distance / fused.scale(index)
             apart = apart + (distance[chosen] - other).abs().sum()
             count += len(chosen)
         on = body(torch.cat(places)).distance.abs()
@@ -122,8 +122,7 @@ def steps_apart(fused: FusedField, surfaces: list[Float[Tensor, "_ 3"]]) -> dict
 
 def train_union(
     fused: FusedField, subject: CaptureSubject, rays: RayTensors, preset: Preset, *, seed: int,
-    checkpoint: Path | None = None, resume: bool = False, save_every: float = 120.0,
-    report: Callable[[int, StepReport], None] | None = None,
+    checkpoints: Checkpoints = UNSAVED, watch: Watch = UNWATCHED,
 ) -> dict:  # fmt: skip
     """Stage 2: train the body of `fused` in place from where it stands, the other parts fixed; says what it did.
 
@@ -131,8 +130,8 @@ def train_union(
     learning rates are a share of stage 1's.
     """
     device, union = rays.ends.device, preset.union
-    surfaces = [points.to(device) for points in overlap_surface(fused, subject)]
     body = fused.to(device).field(0)
+    surfaces = overlap_surface(fused, subject)
     before = steps_apart(fused, surfaces)
     part = replace(preset.parts[0], iterations=union.iterations)
     settings = replace(
@@ -141,15 +140,12 @@ def train_union(
     )  # fmt: skip
     body.requires_grad_(True)
     try:
-        skipped = train_field(
-            body, rays, part, settings, seed=seed, checkpoint=checkpoint, resume=resume, save_every=save_every,
-            report=report,
-            extra=geometry_loss(fused, surfaces, preset.parts, preset),
-        )  # fmt: skip
+        extra = geometry_loss(fused, surfaces, preset.parts, preset)
+        training = FieldTraining(part=part, preset=settings, seed=seed, extra=extra)
+        skipped = train_field(body, rays, training, checkpoints=checkpoints, watch=watch)
     finally:
         body.requires_grad_(False)
     after = steps_apart(fused, surfaces)
-    fused.cpu()
     return {"steps": union.iterations, "skipped": skipped, "step_mm_before": before, "step_mm_after": after}
 
 

@@ -6,7 +6,7 @@
     no_codes_no_fusion   every part with the mean of its own codes (no Eq. 8), colour switched, not blended (no Eq. 9)
     no_fusion            matched codes, colour switched
 
-Switched: the part that speaks loudest gives all of the colour, so the border lies in the middle of the overlap,
+Switched: the part of the largest weight gives all of the colour, so the border lies in the middle of the overlap,
 where both fields are equally at home. (At the border of the part's box, where the authors' code switches, the
 part's own video has hardly seen the surface: that would measure the rim of a training box.) Eq. 9 is about colour:
 the blended geometry is the same in all variants whose fields are.

@@ -1,4 +1,4 @@
-"""Parts that learn side by side, each in a process of its own, told to one board."""
+"""Parts that learn side by side, each in a process of its own, shown on one board."""
 
 import contextlib
 import multiprocessing
@@ -33,8 +33,8 @@ def run_jobs(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: i
     results = {}
     for name, job in jobs.items():
         board.begin(name)
-        tell = Reporter(board.say, lambda done, note: board.update(name, done, note))
-        results[name] = work(job, tell)
+        reporter = Reporter(board.say, lambda done, note: board.update(name, done, note))
+        results[name] = work(job, reporter)
         board.end(name)
     return results
 
@@ -47,7 +47,7 @@ def _in_processes(jobs: Mapping[str, T], work: Work, board: ProgressBoard, worke
     results: dict[str, dict] = {}
     failure: BaseException | None = None
     content: list[Any]
-    told = False
+    stopping = False
     try:
         with deferred_stop() as stop:
             while busy or (waiting and not stop.asked and failure is None):
@@ -62,8 +62,8 @@ def _in_processes(jobs: Mapping[str, T], work: Work, board: ProgressBoard, worke
                     theirs.close()
                     busy[ours] = (name, process)
                     board.begin(name)
-                if (stop.asked or failure is not None) and not told:
-                    told = True
+                if (stop.asked or failure is not None) and not stopping:
+                    stopping = True
                     for _, process in busy.values():
                         if process.is_alive() and process.pid is not None:
                             os.kill(process.pid, signal.SIGTERM)
@@ -88,7 +88,7 @@ def _in_processes(jobs: Mapping[str, T], work: Work, board: ProgressBoard, worke
                         failure = failure or content[0]
                     elif kind == "lost":
                         failure = failure or _lost(name, content[0])
-                    elif not stop.asked:  # a signal sent to the worker alone
+                    elif not stop.asked:  # a signal sent only to the worker
                         stop.ask(content[0])
                     del busy[connection]
                     connection.close()
@@ -111,7 +111,7 @@ def _lost(name: str, code: int | None) -> AssetError:
 
 
 def _worker(work: Work, job: object, connection: Connection) -> None:
-    """A worker process: does one job and tells the parent. A parent that is gone counts as SIGTERM."""
+    """A worker process: does one job and reports to its parent. A parent that is gone counts as SIGTERM."""
 
     def send(*message) -> None:
         try:

@@ -30,7 +30,7 @@ class Exposure(NamedTuple):
 def sharpness(images: UInt8[Array, "frames h w 3"], masks: Bool[Array, "frames h w"]) -> Float[Array, "frames"]:
     """Variance of the Laplacian over that of the gradient, of the grey picture well inside the person.
 
-    The Laplacian alone follows the texture that happens to be in view: of the palm it has a quarter of that of
+    The Laplacian by itself follows the texture that happens to be in view: of the palm it has a quarter of that of
     the back of the hand. Against the gradient it says how fine the finest detail is. nan where nothing is seen.
     """
     out = np.full(len(images), np.nan)

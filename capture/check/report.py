@@ -153,7 +153,7 @@ def _exchanged(capture: Capture, part: str, outlines: tuple[Outline, ...], mean:
 
 
 def report_facts(report: CaptureReport) -> dict:
-    """The report as JSON holds it: numbers and frame lists; nan and infinity become null."""
+    """The report as JSON holds it: numbers and frame lists; nan and infinity are null."""
     parts = {}
     for name, part in report.parts.items():
         facts = {k: v for k, v in asdict(part).items() if k not in ("part", "outlines", "coverage", "exposure", "mean")}

@@ -1,4 +1,4 @@
-"""`selfscan import`: real captures become capture folders."""
+"""`selfscan import`: real captures, read into capture folders."""
 
 import argparse
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The capture folder, written whole from videos, cameras and poses that came from elsewhere (docs/formats.md)."""
+"""The capture folder, written whole from videos, cameras and poses of other formats (docs/formats.md)."""
 
 import json
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class Video:
     cameras: tuple[Camera, ...]  # one a frame
     axis_angle: Float[Array, "frames 52 3"] | None = None  # head: none
     root: Float[Array, "frames 3"] | None = None  # pelvis joint in the world
-    # file and field that the cameras' translations came from
+    # file and field that the cameras' translations were read from
     place: str = ""
 
 

@@ -9,7 +9,7 @@ joints' rotations (R_j exp d_j) and of the root, least squares of
     + |second difference in time|^2 / s_smooth^2                people move smoothly; robust, jumps are let through
 
 is solved by Gauss-Newton for all frames at once: frames meet only in the last term, the system is banded. After each
-round e, how far the person stands off the template there, becomes what the frames agree on: clothes, hair and masks
+round e, how far the person stands off the template there, is set to what the frames agree on: clothes, hair and masks
 that are all too large are no error of a pose.
 """
 
@@ -63,6 +63,35 @@ class Aligned(NamedTuple):
     edge: Float[Array, "frames"]
 
 
+class _Scene(NamedTuple):
+    """What is aligned: the same in all rounds."""
+
+    video: PartVideo
+    subject: CaptureSubject
+    # joints that may turn
+    moving: Int[Array, "m"]
+    # faces whose outline places the part
+    near: Bool[Array, "faces"]
+
+    @property
+    def part(self) -> int:
+        return PARTS.index(self.video.part)
+
+
+class _Equations(NamedTuple):
+    """Normal equations of every frame's increments; terms are added in place."""
+
+    H: Float[Array, "frames p p"]
+    b: Float[Array, "frames p"]
+
+
+class _Tolerance(NamedTuple):
+    """How far outlines are trusted, pixels."""
+
+    cut: float  # farther apart they weigh little
+    sigma: float  # standard deviation of one outline pixel
+
+
 class _DrawnTemplate(NamedTuple):
     """One frame's template: world, and drawn."""
 
@@ -72,7 +101,7 @@ class _DrawnTemplate(NamedTuple):
     drawn: Fragments
     outline: Outline
     # how far the outline pixels were slid from where they are drawn
-    came: Float[Array, "n 2"]
+    slid: Float[Array, "n 2"]
 
 
 def align(
@@ -83,7 +112,7 @@ def align(
     assert video.axis_angle is not None and video.root is not None
     part = PARTS.index(video.part)
     moving = moving_joints(subject, part, video)
-    near = _near_faces(subject, part)
+    scene = _Scene(video, subject, moving, _near_faces(subject, part))
     given = matrix_from_axis_angle(video.axis_angle)
     R, root = given.copy(), video.root.copy()
     frames, params = len(root), 3 * len(moving) + 3
@@ -95,23 +124,23 @@ def align(
     cuts = scale * np.geomspace(40.0, 3.0, settings.rounds)
     for number, cut in enumerate(cuts):
         first, colored = number == 0, number >= settings.rounds - settings.colored
-        views = [_view(video, subject, f, R[f], root[f], near if first else None) for f in range(frames)]
-        H, b = np.zeros((frames, params, params)), np.zeros((frames, params))
+        views = [_view(scene, f, R[f], root[f], slide=first) for f in range(frames)]
+        equations = _Equations(np.zeros((frames, params, params)), np.zeros((frames, params)))
+        tolerance = _Tolerance(cut, settings.outline * scale)
         away: list[Array] = []
         corners: list[Array] = []
         for f, view in enumerate(views):
-            edge[f], r, corner = _add_outline(
-                H[f], b[f], view, video, f, subject, outlines[f], moving, cut, settings.outline * scale, near, beyond
-            )
+            edge[f], r, corner = _add_outline(equations, scene, f, view, outlines[f], tolerance, beyond)
             away.append(r)
             corners.append(corner)
         if cut < 15 * scale:
             beyond = cells.shared(np.concatenate(corners), np.concatenate(away), settings.doubt)
         if colored:
-            _add_colors(H, b, views, video, subject, part, moving, settings.color)
+            _add_colors(equations, scene, views, settings.color)
         delta = axis_angle_from_matrix(np.swapaxes(given, -1, -2) @ R)[:, moving].reshape(frames, -1)
         delta = np.c_[delta, root - video.root]
-        step = _solve(H + np.diag(1 / sigma**2), b - delta / sigma**2, R[:, moving], settings)
+        H, b = equations.H + np.diag(1 / sigma**2), equations.b - delta / sigma**2
+        step = _solve(H, b, R[:, moving], settings)
         R[:, moving] = R[:, moving] @ matrix_from_axis_angle(step[:, :-3].reshape(frames, -1, 3))
         root = root + step[:, -3:]
         if each_round is not None:
@@ -133,15 +162,14 @@ def _near_faces(subject: CaptureSubject, part: int) -> Bool[Array, "faces"]:
     return own[subject.faces].all(1)
 
 
-def _view(
-    video: PartVideo, subject: CaptureSubject, f: int, R: Array, root: Array, near: Bool[Array, "faces"] | None
-) -> _DrawnTemplate:
-    """The template in frame f. With `near` its outline is first slid and turned as a whole onto the mask."""
+def _view(scene: _Scene, f: int, R: Array, root: Array, *, slide: bool) -> _DrawnTemplate:
+    """The template in frame f. With `slide` its outline is first slid and turned as a whole onto the mask."""
+    video, subject = scene.video, scene.subject
     axis_angle, camera = axis_angle_from_matrix(R), video.cameras[f]
     B = skin_transforms(axis_angle, subject.joints, root)
     posed = skin_points(subject.vertices, subject.skin, B)
     G = joint_transforms(axis_angle, subject.joints, root)
-    if near is None:
+    if not slide:
         drawn = rasterise(posed, subject.faces, camera)
         outline = Outline(drawn.face >= 0)
         return _DrawnTemplate(G, B, posed, drawn, outline, np.zeros_like(outline.at))
@@ -150,29 +178,28 @@ def _view(
     K[:2, 2] += size
     drawn = rasterise(posed, subject.faces, replace(camera, K=K, size=(int(3 * size[0]), int(3 * size[1]))))
     outline = Outline(drawn.face >= 0)
-    shown = (drawn.face >= 0) & near[drawn.face]
+    shown = (drawn.face >= 0) & scene.near[drawn.face]
     if not shown.any():
         return _DrawnTemplate(G, B, posed, drawn, outline, np.zeros_like(outline.at))
-    part = PARTS.index(video.part)
-    centre = project(camera, posed[subject.part == part] if part else posed)[0].mean(0) + size
+    centre = project(camera, posed[subject.part == scene.part] if scene.part else posed)[0].mean(0) + size
     turn, shift = placement(shown, video.masks[f], centre, 0.5 * size[0])
     turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     moved = (outline.at - centre) @ turned + centre + shift
-    came = moved - outline.at
+    slid = moved - outline.at
     outline.normals, outline.at = outline.normals @ turned, moved - size
-    return _DrawnTemplate(G, B, posed, drawn, outline, came)
+    return _DrawnTemplate(G, B, posed, drawn, outline, slid)
 
 
 def _add_outline(
-    H: Array, b: Array, view: _DrawnTemplate, video: PartVideo, f: int, subject: CaptureSubject, mask: Outline,
-    moving: Int[Array, "m"], cut: float, sigma: float, near: Bool[Array, "faces"], beyond: Float[Array, "v"],
+    equations: _Equations, scene: _Scene, f: int, view: _DrawnTemplate, mask: Outline, tolerance: _Tolerance,
+    beyond: Float[Array, "v"],
 ) -> tuple[float, Float[Array, "n"], Int[Array, "n"]]:  # fmt: skip
     """Add the outline term of one frame, the person `beyond` (metres) the template's vertices.
 
     Returns the mean distance of the outlines near the part, how far outside (metres) the mask's pixels are, and the
     vertices that they belong to.
     """
-    template, camera = view.outline, video.cameras[f]
+    template, camera, cut = view.outline, scene.video.cameras[f], tolerance.cut
     if len(template.at) == 0 or len(mask.at) == 0:
         return np.inf, np.zeros(0), np.zeros(0, int)
     there, d_there = template.nearest(mask, cut)
@@ -185,20 +212,20 @@ def _add_outline(
     length = np.r_[d_there, d_back]
     face = view.drawn.face[template.pixels[p, 0], template.pixels[p, 1]]
     n = mask.normals[q]
-    r = ((mask.at[q] - template.at[p] + view.came[p]) * n).sum(1)
-    weight = 1 / (1 + (length / cut) ** 2) ** 2 / sigma**2
-    if view.came.any():
-        weight = weight * near[face]
+    r = ((mask.at[q] - template.at[p] + view.slid[p]) * n).sum(1)
+    weight = 1 / (1 + (length / cut) ** 2) ** 2 / tolerance.sigma**2
+    if view.slid.any():
+        weight = weight * scene.near[face]
     # stands for the pixel: its derivative varies slowly over a face
-    corner = subject.faces[face, 0]
+    corner = scene.subject.faces[face, 0]
     moves = project_derivative(camera, view.posed[corner])
     pixels = np.linalg.norm(moves[:, 0], axis=1)  # of a metre
     away, r = r / pixels, r - beyond[corner] * pixels
     g = np.einsum("ni,nij->nj", n, moves)
-    J = increments_moved(subject, corner, view.G, view.B, g, moving)
-    H += (J * weight[:, None]).T @ J
-    b += (J * weight[:, None]).T @ r
-    close = near[face] & np.isfinite(length)
+    J = increments_moved(scene.subject, corner, view.G, view.B, g, scene.moving)
+    equations.H[f] += (J * weight[:, None]).T @ J
+    equations.b[f] += (J * weight[:, None]).T @ r
+    close = scene.near[face] & np.isfinite(length)
     if not close.any():
         return np.inf, np.zeros(0), np.zeros(0, int)
     near_by = close & (length < cut)
@@ -212,23 +239,24 @@ def outline_offset(video: PartVideo, subject: CaptureSubject, frames: int = 8) -
     """
     assert video.axis_angle is not None and video.root is not None
     scale = video.masks.shape[1] / 256
-    near = _near_faces(subject, PARTS.index(video.part))
+    scene = _Scene(video, subject, np.zeros(0, int), _near_faces(subject, PARTS.index(video.part)))
     found = []
     for f in np.unique(np.linspace(0, len(video.masks), frames, endpoint=False).astype(int)):
-        view = _view(video, subject, int(f), matrix_from_axis_angle(video.axis_angle[f]), video.root[f], None)
+        view = _view(scene, int(f), matrix_from_axis_angle(video.axis_angle[f]), video.root[f], slide=False)
         template, mask = view.outline, Outline(video.masks[f])
         if len(template.at) == 0 or len(mask.at) == 0:
             continue
         index, length = template.nearest(mask, 5.0 * scale)
         face = view.drawn.face[template.pixels[:, 0], template.pixels[:, 1]]
         away = ((mask.at[index] - template.at) * mask.normals[index]).sum(1)
-        found.append(away[near[face] & (length < 5 * scale)])
+        found.append(away[scene.near[face] & (length < 5 * scale)])
     found = np.concatenate(found) if found else np.zeros(0)
     return float(found.mean()) / scale if len(found) else 0.0
 
 
-def _seen(view: _DrawnTemplate, video: PartVideo, f: int, subject: CaptureSubject, part: int) -> tuple[Array, Array]:
+def _seen(scene: _Scene, view: _DrawnTemplate, f: int) -> tuple[Array, Array]:
     """Vertices of the part that frame f shows well, and their pixels."""
+    video, subject, part = scene.video, scene.subject, scene.part
     camera = video.cameras[f]
     pixels, depth = project(camera, view.posed)
     inside = (pixels > 1).all(1) & (pixels < np.array(camera.size) - 1).all(1) & (depth > 0)
@@ -244,15 +272,13 @@ def _seen(view: _DrawnTemplate, video: PartVideo, f: int, subject: CaptureSubjec
     return at, pixels[at]
 
 
-def _add_colors(
-    H: Array, b: Array, views: list[_DrawnTemplate], video: PartVideo, subject: CaptureSubject, part: int,
-    moving: Int[Array, "m"], sigma: float,
-) -> None:  # fmt: skip
+def _add_colors(equations: _Equations, scene: _Scene, views: list[_DrawnTemplate], sigma: float) -> None:
     """Add the colour term of all frames: each vertex against its mean over the frames that see it, at least 4."""
+    video, subject = scene.video, scene.subject
     total, number = np.zeros((len(subject.vertices), 3)), np.zeros(len(subject.vertices))
     seen = []
     for f, view in enumerate(views):
-        at, pixels = _seen(view, video, f, subject, part)
+        at, pixels = _seen(scene, view, f)
         image = ndimage.gaussian_filter(video.images[f].astype(np.float32) / 255, (1.0, 1.0, 0))
         color = _bilinear(image, pixels)
         total[at] += color
@@ -270,9 +296,9 @@ def _add_colors(
         dy, dx = (_bilinear(slope, pixels) for slope in np.gradient(image, axis=(0, 1)))
         for c in range(3):
             g = np.einsum("ni,nij->nj", np.stack([dx[:, c], dy[:, c]], 1), jac)
-            J = increments_moved(subject, at, views[f].G, views[f].B, g, moving)
-            H[f] += (J * weight[:, None]).T @ J
-            b[f] += (J * weight[:, None]).T @ r[:, c]
+            J = increments_moved(subject, at, views[f].G, views[f].B, g, scene.moving)
+            equations.H[f] += (J * weight[:, None]).T @ J
+            equations.b[f] += (J * weight[:, None]).T @ r[:, c]
 
 
 def _share_of_pixel(pixels: Float[Array, "n 2"]) -> Float[Array, "n"]:
@@ -290,7 +316,7 @@ def _solve(
     H: Float[Array, "frames p p"], b: Float[Array, "frames p"], R: Float[Array, "frames m 3 3"],
     settings: AlignSettings,
 ) -> Float[Array, "frames p"]:  # fmt: skip
-    """One Gauss-Newton step of all frames, H and b theirs alone; the smoothness of neighbours is added here.
+    """One Gauss-Newton step of all frames, H and b those of each frame; the smoothness of neighbours is added here.
 
     The second difference of a joint is a_f = v_f - v_(f-1), v_f = log(R_f^T R_(f+1)); an increment d_f turns
     v_f by -R_(f,f+1)^T d_f and v_(f-1) by d_f.

@@ -3,7 +3,7 @@
 By how much is read off the template's outline, which is the registered person. Where the edge runs is then read off
 the picture: between pixels that are surely the person and pixels that surely are not, a random walk that does not
 like to cross edges of colour (Grady, Random Walks for Image Segmentation, 2006) decides. Where colours say nothing
-it ends half-way, near where the offset alone would put the edge, and those pixels count as unsure.
+it ends half-way, near where only the offset would put the edge, and those pixels count as unsure.
 """
 
 import warnings

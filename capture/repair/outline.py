@@ -1,5 +1,7 @@
 """Outlines of silhouettes: which pixel of one belongs to which of another, and what of their distance is shape."""
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage, signal
@@ -55,7 +57,8 @@ def placement(
         middle = centre[::-1] / 2
         turned = half
         if degrees:
-            turned = np.asarray(ndimage.affine_transform(half, back, offset=tuple(middle - back @ middle), order=0))
+            offset: Any = middle - back @ middle
+            turned = np.asarray(ndimage.affine_transform(half, back, offset=offset, order=0))
         vote = signal.fftconvolve(turned, vote_of, mode="valid")
         dy, dx = h - np.arange(vote.shape[0])[:, None], w - np.arange(vote.shape[1])[None, :]
         tax = 0.02 * (4 * (dy**2 + dx**2) / near**2 + (degrees / 10) ** 2)

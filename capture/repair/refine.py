@@ -40,7 +40,7 @@ CHOICES = ("auto", "on", "off")
 
 @dataclass(frozen=True)
 class RefineJob:
-    """What the refinement of one video is told; a worker process gets it whole."""
+    """The refinement of one video, for a worker process."""
 
     capture: str
     part: str
@@ -71,7 +71,7 @@ def refine_capture(
     wanted = [part for part in posed if choice == "on" or errors[part] > MISALIGNED]
     if wanted and errors:
         off = ", ".join(f"{part} {errors[part]:.1f} px" for part in wanted)
-        say(f"outlines miss the masks ({off}): poses refined first; --refine-poses off leaves them alone")
+        say(f"outlines miss the masks ({off}): poses refined first; --refine-poses off keeps them")
     jobs = {part: RefineJob(str(capture.path), part, str(folder), believed) for part in wanted}
     facts: dict[str, Any] = dict(run(jobs, refine_part))
     masks_off = believed_offset(offsets | {part: facts[part]["masks_off_px"] for part in facts})
@@ -87,15 +87,15 @@ def refine_capture(
     return facts
 
 
-def refine_part(job: RefineJob, tell: Reporter) -> dict:
+def refine_part(job: RefineJob, reporter: Reporter) -> dict:
     """Align one video's poses with its masks and write them; returns what run.json says of it."""
     path = refined_path(Path(job.folder), job.part)
-    capture = read_capture(job.capture)
+    capture = read_capture(job.capture, parts=(job.part,))
     video, subject = capture.videos[job.part], capture.subject
     if job.masks_off:
         video = replace(video, masks=redrawn(video, subject, pixels_off(video, job.masks_off)).masks)
     assert video.axis_angle is not None and video.root is not None
-    aligned = align(video, subject, AlignSettings(), lambda number, *_: tell.step(number + 1, "poses onto masks"))
+    aligned = align(video, subject, AlignSettings(), lambda number, *_: reporter.step(number + 1, "poses onto masks"))
     kept = frames_on_the_mask(aligned.edge)
     video = _with_poses(video, aligned.axis_angle[kept], aligned.root[kept], kept)
     facts = {
@@ -105,7 +105,7 @@ def refine_part(job: RefineJob, tell: Reporter) -> dict:
     }
     with whole_file(path.with_suffix(".poses")) as file:
         np.savez(file, axis_angle=aligned.axis_angle[kept], root=aligned.root[kept], frames=kept)
-    tell.say(
+    reporter.say(
         f"{job.part}: poses on the masks, outlines {facts['outline_px']:.2f} px apart, "
         f"{len(facts['frames_left_out'])} frames left out"
     )
@@ -137,7 +137,7 @@ def with_refined(capture: Capture, folder: Path) -> Capture:
 
 
 def poses_refined(folder: Path, part: str) -> bool:
-    """Whether the poses of a part's video were moved, and not its masks alone."""
+    """Whether the poses of a part's video were moved, and not only its masks."""
     path = refined_path(folder, part)
     return path.exists() and "axis_angle" in read_npz(path, "refined poses", ("frames",), ("axis_angle",))
 

@@ -24,9 +24,9 @@ def measured(tmp_path_factory):
     capture = write_capture(folder / "person", frames=8)
     given = {}
 
-    def watched(field, rays, part, preset, **others):
+    def watched(field, rays, training, **others):
         given.update(frames=rays.frame.unique().tolist(), before=field.appearance.weight.detach().clone())
-        skipped = train_field(field, rays, part, preset, **others)
+        skipped = train_field(field, rays, training, **others)
         given["after"] = field.appearance.weight.detach().clone()
         return skipped
 

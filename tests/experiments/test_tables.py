@@ -20,12 +20,15 @@ from experiments.tables import collect, main
 TRAIN = """
 import sys
 from dataclasses import replace
+from pathlib import Path
+from train.options import TrainOptions
 from train.preset import DEMO
 from train.stages import train
 parts = [replace(p, iterations=6, cell=max(p.cell, .006), spacing=max(p.spacing, .006)) for p in DEMO.parts]
 small = replace(DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(.03, .015, .008),
                 parts=tuple(parts), single="--single" in sys.argv)
-train(sys.argv[1], sys.argv[2], small)
+head = Path(sys.argv[sys.argv.index("--head-from") + 1]) if small.single else None
+train(TrainOptions(capture=Path(sys.argv[1]), out=Path(sys.argv[2]), single=small.single, head_from=head), small)
 """
 ROWS = ["ours", "landmarks_only", "no_L_g", "no_fusion", "single", "no_ray_transform"]
 
@@ -35,8 +38,8 @@ def in_process(*words):
     if words[0] == "experiments.table_row":
         return lambda: experiments.table_row.main([str(word) for word in words[1:]])
     assert words[:2] == ("selfscan", "train") and words[3] == "-o" and words[5:7] == ("--preset", "demo")
-    single = [word for word in words if word == "--single"]
-    script = [sys.executable, "-c", TRAIN, words[2], words[4], *single]
+    single = list(words[words.index("--single") :]) if "--single" in words else []
+    script = [sys.executable, "-c", TRAIN, words[2], words[4], *map(str, single)]
     return lambda: subprocess.run(script, check=False).returncode
 
 

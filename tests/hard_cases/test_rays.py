@@ -12,12 +12,12 @@ from capture.template import surface_cloud
 from train import run as run_folder
 from train.deform import canonical_directions
 from train.networks.triplane import TriPlaneNetworks
-from train.objective import losses, ray_tensors
+from train.objective import Batch, losses, ray_tensors
 from train.parts import Box, part_boxes
 from train.preset import DEMO
 from train.rays import Band, march, part_rays
 from train.template_grid import template_grid
-from train.trainer import train_field
+from train.trainer import Checkpoints, FieldTraining, train_field
 
 BAND = Band(0.03, 0.02, 0.005)
 RADIUS = 0.1
@@ -143,6 +143,7 @@ PRESET = replace(
     DEMO, rays=64, warm_up=2,
     parts=tuple(replace(p, iterations=6, networks=TriPlaneNetworks(plane_size=16, color_size=16)) for p in DEMO.parts),
 )  # fmt: skip
+TRAINING = FieldTraining(part=PRESET.parts[2], preset=PRESET, seed=3)
 
 
 def _rays(capture, cloud):
@@ -211,7 +212,7 @@ def test_a_batch_of_background_or_person_alone_has_finite_gradients(capture, clo
     rays = ray_tensors(_rays(capture, cloud), cloud, torch.device("cpu"))
     rays = replace(rays, mask=torch.full_like(rays.mask, mask), color=mask * rays.color)
     field = _field(capture, cloud)
-    loss, report = losses(field, rays, torch.arange(32), torch.rand(32), 0.001, PRESET.parts[2], PRESET)
+    loss, report = losses(field, rays, Batch(torch.arange(32), torch.rand(32), 0.001), PRESET.parts[2], PRESET)
     loss.backward()
     gradients = [p.grad for p in field.parameters() if p.grad is not None]
     assert torch.isfinite(loss) and np.isfinite(report().psnr) and len(gradients) > 4
@@ -223,7 +224,7 @@ def _trains(field, rays) -> None:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        skipped = train_field(field, rays, PRESET.parts[2], PRESET, seed=3)
+        skipped = train_field(field, rays, TRAINING)
     finally:
         torch.set_num_threads(threads)
     assert skipped == 0 and all(torch.isfinite(p).all() for p in field.parameters())
@@ -235,9 +236,9 @@ def test_training_resumed_equals_training_never_stopped_bit_for_bit(capture, clo
     path, threads = tmp_path / "half.ckpt", torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        train_field(whole, rays, PRESET.parts[2], PRESET, seed=3)
-        train_field(halves, rays, PRESET.parts[2], PRESET, seed=3, checkpoint=path, stop_after=2)
-        train_field(again, rays, PRESET.parts[2], PRESET, seed=3, checkpoint=path, resume=True)
+        train_field(whole, rays, TRAINING)
+        train_field(halves, rays, TRAINING, checkpoints=Checkpoints(path=path, stop_after=2))
+        train_field(again, rays, TRAINING, checkpoints=Checkpoints(path=path, resume=True))
     finally:
         torch.set_num_threads(threads)
     moved = 0

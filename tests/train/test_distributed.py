@@ -9,7 +9,7 @@ import pytest
 import torch
 from painted_capture import write_capture
 
-from train.distributed import ALONE, Ranks
+from train.distributed import ONE_PROCESS, Ranks
 
 TESTS = Path(__file__).parents[1]
 
@@ -74,4 +74,4 @@ def test_the_shares_of_a_batch_are_the_batch():
     shares = [Ranks(rank, 3).share(batch) for rank in range(3)]
     assert torch.equal(torch.cat(shares).sort().values, batch)
     assert [Ranks(rank, 3).weight(7) for rank in range(3)] == [len(share) / 7 for share in shares]
-    assert ALONE.weight(7) == 1.0
+    assert ONE_PROCESS.weight(7) == 1.0

@@ -15,13 +15,13 @@ from train.networks import hash, paper
 from train.networks.hash import HashGrid, HashNetworks, take_rows
 from train.networks.paper import PaperGeometry, PaperNetworks, SkipLayers
 from train.networks.triplane import TriPlaneNetworks
-from train.objective import choose_rays, losses, ray_tensors, rho_at
+from train.objective import Batch, choose_rays, losses, ray_tensors, rho_at
 from train.parts import part_boxes
 from train.prefit import fit_template
 from train.preset import DEMO, FAST, PAPER, shortened
 from train.rays import part_rays
 from train.template_grid import template_grid
-from train.trainer import rate_at, train_field
+from train.trainer import FieldTraining, rate_at, train_field
 
 HALF = torch.tensor([0.5, 1.0, 0.25])
 
@@ -309,11 +309,11 @@ def test_each_preset_learns_the_painted_hand(hand, name, left, gained):
     chosen, u = torch.arange(0, len(rays.ends), 3), torch.full((len(rays.ends[::3]),), 0.5)
 
     def now():
-        loss, report = losses(field, rays, chosen, u, 0.002, part, preset)
+        loss, report = losses(field, rays, Batch(chosen, u, 0.002), part, preset)
         return float(loss.detach()), report()
 
     before, first = now()
-    train_field(field, rays, part, preset, seed=3)
+    train_field(field, rays, FieldTraining(part=part, preset=preset, seed=3))
     after, last = now()
     assert after < left * before
     assert last.psnr > first.psnr + gained
@@ -347,7 +347,7 @@ def test_normals_are_the_derivative_of_the_distance(hand, name):
 
 def test_rendering_by_density_teaches_the_displacement_and_the_width(hand):
     preset, part, field, rays = hand("paper")
-    loss, _ = losses(field, rays, torch.arange(64), torch.rand(64), 0.0, part, preset)
+    loss, _ = losses(field, rays, Batch(torch.arange(64), torch.rand(64), 0.0), part, preset)
     loss.backward()
     assert isinstance(field.geometry, PaperGeometry)
     assert field.displacement.out.bias.grad.abs().max() > 0

@@ -13,15 +13,14 @@ from capture.folder import read_capture
 from capture.repair.refine import copy_refined, poses_refined, refined_path, with_learned, with_refined, write_learned
 from capture.template import surface_cloud, visible_faces
 from train import run as run_folder
-from train.distributed import Ranks
-from train.objective import losses, ray_tensors
+from train.objective import Batch, losses, ray_tensors
 from train.part_job import PartJob, _keep_poses
 from train.parts import part_boxes
 from train.pose_correction import PoseCorrection
 from train.preset import DEMO
 from train.rays import part_rays
 from train.template_grid import template_grid
-from train.trainer import train_field
+from train.trainer import Checkpoints, FieldTraining, train_field
 from train.union import read_rays
 
 ONE = torch.tensor([1.0, 0, 0, 0])  # weights: the first bone alone
@@ -146,14 +145,15 @@ def test_losses_of_colour_and_mask_reach_the_poses_and_wait_until_somebody_shows
     field.poses = PoseCorrection(capture.videos["hand_left"], capture.subject)
     chosen = torch.arange(0, len(rays.ends), 5)
     part, preset = replace(DEMO.parts[2], iterations=10), replace(DEMO, rays=64, pose_begin=0.5)
-    loss, _ = losses(field, rays, chosen, torch.full((len(chosen),), 0.5), 0.003, part, preset)
+    training = FieldTraining(part=part, preset=preset, seed=1)
+    loss, _ = losses(field, rays, Batch(chosen, torch.full((len(chosen),), 0.5), 0.003), part, preset)
     loss.backward()
     gradient = field.poses.increments.grad
     assert torch.isfinite(gradient).all() and gradient.abs().sum(1).min() > 0  # every frame
     field.poses.increments.grad = None
-    train_field(field, rays, part, preset, seed=1, stop_after=5)
+    train_field(field, rays, training, checkpoints=Checkpoints(stop_after=5))
     assert field.poses.increments.abs().max() == 0
-    train_field(field, rays, part, preset, seed=1, stop_after=8)
+    train_field(field, rays, training, checkpoints=Checkpoints(stop_after=8))
     assert field.poses.increments.abs().max() > 0
 
 
@@ -190,7 +190,8 @@ def test_after_the_body_stage_2_gets_the_rays_of_the_poses_that_were_learned(cap
     video, subject = capture.videos["body"], capture.subject
     field, rays = hand(capture)  # which rays they are does not matter
     poses = field.poses = planted(video, subject, 0.5)
-    job = PartJob(str(capture.path), 0, DEMO, np.eye(4), str(tmp_path), "cpu", 0, False, 1, 120.0, 0, Ranks())
+    job = PartJob(capture=str(capture.path), index=0, preset=DEMO, canonical_from_head=np.eye(4), folder=str(tmp_path),
+                  device="cpu", threads=1)  # fmt: skip
     _keep_poses(job, field, rays, video)
     assert field.poses is None
     kept = read_rays(tmp_path / "body.rays", torch.device("cpu"))

@@ -1,4 +1,4 @@
-"""The head of the template follows the head bone alone where its field speaks alone (Eq. 4)."""
+"""The head of the template follows only the head bone where only its field has a weight (Eq. 4)."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def subject(tmp_path_factory):
     return read_capture(write_capture(tmp_path_factory.mktemp("capture") / "test")).subject
 
 
-def test_the_head_is_rigid_where_it_speaks_alone_and_nothing_changes_below_the_overlap(subject):
+def test_the_head_is_rigid_where_only_it_has_a_weight_and_nothing_changes_below_the_overlap(subject):
     share = part_weight(torch.as_tensor(subject.vertices), part_boxes(subject)[1]).numpy()
     before, after = dense_weights(subject.skin), dense_weights(with_rigid_head(subject).skin)
     alone, below = share == 1, share <= 0.5

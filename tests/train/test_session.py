@@ -15,6 +15,7 @@ import torch
 from painted_capture import write_capture
 
 from avatar.errors import AssetError
+from train.options import TrainOptions
 from train.preset import DEMO
 from train.session import FILE, capture_digest, exclusive_lock, open_session
 from train.stages import train
@@ -195,7 +196,7 @@ def test_a_finished_run_is_replaced_only_by_force(tmp_path):
 def test_two_processes_do_not_train_into_one_folder(capture, tmp_path):
     out = tmp_path / "run"
     with exclusive_lock(out), pytest.raises(AssetError, match=rf"process {os.getpid()} is training into it"):
-        train(capture, out, DEMO)
+        train(TrainOptions(capture=capture, out=out), DEMO)
     assert list(tmp_path.iterdir()) == []
     with exclusive_lock(out):  # the lock went with its holder
         pass

@@ -14,11 +14,12 @@ from avatar.errors import AssetError
 from capture.folder import read_capture
 from capture.repair.refine import with_refined
 from capture.template import surface_cloud, visible_faces
+from train import part_job
 from train import run as run_folder
 from train.command import main
 from train.fused import FusedField
 from train.networks.triplane import TriPlaneNetworks
-from train.objective import losses, ray_tensors, render_rays
+from train.objective import Batch, functions_of, losses, ray_tensors, render_rays
 from train.parts import part_boxes
 from train.pose_correction import PoseCorrection
 from train.preset import DEMO, PRESETS, UnionPreset
@@ -27,7 +28,7 @@ from train.render import jittered
 from train.single import single_part
 from train.surface import extract_surface
 from train.template_grid import TemplateGrid, template_grid
-from train.trainer import train_field
+from train.trainer import Checkpoints, FieldTraining, Watch, train_field
 from train.variants import seam_steps, variant
 
 TINY = replace(
@@ -71,6 +72,11 @@ def hand(capture):
     return field, ray_tensors(rays, cloud, torch.device("cpu"))
 
 
+def by(**changes):
+    """What the hand of these tests learns by."""
+    return FieldTraining(**({"part": TINY.parts[2], "preset": TINY, "seed": 3} | changes))
+
+
 def tiny_run(capture, out, monkeypatch, *options):
     """What `selfscan train` with these options leaves, parts trained one after the other in this process."""
     monkeypatch.setitem(PRESETS, "demo", TINY)
@@ -109,10 +115,10 @@ def test_resumed_training_equals_training_never_stopped(capture, hand, tmp_path,
     torch.set_num_threads(1)
     try:
         whole, halves, again = field(), field(), field()
-        train_field(whole, rays, TINY.parts[2], preset, seed=3)
+        train_field(whole, rays, by(preset=preset))
         path = tmp_path / "half.ckpt"
-        train_field(halves, rays, TINY.parts[2], preset, seed=3, checkpoint=path, stop_after=3)
-        train_field(again, rays, TINY.parts[2], preset, seed=3, checkpoint=path, resume=True)
+        train_field(halves, rays, by(preset=preset), checkpoints=Checkpoints(path=path, stop_after=3))
+        train_field(again, rays, by(preset=preset), checkpoints=Checkpoints(path=path, resume=True))
     finally:
         torch.set_num_threads(threads)
     state = whole.state_dict()
@@ -126,7 +132,7 @@ def test_denormals_are_flushed_while_training_and_never_after(hand):
     build, rays = hand
     tiny = lambda: float(torch.tensor([1e-310], dtype=torch.float64).mul(1.0)[0])
     seen = []
-    train_field(build(), rays, TINY.parts[2], TINY, seed=3, report=lambda *_: seen.append(tiny()))
+    train_field(build(), rays, by(), watch=Watch(report=lambda *_: seen.append(tiny())))
     assert seen and max(seen) == 0.0
     assert tiny() > 0
 
@@ -134,10 +140,10 @@ def test_denormals_are_flushed_while_training_and_never_after(hand):
 def test_a_checkpoint_cut_in_half_is_refused_by_name(hand, tmp_path):
     build, rays = hand
     path = tmp_path / "half.ckpt"
-    train_field(build(), rays, TINY.parts[2], TINY, seed=3, checkpoint=path, stop_after=1)
+    train_field(build(), rays, by(), checkpoints=Checkpoints(path=path, stop_after=1))
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     with pytest.raises(AssetError, match=r"half\.ckpt: expected a checkpoint"):
-        train_field(build(), rays, TINY.parts[2], TINY, seed=3, checkpoint=path, resume=True)
+        train_field(build(), rays, by(), checkpoints=Checkpoints(path=path, resume=True))
 
 
 def test_steps_that_are_not_finite_change_nothing_and_too_many_are_an_error(hand):
@@ -146,7 +152,7 @@ def test_steps_that_are_not_finite_change_nothing_and_too_many_are_an_error(hand
     field = build()
     before = {name: value.clone() for name, value in field.state_dict().items()}
     with pytest.raises(FloatingPointError, match="not finite"):
-        train_field(field, poisoned, TINY.parts[2], TINY, seed=0)
+        train_field(field, poisoned, by())
     for name, value in field.state_dict().items():
         assert torch.equal(value, before[name]), name
 
@@ -167,14 +173,14 @@ def test_one_step_that_is_not_finite_is_skipped_and_counted_and_training_goes_on
     field, short = build(), build()
     reports = []
     report = lambda iteration, step: reports.append((iteration, step))
-    skipped = train_field(field, rays, TINY.parts[2], TINY, seed=0, extra=planted(6), report=report)
+    skipped = train_field(field, rays, by(extra=planted(6)), watch=Watch(report=report))
     assert skipped == 1
     assert np.isnan(reports[-1][1].loss) and np.isfinite(reports[-1][1].color)
-    train_field(short, rays, TINY.parts[2], TINY, seed=0, extra=planted(), stop_after=5)
+    train_field(short, rays, by(extra=planted()), checkpoints=Checkpoints(stop_after=5))
     for name, value in short.named_parameters():
         assert torch.equal(value, dict(field.named_parameters())[name]), name
     with pytest.raises(FloatingPointError, match="2 of 4 steps were not finite"):
-        train_field(build(), rays, TINY.parts[2], TINY, seed=0, extra=planted(2, 4))
+        train_field(build(), rays, by(extra=planted(2, 4)))
 
 
 @pytest.mark.parametrize("mask", [0.0, 1.0])
@@ -182,7 +188,7 @@ def test_a_batch_without_person_or_without_background_has_finite_gradients(hand,
     build, rays = hand
     one_sided = replace(rays, mask=torch.full_like(rays.mask, mask), color=mask * rays.color)
     field = build()
-    loss, report = losses(field, one_sided, torch.arange(32), torch.rand(32), 0.001, TINY.parts[2], TINY)
+    loss, report = losses(field, one_sided, Batch(torch.arange(32), torch.rand(32), 0.001), TINY.parts[2], TINY)
     loss.backward()
     assert torch.isfinite(loss) and np.isfinite(report().psnr)
     assert all(torch.isfinite(p.grad).all() for p in field.parameters() if p.grad is not None)
@@ -202,7 +208,7 @@ def test_the_displacement_of_an_end_lies_on_the_line_between_its_knots(hand, eve
     field = build()
     field.displacement = Ramp()
     chosen, u = torch.arange(0, len(rays.ends), 7), torch.rand(-(-len(rays.ends) // 7))
-    drawn = render_rays(field, rays, chosen, u, 0.001, replace(TINY, displaced_every=every))
+    drawn = render_rays(functions_of(field), rays, Batch(chosen, u, 0.001), replace(TINY, displaced_every=every))
     ends, frame = jittered(rays.ends[chosen], u), rays.frame[chosen]
     batch, count, _ = ends.shape
     knots = list(range(0, count, every))
@@ -291,6 +297,8 @@ def test_a_run_is_rebuilt_from_its_own_settings_when_the_preset_was_edited(captu
 class Hollow(FusedField):
     """The template, empty more than 2.5 cm under its skin, and with a hole 1.6 cm wide into the chest."""
 
+    device = torch.device("cpu")
+
     def __init__(self, subject):
         torch.nn.Module.__init__(self)  # no parts: one distance for everything
         low, high = subject.vertices.min(0) - 0.08, subject.vertices.max(0) + 0.08
@@ -323,8 +331,24 @@ def test_a_capture_without_a_field_is_refused_by_name(capture, tmp_path):
         run_folder.read_run(tmp_path)
 
 
-def test_a_single_network_has_the_parameters_rays_and_steps_of_the_four_parts(capture, tmp_path, monkeypatch):
-    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--single", "--preview", "0")
+def test_a_single_network_has_the_parameters_rays_steps_and_head_of_the_four_parts(capture, tmp_path, monkeypatch):
+    ours = tiny_run(capture, tmp_path / "ours", monkeypatch, "--preview", "0")
+    # a place that only this run has
+    facts = json.loads((ours.path / "run.json").read_text())
+    place = np.linalg.inv(facts["head_from_canonical"])
+    place[:3, 3] += [0.001, 0.002, -0.003]
+    facts["head_from_canonical"] = np.linalg.inv(place).tolist()
+    (ours.path / "run.json").write_text(json.dumps(facts))
+    given = []
+    rays_of = part_job.single_rays
+    monkeypatch.setattr(part_job, "single_rays", lambda *a: given.append(a[2]) or rays_of(*a))
+    options = ("--single", "--preview", "0", "--head-from", str(ours.path))
+    run = tiny_run(capture, tmp_path / "run", monkeypatch, *options)
+    np.testing.assert_allclose(given[0], place, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.inv(run.provenance["head_from_canonical"]), place, atol=1e-12)
+    assert np.array_equal(run.provenance["canonical_from_head_field"], np.eye(4))
+    with pytest.raises(AssetError, match="is a single network; --head-from needs a run of four parts"):
+        tiny_run(capture, tmp_path / "again", monkeypatch, "--single", "--head-from", str(run.path))
     assert len(run.field.fields) == 1 and run.provenance["parts"]["single"]["steps"] == 4 * 6
     field = run.field.field(0)
     assert len(field.appearance.weight) == sum(len(video.images) for video in capture.videos.values())
@@ -336,6 +360,19 @@ def test_a_single_network_has_the_parameters_rays_and_steps_of_the_four_parts(ca
     points = torch.as_tensor(run.surface.vertices, dtype=torch.float32)
     assert run.field.distance(points).abs().quantile(0.95) < 0.003
     assert seam_steps(run) == {}
+
+
+def test_a_single_network_without_a_run_of_ours_has_body_and_head_placed_first(capture, tmp_path, monkeypatch):
+    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--single", "--preview", "0", "--refine-poses", "on")
+    registration = run.provenance["registration"]
+    assert registration["from"] == "body and head trained for it"
+    assert "moved_mm" in registration["video"] or registration["video"]["kept"] == "surfaces"
+    assert set(run.provenance["parts"]) == {"single"} and len(run.field.fields) == 1
+    # the poses that the body learned for the placement are not the single network's
+    assert "poses_learned_deg" not in run.provenance["parts"]["single"]
+    aligned = with_refined(capture, run.path).videos["body"].axis_angle
+    assert np.abs(aligned - capture.videos["body"].axis_angle).max() > 1e-4
+    assert not (tmp_path / "run.partial").exists()
 
 
 def test_the_demo_single_network_has_as_many_parameters_as_the_parts_together(capture):

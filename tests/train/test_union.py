@@ -12,7 +12,7 @@ from painted_capture import write_capture
 from avatar.errors import AssetError
 from capture.folder import read_capture
 from capture.template import surface_cloud, visible_faces
-from train.appearance import match_appearance, overlap_rays
+from train.appearance import CodeSteps, match_appearance, overlap_rays
 from train.command import main
 from train.field import PartField
 from train.fused import FusedField
@@ -20,10 +20,11 @@ from train.networks import triplane
 from train.networks.triplane import TriPlaneNetworks
 from train.objective import ray_tensors
 from train.parts import Box, Part, part_boxes
-from train.preset import DEMO
+from train.preset import DEMO, PRESETS
 from train.rays import part_rays
 from train.run import build_field, read_run
 from train.template_grid import TemplateGrid, template_grid
+from train.trainer import Checkpoints, Watch
 from train.union import geometry_loss, in_overlap, overlap_surface, train_union, zero_level
 from train.variants import VARIANTS, seam_steps, variant
 
@@ -126,7 +127,7 @@ def test_each_term_of_L_g_pulls_the_body_sphere_onto_the_head_in_their_overlap_a
         assert torch.equal(value, head[name]), name  # the other parts are fixed
 
 
-def test_L_g_asks_nothing_where_one_part_speaks_alone_or_the_part_never_learnt():
+def test_L_g_is_zero_where_one_part_has_all_weight_or_the_part_never_learnt():
     fused = _spheres()
     L_g = geometry_loss(fused, [torch.zeros(0, 3)], DEMO.parts, DEMO)
     alone = torch.tensor([[-0.1, 0, 0], [0.11, 0, 0]])
@@ -136,6 +137,23 @@ def test_L_g_asks_nothing_where_one_part_speaks_alone_or_the_part_never_learnt()
     assert asked(alone) == 0 and asked(deep) == 0
     # 1 m against the head's -7 mm there
     assert asked(both) == pytest.approx(DEMO.union.consistency * (1 + 0.007), rel=2e-3)
+
+
+def test_L_g_compares_metres_with_metres_where_eq5_scales_the_head():
+    """The body's sphere and the same sphere in a head frame 5 % larger, 1 cm outside: both say 10 mm."""
+    torch.manual_seed(0)
+    head_from_canonical = torch.eye(4)
+    head_from_canonical[:3, :3] *= 1.05
+    fields = [_sphere_field(0.1, (0.0, 0.0, 0.0)), _sphere_field(0.105, (0.0, 0.0, 0.0))]
+    fused = FusedField(fields, SPHERES, head_from_canonical).eval().requires_grad_(False)
+    L_g = geometry_loss(fused, [torch.zeros(0, 3)], DEMO.parts, DEMO)
+    d = torch.nn.functional.normalize(torch.randn(500, 3, generator=torch.Generator().manual_seed(5)), dim=1)
+    points = 0.11 * d[in_overlap(fused.shares(0.11 * d), 1)]
+    assert len(points) > 50
+    apart = (fused.part_distance(1, points) - fused.part_distance(0, points)).abs().mean()
+    found = float(L_g(points, fused.field(0)(points).distance)) / DEMO.union.consistency
+    assert found == pytest.approx(float(apart), abs=1e-7)
+    assert found < 3e-4  # without the scale half a millimetre is added
 
 
 def _coloured_spheres(step: float) -> FusedField:
@@ -170,7 +188,7 @@ def test_eq8_recovers_a_planted_colour_change_and_eq9_then_hides_it():
     points, directions = _seen_overlap(fused)
     body = fused.part_color(0, points, directions)
     assert (fused.part_color(1, points, directions) - body).abs().mean() > 0.02
-    before, after = match_appearance(fused, 1, points, directions, steps=300, seed=0)
+    before, after = match_appearance(fused, 1, points, directions, CodeSteps(count=300))
     assert before > 0.02 and after < 0.1 * before
     assert (fused.part_color(1, points, directions) - body).abs().mean() == pytest.approx(after, rel=1e-4)
     # the other direction of light and other points too: it is the code that was found, not the samples
@@ -195,7 +213,7 @@ def test_eq8_with_a_single_frame_stays_finite():
     head = fused.field(1)
     head.appearance.weight.data = head.appearance.weight.data[:1].clone()
     points, directions = _seen_overlap(fused)
-    _, after = match_appearance(fused, 1, points, directions, steps=5)
+    _, after = match_appearance(fused, 1, points, directions, CodeSteps(count=5))
     assert np.isfinite(after) and torch.isfinite(head.reference).all()
 
 
@@ -247,8 +265,16 @@ def test_stage_2_interrupted_and_resumed_equals_stage_2_never_stopped(capture, u
         train_union(whole, capture.subject, rays, preset, seed=3)
         path = tmp_path / "union.ckpt"
         with pytest.raises(KeyboardInterrupt):
-            train_union(halves, capture.subject, rays, preset, seed=3, checkpoint=path, save_every=0.0, report=stop)
-        train_union(again, capture.subject, rays, preset, seed=3, checkpoint=path, resume=True)
+            train_union(
+                halves,
+                capture.subject,
+                rays,
+                preset,
+                seed=3,
+                checkpoints=Checkpoints(path=path, every=0.0),
+                watch=Watch(report=stop),
+            )
+        train_union(again, capture.subject, rays, preset, seed=3, checkpoints=Checkpoints(path=path, resume=True))
     finally:
         torch.set_num_threads(threads)
     for name, value in whole.state_dict().items():
@@ -270,7 +296,7 @@ def run(capture, tmp_path_factory):
     out = tmp_path_factory.mktemp("run") / "run"
     threads = torch.get_num_threads()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(__import__("train.preset").preset.PRESETS, "demo", TINY)
+        patch.setitem(PRESETS, "demo", TINY)
         patch.setattr("os.cpu_count", lambda: 1)
         try:
             assert main([str(capture.path), "-o", str(out), "--preview", "0", "--refine-poses", "off"]) == 0
