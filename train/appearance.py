@@ -14,12 +14,12 @@ from train.union import in_overlap
 
 @dataclass(frozen=True, kw_only=True)
 class CodeSteps:
-    """How a code is optimised: as the supplement's section 1 says, with the training's optimiser and rates."""
+    """How a code is optimised: by Adam; in `paper` with the training's rates (supplement, section 1)."""
 
     count: int
     rate: float = 1e-2
     # of the first, reached exponentially
-    last_rate: float = 0.05
+    last_rate: float = 1.0
     batch: int = 1024  # points
     seed: int = 0
 

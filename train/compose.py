@@ -163,8 +163,10 @@ def place_head(capture: Capture, fields: Sequence[PartField], landmarks: Registr
 
 
 def code_steps(preset: Preset, seed: int) -> CodeSteps:
-    """How a preset optimises codes (Eq. 8): its rate decays as that of the training does."""
-    return CodeSteps(count=preset.appearance_steps, rate=preset.appearance_rate, last_rate=preset.last_rate, seed=seed)
+    """How a preset optimises codes (Eq. 8)."""
+    return CodeSteps(
+        count=preset.appearance_steps, rate=preset.appearance_rate, last_rate=preset.appearance_last_rate, seed=seed
+    )
 
 
 def displayed_surface(

@@ -90,6 +90,8 @@ class Preset:
     union: UnionPreset = UnionPreset()
     appearance_steps: int = 200  # Eq. 8, per part
     appearance_rate: float = 1e-2  # its learning rate
+    # of the first, reached exponentially
+    appearance_last_rate: float = 1.0
 
 
 _DEMO_BODY = PartPreset(
@@ -186,6 +188,7 @@ PAPER = Preset(
     union=UnionPreset(iterations=100_000, rate=1.0, last_rate=0.1, warm_up=0, consistency=1.0, surface=1.0),
     appearance_steps=15_000,
     appearance_rate=5e-4,
+    appearance_last_rate=0.1,
 )
 
 PRESETS = {preset.name: preset for preset in (DEMO, FAST, PAPER)}

@@ -183,6 +183,21 @@ def _seen_overlap(fused: FusedField) -> tuple[torch.Tensor, torch.Tensor]:
     return points, torch.nn.functional.normalize(-points / 0.1 + noise, dim=1)
 
 
+def test_the_rate_of_eq8_decays_to_its_last():
+    """The same seed and steps: one that decays to a hundredth moves the code less far, and both come nearer."""
+    moved = []
+    for last in (1.0, 0.01):
+        fused = _coloured_spheres(0.4)
+        start = fused.field(1).reference.clone()
+        before, after = match_appearance(
+            fused, 1, *_seen_overlap(fused), CodeSteps(count=20, rate=2e-3, last_rate=last)
+        )
+        assert after < before
+        moved.append(float((fused.field(1).reference - start).norm()))
+    # Adam's steps are about as long as the rate: the mean of .01^t over t in [0, 1] is .215
+    assert 0.15 < moved[1] / moved[0] < 0.35
+
+
 def test_eq8_recovers_a_planted_colour_change_and_eq9_then_hides_it():
     fused = _coloured_spheres(0.4)
     points, directions = _seen_overlap(fused)
