@@ -16,8 +16,7 @@ from avatar.errors import AssetError
 from avatar.picture import WITH_WEBP, decode_picture, picture_size, read_picture
 from capture.folder import _read_frames
 from capture.imports.folder import read_frame, read_mask
-from player.passes.background import Background
-from player.scenes.background import Frames, StillPicture, opened_source
+from player.passes.background import Background, opened_source
 
 ROOT = Path(__file__).parent.parent.parent
 EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\n(%pipe%id) (w) file\nshowpage\n%%EOF\n"
@@ -68,8 +67,8 @@ def readers(path):
     yield lambda: _read_frames(path.parent, "RGB")
     yield lambda: read_frame(path, (6, 4))
     yield lambda: read_mask(path, (6, 4), any_value=True)
-    yield lambda: StillPicture(Background("image", path=str(path)))
-    yield lambda: Frames(Background("video", path=str(path.parent))).pixels(0.0, (8, 8))
+    yield lambda: opened_source(Background("image", path=str(path)))
+    yield lambda: opened_source(Background("video", path=str(path.parent))).pixels(0.0, (8, 8))
 
 
 @pytest.mark.parametrize("name", HOSTILE)
