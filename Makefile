@@ -11,7 +11,7 @@ JOBS ?= 2  # test processes side by side
 .PHONY: demo test hard-cases setup system lint clean
 
 demo: setup
-	OMP_WAIT_POLICY=PASSIVE $(RUN) -m bench.demo out/demo
+	$(RUN) -m bench.demo out/demo
 
 test: setup lint
 	OMP_WAIT_POLICY=PASSIVE $(RUN) -m pytest -q -n $(JOBS) --dist loadfile

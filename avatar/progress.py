@@ -214,6 +214,11 @@ class ProgressBoard:
             self.drawn = 0
 
 
+def counted(number: int, noun: str) -> str:
+    """1 frame, 2 frames."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def clock_time(seconds: float) -> str:
     """Seconds as 0:07, 12:34 or 1:02:03."""
     minutes, seconds = divmod(round(seconds), 60)

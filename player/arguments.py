@@ -13,6 +13,8 @@ from player.scenes.scene import GROUNDS
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
+MOST_WORKERS = 256
+
 
 def parse_size(text: str) -> tuple[int, int]:
     """WxH in pixels."""
@@ -82,6 +84,13 @@ def parse_share(text: str) -> tuple[int, int]:
     if not 1 <= number <= count:
         raise argparse.ArgumentTypeError(f"expected a share from 1/{count} to {count}/{count}, found {text}")
     return number, count
+
+
+def parse_workers(text: str) -> str:
+    """The address of a scheduler, its file, or a number of processes."""
+    if text.isdecimal() and not (len(text) < 5 and 1 <= int(text) <= MOST_WORKERS):
+        raise argparse.ArgumentTypeError(f"expected 1 to {MOST_WORKERS} processes, or an address, found {text[:20]!r}")
+    return text
 
 
 def frame_number(text: str) -> int:

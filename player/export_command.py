@@ -14,7 +14,7 @@ from avatar.motion.amass import write_amass
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip, Motion
 from avatar.motion.hands import HANDS
-from avatar.progress import progress
+from avatar.progress import counted, progress
 from avatar.settings import Help, OneOf, Option, parse
 from player.arguments import GROUND_HELP, HANDS_HELP, parse_frames
 from player.motions import BLOCK, frame_range, ground_for, motion_for
@@ -99,7 +99,7 @@ def export_main(argv: list[str]) -> int:
         print(note)
     seconds = (stop - start) / motion.rate
     size = out.stat().st_size / 1e6
-    print(f"{out}: {stop - start} frames at {motion.rate:g} per second ({seconds:.1f} s), {size:.1f} MB")
+    print(f"{out}: {counted(stop - start, 'frame')} at {motion.rate:g} per second ({seconds:.1f} s), {size:.1f} MB")
     return 0
 
 

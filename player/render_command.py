@@ -14,7 +14,7 @@ from pathlib import Path
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from avatar.files import check_file, check_folder, whole_file
-from avatar.progress import Progress, progress
+from avatar.progress import Progress, counted, progress
 from player.arguments import (
     add_effects,
     add_ground,
@@ -25,6 +25,7 @@ from player.arguments import (
     parse_gpu,
     parse_share,
     parse_size,
+    parse_workers,
     with_effects,
 )
 from player.context import Context, opened
@@ -48,6 +49,7 @@ RENDER_EXAMPLES = """examples
   selfscan render me.glb --motion long.npz -o long.mp4 --workers 4      or tcp://SCHEDULER:8786
 
 OUT is .png (one frame), .mp4, .webm, .mov, .gif, .webp, or a folder for PNG frames."""
+FASTEST = 60.0  # frames a second of a film, unless more are asked for
 DRAFT_LEVEL = 99  # the coarsest there is
 
 
@@ -74,6 +76,12 @@ def render_parser() -> argparse.ArgumentParser:
         help="fitted to the avatar (default: front); a camera or a camera path (.json); cameras.npz or the folder "
         "of a capture, CAPTURE:head for its head video")  # fmt: skip
     add("--seconds", type=positive, metavar="S", help="one turn of orbit (default: the film) or turntable (6)")
+    add(
+        "--rate",
+        type=positive,
+        metavar="HZ",
+        help="frames a second of the film (default: the motion's, halved, cut to a third ... where that is above 60)",
+    )
     add("--size", type=parse_size, metavar="WxH", help="pixels (default: the camera file's, else 640x640)")
     add("--background", type=parse_background, metavar="#rrggbb|transparent|FILE",
         help="colour (default #2b2d33), nothing, a picture, film or panorama (.hdr)")  # fmt: skip
@@ -90,7 +98,12 @@ def render_parser() -> argparse.ArgumentParser:
     add("--resume", action="store_true", help="go on with the parts that an earlier run of this film left")
     add("--part", type=parse_share, metavar="K/N",
         help="draw only the Kth of N shares of the film; --resume then joins them")  # fmt: skip
-    add("--workers", metavar="ADDRESS|N", help="draw on a Dask cluster, or on N processes of this machine")
+    add(
+        "--workers",
+        type=parse_workers,
+        metavar="ADDRESS|N",
+        help="draw on a Dask cluster, or on N processes of this machine",
+    )
     add("--context", choices=("auto", "egl", "osmesa"), default="auto", help="how to reach OpenGL")
     add("--gpu", type=parse_gpu, metavar="N|NODE",
         help="this GPU only, counted as CUDA counts, or its DRM node, as /dev/dri/renderD128")  # fmt: skip
@@ -122,6 +135,8 @@ def render_main(argv: list[str]) -> int:
         parser.error("--json writes what --explain finds: give both")
     if kind == ".png" and options.frames:
         parser.error("a .png holds one frame: give --frame N, or another OUT")
+    if kind == ".png" and options.rate:
+        parser.error("--rate is of a film; a .png holds one frame")
     if kind == ".png" and (options.part or options.workers):
         parser.error("--part and --workers share the frames of a film; a .png holds one")
     if options.part and options.workers:
@@ -161,6 +176,13 @@ def filmed(options: argparse.Namespace, kind: str, stage: Stage, context: Contex
         stage.hold(options.frame)
         options.frame = None
     start, stop = frame_range(stage, options.frame, options.frames, single=kind == ".png")
+    if kind == ".png":
+        print(
+            f"{stage.name}: frame {start} of {counted(stage.frames, 'frame')}"
+            + ("" if options.frame is not None or stage.frames == 1 else "; --frame N draws another")
+        )
+    else:
+        start, stop = at_rate(options, stage, start, stop)
     level = level_of(options)
     shot = Shot(
         stage.scene, start, stop, stage.size(), stage.rate, stage.fit(start, stop), stage.still, level,
@@ -171,6 +193,29 @@ def filmed(options: argparse.Namespace, kind: str, stage: Stage, context: Contex
     if kind == ".png" or not (shared or (stop - start > LENGTH and kind in ("", *VIDEO))):
         return filmed_at_once(shot, stage, context, path, options)
     return filmed_in_parts(shot, stage, context, path, options)
+
+
+def at_rate(options: argparse.Namespace, stage: Stage, start: int, stop: int) -> tuple[int, int]:
+    """The film's frames for the frames start .. stop - 1 of the motion, at the rate asked for.
+
+    A rate that no one asked for is at most FASTEST, the motion's divided by a whole number: every second, third ...
+    frame as it is.
+    """
+    before = stage.rate
+    rate = options.rate or (before if stage.scene.rate else before / math.ceil(before / FASTEST))
+    if rate == before or (options.rate is None and options.frame is not None):
+        return start, stop
+    stage.film_at(rate)
+    if options.rate is None:
+        stage.notes.append(
+            f"{stage.name}: {before:g} frames a second, filmed at {rate:g} (--rate {before:g} takes all)"
+        )
+    if stage.still is not None:
+        return 0, stage.frames
+    first, last = (min(math.ceil(frame * rate / before - 1e-6), stage.frames) for frame in (start, stop))
+    if first >= last:
+        raise AssetError(f"--rate {rate:g}: frames {start}:{stop} are shorter than one frame of the film")
+    return first, last
 
 
 def level_of(options: argparse.Namespace) -> int:
@@ -314,6 +359,9 @@ def drawn_by_workers(address: str, shot: Shot, parts: Parts) -> list[str]:
         raise AssetError(f"--workers needs the package {error.name!r}: pip install 'selfscan[cluster]'") from None
 
     missing = parts.missing()
+    if address.isdecimal() and len(missing) < 2 * int(address):
+        print(f"{counted(len(missing), 'part')} of at most {LENGTH} frames for {counted(int(address), 'worker')}: a "
+              "film this short is drawn sooner without --workers")  # fmt: skip
     report, frames = Progress("frames", sum(b - a for a, b in missing)), 0
     notes: list[str] = []
     for (start, stop), drawn in film_on(address, shot, parts, parts.identity["files"]):
@@ -338,7 +386,12 @@ def how(drawn: Set) -> str:
 
 def done(shot: Shot, path: Path, rest: str) -> None:
     count = len_of(shot)
-    print(f"{path}: {count} frame{'s' * (count != 1)}, {shot.size[0]}x{shot.size[1]}, {rest}")
+    width, height = shot.size
+    if film_kind(path) in VIDEO:
+        from player.filming.encoder import padded_size
+
+        width, height = padded_size(shot.size)
+    print(f"{path}: {counted(count, 'frame')}, {width}x{height}, {rest}")
 
 
 def explain(renderer: Renderer, json_path: str | None) -> None:

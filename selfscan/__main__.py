@@ -119,6 +119,8 @@ def _version() -> str:
 
 
 def _dispatch(name: str, rest: list[str]) -> int:
+    # before torch is loaded: threads that spin while they wait take the processor from each other, several times slower
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         if name == "synth":
             from synth.command import main as run

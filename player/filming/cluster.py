@@ -94,7 +94,7 @@ def connected(address: str) -> Iterator[Any]:
     """A client of the cluster; a number starts one of so many processes here and stops it in the end."""
     from distributed import Client, LocalCluster
 
-    if address.isdigit():
+    if address.isdecimal():
         # one task at a time in each process: OpenGL belongs to one thread
         options: dict[str, Any] = {"dashboard_address": None, "host": "127.0.0.1"}
         count = int(address)

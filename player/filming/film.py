@@ -210,16 +210,26 @@ class Film:
 
 def save_sequence(file: IO[Any], kind: str, pictures: Iterator[Image.Image], rate: float) -> None:
     """Pictures as a .gif or .webp that runs in a loop."""
-    extra = {"quality": 85} if kind == ".webp" else {"disposal": 2}
-    next(pictures).save(
-        file,
-        PICTURE_SEQUENCES[kind],
-        save_all=True,
-        append_images=pictures,
-        duration=1000 / rate,
-        loop=0,
-        **extra,
-    )
+    extra = {"quality": 85, "duration": 1000 / rate} if kind == ".webp" else {"disposal": 2}
+    if kind == ".gif":
+        pictures = _timed(pictures, rate)
+    next(pictures).save(file, PICTURE_SEQUENCES[kind], save_all=True, append_images=pictures, loop=0, **extra)
+
+
+def _timed(pictures: Iterator[Image.Image], rate: float) -> Iterator[Image.Image]:
+    """Pictures of a .gif with how long each is shown: whole hundredths of a second, in all the film's own length.
+
+    Viewers show what is to be shown for less than two hundredths ten times as long: such pictures are left out.
+    """
+    held, began, number = next(pictures), 0, 0
+    for number, picture in enumerate(pictures, 1):
+        now = round(100 * number / rate)
+        if now - began >= 2:
+            held.info["duration"] = 10 * (now - began)
+            yield held
+            held, began = picture, now
+    held.info["duration"] = 10 * max(round(100 * (number + 1) / rate) - began, 2)
+    yield held
 
 
 def join_pieces(pieces: Sequence[tuple[Path, int]], path: Path | str, rate: float) -> None:

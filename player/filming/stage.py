@@ -58,8 +58,7 @@ class Stage:
         self.notes = notes_of(self.tracks)
         self.rate = float(scene.rate or self.tracks[0].rate)
         self.camera = scene.cameras[0] if scene.cameras else SceneCamera()
-        ends = [int(np.ceil(track.end * self.rate - 1e-6)) for track in self.tracks]
-        self.frames = max(1, *ends)
+        self.frames = self._frames()
         self.still: int | None = None  # the one frame that a turntable holds
         if self.camera.kind == "turntable" and self.frames == 1:
             self.hold(0)
@@ -79,6 +78,16 @@ class Stage:
         """A turntable shows this frame from all sides: a film of one round."""
         self.still = frame
         self.frames = max(1, round(self.turn * self.rate))
+
+    def film_at(self, rate: float) -> None:
+        """Show the same seconds at another rate. The scene carries it: all machines that open it film the same."""
+        if self.still is not None:
+            self.still = round(self.still * rate / self.rate)
+        self.rate, self.scene = rate, replace(self.scene, rate=rate)
+        self.frames = self._frames() if self.still is None else max(1, round(self.turn * rate))
+
+    def _frames(self) -> int:
+        return max(1, *(int(np.ceil(track.end * self.rate - 1e-6)) for track in self.tracks))
 
     def size(self) -> tuple[int, int]:
         """Pixels: the scene's, the camera file's, or 640 x 640."""

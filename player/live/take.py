@@ -17,6 +17,7 @@ from avatar.errors import AssetError
 from avatar.files import check_file
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Motion
+from avatar.progress import counted
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 from player.live.frame import LivePose
 
@@ -106,16 +107,20 @@ class Take:
             write_amass(self.path, motion)
         except BaseException as error:
             self.close()
-            kept = f"{self.frames} frames are kept in {self.recording}; recording to {self.path} again saves them"
+            kept = (
+                f"{counted(self.frames, 'frame')} kept in {self.recording}; recording to {self.path} again saves them"
+            )
             raise AssetError(f"{error}; {kept}" if isinstance(error, AssetError) else kept) from None
         self.close()
         self.recording.unlink(missing_ok=True)
-        stopped = [] if self.stopped is None else [f"take: stopped after {self.frames} frames: {self.stopped}"]
+        stopped = (
+            [] if self.stopped is None else [f"take: stopped after {counted(self.frames, 'frame')}: {self.stopped}"]
+        )
         return [
             *self.notes,
             *motion.notes,
             *stopped,
-            f"{self.path}: {motion.frames} frames at {motion.rate:g} a second",
+            f"{self.path}: {counted(motion.frames, 'frame')} at {motion.rate:g} a second",
         ]
 
     def close(self) -> None:
@@ -134,7 +139,7 @@ class Take:
         names = (self.path.with_name(f"{self.path.stem}-recovered{n or ''}.npz") for n in range(1 << 30))
         kept = next(name for name in names if not name.exists())
         write_amass(kept, even_motion(records, height, str(kept)))
-        self.notes.append(f"{kept}: {len(records)} frames of a take that was cut off")
+        self.notes.append(f"{kept}: {counted(len(records), 'frame')} of a take that was cut off")
 
 
 def even_motion(records: np.ndarray, pelvis_height: float | None, name: str) -> Motion:

@@ -9,6 +9,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from avatar.files import whole_file
+from avatar.progress import counted
 from player.filming.film import Film
 from player.window.state import WindowState, counted
 

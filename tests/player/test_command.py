@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ from avatar.camera import orbit_camera, write_camera
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
 from avatar.hull import outermost
+from avatar.motion.amass import write_amass
+from avatar.motion.read import builtin_motion
 from player.framing import extent, facing, fitted_camera, orbit, pelvis_height
 from player.render_command import render_main
 
@@ -129,3 +132,56 @@ def test_the_front_is_where_the_chest_looks(avatar):
     assert facing(lying, avatar.joint_positions) == 0.0
     assert 0.8 < pelvis_height(avatar) < 1.1
     assert extent is not None
+
+
+@pytest.fixture
+def fast_motion(tmp_path):
+    """Half a second at 120 frames a second."""
+    source = builtin_motion("walking").read(0, 60)
+    write_amass(tmp_path / "fast.npz", replace(source, rate=120.0))
+    return str(tmp_path / "fast.npz")
+
+
+def test_a_fast_motion_is_filmed_at_60_or_at_the_rate_asked_for(avatar_path, fast_motion, tmp_path, capsys):
+    # one that is not fitted to the frames that are drawn
+    write_camera(tmp_path / "camera.json", orbit_camera((0, 1, 0), 3.0, 0.2, 0.0, (32, 40)))
+    base = [avatar_path, "--motion", fast_motion, "--camera", str(tmp_path / "camera.json")]
+    counts = {}
+    for rate in (None, "120", "30", "48"):
+        out = tmp_path / f"at{rate}"
+        render_main([*base, *(["--rate", rate] if rate else []), "-o", str(out)])
+        counts[rate] = len(list(out.glob("*.png")))
+        said = capsys.readouterr().out
+        assert ("filmed at 60 (--rate 120 takes all)" in said) == (rate is None)
+    assert counts == {None: 30, "120": 60, "30": 15, "48": 24}
+    for number in range(30):
+        ours, theirs = tmp_path / f"atNone/{number:06d}.png", tmp_path / f"at120/{2 * number:06d}.png"
+        assert ours.read_bytes() == theirs.read_bytes()
+    render_main([*base, "--rate", "30", "--resume", "-o", str(tmp_path / "parts")])
+    for number in range(15):
+        assert (tmp_path / f"parts/{number:06d}.png").read_bytes() == (tmp_path / f"at30/{number:06d}.png").read_bytes()
+    render_main([*base, "--frames", "10:21", "-o", str(tmp_path / "some")])
+    assert len(list((tmp_path / "some").glob("*.png"))) == 6  # 10, 12 ... 20
+    with pytest.raises(AssetError, match="shorter than one frame of the film"):
+        render_main([*base, "--frames", "1:2", "--rate", "30", "-o", str(tmp_path / "none")])
+
+
+def test_a_picture_says_which_frame_it_shows(avatar_path, tmp_path, capsys):
+    base = [avatar_path, "--motion", "walking", "--size", "32x40", "-o", str(tmp_path / "a.png")]
+    render_main(base)
+    assert "frame 0 of" in (said := capsys.readouterr().out) and "--frame N draws another" in said
+    render_main([*base, "--frame", "7"])
+    assert "frame 7 of" in (said := capsys.readouterr().out) and "draws another" not in said
+
+
+def test_the_size_that_is_said_is_the_one_that_is_written(avatar_path, tmp_path, capsys):
+    base = [avatar_path, "--motion", "walking", "--frames", "0:1", "--size", "33x41", "--encoder", "software"]
+    render_main([*base, "-o", str(tmp_path / "a.mp4")])
+    assert "a.mp4: 1 frame, 34x42" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("workers", ["0", "257", "9" * 5000])
+def test_a_number_of_workers_is_refused_before_work_begins(avatar_path, tmp_path, capsys, workers):
+    with pytest.raises(SystemExit) as stopped:
+        render_main([avatar_path, "--workers", workers, "-o", str(tmp_path / "a.mp4")])
+    assert stopped.value.code == 2 and "1 to 256 processes" in capsys.readouterr().err

@@ -233,3 +233,16 @@ def test_an_encoder_that_was_named_is_taken_or_refused_in_one_line(tmp_path, mon
     ):
         film.add(frame(0))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("rate", "frames"), [(30.0, 60), (29.97, 40), (25.0, 50), (60.0, 120), (120.0, 240), (7.0, 1)])
+def test_a_gif_plays_as_long_as_the_film(tmp_path, rate, frames):
+    with Film(tmp_path / "a.gif", rate) as film:
+        for i in range(frames):
+            film.add(frame(i % 40))
+    lengths = []
+    with Image.open(tmp_path / "a.gif") as image:
+        for number in range(getattr(image, "n_frames", 1)):
+            image.seek(number)
+            lengths.append(image.info["duration"])
+    assert abs(sum(lengths) - 1000 * frames / rate) <= 10 and min(lengths) >= 20

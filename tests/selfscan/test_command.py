@@ -1,6 +1,7 @@
 """The command line as a person meets it: bad input is one line and exit code 1, wrong usage 2, never a traceback."""
 
 import json
+import os
 import struct
 import subprocess
 import sys
@@ -144,3 +145,15 @@ def test_drawing_gives_freed_memory_back_and_other_commands_leave_the_allocator_
     for command, expected in (("doctor", 0), ("render", 1), ("play", 2)):
         assert run(capsys, command, "--help")[0] == 0
         assert len(asked) == expected
+
+
+def test_threads_of_training_sleep_while_they_wait():
+    """libgomp reads it when torch is loaded; it prints what it read."""
+    environment = {key: value for key, value in os.environ.items() if key != "OMP_WAIT_POLICY"}
+    done = subprocess.run(
+        [sys.executable, "-m", "selfscan", "train", "--help"], cwd=ROOT, capture_output=True, text=True,
+        env={**environment, "OMP_DISPLAY_ENV": "TRUE"},
+    )  # fmt: skip
+    if "OMP_WAIT_POLICY" not in done.stderr:
+        pytest.skip("this torch has another OpenMP, which does not print its settings")
+    assert "OMP_WAIT_POLICY = 'PASSIVE'" in done.stderr

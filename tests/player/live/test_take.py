@@ -95,7 +95,7 @@ def test_a_disk_that_is_full_stops_the_take_and_not_the_program(tmp_path, monkey
         patch.setattr("os.pwrite", lambda *_: 0)
         take.add(1 / 30, pose(0.1))
     take.add(2 / 30, pose(0.2))
-    assert take.finish()[0] == "take: stopped after 1 frames: No space left on device"
+    assert take.finish()[0] == "take: stopped after 1 frame: No space left on device"
     assert read_amass(tmp_path / "a.npz").frames == 1
 
 
@@ -109,7 +109,7 @@ def test_a_take_that_cannot_be_written_is_kept_and_saved_by_the_next(tmp_path, m
 
     with monkeypatch.context() as patch:
         patch.setattr("player.live.take.write_amass", full)
-        with pytest.raises(AssetError, match=r"No space left on device; 20 frames are kept in .*a\.npz\.recording"):
+        with pytest.raises(AssetError, match=r"No space left on device; 20 frames kept in .*a\.npz\.recording"):
             take.finish()
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz.recording"]
     assert "20 frames of a take that was cut off" in Take(tmp_path / "a.npz").finish()[0]
