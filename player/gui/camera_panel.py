@@ -2,11 +2,11 @@
 
 from imgui_bundle import imgui
 
+from avatar.progress import counted
 from player.cameras import NAMES
 from player.gui.widgets import Widgets, tip_of
 from player.window.actions import ADD_CAMERA_KEY, FIRST_PERSON, FOLLOW, RESET_CAMERA, SAVE_CAMERA_PATH
 from player.window.parts import Parts
-from player.window.state import counted
 from player.window.viewpoint import Viewpoint
 from player.window.wipe import Wipe
 

@@ -4,9 +4,10 @@ import numpy as np
 from imgui_bundle import imgui
 
 from avatar.camera import project
+from avatar.progress import counted
 from avatar.skeleton import joint_transforms
 from player.window.parts import Parts
-from player.window.state import WindowState, counted
+from player.window.state import WindowState
 
 INK = imgui.IM_COL32(255, 255, 255, 230)
 PLATE = imgui.IM_COL32(0, 0, 0, 120)

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 from imgui_bundle import imgui
 
+from avatar.progress import counted
 from player.gui.widgets import Widgets
 from player.passes.view import VIEWS
 from player.scenes.effects import ANTIALIASINGS, SKINNINGS
 from player.window.actions import FILM, SCREENSHOT
 from player.window.parts import Parts
-from player.window.state import counted
 
 VIEW_TIP = (
     "How colours change with the view. off: the paper, one colour a point. vertex, linear, network: more exact and "

@@ -11,7 +11,7 @@ from PIL import Image
 from avatar.files import whole_file
 from avatar.progress import counted
 from player.filming.film import Film
-from player.window.state import WindowState, counted
+from player.window.state import WindowState
 
 FASTEST = 60.0  # frames a second of a film
 # frames of a live film that a late picture stands for

@@ -131,8 +131,3 @@ def joint_name(joint: int) -> str:
     parts = {"foot": "toes", "collar": "collar bone"}
     words = name.split()
     return " ".join([*words[:-1], parts.get(words[-1], words[-1])])
-
-
-def counted(count: int, word: str) -> str:
-    """A number of things: "1 key", "2 keys"."""
-    return f"{count} {word}" if count == 1 else f"{count} {word}s"

@@ -1,10 +1,11 @@
 """Where the picture is seen from: the cameras, whether they go along with the avatar, and the path being recorded."""
 
 from avatar.camera import Camera
+from avatar.progress import counted
 from player.cameras import Cameras
 from player.capture_view import CaptureView
 from player.window.recorder import free_name
-from player.window.state import WindowState, counted
+from player.window.state import WindowState
 
 
 class Viewpoint:
