@@ -54,7 +54,8 @@ def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView
         name = f"the {capture.part} video"
         return Track(capture.clip, len(capture.images), capture.rate, at=at, turn=turn, name=name)
     motion = motion_for(avatar, entry.motion, body=entry.body, hands=entry.hands, ground=ground)
-    return Track(motion.read, motion.frames, motion.rate, entry.start, at, turn, motion.name, motion.notes)
+    name = entry.motion or motion.name
+    return Track(motion.read, motion.frames, motion.rate, entry.start, at, turn, name, motion.notes)
 
 
 def notes_of(tracks: Sequence[Track]) -> list[str]:
