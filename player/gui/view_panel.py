@@ -1,35 +1,20 @@
-"""The panel of how it is drawn: view dependence, skinning, edges, level of detail, background; screenshot and film."""
+"""The panel of how it is drawn: effects (effects_panel.py), level of detail, background; screenshot and film."""
 
 from dataclasses import replace
 
 from imgui_bundle import imgui
 
 from avatar.progress import counted
+from player.gui.effects_panel import effects_panel
 from player.gui.widgets import Widgets
-from player.passes.view import VIEWS
-from player.scenes.effects import ANTIALIASINGS, SKINNINGS
 from player.window.actions import FILM, SCREENSHOT
 from player.window.parts import Parts
-
-VIEW_TIP = (
-    "How colours change with the view. off: the paper, one colour a point. vertex, linear, network: more exact and "
-    "dearer. auto: what the avatar ships with, on a software rasteriser per vertex. Key: v switches it on and off."
-)
-SKINNING_TIP = "How skin follows the bones. lbs: linear blend. dual quaternion: keeps volume where joints twist."
-EDGES_TIP = "Smooth outlines. fxaa filters them, msaa takes four samples a pixel, auto is msaa on a GPU, else fxaa."
 
 
 def view_panel(ui: Widgets, parts: Parts) -> None:
     """Choices that change the plan make a new renderer, so nothing that is not chosen is ever run."""
-    look, effects = parts.look, parts.look.effects
-    for name, label, known, tip in (
-        ("view", "view", ("auto", *VIEWS), VIEW_TIP), ("skinning", "skinning", SKINNINGS, SKINNING_TIP),
-        ("antialiasing", "edges", ANTIALIASINGS, EDGES_TIP),
-    ):  # fmt: skip
-        shown = [value.replace("_", " ") for value in known]
-        chosen = ui.choice(label, known.index(getattr(effects, name)), shown, tip, name=name)
-        if chosen is not None:
-            look.change(effects=replace(effects, **{name: known[chosen]}))
+    look = parts.look
+    effects_panel(ui, parts)
     if look.renderer.has_view:
         tip = "How much of the view dependence is shown. 0 is the paper."
         amount = ui.slider("amount", look.renderer.view_amount, (0.0, 1.0), tip, form="%.2f")

@@ -11,6 +11,7 @@ from imgui_bundle import imgui
 from player.gui.draw import DrawLists
 from player.gui.panels import Panels
 from player.passes.background import Background
+from player.passes.outline import Outline
 from player.play_command import play_parser, scene_of
 from player.scenes.opened import opened_avatars
 from player.window.show import opened_show
@@ -155,6 +156,19 @@ def test_effects_change_what_is_drawn_and_what_cannot_be_is_said(window, capsys)
     window.parts.look.change(background=Background("image", path="absent.png"))
     assert "absent.png" in capsys.readouterr().out and window.parts.look.renderer is before
     assert np.array_equal(picture(window, run(window, "wait"))[60:], plain)
+
+
+def test_an_effect_is_ticked_and_set_up_in_the_panel(window):
+    def drawn():
+        return [item.item.name for item in window.parts.look.renderer.drawn if item.decision.runs]
+
+    run(window, "wait")
+    assert "outline" not in drawn() and "outline width" not in window.panels.places
+    run(window, "press:outline wait wait")
+    assert window.parts.look.effects.outline == Outline() and "outline" in drawn()
+    assert {"outline color", "outline width"} <= set(window.panels.places)
+    run(window, "press:outline wait wait")
+    assert window.parts.look.effects.outline is None and "outline" not in drawn()
 
 
 def test_a_film_has_the_picture_without_panels(window, tmp_path):
