@@ -45,7 +45,7 @@ from bench.true_mesh import TrueMesh, read_true_mesh
 from capture.held_out import SETS, HeldOutView, read_capture_facts, read_held_out
 from geometry.closest import triangle_index
 from player.context import open_context
-from synth.surface import visible_faces
+from synth.visibility import visible_faces
 from train.run import read_run
 
 # of each held-out set on which an avatar is compared with its run's field

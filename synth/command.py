@@ -3,7 +3,8 @@
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
 
@@ -23,9 +24,9 @@ from synth.head_frame import cameras_in_head_frame, landmarks, scale_of, seeded_
 from synth.light import MODES, light_of
 from synth.photo import Studio
 from synth.subject import SynthSubject, read_subject
-from synth.surface import visible_faces
 from synth.template import Template, register
 from synth.truth import novel_poses, novel_views, take_set, write_photo, write_rest
+from synth.visibility import visible_faces
 
 # frames per second that the videos claim: a turn of 36 or 72 degrees a second
 RATE = 10.0
@@ -123,16 +124,15 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
 
 def load_subject(name: str) -> SynthSubject:
     """A subject by name or file."""
-    if name.startswith("builtin"):
-        from experiments.builtin import builtin_subject  # noqa: TID251
-
-    if name in ("builtin", "builtin:male"):
-        return builtin_subject("male")
-    if name == "builtin:female":
-        return builtin_subject("female")
-    if name.startswith("builtin"):
+    if not name.startswith("builtin"):
+        return read_subject(Path(name))
+    _, _, sex = name.partition(":")
+    sex = sex or "male"
+    if name not in ("builtin", f"builtin:{sex}") or sex not in ("male", "female"):
         raise AssetError(f"{name}: expected builtin, builtin:female or a .glb, .gltf or .vrm file")
-    return read_subject(Path(name))
+    # painted by experiments/builtin
+    person = read_subject(Path(str(files("synth") / "data" / f"builtin_{sex}.glb")))
+    return replace(person, name=f"builtin:{sex}", notes=())
 
 
 def _facts(person: SynthSubject, template: Template, config: SynthConfig) -> dict:

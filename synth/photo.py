@@ -12,10 +12,10 @@ from avatar.camera import Camera
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from avatar.texture import sample_texture
+from geometry.mesh import vertex_normals, weld
 from player.raster import Rasteriser
 from synth.light import Light, shade
 from synth.subject import SynthSubject
-from synth.surface import vertex_normals, weld
 
 
 class Photo(NamedTuple):

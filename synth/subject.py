@@ -13,7 +13,7 @@ zero rest pose drives the mesh exactly as the file's rig does.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +59,7 @@ class SynthSubject:
     # 0 or 255 decided at 128; None: opaque
     alpha: tuple[UInt8[np.ndarray, "_h2 _w2"] | None, ...]
     skin: SkinWeights
-    joints: Float[np.ndarray, "52 3"]
+    joints: Float[np.ndarray, "52 3"]  # float64
     part: UInt8[np.ndarray, " V"]  # see PARTS
     hair: Bool[np.ndarray, " V"]
     licence: str
@@ -115,7 +115,7 @@ def read_subject(path: Path) -> SynthSubject:
     part = part_of(skin)
     hair = np.concatenate([np.full(len(mesh.vertices), mesh.hair) for mesh in meshes])
     part[hair] = PARTS.index("head")  # hair that hangs over the shoulders is measured with the head all the same
-    return SynthSubject(
+    subject = SynthSubject(
         name=path.stem,
         vertices=vertices.astype(np.float32),
         faces=faces.astype(np.int32),
@@ -126,11 +126,48 @@ def read_subject(path: Path) -> SynthSubject:
         textures=textures,
         alpha=alpha,
         skin=skin,
-        joints=joints.astype(np.float32),
+        joints=joints.astype(np.float32).astype(np.float64),
         part=part,
         hair=hair,
         licence=_licence(path, gltf),
         notes=tuple(notes),
+    )
+    return _as_made(gltf, subject)
+
+
+def _as_made(gltf: Gltf, subject: SynthSubject) -> SynthSubject:
+    """The subject in the order, with the hair and weights, that `asset.extras.selfscan` states.
+
+    experiments/builtin/glb.py writes it; other files have none and stay as they are.
+    """
+    extras = gltf.json["asset"].get("extras")
+    stated = extras.get("selfscan") if isinstance(extras, dict) else None
+    if not isinstance(stated, dict):
+        return subject
+    fields = {}
+    count = len(subject.vertices)
+    shapes = {"vertices": (count,), "faces": (len(subject.faces),), "hair": (count,), "weights": (count, 4)}
+    for name, shape in shapes.items():
+        where = f"asset.extras.selfscan.{name}"
+        values = fields[name] = gltf.accessor(stated.get(name), field=where)
+        if values.shape != shape or values.dtype.kind != ("f" if name == "weights" else "u"):
+            raise gltf.error(where, f"an array of {shape}", (values.shape, values.dtype.name))
+        if name in ("vertices", "faces") and not np.array_equal(np.sort(values), np.arange(len(values))):
+            raise gltf.error(where, f"each of 0 to {len(values) - 1} once", values[:8].tolist())
+    if np.abs(fields["weights"] - subject.skin.weights).max() > 1e-6:
+        raise gltf.error("asset.extras.selfscan.weights", "WEIGHTS_0", "others")
+    # where each vertex and face of the made subject stands in the file
+    vertices, faces = np.argsort(fields["vertices"]), np.argsort(fields["faces"])
+    skin = SkinWeights(subject.skin.joints[vertices], fields["weights"][vertices])
+    return replace(
+        subject,
+        vertices=subject.vertices[vertices],
+        faces=fields["vertices"][subject.faces[faces]].astype(np.int32),
+        uv=subject.uv[vertices],
+        material=subject.material[faces],
+        skin=skin,
+        part=part_of(skin),
+        hair=fields["hair"][vertices] > 0,
     )
 
 

@@ -23,9 +23,12 @@ from avatar.body import Body, builtin_body, shaped
 from avatar.rotation import rotation_between
 from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, PARTS, RIGHT_HAND
 from avatar.skinning import SkinWeights, skin_points
+from geometry.closest import closest_points, triangle_index
+from geometry.mesh import face_normals, vertex_normals
+from geometry.sample import stratified_samples
 from player.raster import Rasteriser
 from synth.subject import SynthSubject, part_of
-from synth.surface import spread_points, surface_distance, vertex_normals, view_counts
+from synth.visibility import view_counts
 
 SAMPLES = 200_000  # points on the subject's visible surface
 # metres: hair nearer than this, straight out from a template vertex, stands over it
@@ -109,14 +112,16 @@ def _strongest_joint(skin: SkinWeights) -> Int[np.ndarray, " V"]:
 
 def _subject_surface(subject: SynthSubject, visible: Bool[np.ndarray, " F"]) -> _Surface:
     faces = subject.faces[visible & ~subject.hair[subject.faces].any(1)]
-    samples = spread_points(subject.vertices, faces, SAMPLES, seed=0)
+    samples = stratified_samples(subject.vertices, faces, SAMPLES, seed=0)
     # hands are 3 % of the area and a third of what is looked at
     hand_faces = faces[subject.part[faces[:, 0]] >= PARTS.index("hand_left")]
-    hands = spread_points(subject.vertices, hand_faces, SAMPLES // 5, seed=1)
-    vertex = np.concatenate([faces[samples.faces, 0], hand_faces[hands.faces, 0]])
+    hands = stratified_samples(subject.vertices, hand_faces, SAMPLES // 5, seed=1)
+    vertex = np.concatenate([faces[samples.face, 0], hand_faces[hands.face, 0]])
+    vertices = subject.vertices.astype(np.float64)
+    normals = [face_normals(vertices, f)[spread.face] for f, spread in ((faces, samples), (hand_faces, hands))]
     return _Surface(
-        np.concatenate([samples.points, hands.points]),
-        np.concatenate([samples.normals, hands.normals]),
+        np.concatenate([samples.on(vertices, faces), hands.on(vertices, hand_faces)]),
+        np.concatenate(normals),
         _strongest_joint(subject.skin)[vertex],
         subject.part[vertex],
     )
@@ -336,10 +341,11 @@ def _under_hair(
     if not subject.hair.any():
         return np.zeros(len(vertices), bool)
     strands = subject.faces[subject.hair[subject.faces].all(1)]
-    hair = spread_points(subject.vertices, strands, SAMPLES // 4, seed=2)
+    hair = stratified_samples(subject.vertices, strands, SAMPLES // 4, seed=2)
+    places = hair.on(subject.vertices.astype(np.float64), strands)
     normals = vertex_normals(vertices, faces)
-    distance, nearest = KDTree(hair.points).query(vertices)
-    outside = ((hair.points[nearest] - vertices) * normals).sum(1)
+    distance, nearest = KDTree(places).query(vertices)
+    outside = ((places[nearest] - vertices) * normals).sum(1)
     straight_out = outside > np.minimum(0.85 * distance, distance - 0.005)  # within half a centimetre any side will do
     covered = (distance < HAIR_REACH) & straight_out
     # close small gaps (where the nape turns away from the hair): grow by four edges, shrink by four
@@ -352,8 +358,7 @@ def _under_hair(
 
 
 def _residual(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], surface: _Surface) -> dict[str, float]:
-    template = spread_points(vertices, faces, SAMPLES, seed=3)
-    distance = 100 * surface_distance(surface.points[:SAMPLES], template)
+    distance = 100 * closest_points(surface.points[:SAMPLES], triangle_index(vertices, faces)).distance
     part = surface.part[:SAMPLES]
     return {
         "surface_cm": float(distance.mean()),

@@ -7,8 +7,8 @@ import pytest
 
 import bench.posed_geometry
 import bench.quality
-import synth.surface
 import synth.truth
+import synth.visibility
 from avatar.body import builtin_body
 from avatar.gltf.avatar_file import Avatar, Level, write_avatar
 from avatar.skeleton import BIG_POSE, JOINTS, PARENTS, skin_transforms
@@ -18,8 +18,8 @@ from player.raster import Rasteriser
 from synth.light import light_of
 from synth.photo import Studio
 from synth.subject import SynthSubject
-from synth.surface import visible_faces
 from synth.truth import Stand, take_set, write_rest
+from synth.visibility import visible_faces
 
 
 def byte_weights(skin):
@@ -119,8 +119,8 @@ def small_pictures():
     with pytest.MonkeyPatch.context() as small:
         small.setattr(synth.truth, "SIZE", 224)
         small.setattr(synth.truth, "CANDIDATES", 2)
-        small.setattr(synth.surface, "VIEWS", 20)
-        small.setattr(synth.surface, "VIEW_SIZE", 512)
+        small.setattr(synth.visibility, "VIEWS", 20)
+        small.setattr(synth.visibility, "VIEW_SIZE", 512)
         samples = {"total": 1500, "head": 500, "left_hand": 400, "right_hand": 400}
         small.setattr(bench.posed_geometry, "SAMPLES", samples)
         small.setattr(bench.quality, "SAMPLES", samples)

@@ -25,14 +25,10 @@ def layout(dressed: Dressed) -> tuple[Int[Array, " F"], Float[Array, "F 3 2"]]:
     middle = uv.mean(1)
     nose = np.argmin(np.where(dressed.kind != EYE, np.hypot(*(middle - [0.863, 0.5165]).T), 9))
     head = (island == island[nose]) & (dressed.kind != EYE)
-    inner = (
-        (middle[:, 0] < 0.16)
-        & (middle[:, 1] > 0.365)
-        & (middle[:, 1] < 0.455)
-        & (mesh.weights[mesh.faces[:, 0], 15] > 0.9)
-    )
+    # the insides of mouth and eye sockets; the tip of the left middle finger lies beside one of them
+    inner = (middle[:, 0] < 0.16) & (middle[:, 1] > 0.365) & (middle[:, 1] < 0.455)
     inner |= (middle[:, 0] > 0.755) & (middle[:, 1] > 0.86) & ~head
-    inner &= dressed.kind != EYE
+    inner &= (mesh.weights[mesh.faces[:, 0], 15] > 0.9) & (dressed.kind != EYE)
     material = np.where(dressed.kind == EYE, EYEBALL, np.where(head | inner, HEAD, BODY))
 
     u, v = uv[..., 0], uv[..., 1]

@@ -21,7 +21,8 @@ from experiments.builtin.hems import (
 )
 from experiments.builtin.looks import Looks
 from experiments.builtin.noise import noise, smoothstep
-from experiments.builtin.refine import TexturedMesh, edges_of, smoothed, vertex_normals
+from experiments.builtin.refine import TexturedMesh, edges_of, smoothed
+from geometry.mesh import vertex_normals
 
 Array = np.ndarray
 

@@ -20,8 +20,9 @@ from experiments.builtin.face import Face, find_face
 from experiments.builtin.hair import hair_thickness, hairline
 from experiments.builtin.hems import BELT_WIDTH, LIP, hems_at, neckline, sleeves, waist, waist_levels
 from experiments.builtin.looks import Looks
-from experiments.builtin.refine import TexturedMesh, cut_along, refined, smoothed, vertex_normals
+from experiments.builtin.refine import TexturedMesh, cut_along, refined, smoothed
 from experiments.builtin.shoes import with_shoe, without_feet
+from geometry.mesh import vertex_normals
 
 Array = np.ndarray
 

@@ -7,7 +7,9 @@ is asked, so every machine gets the same numbers.
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from experiments.builtin.refine import TexturedMesh, smoothed, vertex_normals
+from experiments.builtin.refine import TexturedMesh, smoothed
+from geometry.mesh import vertex_normals
+from geometry.sample import fibonacci_sphere
 
 Array = np.ndarray
 
@@ -25,15 +27,6 @@ def surface_points(
     over = s + t > 1
     s, t = np.where(over, 1 - s, s)[:, None], np.where(over, 1 - t, t)[:, None]
     return a[face] + s * (b - a)[face] + t * (c - a)[face]
-
-
-def sky_directions(count: int) -> Float[Array, "count 3"]:
-    """Evenly spread unit vectors (the golden spiral)."""
-    k = np.arange(count) + 0.5
-    y = 1 - 2 * k / count
-    angle = np.pi * (1 + 5**0.5) * k
-    r = np.sqrt(1 - y * y)
-    return np.stack([r * np.cos(angle), y, r * np.sin(angle)], -1)
 
 
 def sky_light(
@@ -54,7 +47,7 @@ def sky_light(
     lifted = (points + 0.6 * bias * normals).astype(np.float32)
     occluders = occluders.astype(np.float32)
     normals = normals.astype(np.float32)
-    for d in sky_directions(count):
+    for d in fibonacci_sphere(count):
         across = np.cross(d, [0.0, 0.0, 1.0] if abs(d[2]) < 0.9 else [1.0, 0.0, 0.0])
         across /= np.linalg.norm(across)
         axes = np.stack([across, np.cross(d, across)], -1).astype(np.float32)

@@ -15,7 +15,7 @@ from experiments.builtin.eyes import eye_picture
 from experiments.builtin.looks import FEMALE, MALE
 from experiments.builtin.occlusion import baked_light, crease
 from experiments.builtin.paint import Shade, painted
-from experiments.builtin.refine import vertex_normals
+from geometry.mesh import vertex_normals
 from synth.subject import SynthSubject
 
 Array = np.ndarray

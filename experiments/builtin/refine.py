@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from geometry.mesh import vertex_normals
+
 Array = np.ndarray
 
 
@@ -22,17 +24,6 @@ class TexturedMesh:
     uv: Float[Array, "T 2"]
     uv_faces: Int[Array, "F 3"]
     weights: Float[Array, "V 52"]  # dense: they are interpolated
-
-
-def vertex_normals(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"]) -> Float[Array, "V 3"]:
-    """Unit normals, faces weighted by area; zero where a vertex has no area around it."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    across = np.cross(b - a, c - a)
-    normals = np.zeros((len(vertices), 3))
-    for k in range(3):
-        for i in range(3):
-            normals[:, k] += np.bincount(faces[:, i], across[:, k], len(vertices))
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
 
 
 def edges_of(faces: Int[Array, "F 3"]) -> tuple[Int[Array, "E 2"], Int[Array, "F 3"]]:

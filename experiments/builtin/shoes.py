@@ -127,8 +127,9 @@ def _grid(count: int, side: int) -> tuple[Int[Array, "F 3"], Float[Array, "T 2"]
     """Faces, texture coordinates (v down) and their faces of `count` closed rings, then a point at each end."""
     angle = 2 * np.pi * np.arange(AROUND) / AROUND
     # texture: unrolled, one column more than there are vertices; the closing fans use a point each
-    u = 0.02 + 0.155 * (np.arange(AROUND + 1) / AROUND) + (0.182 if side else 0.0)
-    v = 0.99 - 0.095 * np.linspace(0, 1, count)
+    u = 0.02 + 0.155 * (np.arange(AROUND + 1) / AROUND) + (0.19 if side else 0.0)
+    # below the trouser legs, which end at .8932, and the tip of the right middle finger
+    v = 0.9985 - 0.103 * np.linspace(0, 1, count)
     uv = np.stack(np.meshgrid(u, v), -1).reshape(-1, 2)
     disc = np.stack([np.sin(angle), np.cos(angle)], -1) * 0.018
     centres = np.array([[0.05, 0.30], [0.05, 0.30]]) + [0, 0.06 * side]
