@@ -37,7 +37,7 @@ EXTRAS = {
     "gui": ("imgui_bundle",),
     "live": ("websockets",),
     "cluster": ("distributed",),
-    "train": ("torch", "scipy", "skimage", "trimesh"),
+    "train": ("torch", "scipy", "skimage", "trimesh", "rtree"),
     "bake": ("xatlas", "fast_simplification", "onnx", "onnxruntime"),
     "bench": ("matplotlib", "flip_evaluator"),
     "inspect": ("pyvista",),

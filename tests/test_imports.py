@@ -1,0 +1,95 @@
+"""Imports run one way between packages, and what a package loads is what it is allowed to load."""
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+# what each package may import of the others
+MAY = {
+    "avatar": set(),
+    "geometry": {"avatar"},
+    "capture": {"avatar", "geometry"},
+    "player": {"avatar"},
+    "shaders": set(),
+    "train": {"avatar", "geometry", "capture"},
+    "synth": {"avatar", "geometry", "capture", "player"},
+    "bake": {"avatar", "geometry", "capture", "train", "player", "shaders"},
+    "bench": {"avatar", "geometry", "capture", "train", "player", "shaders", "synth", "bake"},
+}
+
+
+def modules(package: str) -> dict[str, Path]:
+    """The modules of a package by name."""
+    return {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in sorted((ROOT / package).rglob("*.py"))
+    }
+
+
+def imported(name: str, path: Path, known: dict[str, Path], *, lazily: bool) -> set[str]:
+    """The modules of the project that a module imports, at its top or also inside its functions."""
+    tree = ast.parse(path.read_text())
+    found: set[str] = set()
+    for node in ast.walk(tree) if lazily else tree.body:
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            below = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= (below & known.keys()) or {node.module}
+    return {other for other in found if other in known and other != name}
+
+
+EVERY = {name: path for package in (*MAY, "experiments") for name, path in modules(package).items()}
+
+
+@pytest.mark.parametrize("package", MAY)
+def test_a_package_imports_only_what_lies_below_it(package):
+    wrong = [
+        f"{name} imports {other}"
+        for name, path in modules(package).items()
+        for other in sorted(imported(name, path, EVERY, lazily=True))
+        if other.split(".")[0] not in MAY[package] | {package}
+    ]
+    assert not wrong
+
+
+def test_no_circle_leaves_its_folder():
+    graph = {name: imported(name, path, EVERY, lazily=False) for name, path in EVERY.items()}
+    folder = {name: path.parent for name, path in EVERY.items()}
+    reached: dict[str, set[str]] = {}
+    for start in graph:
+        seen, todo = set(), list(graph[start])
+        while todo:
+            name = todo.pop()
+            if name not in seen:
+                seen.add(name)
+                todo += graph[name]
+        reached[start] = seen
+    wrong = [(a, b) for a in graph for b in reached[a] if a < b and a in reached[b] and folder[a] != folder[b]]
+    assert not wrong
+
+
+LOAD = """
+import importlib, json, sys
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+print(json.dumps(sorted({name.split(".")[0] for name in sys.modules})))
+"""
+
+
+@pytest.mark.parametrize("package", ["avatar", "geometry", "capture", "player", "synth"])
+def test_a_package_without_learning_loads_no_torch(package):
+    """Every module of it, in a fresh process: nothing that lies above it comes along either."""
+    names = [name for name in modules(package) if not name.endswith("__main__")]
+    ran = subprocess.run([sys.executable, "-c", LOAD, *names], capture_output=True, text=True, cwd=ROOT)
+    assert ran.returncode == 0, ran.stderr
+    loaded = set(json.loads(ran.stdout))
+    forbidden = {"torch", "experiments", *MAY} - MAY[package] - {package}
+    assert not loaded & forbidden
+    if package in ("avatar", "player"):
+        assert not loaded & {"scipy", "trimesh", "skimage"}
