@@ -1,4 +1,4 @@
-"""Foundation of selfscan, NumPy only: rotations, skeleton, body, cameras, motion and avatar files.
+"""Foundation of selfscan, on NumPy, with Pillow to decode pictures: rotations, body, cameras, motion, avatar files.
 
 Conventions, stated once for the whole project
 ==============================================
