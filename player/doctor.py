@@ -306,7 +306,7 @@ def _in_window(avatar: Any, views: Sequence[str], camera: Camera, *, null: bool)
     import glfw
 
     from player.renderer import Renderer
-    from player.window.glfw_window import ScreenReader, open_window, window_context
+    from player.window.screen import ScreenReader, open_window, window_context
 
     glfw.init_hint(glfw.PLATFORM, glfw.PLATFORM_NULL if null else glfw.ANY_PLATFORM)
     window = open_window(camera.size, null)
