@@ -28,10 +28,10 @@ setup: $(VENV)/ready system
 
 $(VENV)/ready: pyproject.toml
 	@test -n "$(PYTHON)" || { echo "selfscan needs Python 3.11 or newer: apt install python3 python3-venv"; exit 1; }
+	@echo "setting up $(VENV) once: 2 to 5 minutes and about 7 GB (PyTorch brings CUDA; see README for less)"
 	$(PYTHON) -m venv $(VENV)
-	@echo 'installing into $(VENV), once: some minutes, mostly downloads'
-	$(if $(TORCH_INDEX),$(VENV)/bin/pip install --index-url $(TORCH_INDEX) torch)
-	$(VENV)/bin/pip install -e '.[bake,bench,dev]'
+	$(if $(TORCH_INDEX),$(VENV)/bin/pip install --disable-pip-version-check --index-url $(TORCH_INDEX) torch)
+	$(VENV)/bin/pip install --disable-pip-version-check -e '.[bake,bench,dev]'
 	touch $@
 
 # EGL and a software rasteriser; OSMesa where the distribution still has it.

@@ -30,4 +30,56 @@ order index, middle, pinky, ring, thumb; zero is the flat hand.
 Skinning. One rule everywhere: ``B_k = G_k(pose) G_k(rest)^-1`` and ``x_posed = (sum_k w_k B_k) x_rest``; the
 inverse map is the inverse of that one blended matrix. Directions go through the orthonormal rule of
 ``avatar.skinning.blended_rotations``.
+
+The names below are the public ones of this package, each imported when it is asked for; docs/python.md shows them.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from avatar.baked_avatar import Avatar
+    from avatar.camera import Camera, look_at, pinhole
+    from avatar.errors import AssetError
+    from avatar.gltf.avatar_file import read_avatar, write_avatar
+    from avatar.motion.amass import write_amass
+    from avatar.motion.clip import Clip, Motion, resample
+    from avatar.motion.read import read_motion
+    from avatar.skeleton import JOINTS
+
+_PUBLIC = {
+    "Avatar": "avatar.baked_avatar",
+    "Camera": "avatar.camera",
+    "look_at": "avatar.camera",
+    "pinhole": "avatar.camera",
+    "AssetError": "avatar.errors",
+    "read_avatar": "avatar.gltf.avatar_file",
+    "write_avatar": "avatar.gltf.avatar_file",
+    "write_amass": "avatar.motion.amass",
+    "Clip": "avatar.motion.clip",
+    "Motion": "avatar.motion.clip",
+    "resample": "avatar.motion.clip",
+    "read_motion": "avatar.motion.read",
+    "JOINTS": "avatar.skeleton",
+}
+__all__ = [
+    "JOINTS",
+    "AssetError",
+    "Avatar",
+    "Camera",
+    "Clip",
+    "Motion",
+    "look_at",
+    "pinhole",
+    "read_avatar",
+    "read_motion",
+    "resample",
+    "write_amass",
+    "write_avatar",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _PUBLIC:
+        return getattr(import_module(_PUBLIC[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
