@@ -8,7 +8,7 @@ run records are all read from the same fields.
 
 import argparse
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import UnionType
@@ -77,6 +77,13 @@ class Option(NamedTuple):
 
 class Hidden(NamedTuple):
     """The field is no option of the command line."""
+
+
+class Several(NamedTuple):
+    """The field is made of several options: `add` puts them on a parser, `read` makes the value of what was given."""
+
+    add: Callable[[argparse.ArgumentParser], None]
+    read: Callable[[Mapping[str, Any]], Any]
 
 
 class Fact(NamedTuple):
@@ -178,6 +185,10 @@ def _filled(record: type[Record], given: dict[str, Any], parser: argparse.Argume
     for fact in facts(record):
         if rule_of(fact, Hidden) is not None:
             continue
+        several = rule_of(fact, Several)
+        if several is not None:
+            values[fact.name] = several.read(given)
+            continue
         if is_dataclass(fact.type):
             values[fact.name] = _filled(cast(type, fact.type), given, parser)
             continue
@@ -204,6 +215,10 @@ def parser_of(record: type, about: Help) -> argparse.ArgumentParser:
 def _add_options(parser: argparse.ArgumentParser, record: type, groups: dict[str, Any]) -> None:
     for fact in facts(record):
         if rule_of(fact, Hidden) is not None:
+            continue
+        several = rule_of(fact, Several)
+        if several is not None:
+            several.add(parser)
             continue
         if is_dataclass(fact.type):
             _add_options(parser, cast(type, fact.type), groups)

@@ -1,15 +1,14 @@
 """Arguments that several commands share: sizes, frame ranges, colours, hands."""
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from avatar.motion.hands import HANDS
-from avatar.settings import OneOf, facts, rule_of
+from avatar.settings import OneOf, Several, facts, rule_of
 from player.passes.background import Background
 from player.scenes.effects import Effects
-from player.scenes.scene import GROUNDS
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
@@ -93,12 +92,6 @@ def parse_workers(text: str) -> str:
     return text
 
 
-def frame_number(text: str) -> int:
-    if not text.isdigit():
-        raise argparse.ArgumentTypeError(f"expected a frame number from 0, found {text!r}")
-    return int(text)
-
-
 HANDS_HELP = (
     "the motion's hands: file as they are (flat where there are none), flat, relaxed, or mean, the mean hands of --body"
 )
@@ -125,22 +118,23 @@ def add_effects(parser: argparse.ArgumentParser) -> None:
                         + "; may be given several times, docs/scenes.md has their settings")  # fmt: skip
 
 
-def with_effects(effects: Effects, options: argparse.Namespace) -> Effects:
-    """The effects with what the options ask for; an effect that a scene has set up stays as it is."""
-    given: dict[str, Any] = {}
+def asked_effects(given: Mapping[str, Any]) -> dict[str, Any]:
+    """What a command line asks of the effects, by field; an effect asked for by name has its usual settings."""
+    asked: dict[str, Any] = {}
     for fact in facts(Effects):
         if fact.table is None:
-            given[fact.name] = getattr(options, fact.name)
-        elif fact.name in options.effect and getattr(effects, fact.name) is None:
-            given[fact.name] = fact.table()
-    return replace(effects, **{name: value for name, value in given.items() if value is not None})
+            asked[fact.name] = given[fact.name]
+        elif fact.name in given["effect"]:
+            asked[fact.name] = fact.table()
+    return {name: value for name, value in asked.items() if value is not None}
 
 
-def add_hands(parser: argparse.ArgumentParser) -> None:
-    """The option --hands."""
-    parser.add_argument("--hands", choices=HANDS, default="file", help=HANDS_HELP)
+def with_effects(effects: Effects, asked: Mapping[str, Any]) -> Effects:
+    """The effects with what is asked for; an effect that a scene has set up stays as it is."""
+    set_up = {
+        fact.name for fact in facts(Effects) if fact.table is not None and getattr(effects, fact.name) is not None
+    }
+    return replace(effects, **{name: value for name, value in asked.items() if name not in set_up})
 
 
-def add_ground(parser: argparse.ArgumentParser) -> None:
-    """The option --ground."""
-    parser.add_argument("--ground", choices=GROUNDS, default="auto", help=f"{GROUND_HELP} (default: auto)")
+EFFECTS = Several(add_effects, asked_effects)

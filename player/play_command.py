@@ -1,22 +1,25 @@
 """`selfscan play`: avatars in a window, moved by files or by live poses."""
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
+from avatar.motion.hands import HANDS
+from avatar.settings import AtLeast, Help, OneOf, Option, parse
 from avatar.skeleton import PARTS
 from player.address import Address, parse_address
-from player.arguments import add_effects, add_ground, add_hands, parse_background, parse_size, with_effects
+from player.arguments import EFFECTS, GROUND_HELP, HANDS_HELP, parse_background, parse_size, with_effects
 from player.context import NoContextError
-from player.live.command import add_live_options
+from player.live.command import LiveCommand
 from player.motions import beside
-from player.scenes.scene import Scene, SceneAvatar, SceneCamera
+from player.passes.background import Background
+from player.scenes.scene import GROUNDS, Scene, SceneAvatar, SceneCamera
 from player.window.help import command_line_help
 
 if TYPE_CHECKING:
@@ -32,47 +35,6 @@ EXAMPLES = """examples
 """
 
 
-def play_parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="selfscan play",
-        description="Avatars in a window: orbit, scrub, pick, film, compare with the video.",
-        epilog=f"{EXAMPLES}\n{command_line_help()}\ndocs/play.md has more",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("avatar", nargs="*", metavar="AVATAR", help="avatar file (.glb); several stand side by side")
-    parser.add_argument("--scene", metavar="FILE", help="scene file (.toml) instead of AVATAR, --motion and --live")
-    parser.add_argument("--motion", action="append", metavar="FILE",
-                        help="pose file, EasyMocap folder, counting (default) or walking: one for all avatars, or "
-                        "once for each, in order")  # fmt: skip
-    parser.add_argument(
-        "--at",
-        type=parse_place,
-        action="append",
-        metavar="X,Y,Z[,DEG]",
-        help="where an avatar stands, metres, and how it is turned; once for each, in order",
-    )
-    parser.add_argument("--capture", metavar="CAPTURE",
-                        help="look through the cameras of this capture, its video behind the avatar")  # fmt: skip
-    parser.add_argument("--part", choices=PARTS, default="body", help="which video of the capture (default: body)")
-    parser.add_argument("--camera-path", metavar="FILE", help="a path of camera keys (.json) to look along")
-    parser.add_argument("--body", metavar="MODEL", help="SMPL+H model (.npz, .pkl) that the pose file was made for")
-    add_hands(parser)
-    add_ground(parser)
-    parser.add_argument("--size", type=parse_size, metavar="WxH", help="of the window (default: 1280x800)")
-    add_effects(parser)
-    parser.add_argument("--background", type=parse_background, metavar="#rrggbb|FILE",
-                        help="colour (default #2b2d33), a picture, film or panorama (.hdr)")  # fmt: skip
-    parser.add_argument("--no-gui", action="store_true",
-                        help="no panels, only keys and a line of text (as without imgui-bundle)")  # fmt: skip
-    parser.add_argument("--platform", choices=("auto", "null"), default="auto",
-                        help="null: no display, drawn by OSMesa in memory (for tests)")  # fmt: skip
-    parser.add_argument("--script", metavar="WORDS",
-                        help="words done one a frame, as 'space . click:300:200'; then the window closes")  # fmt: skip
-    parser.add_argument("--screenshot", metavar="FILE", help="write the last frame shown to a .png")
-    add_live_options(parser)
-    return parser
-
-
 def parse_place(text: str) -> tuple[float, float, float, float]:
     """X,Y,Z and, where given, degrees about the vertical."""
     try:
@@ -85,85 +47,146 @@ def parse_place(text: str) -> tuple[float, float, float, float]:
     return x, y, z, turn[0] if turn else 0.0
 
 
+@dataclass(frozen=True)
+class PlayCommand:
+    """`selfscan play`.
+
+    Raises:
+        ValueError: settings that exclude each other.
+    """
+
+    avatar: Annotated[
+        tuple[str, ...],
+        Option(positional=True, metavar="AVATAR", several=True),
+        "avatar file (.glb); several stand side by side",
+    ] = ()
+    scene: Annotated[
+        str | None, Option(metavar="FILE"), "scene file (.toml) instead of AVATAR, --motion and --live"
+    ] = None
+    motion: Annotated[
+        tuple[str, ...],
+        Option(metavar="FILE", repeated=True),
+        "pose file, EasyMocap folder, counting (default) or walking: one for all avatars, or once for each, in order",
+    ] = ()
+    at: Annotated[
+        tuple[tuple[float, float, float, float], ...],
+        Option(metavar="X,Y,Z[,DEG]", parse=parse_place, repeated=True),
+        "where an avatar stands, metres, and how it is turned; once for each, in order",
+    ] = ()
+    capture: Annotated[
+        str | None,
+        Option(metavar="CAPTURE"),
+        "look through the cameras of this capture, its video behind the avatar",
+    ] = None
+    part: Annotated[str, OneOf(PARTS), "which video of the capture"] = "body"
+    camera_path: Annotated[str | None, Option(metavar="FILE"), "a path of camera keys (.json) to look along"] = None
+    body: Annotated[
+        str | None, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
+    ] = None
+    hands: Annotated[str, OneOf(HANDS), HANDS_HELP] = "file"
+    ground: Annotated[str, OneOf(GROUNDS), GROUND_HELP] = "auto"
+    size: Annotated[
+        tuple[int, int] | None,
+        AtLeast(1),
+        Option(metavar="WxH", parse=parse_size),
+        "of the window (default: 1280x800)",
+    ] = None
+    effects: Annotated[Mapping[str, Any], EFFECTS, "what is asked of the effects, by field"] = field(
+        default_factory=dict
+    )
+    background: Annotated[
+        Background | None,
+        Option(metavar="#rrggbb|FILE", parse=parse_background),
+        "colour (default #2b2d33), a picture, film or panorama (.hdr)",
+    ] = None
+    gui: Annotated[bool, Option(("--no-gui",)), "no panels, only keys and a line of text (as without imgui-bundle)"] = (
+        True
+    )
+    platform: Annotated[str, OneOf(("auto", "null")), "null: no display, drawn by OSMesa in memory (for tests)"] = (
+        "auto"
+    )
+    script: Annotated[
+        str | None,
+        Option(metavar="WORDS"),
+        "words done one a frame, as 'space . click:300:200'; then the window closes",
+    ] = None
+    screenshot: Annotated[str | None, Option(metavar="FILE"), "write the last frame shown to a .png"] = None
+    source: Annotated[LiveCommand, "live poses"] = field(default_factory=LiveCommand)
+
+    def __post_init__(self):
+        if bool(self.scene) == bool(self.avatar):
+            raise ValueError("give AVATAR or --scene")
+        live = self.source.live
+        given = self.motion or live or self.at or self.body
+        if self.scene and (given or (self.hands, self.ground) != ("file", "auto")):
+            raise ValueError("--motion, --live, --at, --body, --hands and --ground are in the scene file")
+        if live is None and self.scene is None and self.source != LiveCommand():
+            raise ValueError("--smooth, --buffer, --calibrate, --record and --latency go with --live")
+        if live is not None and (self.motion or self.capture):
+            raise ValueError("give --motion or --capture or --live")
+        count = len(self.avatar)
+        for name, values in (("--motion", self.motion), ("--at", self.at)):
+            if values and len(values) not in (1, count):
+                raise ValueError(f"{name}: expected one, or one for each of {count} avatars, found {len(values)}")
+
+
+PLAY = Help(
+    "selfscan play",
+    "Avatars in a window: orbit, scrub, pick, film, compare with the video.",
+    f"{EXAMPLES}\n{command_line_help()}\ndocs/play.md has more",
+)
+
+
 def play_main(argv: list[str]) -> int:
     """Open the window."""
-    parser = play_parser()
-    options = parser.parse_args(argv)
-    check_options(parser, options)
-    script = options.script.split() if options.script is not None else None
+    command = parse(PlayCommand, argv, PLAY)
     try:
-        return play_scene(scene_of(options), options, script)
+        return play_scene(scene_of(command), command)
     except (ValueError, NoContextError) as error:
         raise AssetError(str(error)) from None
 
 
-def check_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Stop with a usage message where options exclude each other."""
-    if bool(options.scene) == bool(options.avatar):
-        parser.error("give AVATAR or --scene")
-    if options.scene and (
-        options.motion
-        or options.live
-        or options.at
-        or options.body
-        or (options.hands, options.ground) != ("file", "auto")
-    ):
-        parser.error("--motion, --live, --at, --body, --hands and --ground are in the scene file")
-    if (
-        options.live is None
-        and options.scene is None
-        and any(
-            value is not None
-            for value in (options.smooth, options.buffer, options.calibrate, options.record, options.latency)
-        )
-    ):
-        parser.error("--smooth, --buffer, --calibrate, --record and --latency go with --live")
-    if options.live is not None and (options.motion or options.capture):
-        parser.error("give --motion or --capture or --live")
-    count = len(options.avatar)
-    for name, values in (("--motion", options.motion), ("--at", options.at)):
-        if values and len(values) not in (1, count):
-            parser.error(f"{name}: expected one, or one for each of {count} avatars, found {len(values)}")
-
-
-def scene_of(options: argparse.Namespace) -> Scene:
-    """The scene that the options ask for; those given go before what a scene file says."""
-    if options.scene:
+def scene_of(command: PlayCommand) -> Scene:
+    """The scene that the command ask for; those given go before what a scene file says."""
+    if command.scene:
         from player.scenes.scene_file import read_scene
 
-        scene = read_scene(options.scene)
+        scene = read_scene(command.scene)
     else:
-        scene = Scene(_avatars(options))
+        scene = Scene(_avatars(command))
     cameras = list(scene.cameras)
-    if options.camera_path:
-        cameras.insert(0, SceneCamera("path", options.camera_path))
-    if options.capture:
-        cameras.insert(0, SceneCamera("capture", options.capture, options.part))
+    if command.camera_path:
+        cameras.insert(0, SceneCamera("path", command.camera_path))
+    if command.capture:
+        cameras.insert(0, SceneCamera("capture", command.capture, command.part))
     return replace(
-        scene, cameras=tuple(cameras), effects=with_effects(scene.effects, options), size=options.size or scene.size,
-        background=options.background or scene.background,
-    )  # fmt: skip
+        scene,
+        cameras=tuple(cameras),
+        effects=with_effects(scene.effects, command.effects),
+        size=command.size or scene.size,
+        background=command.background or scene.background,
+    )
 
 
-def _avatars(options: argparse.Namespace) -> tuple[SceneAvatar, ...]:
-    count = len(options.avatar)
-    motions = options.motion or [None if options.capture or options.live else "counting"]
-    live = str(options.live) if options.live else None
+def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:
+    count = len(command.avatar)
+    motions = command.motion or (None if command.capture or command.source.live else "counting",)
+    live = str(command.source.live) if command.source.live else None
     avatars = []
-    for k, path in enumerate(options.avatar):
+    for k, path in enumerate(command.avatar):
         x, y, z, turn = (*beside(k, count).tolist(), 0.0)
-        if options.at and (len(options.at) > 1 or count == 1):
-            x, y, z, turn = options.at[k]
+        if command.at and (len(command.at) > 1 or count == 1):
+            x, y, z, turn = command.at[k]
         motion = motions[k % len(motions)]
         avatars.append(
             SceneAvatar(
-                path, motion, live, (x, y, z), turn, hands=options.hands, ground=options.ground, body=options.body
+                path, motion, live, (x, y, z), turn, hands=command.hands, ground=command.ground, body=command.body
             )
         )
     return tuple(avatars)
 
 
-def play_scene(scene: Scene, options: argparse.Namespace, script: Sequence[str] | None) -> int:
+def play_scene(scene: Scene, command: PlayCommand) -> int:
     """Open the scene's files and sources, then the window."""
     from player.scenes.opened import opened_avatars
     from player.window.show import opened_show
@@ -174,16 +197,20 @@ def play_scene(scene: Scene, options: argparse.Namespace, script: Sequence[str] 
     avatars = opened_avatars(scene)
     with ExitStack() as sources:
         live = [
-            (sources.enter_context(_listening(address, options, [avatars[k] for k in indices])), indices)
-            for address, indices in _addresses(scene, options)
+            (sources.enter_context(_listening(address, command, [avatars[k] for k in indices])), indices)
+            for address, indices in _addresses(scene, command)
         ]
         show = opened_show(scene, avatars, live)
         for note in show.notes:
             print(note)
         return play(
-            show, size=scene.size or (1280, 800), null=options.platform == "null",
-            panels=None if options.no_gui else installed_panels(), script=script, screenshot=options.screenshot,
-        )  # fmt: skip
+            show,
+            size=scene.size or (1280, 800),
+            null=command.platform == "null",
+            panels=installed_panels() if command.gui else None,
+            script=None if command.script is None else command.script.split(),
+            screenshot=command.screenshot,
+        )
 
 
 def installed_panels() -> "Callable[[Parts], Panels] | None":
@@ -197,22 +224,27 @@ def installed_panels() -> "Callable[[Parts], Panels] | None":
     return Panels
 
 
-def _addresses(scene: Scene, options: argparse.Namespace) -> list[tuple[Address, list[int]]]:
+def _addresses(scene: Scene, command: PlayCommand) -> list[tuple[Address, list[int]]]:
     """Each live source with the avatars it poses."""
     found: dict[Address, list[int]] = {}
     for index, entry in enumerate(scene.avatars):
         if entry.live is not None:
             found.setdefault(parse_address(entry.live, ("vmc", "udp", "ws")), []).append(index)
-    if len(found) > 1 and (options.record or options.latency):
+    if len(found) > 1 and (command.source.record or command.source.latency):
         raise ValueError(f"--record and --latency write one file; the scene has {len(found)} live sources")
     return list(found.items())
 
 
-def _listening(address: Address, options: argparse.Namespace, avatars: Sequence[Avatar]):
+def _listening(address: Address, command: PlayCommand, avatars: Sequence[Avatar]):
     from player.live.session import LiveOptions, live_session
 
+    live = command.source
     asked = LiveOptions(
-        address, smooth=options.smooth, buffer=options.buffer, record=options.record, latency=options.latency,
-        calibrate_after=options.calibrate,
-    )  # fmt: skip
+        address,
+        smooth=live.smooth,
+        buffer=live.buffer,
+        record=live.record,
+        latency=live.latency,
+        calibrate_after=live.calibrate,
+    )
     return live_session(asked, avatars, [np.zeros(3)] * len(avatars))  # places are the scene's

@@ -37,30 +37,6 @@ EXAMPLES = """examples
   selfscan stream take.npz --to vmc:127.0.0.1:39540 --rate 30"""
 
 
-def add_live_options(parser: argparse.ArgumentParser) -> None:
-    """--live and what belongs to it."""
-    live = parser.add_argument_group("live poses")
-    live.add_argument(
-        "--live", type=source, metavar="vmc:PORT|udp:PORT|ws:PORT",
-        help="pose by what arrives: VMC (usual port 39539), or our JSON over UDP or WebSocket; "
-        "this machine only, unless HOST:PORT names another interface (0.0.0.0: all)",
-    )  # fmt: skip
-    live.add_argument(
-        "--smooth", type=cutoff, nargs="?", const=LEAST, metavar="HZ",
-        help=f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})",
-    )  # fmt: skip
-    live.add_argument(
-        "--buffer", type=milliseconds, metavar="MS",
-        help="show poses MS late, evenly, instead of the newest as it comes",
-    )  # fmt: skip
-    live.add_argument(
-        "--calibrate", type=seconds, metavar="S",
-        help="S seconds after the first pose, take the pose of then for the T-pose (key t does it too)",
-    )  # fmt: skip
-    live.add_argument("--record", metavar="FILE.npz", help="write what came as an AMASS pose file at the end")
-    live.add_argument("--latency", metavar="FILE.csv", help="write when each pose was sent, received, applied, drawn")
-
-
 def source(text: str) -> Address:
     return _address(text, ("vmc", "udp", "ws"))
 
@@ -104,6 +80,37 @@ def _number(text: str, least: float | int, most: float | int, unit: str) -> floa
     if not least <= value <= most:
         raise argparse.ArgumentTypeError(f"expected {least:g} to {most:g} {unit}, found {text!r}")
     return value
+
+
+@dataclass(frozen=True)
+class LiveCommand:
+    """The live poses of `selfscan play`."""
+
+    live: Annotated[
+        Address | None,
+        Option(metavar="vmc:PORT|udp:PORT|ws:PORT", parse=source),
+        "pose by what arrives: VMC (usual port 39539), or our JSON over UDP or WebSocket; this machine only, unless "
+        "HOST:PORT names another interface (0.0.0.0: all)",
+    ] = None
+    smooth: Annotated[
+        float | None,
+        Option(metavar="HZ", parse=cutoff, const=LEAST),
+        f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})",
+    ] = None
+    buffer: Annotated[
+        float | None,
+        Option(metavar="MS", parse=milliseconds),
+        "show poses MS late, evenly, instead of the newest as it comes",
+    ] = None
+    calibrate: Annotated[
+        float | None,
+        Option(metavar="S", parse=seconds),
+        "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)",
+    ] = None
+    record: Annotated[str | None, Option(metavar="FILE.npz"), "write what came as an AMASS pose file at the end"] = None
+    latency: Annotated[
+        str | None, Option(metavar="FILE.csv"), "write when each pose was sent, received, applied, drawn"
+    ] = None
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,12 @@ pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 import glfw  # before imgui_bundle
 from imgui_bundle import imgui
 
+from avatar.settings import parse
 from player.gui.draw import DrawLists
 from player.gui.panels import Panels
 from player.passes.background import Background
 from player.passes.outline import Outline
-from player.play_command import play_parser, scene_of
+from player.play_command import PLAY, PlayCommand, scene_of
 from player.scenes.opened import opened_avatars
 from player.window.show import opened_show
 from player.window.window import Window
@@ -24,7 +25,7 @@ SIZE = (900, 640)
 def window(osmesa, avatar_path, tmp_path, monkeypatch):
     """A window with panels, paused at its first frame."""
     monkeypatch.chdir(tmp_path)
-    scene = scene_of(play_parser().parse_args([avatar_path]))
+    scene = scene_of(parse(PlayCommand, [avatar_path], PLAY))
     window = Window(opened_show(scene, opened_avatars(scene)), size=SIZE, null=True, panels=Panels)
     try:
         run(window, "space home wait")
@@ -286,7 +287,7 @@ def test_thousands_of_triangles_make_the_buffers_grow(context, imgui_context):
 
 
 def opened(avatar_path, size, live=()):
-    scene = scene_of(play_parser().parse_args([avatar_path, *(("--live", "udp:1") if live else ())]))
+    scene = scene_of(parse(PlayCommand, [avatar_path, *(("--live", "udp:1") if live else ())], PLAY))
     return Window(opened_show(scene, opened_avatars(scene), live), size=size, null=True, panels=Panels)
 
 

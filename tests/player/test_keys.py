@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from player.play_command import play_parser
+from avatar.settings import parser_of
+from player.play_command import PLAY, PlayCommand
 from player.window import actions
 from player.window.actions import GROUPS, Action, Group
 from player.window.help import DOCS, TABLES, command_line_help, rows, with_table
@@ -42,7 +43,7 @@ def test_the_documentation_has_the_table_of_keys_as_it_is(name):
 
 
 def test_the_command_line_names_every_key():
-    text = play_parser().format_help()
+    text = parser_of(PlayCommand, PLAY).format_help()
     assert command_line_help() in text
     for group in GROUPS:
         for keys, means in rows(group):

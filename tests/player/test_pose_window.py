@@ -10,17 +10,18 @@ import glfw
 from avatar.camera import project
 from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_matrix
+from avatar.settings import parse
 from avatar.skeleton import JOINTS, joint_transforms
 from player.framing import pelvis_height
 from player.gui.panels import Panels
 from player.motions import motion_for
-from player.play_command import play_parser, scene_of
+from player.play_command import PLAY, PlayCommand, scene_of
 from player.pose.fingers import PRESETS, hand_shape
 from player.pose.ik import LIMBS
 from player.pose.limits import joint_angles, within
 from player.pose.mirror import mirrored_in_place
-from player.scenes.opened import opened_avatars
 from player.window.pose_tool import HANDLES
+from player.scenes.opened import opened_avatars
 from player.window.show import opened_show
 from player.window.window import Window
 
@@ -37,7 +38,7 @@ def opened(osmesa, avatar_path, tmp_path, monkeypatch):
     windows = []
 
     def open_(*more, gui=True):
-        scene = scene_of(play_parser().parse_args([avatar_path, *more]))
+        scene = scene_of(parse(PlayCommand, [avatar_path, *more], PLAY))
         window = Window(opened_show(scene, opened_avatars(scene)), size=SIZE, null=True, panels=Panels if gui else None)
         windows.append(window)
         run(window, "space home p wait")

@@ -14,12 +14,13 @@ import glfw  # noqa: F401  before imgui_bundle
 import avatar
 import player.gui
 import player.window
+from avatar.settings import parse
 from player.gui import widgets
 from player.gui.panels import Panels
 from player.gui.widgets import Widgets, elided
-from player.play_command import play_parser, scene_of
-from player.scenes.opened import opened_avatars
+from player.play_command import PLAY, PlayCommand, scene_of
 from player.window.actions import GROUPS
+from player.scenes.opened import opened_avatars
 from player.window.show import opened_show
 from player.window.window import Window
 
@@ -79,7 +80,7 @@ def opened(osmesa, avatar_path, tmp_path, monkeypatch):
     windows = []
 
     def open_(*more, size=(1280, 800)):
-        scene = scene_of(play_parser().parse_args([avatar_path, *more]))
+        scene = scene_of(parse(PlayCommand, [avatar_path, *more], PLAY))
         windows.append(Window(opened_show(scene, opened_avatars(scene)), size=size, null=True, panels=Panels))
         run(windows[-1], "space home wait")
         return windows[-1]

@@ -13,13 +13,14 @@ from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip
 from avatar.rotation import matrix_from_axis_angle
+from avatar.settings import parse
 from avatar.skeleton import joint_transforms
 from player.capture_view import open_capture
-from player.play_command import play_parser, scene_of
+from player.play_command import PLAY, PlayCommand, scene_of
 from player.renderer import Renderer
-from player.scenes.opened import opened_avatars
 from player.window.pick import posed_vertices
 from player.window.picture import PictureLayer
+from player.scenes.opened import opened_avatars
 from player.window.show import opened_show
 from player.window.window import Window
 
@@ -72,7 +73,7 @@ def capture(avatar, tmp_path_factory):
 def window(osmesa, avatar, capture, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_avatar(tmp_path / "a.glb", avatar)
-    scene = scene_of(play_parser().parse_args(["a.glb", "--capture", str(capture[0])]))
+    scene = scene_of(parse(PlayCommand, ["a.glb", "--capture", str(capture[0])], PLAY))
     window = Window(opened_show(scene, opened_avatars(scene)), size=(192, 256), null=True)
     try:
         window.run(["space", "home", "wait"])

@@ -1,0 +1,255 @@
+"""Rendering: from what a command asks for to a picture, frames or a film."""
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+
+from avatar.baked_avatar import Avatar
+from avatar.errors import AssetError
+from avatar.files import check_file, check_folder, whole_file
+from avatar.progress import Progress, progress
+from player.arguments import with_effects
+from player.context import Context, opened
+from player.filming.film import VIDEO, film_kind, join_pieces
+from player.filming.parts import LENGTH, Parts
+from player.filming.shot import Set, Shot, with_whole_paths
+from player.filming.stage import Stage, camera_from_option
+from player.motions import beside, frame_range
+from player.render_command import RenderCommand
+from player.renderer import Renderer
+from player.scenes.effects import Effects
+from player.scenes.scene import Scene, SceneAvatar, SceneCamera
+
+DRAFT_LEVEL = 99  # the coarsest there is
+
+
+def render(command: RenderCommand) -> None:
+    """Draw a picture, frames or a film, as `selfscan render` does; what it did is printed.
+
+    Raises:
+        AssetError: a file cannot be read or written, or no OpenGL context can be had.
+    """
+    kind = film_kind(command.output)
+    (check_file if kind else check_folder)(command.output)
+    if command.json:
+        check_file(command.json)
+    scene = scene_of(command)
+    # while files are read and unpacked, the driver wakes up; both are work outside of Python
+    with ThreadPoolExecutor(1) as pool:
+        reading = pool.submit(Stage, scene, level_of(command) + 1)
+        context = None if command.workers else opened(command.context, command.gpu)
+        try:
+            try:
+                stage = reading.result()
+            finally:
+                # if it failed it keeps its error, and that this frame with all that is open
+                del reading
+            render_stage(command, stage, context)
+        finally:
+            if context is not None:
+                context.release()
+
+
+def render_stage(command: RenderCommand, stage: Stage, context: Context | None) -> None:
+    """Draw what the command ask for, from an opened scene, with this context (None: workers draw)."""
+    stage.scene = replace(stage.scene, effects=effects_for(command.quality, stage.scene.effects, stage.avatars))
+    kind, frame = film_kind(command.output), command.frame
+    if frame is not None and stage.camera.kind == "turntable" and stage.still is None:
+        frame_range(stage, frame, None, single=True)
+        stage.hold(frame)
+        frame = None
+    start, stop = frame_range(stage, frame, command.frames, single=kind == ".png")
+    level = level_of(command)
+    shot = Shot(
+        stage.scene, start, stop, stage.size(), stage.rate, stage.fit(start, stop), stage.still, level,
+        command.encoder, command.quality, command.context, command.gpu,
+    )  # fmt: skip
+    shared = bool(command.resume or command.part or command.workers)
+    if kind == ".png" or not (shared or (stop - start > LENGTH and kind in ("", *VIDEO))):
+        film_at_once(command, shot, stage, context)
+    else:
+        film_in_parts(command, shot, stage, context)
+
+
+def level_of(command: RenderCommand) -> int:
+    """The level of detail that the command ask for."""
+    if command.level is not None:
+        return command.level
+    return DRAFT_LEVEL if command.quality == "draft" else 0
+
+
+def scene_of(command: RenderCommand) -> Scene:
+    """The scene that the command ask for; those given go before what a scene file says."""
+    if command.scene:
+        from player.scenes.scene_file import read_scene
+
+        scene = read_scene(command.scene)
+    else:
+        places = [beside(k, len(command.avatar)) for k in range(len(command.avatar))]
+        avatars = tuple(
+            SceneAvatar(
+                path,
+                command.motion,
+                at=tuple(at.tolist()),
+                hands=command.hands,
+                ground=command.ground,
+                body=command.body,
+            )
+            for path, at in zip(command.avatar, places, strict=True)
+        )
+        scene = Scene(avatars)
+    if command.camera is not None:
+        scene = replace(scene, cameras=(camera_from_option(command.camera),))
+    if command.seconds is not None:
+        camera = replace((scene.cameras or (SceneCamera(),))[0], seconds=command.seconds)
+        scene = replace(scene, cameras=(camera,))
+    scene = replace(scene, effects=with_effects(scene.effects, command.effects))
+    if command.size is not None:
+        scene = replace(scene, size=command.size)
+    if command.background is not None:
+        scene = replace(scene, background=command.background)
+    return scene
+
+
+def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Effects:
+    """What a quality means for the effects that are left open."""
+    if quality == "draft":
+        view = "off" if effects.view == "auto" else effects.view
+        return replace(effects, view=view, antialiasing=_unless_given(effects.antialiasing, "none"))
+    if quality == "best":
+        views = {avatar.default_view for avatar in avatars}
+        view = views.pop() if effects.view == "auto" and len(views) == 1 else effects.view
+        return replace(effects, view=view, antialiasing=_unless_given(effects.antialiasing, "msaa"))
+    return effects
+
+
+def _unless_given(value: str, otherwise: str) -> str:
+    return otherwise if value == "auto" else value
+
+
+def film_at_once(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
+    """Draw straight into the file."""
+    path = Path(command.output)
+    drawn = Set(shot, stage, context)
+    try:
+        began = time.perf_counter()
+        film = drawn.film(path, progress(range(shot.start, shot.stop), "frames", shot.stop - shot.start))
+        took = time.perf_counter() - began
+        say(shot, stage, [*film.notes, how(drawn)])
+        done(
+            shot,
+            path,
+            f"drawn at {len_of(shot) / max(drawn.drawing, 1e-9):.0f} frames/s, written in {took:.1f} s",
+        )
+        if command.explain:
+            explain(drawn.renderer, command.json)
+    finally:
+        drawn.release()
+
+
+def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
+    """Draw the parts that are missing, here or on a cluster, and join them when all are there."""
+    path = Path(command.output)
+    kind = film_kind(path)
+    tried: list[str] = []
+    # chosen once, or two machines might choose differently
+    if kind in VIDEO:
+        from player.filming.encoder import chosen_encoder
+
+        alpha = shot.transparent and kind != ".mp4"
+        encoder, tried = chosen_encoder(kind, shot.encoder, shot.size, alpha=alpha)
+        shot = replace(shot, encoder=encoder.name)
+    shot = replace(shot, scene=with_whole_paths(shot.scene))
+    parts = Parts(path, shot.start, shot.stop, shot.identity())
+    parts.begin(resume=command.resume or command.part is not None)
+    wanted = parts.share(*command.part) if command.part else parts.ranges
+    missing = [part for part in parts.missing() if part in wanted]
+    had = sum(b - a for a, b in wanted) - sum(b - a for a, b in missing)
+    if had:
+        print(f"{had} of {sum(b - a for a, b in wanted)} frames are in {parts.folder}")
+    began, notes = time.perf_counter(), []
+    try:
+        if missing and command.workers:
+            notes = drawn_by_workers(command.workers, shot, parts)
+        elif missing:
+            drawn = Set(shot, stage, context)
+            try:
+                frames = chain.from_iterable(range(*part) for part in missing)
+                film = drawn.film(
+                    path,
+                    progress(frames, "frames", sum(b - a for a, b in missing)),
+                    list(map(parts.piece, missing)),
+                )
+                notes = [*film.notes, how(drawn)]
+                if command.explain:
+                    explain(drawn.renderer, command.json)
+            finally:
+                drawn.release()
+    except BaseException:
+        there = len(parts.ranges) - len(parts.missing())
+        if there:
+            print(f"{there} of {len(parts.ranges)} parts are kept in {parts.folder}; the same command with "
+                  f"--resume goes on", file=sys.stderr)  # fmt: skip
+        else:
+            parts.discard()
+        raise
+    say(shot, stage, notes)
+    left = parts.missing()
+    if command.part and left:
+        print(f"{parts.folder}: share {command.part[0]} of {command.part[1]} is there, {len(left)} of "
+              f"{len(parts.ranges)} parts are missing; --resume joins them")  # fmt: skip
+        return
+    join_pieces(list(map(parts.piece, parts.ranges)), path, shot.rate)
+    parts.discard()
+    done(shot, path, f"in {len(parts.ranges)} parts, written in {time.perf_counter() - began:.1f} s")
+
+
+def drawn_by_workers(address: str, shot: Shot, parts: Parts) -> list[str]:
+    """Have a cluster draw the missing parts; what it has to say."""
+    try:
+        from player.filming.cluster import film_on
+    except ModuleNotFoundError as error:
+        raise AssetError(f"--workers needs the package {error.name!r}: pip install 'selfscan[cluster]'") from None
+
+    missing = parts.missing()
+    report, frames = Progress("frames", sum(b - a for a, b in missing)), 0
+    notes: list[str] = []
+    for (start, stop), drawn in film_on(address, shot, parts, parts.identity["files"]):
+        frames += stop - start
+        report.update(frames)
+        notes += [line for line in (*drawn.notes, f"drawn by {drawn.renderer}") if line not in notes]
+    return notes
+
+
+def len_of(shot: Shot) -> int:
+    return shot.stop - shot.start
+
+
+def say(shot: Shot, stage: Stage, notes: Sequence[str]) -> None:
+    for note in (*stage.notes, *notes):
+        print(note)
+
+
+def how(drawn: Set) -> str:
+    return f"{drawn.context.attempts[-1]}; view {', '.join(drawn.renderer.views)}"
+
+
+def done(shot: Shot, path: Path, rest: str) -> None:
+    count = len_of(shot)
+    print(f"{path}: {count} frame{'s' * (count != 1)}, {shot.size[0]}x{shot.size[1]}, {rest}")
+
+
+def explain(renderer: Renderer, json_path: str | None) -> None:
+    """Print and write the passes of the last frame."""
+    rows = renderer.explain()
+    for row in rows:
+        cost = f"{row['ms']:8.2f} ms {row['bytes'] / 1e6:8.2f} MB"
+        print(f"  {row['name']:24} {row['state']:13} {cost}  {row['why']}")
+    if json_path:
+        with whole_file(Path(json_path), "w") as file:
+            json.dump({"passes": rows}, file, indent=1)
