@@ -189,7 +189,7 @@ def _filled(record: type[Record], given: dict[str, Any], parser: argparse.Argume
         if several is not None:
             values[fact.name] = several.read(given)
             continue
-        if is_dataclass(fact.type):
+        if is_dataclass(fact.type) and rule_of(fact, Option) is None:
             values[fact.name] = _filled(cast(type, fact.type), given, parser)
             continue
         value = given[fact.name]
@@ -220,13 +220,15 @@ def _add_options(parser: argparse.ArgumentParser, record: type, groups: dict[str
         if several is not None:
             several.add(parser)
             continue
-        if is_dataclass(fact.type):
+        if is_dataclass(fact.type) and rule_of(fact, Option) is None:
             _add_options(parser, cast(type, fact.type), groups)
             continue
         option = rule_of(fact, Option) or Option()
         into: Any = parser
         if option.group:
-            into = groups.setdefault(option.group, parser.add_mutually_exclusive_group())
+            if option.group not in groups:
+                groups[option.group] = parser.add_mutually_exclusive_group()
+            into = groups[option.group]
         into.add_argument(*_names(fact, option), **_keywords(fact, option))
 
 

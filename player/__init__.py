@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from player.motions import motion_for
     from player.offscreen import OffscreenRenderer
-    from player.render import render
+    from player.filming.render import render
     from player.render_command import RenderCommand
     from player.scenes.effects import Background, Effects
 
@@ -17,7 +17,7 @@ _PUBLIC = {
     "motion_for": "player.motions",
     "OffscreenRenderer": "player.offscreen",
     "RenderCommand": "player.render_command",
-    "render": "player.render",
+    "render": "player.filming.render",
     "Background": "player.scenes.effects",
     "Effects": "player.scenes.effects",
 }

@@ -155,7 +155,7 @@ RENDER = Help(
 def render_main(argv: list[str]) -> int:
     """Draw a picture, frames or a film."""
     command = parse(RenderCommand, argv, RENDER)
-    from player.render import render
+    from player.filming.render import render
 
     render(command)
     return 0

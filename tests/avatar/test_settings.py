@@ -41,6 +41,8 @@ class Try:
     force: Annotated[bool, "begin anew"] = False
     joint: Annotated[tuple[str, ...], Option(repeated=True), "a joint to look at"] = ()
     compare: Annotated[str | None, Option(const="mannequin", metavar="AVATAR"), "draw one frame"] = None
+    first: Annotated[int | None, Option(group="which"), "only this one"] = None
+    last: Annotated[int | None, Option(group="which"), "only that one"] = None
     inner: Annotated[int, Hidden(), "no option"] = 7
 
     def __post_init__(self):
@@ -79,6 +81,7 @@ def test_every_kind_of_field_is_read():
         (["--light", "dark"], "--light: invalid choice: 'dark'"),
         (["--quality", "best"], "--quality: invalid choice: 'best'"),
         (["--count", "2", "--force"], "count 2 cannot be forced"),
+        (["--first", "1", "--last", "2"], "not allowed with argument --first"),
         (["--inner", "3"], "unrecognized arguments: --inner 3"),
     ],
 )
