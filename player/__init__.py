@@ -7,9 +7,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from player.filming.render import render
     from player.motions import motion_for
     from player.offscreen import OffscreenRenderer
-    from player.filming.render import render
     from player.render_command import RenderCommand
     from player.scenes.effects import Background, Effects
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
-from avatar.files import whole_file
+from avatar.files import check_file, check_folder, whole_file
 from avatar.progress import Progress, progress
 from player.arguments import with_effects
 from player.context import Context, opened
@@ -34,6 +34,9 @@ def render(command: RenderCommand) -> None:
     Raises:
         AssetError: a file cannot be read or written, or no OpenGL context can be had.
     """
+    (check_file if film_kind(command.output) else check_folder)(command.output)
+    if command.json:
+        check_file(command.json)
     scene = scene_of(command)
     # while files are read and unpacked, the driver wakes up; both are work outside of Python
     with ThreadPoolExecutor(1) as pool:

@@ -20,8 +20,8 @@ from player.pose.fingers import PRESETS, hand_shape
 from player.pose.ik import LIMBS
 from player.pose.limits import joint_angles, within
 from player.pose.mirror import mirrored_in_place
-from player.window.pose_tool import HANDLES
 from player.scenes.opened import opened_avatars
+from player.window.pose_tool import HANDLES
 from player.window.show import opened_show
 from player.window.window import Window
 

@@ -19,8 +19,8 @@ from player.gui import widgets
 from player.gui.panels import Panels
 from player.gui.widgets import Widgets, elided
 from player.play_command import PLAY, PlayCommand, scene_of
-from player.window.actions import GROUPS
 from player.scenes.opened import opened_avatars
+from player.window.actions import GROUPS
 from player.window.show import opened_show
 from player.window.window import Window
 

@@ -18,9 +18,9 @@ from avatar.skeleton import joint_transforms
 from player.capture_view import open_capture
 from player.play_command import PLAY, PlayCommand, scene_of
 from player.renderer import Renderer
+from player.scenes.opened import opened_avatars
 from player.window.pick import posed_vertices
 from player.window.picture import PictureLayer
-from player.scenes.opened import opened_avatars
 from player.window.show import opened_show
 from player.window.window import Window
 
