@@ -89,6 +89,13 @@ class RenderCommand:
         Option(metavar="#rrggbb|transparent|FILE", parse=parse_background),
         "colour (default #2b2d33), nothing, a picture, film or panorama (.hdr)",
     ] = None
+    rate: Annotated[
+        float | None,
+        Above(0),
+        AtMost(1000),
+        Option(metavar="HZ"),
+        "frames a second of the film (default: the motion's, halved, cut to a third ... where that is above 60)",
+    ] = None
     effects: Annotated[Mapping[str, Any], EFFECTS, "what is asked of the effects, by field"] = field(
         default_factory=dict
     )
@@ -135,6 +142,8 @@ class RenderCommand:
             raise ValueError("--json writes what --explain finds: give both")
         if kind == ".png" and self.frames:
             raise ValueError("a .png holds one frame: give --frame N, or another OUT")
+        if kind == ".png" and self.rate:
+            raise ValueError("--rate is of a film; a .png holds one frame")
         if kind == ".png" and (self.part or self.workers):
             raise ValueError("--part and --workers share the frames of a film; a .png holds one")
         if self.part and self.workers:

@@ -1,6 +1,7 @@
 """Rendering: from what a command asks for to a picture, frames or a film."""
 
 import json
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from pathlib import Path
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from avatar.files import check_file, check_folder, whole_file
-from avatar.progress import Progress, progress
+from avatar.progress import Progress, counted, progress
 from player.arguments import with_effects
 from player.context import Context, opened
 from player.filming.film import VIDEO, film_kind, join_pieces
@@ -26,6 +27,7 @@ from player.scenes.effects import Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 DRAFT_LEVEL = 99  # the coarsest there is
+FASTEST = 60.0  # frames a second of a film, unless more are asked for
 
 
 def render(command: RenderCommand) -> None:
@@ -63,6 +65,13 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
         stage.hold(frame)
         frame = None
     start, stop = frame_range(stage, frame, command.frames, single=kind == ".png")
+    if kind == ".png":
+        print(
+            f"{stage.name}: frame {start} of {counted(stage.frames, 'frame')}"
+            + ("" if frame is not None or stage.frames == 1 else "; --frame N draws another")
+        )
+    else:
+        start, stop = at_rate(command, stage, start, stop)
     level = level_of(command)
     shot = Shot(
         stage.scene, start, stop, stage.size(), stage.rate, stage.fit(start, stop), stage.still, level,
@@ -73,6 +82,29 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
         film_at_once(command, shot, stage, context)
     else:
         film_in_parts(command, shot, stage, context)
+
+
+def at_rate(command: RenderCommand, stage: Stage, start: int, stop: int) -> tuple[int, int]:
+    """The film's frames for the frames start .. stop - 1 of the motion, at the rate asked for.
+
+    A rate that no one asked for is at most FASTEST, the motion's divided by a whole number: every second, third ...
+    frame as it is.
+    """
+    before = stage.rate
+    rate = command.rate or (before if stage.scene.rate else before / math.ceil(before / FASTEST))
+    if rate == before or (command.rate is None and command.frame is not None):
+        return start, stop
+    stage.film_at(rate)
+    if command.rate is None:
+        stage.notes.append(
+            f"{stage.name}: {before:g} frames a second, filmed at {rate:g} (--rate {before:g} takes all)"
+        )
+    if stage.still is not None:
+        return 0, stage.frames
+    first, last = (min(math.ceil(frame * rate / before - 1e-6), stage.frames) for frame in (start, stop))
+    if first >= last:
+        raise AssetError(f"--rate {rate:g}: frames {start}:{stop} are shorter than one frame of the film")
+    return first, last
 
 
 def level_of(command: RenderCommand) -> int:
@@ -216,6 +248,11 @@ def drawn_by_workers(address: str, shot: Shot, parts: Parts) -> list[str]:
         raise AssetError(f"--workers needs the package {error.name!r}: pip install 'selfscan[cluster]'") from None
 
     missing = parts.missing()
+    if address.isdecimal() and len(missing) < 2 * int(address):
+        print(
+            f"{counted(len(missing), 'part')} of at most {LENGTH} frames for {counted(int(address), 'worker')}: a film "
+            "this short is drawn sooner without --workers"
+        )
     report, frames = Progress("frames", sum(b - a for a, b in missing)), 0
     notes: list[str] = []
     for (start, stop), drawn in film_on(address, shot, parts, parts.identity["files"]):
@@ -239,8 +276,12 @@ def how(drawn: Set) -> str:
 
 
 def done(shot: Shot, path: Path, rest: str) -> None:
-    count = len_of(shot)
-    print(f"{path}: {count} frame{'s' * (count != 1)}, {shot.size[0]}x{shot.size[1]}, {rest}")
+    width, height = shot.size
+    if film_kind(path) in VIDEO:
+        from player.filming.encoder import padded_size
+
+        width, height = padded_size(shot.size)
+    print(f"{path}: {counted(len_of(shot), 'frame')}, {width}x{height}, {rest}")
 
 
 def explain(renderer: Renderer, json_path: str | None) -> None:
