@@ -13,7 +13,7 @@ from PIL import Image
 from tiny_avatar import tiny_avatar
 
 import player.filming.parts
-import player.render_command as render_command
+import player.filming.render
 from avatar.camera import orbit_camera, write_camera
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
@@ -30,7 +30,7 @@ FRAMES = 50  # from 5 to 55: parts 5:20, 20:40, 40:55
 def short_parts():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(player.filming.parts, "LENGTH", 20)
-        patch.setattr(render_command, "LENGTH", 20)
+        patch.setattr(player.filming.render, "LENGTH", 20)
         yield
 
 
@@ -282,7 +282,9 @@ def test_what_a_worker_draws_is_what_is_asked_for(arguments, films, tmp_path, mo
     from player.filming.stage import Stage
 
     orders = []
-    monkeypatch.setattr(render_command, "drawn_by_workers", lambda _a, shot, parts: orders.append((shot, parts)) or [])
+    monkeypatch.setattr(
+        player.filming.render, "drawn_by_workers", lambda _a, shot, parts: orders.append((shot, parts)) or []
+    )
     folder, name = Path(arguments[0]).parent, Path(arguments[0]).name
     monkeypatch.chdir(folder)
     with pytest.raises(AssetError, match="expected 15 frames, found 0"):

@@ -164,7 +164,7 @@ def test_a_head_s_camera_stands_before_the_t_pose(avatar, capture):
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda p: (p / "capture.json").write_text("[]"), "expected a JSON object"),
+        (lambda p: (p / "capture.json").write_text("[]"), "a JSON object"),
         (lambda p: (p / "capture.json").write_text('{"format": "x"}'), "expected a capture folder"),
         (lambda p: [f.unlink() for f in (p / "body/images").iterdir()], "expected pictures, found none"),
         (lambda p: (p / "body/images/000001.png").unlink(), "should hold 1 or 2 cameras, holds 3"),
