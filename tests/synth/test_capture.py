@@ -125,7 +125,10 @@ def test_landmarks_give_the_similarity_back(captures, template):
 
 
 def test_the_same_seed_writes_the_same_bytes(captures):
-    first, second = (sorted(p for p in folder.rglob("*") if p.is_file()) for folder in captures)
+    # the mark of the folder holds the times of its files
+    first, second = (
+        sorted(p for p in folder.rglob("*") if p.is_file() and p.name != ".selfscan") for folder in captures
+    )
     assert [p.relative_to(captures[0]) for p in first] == [p.relative_to(captures[1]) for p in second]
     different = [p.name for p, q in zip(first, second, strict=True) if p.read_bytes() != q.read_bytes()]
     assert not different
