@@ -81,6 +81,8 @@ class _Job:
     first: tuple[float, int] | None = None
     last: tuple[float, int] | None = None
     ended: float | None = None
+    # share of the preparation that is done, in [0, 1]
+    prepared: float = 0.0
     note: str = ""
 
 
@@ -105,6 +107,11 @@ class ProgressBoard:
 
     def begin(self, name: str) -> None:
         self.jobs[name].began = self.clock()
+
+    def prepare(self, name: str, share: float) -> None:
+        """So much of what comes before the first count is done."""
+        self.jobs[name].prepared = share
+        self.refresh()
 
     def update(self, name: str, done: int, note: str = "") -> None:
         job, now = self.jobs[name], self.clock()
@@ -146,7 +153,9 @@ class ProgressBoard:
             if job.began is None or job.ended is not None:
                 continue
             if job.last is None:
-                out.append(f"{name:<{width}}  preparing, {clock_time(self.clock() - job.began)}")
+                spent = self.clock() - job.began
+                left = None if job.prepared <= 0 else spent / job.prepared - spent
+                out.append(f"{name:<{width}}  preparing, {clock_time(spent)} so far, {_left_text(left)}")
                 continue
             left = self._left(job)
             line = f"{name:<{width}}  {_bar(job.last[1] / max(job.total, 1))} {job.last[1]}/{job.total}"
@@ -241,3 +250,5 @@ class Reporter(NamedTuple):
     say: Callable[[str], None]  # a line that stays
     # a count and a note, as often as wished
     step: Callable[[int, str], None]
+    # the share in [0, 1] of what comes before the first count
+    prepare: Callable[[float], None] = lambda share: None

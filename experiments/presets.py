@@ -108,7 +108,7 @@ def one_preset(
     )  # fmt: skip
     torch.set_num_threads(threads)
     torch.manual_seed(seed * 4 + index)
-    ready = part_ready(job, capture)
+    ready = part_ready(job, capture, lambda share: None)
     field = ready.field
     fitted = time.monotonic()
     if preset.prefit:

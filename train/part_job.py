@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -33,6 +34,9 @@ from train.trainer import Checkpoints, FieldTraining, Watch, peak_memory, train_
 from train.union import write_rays
 
 Array = np.ndarray
+
+# of the preparation, where a template fit follows the rays
+RAYS_SHARE = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,13 +90,16 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
     capture = with_refined(read_capture(job.capture, parts=PARTS if preset.single else (name,)), folder)
     capture = replace(capture, subject=read_subject(folder / "subject.npz", capture.subject.name))
     torch.manual_seed(job.seed * 4 + job.index)
-    ready = (single_ready if preset.single else part_ready)(job, capture)
+    prefit = preset.prefit and not (job.resume and checkpoint.exists())
+    rays_prepared = lambda share: reporter.prepare(share * (RAYS_SHARE if prefit else 1))
+    ready = (single_ready if preset.single else part_ready)(job, capture, rays_prepared)
     field, rays, frames = ready.field, ready.rays, len(ready.field.appearance.weight)
     # a single network's rays are of four videos: as aligned
     if not preset.single and poses_refined(folder, name):
         field.poses = PoseCorrection(capture.videos[name], capture.subject).to(rays.ends.device)
-    if preset.prefit and not (job.resume and checkpoint.exists()):
-        off = fit_template(field, preset.prefit, seed=job.seed)
+    if prefit:
+        fitted = lambda share: reporter.prepare(RAYS_SHARE + (1 - RAYS_SHARE) * share)
+        off = fit_template(field, preset.prefit, seed=job.seed, done=fitted)
         reporter.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
     if name == "body" and job.ranks.writes:
         # for stage 2 and Eq. 8
@@ -164,7 +171,7 @@ def _keep_poses(job: PartJob, field: PartField, rays: RayTensors, video: PartVid
     write_learned(Path(job.folder), job.name, poses.corrected(video))
 
 
-def part_ready(job: PartJob, capture: Capture) -> Ready:
+def part_ready(job: PartJob, capture: Capture, prepared: Callable[[float], None]) -> Ready:
     """A part's untrained field in its box, and the rays of its video."""
     name, preset, settings, device = job.name, job.preset, job.settings, torch.device(job.device)
     subject, part = capture.subject, part_boxes(capture.subject)[job.index]
@@ -177,17 +184,17 @@ def part_ready(job: PartJob, capture: Capture) -> Ready:
     rays = part_rays(
         video, subject, cloud, part, settings.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame,
         canonical_from_head=canonical_from_head, rng=np.random.default_rng([job.seed, job.index]),
-        background=settings.background,
+        background=settings.background, prepared=prepared,
     )  # fmt: skip
     preview = _preview(job, video, subject, cloud, canonical_from_head)
     return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, preview)
 
 
-def single_ready(job: PartJob, capture: Capture) -> Ready:
+def single_ready(job: PartJob, capture: Capture, prepared: Callable[[float], None]) -> Ready:
     """The single network (ablation), untrained, and the rays of all four videos; its preview is the body's."""
     device = torch.device(job.device)
     frames = sum(len(video.images) for video in capture.videos.values())
-    rays, cloud, flagged = single_rays(capture, job.preset, job.canonical_from_head, job.seed, device)
+    rays, cloud, flagged = single_rays(capture, job.preset, job.canonical_from_head, job.seed, device, prepared)
     template = single_template(capture, cloud, job.settings.cell)
     field = run_folder.build_field(capture.subject, 0, job.settings, template, frames).to(device)
     preview = _preview(job, capture.videos["body"], capture.subject, cloud, None)

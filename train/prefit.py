@@ -1,5 +1,7 @@
 """The start of a geometry network that knows nothing of the template: it learns the template's distance first."""
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -7,17 +9,27 @@ from torch import Tensor
 from train.field import PartField
 
 
-def fit_template(field: PartField, steps: int, *, seed: int, points: int = 2048, rate: float = 5e-4) -> float:
+def fit_template(
+    field: PartField,
+    steps: int,
+    *,
+    seed: int,
+    points: int = 2048,
+    rate: float = 5e-4,
+    done: Callable[[float], None] = lambda share: None,
+) -> float:
     """Fit F_s to the template's signed distance, mean |F_s - template|; returns the last step's, metres.
 
     Half of the points of a step lie anywhere in the part's box, half are the ones of as many again that lie
-    closest to the template. Without this start, volume rendering of a sphere finds no person in time.
+    closest to the template. Without this start, volume rendering of a sphere finds no person in time. `done` hears
+    the share of the steps done.
     """
     parameters = list(field.geometry.parameters())
     optimiser = torch.optim.Adam(parameters, lr=rate)
     generator = torch.Generator().manual_seed(seed)
     last = float("nan")
     for step in range(steps):
+        done(step / steps)
         for group in optimiser.param_groups:
             group["lr"] = rate * 0.1 ** (step / steps)
         places = _points(field, points, generator)

@@ -4,6 +4,7 @@ Everything that does not change while the field learns is computed once: the mar
 canonical map at every section end (Eq. 3, or the rigid motion of Eq. 4), the pixel colours.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -152,10 +153,11 @@ def part_rays(
     canonical_from_head: Float[Array, "4 4"] | None,
     rng: np.random.Generator,
     background: float = 1.0,
+    prepared: Callable[[float], None] = lambda share: None,
 ) -> TrainingRays:
     """The rays of a video that train `part`, at most `per_frame` of each frame.
 
-    Of these at most the share `background` lies beside the person.
+    Of these at most the share `background` lies beside the person. `prepared` hears the share of the frames done.
 
     A pixel supervises a part when its ray first meets the template inside the part's box, or, for a ray that
     passes by, when its closest approach lies in the box (FRAMES.md). Sections never leave the box.
@@ -170,6 +172,7 @@ def part_rays(
     settled = max(1e-4, 0.25 * cloud.spacing)
     tried = dropped = 0
     for frame in range(frames):
+        prepared(frame / frames)
         mask = video.masks[frame]
         camera, scale = video.cameras[frame], 1.0
         if canonical_from_head is not None:

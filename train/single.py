@@ -6,6 +6,7 @@ with (Eq. 5, 6 and the body's pixels): one network has one surface, so nothing c
 shown with the mean code of the body's frames.
 """
 
+from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
@@ -72,10 +73,11 @@ def single_rays(
     canonical_from_head: Float[Array, "4 4"],
     seed: int,
     device: torch.device,
+    prepared: Callable[[float], None] = lambda share: None,
 ) -> tuple[RayTensors, SurfaceCloud, float]:
     """The rays of the four parts one after the other, a template cloud as fine as each part's, share left out.
 
-    Frames count through: body, head, left hand, right hand.
+    Frames count through: body, head, left hand, right hand. `prepared` hears the share done.
     """
     subject, visible = capture.subject, visible_faces(capture.subject)
     each, clouds, flagged = [], [], []
@@ -86,6 +88,7 @@ def single_rays(
             ends=preset.sections + 2, per_frame=preset.rays_per_frame,
             canonical_from_head=canonical_from_head if name == "head" else None,
             rng=np.random.default_rng([seed, index]), background=settings.background,
+            prepared=lambda share, video=index: prepared((video + share) / len(PARTS)),
         )  # fmt: skip
         each.append(ray_tensors(rays, cloud, device))
         flagged.append(rays.flagged * len(rays.ends))

@@ -33,7 +33,9 @@ def run_jobs(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: i
     results = {}
     for name, job in jobs.items():
         board.begin(name)
-        reporter = Reporter(board.say, lambda done, note: board.update(name, done, note))
+        reporter = Reporter(
+            board.say, lambda done, note: board.update(name, done, note), lambda share: board.prepare(name, share)
+        )
         results[name] = work(job, reporter)
         board.end(name)
     return results
@@ -81,6 +83,9 @@ def _in_processes(jobs: Mapping[str, T], work: Work, board: ProgressBoard, worke
                     if kind == "step":
                         board.update(name, *content)
                         continue
+                    if kind == "prepare":
+                        board.prepare(name, *content)
+                        continue
                     if kind == "done":
                         results[name] = content[0]
                         board.end(name)
@@ -122,7 +127,12 @@ def _worker(work: Work, job: object, connection: Connection) -> None:
     try:
         with prompt_stop():
             signals_arrive()
-            facts = work(job, Reporter(lambda text: send("say", text), lambda done, note: send("step", done, note)))
+            reporter = Reporter(
+                lambda text: send("say", text),
+                lambda done, note: send("step", done, note),
+                lambda share: send("prepare", share),
+            )
+            facts = work(job, reporter)
             connection.send(("done", facts))
     except Stopped as stopped:
         _last_word(connection, "stopped", stopped.number)
