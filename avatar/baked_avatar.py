@@ -33,7 +33,7 @@ class Level:
     # Q as xx, xy, xz, yy, yz, zz; positive semi-definite
     view_q: Float32[np.ndarray, "vertices 6"]
     # v in [0, 1], 0 where no camera looked
-    view_seen: Float32[np.ndarray, " vertices"]
+    view_seen: Float32[np.ndarray, "vertices"]
     base_color: UInt8[np.ndarray, "height width 3"]  # sRGB
     # 4 or 8, linear, f = value / 255
     features: UInt8[np.ndarray, "feature_height feature_width planes"] | None
@@ -55,7 +55,7 @@ class ViewNetwork:
     w1: Float32[np.ndarray, "16 inputs"]
     b1: Float32[np.ndarray, "16"]
     w2: Float32[np.ndarray, "outputs 16"]
-    b2: Float32[np.ndarray, " outputs"]
+    b2: Float32[np.ndarray, "outputs"]
     w3: Float32[np.ndarray, "3 16"] | None = None
     b3: Float32[np.ndarray, "3"] | None = None
 

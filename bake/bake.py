@@ -182,7 +182,10 @@ def run_surface(surface: Any, joint_count: int) -> Origin:
 
 
 def check_complete(
-    mesh: TriangleMesh, vertices: Float[np.ndarray, "v 3"], part: Integer[np.ndarray, "v"], limit: float = 0.03
+    mesh: TriangleMesh,
+    vertices: Float[np.ndarray, "vertices 3"],
+    part: Integer[np.ndarray, "vertices"],
+    limit: float = 0.03,
 ) -> None:
     """Every part of the run's surface must have the extracted one within `limit` metres, else a part broke off.
 

@@ -17,7 +17,7 @@ from geometry.isosurface import PointFunction, project_to_zero
 from geometry.mesh import TriangleMesh
 from geometry.sample import stratified_samples
 
-HEAD, LEFT_WRIST, RIGHT_WRIST = 15, 20, 21
+HEAD = 15
 LEFT_MIDDLE, RIGHT_MIDDLE = 25, 40
 
 

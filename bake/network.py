@@ -52,9 +52,9 @@ class Distilled(NamedTuple):
     """How the file shows view dependence; parts that the default view does not need are None."""
 
     network: ViewNetwork | None
-    linear: Float[np.ndarray, "f 3 3"] | None
+    linear: Float[np.ndarray, "features 3 3"] | None
     default_view: Literal["network", "linear", "off"]
-    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n f"]] | None
+    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n features"]] | None
     # of each mode against the cone field, on samples kept out of training
     decibels: dict[str, float]
     # why this is the default
@@ -80,7 +80,7 @@ class FeatureEncoder(nn.Module):
             nn.Linear(width, features),
         )
 
-    def forward(self, surface: Float[torch.Tensor, "n 12"]) -> Float[torch.Tensor, "n f"]:
+    def forward(self, surface: Float[torch.Tensor, "n 12"]) -> Float[torch.Tensor, "n features"]:
         position = surface[:, :3]
         waves = [f(position * (torch.pi * 2**k)) for k in range(self.octaves) for f in (torch.sin, torch.cos)]
         value = torch.sigmoid(self.layers(torch.cat([surface, *waves], 1)))
@@ -106,14 +106,14 @@ def sampled_directions(cone: ViewCone, rng: np.random.Generator, *, seen_share: 
 
 
 def network_inputs(
-    features: Float[np.ndarray, "n f"], tangent: Float[np.ndarray, "n 3"]
+    features: Float[np.ndarray, "n features"], tangent: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n inputs"]:
     """x = [features / 255, t', |t'|] from features in [0, 1]."""
     return np.concatenate([features, tangent, np.linalg.norm(tangent, axis=1, keepdims=True)], 1)
 
 
 def network_residual(
-    network: ViewNetwork, features: Float[np.ndarray, "n f"], tangent: Float[np.ndarray, "n 3"]
+    network: ViewNetwork, features: Float[np.ndarray, "n features"], tangent: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """A |t'| y / (1 + |y|) in float64: the reference of the shader."""
     x = network_inputs(features, tangent)
@@ -124,7 +124,9 @@ def network_residual(
 
 
 def linear_residual(
-    linear: Float[np.ndarray, "f 3 3"], features: Float[np.ndarray, "n f"], tangent: Float[np.ndarray, "n 3"]
+    linear: Float[np.ndarray, "features 3 3"],
+    features: Float[np.ndarray, "n features"],
+    tangent: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, "n 3"]:
     return np.einsum("nf,fij,nj->ni", features, linear, tangent)
 
@@ -136,8 +138,8 @@ def decibels(error: Float[np.ndarray, "*n"]) -> float:
 
 
 def fit_linear(
-    features: Float[np.ndarray, "n f"], tangent: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"]
-) -> Float[np.ndarray, "f 3 3"]:
+    features: Float[np.ndarray, "n features"], tangent: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "features 3 3"]:
     """Least squares of residual = (sum f_i M_i) t', lightly damped: features may be nearly equal."""
     size = 3 * features.shape[1]
     design = (features[:, :, None] * tangent[:, None, :]).reshape(len(features), size)
@@ -209,7 +211,7 @@ def distil(
         optimiser.step()
         schedule.step()
 
-    def features_of(points: SurfacePoints) -> UInt8[np.ndarray, "n f"]:
+    def features_of(points: SurfacePoints) -> UInt8[np.ndarray, "n features"]:
         encoded = []
         with torch.no_grad():
             for chunk in torch.from_numpy(_encoder_inputs(points)).split(1 << 16):
@@ -229,8 +231,8 @@ def distil(
 def choose(
     scores: dict[str, float],
     network: ViewNetwork,
-    linear: Float[np.ndarray, "f 3 3"],
-    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n f"]],
+    linear: Float[np.ndarray, "features 3 3"],
+    features: Callable[[SurfacePoints], UInt8[np.ndarray, "n features"]],
 ) -> Distilled:
     """The simplest mode that is not GAIN_DB worse than a richer one; what is not worth it is not in the file."""
     scores_text = ", ".join(f"{mode} {scores[mode]:.1f} dB" for mode in ("network", "linear", "off"))

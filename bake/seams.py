@@ -251,10 +251,6 @@ def _largest_step(
     return max(float(np.quantile(seam_steps(uv, edges, mip), 0.99)) for mip in chain)
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> Float[np.ndarray, "channels"]:
-    return np.einsum("nc,nc->c", a, b)
-
-
 def _unknowns(chain: list[_Mip], texels: TexelMap, image: Float[np.ndarray, "height width channels"]) -> _Unknowns:
     """The texels that move, each with its unknown and its bounds, and what moving an unknown costs.
 

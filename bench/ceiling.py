@@ -46,7 +46,7 @@ class CeilingDrawer:
         root: Float[np.ndarray, "3"],
         camera: Camera,
         samples: int,
-        where: Bool[np.ndarray, "h w"] | None = None,
+        where: Bool[np.ndarray, "height width"] | None = None,
     ) -> MaskedPicture:
         """One picture on black; all of it, whatever `where` says: drawing the mesh costs the same."""
         self.studio.supersample = samples

@@ -70,7 +70,7 @@ def square_about(mask: np.ndarray, kind: str) -> tuple[slice, slice]:
 
 
 def cropped(
-    tiles: Sequence[Float[np.ndarray, "h w 3"]], where: tuple[slice, slice]
+    tiles: Sequence[Float[np.ndarray, "height width 3"]], where: tuple[slice, slice]
 ) -> list[UInt8[np.ndarray, "a b 3"]]:
     return [np.round(np.clip(tile[where], 0, 1) * 255).astype(np.uint8) for tile in tiles]
 

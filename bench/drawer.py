@@ -53,7 +53,7 @@ class Drawer:
         root: Float[np.ndarray, "3"],
         camera: Camera,
         samples: int = 1,
-        where: Bool[np.ndarray, "h w"] | None = None,
+        where: Bool[np.ndarray, "height width"] | None = None,
     ) -> MaskedPicture:
         """One picture on black; `samples` squared rays for each pixel, averaged. A field is asked for colors only
         `where` they are looked at."""
@@ -82,7 +82,7 @@ def drawn_where(
     pose: tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]],
     camera: Camera,
     samples: int,
-    where: Bool[np.ndarray, "h w"],
+    where: Bool[np.ndarray, "height width"],
     directions: Directions = "global",
 ) -> MaskedPicture:
     """The field's picture, drawn only in the rectangle of `where`; nothing outside it."""

@@ -31,7 +31,7 @@ class PosedFrame(Protocol):
 
 def field_rungs(
     context: Context, run: Path, frames: Sequence[PosedFrame]
-) -> list[tuple[str, Float[np.ndarray, "rounds"], int, list[Float[np.ndarray, "h w 3"]]]]:
+) -> list[tuple[str, Float[np.ndarray, "rounds"], int, list[Float[np.ndarray, "height width 3"]]]]:
     """The field drawn as its first surface crossing: paper mode, then inside the cone that was seen."""
     view = FieldView(read_run(run))
     raster = Rasteriser(context)

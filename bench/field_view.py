@@ -50,13 +50,15 @@ def one_thread() -> Iterator[None]:
 class PosableSurface:
     """A mesh in the canonical (big) pose that follows the skeleton."""
 
-    vertices: Float[np.ndarray, "v 3"]  # canonical, metres
-    faces: Int[np.ndarray, "f 3"]
+    vertices: Float[np.ndarray, "vertices 3"]  # canonical, metres
+    faces: Int[np.ndarray, "faces 3"]
     skin: SkinWeights
     joints: Float[np.ndarray, "52 3"]  # pose 0
     canonical_pose: Float[np.ndarray, "52 3"]
 
-    def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]) -> Float[np.ndarray, "v 3"]:
+    def posed(
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "vertices 3"]:
         return skin_points(self.vertices, self.skin, self.transforms(axis_angle, root))
 
     def transforms(
@@ -66,8 +68,8 @@ class PosableSurface:
 
 
 class MaskedPicture(NamedTuple):
-    color: Float[np.ndarray, "h w 3"]  # [0, 1] sRGB, black where nothing is
-    mask: Bool[np.ndarray, "h w"]
+    color: Float[np.ndarray, "height width 3"]  # [0, 1] sRGB, black where nothing is
+    mask: Bool[np.ndarray, "height width"]
 
 
 class FieldView:
@@ -102,7 +104,7 @@ class FieldView:
         samples: int = 1,
         directions: Directions = "global",
         surface: PosableSurface | None = None,
-        where: Bool[np.ndarray, "h w"] | None = None,
+        where: Bool[np.ndarray, "height width"] | None = None,
     ) -> MaskedPicture:
         """One picture on black, silhouettes smoothed by `samples` squared a pixel. `surface` is the same mesh with
         other skin weights; colors outside `where` stay black."""
@@ -131,7 +133,9 @@ class FieldView:
                 direction = cone_direction(clamped_tangent(direction, seen), seen)
         return shaded(cover, chosen, self.color(points, direction), samples)
 
-    def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]) -> Float[np.ndarray, "v 3"]:
+    def posed(
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "vertices 3"]:
         """Posed vertices of its own surface; the last pose is kept."""
         key = np.concatenate([np.ravel(axis_angle), root]).tobytes()
         if self.last_pose[0] != key:
@@ -166,7 +170,7 @@ def on_zero_set(field: FusedField, points: Float[np.ndarray, "n 3"], steps: int 
 
 
 def faces_in_picture(
-    vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], camera: Camera
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], camera: Camera
 ) -> Int[np.ndarray, "g 3"]:
     """Faces that may show in the picture: not all three corners beyond the same edge."""
     pixels, depth = project(camera, vertices)

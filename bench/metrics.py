@@ -41,9 +41,9 @@ class PooledError:
 
     def add(
         self,
-        truth: Float[np.ndarray, "h w 3"],
+        truth: Float[np.ndarray, "height width 3"],
         image: Float[np.ndarray, "_ _ 3"],
-        mask: Bool[np.ndarray, "h w"] | None = None,
+        mask: Bool[np.ndarray, "height width"] | None = None,
     ) -> None:
         check_images(truth, image)
         error = np.square(truth.astype(np.float64) - image)
@@ -64,9 +64,9 @@ class PooledError:
 
 
 def psnr(
-    truth: Float[np.ndarray, "h w 3"],
+    truth: Float[np.ndarray, "height width 3"],
     image: Float[np.ndarray, "_ _ 3"],
-    mask: Bool[np.ndarray, "h w"] | None = None,
+    mask: Bool[np.ndarray, "height width"] | None = None,
 ) -> Score:
     """Peak signal-to-noise ratio of one image in dB, over `mask` where given."""
     error = PooledError()
@@ -74,7 +74,7 @@ def psnr(
     return error.psnr()
 
 
-def ssim(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
+def ssim(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
     """Structural similarity (Wang et al. 2004), 7 x 7 uniform window, data range 1, mean over channels.
 
     Smaller images are scored with the largest odd window that fits; under 3 px there is none.
@@ -88,7 +88,7 @@ def ssim(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -
     return Score(float(np.asarray(value)))
 
 
-def flip(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
+def flip(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
     """Mean LDR-FLIP (Andersson et al. 2020) at 67 pixels per degree: 0 is equal, 1 the worst.
 
     Black ground that both images share is left out of the work and counted as equal, which it is: FLIP's widest
@@ -107,13 +107,13 @@ def flip(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -
     return Score(float(mean) * (a.size / truth.size))
 
 
-def lpips(truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
+def lpips(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
     """Learned perceptual distance (Zhang et al. 2018): not measured, because its weights are not shipped."""
     check_images(truth, image)
     return Score(None, LPIPS_REASON)
 
 
-def rectangle(mask: Bool[np.ndarray, "h w"]) -> tuple[slice, slice] | None:
+def rectangle(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice] | None:
     """Smallest rows and columns that hold the mask; None when it is empty."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     if len(rows) == 0:

@@ -6,7 +6,6 @@ The rows of other methods are quoted until those are built here. Distances in cm
 REGIONS = ("head", "hands", "total")
 GEOMETRY = ("p2s_cm", "chamfer_cm")
 IMAGE = ("psnr_db", "ssim", "lpips")
-LARGER_IS_BETTER = frozenset({"psnr_db", "ssim"})
 
 Scores = dict[str, dict[str, float]]  # region, then metric
 

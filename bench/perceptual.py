@@ -47,7 +47,7 @@ class Perceptual(nn.Module):
         self.register_buffer("shift", torch.tensor(SHIFT)[:, None, None])
         self.register_buffer("scale", torch.tensor(SCALE)[:, None, None])
 
-    def features(self, images: Float[Tensor, "n 3 h w"]) -> list[Float[Tensor, "n channels _ _"]]:
+    def features(self, images: Float[Tensor, "n 3 height width"]) -> list[Float[Tensor, "n channels _ _"]]:
         """Unit feature vectors of the five layers; colors in [0, 1]."""
         x = (2 * images - 1 - self.get_buffer("shift")) / self.get_buffer("scale")
         out = []
@@ -57,7 +57,7 @@ class Perceptual(nn.Module):
         return out
 
     @torch.no_grad()
-    def score(self, truth: Float[np.ndarray, "h w 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
+    def score(self, truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
         """LPIPS of two images in [0, 1]: 0 is equal."""
         check_images(truth, image)
         if min(truth.shape[:2]) < SMALLEST:

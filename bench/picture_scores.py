@@ -21,11 +21,11 @@ from bench.field_view import MaskedPicture
 from bench.true_mesh import TrueMesh
 from capture.held_out import HeldOutView
 
-Perceive = Callable[[Float[np.ndarray, "h w 3"], Float[np.ndarray, "_ _ 3"]], metrics.Score]  # LPIPS
+Perceive = Callable[[Float[np.ndarray, "height width 3"], Float[np.ndarray, "_ _ 3"]], metrics.Score]  # LPIPS
 
 # pose, root, camera, squared samples a pixel, pixels that are looked at (others may be left black)
 Draw = Callable[
-    [Float[np.ndarray, "52 3"], Float[np.ndarray, "3"], Camera, int, Bool[np.ndarray, "h w"]], MaskedPicture
+    [Float[np.ndarray, "52 3"], Float[np.ndarray, "3"], Camera, int, Bool[np.ndarray, "height width"]], MaskedPicture
 ]
 
 REGIONS = ("head", "left_hand", "right_hand", "total")
@@ -64,10 +64,10 @@ class ImageScores:
 
     def add(
         self,
-        truth: Float[np.ndarray, "h w 3"],
-        image: Float[np.ndarray, "h w 3"],
-        box: Bool[np.ndarray, "h w"],
-        mask: Bool[np.ndarray, "h w"],
+        truth: Float[np.ndarray, "height width 3"],
+        image: Float[np.ndarray, "height width 3"],
+        box: Bool[np.ndarray, "height width"],
+        mask: Bool[np.ndarray, "height width"],
         perceive: Perceive | None = None,
     ) -> None:
         where = metrics.rectangle(box)
@@ -90,7 +90,9 @@ class ImageScores:
         }
 
 
-def box_pixels(camera: Camera, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]) -> Bool[np.ndarray, "h w"]:
+def box_pixels(
+    camera: Camera, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, "height width"]:
     """Pixels whose rays meet an axis-aligned box (slab test, Kay and Kajiya 1986)."""
     origins, directions = pixel_rays(camera)
     safe = np.where(np.abs(directions) > 1e-12, directions, 1e-12)
@@ -103,9 +105,9 @@ def box_pixels(camera: Camera, low: Float[np.ndarray, "3"], high: Float[np.ndarr
 class Region(NamedTuple):
     """Where one region of one picture is compared."""
 
-    mask: Bool[np.ndarray, "h w"]  # its true pixels
+    mask: Bool[np.ndarray, "height width"]  # its true pixels
     # the pixels looked at; both pictures are black elsewhere
-    around: Bool[np.ndarray, "h w"]
+    around: Bool[np.ndarray, "height width"]
 
 
 def region_of(view: HeldOutView, region: str) -> Region:

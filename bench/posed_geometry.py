@@ -25,7 +25,7 @@ class GeometryCase:
     """What stays the same in every pose: samples on both surfaces, and which count to which region."""
 
     truth: TrueMesh
-    truth_faces: Int[np.ndarray, "f 3"]  # visible
+    truth_faces: Int[np.ndarray, "faces 3"]  # visible
     surface: PosableSurface
     faces: Int[np.ndarray, "g 3"]  # visible faces of the reconstruction
     on_truth: dict[str, SurfaceSamples]  # into truth_faces
@@ -93,13 +93,15 @@ class Distances:
 class PosedPair(NamedTuple):
     """Truth and reconstruction in one pose, ready to be measured."""
 
-    truth: Float[np.ndarray, "v 3"]
+    truth: Float[np.ndarray, "vertices 3"]
     surface: Float[np.ndarray, "w 3"]
     truth_index: TriangleIndex
     index: TriangleIndex
 
 
-def posed_pair(case: GeometryCase, truth_posed: Float[np.ndarray, "v 3"], posed: Float[np.ndarray, "w 3"]) -> PosedPair:
+def posed_pair(
+    case: GeometryCase, truth_posed: Float[np.ndarray, "vertices 3"], posed: Float[np.ndarray, "w 3"]
+) -> PosedPair:
     return PosedPair(
         truth_posed,
         posed,

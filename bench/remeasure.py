@@ -101,7 +101,7 @@ def level_facts_again(level: Level, surface: measure.FieldSurface, run: Any) -> 
 
 
 def parts_of_faces(
-    mesh: TriangleMesh, origin: TriangleMesh, part: Integer[np.ndarray, "v"]
+    mesh: TriangleMesh, origin: TriangleMesh, part: Integer[np.ndarray, "vertices"]
 ) -> Integer[np.ndarray, "faces"]:
     """Part of each face: of the run's vertex nearest to its middle."""
     _, nearest = KDTree(origin.vertices).query(mesh.vertices[mesh.faces].mean(1))

@@ -22,9 +22,9 @@ from avatar.motion.read import builtin_motion
 from avatar.settings import AtLeast, AtMost, Help, Option, parse
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
-from bench.alternating import Quiet, warning
 from bench.contact import save_sheet, spread_poses
 from bench.machine import machine
+from bench.quiet import Quiet, warning
 from bench.rung_page import markdown, plot, rung_sheet
 from bench.rung_scores import compared, crop_of, mark_dominated, row_of
 from capture.held_out import HeldOutView, read_held_out
@@ -34,8 +34,6 @@ from player.renderer import Pose
 
 FRAMES = 4
 SIZE = (512, 512)
-# metres round the person where pictures are compared
-CROP = 0.03
 
 
 @dataclass(frozen=True)
@@ -148,7 +146,7 @@ def motion_frames(avatar: Avatar, count: int = FRAMES) -> list[ComparedFrame]:
 
 def rung_pictures(
     context: Context, avatar: Avatar, rung: Rung, frames: list[ComparedFrame]
-) -> list[Float[np.ndarray, "h w 3"]]:
+) -> list[Float[np.ndarray, "height width 3"]]:
     """The frames as this rung shows them, brought to full resolution."""
     full = frames[0].camera.size
     renderer = rung.renderer(context, avatar, full)

@@ -143,5 +143,5 @@ def rung_sheet(result: dict[str, Any], pictures: dict, crops: list, truths: list
     return sheet(tiles, titles, f"{result['avatar']}: rungs of accuracy against time", columns=min(6, len(tiles)))
 
 
-def bytes_of(picture: Float[np.ndarray, "h w 3"]) -> np.ndarray:
+def bytes_of(picture: Float[np.ndarray, "height width 3"]) -> np.ndarray:
     return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)

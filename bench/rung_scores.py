@@ -9,7 +9,7 @@ from scipy.stats import binom
 from bench import metrics
 
 
-def crop_of(mask: Bool[np.ndarray, "h w"]) -> tuple[slice, slice]:
+def crop_of(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice]:
     """Where pictures are compared: the rectangle of the person, a little wider."""
     where = metrics.rectangle(mask)
     height, width = mask.shape

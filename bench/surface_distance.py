@@ -27,7 +27,7 @@ class SurfaceDistance(NamedTuple):
     chamfer: float | None
 
 
-def check_same_unit(truth: Float[np.ndarray, "v 3"], other: Float[np.ndarray, "w 3"]) -> None:
+def check_same_unit(truth: Float[np.ndarray, "vertices 3"], other: Float[np.ndarray, "w 3"]) -> None:
     """Refuse metres against centimetres: a person is 0.3 to 3.5 m across, and two of one person are alike."""
     spans = [float(np.ptp(points, axis=0).max()) for points in (truth, other)]
     for name, span in zip(("truth", "reconstruction"), spans, strict=True):
@@ -47,7 +47,7 @@ def surface_distance(to_truth: Float[np.ndarray, "n"], to_reconstruction: Float[
 
 
 def mesh_distance(
-    truth: tuple[Float[np.ndarray, "v 3"], Int[np.ndarray, "f 3"]],
+    truth: tuple[Float[np.ndarray, "vertices 3"], Int[np.ndarray, "faces 3"]],
     reconstruction: tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "g 3"]],
     *,
     count: int = 20_000,

@@ -18,20 +18,22 @@ from capture.held_out import read_arrays
 class TrueMesh:
     """The subject itself, pose 0, pelvis joint at the origin, metres."""
 
-    vertices: Float[np.ndarray, "v 3"]
-    faces: Int[np.ndarray, "f 3"]
+    vertices: Float[np.ndarray, "vertices 3"]
+    faces: Int[np.ndarray, "faces 3"]
     skin: SkinWeights
     joints: Float[np.ndarray, "52 3"]
-    part: Int[np.ndarray, "v"]  # index into PARTS
-    hair: Bool[np.ndarray, "v"]
+    part: Int[np.ndarray, "vertices"]  # index into PARTS
+    hair: Bool[np.ndarray, "vertices"]
     # seen from outside in pose 0
-    visible: Bool[np.ndarray, "f"]
+    visible: Bool[np.ndarray, "faces"]
 
-    def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]) -> Float[np.ndarray, "v 3"]:
+    def posed(
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "vertices 3"]:
         transforms = skin_transforms(axis_angle, self.joints, root, rest=np.zeros((52, 3)))
         return skin_points(self.vertices, self.skin, transforms)
 
-    def canonical(self) -> Float[np.ndarray, "v 3"]:
+    def canonical(self) -> Float[np.ndarray, "vertices 3"]:
         """Vertices in the big pose, by the subject's own weights."""
         return self.posed(BIG_POSE, self.joints[0])
 

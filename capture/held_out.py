@@ -31,14 +31,14 @@ class HeldOutView:
     root: Float[np.ndarray, "3"]
     camera: Camera
 
-    def image(self) -> Float[np.ndarray, "h w 3"]:
+    def image(self) -> Float[np.ndarray, "height width 3"]:
         pixels = self.pixels("images", "RGB").astype(np.float32) / 255
         return np.where(self.mask()[..., None], pixels, 0.0).astype(np.float32)  # black ground
 
-    def mask(self) -> Bool[np.ndarray, "h w"]:
+    def mask(self) -> Bool[np.ndarray, "height width"]:
         return self.pixels("masks", "L") > 127
 
-    def parts(self) -> UInt8[np.ndarray, "h w"]:
+    def parts(self) -> UInt8[np.ndarray, "height width"]:
         """Part id + 1 of each pixel, 0 where there is nobody."""
         return self.pixels("parts", "L")
 

@@ -48,7 +48,7 @@ def signed(points: Array, length: Array, nearest: Array, normals: Array, spacing
     return np.where(length < 1.5 * spacing, along, np.where(along < 0, -length, length))
 
 
-def visible_faces(subject: CaptureSubject, cell: float = 0.003) -> Bool[Array, "f"]:
+def visible_faces(subject: CaptureSubject, cell: float = 0.003) -> Bool[Array, "faces"]:
     """Faces of the template that the outside air reaches.
 
     Only head and feet are tried: the inside of mouth and eye sockets, and toes folded together in a shoe, are
@@ -72,8 +72,8 @@ def neck_height(subject: CaptureSubject) -> float:
 
 
 def air_reaches(
-    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], cell: float, cut: float, above: bool
-) -> Bool[Array, "f"]:
+    vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], cell: float, cut: float, above: bool
+) -> Bool[Array, "faces"]:
     """Faces with air in front of them; the open side of the piece, at height `cut`, is closed.
 
     Air is the flood fill of a voxel grid from its border with the surface two cells thick, which closes lips and
@@ -107,7 +107,7 @@ def air_beyond(occupied: Bool[Array, "x y z"], start: tuple[int, int, int]) -> B
 
 
 def surface_cloud(
-    subject: CaptureSubject, fine_part: int, visible: Bool[Array, "f"], fine: float, coarse: float = 0.02
+    subject: CaptureSubject, fine_part: int, visible: Bool[Array, "faces"], fine: float, coarse: float = 0.02
 ) -> SurfaceCloud:
     """Samples of the visible template: `fine` spacing on one part, `coarse` elsewhere (metres)."""
     faces = subject.faces[visible]

@@ -25,19 +25,19 @@ Array = np.ndarray
 class ViewStatistics(NamedTuple):
     """Per vertex; a vertex never seen has zeros everywhere."""
 
-    count: Float[Array, "v"]
+    count: Float[Array, "vertices"]
     # not normalised: its length tells how far the directions agree
-    mean: Float[Array, "v 3"]
+    mean: Float[Array, "vertices 3"]
     # xx xy xz yy yz zz
-    covariance: Float[Array, "v 6"]
+    covariance: Float[Array, "vertices 6"]
 
 
 class ViewSums(NamedTuple):
     """Running sums in float64: a million unit vectors keep ten digits, where float32 loses all but three."""
 
-    count: Float[Array, "v"]
-    first: Float[Array, "v 3"]
-    second: Float[Array, "v 6"]
+    count: Float[Array, "vertices"]
+    first: Float[Array, "vertices 3"]
+    second: Float[Array, "vertices 6"]
 
 
 def no_views(vertices: int) -> ViewSums:
@@ -79,10 +79,10 @@ def statistics(sums: ViewSums) -> ViewStatistics:
 def part_views(
     video: PartVideo,
     subject: CaptureSubject,
-    vertices: Float[Array, "v 3"],
-    normals: Float[Array, "v 3"],
+    vertices: Float[Array, "vertices 3"],
+    normals: Float[Array, "vertices 3"],
     skin: SkinWeights,
-    inside: Bool[Array, "v"],
+    inside: Bool[Array, "vertices"],
     canonical_from_head: Float[Array, "4 4"] | None,
 ) -> ViewSums:
     """Sums over the frames of one video, for the vertices `inside` its part; the others only hide."""
@@ -117,14 +117,14 @@ def part_views(
 
 
 def visible_vertices(
-    points: Float[Array, "v 3"],
-    normals: Float[Array, "v 3"],
+    points: Float[Array, "vertices 3"],
+    normals: Float[Array, "vertices 3"],
     camera: Camera,
-    mask: Bool[Array, "h w"],
+    mask: Bool[Array, "height width"],
     *,
     facing: float = 0.15,
     tolerance: float = 0.015,
-) -> Bool[Array, "v"]:
+) -> Bool[Array, "vertices"]:
     """Vertices seen by a camera: on the mask, facing it (cosine > `facing`), and not behind nearer vertices.
 
     Vertices are splatted into a depth buffer whose cells hold several of them, 3x3 cells each, so that a sheet
@@ -161,7 +161,7 @@ def visible_vertices(
     return seen
 
 
-def fused_statistics(each: Sequence[ViewStatistics], shares: Float[Array, "v 4"]) -> ViewStatistics:
+def fused_statistics(each: Sequence[ViewStatistics], shares: Float[Array, "vertices 4"]) -> ViewStatistics:
     """Each vertex uses the part that colours it; in overlaps the parts' numbers are blended with Eq. 9's weights.
 
     A part that never saw the vertex has no say; if none did, all is zero.

@@ -105,7 +105,7 @@ class BareDraw:
         self.target = gl.framebuffer([gl.renderbuffer(camera.size, 4)], gl.depth_renderbuffer(camera.size))
         self.image = np.empty((camera.size[1], camera.size[0], 4), np.uint8)
 
-    def _texture(self, image: UInt8[np.ndarray, "h w 3"], software: bool) -> moderngl.Texture:
+    def _texture(self, image: UInt8[np.ndarray, "height width 3"], software: bool) -> moderngl.Texture:
         height, width = image.shape[:2]
         rgba = np.dstack([image, np.full((height, width), 255, np.uint8)])
         texture = self.gl.texture((width, height), 4, rgba.tobytes())
@@ -116,7 +116,7 @@ class BareDraw:
             texture.anisotropy = 8.0
         return texture
 
-    def draw(self, number: int) -> UInt8[np.ndarray, "h w 4"]:
+    def draw(self, number: int) -> UInt8[np.ndarray, "height width 4"]:
         """Frame `number`, in the same array each time."""
         self.target.use()
         self.target.clear()
@@ -137,12 +137,14 @@ class BareDraw:
             thing.release()
 
 
-def coverage(image: UInt8[np.ndarray, "h w 4"]) -> float:
+def coverage(image: UInt8[np.ndarray, "height width 4"]) -> float:
     """Share of the picture that anything was drawn on."""
     return float((image[..., 3] > 0).mean())
 
 
-def posed_vertices(avatar: Avatar, pose: Pose) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v 3"]]:
+def posed_vertices(
+    avatar: Avatar, pose: Pose
+) -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "vertices 3"]]:
     """World positions and normals of the finest mesh, skinned here: what peers that cannot skin are given."""
     level = avatar.levels[0]
     joints = avatar.joint_positions.astype(np.float64)

@@ -122,8 +122,8 @@ def cameras(joints: Float[np.ndarray, "52 3"]) -> dict[str, Camera]:
 
 
 def lit_shape(
-    raster: Rasteriser, posed: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"], camera: Camera
-) -> UInt8[np.ndarray, "h w 3"]:
+    raster: Rasteriser, posed: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], camera: Camera
+) -> UInt8[np.ndarray, "height width 3"]:
     """The bare surface in grey, flat faces, lit from above the camera."""
     fragments = raster.draw(posed, faces, camera)
     hit = fragments.face >= 0

@@ -24,9 +24,10 @@ from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 from avatar.gltf.avatar_file import read_avatar
-from bench.alternating import Quiet, alternate, here, warning
 from bench.machine import machine
+from bench.quiet import Quiet, warning
 from experiments import speed_peers, speed_rows
+from experiments.alternating import alternate, here
 from experiments.bare_draw import BareDraw, coverage
 from experiments.speed_page import markdown, plot
 from player.arguments import parse_size

@@ -17,7 +17,7 @@ import numpy as np
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from avatar.errors import AssetError
-from bench.alternating import Turn
+from experiments.alternating import Turn
 from experiments.bare_draw import posed_vertices
 from player.renderer import Pose
 
@@ -39,7 +39,7 @@ ALIKE = 0.15
 
 @dataclass
 class Peer:
-    """A running peer. `turn` has it draw some frames, as bench.alternating.here has ours."""
+    """A running peer. `turn` has it draw some frames, as experiments.alternating.here has ours."""
 
     name: str
     process: subprocess.Popen[str]

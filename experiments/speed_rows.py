@@ -21,7 +21,7 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar
-from bench.alternating import Turn, alternate
+from experiments.alternating import Turn, alternate
 from experiments.live_sender import sending
 from player.address import Address
 from player.context import Context

@@ -18,7 +18,7 @@ from bench.paper_tables import (
     QUOTED_IMAGE,
     REGIONS,
 )
-from bench.quality_table import light_of_facts, lights_order
+from experiments.quality_page import light_of_facts, lights_order
 from experiments.table_row import ROWS, SEAMS
 
 # label, digits of ours, digits in the paper

@@ -30,8 +30,8 @@ from bench.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import read_capture
 from capture.held_out import HeldOutView, read_capture_facts, read_held_out
 from experiments.row_sheet import write_sheet
+from experiments.variants import seam_steps, variant
 from train.run import Run, read_run
-from train.variants import seam_steps, variant
 
 FORMAT = "selfscan-table-row"
 
@@ -40,7 +40,7 @@ FORMAT = "selfscan-table-row"
 class Row:
     """A row: how it differs from ours, and the seams that show it where the paper only has pictures."""
 
-    # of the variant (train/variants.py), but for the last two
+    # of the variant (experiments/variants.py), but for the last two
     name: str
     title: str
     # seams that should be worse than ours

@@ -51,7 +51,7 @@ def closest_on_triangles(
 class TriangleIndex(NamedTuple):
     """A mesh ready to be asked for closest points many times."""
 
-    corners: Float[Array, "f 3 3"]
+    corners: Float[Array, "faces 3 3"]
     vertices: KDTree  # those that a face names
     boxes: Any  # rtree.index.Index: bounding boxes of the faces
 
@@ -64,7 +64,7 @@ class ClosestPoints(NamedTuple):
     face: Integer[Array, "n"]
 
 
-def triangle_index(vertices: Float[Array, "v 3"], faces: Integer[Array, "f 3"]) -> TriangleIndex:
+def triangle_index(vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"]) -> TriangleIndex:
     """Search structure over the triangles of a mesh."""
     check_mesh(vertices, faces, "mesh to measure against")
     vertices = np.asarray(vertices, np.float64)

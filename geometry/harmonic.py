@@ -10,15 +10,15 @@ from geometry.mesh import component_labels, neighbour_matrix
 Array = np.ndarray
 
 
-def anchored(known: Bool[Array, "v"], faces: Integer[Array, "f 3"]) -> Bool[Array, "v"]:
+def anchored(known: Bool[Array, "vertices"], faces: Integer[Array, "faces 3"]) -> Bool[Array, "vertices"]:
     """Vertices that hang together with a known one."""
     labels = component_labels(faces, len(known))
     return np.isin(labels, labels[known])
 
 
 def fill_harmonic(
-    values: Float[Array, "v channels"], known: Bool[Array, "v"], faces: Integer[Array, "f 3"]
-) -> Float[Array, "v channels"]:
+    values: Float[Array, "vertices channels"], known: Bool[Array, "vertices"], faces: Integer[Array, "faces 3"]
+) -> Float[Array, "vertices channels"]:
     """Unknown rows become the average of their neighbours, all at once, the known rows being the boundary.
 
         L values = 0  at unknown vertices,  L the uniform graph Laplacian

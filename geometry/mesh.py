@@ -28,26 +28,28 @@ def check_mesh(vertices: Array, faces: Array, name: str) -> None:
         raise ValueError(f"{name}: vertices are not finite")
 
 
-def area_normals(vertices: Float[Array, "v 3"], faces: Integer[Array, "f 3"]) -> Float[Array, "f 3"]:
+def area_normals(vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"]) -> Float[Array, "faces 3"]:
     """Normal of each face, outward for counter-clockwise corners; its length is twice the area."""
     a, b, c = (vertices[faces[:, i]].astype(np.float64) for i in range(3))
     return np.cross(b - a, c - a)
 
 
-def face_normals(vertices: Float[Array, "v 3"], faces: Integer[Array, "f 3"]) -> Float[Array, "f 3"]:
+def face_normals(vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"]) -> Float[Array, "faces 3"]:
     """Unit normal of each face; zero where it has no area."""
     normals = area_normals(vertices, faces)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
 
 
-def face_areas(vertices: Float[Array, "v 3"], faces: Integer[Array, "f 3"]) -> Float[Array, "f"]:
+def face_areas(vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"]) -> Float[Array, "faces"]:
     """Area of each face, in the square of the unit of the vertices."""
     return 0.5 * np.linalg.norm(area_normals(vertices, faces), axis=1)
 
 
 def vertex_normals(
-    vertices: Float[Array, "v 3"], faces: Integer[Array, "f 3"], welded: Integer[Array, "v"] | None = None
-) -> Float[Array, "v 3"]:
+    vertices: Float[Array, "vertices 3"],
+    faces: Integer[Array, "faces 3"],
+    welded: Integer[Array, "vertices"] | None = None,
+) -> Float[Array, "vertices 3"]:
     """Unit normals, area weighted and summed over `welded` vertices; a vertex without area gets (0, 1, 0)."""
     index = faces if welded is None else welded[faces]
     of_corner = np.repeat(area_normals(vertices, faces), 3, axis=0)
@@ -57,7 +59,7 @@ def vertex_normals(
     return normals if welded is None else normals[welded]
 
 
-def weld(vertices: Float[Array, "v 3"]) -> Integer[Array, "v"]:
+def weld(vertices: Float[Array, "vertices 3"]) -> Integer[Array, "vertices"]:
     """For every vertex the first vertex at its place: texture seams repeat vertices that are one point.
 
     Places are compared to a hundredth of a millimetre.
@@ -68,12 +70,12 @@ def weld(vertices: Float[Array, "v 3"]) -> Integer[Array, "v"]:
     return first[inverse.reshape(-1)]
 
 
-def half_edges(faces: Integer[Array, "f 3"]) -> Integer[Array, "3*f 2"]:
+def half_edges(faces: Integer[Array, "faces 3"]) -> Integer[Array, "3*faces 2"]:
     """Directed edges: the first of every face, then the second ones, then the third ones."""
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
-def neighbour_matrix(faces: Integer[Array, "f 3"], count: int) -> Any:
+def neighbour_matrix(faces: Integer[Array, "faces 3"], count: int) -> Any:
     """Sparse symmetric (count, count) matrix, 1 where two vertices share an edge."""
     edges = half_edges(faces)
     rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
@@ -82,14 +84,16 @@ def neighbour_matrix(faces: Integer[Array, "f 3"], count: int) -> Any:
     return matrix
 
 
-def component_labels(faces: Integer[Array, "f 3"], count: int) -> Integer[Array, "v"]:
+def component_labels(faces: Integer[Array, "faces 3"], count: int) -> Integer[Array, "vertices"]:
     """Connected component of every vertex, numbered from 0; one that no face names is a component of its own."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
     graph = sparse.coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(count, count))
     return connected_components(graph, directed=False)[1]
 
 
-def compact(vertices: Float[Array, "v 3"], faces: Integer[Array, "f 3"]) -> tuple[TriangleMesh, Integer[Array, "kept"]]:
+def compact(
+    vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"]
+) -> tuple[TriangleMesh, Integer[Array, "kept"]]:
     """The mesh without unreferenced vertices, and the old index of each that stays."""
     kept, renumbered = np.unique(faces, return_inverse=True)
     return TriangleMesh(vertices[kept], renumbered.reshape(-1, 3)), kept

@@ -23,7 +23,7 @@ class Fragments(NamedTuple):
 
 
 def rasterise(
-    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], camera: Camera, *, near: float = 1e-3
+    vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], camera: Camera, *, near: float = 1e-3
 ) -> Fragments:
     """The nearest triangle through every pixel centre; both sides are drawn.
 

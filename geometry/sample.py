@@ -16,13 +16,13 @@ class SurfaceSamples(NamedTuple):
     face: Integer[Array, "n"]
     barycentric: Float[Array, "n 3"]
 
-    def on(self, values: Float[Array, "v c"], faces: Integer[Array, "f 3"]) -> Float[Array, "n c"]:
+    def on(self, values: Float[Array, "vertices c"], faces: Integer[Array, "faces 3"]) -> Float[Array, "n c"]:
         """Vertex values interpolated to the samples; with posed vertices, the posed sample points."""
         return np.einsum("ni,nic->nc", self.barycentric, values[faces[self.face]])
 
 
 def lattice_samples(
-    vertices: Float[Array, "v 3"], faces: Integer[Array, "f 3"], spacing: Float[Array, "f"]
+    vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"], spacing: Float[Array, "faces"]
 ) -> SurfaceSamples:
     """Samples about `spacing` apart, nothing by chance.
 
@@ -46,12 +46,12 @@ def lattice_samples(
 
 
 def stratified_samples(
-    vertices: Float[Array, "v 3"],
-    faces: Integer[Array, "f 3"],
+    vertices: Float[Array, "vertices 3"],
+    faces: Integer[Array, "faces 3"],
     count: int,
     *,
     seed: int | np.random.Generator,
-    weight: Float[Array, "f"] | Bool[Array, "f"] | None = None,
+    weight: Float[Array, "faces"] | Bool[Array, "faces"] | None = None,
 ) -> SurfaceSamples:
     """`count` seeded points, uniform by area times `weight`: one in each of `count` equal slices of it.
 

@@ -64,7 +64,9 @@ def cut_out(subject: SynthSubject) -> SynthSubject:
     )
 
 
-def _opaque_share(alpha: UInt8[np.ndarray, "H W"], uv: Float[np.ndarray, "F 3 2"]) -> Float[np.ndarray, " F"]:
+def _opaque_share(
+    alpha: UInt8[np.ndarray, "height width"], uv: Float[np.ndarray, "faces 3 2"]
+) -> Float[np.ndarray, "faces"]:
     """The share of 15 places spread over each triangle at which alpha is one half or more."""
     grid = [(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)]
     places = np.einsum("pc,fcx->fpx", np.array(grid) / 4, uv).reshape(-1, 2)

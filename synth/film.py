@@ -26,8 +26,8 @@ class Shots:
     """One video before it is taken."""
 
     part: str
-    axis_angle: Float[np.ndarray, "F 52 3"]
-    root: Float[np.ndarray, "F 3"]  # pelvis joint in the world
+    axis_angle: Float[np.ndarray, "faces 52 3"]
+    root: Float[np.ndarray, "faces 3"]  # pelvis joint in the world
     cameras: tuple[Camera, ...]
 
 
@@ -47,7 +47,7 @@ def plan_videos(studio: Studio, frames: int, size: int) -> dict[str, Shots]:
     }
 
 
-def frame_points(eye, target, points: Float[np.ndarray, "N 3"], size: int, finest: float | None = None) -> Camera:
+def frame_points(eye, target, points: Float[np.ndarray, "n 3"], size: int, finest: float | None = None) -> Camera:
     """A square camera at `eye` looking at `target` whose focal length just holds `points`.
 
     `finest`: metres that a pixel may cover at the target's distance; the focal length grows until it does not.

@@ -46,12 +46,12 @@ def light_of(mode: str, video: str, seed: int) -> Light:
 
 
 def shade(
-    base: Float[np.ndarray, "N 3"],
-    normals: Float[np.ndarray, "N 3"],
-    towards_eye: Float[np.ndarray, "N 3"],
+    base: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    towards_eye: Float[np.ndarray, "n 3"],
     light: Light,
     sheen: float,
-) -> Float[np.ndarray, "N 3"]:
+) -> Float[np.ndarray, "n 3"]:
     """Shown colour, 0-255, of points with base colour `base` (0-255); normals and directions are unit vectors.
 
         c = base (ambient + key max(n.l, 0)) + 255 specular max(n.h, 0)^20 + 255 sheen (.30 (n.v)^24 + .35 (1 - n.v)^3)

@@ -21,10 +21,12 @@ from synth.subject import SynthSubject
 class Photo(NamedTuple):
     """One picture; row 0 is the top."""
 
-    image: UInt8[np.ndarray, "H W 3"]
+    image: UInt8[np.ndarray, "height width 3"]
     # 255 where the person covers half of the pixel or more
-    mask: UInt8[np.ndarray, "H W"]
-    parts: UInt8[np.ndarray, "H W"]  # 1 + part (index in PARTS) that covers most of the pixel, 0 outside the mask
+    mask: UInt8[np.ndarray, "height width"]
+    parts: UInt8[
+        np.ndarray, "height width"
+    ]  # 1 + part (index in PARTS) that covers most of the pixel, 0 outside the mask
 
 
 class Studio:
@@ -35,13 +37,15 @@ class Studio:
         self.welded = weld(subject.vertices)
         self.face_part = subject.part[subject.faces[:, 0]]
 
-    def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]) -> Float[np.ndarray, "V 3"]:
+    def posed(
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
+    ) -> Float[np.ndarray, "vertices 3"]:
         """The subject's vertices in a pose, world."""
         joints = self.subject.joints.astype(np.float64)
         transforms = skin_transforms(axis_angle, joints, root, rest=np.zeros((52, 3)))
         return skin_points(self.subject.vertices, self.subject.skin, transforms)
 
-    def take(self, vertices: Float[np.ndarray, "V 3"], camera: Camera, light: Light, sheen: float) -> Photo:
+    def take(self, vertices: Float[np.ndarray, "vertices 3"], camera: Camera, light: Light, sheen: float) -> Photo:
         """A picture of posed vertices."""
         width, height = camera.size
         n = self.supersample
@@ -66,7 +70,7 @@ class Studio:
         parts = np.where(covered, 1 + counts.argmax(0), 0).astype(np.uint8)
         return Photo(image, np.where(covered, 255, 0).astype(np.uint8), parts)
 
-    def _color(self, face: Int[np.ndarray, " N"], weights: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    def _color(self, face: Int[np.ndarray, "n"], weights: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         subject = self.subject
         # float32: a ten-thousandth of a texel
         uv = _blend(subject.uv, subject.faces[face], weights)
@@ -84,7 +88,7 @@ class Studio:
 
 
 def _blend(
-    values: Float[np.ndarray, "V C"], corners: Int[np.ndarray, "N 3"], weights: Float[np.ndarray, "N 3"]
+    values: Float[np.ndarray, "vertices C"], corners: Int[np.ndarray, "n 3"], weights: Float[np.ndarray, "n 3"]
 ) -> np.ndarray:
     """Barycentric interpolation."""
     blended = values[corners[:, 0]] * weights[:, 0:1]

@@ -51,17 +51,17 @@ class SynthSubject:
     """One person as drawn, whatever it came from. Vertices may be repeated along texture seams."""
 
     name: str
-    vertices: Float[np.ndarray, "V 3"]  # pose 0, float32
-    faces: Int[np.ndarray, "F 3"]
-    uv: Float[np.ndarray, "V 2"]  # glTF: v runs down
-    material: Int[np.ndarray, " F"]  # index into textures
-    textures: tuple[UInt8[np.ndarray, "_h _w 3"], ...]  # sRGB
+    vertices: Float[np.ndarray, "vertices 3"]  # pose 0, float32
+    faces: Int[np.ndarray, "faces 3"]
+    uv: Float[np.ndarray, "vertices 2"]  # glTF: v runs down
+    material: Int[np.ndarray, "faces"]  # index into textures
+    textures: tuple[UInt8[np.ndarray, "_height _w 3"], ...]  # sRGB
     # 0 or 255 decided at 128; None: opaque
     alpha: tuple[UInt8[np.ndarray, "_h2 _w2"] | None, ...]
     skin: SkinWeights
     joints: Float[np.ndarray, "52 3"]  # float64
-    part: UInt8[np.ndarray, " V"]  # see PARTS
-    hair: Bool[np.ndarray, " V"]
+    part: UInt8[np.ndarray, "vertices"]  # see PARTS
+    hair: Bool[np.ndarray, "vertices"]
     licence: str
     # what was assumed in reading, printed by the command
     notes: tuple[str, ...] = ()
@@ -175,10 +175,10 @@ def _as_made(gltf: Gltf, subject: SynthSubject) -> SynthSubject:
 class _Primitive:
     """One primitive in the bind pose, in the file's world frame."""
 
-    vertices: Float[np.ndarray, "V 3"]
-    faces: Int[np.ndarray, "F 3"]
-    uv: Float[np.ndarray, "V 2"]
-    weights: Float[np.ndarray, "V 52"]
+    vertices: Float[np.ndarray, "vertices 3"]
+    faces: Int[np.ndarray, "faces 3"]
+    uv: Float[np.ndarray, "vertices 2"]
+    weights: Float[np.ndarray, "vertices 52"]
     material: int  # glTF material, -1: none
     hair: bool
 
@@ -202,7 +202,7 @@ class _NodeTree:
             nearest[node] = index.get(node, nearest[above] if above >= 0 else 0)
         return nearest
 
-    def bind_skin(self, number: int) -> tuple[Float[np.ndarray, "4 4"], Int[np.ndarray, " joints"]]:
+    def bind_skin(self, number: int) -> tuple[Float[np.ndarray, "4 4"], Int[np.ndarray, "joints"]]:
         """Where a skin's mesh is placed in the bind pose (S), and the one of the 52 joints for each of its own.
 
         S is taken where another skin bound the same joint, else as the pelvis stands in the file.
@@ -282,7 +282,7 @@ def _read_mesh_node(rig: _NodeTree, node: int) -> list[_Primitive]:
     return meshes
 
 
-def _is_hair(name: str, vertices: Float[np.ndarray, "V 3"], weights: Float[np.ndarray, "V 52"]) -> bool:
+def _is_hair(name: str, vertices: Float[np.ndarray, "vertices 3"], weights: Float[np.ndarray, "vertices 52"]) -> bool:
     """Whether a mesh is hair: it is called so, or it moves with the head alone and is too large for an eye."""
     on_head = weights[:, JOINTS.index("head")].mean() > 0.9
     second_extent = np.sort(np.ptp(vertices, axis=0))[1]

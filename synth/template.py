@@ -53,21 +53,21 @@ _LIMBS += list(range(LEFT_HAND.start, RIGHT_HAND.stop))
 class Template:
     """The registered body: what a real self-scan would have as its fitted body model."""
 
-    vertices: Float[np.ndarray, "V 3"]
-    faces: Int[np.ndarray, "F 3"]
+    vertices: Float[np.ndarray, "vertices 3"]
+    faces: Int[np.ndarray, "faces 3"]
     skin: SkinWeights  # the free body's own
     joints: Float[np.ndarray, "52 3"]  # the subject's own
     uv: Float[np.ndarray, "T 2"]
-    uv_faces: Int[np.ndarray, "F 3"]
-    hair: Bool[np.ndarray, " V"]  # the subject's hair stands over this vertex
-    part: UInt8[np.ndarray, " V"]
+    uv_faces: Int[np.ndarray, "faces 3"]
+    hair: Bool[np.ndarray, "vertices"]  # the subject's hair stands over this vertex
+    part: UInt8[np.ndarray, "vertices"]
     body: str
     body_licence: str
     # centimetres, mean distance from the subject's visible surface
     residual: dict[str, float]
 
 
-def register(subject: SynthSubject, visible: Bool[np.ndarray, " F"], rasteriser: Rasteriser) -> Template:
+def register(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], rasteriser: Rasteriser) -> Template:
     """The template of a subject; `visible` are the faces that can be seen from outside.
 
     Both free bodies are tried; the one whose first fit is closer goes on.
@@ -100,17 +100,17 @@ def register(subject: SynthSubject, visible: Bool[np.ndarray, " F"], rasteriser:
 class _Surface(NamedTuple):
     """The visible, hairless surface of a subject, with the joint that moves each point most."""
 
-    points: Float[np.ndarray, "N 3"]
-    normals: Float[np.ndarray, "N 3"]
-    joint: Int[np.ndarray, " N"]
-    part: UInt8[np.ndarray, " N"]
+    points: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    joint: Int[np.ndarray, "n"]
+    part: UInt8[np.ndarray, "n"]
 
 
-def _strongest_joint(skin: SkinWeights) -> Int[np.ndarray, " V"]:
+def _strongest_joint(skin: SkinWeights) -> Int[np.ndarray, "vertices"]:
     return np.take_along_axis(skin.joints, skin.weights.argmax(1)[:, None], 1)[:, 0].astype(np.int64)
 
 
-def _subject_surface(subject: SynthSubject, visible: Bool[np.ndarray, " F"]) -> _Surface:
+def _subject_surface(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> _Surface:
     faces = subject.faces[visible & ~subject.hair[subject.faces].any(1)]
     samples = stratified_samples(subject.vertices, faces, SAMPLES, seed=0)
     # hands are 3 % of the area and a third of what is looked at
@@ -168,7 +168,7 @@ def _fit_shape(body: Body, joints: Float[np.ndarray, "52 3"], surface: _Surface)
     return replace(fitted, vertices=fitted.vertices + shift, joints=fitted.joints + shift), error
 
 
-def _carry_limbs(body: Body, joints: Float[np.ndarray, "52 3"]) -> Float[np.ndarray, "V 3"]:
+def _carry_limbs(body: Body, joints: Float[np.ndarray, "52 3"]) -> Float[np.ndarray, "vertices 3"]:
     """The fitted body with limbs and fingers carried onto the subject's joints, bone by bone.
 
     Trunk, hips and shoulders stay where the surface put them: rigs agree on where an elbow is, not on where a
@@ -204,7 +204,7 @@ def _carry_limbs(body: Body, joints: Float[np.ndarray, "52 3"]) -> Float[np.ndar
     return skin_points(body.vertices, body.skin, transforms)
 
 
-def _place_head(body: Body, x: Float[np.ndarray, "V 3"], surface: _Surface) -> Float[np.ndarray, "V 3"]:
+def _place_head(body: Body, x: Float[np.ndarray, "vertices 3"], surface: _Surface) -> Float[np.ndarray, "vertices 3"]:
     """The head moved nose on nose, then fitted by affine point-to-plane steps kept near a similarity.
 
     Smooth offsets cannot slide an ear along a head: features have to meet before them. The neck follows by the
@@ -250,8 +250,8 @@ def _place_head(body: Body, x: Float[np.ndarray, "V 3"], surface: _Surface) -> F
 
 
 def _outer_vertices(
-    rasteriser: Rasteriser, x: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Bool[np.ndarray, " V"]:
+    rasteriser: Rasteriser, x: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Bool[np.ndarray, "vertices"]:
     """Vertices of the outer skin: mouth, nostrils and eye sockets have no surface to go to.
 
     A face is outside when it is seen from six views or more (the back of a mouth is seen from one or two,
@@ -263,7 +263,7 @@ def _outer_vertices(
     return piece == np.bincount(piece[kept[:, 0]]).argmax()
 
 
-def _fingers(joint: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
+def _fingers(joint: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
     """0-9: the finger of a joint; -2, -1: the palms (left, right); -3: elsewhere."""
     finger = np.full(len(joint), -3)
     finger[joint == JOINTS.index("left_wrist")] = -2
@@ -274,8 +274,8 @@ def _fingers(joint: Int[np.ndarray, " N"]) -> Int[np.ndarray, " N"]:
 
 
 def _smooth_offsets(
-    body: Body, start: Float[np.ndarray, "V 3"], surface: _Surface, outside: Bool[np.ndarray, " V"]
-) -> Float[np.ndarray, "V 3"]:
+    body: Body, start: Float[np.ndarray, "vertices 3"], surface: _Surface, outside: Bool[np.ndarray, "vertices"]
+) -> Float[np.ndarray, "vertices 3"]:
     """Non-rigid fit: each step solves for offsets o from `start`
 
         min sum_i w_i |start_i + o_i - c_i|^2 + (k / 1000)^2 / mean_edge^2 sum_edges |o_i - o_j|^2 ...
@@ -335,8 +335,8 @@ def _smooth_offsets(
 
 
 def _under_hair(
-    subject: SynthSubject, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Bool[np.ndarray, " V"]:
+    subject: SynthSubject, vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Bool[np.ndarray, "vertices"]:
     """Template vertices over which the subject's hair stands: on the outer side and within HAIR_REACH."""
     if not subject.hair.any():
         return np.zeros(len(vertices), bool)
@@ -357,7 +357,9 @@ def _under_hair(
     return covered
 
 
-def _residual(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], surface: _Surface) -> dict[str, float]:
+def _residual(
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], surface: _Surface
+) -> dict[str, float]:
     distance = 100 * closest_points(surface.points[:SAMPLES], triangle_index(vertices, faces)).distance
     part = surface.part[:SAMPLES]
     return {

@@ -133,7 +133,7 @@ def _hands(rng: np.random.Generator) -> Float[np.ndarray, "52 3"]:
 
 
 def view_cameras(
-    studio: Studio, vertices: Float[np.ndarray, "V 3"], seed: int, turn: Float[np.ndarray, "3 3"]
+    studio: Studio, vertices: Float[np.ndarray, "vertices 3"], seed: int, turn: Float[np.ndarray, "3 3"]
 ) -> dict[str, Camera]:
     """One camera on the whole person and one close to the head and each hand, from seeded directions.
 
@@ -222,7 +222,7 @@ def write_png(path: Path, pixels: UInt8[np.ndarray, "..."]) -> None:
     Image.fromarray(pixels).save(path, compress_level=3)
 
 
-def write_rest(folder: Path, subject: SynthSubject, visible: Bool[np.ndarray, " F"]) -> None:
+def write_rest(folder: Path, subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> None:
     """rest.npz and a picture per material: the subject's own mesh in pose 0."""
     folder.mkdir(exist_ok=True)
     with whole_file(folder / "rest.npz") as file:

@@ -15,15 +15,15 @@ VIEW_BIAS = 0.002
 
 
 def visible_faces(
-    rasteriser: Rasteriser, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Bool[np.ndarray, " F"]:
+    rasteriser: Rasteriser, vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Bool[np.ndarray, "faces"]:
     """Faces seen from any of VIEWS directions spread over the sphere."""
     return view_counts(rasteriser, vertices, faces) > 0
 
 
 def view_counts(
-    rasteriser: Rasteriser, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Int[np.ndarray, " F"]:
+    rasteriser: Rasteriser, vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"]
+) -> Int[np.ndarray, "faces"]:
     """From how many of VIEWS directions each face is seen.
 
     Seen: drawn in the view's image, or, for faces smaller than a pixel, their middle lies on the depth image.

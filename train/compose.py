@@ -171,7 +171,7 @@ def code_steps(preset: Preset, seed: int) -> CodeSteps:
 
 def displayed_surface(
     fused: FusedField, subject: CaptureSubject, cells: Sequence[float]
-) -> tuple[Float[Array, "v 3"], Array, Float[Array, "v 3"], SkinWeights]:
+) -> tuple[Float[Array, "vertices 3"], Array, Float[Array, "vertices 3"], SkinWeights]:
     """Vertices, faces, normals and skin weights of the fused zero level; `cells` of body, head and hands, metres."""
     body, head, hand = cells
     vertices, faces = extract_surface(
@@ -183,8 +183,8 @@ def displayed_surface(
 
 
 def view_sums(
-    capture: Capture, vertices: Float[Array, "v 3"], normals: Float[Array, "v 3"], skin: SkinWeights,
-    shares: Float[Array, "v 4"], canonical_from_head: Float[Array, "4 4"],
+    capture: Capture, vertices: Float[Array, "vertices 3"], normals: Float[Array, "vertices 3"], skin: SkinWeights,
+    shares: Float[Array, "vertices 4"], canonical_from_head: Float[Array, "4 4"],
 ) -> list[ViewSums]:  # fmt: skip
     """Of each part's video, the directions that the vertices with a share in that part were seen from."""
     return [
@@ -195,8 +195,8 @@ def view_sums(
 
 
 def with_views(
-    vertices: Float[Array, "v 3"], faces: Array, normals: Float[Array, "v 3"], skin: SkinWeights,
-    shares: Float[Array, "v 4"], tables: Sequence[ViewStatistics],
+    vertices: Float[Array, "vertices 3"], faces: Array, normals: Float[Array, "vertices 3"], skin: SkinWeights,
+    shares: Float[Array, "vertices 4"], tables: Sequence[ViewStatistics],
 ) -> Surface:  # fmt: skip
     """The surface with the parts' statistics fused by their shares; unseen vertices copy their neighbours' mean."""
     fused = fused_statistics(tables, shares)
@@ -205,7 +205,7 @@ def with_views(
 
 
 def match_appearances(
-    fused: FusedField, rays: RayTensors, vertices: Float[Array, "v 3"], tables: Sequence[ViewStatistics],
+    fused: FusedField, rays: RayTensors, vertices: Float[Array, "vertices 3"], tables: Sequence[ViewStatistics],
     steps: CodeSteps, say: Say,
 ) -> dict[str, dict[str, float]]:  # fmt: skip
     """Eq. 8 for head and hands, over the body video's rays that meet the surface in their overlap with the body.

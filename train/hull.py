@@ -180,7 +180,7 @@ def closed_grid(subject: CaptureSubject, low: Float[Array, "3"], high: Float[Arr
 
 
 def joined(
-    subject: CaptureSubject, kept: Int[Array, "k 3"], vertices: Float[Array, "n 3"], faces: Int[Array, "f 3"],
+    subject: CaptureSubject, kept: Int[Array, "k 3"], vertices: Float[Array, "n 3"], faces: Int[Array, "faces 3"],
     neck: float,
 ) -> CaptureSubject:  # fmt: skip
     """The subject with the `kept` of its own faces and a mesh of hair behind them."""

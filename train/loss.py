@@ -1,19 +1,9 @@
 """The losses of TotalSelfScan, Eq. 10-12."""
 
-from typing import NamedTuple
-
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
-
-
-class LossWeights(NamedTuple):
-    """Factors of Eq. 10; the colour term's is 1."""
-
-    mask: float
-    eikonal: float
-    displacement: float
 
 
 def color_loss(rendered: Float[Tensor, "rays 3"], observed: Float[Tensor, "rays 3"]) -> Float[Tensor, ""]:

@@ -110,8 +110,8 @@ class _Scene(NamedTuple):
     """The template with what its faces show."""
 
     subject: CaptureSubject
-    head: Bool[Array, "f"]  # faces of the head that the field shows
-    color: Float[Array, "f 3"]
+    head: Bool[Array, "faces"]  # faces of the head that the field shows
+    color: Float[Array, "faces 3"]
 
 
 def _similarity(delta: Float[Array, "7"], centre: Float[Array, "3"]) -> Float[Array, "4 4"]:
@@ -142,7 +142,7 @@ def _anchor_terms(
 
 
 def _add_frame(
-    H: Float[Array, "7 7"], b: Float[Array, "7"], scene: _Scene, placed: Float[Array, "v 3"],
+    H: Float[Array, "7 7"], b: Float[Array, "7"], scene: _Scene, placed: Float[Array, "vertices 3"],
     video: PartVideo, frame: int, centre: Float[Array, "3"],
 ) -> tuple[float, int]:  # fmt: skip
     """Add one frame's pixels to the normal equations; returns the sum of rho and the number of residuals."""
@@ -176,7 +176,9 @@ def _add_frame(
     turn = B[HEAD, :3, :3]  # the head follows its bone (Eq. 4)
     motion = project_derivative(camera, posed[corners].mean(1)) @ turn @ _moves(placed[corners].mean(1), centre)
 
-    def add(drawn: Float[Array, "h w"], seen: Float[Array, "h w"], where: Bool[Array, "n"]) -> tuple[float, int]:
+    def add(
+        drawn: Float[Array, "height width"], seen: Float[Array, "height width"], where: Bool[Array, "n"]
+    ) -> tuple[float, int]:
         at = y[where], x[where]
         slope_y, slope_x = np.gradient(drawn)
         r = (seen - drawn)[at]
@@ -201,7 +203,7 @@ def _add_frame(
 
 def _crop(
     video: PartVideo, frame: int, head: Float[Array, "n 3"]
-) -> tuple[Camera, Float[Array, "h w 3"], Float[Array, "h w"]] | None:
+) -> tuple[Camera, Float[Array, "height width 3"], Float[Array, "height width"]] | None:
     """The frame around the head, at most LARGEST pixels a side, with its camera; None where it is out of view."""
     camera = video.cameras[frame]
     pixels, depth = project(camera, head)
@@ -225,11 +227,11 @@ def _crop(
     return replace(camera, K=K, size=(int(size[0]), int(size[1]))), image, mask
 
 
-def _averaged(image: Array, by: int) -> Float[Array, "h w c"]:
+def _averaged(image: Array, by: int) -> Float[Array, "height width c"]:
     """Means of squares of by x by pixels."""
     height, width, channels = image.shape
     return image.reshape(height // by, by, width // by, by, channels).mean((1, 3))
 
 
-def _blurred(image: Float[Array, "h w"], sigma: float) -> Float[Array, "h w"]:
+def _blurred(image: Float[Array, "height width"], sigma: float) -> Float[Array, "height width"]:
     return np.asarray(ndimage.gaussian_filter(image, sigma), np.float64)

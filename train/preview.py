@@ -34,14 +34,14 @@ class Preview:
     """
 
     def __init__(
-        self, path: Path, rays: RayTensors, pixels: Int[Array, "rays 2"], observed: UInt8[Array, "h w 3"],
+        self, path: Path, rays: RayTensors, pixels: Int[Array, "rays 2"], observed: UInt8[Array, "height width 3"],
         every: int,
     ):  # fmt: skip
         # a PNG file; steps between two pictures
         self.path, self.every = path, every
         self.rays, self.pixels, self.observed = rays, pixels, observed
 
-    def draw(self, field: PartField, beta: float, preset: Preset) -> UInt8[Array, "h wide 3"]:
+    def draw(self, field: PartField, beta: float, preset: Preset) -> UInt8[Array, "height wide 3"]:
         """The picture, also written to `path`, whole or not at all. Field and random state stay as they are."""
         rendered, normals = np.zeros_like(self.observed), np.zeros_like(self.observed)
         device, functions = self.rays.ends.device, functions_of(field)

@@ -72,16 +72,16 @@ class CanonicalSkin:
 
     def of_mesh(
         self,
-        vertices: Float[Array, "v 3"],
-        faces: Int[Array, "f 3"],
-        normals: Float[Array, "v 3"] | None = None,
+        vertices: Float[Array, "vertices 3"],
+        faces: Int[Array, "faces 3"],
+        normals: Float[Array, "vertices 3"] | None = None,
     ) -> SkinWeights:
         """Weights of a mesh's vertices: looked up where that is safe, harmonic over the edges elsewhere."""
         skin, ok = self.lookup(vertices, vertex_normals(vertices, faces) if normals is None else normals)
         return harmonic_fill(skin, ok, faces)
 
 
-def harmonic_fill(skin: SkinWeights, known: Bool[Array, "v"], faces: Int[Array, "f 3"]) -> SkinWeights:
+def harmonic_fill(skin: SkinWeights, known: Bool[Array, "vertices"], faces: Int[Array, "faces 3"]) -> SkinWeights:
     """Weights of the unknown vertices from the known ones, harmonic over the edges (geometry/harmonic.py).
 
     Patches that touch no known vertex keep what they had.

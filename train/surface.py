@@ -22,17 +22,17 @@ Array = np.ndarray
 class Surface:
     """Mesh of the fused field in the canonical frame, with Eq. 14's statistics (capture/views.py)."""
 
-    vertices: Float[Array, "v 3"]
-    faces: Int[Array, "f 3"]
-    normals: Float[Array, "v 3"]  # unit, gradient of the field
+    vertices: Float[Array, "vertices 3"]
+    faces: Int[Array, "faces 3"]
+    normals: Float[Array, "vertices 3"]  # unit, gradient of the field
     # the part of the largest weight (Eq. 9)
-    part: Int[Array, "v"]
+    part: Int[Array, "vertices"]
     skin: SkinWeights
-    view_count: Float[Array, "v"]  # directions seen
+    view_count: Float[Array, "vertices"]  # directions seen
     # their mean, not normalised; unseen vertices have their neighbours'
-    view_mean: Float[Array, "v 3"]
+    view_mean: Float[Array, "vertices 3"]
     # xx xy xz yy yz zz, across the mean direction
-    view_covariance: Float[Array, "v 6"]
+    view_covariance: Float[Array, "vertices 6"]
 
 
 def grid_axes(parts: tuple[Part, ...], body_cell: float, head_cell: float, hand_cell: float) -> list[Array]:
@@ -102,8 +102,8 @@ def _interpolated(values: Array, old: Array, new: Array, axis: int) -> Array:
 
 
 def fill_from_neighbours(
-    values: Float[Array, "v c"], known: Bool[Array, "v"], faces: Int[Array, "f 3"], rounds: int = 2000
-) -> Float[Array, "v c"]:
+    values: Float[Array, "vertices c"], known: Bool[Array, "vertices"], faces: Int[Array, "faces 3"], rounds: int = 2000
+) -> Float[Array, "vertices c"]:
     """Values of unknown vertices copied inwards from known ones, ring by ring over the edges (mean of the ring)."""
     edges = half_edges(faces)
     count = len(values)

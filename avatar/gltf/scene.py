@@ -31,7 +31,7 @@ class Primitive:
     material: int | None
 
 
-def node_parents(gltf: Gltf) -> Int[np.ndarray, " nodes"]:
+def node_parents(gltf: Gltf) -> Int[np.ndarray, "nodes"]:
     """The parent of every node, -1 for a root. Refuses a node with two parents and a cycle."""
     nodes = gltf.items("nodes")
     parents = np.full(len(nodes), -1, dtype=np.int64)
@@ -51,7 +51,7 @@ def node_parents(gltf: Gltf) -> Int[np.ndarray, " nodes"]:
     return parents
 
 
-def parents_first(parents: Int[np.ndarray, " nodes"]) -> list[int]:
+def parents_first(parents: Int[np.ndarray, "nodes"]) -> list[int]:
     """The nodes that a root reaches, every node after its parent."""
     children: list[list[int]] = [[] for _ in parents]
     for node, parent in enumerate(parents):

@@ -6,8 +6,8 @@ import numpy as np
 
 from avatar.body import Body
 from avatar.errors import AssetError
-from avatar.motion.builtin import relaxed_hands
 from avatar.motion.clip import Motion
+from avatar.motion.fingers import relaxed_hands
 
 Array = np.ndarray
 

@@ -8,6 +8,7 @@ from avatar.errors import AssetError
 from avatar.motion.clip import Motion, RestSkeleton
 
 BUILTIN_MOTIONS = ("counting", "walking")
+MOTIONS_FOLDER = Path(str(files("avatar") / "data" / "motions"))
 MOTION_FILES = "a motion (.npz AMASS, .pkl, .bvh, .glb .gltf .vrm .vrma, EasyMocap .json or folder)"
 
 
@@ -52,9 +53,9 @@ def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestS
 
 
 def builtin_motion(name: str) -> Motion:
-    """A clip that ships with the project (`avatar/motion/builtin.py` authors them): "counting" or "walking"."""
+    """A clip that ships with the project (`experiments/builtin_motions.py` authors them): "counting" or "walking"."""
     from avatar.motion.amass import read_amass
 
     if name not in BUILTIN_MOTIONS:
         raise ValueError(f"no built-in motion {name!r}; there are {', '.join(BUILTIN_MOTIONS)}")
-    return read_amass(Path(str(files("avatar") / "data" / "motions" / f"{name}.npz")))
+    return read_amass(MOTIONS_FOLDER / f"{name}.npz")

@@ -39,15 +39,15 @@ class Studio:
 
     def draw(
         self,
-        points: Float[np.ndarray, "v 3"],
-        faces: Int[np.ndarray, "f 3"],
+        points: Float[np.ndarray, "vertices 3"],
+        faces: Int[np.ndarray, "faces 3"],
         colors: UInt8[np.ndarray, "n 3"],
         *,
         wire: bool = False,
         lines: Int[np.ndarray, "edges 2"] | None = None,
         line_colors: UInt8[np.ndarray, "edges 3"] | None = None,
-        normals: Float[np.ndarray, "v 3"] | None = None,
-    ) -> UInt8[np.ndarray, "h w 3"]:
+        normals: Float[np.ndarray, "vertices 3"] | None = None,
+    ) -> UInt8[np.ndarray, "height width 3"]:
         """The strip of views; colors are one a vertex or one a triangle. `wire` draws the edges in close views."""
         pv = self.pyvista
         mesh = pv.PolyData.from_regular_faces(points.astype(np.float32), faces)
@@ -68,7 +68,7 @@ class Studio:
                 plotter.add_mesh(edges, scalars="rgb", rgb=True, line_width=3, lighting=False)
         return strip([self._from(view) for view in self.views])
 
-    def _from(self, view: InspectView) -> UInt8[np.ndarray, "h w 3"]:
+    def _from(self, view: InspectView) -> UInt8[np.ndarray, "height width 3"]:
         plotter = self.plotters[view.camera.size]
         camera = plotter.camera
         camera.position, camera.focal_point, camera.up = view.camera.eye, view.target, (0.0, 1.0, 0.0)

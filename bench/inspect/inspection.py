@@ -18,8 +18,8 @@ from player.context import Context
 class Measured:
     """Distances to what only a run or a capture knows; None where they were not given."""
 
-    field: Float[np.ndarray, "f"] | None  # millimetres, signed, per triangle
-    truth: Float[np.ndarray, "v"] | None  # millimetres, per vertex
+    field: Float[np.ndarray, "faces"] | None  # millimetres, signed, per triangle
+    truth: Float[np.ndarray, "vertices"] | None  # millimetres, per vertex
 
 
 @dataclass

@@ -67,7 +67,7 @@ def standing(
     return pictures
 
 
-def posed(context: Context, avatar: Avatar, size: int) -> dict[str, UInt8[np.ndarray, "h w 3"]]:
+def posed(context: Context, avatar: Avatar, size: int) -> dict[str, UInt8[np.ndarray, "height width 3"]]:
     """Each strained pose, a little from the side."""
     renderer = Renderer(context, [avatar], (size, size), view="off", background=BACKGROUND)
     pictures = {}
@@ -82,7 +82,7 @@ def posed(context: Context, avatar: Avatar, size: int) -> dict[str, UInt8[np.nda
 
 def turntable(
     context: Context, avatar: Avatar, size: tuple[int, int], frames: int
-) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
     """One turn round the avatar at ease, as its file asks to be drawn."""
     clip = motion_for(avatar, "counting").read(0, 1)
     camera_at = orbit(extent(avatar, clip, following=True), 0.0, size)

@@ -23,8 +23,8 @@ class Welded(NamedTuple):
     """The surface before the atlas cut it: vertices at one place with one skin are one."""
 
     # welded vertex of each vertex of the level
-    source: Int[np.ndarray, "v"]
-    faces: Int[np.ndarray, "f 3"]
+    source: Int[np.ndarray, "vertices"]
+    faces: Int[np.ndarray, "faces 3"]
     count: int
 
 
@@ -54,41 +54,41 @@ def joint_parts() -> UInt8[np.ndarray, "52"]:
     return part
 
 
-def heaviest_joint(level: Level) -> Int[np.ndarray, "v"]:
+def heaviest_joint(level: Level) -> Int[np.ndarray, "vertices"]:
     """The joint that moves each vertex most."""
     rows = np.arange(len(level.joints))
     return level.joints[rows, level.weights.argmax(1)].astype(np.int64)
 
 
-def joint_weight(level: Level, joint: int) -> Float[np.ndarray, "v"]:
+def joint_weight(level: Level, joint: int) -> Float[np.ndarray, "vertices"]:
     """Weight of one joint at each vertex, 0 to 1."""
     return (np.where(level.joints == joint, level.weights, 0).sum(1) / 255).astype(np.float64)
 
 
-def vertex_parts(level: Level) -> UInt8[np.ndarray, "v"]:
+def vertex_parts(level: Level) -> UInt8[np.ndarray, "vertices"]:
     """Part of each vertex, by the joint that moves it most."""
     return joint_parts()[heaviest_joint(level)]
 
 
-def face_parts(level: Level) -> UInt8[np.ndarray, "f"]:
+def face_parts(level: Level) -> UInt8[np.ndarray, "faces"]:
     """Part of each triangle: what two of its corners say, else the first corner's."""
     a, b, c = vertex_parts(level)[level.faces].T
     return np.where(b == c, b, a)
 
 
-def areas(level: Level) -> Float[np.ndarray, "f"]:
+def areas(level: Level) -> Float[np.ndarray, "faces"]:
     """Square metres of each triangle."""
     a, b, c = level.positions.astype(np.float64)[level.faces].transpose(1, 0, 2)
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def edge_millimetres(level: Level) -> Float[np.ndarray, "f"]:
+def edge_millimetres(level: Level) -> Float[np.ndarray, "faces"]:
     """Mean length of a triangle's edges."""
     corners = level.positions.astype(np.float64)[level.faces]
     return 1e3 * np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(1)
 
 
-def texel_millimetres(level: Level) -> Float[np.ndarray, "f"]:
+def texel_millimetres(level: Level) -> Float[np.ndarray, "faces"]:
     """Side of a texel on each triangle: sqrt(area on the surface / area in texels); NaN without texels."""
     height, width = level.base_color.shape[:2]
     a, b, c = (level.uv.astype(np.float64)[level.faces] * [width, height]).transpose(1, 0, 2)
@@ -141,7 +141,7 @@ def seams(level: Level, welded: Welded) -> Seams:
     return Seams(edges.left, table.max(1), table.reshape(MIPS, -1))
 
 
-def cone_degrees(level: Level) -> Float[np.ndarray, "v 2"]:
+def cone_degrees(level: Level) -> Float[np.ndarray, "vertices 2"]:
     """Widest and narrowest half-angle, degrees, that view dependence may reach from the global direction.
 
     t' = v t / sqrt(1 + t^T Q t) is longest at |t| = 1 (docs/avatar-format.md): asin(v / sqrt(1 + q)) along the axis
@@ -155,12 +155,12 @@ def cone_degrees(level: Level) -> Float[np.ndarray, "v 2"]:
     return np.degrees(np.arcsin(np.clip(reach, 0, 1)))
 
 
-def unseen(level: Level) -> Bool[np.ndarray, "v"]:
+def unseen(level: Level) -> Bool[np.ndarray, "vertices"]:
     """Vertices that no camera looked at in training."""
     return level.view_seen <= 0
 
 
-def share_of_area(level: Level, chosen: Bool[np.ndarray, "v"]) -> float:
+def share_of_area(level: Level, chosen: Bool[np.ndarray, "vertices"]) -> float:
     """Part of the surface that belongs to these vertices."""
     area = areas(level)
     return float((area * chosen[level.faces].mean(1)).sum() / max(area.sum(), 1e-30))

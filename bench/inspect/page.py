@@ -75,14 +75,14 @@ class Check:
     good: bool | None  # None: told, not judged
 
 
-def png(image: UInt8[np.ndarray, "h w 3"]) -> bytes:
+def png(image: UInt8[np.ndarray, "height width 3"]) -> bytes:
     """Encoded losslessly."""
     out = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(out, "PNG", compress_level=6)
     return out.getvalue()
 
 
-def animation(frames: list[UInt8[np.ndarray, "h w 3"]], seconds: float) -> bytes:
+def animation(frames: list[UInt8[np.ndarray, "height width 3"]], seconds: float) -> bytes:
     """An animated WebP that repeats."""
     images, out = [Image.fromarray(np.ascontiguousarray(frame)) for frame in frames], io.BytesIO()
     images[0].save(

@@ -15,7 +15,7 @@ from bench.true_mesh import read_true_mesh
 from geometry.closest import closest_points, triangle_index
 
 
-def from_run(level: Level, run: Path) -> Float[np.ndarray, "f"]:
+def from_run(level: Level, run: Path) -> Float[np.ndarray, "faces"]:
     """`from_field` with the field of a run folder."""
     # torch: imported before anything draws
     from bake.field import numpy_field
@@ -24,7 +24,7 @@ def from_run(level: Level, run: Path) -> Float[np.ndarray, "f"]:
     return from_field(level, numpy_field(read_run(run).field).distance)
 
 
-def from_field(level: Level, distance: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "f"]:
+def from_field(level: Level, distance: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "faces"]:
     """Signed distance of a field, millimetres, on each triangle: of centre and corners the farthest.
 
     Positive where the triangle lies outside of the field's surface.
@@ -37,7 +37,7 @@ def from_field(level: Level, distance: Callable[[np.ndarray], np.ndarray]) -> Fl
     return 1e3 * every[np.arange(len(every)), farthest]
 
 
-def from_truth(avatar: Avatar, level: Level, capture: Path) -> Float[np.ndarray, "v"]:
+def from_truth(avatar: Avatar, level: Level, capture: Path) -> Float[np.ndarray, "vertices"]:
     """P2S at each vertex, millimetres: to the visible surface of the subject, both in pose 0."""
     truth = read_true_mesh(capture)
     transforms = skin_transforms(

@@ -30,7 +30,7 @@ class Coverage:
     histogram: Int[Array, "elevations azimuths"]
 
 
-def coverage(capture: Capture, part: str, visible: Bool[Array, "f"]) -> Coverage:
+def coverage(capture: Capture, part: str, visible: Bool[Array, "faces"]) -> Coverage:
     """Of one part, over its own video; `visible` are the faces of the template that can be seen at all.
 
     The turn is about the vertical for body and head, about the forearm for a hand, in the part's own frame.
@@ -89,7 +89,7 @@ def largest_gap(azimuth: Float[Array, "frames"]) -> float:
     return float(np.degrees(np.diff(np.append(order, order[0] + 2 * np.pi)).max()))
 
 
-def _vertex_areas(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) -> Float[Array, "v"]:
+def _vertex_areas(vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"]) -> Float[Array, "vertices"]:
     """A third of the area of the faces round each vertex."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6

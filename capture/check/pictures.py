@@ -27,7 +27,9 @@ class Exposure(NamedTuple):
     black: float
 
 
-def sharpness(images: UInt8[Array, "frames h w 3"], masks: Bool[Array, "frames h w"]) -> Float[Array, "frames"]:
+def sharpness(
+    images: UInt8[Array, "frames height width 3"], masks: Bool[Array, "frames height width"]
+) -> Float[Array, "frames"]:
     """Variance of the Laplacian over that of the gradient, of the grey picture well inside the person.
 
     The Laplacian by itself follows the texture that happens to be in view: of the palm it has a quarter of that of
@@ -55,7 +57,7 @@ def blurred(sharp: Float[Array, "frames"]) -> list[int]:
     return found
 
 
-def repeated(images: UInt8[Array, "frames h w 3"]) -> list[int]:
+def repeated(images: UInt8[Array, "frames height width 3"]) -> list[int]:
     """Frames that are the picture before them once more."""
     differs = [np.abs(images[i].astype(np.int16) - images[i - 1]).mean() for i in range(1, len(images))]
     return [i + 1 for i, difference in enumerate(differs) if difference < REPEATED]
@@ -68,7 +70,7 @@ def missing(folder: Path) -> list[int]:
     return sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers)) if numbers else []
 
 
-def exposure(images: UInt8[Array, "frames h w 3"], masks: Bool[Array, "frames h w"]) -> Exposure:
+def exposure(images: UInt8[Array, "frames height width 3"], masks: Bool[Array, "frames height width"]) -> Exposure:
     """How much of the person is clipped, over all frames."""
     pixels = images[masks]
     if len(pixels) == 0:

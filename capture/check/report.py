@@ -80,7 +80,7 @@ def examine(capture: Capture) -> CaptureReport:
     return CaptureReport(height, len(head.landmarks), fit.residual, scale, parts)
 
 
-def examine_part(capture: Capture, part: str, head_scale: float, visible: Bool[Array, "f"]) -> PartReport:
+def examine_part(capture: Capture, part: str, head_scale: float, visible: Bool[Array, "faces"]) -> PartReport:
     """Measure one video; `head_scale` is metres per unit of the head frame, `visible` the template's outer faces."""
     video, index = capture.videos[part], PARTS.index(part)
     outlines = tuple(outline(capture, part, frame) for frame in even(len(video.masks), COMPARED))

@@ -14,7 +14,7 @@ MASK = np.array([255, 40, 40], np.uint8)
 
 
 def overlay(
-    image: UInt8[Array, "h w 3"], mask: Bool[Array, "h w"], parts: Int[Array, "y x"], step: int
+    image: UInt8[Array, "height width 3"], mask: Bool[Array, "height width"], parts: Int[Array, "y x"], step: int
 ) -> UInt8[Array, "y x 3"]:
     """One frame, darkened outside the mask, with the mask's outline in red and the template's parts edged.
 
@@ -30,11 +30,11 @@ def overlay(
     return picture
 
 
-def _eroded(area: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+def _eroded(area: Bool[Array, "height width"]) -> Bool[Array, "height width"]:
     return np.asarray(ndimage.binary_erosion(area, border_value=1), bool)
 
 
-def contact_sheet(rows: list[list[tuple[str, UInt8[Array, "h w 3"]]]], side: int = 320) -> Image.Image:
+def contact_sheet(rows: list[list[tuple[str, UInt8[Array, "height width 3"]]]], side: int = 320) -> Image.Image:
     """Pictures in rows, each with its caption above."""
     line = 16
     columns = max(len(row) for row in rows)

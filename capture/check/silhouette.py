@@ -49,7 +49,7 @@ class Outline:
     frame: int
     agreement: Agreement
     # template part at each compared pixel, -1 where there is none
-    parts: Int[Array, "h w"]
+    parts: Int[Array, "height width"]
     step: int  # pixels of the image between compared ones
 
 
@@ -103,7 +103,7 @@ def outline(capture: Capture, part: str, frame: int) -> Outline:
     return Outline(frame, pixels, parts, step)
 
 
-def posed_template(capture: Capture, part: str, frame: int) -> Float[Array, "v 3"]:
+def posed_template(capture: Capture, part: str, frame: int) -> Float[Array, "vertices 3"]:
     """The template as one frame should show it, in the frame of that video's cameras.
 
     The head video: the canonical template, moved into the head frame by the landmarks (Eq. 6). Its body is
@@ -125,14 +125,14 @@ def canonical_from_head(capture: Capture) -> Float[Array, "4 4"]:
     return similarity_from_landmarks(video.landmarks, target).transform
 
 
-def drawn_parts(drawn: Fragments, subject: CaptureSubject) -> Int[Array, "h w"]:
+def drawn_parts(drawn: Fragments, subject: CaptureSubject) -> Int[Array, "height width"]:
     """Part of the template at each pixel, -1 where there is none."""
     # the majority of the three
     of_face = np.sort(subject.part[subject.faces], 1)[:, 1]
     return np.where(drawn.face >= 0, of_face[drawn.face], -1)
 
 
-def agreement(parts: Int[Array, "h w"], mask: Bool[Array, "h w"], part: int) -> Agreement:
+def agreement(parts: Int[Array, "height width"], mask: Bool[Array, "height width"], part: int) -> Agreement:
     """Distance between the outlines of template and mask along one part, and the overlap of their areas.
 
     Both outlines are measured against the other: the template's where it shows the part, the mask's where the
@@ -166,6 +166,6 @@ def _mean_of_both(a: Array, b: Array) -> float:
     return 0.5 * (a.mean() + b.mean()) if len(b) else a.mean()
 
 
-def _outline(area: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
+def _outline(area: Bool[Array, "height width"]) -> Bool[Array, "height width"]:
     """Pixels of the area with a neighbour outside it; what lies beyond the image counts as the area."""
     return area & ~np.asarray(ndimage.binary_erosion(area, border_value=1), bool)

@@ -97,7 +97,7 @@ class _DrawnTemplate(NamedTuple):
 
     G: Float[Array, "52 4 4"]
     B: Float[Array, "52 4 4"]
-    posed: Float[Array, "v 3"]
+    posed: Float[Array, "vertices 3"]
     drawn: Fragments
     outline: Outline
     # how far the outline pixels were slid from where they are drawn
@@ -192,7 +192,7 @@ def _view(scene: _Scene, f: int, R: Array, root: Array, *, slide: bool) -> _Draw
 
 def _add_outline(
     equations: _Equations, scene: _Scene, f: int, view: _DrawnTemplate, mask: Outline, tolerance: _Tolerance,
-    beyond: Float[Array, "v"],
+    beyond: Float[Array, "vertices"],
 ) -> tuple[float, Float[Array, "n"], Int[Array, "n"]]:  # fmt: skip
     """Add the outline term of one frame, the person `beyond` (metres) the template's vertices.
 
@@ -307,7 +307,7 @@ def _share_of_pixel(pixels: Float[Array, "n 2"]) -> Float[Array, "n"]:
     return 1 / count[of.ravel()]
 
 
-def _bilinear(image: Float[Array, "h w 3"], pixels: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
+def _bilinear(image: Float[Array, "height width 3"], pixels: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
     place = (pixels[:, ::-1] - 0.5).T
     return np.stack([ndimage.map_coordinates(image[..., c], place, order=1) for c in range(3)], 1)
 

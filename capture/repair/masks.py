@@ -39,9 +39,9 @@ UNSURE = 0.25
 class Redrawn(NamedTuple):
     """The masks of a video with their edges read off the pictures."""
 
-    masks: Bool[Array, "frames h w"]
+    masks: Bool[Array, "frames height width"]
     # may show the person or not
-    unsure: Bool[Array, "frames h w"]
+    unsure: Bool[Array, "frames height width"]
 
 
 def mask_offsets(videos: Mapping[str, PartVideo], subject: CaptureSubject) -> dict[str, float]:
@@ -85,8 +85,11 @@ def redrawn(video: PartVideo, subject: CaptureSubject, pixels: float) -> Redrawn
 
 
 def edge_by_colors(
-    image: UInt8[Array, "h w 3"], mask: Bool[Array, "h w"], pixels: float, limb: Bool[Array, "h w"]
-) -> tuple[Bool[Array, "h w"], Bool[Array, "h w"]]:
+    image: UInt8[Array, "height width 3"],
+    mask: Bool[Array, "height width"],
+    pixels: float,
+    limb: Bool[Array, "height width"],
+) -> tuple[Bool[Array, "height width"], Bool[Array, "height width"]]:
     """One mask redrawn, and what stays unsure; `limb` is where the person may be whatever the mask says."""
     away = signed_pixels(mask[None])[0]
     if pixels < 0:
@@ -117,7 +120,7 @@ def edge_by_colors(
     return found, (np.abs(share - 0.5) < UNSURE) | (limb & ~found)
 
 
-def _template_pixels(video: PartVideo, subject: CaptureSubject, f: int) -> Bool[Array, "h w"]:
+def _template_pixels(video: PartVideo, subject: CaptureSubject, f: int) -> Bool[Array, "height width"]:
     """Where the template is drawn in frame f; nowhere for a video without poses."""
     if video.axis_angle is None or video.root is None:
         return np.zeros(video.masks.shape[1:], bool)
@@ -129,7 +132,7 @@ def _shrunk(video: PartVideo, masks_off: float) -> PartVideo:
     return replace(video, masks=regrown(video.masks, -pixels_off(video, masks_off)))
 
 
-def signed_pixels(masks: Bool[Array, "frames h w"]) -> Float[Array, "frames h w"]:
+def signed_pixels(masks: Bool[Array, "frames height width"]) -> Float[Array, "frames height width"]:
     """Distance of every pixel centre to the mask's edge, negative inside; the edge runs between two pixels."""
     out = np.empty(masks.shape)
     for f, mask in enumerate(masks):
@@ -140,6 +143,6 @@ def signed_pixels(masks: Bool[Array, "frames h w"]) -> Float[Array, "frames h w"
     return out
 
 
-def regrown(masks: Bool[Array, "frames h w"], pixels: float) -> Bool[Array, "frames h w"]:
+def regrown(masks: Bool[Array, "frames height width"], pixels: float) -> Bool[Array, "frames height width"]:
     """Masks grown by so many pixels, shrunk if negative."""
     return signed_pixels(masks) < pixels

@@ -19,7 +19,7 @@ REACH = 3.5
 class Outline:
     """Outline pixels of an area with their outward normals."""
 
-    def __init__(self, area: Bool[Array, "h w"]):
+    def __init__(self, area: Bool[Array, "height width"]):
         edge = area & ~np.asarray(ndimage.binary_erosion(area, border_value=1), bool)
         smooth = ndimage.gaussian_filter(area.astype(np.float32), 1.5, mode="nearest")
         down, right = np.gradient(smooth)
@@ -40,7 +40,10 @@ class Outline:
 
 
 def placement(
-    template: Bool[Array, "H W"], mask: Bool[Array, "h w"], centre: Float[Array, "2"], near: float
+    template: Bool[Array, "canvas_height canvas_width"],
+    mask: Bool[Array, "height width"],
+    centre: Float[Array, "2"],
+    near: float,
 ) -> tuple[float, Float[Array, "2"]]:
     """The turn (radians) about `centre` and the shift (x, y; pixels) that cover the mask best with a silhouette.
 
@@ -86,7 +89,7 @@ class ShapeCells:
         self.near = tree.sparse_distance_matrix(tree, REACH, output_type="coo_matrix").tocsr()
         self.near.data = np.exp(-0.5 * self.near.data**2)
 
-    def shared(self, vertex: Int[Array, "n"], value: Float[Array, "n"], doubt: float) -> Float[Array, "v"]:
+    def shared(self, vertex: Int[Array, "n"], value: Float[Array, "n"], doubt: float) -> Float[Array, "vertices"]:
         """Of each vertex the mean of the values given around it, as if `doubt` more of them were zero."""
         of = self.cell[vertex]
         total, count = (np.bincount(of, w, minlength=self.near.shape[0]) for w in (value, np.ones(len(value))))

@@ -202,7 +202,9 @@ def read_refined(path: Path, video: PartVideo) -> PartVideo:
     return replace(video, masks=masks, unsure=unsure)
 
 
-def _unpacked(path: Path, packed: Array | None, name: str, shape: tuple[int, ...]) -> Bool[Array, "frames h w"]:
+def _unpacked(
+    path: Path, packed: Array | None, name: str, shape: tuple[int, ...]
+) -> Bool[Array, "frames height width"]:
     count = int(np.prod(shape))
     if packed is None or packed.dtype != np.uint8 or len(packed) != -(-count // 8):
         raise AssetError(f"{path}: {name} should be {count} bits")

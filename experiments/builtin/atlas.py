@@ -12,7 +12,7 @@ Array = np.ndarray
 BODY, HEAD, EYEBALL = range(3)  # materials
 
 
-def layout(dressed: Dressed) -> tuple[Int[Array, " F"], Float[Array, "F 3 2"]]:
+def layout(dressed: Dressed) -> tuple[Int[Array, "faces"], Float[Array, "faces 3 2"]]:
     """Material and texture coordinates (v down) of each face: the body's islands, with face and hands enlarged.
 
     The maps are monotone in u and in v, so islands that did not overlap still do not.

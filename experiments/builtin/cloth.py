@@ -35,17 +35,17 @@ class Garments(NamedTuple):
     """Which vertices wear what."""
 
     # the belt is part of it
-    shirt: Bool[Array, " V"]
-    trousers: Bool[Array, " V"]
-    belt: Bool[Array, " V"]
+    shirt: Bool[Array, "vertices"]
+    trousers: Bool[Array, "vertices"]
+    belt: Bool[Array, "vertices"]
 
     @property
-    def cloth(self) -> Bool[Array, " V"]:
+    def cloth(self) -> Bool[Array, "vertices"]:
         """Every vertex that wears something."""
         return self.shirt | self.trousers
 
 
-def garments(skin: Float[Array, "V 3"], hems: Hems, joints: Float[Array, "52 3"], looks: Looks) -> Garments:
+def garments(skin: Float[Array, "vertices 3"], hems: Hems, joints: Float[Array, "52 3"], looks: Looks) -> Garments:
     """Who wears what, hems included."""
     shirt = (hems.neck > -TINY) & (hems.arm > -TINY) & (hems.waist > -TINY)
     trousers = ~shirt & (hems.waist <= TINY) & (skin[:, 1] < joints[0, 1] + 0.2)
@@ -55,7 +55,7 @@ def garments(skin: Float[Array, "V 3"], hems: Hems, joints: Float[Array, "52 3"]
 
 def hung(
     mesh: TexturedMesh, hems: Hems, worn: Garments, joints: Float[Array, "52 3"], looks: Looks
-) -> Float[Array, "V 3"]:
+) -> Float[Array, "vertices 3"]:
     """The vertices of the naked `mesh` (cut along the hems) with the cloth hung on it; bare ones stay."""
     skin, cloth = mesh.vertices, worn.cloth
     normals = vertex_normals(smoothed(skin, mesh.faces, np.ones(len(skin), bool), 30), mesh.faces)
@@ -81,13 +81,13 @@ def hung(
 
 
 def _hemmed(
-    posed: Float[Array, "V 3"],
+    posed: Float[Array, "vertices 3"],
     mesh: TexturedMesh,
     hems: Hems,
     worn: Garments,
     joints: Float[Array, "52 3"],
     looks: Looks,
-) -> Float[Array, "V 3"]:
+) -> Float[Array, "vertices 3"]:
     """Hems without waves and in their planes, and nothing near a hem hangs over it."""
     skin, cloth = mesh.vertices, worn.cloth
     neck, arm, above = hems
@@ -121,12 +121,12 @@ def _hemmed(
 
 
 def _ease(
-    skin: Float[Array, "V 3"],
+    skin: Float[Array, "vertices 3"],
     joints: Float[Array, "52 3"],
     looks: Looks,
     worn: Garments,
-    above: Float[Array, " V"],
-) -> Float[Array, " V"]:
+    above: Float[Array, "vertices"],
+) -> Float[Array, "vertices"]:
     """How far cloth stands off the skin at least, metres."""
     hip, knee, ankle = looks.trouser_ease
     y_hip, y_knee, y_ankle = joints[1, 1], joints[4, 1], joints[7, 1]
@@ -145,12 +145,12 @@ def _ease(
 
 
 def _folds(
-    skin: Float[Array, "V 3"],
+    skin: Float[Array, "vertices 3"],
     joints: Float[Array, "52 3"],
     looks: Looks,
-    shirt: Bool[Array, " V"],
-    above: Float[Array, " V"],
-) -> Float[Array, " V"]:
+    shirt: Bool[Array, "vertices"],
+    above: Float[Array, "vertices"],
+) -> Float[Array, "vertices"]:
     """Wrinkles: rings stacked at ankle, knee and elbow, drapes down the chest, bunches at the waist; metres."""
     seed, side = looks.seed, np.sign(skin[:, 0])
     x, y, z = skin.T
@@ -179,12 +179,12 @@ def _folds(
 
 
 def _hang(
-    skin: Float[Array, "V 3"],
-    faces: Int[Array, "F 3"],
-    cloth: Bool[Array, " V"],
-    ease: Float[Array, " V"],
-    normals: Float[Array, "V 3"],
-) -> Float[Array, "V 3"]:
+    skin: Float[Array, "vertices 3"],
+    faces: Int[Array, "faces 3"],
+    cloth: Bool[Array, "vertices"],
+    ease: Float[Array, "vertices"],
+    normals: Float[Array, "vertices 3"],
+) -> Float[Array, "vertices 3"]:
     """The smoothest surface outside skin + ease and within 3 cm: a membrane on an obstacle, relaxed.
 
     It rests on what is round and spans what is hollow, as cloth does; what is small (12 smoothing steps remove
@@ -200,7 +200,9 @@ def _hang(
     return smoothed(points, faces, cloth, 1)
 
 
-def _straight(points: Float[Array, "V 3"], faces: Int[Array, "F 3"], on: Bool[Array, " V"]) -> Float[Array, "V 3"]:
+def _straight(
+    points: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], on: Bool[Array, "vertices"]
+) -> Float[Array, "vertices 3"]:
     """Take the waves out of a hem: a Laplacian along the edges between its own vertices."""
     ends, _ = edges_of(faces)
     ends = ends[on[ends].all(1)]
@@ -215,11 +217,11 @@ def _straight(points: Float[Array, "V 3"], faces: Int[Array, "F 3"], on: Bool[Ar
 
 
 def _apart(
-    points: Float[Array, "V 3"],
-    skin: Float[Array, "V 3"],
+    points: Float[Array, "vertices 3"],
+    skin: Float[Array, "vertices 3"],
     joints: Float[Array, "52 3"],
-    trousers: Bool[Array, " V"],
-) -> Float[Array, "V 3"]:
+    trousers: Bool[Array, "vertices"],
+) -> Float[Array, "vertices 3"]:
     """The two trouser legs do not cross the middle below the crotch."""
     middle = joints[0, 0]
     below = trousers & (skin[:, 1] < joints[1, 1] - 0.115)
@@ -228,7 +230,7 @@ def _apart(
     return np.stack([np.where(below, x, points[:, 0]), points[:, 1], points[:, 2]], -1)
 
 
-def _breast_tips(mesh: TexturedMesh) -> Bool[Array, " V"]:
+def _breast_tips(mesh: TexturedMesh) -> Bool[Array, "vertices"]:
     """Vertices around the two points that cloth does not follow."""
     tip = np.zeros(len(mesh.vertices), bool)
     for u in (0.3235, 0.4375):

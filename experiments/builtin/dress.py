@@ -111,8 +111,8 @@ def _cut(mesh: TexturedMesh, joints: Float[Array, "52 3"], face: Face, looks: Lo
 
 
 def _made_of(
-    mesh: TexturedMesh, line: Float[Array, " V"], joints: Float[Array, "52 3"], looks: Looks
-) -> Int[Array, " F"]:
+    mesh: TexturedMesh, line: Float[Array, "vertices"], joints: Float[Array, "52 3"], looks: Looks
+) -> Int[Array, "faces"]:
     """What each face is made of, by its middle on the naked body; shoes and eyes are no part of it yet."""
     middle = mesh.vertices[mesh.faces].mean(1)
     hems = hems_at(middle, joints, looks)
@@ -129,7 +129,7 @@ def _made_of(
     return kind
 
 
-def _inner(mesh: TexturedMesh, face: Face) -> Bool[Array, " V"]:
+def _inner(mesh: TexturedMesh, face: Face) -> Bool[Array, "vertices"]:
     """Vertices of the mouth's and the sockets' inside."""
     middle = mesh.uv[mesh.uv_faces].mean(1)
     inside = (middle[:, 0] < 0.16) & (middle[:, 1] > 0.365) & (middle[:, 1] < 0.455) | (

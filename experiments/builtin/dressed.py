@@ -23,23 +23,23 @@ class Dressed:
 
     mesh: TexturedMesh  # as seen
     # where each vertex lies on the naked body
-    skin_positions: Float[Array, "V 3"]
-    kind: Int[Array, " F"]
+    skin_positions: Float[Array, "vertices 3"]
+    kind: Int[Array, "faces"]
     face: Face
-    hairline: Float[Array, " V"]  # metres inside the hairline, negative outside
+    hairline: Float[Array, "vertices"]  # metres inside the hairline, negative outside
     # metres from the edge of the collar, over the cloth
-    collar: Float[Array, " V"]
+    collar: Float[Array, "vertices"]
 
 
 def joined(
     dressed: Dressed,
-    points: Float[Array, "N 3"],
+    points: Float[Array, "n 3"],
     faces: Int[Array, "G 3"],
     uv: Float[Array, "T 2"],
     uv_faces: Int[Array, "G 3"],
-    weights: Float[Array, "N 52"],
-    kind: Int[Array, " G"],
-    skin: Float[Array, "N 3"],
+    weights: Float[Array, "n 52"],
+    kind: Int[Array, "G"],
+    skin: Float[Array, "n 3"],
 ) -> Dressed:
     """The dressed person and one more closed piece, which lies at `skin` on the naked body."""
     mesh, n = dressed.mesh, len(dressed.mesh.vertices)

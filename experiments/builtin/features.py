@@ -11,7 +11,7 @@ from experiments.builtin.noise import noise, smoothstep
 Array = np.ndarray
 
 
-def head_skin(color: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
+def head_skin(color: Float[Array, "n 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "n 3"]:
     """The face and ears on plain skin, and single hairs beyond the hairline; sRGB, 0 to 1."""
     p, seed = c.p, looks.seed
     male = looks.sex == "male"
@@ -56,7 +56,7 @@ def head_skin(color: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -
     return mixed(color, srgb(looks.hair) * 0.9, 0.85 * edge * (c.hair > -0.02))
 
 
-def stubble(color: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
+def stubble(color: Float[Array, "n 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "n 3"]:
     """A shaved beard: bluish, with dots; round the mouth, on the chin and along the jaw to the ears."""
     p = c.p
     eye, ear = face.eyes.mean(0), face.ears.mean(0)
@@ -70,7 +70,7 @@ def stubble(color: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> 
     return mixed(color, color * [0.74, 0.75, 0.78], area * (0.42 + 0.42 * dots))
 
 
-def lips(color: Float[Array, "N 3"], c: Canvas, looks: Looks) -> Float[Array, "N 3"]:
+def lips(color: Float[Array, "n 3"], c: Canvas, looks: Looks) -> Float[Array, "n 3"]:
     """The red of the lips, by texture coordinates: a cupid's bow above, a full curve below, dark between."""
     u, across = c.uv[:, 0], np.abs(c.uv[:, 1] - (1 - 0.4838))
     upper = np.interp(across, [0, 0.0035, 0.010, 0.0165, 0.0215], [0.8975, 0.8958, 0.8985, 0.9035, 0.9085])
@@ -88,7 +88,7 @@ def lips(color: Float[Array, "N 3"], c: Canvas, looks: Looks) -> Float[Array, "N
     return mixed(color, np.array([0.30, 0.11, 0.11], np.float32), 0.85 * line)
 
 
-def brows(color: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
+def brows(color: Float[Array, "n 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "n 3"]:
     """Eyebrows of single hairs along an arch in the front view."""
     male = looks.sex == "male"
     for k, centre in enumerate(face.eyes):
@@ -124,7 +124,7 @@ def brows(color: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Fl
     return color
 
 
-def lashes(color: Float[Array, "N 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
+def lashes(color: Float[Array, "n 3"], c: Canvas, face: Face, looks: Looks) -> Float[Array, "n 3"]:
     """The lids' edges in the front view: a dark line of lashes above, a moist rim and sparse lashes below."""
     male = looks.sex == "male"
     for k, centre in enumerate(face.eyes):

@@ -10,7 +10,7 @@ from experiments.builtin.noise import fractal, noise, smoothstep
 Array = np.ndarray
 
 
-def paint_shoe(c: Canvas, joints: Float[Array, "52 3"], ground: float, looks: Looks) -> Float[Array, "N 3"]:
+def paint_shoe(c: Canvas, joints: Float[Array, "52 3"], ground: float, looks: Looks) -> Float[Array, "n 3"]:
     """Uppers; sRGB, 0 to 1. `ground` is the y of the soles, metres."""
     q, n, seed = c.q, c.n, looks.seed + 400
     side = np.where(q[:, 0] > joints[0, 0], 0, 1)
@@ -75,7 +75,7 @@ def paint_shoe(c: Canvas, joints: Float[Array, "52 3"], ground: float, looks: Lo
     return shaded(color, c, 0.8)
 
 
-def paint_sole(c: Canvas, ground: float, looks: Looks) -> Float[Array, "N 3"]:
+def paint_sole(c: Canvas, ground: float, looks: Looks) -> Float[Array, "n 3"]:
     """Rubber with a stripe and a tread; sRGB, 0 to 1. `ground` is the y of the soles, metres."""
     q = c.q
     y = q[:, 1] - ground

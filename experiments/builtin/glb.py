@@ -96,7 +96,7 @@ def _skeleton(joints: Float[Array, "52 3"]) -> list[dict[str, Any]]:
     return nodes
 
 
-def _small_png(image: UInt8[Array, "h w 3"]) -> bytes:
+def _small_png(image: UInt8[Array, "height width 3"]) -> bytes:
     out = io.BytesIO()
     Image.fromarray(image).save(out, format="PNG", optimize=True)
     return out.getvalue()

@@ -25,7 +25,7 @@ FEMALE_HAIRLINE = (
 )  # fmt: skip
 
 
-def hairline(points: Float[Array, "N 3"], face: Face, looks: Looks) -> Float[Array, " N"]:
+def hairline(points: Float[Array, "n 3"], face: Face, looks: Looks) -> Float[Array, "n"]:
     """Metres inside the hairline, about: a curve in the side view, up the temples, round the ear, to the nape."""
     eye = face.eyes.mean(0)
     ear = face.ears.mean(0)
@@ -47,7 +47,7 @@ def hairline(points: Float[Array, "N 3"], face: Face, looks: Looks) -> Float[Arr
     return np.where(points[:, 1] > eye[1] - 0.10, inside, -0.1)
 
 
-def hair_thickness(skin: Float[Array, "N 3"], face: Face, looks: Looks, line: Float[Array, " N"]) -> Float[Array, " N"]:
+def hair_thickness(skin: Float[Array, "n 3"], face: Face, looks: Looks, line: Float[Array, "n"]) -> Float[Array, "n"]:
     """How far hair stands off the skin, metres; `line` is the distance inside the hairline."""
     eye, ear = face.eyes.mean(0), face.ears.mean(0)
     y, z, x = skin[:, 1] - eye[1], skin[:, 2] - ear[2], skin[:, 0] - eye[0]
@@ -75,7 +75,7 @@ def hair_thickness(skin: Float[Array, "N 3"], face: Face, looks: Looks, line: Fl
     return np.maximum(thick, CLOSEST + 0.0006) * smoothstep(-0.001, edge, line) ** 0.7
 
 
-def paint_hair(c: Canvas, face: Face, looks: Looks) -> Float[Array, "N 3"]:
+def paint_hair(c: Canvas, face: Face, looks: Looks) -> Float[Array, "n 3"]:
     """Strands combed over, or drawn back into a bun; sRGB, 0 to 1."""
     p, q, n, seed = c.p, c.q, c.n, looks.seed + 90
     eye, ear = face.eyes.mean(0), face.ears.mean(0)

@@ -20,14 +20,14 @@ BELT_WIDTH = 0.035
 class Hems(NamedTuple):
     """How far points lie inside each edge of the shirt."""
 
-    neck: Float[Array, " N"]  # below the collar
+    neck: Float[Array, "n"]  # below the collar
     # short of the sleeves' hems
-    arm: Float[Array, " N"]
+    arm: Float[Array, "n"]
     # above the shirt's hem or the belt; 1 on the arms
-    waist: Float[Array, " N"]
+    waist: Float[Array, "n"]
 
 
-def neckline(points: Float[Array, "N 3"], joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, " N"]:
+def neckline(points: Float[Array, "n 3"], joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "n"]:
     """Below the collar: a plane round the neck that drops to the front; 0.3 away from the neck."""
     neck = np.array([joints[0, 0], joints[13:15, 1].mean(), joints[13:15, 2].mean()])
     up = np.array([0.0, 1.0, looks.neckline])
@@ -38,7 +38,7 @@ def neckline(points: Float[Array, "N 3"], joints: Float[Array, "52 3"], looks: L
     return np.where((points[:, 1] > neck[1] - 0.12) & (near < 0.20), distance, 0.3)
 
 
-def sleeves(points: Float[Array, "N 3"], joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, " N"]:
+def sleeves(points: Float[Array, "n 3"], joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "n"]:
     """Along the arms, to the hem; 0.3 where there is no arm."""
     out = np.full(len(points), 0.3)
     for shoulder, elbow, wrist in ((16, 18, 20), (17, 19, 21)):
@@ -63,13 +63,13 @@ def ankle_level(joints: Float[Array, "52 3"]) -> float:
 
 
 def waist(
-    points: Float[Array, "N 3"], arm: Float[Array, " N"], joints: Float[Array, "52 3"], looks: Looks
-) -> Float[Array, " N"]:
+    points: Float[Array, "n 3"], arm: Float[Array, "n"], joints: Float[Array, "52 3"], looks: Looks
+) -> Float[Array, "n"]:
     """Above the shirt's hem, or the belt's lower edge; 1 on the arms, where `arm` says that there is one."""
     return np.where(arm < 0.29, 1.0, points[:, 1] - hem_height(joints, looks))
 
 
-def hems_at(points: Float[Array, "N 3"], joints: Float[Array, "52 3"], looks: Looks) -> Hems:
+def hems_at(points: Float[Array, "n 3"], joints: Float[Array, "52 3"], looks: Looks) -> Hems:
     """All three distances."""
     arm = sleeves(points, joints, looks)
     return Hems(neckline(points, joints, looks), arm, waist(points, arm, joints, looks))

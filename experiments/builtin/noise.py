@@ -16,7 +16,7 @@ def _mixed(h: UInt32[Array, "*n"]) -> Float[Array, "*n"]:
     return h.astype(np.float32) * np.float32(1 / 2147483648.0) - np.float32(1.0)
 
 
-def noise(points: Float[Array, "N 3"], seed: int) -> Float[Array, " N"]:
+def noise(points: Float[Array, "n 3"], seed: int) -> Float[Array, "n"]:
     """Value noise in [-1, 1], one lattice cell per unit, quintic between lattice points."""
     out = np.empty(len(points), np.float32)
     # a block fits the cache
@@ -40,7 +40,7 @@ def noise(points: Float[Array, "N 3"], seed: int) -> Float[Array, " N"]:
     return out
 
 
-def fractal(points: Float[Array, "N 3"], seed: int, octaves: int) -> Float[Array, " N"]:
+def fractal(points: Float[Array, "n 3"], seed: int, octaves: int) -> Float[Array, "n"]:
     """Octaves of noise, each twice as fine and half as strong as the one before."""
     total = np.zeros(len(points), np.float32)
     for n in range(octaves):

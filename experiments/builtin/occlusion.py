@@ -15,8 +15,8 @@ Array = np.ndarray
 
 
 def surface_points(
-    vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"], density: Float[Array, " F"], seed: int
-) -> Float[Array, "N 3"]:
+    vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], density: Float[Array, "faces"], seed: int
+) -> Float[Array, "n 3"]:
     """Random points on the surface, `density` of them per square metre of each face."""
     generator = np.random.default_rng(seed)
     a, b, c = (vertices[faces[:, i]] for i in range(3))
@@ -30,15 +30,15 @@ def surface_points(
 
 
 def sky_light(
-    points: Float[Array, "V 3"],
-    normals: Float[Array, "V 3"],
-    occluders: Float[Array, "N 3"],
+    points: Float[Array, "vertices 3"],
+    normals: Float[Array, "vertices 3"],
+    occluders: Float[Array, "n 3"],
     *,
     cell: float,
     bias: float,
     count: int = 56,
     ground: float = 0.45,
-) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
+) -> tuple[Float[Array, "vertices"], Float[Array, "vertices"]]:
     """Light from a sky, `ground` as bright below as above, and the openness to an even one; both about 0 to 1.
 
     A point is hidden from a direction when an occluder in its grid cell lies more than `bias` metres in front.
@@ -69,7 +69,9 @@ def sky_light(
     return light / np.maximum(full, 1e-9), opened / np.maximum(total, 1e-9)
 
 
-def baked_light(mesh: TexturedMesh, part: UInt8[Array, " V"]) -> tuple[Float[Array, " V"], Float[Array, " V"]]:
+def baked_light(
+    mesh: TexturedMesh, part: UInt8[Array, "vertices"]
+) -> tuple[Float[Array, "vertices"], Float[Array, "vertices"]]:
     """Sky light and openness of every vertex, 0 to 1: coarse for the body (part 0), fine for the other parts."""
     normals = vertex_normals(mesh.vertices, mesh.faces)
     of_face = part[mesh.faces[:, 0]]
@@ -88,7 +90,9 @@ def baked_light(mesh: TexturedMesh, part: UInt8[Array, " V"]) -> tuple[Float[Arr
     return values[:, 0], values[:, 1]
 
 
-def crease(vertices: Float[Array, "V 3"], faces: Int[Array, "F 3"], normals: Float[Array, "V 3"]) -> Float[Array, " V"]:
+def crease(
+    vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], normals: Float[Array, "vertices 3"]
+) -> Float[Array, "vertices"]:
     """Signed mean curvature, squashed to about -1 (crease) to 1 (ridge), over some 4 mm."""
     calm = smoothed(vertices, faces, np.ones(len(vertices), bool), 2)
     height = ((vertices - calm) * normals).sum(1)

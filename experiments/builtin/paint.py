@@ -25,17 +25,17 @@ Array = np.ndarray
 class Shade(NamedTuple):
     """What was measured of every vertex for the painters."""
 
-    normals: Float[Array, "V 3"]  # of the dressed person, unit
+    normals: Float[Array, "vertices 3"]  # of the dressed person, unit
     # from the sky, 0 to 1
-    light: Float[Array, " V"]
+    light: Float[Array, "vertices"]
     # to an even sky, 0 to 1
-    opened: Float[Array, " V"]
-    cavity: Float[Array, " V"]  # -1 (crease) to 1 (ridge)
+    opened: Float[Array, "vertices"]
+    cavity: Float[Array, "vertices"]  # -1 (crease) to 1 (ridge)
 
 
 def paint(
-    c: Canvas, kind: Int[Array, " N"], dressed: Dressed, joints: Float[Array, "52 3"], looks: Looks
-) -> Float[Array, "N 3"]:
+    c: Canvas, kind: Int[Array, "n"], dressed: Dressed, joints: Float[Array, "52 3"], looks: Looks
+) -> Float[Array, "n 3"]:
     """The color of each texel, sRGB, 0 to 1."""
     out = np.zeros((len(kind), 3), np.float32)
     ground = float(dressed.mesh.vertices[:, 1].min())
@@ -63,8 +63,8 @@ def paint(
 
 def painted(
     dressed: Dressed,
-    faces: Int[Array, " F"],
-    atlas: Float[Array, "F 3 2"],
+    faces: Int[Array, "faces"],
+    atlas: Float[Array, "faces 3 2"],
     shade: Shade,
     joints: Float[Array, "52 3"],
     looks: Looks,

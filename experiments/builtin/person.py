@@ -83,7 +83,7 @@ def builtin_subject(sex: str, texture: int = TEXTURE) -> SynthSubject:
     )
 
 
-def parts_of(weights: Float[Array, "V 52"]) -> UInt8[Array, " V"]:
+def parts_of(weights: Float[Array, "vertices 52"]) -> UInt8[Array, "vertices"]:
     """Which part each vertex belongs to, by its strongest bone: hands with their wrists, head, body."""
     strongest = weights.argmax(1)
     part = np.full(len(weights), PARTS.index("body"), np.uint8)

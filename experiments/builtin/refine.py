@@ -19,14 +19,14 @@ Array = np.ndarray
 class TexturedMesh:
     """Triangles with texture coordinates of their own and skin weights by vertex."""
 
-    vertices: Float[Array, "V 3"]  # metres
-    faces: Int[Array, "F 3"]
+    vertices: Float[Array, "vertices 3"]  # metres
+    faces: Int[Array, "faces 3"]
     uv: Float[Array, "T 2"]
-    uv_faces: Int[Array, "F 3"]
-    weights: Float[Array, "V 52"]  # dense: they are interpolated
+    uv_faces: Int[Array, "faces 3"]
+    weights: Float[Array, "vertices 52"]  # dense: they are interpolated
 
 
-def edges_of(faces: Int[Array, "F 3"]) -> tuple[Int[Array, "E 2"], Int[Array, "F 3"]]:
+def edges_of(faces: Int[Array, "faces 3"]) -> tuple[Int[Array, "E 2"], Int[Array, "faces 3"]]:
     """Each edge once, lower vertex first, and for each face the edges 01, 12, 20."""
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], -1).reshape(-1, 2), axis=1).astype(np.int64)
     keys, index = np.unique(ends[:, 0] << 32 | ends[:, 1], return_inverse=True)
@@ -34,8 +34,8 @@ def edges_of(faces: Int[Array, "F 3"]) -> tuple[Int[Array, "E 2"], Int[Array, "F
 
 
 def smoothed(
-    values: Float[Array, "V D"], faces: Int[Array, "F 3"], free: Bool[Array, " V"], steps: int
-) -> Float[Array, "V D"]:
+    values: Float[Array, "vertices D"], faces: Int[Array, "faces 3"], free: Bool[Array, "vertices"], steps: int
+) -> Float[Array, "vertices D"]:
     """`steps` half steps of the uniform Laplacian on the free vertices; the others stay."""
     ends, _ = edges_of(faces)
     rows, columns = np.concatenate([ends[:, 0], ends[:, 1]]), np.concatenate([ends[:, 1], ends[:, 0]])
@@ -48,7 +48,7 @@ def smoothed(
     return values
 
 
-def split_edges(mesh: TexturedMesh, marked: Bool[Array, " E"], at: Float[Array, " E"]) -> TexturedMesh:
+def split_edges(mesh: TexturedMesh, marked: Bool[Array, "E"], at: Float[Array, "E"]) -> TexturedMesh:
     """Put a vertex on each marked edge, at the fraction `at` from its lower vertex, and split its faces.
 
     A face with one marked edge becomes two, with two three (the shorter diagonal), with three four. The edges
@@ -105,7 +105,7 @@ def split_edges(mesh: TexturedMesh, marked: Bool[Array, " E"], at: Float[Array, 
 
 
 def refined(
-    mesh: TexturedMesh, longest: Callable[[Float[Array, "V 3"]], Float[Array, " V"]], rounds: int = 3
+    mesh: TexturedMesh, longest: Callable[[Float[Array, "vertices 3"]], Float[Array, "vertices"]], rounds: int = 3
 ) -> TexturedMesh:
     """Split edges longer than `longest` allows at both ends, metres, rounding the surface a little on the way.
 
@@ -133,7 +133,7 @@ def refined(
     return mesh
 
 
-def cut_along(mesh: TexturedMesh, values: Float[Array, " V"], level: float, *, snap: float = 0.2) -> TexturedMesh:
+def cut_along(mesh: TexturedMesh, values: Float[Array, "vertices"], level: float, *, snap: float = 0.2) -> TexturedMesh:
     """Split every edge where `values` (by vertex) crosses `level`, so that the line runs along edges.
 
     A vertex within `snap` of an edge's length from the line is moved onto it along that edge instead: no slivers.

@@ -11,7 +11,7 @@ from experiments.builtin.noise import noise, smoothstep
 Array = np.ndarray
 
 
-def paint_shirt(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "N 3"]:
+def paint_shirt(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "n 3"]:
     """The shirt; sRGB, 0 to 1."""
     p, seed = c.p, looks.seed + 100
     x, y, z = p.T
@@ -89,7 +89,7 @@ def cuff_width(looks: Looks) -> float:
     return 0.0185 if looks.pattern == "stripes" else 0.036
 
 
-def badge(color: Float[Array, "N 3"], p: Float[Array, "N 3"], joints: Float[Array, "52 3"]) -> Float[Array, "N 3"]:
+def badge(color: Float[Array, "n 3"], p: Float[Array, "n 3"], joints: Float[Array, "52 3"]) -> Float[Array, "n 3"]:
     """A small emblem on the left chest: a ring, a hill and a sun."""
     centre = np.array([joints[0, 0] + 0.085, joints[9, 1] + 0.035])
     d = (p[:, :2] - centre) / 0.021

@@ -73,7 +73,7 @@ def with_shoe(dressed: Dressed, body: Body, joints: Float[Array, "52 3"], side: 
     return joined(dressed, points, faces, uv, uv_faces, weights, kind, skin)
 
 
-def _rings(foot: Float[Array, "N 3"], ankle: float) -> Float[Array, "rings around 3"]:
+def _rings(foot: Float[Array, "n 3"], ankle: float) -> Float[Array, "rings around 3"]:
     """Rings stacked from the sole to the inside of the trouser leg; `ankle` is the height of its joint.
 
     Ring k is the outline of what of the foot lies above it, so that the instep rises as the ring's front recedes.
@@ -123,7 +123,7 @@ def _rings(foot: Float[Array, "N 3"], ankle: float) -> Float[Array, "rings aroun
     return rings
 
 
-def _grid(count: int, side: int) -> tuple[Int[Array, "F 3"], Float[Array, "T 2"], Int[Array, "F 3"]]:
+def _grid(count: int, side: int) -> tuple[Int[Array, "faces 3"], Float[Array, "T 2"], Int[Array, "faces 3"]]:
     """Faces, texture coordinates (v down) and their faces of `count` closed rings, then a point at each end."""
     angle = 2 * np.pi * np.arange(AROUND) / AROUND
     # texture: unrolled, one column more than there are vertices; the closing fans use a point each

@@ -12,7 +12,7 @@ from experiments.builtin.noise import fractal, noise, smoothstep
 Array = np.ndarray
 
 
-def paint_skin(c: Canvas, face: Face, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "N 3"]:
+def paint_skin(c: Canvas, face: Face, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "n 3"]:
     """Bare skin, the face with its features; sRGB, 0 to 1."""
     p, seed = c.p, looks.seed
     base = srgb(looks.skin)
@@ -34,8 +34,8 @@ def paint_skin(c: Canvas, face: Face, joints: Float[Array, "52 3"], looks: Looks
 
 
 def hands(
-    color: Float[Array, "N 3"], c: Canvas, face: Face, joints: Float[Array, "52 3"], looks: Looks
-) -> Float[Array, "N 3"]:
+    color: Float[Array, "n 3"], c: Canvas, face: Face, joints: Float[Array, "52 3"], looks: Looks
+) -> Float[Array, "n 3"]:
     """Nails, redder finger tips and knuckles, creases at the joints."""
     p, seed = c.p, looks.seed
     near = np.abs(p[:, 0]) > abs(joints[20, 0]) - 0.03

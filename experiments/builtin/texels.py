@@ -13,12 +13,12 @@ Array = np.ndarray
 class Texels:
     """The covered texels of one texture and what lies under each."""
 
-    index: Int[Array, " N"]  # row * width + column
-    face: Int[Array, " N"]
-    barycentric: Float[Array, "N 3"]
+    index: Int[Array, "n"]  # row * width + column
+    face: Int[Array, "n"]
+    barycentric: Float[Array, "n 3"]
 
 
-def covered_texels(uv: Float[Array, "F 3 2"], size: int, chunk: int = 400_000) -> Texels:
+def covered_texels(uv: Float[Array, "faces 3 2"], size: int, chunk: int = 400_000) -> Texels:
     """Texel centres inside triangles of texture coordinates (v down); the later triangle wins on an edge."""
     pixel = uv * size - 0.5
     low = np.maximum(np.ceil(pixel.min(1) - 1e-9), 0).astype(np.int64)
@@ -56,7 +56,9 @@ def covered_texels(uv: Float[Array, "F 3 2"], size: int, chunk: int = 400_000) -
     return Texels(index[kept], face[kept], barycentric[kept].astype(np.float32))
 
 
-def spread(image: Float[Array, "H W 3"], covered: Bool[Array, "H W"]) -> UInt8[Array, "H W 3"]:
+def spread(
+    image: Float[Array, "height width 3"], covered: Bool[Array, "height width"]
+) -> UInt8[Array, "height width 3"]:
     """The image in 8 bits; what no triangle covers gets the nearest color, so that filtering finds no seam."""
     nearest = distance_transform_edt(~covered, return_distances=False, return_indices=True)
     assert nearest is not None

@@ -11,7 +11,7 @@ from experiments.builtin.noise import fractal, noise, smoothstep
 Array = np.ndarray
 
 
-def paint_trousers(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "N 3"]:
+def paint_trousers(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "n 3"]:
     """Trousers; sRGB, 0 to 1."""
     p, seed = c.p, looks.seed + 200
     x, y, z = p.T
@@ -77,7 +77,7 @@ def paint_trousers(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Flo
     return shaded(color * fold, c, 0.80)
 
 
-def paint_belt(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "N 3"]:
+def paint_belt(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "n 3"]:
     """A leather belt with a buckle; sRGB, 0 to 1."""
     p = c.p
     middle = joints[0, 0]
@@ -104,7 +104,7 @@ def paint_belt(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[A
     return shaded(color, c, 0.8)
 
 
-def paint_lining(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "N 3"]:
+def paint_lining(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "n 3"]:
     """The inside of a hem: the garment's color in its own shadow."""
     near_shirt = c.p[:, 1] > hem_height(joints, looks) - 0.02
     color = np.where(

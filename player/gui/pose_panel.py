@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from imgui_bundle import imgui
 
-from avatar.motion.builtin import FINGERS
+from avatar.motion.fingers import FINGERS
 from player.gui.widgets import Widgets
 from player.pose.fingers import CURL_RANGE, PRESETS, SPREAD_RANGE, Side, finger_name, hand_shape
 from player.pose.ik import LIMBS

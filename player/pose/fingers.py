@@ -1,6 +1,6 @@
 """Fingers: curl and spread of each, and whole hand shapes by name.
 
-A finger's curl bends its three joints together in the proportions of a closing hand (avatar/motion/builtin.py): 0 is
+A finger's curl bends its three joints together in the proportions of a closing hand (avatar/motion/fingers.py): 0 is
 straight, 1 closed. Its spread turns the first joint away from the middle finger, the thumb's away from the palm,
 radians. The thumb can also be opposed: turned about itself so that its pad meets the others.
 """
@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from avatar.motion.builtin import FINGERS, JOINT_SHARE
+from avatar.motion.fingers import FINGERS, JOINT_SHARE
 from avatar.skeleton import LEFT_HAND, RIGHT_HAND
 from player.pose.limits import axis_angle_from_joint_angles, clamped_angles, joint_angles
 

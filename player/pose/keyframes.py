@@ -7,7 +7,6 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from avatar.motion.builtin import smooth
 from avatar.motion.clip import Clip
 from avatar.rotation import axis_angle_from_quaternion, nearest_axis_angle, quaternion_from_axis_angle, slerp
 
@@ -58,6 +57,12 @@ def moved_key(keys: Keys, frame: int, to: int) -> Keys:
     return keys if found is None else with_key(without_key(keys, frame), to, found)
 
 
+def minimum_jerk(t: Float[Array, "*b"] | float) -> Float[Array, "*b"] | float:
+    """Minimum-jerk ease from 0 to 1 (Flash and Hogan 1985): 10 t^3 - 15 t^4 + 6 t^5."""
+    t = np.clip(t, 0, 1)
+    return t * t * t * (10 + t * (6 * t - 15))
+
+
 def pose_at(keys: Keys, frame: float | int, easing: Easing = "linear") -> Pose:
     """The pose at any time, in frames: joints by slerp on the shorter arc, the root on a line.
 
@@ -73,7 +78,7 @@ def pose_at(keys: Keys, frame: float | int, easing: Easing = "linear") -> Pose:
         return keys[max(k, 0)][1]
     (first, a), (last, b) = keys[k], keys[k + 1]
     part = (frame - first) / (last - first)
-    return between(a, b, float(smooth(part)) if easing == "smooth" else part)
+    return between(a, b, float(minimum_jerk(part)) if easing == "smooth" else part)
 
 
 def between(a: Pose, b: Pose, part: float | int) -> Pose:

@@ -236,6 +236,10 @@ class Library:
         """
         check_name(name)
         path = self.folder / f"{name}.npz"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise AssetError(f"{self.folder}: cannot be made: {error.strerror}") from None
         write_pose(path, pose, pelvis_height=pelvis_height, up="y")
         return path
 

@@ -33,7 +33,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from avatar.body import builtin_body
-from avatar.motion.builtin import FINGERS, MIRROR, finger_axes
+from avatar.motion.fingers import FINGERS, MIRROR, finger_axes
 from avatar.rotation import (
     axis_angle_from_quaternion,
     quaternion_from_axis_angle,
@@ -195,7 +195,7 @@ def limits() -> Limits:
 
 
 def _finger_frame(finger: str, number: int) -> Float[Array, "3 3"]:
-    """Axes of a joint of the left hand: curl as avatar/motion/builtin.py has it, sideways towards the thumb, the bone.
+    """Axes of a joint of the left hand: curl as avatar/motion/fingers.py has it, sideways towards the thumb, the bone.
 
     Thumbs go away from the palm, which for them is the same kind of movement.
     """

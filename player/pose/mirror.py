@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from avatar.motion.builtin import MIRROR
+from avatar.motion.fingers import MIRROR
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS
 

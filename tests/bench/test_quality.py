@@ -14,9 +14,10 @@ from avatar.gltf.avatar_file import read_avatar
 from bench.ceiling import ceiling_surface
 from bench.picture_scores import box_pixels, is_t_pose, region_of
 from bench.quality import eval_main, evaluate, not_chosen_on, view_modes
-from bench.quality_table import markdown, people_table, view_mode_lines
+from bench.quality_table import markdown, view_mode_lines
 from bench.true_mesh import read_true_mesh
 from capture.held_out import read_held_out
+from experiments.quality_page import people_table
 
 KEYS = {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}
 

@@ -11,8 +11,9 @@ import pytest
 from tiny_avatar import tiny_avatar
 
 from avatar.gltf.avatar_file import write_avatar
-from bench.alternating import Quiet, Turn, alternate, here, warning
+from bench.quiet import Quiet, warning
 from experiments import speed_peers, speed_rows
+from experiments.alternating import Turn, alternate, here
 from experiments.bare_draw import BareDraw, coverage, posed_vertices
 from experiments.live_sender import sending
 from experiments.speed import bars, body_frames, main, with_stand_in

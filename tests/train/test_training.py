@@ -14,6 +14,7 @@ from avatar.errors import AssetError
 from capture.folder import read_capture
 from capture.repair.refine import with_refined
 from capture.template import surface_cloud, visible_faces
+from experiments.variants import seam_steps, variant
 from train import part_job
 from train import run as run_folder
 from train.command import main
@@ -29,7 +30,6 @@ from train.single import single_part
 from train.surface import extract_surface
 from train.template_grid import TemplateGrid, template_grid
 from train.trainer import Checkpoints, FieldTraining, Watch, train_field
-from train.variants import seam_steps, variant
 
 TINY = replace(
     DEMO,

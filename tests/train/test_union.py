@@ -12,6 +12,7 @@ from painted_capture import write_capture
 from avatar.errors import AssetError
 from capture.folder import read_capture
 from capture.template import surface_cloud, visible_faces
+from experiments.variants import VARIANTS, seam_steps, variant
 from train.appearance import CodeSteps, match_appearance, overlap_rays
 from train.command import main
 from train.field import PartField
@@ -26,7 +27,6 @@ from train.run import build_field, read_run
 from train.template_grid import TemplateGrid, template_grid
 from train.trainer import Checkpoints, Watch
 from train.union import geometry_loss, in_overlap, overlap_surface, train_union, zero_level
-from train.variants import VARIANTS, seam_steps, variant
 
 TINY = replace(
     DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(0.03, 0.015, 0.008),

@@ -92,7 +92,7 @@ class _Add(torch.autograd.Function):
         return _Take.apply(gradients[0], index), None, None
 
 
-def take_rows(table: Float[Tensor, "rows f"], index: Int[Tensor, "n"]) -> Float[Tensor, "n f"]:
+def take_rows(table: Float[Tensor, "rows features"], index: Int[Tensor, "n"]) -> Float[Tensor, "n features"]:
     """table[index], with a gradient fit for CUDA."""
     return _Take.apply(table, index)  # pyright: ignore[reportReturnType]
 

@@ -10,7 +10,7 @@ from tiny_avatar import tiny_avatar
 from avatar.body import builtin_body
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
-from avatar.motion.builtin import relaxed_hands
+from avatar.motion.fingers import relaxed_hands
 from avatar.motion.hands import HANDS, with_hands
 from avatar.motion.read import builtin_motion
 from player.mannequin import mannequin

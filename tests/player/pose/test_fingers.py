@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avatar.body import builtin_body
-from avatar.motion.builtin import FINGERS, relaxed_hands
+from avatar.motion.fingers import FINGERS, relaxed_hands
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND, joint_transforms, skin_transforms
 from avatar.skinning import skin_points

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avatar.body import builtin_body
-from avatar.motion.builtin import relaxed_hands
+from avatar.motion.fingers import relaxed_hands
 from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms

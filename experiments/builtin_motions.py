@@ -1,18 +1,15 @@
-"""The built-in motions, authored by formulas: `python -m avatar.motion.builtin` writes avatar/data/motions/*.npz again.
+"""The built-in motions, authored by formulas: `python -m experiments.builtin_motions` writes avatar/data/motions again.
 
 Everything is described for the left side; the right side is its mirror image at x -> -x, under which an
 axis-angle vector (x, y, z) becomes (x, -y, -z). In pose 0 the left arm points along +x, the palm down and the
-thumb forward, hence:
+thumb forward, hence (fingers: avatar/motion/fingers.py):
 
-    finger flexion     turns +x towards the palm (-y): about -z
     elbow flexion      turns +x forward (+z): about -y
     forearm pronation  about +x
     knee flexion       turns -y backward (-z): about +x
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -20,16 +17,16 @@ from jaxtyping import Float
 from avatar.body import builtin_body
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip
+from avatar.motion.fingers import HAND_RELAXED, MIRROR, hand_pose
+from avatar.motion.read import MOTIONS_FOLDER
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, nearest_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND
+from player.pose.keyframes import minimum_jerk
 
 Array = np.ndarray
 
 RATE = 30.0
 J = {name: index for index, name in enumerate(JOINTS)}
-FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # order of SMPL+H
-JOINT_SHARE = np.array([[1.2, 1.5, 0.9]] * 4 + [[0.55, 0.75, 1.1]])  # radians of the three joints in a full curl
-MIRROR = np.array([1.0, -1, -1])
 
 # An arm: upper arm direction (3), where the forearm goes as the elbow bends (3), elbow, pronation, wrist
 # flexion, wrist deviation towards the thumb (radians)
@@ -37,15 +34,8 @@ ARM_DOWN = np.array([0.20, -0.97, 0.00, -0.25, 0.00, 0.95, 0.32, 0.15, 0.05, 0.0
 ARM_COUNTING = np.array([0.42, -0.80, 0.44, 0.10, 0.50, 0.86, 1.85, 1.30, -0.15, 0.00])
 ARM_WAVING = np.array([0.86, -0.40, 0.22, 0.12, 0.90, 0.40, 1.75, 0.10, -0.10, 0.00])
 # A hand: curl of index, middle, pinky, ring, thumb (0 straight, 1 closed), spread (radians between neighbours)
-HAND_RELAXED = np.array([0.24, 0.29, 0.36, 0.33, 0.18, -0.06])
 HAND_OPEN = np.array([0.02, 0.00, 0.04, 0.02, -0.10, 0.13])
 HAND_FIST = np.array([1.06, 1.08, 1.06, 1.08, 0.85, -0.10])
-
-
-def smooth(t: Float[Array, "*b"] | float) -> Float[Array, "*b"] | float:
-    """Minimum-jerk ease from 0 to 1 (Flash and Hogan 1985): 10 t^3 - 15 t^4 + 6 t^5."""
-    t = np.clip(t, 0, 1)
-    return t * t * t * (10 + t * (6 * t - 15))
 
 
 def keyed(keys: Sequence[tuple[float, Array]]) -> Callable[[float], Array]:
@@ -56,7 +46,7 @@ def keyed(keys: Sequence[tuple[float, Array]]) -> Callable[[float], Array]:
         k = int(np.searchsorted(times, time, side="right")) - 1
         if k < 0 or k == len(keys) - 1:
             return keys[min(max(k, 0), len(keys) - 1)][1]
-        part = smooth((time - times[k]) / (times[k + 1] - times[k]))
+        part = minimum_jerk((time - times[k]) / (times[k + 1] - times[k]))
         return keys[k][1] + part * (keys[k + 1][1] - keys[k][1])
 
     return at
@@ -71,48 +61,6 @@ def _frame(first: Array, second: Array) -> Float[Array, "3 3"]:
     a = _unit(first)
     b = _unit(second - a * (a @ second))
     return np.stack([a, b, np.cross(a, b)], -1)
-
-
-@cache
-def finger_axes() -> tuple[Array, Array]:
-    """Flexion axis of each left finger joint (5, 3, 3) and the palm's normal, from the built-in hand."""
-    joints = builtin_body("male").joints
-    along = joints[J["left_middle1"]] - joints[J["left_wrist"]]
-    across = joints[J["left_index1"]] - joints[J["left_pinky1"]]
-    palm = -_unit(np.cross(across, along))
-    if palm[1] > 0:
-        palm = -palm
-    axes = np.zeros((5, 3, 3))
-    for f, finger in enumerate(FINGERS):
-        for n in range(3):
-            start, end = (
-                (f"left_{finger}{n + 1}", f"left_{finger}{n + 2}") if n < 2 else (f"left_{finger}2", f"left_{finger}3")
-            )
-            bone = _unit(joints[J[end]] - joints[J[start]])
-            inward = palm
-            # the thumb closes over the palm towards the little finger
-            if finger == "thumb":
-                inward = _unit(joints[J["left_pinky1"]] + 0.045 * palm - joints[J["left_thumb2"]])
-            axes[f, n] = _unit(np.cross(bone, inward - bone * (bone @ inward)))
-    return axes, palm
-
-
-def hand_pose(hand: Float[Array, "6"]) -> Float[Array, "15 3"]:
-    """Axis-angle vectors of the left hand's fingers from curls and spread."""
-    axes, palm = finger_axes()
-    curl, spread = hand[:5], hand[5]
-    pose = axes * (curl[:, None] * JOINT_SHARE)[:, :, None]
-    # towards the thumb is positive
-    for f, place in ((0, 1.0), (1, 0.0), (3, -1.0), (2, -2.1)):
-        sideways = matrix_from_axis_angle(palm * place * spread)  # about the palm's normal: +x to +z
-        pose[f, 0] = axis_angle_from_matrix(sideways @ matrix_from_axis_angle(pose[f, 0]))
-    return pose.reshape(15, 3)
-
-
-def relaxed_hands() -> Float[Array, "30 3"]:
-    """Both hands at rest, fingers slightly bent: what `--hands relaxed` puts in place of the file's."""
-    left = hand_pose(HAND_RELAXED)
-    return np.concatenate([left, left * MIRROR])
 
 
 def set_arm(pose: Float[Array, "52 3"], side: str, arm: Float[Array, "10"], chest: Float[Array, "3 3"]) -> None:
@@ -242,7 +190,7 @@ def counting() -> Clip:
         pose[J["spine3"]] = [-0.01 - 0.008 * breath, 0, 0]
         turned = look(t)
         pose[J["neck"]], pose[J["head"]] = 0.45 * turned, 0.55 * turned
-        wave = smooth((t - 1.0) / 0.3) * smooth((2.6 - t) / 0.3) * np.sin(2 * np.pi * (t - 1.0) / 0.5)
+        wave = minimum_jerk((t - 1.0) / 0.3) * minimum_jerk((2.6 - t) / 0.3) * np.sin(2 * np.pi * (t - 1.0) / 0.5)
         right = right_arm(t) + np.array([0, 0, 0, 0, 0, 0, 0.26, 0, 0, 0.22]) * wave
         accent = sum(np.exp(-(((t - first - k * beat - 0.13) / 0.1) ** 2)) for k in range(10))
         left = left_arm(t).copy()
@@ -312,12 +260,12 @@ def walking() -> Clip:
         a, _ = planted(step, float(pitch_at(stance)[0]))
         b, _ = planted(step + 1, float(pitch_at(0.0)[0]))
         # leaves and lands with the speed of the body, not at rest
-        blend = 0.25 * s + 0.75 * float(smooth(s))
+        blend = 0.25 * s + 0.75 * float(minimum_jerk(s))
         at = a + blend * (b - a) + [0, 0.05 * np.sin(np.pi * s) ** 2, 0]
         (_, h0), (_, h1) = place(0.0), place(stride)
         heading = place((step + stance / 2 - (0.0 if side == "left" else 0.5)) * stride)[1] + blend * (h1 - h0)
         foot = turn(heading + 0.10 * sign) @ matrix_from_axis_angle(np.array([pitch, 0, 0]))
-        return at, foot, max(0.0, pitch) * 0.85 * (1 - float(smooth(4 * s)))
+        return at, foot, max(0.0, pitch) * 0.85 * (1 - float(minimum_jerk(4 * s)))
 
     poses, roots = [], []
     for frame in range(int(duration * RATE)):
@@ -369,11 +317,10 @@ AUTHORED: dict[str, Callable[[], Clip]] = {"counting": counting, "walking": walk
 
 
 def main() -> None:
-    folder = Path(__file__).parent / "data" / "motions"
     for name, author in AUTHORED.items():
         clip = author()
-        write_amass(folder / f"{name}.npz", clip, up="y", dtype=np.float32)
-        print(f"{folder / name}.npz: {len(clip.root)} frames at {clip.rate:g} per second")
+        write_amass(MOTIONS_FOLDER / f"{name}.npz", clip, up="y", dtype=np.float32)
+        print(f"{MOTIONS_FOLDER / name}.npz: {len(clip.root)} frames at {clip.rate:g} per second")
 
 
 if __name__ == "__main__":
