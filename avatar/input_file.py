@@ -110,6 +110,8 @@ def parse_json(data: bytes, place: str, what: str) -> Any:
         return json.loads(
             data.decode("utf-8-sig"), parse_constant=_refused, parse_int=_whole_number, parse_float=_finite
         )
+    except UnicodeDecodeError:
+        raise AssetError(f"{place}: expected {what} (JSON), found bytes that are not text") from None
     except RecursionError:
         raise AssetError(f"{place}: expected {what}, JSON a few levels deep, found thousands") from None
     except ValueError as error:

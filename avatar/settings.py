@@ -10,9 +10,10 @@ import argparse
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
+from difflib import get_close_matches
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, NoReturn, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 Record = TypeVar("Record")
 Rule = TypeVar("Rule")
@@ -168,12 +169,18 @@ class Help(NamedTuple):
 
 
 def parse(record: type[Record], argv: Sequence[str], about: Help) -> Record:
-    """The dataclass that a command line fills; a mistake ends the program with usage, one line and exit code 2.
+    """The dataclass that a command line fills; a mistake ends the program with one line and exit code 2.
 
     A field that is a dataclass itself gives its own fields to the command line.
     """
     parser = parser_of(record, about)
-    given = vars(parser.parse_args(argv))
+    found, unknown = parser.parse_known_args(argv)
+    if unknown:
+        options = [name for action in parser._actions for name in action.option_strings]
+        near = [get_close_matches(word.partition("=")[0], options, 1) for word in unknown if word.startswith("--")]
+        meant = f"; did you mean {near[0][0]}?" if near and near[0] else ""
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}{meant}")
+    given = vars(found)
     try:
         return _filled(record, given, parser)
     except ValueError as error:
@@ -202,7 +209,7 @@ def _filled(record: type[Record], given: dict[str, Any], parser: argparse.Argume
 
 def parser_of(record: type, about: Help) -> argparse.ArgumentParser:
     """The parser of a dataclass's fields: names, types, choices, defaults and help come from the fields."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog=about.command,
         description=about.description,
         epilog=about.epilog or None,
@@ -210,6 +217,13 @@ def parser_of(record: type, about: Help) -> argparse.ArgumentParser:
     )
     _add_options(parser, record, {})
     return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """A mistake is one line: the usage of `selfscan render` is twenty, and hides it."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: error: {message}; `{self.prog} --help` lists the options\n")
 
 
 def _add_options(parser: argparse.ArgumentParser, record: type, groups: dict[str, Any]) -> None:

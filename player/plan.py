@@ -191,7 +191,7 @@ class Draft:
 
     def tag(self, avatar: int) -> str:
         """What people call an avatar of the scene."""
-        return f"avatar {avatar}" if len(self.avatars) > 1 else "avatar"
+        return f"avatar {avatar + 1}" if len(self.avatars) > 1 else "avatar"
 
     @property
     def drawn_on(self) -> tuple[Handle[Any], ...]:

@@ -115,7 +115,7 @@ class PlayCommand:
 
     def __post_init__(self):
         if bool(self.scene) == bool(self.avatar):
-            raise ValueError("give AVATAR or --scene")
+            raise ValueError("give AVATAR or --scene, one of them")
         live = self.source.live
         given = self.motion or live or self.at or self.body
         if self.scene and (given or (self.hands, self.ground) != ("file", "auto")):

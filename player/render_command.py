@@ -151,7 +151,7 @@ class RenderCommand:
         if self.explain and self.workers:
             raise ValueError("--explain asks the context that drew: leave --workers out")
         if bool(self.scene) == bool(self.avatar):
-            raise ValueError("give AVATAR or --scene")
+            raise ValueError("give AVATAR or --scene, one of them")
         if self.scene and (self.motion or self.body or (self.hands, self.ground) != ("file", "auto")):
             raise ValueError("--motion, --body, --hands and --ground are in the scene file")
 

@@ -1,12 +1,14 @@
 """The `selfscan` command: finds the subcommand, imports it only then, and turns bad input into one line."""
 
 import os
+import re
 import signal
 import sys
 import tempfile
 import traceback
+from difflib import get_close_matches
 
-from avatar.errors import AssetError
+from avatar.errors import AssetError, missing_package
 from avatar.interrupt import StopRequest, prompt_stop
 from selfscan.streams import exit_code, guard_streams
 
@@ -36,7 +38,13 @@ judge it
 `selfscan COMMAND --help` explains a command, `selfscan --version` says which this is, `selfscan --debug COMMAND ...`
 shows where an error arose. Try `selfscan render avatar.glb --motion counting -o film.mp4`.
 """
+COMMANDS = re.findall(r"^  ([a-z]+) ", USAGE, re.MULTILINE)
 PACKAGES = ("avatar", "geometry", "capture", "train", "player", "bake", "shaders", "synth", "bench", "experiments")
+# what a command needs beyond the base install
+EXTRAS = {
+    "synth": "bench", "import": "train", "check": "train", "train": "train",
+    "bake": "bake", "eval": "bake,bench", "bench": "bake,bench", "inspect": "inspect",
+}  # fmt: skip
 # commands that hold decoded images
 DRAWING = ("render", "play")
 
@@ -149,31 +157,19 @@ def _dispatch(name: str, rest: list[str]) -> int:
         elif name == "doctor":
             from player.doctor_command import doctor_main as run
         else:
-            print(f"selfscan: no command {name!r}; `selfscan --help` lists them", file=sys.stderr)
+            near = get_close_matches(name, COMMANDS, 1)
+            meant = f"did you mean {near[0]}? " if near else ""
+            print(f"selfscan: no command {name!r}; {meant}`selfscan --help` lists all", file=sys.stderr)
             return 2
     except ModuleNotFoundError as error:
         if error.name and error.name.split(".")[0] in PACKAGES:
             raise
-        raise AssetError(f"needs the package {error.name!r}: pip install {_extra(name)}") from None
+        raise missing_package(error.name, EXTRAS.get(name, "gui")) from None
     if name in DRAWING:
         from player.memory import give_back_freed_memory
 
         give_back_freed_memory()
     return run(rest)
-
-
-def _extra(name: str) -> str:
-    extra = {
-        "synth": "bench",
-        "import": "train",
-        "check": "train",
-        "train": "train",
-        "bake": "bake",
-        "eval": "bake,bench",
-        "bench": "bake,bench",
-        "inspect": "inspect",
-    }.get(name)
-    return f"'selfscan[{extra}]'" if extra else "selfscan"
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 #version 330
-// A line of text on a rectangle of the window. Four vertices, no buffer. player/window/overlay.py.
+// A line of text on a rectangle of the window. Four vertices, no buffer. player/window/text.py.
 
 uniform vec4 rectangle;  // left, bottom, right, top in clip space
 

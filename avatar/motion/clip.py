@@ -119,13 +119,13 @@ def resample(clip: Clip, rate: float | int) -> Clip:
 def fitted(motion: Motion, pelvis_height: float) -> Motion:
     """The motion for a body whose pelvis stands at another height: root scaled by the ratio of the heights.
 
-    Unchanged, with a note, where the motion does not know the height of its own body.
+    Where the motion does not know the height of its own body, its root stays as it is, with a note.
     """
     if not pelvis_height > 0:
         raise ValueError(f"pelvis_height should be positive metres, is {pelvis_height}")
     if motion.pelvis_height is None:
         note = "root: not scaled, the file's own body is unknown"
-        return replace(motion, notes=(*motion.notes, note))
+        return replace(motion, pelvis_height=pelvis_height, notes=(*motion.notes, note))
     ratio = pelvis_height / motion.pelvis_height
     note = f"root: scaled by {ratio:.3f}, the ratio of pelvis heights"
 

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from avatar.errors import AssetError
+from avatar.errors import missing_package
 from avatar.files import check_folder, whole_folder
 from avatar.gltf.avatar_file import read_avatar
 from avatar.progress import progress
@@ -103,7 +103,7 @@ def inspect(
     try:
         field = None if run is None else from_run(avatar.levels[0], run)
     except ModuleNotFoundError as error:
-        raise AssetError(f"--run needs the package {error.name!r}: pip install 'selfscan[inspect,train]'") from None
+        raise missing_package(error.name, "inspect,train", "--run") from None
     measured = Measured(
         field=field,
         truth=None if capture is None else from_truth(avatar, avatar.levels[0], capture),
@@ -147,7 +147,7 @@ def inspect_main(argv: list[str]) -> int:
     try:
         import pyvista  # noqa: F401
     except ModuleNotFoundError:
-        raise AssetError("needs the package 'pyvista': pip install 'selfscan[inspect]'") from None
+        raise missing_package("pyvista", "inspect") from None
     check_folder(options.output)
     began = time.perf_counter()
     inspection = inspect(

@@ -11,7 +11,7 @@ from itertools import chain
 from pathlib import Path
 
 from avatar.baked_avatar import Avatar
-from avatar.errors import AssetError
+from avatar.errors import AssetError, missing_package
 from avatar.files import check_file, check_folder, whole_file
 from avatar.progress import Progress, counted, progress
 from player.arguments import with_effects
@@ -66,10 +66,9 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
         frame = None
     start, stop = frame_range(stage, frame, command.frames, single=kind == ".png")
     if kind == ".png":
-        print(
-            f"{stage.name}: frame {start} of {counted(stage.frames, 'frame')}"
-            + ("" if frame is not None or stage.frames == 1 else "; --frame N draws another")
-        )
+        if stage.frames > 1:
+            other = "" if frame is not None else "; --frame N draws another"
+            print(f"{stage.name}: frame {start} of {counted(stage.frames, 'frame')}{other}")
     else:
         start, stop = at_rate(command, stage, start, stop)
     level = level_of(command)
@@ -245,7 +244,7 @@ def drawn_by_workers(address: str, shot: Shot, parts: Parts) -> list[str]:
     try:
         from player.filming.cluster import film_on
     except ModuleNotFoundError as error:
-        raise AssetError(f"--workers needs the package {error.name!r}: pip install 'selfscan[cluster]'") from None
+        raise missing_package(error.name, "cluster", "--workers") from None
 
     missing = parts.missing()
     if address.isdecimal() and len(missing) < 2 * int(address):

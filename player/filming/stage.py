@@ -66,8 +66,8 @@ class Stage:
 
     @property
     def name(self) -> str:
-        """Of the motion, for messages."""
-        return self.tracks[0].name
+        """Of the motion, or of several as the scene, for messages."""
+        return self.tracks[0].name if len(self.tracks) == 1 else "the scene"
 
     @property
     def turn(self) -> float:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from avatar.errors import AssetError
+from avatar.errors import AssetError, missing_package
 from player.address import Address
 from player.live.inbox import Inbox
 
@@ -215,7 +215,7 @@ def _websocket_server() -> Callable[..., Any]:
     try:
         from websockets.sync.server import serve
     except ModuleNotFoundError:
-        raise AssetError("ws: needs the package 'websockets': pip install 'selfscan[live]'") from None
+        raise missing_package("websockets", "live", "ws:") from None
     return serve
 
 

@@ -59,8 +59,16 @@ def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView
 
 
 def notes_of(tracks: Sequence[Track]) -> list[str]:
-    """What was assumed about the motions, each said once."""
-    return list(dict.fromkeys(note for track in tracks for note in track.notes))
+    """What was assumed about the motions: what holds for all of them once, the rest by avatar."""
+    if len({track.notes for track in tracks}) == 1:
+        return list(tracks[0].notes)
+    shared = set.intersection(*(set(track.notes) for track in tracks))
+    return [
+        note if note in shared else f"avatar {k} ({track.name}), {note}"
+        for k, track in enumerate(tracks, 1)
+        for note in track.notes
+        if note not in shared or k == 1
+    ]
 
 
 def opened_camera(camera: SceneCamera) -> CameraPath | Sequence[Camera]:

@@ -82,14 +82,16 @@ def test_every_kind_of_field_is_read():
         (["--quality", "best"], "--quality: invalid choice: 'best'"),
         (["--count", "2", "--force"], "count 2 cannot be forced"),
         (["--first", "1", "--last", "2"], "not allowed with argument --first"),
-        (["--inner", "3"], "unrecognized arguments: --inner 3"),
+        (["--inner", "3"], "unrecognized arguments: --inner 3;"),
+        (["--cuont", "3"], "unrecognized arguments: --cuont 3; did you mean --count?"),
     ],
 )
 def test_a_mistake_is_one_line_and_wrong_usage(capsys, words, message):
     with pytest.raises(SystemExit) as stopped:
         parse(Try, ["a", "-o", "b", *words], ABOUT)
     assert stopped.value.code == 2
-    assert message in capsys.readouterr().err
+    printed = capsys.readouterr().err
+    assert message in printed and printed.count("\n") == 1 and "try --help; `try --help`" not in printed
 
 
 def test_help_says_meaning_choices_and_default():

@@ -243,6 +243,21 @@ def test_every_kind_says_the_same_and_fits_the_avatar_it_was_made_for(avatar_pat
     assert "root: scaled by 1.000" in capsys.readouterr().out
 
 
+def test_a_motion_of_an_unknown_body_is_not_scaled_when_its_export_is_read_back(avatar_path, tmp_path, capsys):
+    avatar = tiny_avatar()
+    tall = tuple(replace(level, positions=np.float32(0.45) * level.positions) for level in avatar.levels)
+    write_avatar(avatar_path, replace(avatar, levels=tall))
+    pose = np.zeros((4, 156))
+    pose[:, 0] = np.pi / 2
+    np.savez(tmp_path / "in.npz", poses=pose, trans=np.tile([0.2, 0.3, 0.9], (4, 1)), mocap_framerate=30.0)
+    for kind in ("bvh", "npz", "glb"):
+        capsys.readouterr()
+        assert export(avatar_path, "--motion", tmp_path / "in.npz", "-o", tmp_path / f"out.{kind}") == 0
+        assert "root: not scaled" in capsys.readouterr().out
+        assert export(avatar_path, "--motion", tmp_path / f"out.{kind}", "-o", tmp_path / "again.npz") == 0
+        assert "root: scaled by 1.000" in (said := capsys.readouterr().out) and "ground:" not in said
+
+
 def test_wrong_usage_and_bad_input_are_one_line_each(avatar_path, tmp_path, capsys):
     for arguments, message in (
         (["-o", str(tmp_path / "out.fbx")], "expected a name that ends in .bvh, .glb, .npz, found"),

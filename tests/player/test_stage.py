@@ -170,3 +170,17 @@ def test_a_body_stands_where_it_stands_whatever_levels_are_read(tiny):
     scene = Scene(avatars=(SceneAvatar(tiny, motion="walking"),))
     (all_of,), (one,) = (Stage(scene, levels).poses(7) for levels in (None, 1))
     assert np.array_equal(all_of[0], one[0]) and np.array_equal(all_of[1], one[1])
+
+
+def test_what_was_assumed_about_several_motions_says_of_which_avatar(tiny, tmp_path):
+    pose = np.zeros((4, 156))
+    pose[:, 0] = np.pi / 2
+    np.savez(tmp_path / "in.npz", poses=pose, trans=np.tile([0, 0, 0.9], (4, 1)), mocap_framerate=30.0)
+    one, two = SceneAvatar(tiny, motion=str(tmp_path / "in.npz")), SceneAvatar("mannequin", motion="counting")
+    both, alone = Stage(Scene((one, two))), Stage(Scene((one,)))
+    assert both.name == "the scene" and alone.name.endswith("in.npz")
+    assert sum(note.startswith("hands: as stored") for note in both.notes) == 1
+    assert any(note.startswith("avatar 1 (") and "up: z" in note for note in both.notes)
+    assert any(note.startswith("avatar 2 (counting), up: y") for note in both.notes)
+    assert Stage(Scene((two, two))).notes == Stage(Scene((two,))).notes
+    assert not any(note.startswith("avatar 1") for note in alone.notes)

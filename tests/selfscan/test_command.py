@@ -85,6 +85,16 @@ def test_an_unknown_command_is_wrong_usage(capsys):
     assert code == 2 and "dance" in err
 
 
+def test_a_misspelt_command_is_recognised(capsys):
+    code, err = run(capsys, "rendr")
+    assert code == 2 and "did you mean render?" in err
+
+
+def test_a_missing_package_is_named_with_the_command_that_installs_it(capsys, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    refused(capsys, "inspect", "me.glb", "-o", tmp_path / "out", names=("pyvista", "pip install -e '.[inspect]'"))
+
+
 def test_absent_files_are_named(capsys, tmp_path):
     absent = tmp_path / "absent.glb"
     refused(capsys, "render", absent, "--motion", "counting", "-o", tmp_path / "a.png", names=("absent.glb",))

@@ -268,7 +268,7 @@ junk.recv(100)
 
 def test_without_websockets_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "websockets.sync.server", None)
-    with pytest.raises(AssetError, match=r"pip install 'selfscan\[live\]'"):
+    with pytest.raises(AssetError, match=r"pip install -e '\.\[live\]'"):
         listen(Address("ws", "127.0.0.1", 0), Inbox("ws"))
 
 
