@@ -13,8 +13,8 @@ from bench.picture_scores import REGION_PART
 from bench.surface_distance import SurfaceDistance, check_same_unit, surface_distance
 from bench.true_mesh import TrueMesh
 from geometry.closest import TriangleIndex, closest_points, triangle_index
+from geometry.icp import rigid_icp
 from geometry.mesh import check_mesh
-from geometry.register import rigid_icp
 from geometry.sample import SurfaceSamples, stratified_samples
 
 SAMPLES = {"total": 4000, "head": 1500, "left_hand": 1000, "right_hand": 1000}  # in every pose

@@ -25,8 +25,8 @@ from bake.truth import IDENTITY, better_mode, scores_by_mode, some_poses
 from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
 from bench.field_view import one_thread
+from bench.lpips import read_perceptual
 from bench.machine import machine
-from bench.perceptual import read_perceptual
 from bench.picture_scores import Perceive, is_t_pose, score_images
 from bench.posed_geometry import (
     SAMPLES,
@@ -283,7 +283,7 @@ class EvalCommand:
         tuple[Path, ...],
         Option(metavar="FILE", several=True),
         "LPIPS's weights, which are not shipped: one file of the whole network's state dictionary, or torchvision's "
-        "AlexNet and the lpips package's linear layers (bench/perceptual.py says how)",
+        "AlexNet and the lpips package's linear layers (bench/lpips.py says how)",
     ] = ()
     run: Annotated[
         Path | None,

@@ -20,8 +20,8 @@ from avatar.errors import AssetError
 from avatar.files import whole_file
 from bench.drawer import Drawer
 from bench.field_view import Directions, one_thread
+from bench.lpips import read_perceptual
 from bench.machine import machine
-from bench.perceptual import read_perceptual
 from bench.picture_scores import Perceive, is_t_pose, score_images
 from bench.posed_geometry import SAMPLES, Distances, measure_pose, posed_pair
 from bench.quality import CAPTURE_FACTS, distinct_poses, evaluate, seen_case, some_poses

@@ -20,8 +20,8 @@ from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
 from capture.folder import Capture, CaptureSubject
 from capture.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
+from geometry.icp import Anchors, refine_by_surfaces
 from geometry.mesh import vertex_normals
-from geometry.register import Anchors, refine_by_surfaces
 from train.appearance import CodeSteps, match_appearance, overlap_rays
 from train.field import PartField
 from train.fused import FusedField

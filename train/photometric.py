@@ -23,8 +23,8 @@ from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.folder import CaptureSubject, PartVideo
 from capture.repair.increments import project_derivative
+from geometry.icp import Anchors
 from geometry.rasterise import rasterise
-from geometry.register import Anchors
 
 Array = np.ndarray
 

@@ -28,8 +28,8 @@ def _nothing(_parts: "Parts") -> None:
 
 @dataclass(frozen=True)
 class Action:
-    """What keys do: `means` says it in the imperative, small letters. Keys are named as in player/window/keys.py, with
-    ctrl+ and shift+ before them. `walk` is where a key takes the camera while it is held down."""
+    """What keys do: `means` says it in the imperative, small letters. Keys are named as in player/window/key_names.py,
+    with ctrl+ and shift+ before them. `walk` is where a key takes the camera while it is held down."""
 
     means: str
     keys: tuple[str, ...]

@@ -2,7 +2,7 @@
 
 from player.cameras import WALK
 from player.window.actions import found
-from player.window.keys import MODIFIERS, NAMES
+from player.window.key_names import MODIFIERS, NAMES
 from player.window.parts import Parts
 
 

@@ -57,3 +57,10 @@ def test_every_command_that_is_named_is_there():
 @pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda path: path.name)
 def test_no_page_installs_from_an_index_that_does_not_have_it(page):
     assert not re.search(r"pip install '?selfscan", page.read_text("utf-8"))
+
+
+def test_the_ten_questions_are_answered_by_files_that_are_there():
+    text = (ROOT / "docs" / "decisions.md").read_text("utf-8")
+    rows = re.findall(r"^  \| [^|]+\? \| (.+) \|$", text, re.MULTILINE)
+    named = [name for row in rows for name in re.findall(r"`([\w/.]+)`", row)]
+    assert len(rows) == 10 and all((ROOT / name).exists() for name in named)

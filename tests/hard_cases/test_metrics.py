@@ -7,7 +7,7 @@ import trimesh
 from bench.metrics import PooledError, flip, lpips, psnr, rectangle, ssim
 from bench.surface_distance import mesh_distance
 from geometry.closest import closest_points, triangle_index
-from geometry.register import rigid_icp
+from geometry.icp import rigid_icp
 from geometry.sample import stratified_samples
 
 IMAGE = np.random.default_rng(0).random((32, 32, 3))

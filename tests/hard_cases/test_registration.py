@@ -5,7 +5,7 @@ import pytest
 
 from avatar.rotation import matrix_from_axis_angle
 from avatar.similarity import similarity_from_landmarks
-from geometry.register import refine_by_surfaces
+from geometry.icp import refine_by_surfaces
 
 R0 = matrix_from_axis_angle(np.array([0.4, -1.1, 2.0]))
 T0 = np.array([1.0, -2.0, 3.0])

@@ -11,7 +11,7 @@ from player.play_command import PLAY, PlayCommand
 from player.window import actions
 from player.window.actions import GROUPS, Action, Group
 from player.window.help import DOCS, TABLES, command_line_help, rows, with_table
-from player.window.keys import KEYS
+from player.window.key_names import KEYS
 from player.window.text import in_columns, keys_image, line_image, shortened
 
 ACTIONS = [action for group in GROUPS for action in group.actions]

@@ -11,8 +11,8 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
 from capture.folder import read_capture
+from geometry.icp import Anchors
 from geometry.rasterise import rasterise
-from geometry.register import Anchors
 from train.compose import place_on_surfaces
 from train.parts import part_boxes, part_weight
 from train.photometric import ColoredHead, refine_on_video

@@ -9,7 +9,7 @@ from avatar.body import builtin_body
 from avatar.rotation import matrix_from_axis_angle
 from avatar.similarity import similarity_from_landmarks
 from geometry.closest import triangle_index
-from geometry.register import Anchors, refine_by_surfaces, rigid_icp
+from geometry.icp import Anchors, refine_by_surfaces, rigid_icp
 from geometry.sample import stratified_samples
 
 

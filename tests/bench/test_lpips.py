@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from avatar.errors import AssetError
-from bench.perceptual import CONVOLUTIONS, read_perceptual
+from bench.lpips import CONVOLUTIONS, read_perceptual
 from bench.quality import evaluate
 
 RNG = np.random.default_rng(11)
