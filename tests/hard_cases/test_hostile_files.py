@@ -19,7 +19,8 @@ from avatar.baked_avatar import check_avatar
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 
-SECONDS, BYTES = 1.0, 64 << 20
+# of processor time: a loaded machine is no defect
+SECONDS, BYTES = 2.0, 64 << 20
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +48,10 @@ def refused(path, data: bytes, match: str = "", *, memory: bool = True) -> None:
     path.write_bytes(data)
     if memory:  # counting slows the reader five times
         tracemalloc.start()
-    started = time.perf_counter()
+    started = time.process_time()
     with pytest.raises(AssetError, match=match) as error:
         read_avatar(path)
-    seconds, peak = time.perf_counter() - started, tracemalloc.get_traced_memory()[1]
+    seconds, peak = time.process_time() - started, tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     message = str(error.value)
     assert message.startswith(str(path)) and "\n" not in message and len(message) < len(str(path)) + 400
@@ -93,12 +94,12 @@ def test_flipped_bytes_are_refused_or_still_keep_every_promise(path, whole, regi
         for at in rng.integers(low, high, rng.integers(1, 4)):
             data[at] ^= rng.integers(1, 256)
         path.write_bytes(data)
-        started = time.perf_counter()
+        started = time.process_time()
         try:
             check_avatar(read_avatar(path))  # a digit of a number may change: another whole avatar
         except AssetError:
             refusals += 1
-        assert time.perf_counter() - started < SECONDS
+        assert time.process_time() - started < SECONDS
     assert refusals > 20
 
 

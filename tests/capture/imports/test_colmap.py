@@ -72,10 +72,10 @@ def test_counts_beyond_the_file_are_refused_within_a_second(source, tmp_path, na
         at = data.index(b"000000.png\0") + 11
     data[at : at + 8] = struct.pack("<Q", max(count, 4) if at == 0 else count)
     (tmp_path / "m" / name).write_bytes(data)
-    began = time.perf_counter()
+    began = time.process_time()
     with pytest.raises(AssetError, match=name.replace(".", r"\.")):
         read_colmap(tmp_path / "m")
-    assert time.perf_counter() - began < 1
+    assert time.process_time() - began < 1
 
 
 def test_flipped_bytes_are_refused_or_read(source, tmp_path):
