@@ -87,7 +87,7 @@ class Several(NamedTuple):
     read: Callable[[Mapping[str, Any]], Any]
 
 
-class Fact(NamedTuple):
+class Setting(NamedTuple):
     """One field: its type without None, what holds for it, and what it means."""
 
     name: str
@@ -105,12 +105,12 @@ class Fact(NamedTuple):
         return self.type if isinstance(self.type, type) and is_dataclass(self.type) else None
 
 
-def rule_of(fact: Fact, kind: type[Rule]) -> Rule | None:
+def rule_of(setting: Setting, kind: type[Rule]) -> Rule | None:
     """The rule of this kind, if the field has one."""
-    return next((rule for rule in fact.rules if isinstance(rule, kind)), None)
+    return next((rule for rule in setting.rules if isinstance(rule, kind)), None)
 
 
-def facts(record: type) -> Iterator[Fact]:
+def settings_of(record: type) -> Iterator[Setting]:
     """The fields of a dataclass, in order."""
     hints = get_type_hints(record, include_extras=True)
     for entry in fields(record):
@@ -120,10 +120,10 @@ def facts(record: type) -> Iterator[Fact]:
         optional = bool(options) and type(None) in get_args(kind)
         default = entry.default_factory() if entry.default_factory is not MISSING else entry.default
         rules = tuple(note for note in notes if not isinstance(note, str))
-        yield Fact(entry.name, options[0] if optional else kind, optional, default, rules, notes[-1])
+        yield Setting(entry.name, options[0] if optional else kind, optional, default, rules, notes[-1])
 
 
-def broken_rule(fact: Fact, value: Any) -> str | None:
+def broken_rule(setting: Setting, value: Any) -> str | None:
     """What a value of the right type breaks, as "expected ..., found ...", or None."""
     numbers = value if isinstance(value, tuple) else (value,)
     for number in numbers:
@@ -131,7 +131,7 @@ def broken_rule(fact: Fact, value: Any) -> str | None:
             return f"expected a finite number, found {value}"
         if isinstance(number, int) and abs(number) > LARGEST_INTEGER:
             return f"expected at most {LARGEST_INTEGER}, found a number of {len(str(abs(number)))} digits"
-    for rule in fact.rules:
+    for rule in setting.rules:
         if isinstance(rule, OneOf) and value not in rule.values:
             return f"expected one of {', '.join(rule.values)}, found {value!r}"
         for number in numbers:
@@ -150,11 +150,11 @@ def check(record: Any) -> None:
     Raises:
         ValueError: naming the field, what is expected and what was found.
     """
-    for fact in facts(type(record)):
-        value = getattr(record, fact.name)
-        problem = None if value is None else broken_rule(fact, value)
+    for setting in settings_of(type(record)):
+        value = getattr(record, setting.name)
+        problem = None if value is None else broken_rule(setting, value)
         if problem:
-            raise ValueError(f"{fact.name}: {problem}")
+            raise ValueError(f"{setting.name}: {problem}")
 
 
 # -- command lines
@@ -189,21 +189,21 @@ def parse(record: type[Record], argv: Sequence[str], about: Help) -> Record:
 
 def _filled(record: type[Record], given: dict[str, Any], parser: argparse.ArgumentParser) -> Record:
     values = {}
-    for fact in facts(record):
-        if rule_of(fact, Hidden) is not None:
+    for setting in settings_of(record):
+        if rule_of(setting, Hidden) is not None:
             continue
-        several = rule_of(fact, Several)
+        several = rule_of(setting, Several)
         if several is not None:
-            values[fact.name] = several.read(given)
+            values[setting.name] = several.read(given)
             continue
-        if is_dataclass(fact.type) and rule_of(fact, Option) is None:
-            values[fact.name] = _filled(cast(type, fact.type), given, parser)
+        if is_dataclass(setting.type) and rule_of(setting, Option) is None:
+            values[setting.name] = _filled(cast(type, setting.type), given, parser)
             continue
-        value = given[fact.name]
-        values[fact.name] = tuple(value) if isinstance(value, list) else value
-        problem = None if value is None else broken_rule(fact, values[fact.name])
+        value = given[setting.name]
+        values[setting.name] = tuple(value) if isinstance(value, list) else value
+        problem = None if value is None else broken_rule(setting, values[setting.name])
         if problem:
-            parser.error(f"argument {_shown(fact)}: {problem}")
+            parser.error(f"argument {_shown(setting)}: {problem}")
     return record(**values)
 
 
@@ -227,69 +227,69 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _add_options(parser: argparse.ArgumentParser, record: type, groups: dict[str, Any]) -> None:
-    for fact in facts(record):
-        if rule_of(fact, Hidden) is not None:
+    for setting in settings_of(record):
+        if rule_of(setting, Hidden) is not None:
             continue
-        several = rule_of(fact, Several)
+        several = rule_of(setting, Several)
         if several is not None:
             several.add(parser)
             continue
-        if is_dataclass(fact.type) and rule_of(fact, Option) is None:
-            _add_options(parser, cast(type, fact.type), groups)
+        if is_dataclass(setting.type) and rule_of(setting, Option) is None:
+            _add_options(parser, cast(type, setting.type), groups)
             continue
-        option = rule_of(fact, Option) or Option()
+        option = rule_of(setting, Option) or Option()
         into: Any = parser
         if option.group:
             if option.group not in groups:
                 groups[option.group] = parser.add_mutually_exclusive_group()
             into = groups[option.group]
-        into.add_argument(*_names(fact, option), **_keywords(fact, option))
+        into.add_argument(*_names(setting, option), **_keywords(setting, option))
 
 
-def _names(fact: Fact, option: Option) -> tuple[str, ...]:
+def _names(setting: Setting, option: Option) -> tuple[str, ...]:
     if option.positional:
-        return (fact.name,)
-    return option.names or ("--" + fact.name.replace("_", "-"),)
+        return (setting.name,)
+    return option.names or ("--" + setting.name.replace("_", "-"),)
 
 
-def _shown(fact: Fact) -> str:
-    option = rule_of(fact, Option) or Option()
-    return option.metavar or fact.name if option.positional else "/".join(_names(fact, option))
+def _shown(setting: Setting) -> str:
+    option = rule_of(setting, Option) or Option()
+    return option.metavar or setting.name if option.positional else "/".join(_names(setting, option))
 
 
-def _keywords(fact: Fact, option: Option) -> dict[str, Any]:
-    """What argparse's add_argument is told of a field."""
-    if fact.type is bool:
-        off = fact.default is True
+def _keywords(setting: Setting, option: Option) -> dict[str, Any]:
+    """Keyword arguments of argparse's add_argument for a field."""
+    if setting.type is bool:
+        off = setting.default is True
         return {
-            "dest": fact.name,
+            "dest": setting.name,
             "action": "store_false" if off else "store_true",
-            "default": fact.default,
-            "help": fact.means,
+            "default": setting.default,
+            "help": setting.means,
         }
-    one = rule_of(fact, OneOf)
-    choices = one.values if one else get_args(fact.type) if get_origin(fact.type) is Literal else None
-    keywords: dict[str, Any] = {"help": _help(fact), "type": option.parse or _reader(fact.type)}
+    one = rule_of(setting, OneOf)
+    choices = one.values if one else get_args(setting.type) if get_origin(setting.type) is Literal else None
+    keywords: dict[str, Any] = {"help": _help(setting), "type": option.parse or _reader(setting.type)}
     if choices:
         keywords["choices"] = choices
-    metavar = option.metavar or (None if choices else _METAVARS.get(fact.type))
+    metavar = option.metavar or (None if choices else _METAVARS.get(setting.type))
     if metavar:
         keywords["metavar"] = metavar
     if option.positional:
         if option.several:
-            keywords["nargs"] = "*" if fact.default is not MISSING else "+"
-        elif fact.default is not MISSING:
-            keywords |= {"nargs": "?", "default": fact.default}
+            keywords["nargs"] = "*" if setting.default is not MISSING else "+"
+        elif setting.default is not MISSING:
+            keywords |= {"nargs": "?", "default": setting.default}
         return keywords
-    keywords["dest"] = fact.name
-    if fact.default is MISSING:
+    keywords["dest"] = setting.name
+    if setting.default is MISSING:
         keywords["required"] = True
     else:
-        keywords["default"] = fact.default
+        keywords["default"] = setting.default
     if option.repeated:
         keywords |= {"action": "append", "default": None}
-        if fact.default is not MISSING:
-            keywords["default"] = list(fact.default)
+        if setting.default is not MISSING:
+            keywords["default"] = list(setting.default)
     elif option.several:
         keywords["nargs"] = "+"
     elif option.const is not None:
@@ -297,10 +297,10 @@ def _keywords(fact: Fact, option: Option) -> dict[str, Any]:
     return keywords
 
 
-def _help(fact: Fact) -> str:
+def _help(setting: Setting) -> str:
     """What the field means, and its default where it says something."""
-    text = fact.means.replace("%", "%%")
-    default = fact.default
+    text = setting.means.replace("%", "%%")
+    default = setting.default
     if default in (MISSING, None, ()) or "default" in text:
         return text
     shown = f"{default:g}" if isinstance(default, float) else str(default)

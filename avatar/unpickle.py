@@ -6,7 +6,7 @@ A pickle is a program. It is read in three steps, each bounded by the work that 
    and no dict key or set item whose hash could be made expensive (tuples in tuples, integers that collide).
 2. The standard library's Unpickler executes it. Every name that it asks for has to be in ADMITTED, and is answered
    with a class that only remembers what it was called with. Nothing is imported.
-3. `_Settling` makes values of what was remembered: NumPy arrays, dtypes and scalars from their bytes, SciPy's CSC and
+3. `_Builder` makes values of what was remembered: NumPy arrays, dtypes and scalars from their bytes, SciPy's CSC and
    CSR matrices and chumpy's Ch and Select, which old body models hold, as plain arrays; at most MAX_BYTES together.
 
 Text of Python 2 is read as latin1.
@@ -84,7 +84,7 @@ def unpickled(data: bytes, path: Path | str, what: str) -> Any:
             warnings.simplefilter("ignore", DeprecationWarning)
             _check_program(data)
             made = _executed(data)
-        return _Settling().settled(made, 0)
+        return _Builder().settled(made, 0)
     except Refused as error:
         raise AssetError(f"{path}: expected {what}, found: {error}") from None
 
@@ -181,13 +181,13 @@ def _kind(after: pickletools.StackObject, argument: Any, at: int) -> str:
 # 2. the program, executed
 
 
-class _Made:
+class _Call:
     """What the program makes by a name: the arguments and the state it gave, neither looked at yet."""
 
     __slots__ = ("arguments", "items", "state")
     kind, name = "", ""
 
-    def __new__(cls, *arguments: Any) -> "_Made":
+    def __new__(cls, *arguments: Any) -> "_Call":
         made = super().__new__(cls)
         made.arguments, made.state, made.items = arguments, None, None
         return made
@@ -203,14 +203,14 @@ class _Made:
 class _Reader(pickle.Unpickler):
     """The standard Unpickler, for which every admitted name is a class of its own that remembers."""
 
-    def find_class(self, module: str, name: str) -> type[_Made]:
+    def find_class(self, module: str, name: str) -> type[_Call]:
         full = f"{module}.{name}"[:100]
         if (module, name) not in ADMITTED:
             raise Refused(
                 f"the name {full!r}, which is not one of NumPy arrays, SciPy CSC/CSR matrices and chumpy arrays; "
                 "nothing was run: save the data as plain arrays"
             )
-        return type("_Made", (_Made,), {"__slots__": (), "kind": ADMITTED[module, name], "name": full})
+        return type("_Call", (_Call,), {"__slots__": (), "kind": ADMITTED[module, name], "name": full})
 
 
 def _executed(data: bytes) -> Any:
@@ -226,7 +226,7 @@ def _executed(data: bytes) -> Any:
 # 3. values of what was made
 
 
-class _Settling:
+class _Builder:
     """Makes each value once, however often it is referred to, and counts what all of them take."""
 
     def __init__(self) -> None:
@@ -251,7 +251,7 @@ class _Settling:
         if type(value) is bytearray:
             self.spend(len(value))
             return bytes(value)
-        if not isinstance(value, (list, tuple, dict, set, frozenset, _Made)):
+        if not isinstance(value, (list, tuple, dict, set, frozenset, _Call)):
             return value
         key = id(value)
         if key in self.done:
@@ -261,7 +261,7 @@ class _Settling:
         self.open.add(key)
         if isinstance(value, dict):
             result = self.make_dict(list(value.items()), depth)
-        elif isinstance(value, _Made):
+        elif isinstance(value, _Call):
             try:
                 result = getattr(self, f"make_{value.kind}")(value, depth)
             except (TypeError, ValueError, IndexError, KeyError, OverflowError, AttributeError) as error:
@@ -276,7 +276,7 @@ class _Settling:
 
     def make_dict(self, made: Any, depth: int) -> dict[Any, Any]:
         items = made
-        if isinstance(made, _Made):
+        if isinstance(made, _Call):
             items = [*self.plain_items(made), *(made.items or [])] if made.kind == "dict" else made.items or []
         self.count(len(items))
         result = {}
@@ -290,7 +290,7 @@ class _Settling:
 
     make_defaultdict = make_dict
 
-    def plain_items(self, made: _Made) -> list[Any]:
+    def plain_items(self, made: _Call) -> list[Any]:
         """The items that a container is made of."""
         if not made.arguments:
             return []
@@ -300,19 +300,19 @@ class _Settling:
         self.count(len(items))
         return list(items.items()) if isinstance(items, dict) else list(items)
 
-    def make_set(self, made: _Made, depth: int) -> list[Any]:
+    def make_set(self, made: _Call, depth: int) -> list[Any]:
         return [self.settled(item, depth + 1) for item in self.plain_items(made)]
 
     make_list = make_set
 
-    def make_encode(self, made: _Made, depth: int) -> bytes:
+    def make_encode(self, made: _Call, depth: int) -> bytes:
         if [_text(name).lower().replace("-", "") for name in made.arguments[1:]] not in ([], ["latin1"], ["iso88591"]):
             raise ValueError(f"encoding {one_line(made.arguments[1])}")
         content = _text(made.arguments[0])
         self.spend(len(content))
         return content.encode("latin1")
 
-    def make_bytes(self, made: _Made, depth: int) -> bytes:
+    def make_bytes(self, made: _Call, depth: int) -> bytes:
         content = self.raw(made.arguments[0], depth) if made.arguments else b""
         self.spend(len(content))
         return content
@@ -328,7 +328,7 @@ class _Settling:
 
     def dtype(self, made: Any) -> np.dtype | None:
         """A NumPy type, None for objects."""
-        if not isinstance(made, _Made) or made.kind != "dtype":
+        if not isinstance(made, _Call) or made.kind != "dtype":
             raise ValueError(f"a type that is a {type(made).__name__}")
         code = _text(made.arguments[0]).lstrip("<>=|")
         letters = code[:1] in ("S", "U") and code[1:].isdecimal() and len(code) < 8
@@ -339,16 +339,16 @@ class _Settling:
             raise Refused("an array with named fields, expected plain numbers")
         return None if code[0] == "O" else np.dtype((order if order != "|" else "=") + code)
 
-    def make_dtype(self, made: _Made, depth: int) -> str:
+    def make_dtype(self, made: _Call, depth: int) -> str:
         return str(self.dtype(made))
 
-    def make_scalar(self, made: _Made, depth: int) -> Any:
+    def make_scalar(self, made: _Call, depth: int) -> Any:
         dtype = self.dtype(made.arguments[0])
         if dtype is None:
             raise ValueError("an object")
         return np.frombuffer(self.raw(made.arguments[1], depth), dtype, count=1)[0]
 
-    def make_array(self, made: _Made, depth: int) -> Any:
+    def make_array(self, made: _Call, depth: int) -> Any:
         if _kind_named(made.arguments[0]) != "ndarray":
             raise ValueError(f"a base class {one_line(made.arguments[0])}")
         _, shape, dtype, by_columns, data = made.state
@@ -360,7 +360,7 @@ class _Settling:
             raise ValueError("objects that do not fill the array")
         return self.settled(data, depth + 1)
 
-    def make_frombuffer(self, made: _Made, depth: int) -> np.ndarray:
+    def make_frombuffer(self, made: _Call, depth: int) -> np.ndarray:
         data, dtype, shape, order = made.arguments
         kind = self.dtype(dtype)
         if kind is None:
@@ -376,23 +376,23 @@ class _Settling:
         array = np.frombuffer(data, dtype).reshape(shape, order="F" if by_columns else "C")
         return array.astype(dtype.newbyteorder("="), copy=False)
 
-    def make_reconstructor(self, made: _Made, depth: int) -> np.ndarray:
+    def make_reconstructor(self, made: _Call, depth: int) -> np.ndarray:
         kind, base = (_kind_named(value) for value in made.arguments[:2])
         if base != "object" or kind not in RECORDS:
             raise ValueError(f"{kind} on {base}")
         return getattr(self, f"make_{kind}")(made, depth)
 
-    def fields(self, made: _Made) -> dict[str, Any]:
+    def fields(self, made: _Call) -> dict[str, Any]:
         state = made.state
         state = state[0] if type(state) is tuple and state else state
         if not isinstance(state, dict):
             raise ValueError(f"a state that is a {type(state).__name__}")
         return state
 
-    def make_ch(self, made: _Made, depth: int) -> np.ndarray:
+    def make_ch(self, made: _Call, depth: int) -> np.ndarray:
         return self.numbers(self.fields(made), "x", depth)
 
-    def make_select(self, made: _Made, depth: int) -> np.ndarray:
+    def make_select(self, made: _Call, depth: int) -> np.ndarray:
         """chumpy's Select: some elements of another array, perhaps in another shape."""
         fields = self.fields(made)
         a, index = self.numbers(fields, "a", depth), self.numbers(fields, "idxs", depth)
@@ -403,13 +403,13 @@ class _Settling:
         shape = self.settled(fields.get("preferred_shape"), depth + 1)
         return picked if shape is None else picked.reshape(tuple(int(n) for n in np.atleast_1d(shape)))
 
-    def make_csc(self, made: _Made, depth: int) -> np.ndarray:
+    def make_csc(self, made: _Call, depth: int) -> np.ndarray:
         return self.dense(made, depth, by_columns=True)
 
-    def make_csr(self, made: _Made, depth: int) -> np.ndarray:
+    def make_csr(self, made: _Call, depth: int) -> np.ndarray:
         return self.dense(made, depth, by_columns=False)
 
-    def dense(self, made: _Made, depth: int, *, by_columns: bool) -> np.ndarray:
+    def dense(self, made: _Call, depth: int, *, by_columns: bool) -> np.ndarray:
         """A compressed sparse matrix as a plain one; repeated entries add up."""
         fields = self.fields(made)
         shape = self.settled(fields.get("_shape", fields.get("shape")), depth + 1)
@@ -447,7 +447,7 @@ class _Settling:
 
 def _kind_named(value: Any) -> str:
     """What an admitted name stands for."""
-    if not (isinstance(value, type) and issubclass(value, _Made)):
+    if not (isinstance(value, type) and issubclass(value, _Call)):
         raise ValueError(f"a {type(value).__name__}, expected a name")
     return value.kind
 

@@ -12,7 +12,7 @@
     measure   what was lost: baked avatar against field, in images
     field     the run's field behind NumPy functions
     level     one level of detail out of the pieces above
-    bake      all of it in order; options says what it may be told, command is its command line
+    bake      all of it in order; options are its settings, command its command line
 
 Everything is in the canonical frame (the subject's big pose, pelvis at the origin, metres).
 """

@@ -123,7 +123,7 @@ def pack(
     source, uv, triangles, parts, start, charts = [], [], [], [], 0, 0
     for i, (part, own, kept) in enumerate(used):
         mapping, indices, coordinates = atlas[i]
-        mapping, indices, coordinates = adopt_orphans(atlas, i, mapping, indices.astype(np.int64), coordinates)
+        mapping, indices, coordinates = place_degenerate_faces(atlas, i, mapping, indices.astype(np.int64), coordinates)
         source.append(kept[mapping])
         uv.append(coordinates)
         triangles.append(indices + start)
@@ -142,7 +142,7 @@ def pack(
     )
 
 
-def adopt_orphans(atlas: Any, number: int, mapping: np.ndarray, indices: np.ndarray, uv: np.ndarray) -> tuple:
+def place_degenerate_faces(atlas: Any, number: int, mapping: np.ndarray, indices: np.ndarray, uv: np.ndarray) -> tuple:
     """Texture coordinates for the triangles without area, which the unwrapper leaves in no chart, at (0, 0).
 
     All three corners get the place that one of them has in a chart: the triangle shows one color, and is not

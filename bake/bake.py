@@ -20,14 +20,14 @@ from bake.cone import view_cone
 from bake.field import NumpyField, numpy_field
 from bake.level import (
     BakedLevel,
-    Carried,
-    Origin,
+    SourceSurface,
+    TransferredData,
     bake_level,
-    carried,
     enlargements,
     level_line,
     rounded,
     surface_points,
+    transferred_data,
     with_features,
 )
 from bake.network import AMPLITUDE, Distilled, distil, write_onnx
@@ -102,7 +102,7 @@ def bake_run(
         f"{extraction.islands} islands dropped)"
     )
 
-    fine = carried(origin, extraction.mesh, extraction.normals)
+    fine = transferred_data(origin, extraction.mesh, extraction.normals)
     seen = float((origin.cone.seen > 0.5).mean())
     clock(f"statistics: {seen * 100:.0f} % of the surface seen, skin and cone carried over")
 
@@ -163,7 +163,7 @@ def chosen_view(avatar: Avatar, distilled: Distilled, true: TrueViews | None) ->
     return mode, {"mode": mode, **facts, "richest": distilled.reason}
 
 
-def run_surface(surface: Any, joint_count: int) -> Origin:
+def run_surface(surface: Any, joint_count: int) -> SourceSurface:
     """The run's surface in double precision, its triangles facing outwards, and its view statistics as cones."""
     vertices = np.asarray(surface.vertices, np.float64)
     faces = np.asarray(surface.faces, np.int64)
@@ -178,7 +178,7 @@ def run_surface(surface: Any, joint_count: int) -> Origin:
         faces,
     )
     weights = dense_weights(surface.skin, joint_count)
-    return Origin(vertices, faces, np.asarray(surface.part, np.int64), cone, weights)
+    return SourceSurface(vertices, faces, np.asarray(surface.part, np.int64), cone, weights)
 
 
 def check_complete(
@@ -204,7 +204,7 @@ def check_complete(
 
 def bake_levels(
     extraction: Extraction,
-    origin: Origin,
+    origin: SourceSurface,
     field: NumpyField,
     joints: Float[np.ndarray, "52 3"],
     options: BakeOptions,
@@ -243,7 +243,7 @@ def bake_levels(
 def compared_with_field(
     avatar: Avatar,
     extraction: Extraction,
-    fine: Carried,
+    fine: TransferredData,
     field: NumpyField,
     options: BakeOptions,
     clock: "_Clock",

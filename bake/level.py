@@ -46,7 +46,7 @@ class BakedLevel(NamedTuple):
     facts: dict[str, Any]
 
 
-class Origin(NamedTuple):
+class SourceSurface(NamedTuple):
     """The run's own surface, which carries what was learnt per vertex."""
 
     vertices: Float[np.ndarray, "vertices 3"]
@@ -56,7 +56,7 @@ class Origin(NamedTuple):
     weights: Float[np.ndarray, "vertices joints"]
 
 
-class Carried(NamedTuple):
+class TransferredData(NamedTuple):
     """What the run's surface says of the vertices of another mesh."""
 
     weights: Float[np.ndarray, "n joints"]
@@ -66,13 +66,13 @@ class Carried(NamedTuple):
     filled: int
 
 
-def carried(origin: Origin, mesh: TriangleMesh, normals: Float[np.ndarray, "n 3"]) -> Carried:
+def transferred_data(origin: SourceSurface, mesh: TriangleMesh, normals: Float[np.ndarray, "n 3"]) -> TransferredData:
     """Skin weights, cone and part of another mesh of the same surface; `normals` are its vertices', unit."""
     match = match_surface(mesh.vertices, normals, origin.vertices, origin.faces)
     corners = origin.faces[match.face]
     weights, filled = transferred_weights(match, mesh.faces, origin.faces, origin.weights)
     nearest = np.take_along_axis(corners, match.barycentric.argmax(1)[:, None], 1)[:, 0]
-    return Carried(weights, interpolated(origin.cone, corners, match.barycentric), origin.part[nearest], filled)
+    return TransferredData(weights, interpolated(origin.cone, corners, match.barycentric), origin.part[nearest], filled)
 
 
 def enlargements(joints: Float[np.ndarray, "52 3"], options: BakeOptions) -> list[Enlargement]:
@@ -89,7 +89,7 @@ def enlargements(joints: Float[np.ndarray, "52 3"], options: BakeOptions) -> lis
 
 def bake_level(
     extraction: Extraction,
-    origin: Origin,
+    origin: SourceSurface,
     field: NumpyField,
     count: int,
     size: int,
@@ -99,7 +99,7 @@ def bake_level(
     """One level of about `count` triangles and `size` texels a side, still without its features."""
     mesh = balanced(decimate(extraction.mesh, count, parts), field.distance, field.normal)
     normals = field.normal(mesh.vertices)
-    data = carried(origin, mesh, normals)
+    data = transferred_data(origin, mesh, normals)
 
     # the middle one of three is the majority's, or between
     face_part = np.sort(data.part[mesh.faces], axis=1)[:, 1]
@@ -252,7 +252,7 @@ def _texel_sizes(
     return result
 
 
-def surface_points(field: NumpyField, level: Level, origin: Origin, options: BakeOptions) -> SurfacePoints:
+def surface_points(field: NumpyField, level: Level, origin: SourceSurface, options: BakeOptions) -> SurfacePoints:
     """Points of the finest level for the network: head and hands count four times their area."""
     mesh = TriangleMesh(level.positions.astype(np.float64), level.faces.astype(np.int64))
     match = match_surface(mesh.vertices, level.normals.astype(np.float64), origin.vertices, origin.faces)

@@ -13,7 +13,9 @@ from geometry.mesh import component_labels, half_edges
 LIMBS = np.array([0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 3, 4, 0, 3, 4, 3, 4, 3, 4, *np.repeat(np.arange(5, 15), 3)])
 
 
-def strayed(weights: Float[np.ndarray, "n joints"], faces: Integer[np.ndarray, "faces 3"]) -> Bool[np.ndarray, "n"]:
+def detached_vertices(
+    weights: Float[np.ndarray, "n joints"], faces: Integer[np.ndarray, "faces 3"]
+) -> Bool[np.ndarray, "n"]:
     """Vertices that follow a limb from which they are cut off: each limb moves one piece of the mesh, its largest,
     and an islet of it on another finger or across an armpit came from the wrong side."""
     limb = np.stack([weights[:, k == LIMBS].sum(1) for k in range(LIMBS.max() + 1)], 1).argmax(1)
@@ -47,7 +49,7 @@ def transferred_weights(
     weights = (match.barycentric[:, :, None] * source[source_faces[match.face]]).sum(1)
     good = match.agrees & (match.distance < limit)
     if weights.shape[1] == len(LIMBS):
-        good &= ~strayed(weights, faces)
+        good &= ~detached_vertices(weights, faces)
     weights = np.maximum(fill_harmonic(weights, good, faces), 0)
     return weights / weights.sum(1, keepdims=True), int((~good).sum())
 

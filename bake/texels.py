@@ -49,7 +49,7 @@ def rasterise_charts(
     extent = np.maximum(high - low + 1, 0)
     lines = _lines(corners)
     ahead, aside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    # a triangle without area in the atlas owns no texel: it borrows one from a neighbour (atlas.adopt_orphans)
+    # a triangle without area in the atlas owns no texel: it borrows one from a neighbour (atlas.place_degenerate_faces)
     owns = np.abs(ahead[:, 0] * aside[:, 1] - ahead[:, 1] * aside[:, 0]) > 1e-6
     counts = extent[:, 0] * extent[:, 1] * owns
     depth = np.full(size * size, -np.inf, np.float32)

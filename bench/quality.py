@@ -55,7 +55,7 @@ CAPTURE_FACTS = ("subject", "light", "sheen", "pose_noise_deg", "seed", "size", 
 BESIDE = 4
 
 
-def tell(text: str) -> None:
+def print_stage(text: str) -> None:
     """One line about what begins, on standard error."""
     print(f"eval: {text}", file=sys.stderr, flush=True)
 
@@ -74,7 +74,7 @@ def evaluate(
     scores over that many of them as well. `lpips` are the files of its weights."""
     start, cpu_start = time.perf_counter(), time.process_time()
     perceive = read_perceptual(lpips).score if lpips else None
-    tell(f"reading {path} and {capture}")
+    print_stage(f"reading {path} and {capture}")
     facts = read_capture_facts(capture)
     truth = read_true_mesh(capture)
     held_out = {name: some_poses(read_held_out(capture, name), poses) for name in SETS}
@@ -83,10 +83,10 @@ def evaluate(
         try:
             result = measured(drawer, truth, held_out, few=few, perceive=perceive)
             if drawer.avatar is not None:
-                tell("every view mode of the avatar beside the true pictures")
+                print_stage("every view mode of the avatar beside the true pictures")
                 result["view_modes"] = view_modes(drawer.avatar, facts, held_out)
             if run is not None and drawer.avatar is not None:
-                tell(f"the avatar against the field of {run}: what the file says, and held-out pictures")
+                print_stage(f"the avatar against the field of {run}: what the file says, and held-out pictures")
                 some = {name: some_poses(views, FIELD_POSES) for name, views in held_out.items()}
                 result["baked_vs_field"] |= remeasured(drawer.avatar, read_run(run), some)
             if ceiling:
@@ -143,7 +143,7 @@ def not_chosen_on(
 def seen_case(drawer: Drawer, truth: TrueMesh) -> GeometryCase:
     """What is measured on both surfaces: what can be seen from outside in pose 0."""
     surface = drawer.surface
-    tell(f"which of {len(surface.faces)} faces can be seen from outside")
+    print_stage(f"which of {len(surface.faces)} faces can be seen from outside")
     posed = surface.posed(np.zeros((52, 3)), truth.joints[0])
     visible = visible_faces(drawer.raster, posed, surface.faces)
     try:
@@ -174,7 +174,7 @@ def measured(
     for name, views in held_out.items():
         # novel views are of a standing T-pose by design; among novel poses a T-pose frame would flatter
         apart = name == "novel_pose"
-        tell(f"{name.replace('_', ' ')}: {len(views)} pictures")
+        print_stage(f"{name.replace('_', ' ')}: {len(views)} pictures")
         chosen = {view.pose_index for view in some_poses(views, few)} if apart and few else frozenset()
         images = score_images(
             views, truth, drawer.draw, f"{name} pictures", t_pose_apart=apart, perceive=perceive, few=chosen
@@ -182,7 +182,7 @@ def measured(
         distances = {kind: {region: Distances() for region in SAMPLES} for kind in ("ours", "own", "aligned")}
         few_distances = {region: Distances() for region in SAMPLES}
         poses = distinct_poses([view for view in views if not (apart and is_t_pose(view))])
-        tell(f"{name.replace('_', ' ')}: {len(poses)} posed surfaces")
+        print_stage(f"{name.replace('_', ' ')}: {len(poses)} posed surfaces")
         for view in progress(poses, f"{name} surfaces"):
             pose = view.axis_angle, view.root
             pair = posed_pair(case, truth.posed(*pose), surface.posed(*pose))
@@ -220,7 +220,7 @@ def measured_ceiling(
     perceive: Perceive | None,
 ) -> dict[str, Any]:
     """Novel poses of the true mesh under our weights: pictures and distances."""
-    tell(f"the ceiling: {len(views)} pictures and their poses")
+    print_stage(f"the ceiling: {len(views)} pictures and their poses")
     best = CeilingDrawer(drawer.raster, capture, facts, truth)
     images = score_images(views, truth, best.draw, "ceiling pictures", t_pose_apart=True, perceive=perceive)
     case = geometry_case(truth, best.surface, truth.visible)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from avatar.settings import OneOf, Several, facts, rule_of
+from avatar.settings import OneOf, Several, rule_of, settings_of
 from player.passes.background import Background
 from player.scenes.effects import Effects
 
@@ -106,33 +106,38 @@ GROUND_HELP = (
 def add_effects(parser: argparse.ArgumentParser) -> None:
     """An option for each field of the scene's effects that takes a word, and --effect for those that are tables."""
     tables = []
-    for fact in facts(Effects):
-        if fact.table is not None:
-            tables.append(fact)
+    for setting in settings_of(Effects):
+        if setting.table is not None:
+            tables.append(setting)
             continue
-        known = rule_of(fact, OneOf)
-        assert known is not None, f"effects.{fact.name} is a word of a list, or a table"
-        parser.add_argument(f"--{fact.name}", choices=known.values, help=f"{fact.means} (default: {fact.default})")
-    parser.add_argument("--effect", action="append", choices=[fact.name for fact in tables], metavar="NAME", default=[],
-                        help="; ".join(f"{fact.name}: {fact.means}" for fact in tables)
+        known = rule_of(setting, OneOf)
+        assert known is not None, f"effects.{setting.name} is a word of a list, or a table"
+        parser.add_argument(
+            f"--{setting.name}", choices=known.values, help=f"{setting.means} (default: {setting.default})"
+        )
+    names = [setting.name for setting in tables]
+    parser.add_argument("--effect", action="append", choices=names, metavar="NAME", default=[],
+                        help="; ".join(f"{setting.name}: {setting.means}" for setting in tables)
                         + "; may be given several times, docs/scenes.md has their settings")  # fmt: skip
 
 
 def asked_effects(given: Mapping[str, Any]) -> dict[str, Any]:
     """What a command line asks of the effects, by field; an effect asked for by name has its usual settings."""
     asked: dict[str, Any] = {}
-    for fact in facts(Effects):
-        if fact.table is None:
-            asked[fact.name] = given[fact.name]
-        elif fact.name in given["effect"]:
-            asked[fact.name] = fact.table()
+    for setting in settings_of(Effects):
+        if setting.table is None:
+            asked[setting.name] = given[setting.name]
+        elif setting.name in given["effect"]:
+            asked[setting.name] = setting.table()
     return {name: value for name, value in asked.items() if value is not None}
 
 
 def with_effects(effects: Effects, asked: Mapping[str, Any]) -> Effects:
     """The effects with what is asked for; an effect that a scene has set up stays as it is."""
     set_up = {
-        fact.name for fact in facts(Effects) if fact.table is not None and getattr(effects, fact.name) is not None
+        setting.name
+        for setting in settings_of(Effects)
+        if setting.table is not None and getattr(effects, setting.name) is not None
     }
     return replace(effects, **{name: value for name, value in asked.items() if name not in set_up})
 

@@ -233,8 +233,8 @@ def report(found: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-class Shown(NamedTuple):
-    """One frame, and what drew it."""
+class DrawnFrame(NamedTuple):
+    """One frame, and the renderer that drew it."""
 
     image: UInt8[np.ndarray, "height width 4"]
     renderer: str
@@ -252,14 +252,14 @@ def compare(avatar_path: str | None = None, size: int = 512) -> dict[str, Any]:
     avatar = opened_avatar(avatar_path or "mannequin")
     views = views_of(avatar)
     camera = orbit_camera((0, 0.0, 0), 2.6, 0.5, 0.1, (size, size))
-    ways: dict[str, Callable[[], list[Shown]]] = {
+    ways: dict[str, Callable[[], list[DrawnFrame]]] = {
         kind: lambda kind=kind: [_off_screen(kind, avatar, view, camera) for view in views]
         for kind in ("egl", "osmesa")
     }
     if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY"):
         ways["window"] = lambda: _in_window(avatar, views, camera, null=False)
     ways["window on the null platform"] = lambda: _in_window(avatar, views, camera, null=True)
-    shown: dict[str, list[Shown]] = {}
+    shown: dict[str, list[DrawnFrame]] = {}
     lines, broken = [], []
     for way, draw in ways.items():
         try:
@@ -294,15 +294,15 @@ def _pose() -> tuple[np.ndarray, np.ndarray]:
     return axis_angle, np.zeros(3)
 
 
-def _off_screen(kind: str, avatar: Any, view: str, camera: Camera) -> Shown:
+def _off_screen(kind: str, avatar: Any, view: str, camera: Camera) -> DrawnFrame:
     from player.renderer import Renderer
 
     with open_context(kind) as context:
         renderer = Renderer(context, [avatar], camera.size, view=view)
-        return Shown(renderer.draw([_pose()], camera), context.renderer)
+        return DrawnFrame(renderer.draw([_pose()], camera), context.renderer)
 
 
-def _in_window(avatar: Any, views: Sequence[str], camera: Camera, *, null: bool) -> list[Shown]:
+def _in_window(avatar: Any, views: Sequence[str], camera: Camera, *, null: bool) -> list[DrawnFrame]:
     import glfw
 
     from player.renderer import Renderer
@@ -319,7 +319,7 @@ def _in_window(avatar: Any, views: Sequence[str], camera: Camera, *, null: bool)
         for view in views:
             renderer = Renderer(context, [avatar], None, view=view)
             renderer.draw_into(context.screen(), [_pose()], camera)
-            out.append(Shown(reader.read((0, 0, *camera.size), camera.size), context.renderer))
+            out.append(DrawnFrame(reader.read((0, 0, *camera.size), camera.size), context.renderer))
             renderer.release()
         context.release()
         return out

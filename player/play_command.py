@@ -147,7 +147,7 @@ def play_main(argv: list[str]) -> int:
 
 
 def scene_of(command: PlayCommand) -> Scene:
-    """The scene that the command ask for; those given go before what a scene file says."""
+    """The scene that the command asks for; its options override what a scene file says."""
     if command.scene:
         from player.scenes.scene_file import read_scene
 

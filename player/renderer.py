@@ -29,7 +29,7 @@ BULGE = (
 )
 
 
-class Drawn(NamedTuple):
+class PassOutcome(NamedTuple):
     """What became of a pass in the last frame."""
 
     item: Pass
@@ -68,7 +68,7 @@ class Renderer:
         self.size, self.own_image = size, size is not None
         context.make_current()
         self.resources = PlanResources(context)
-        self.drawn: list[Drawn] = []
+        self.drawn: list[PassOutcome] = []
         self.last: FrameInputs | None = None
         self.posers: list[Poser] = []
         self.plan = self._resolved({})
@@ -239,10 +239,10 @@ class Renderer:
             inputs.framebuffer.viewport = (0, 0, *camera.size)
             inputs.framebuffer.use()
             inputs.framebuffer.clear(color=self.look.color)
-        drawn: list[Drawn] = []
+        drawn: list[PassOutcome] = []
         for item in self.plan.passes:
             decision = item.decide(drawing)
-            drawn.append(Drawn(item, decision))
+            drawn.append(PassOutcome(item, decision))
             if item is only or (only is None and decision.runs):
                 item.draw(drawing)
         self.drawn, self.last = drawn, inputs

@@ -175,7 +175,7 @@ def _write_template(path: Path, template: Template) -> None:
 
 
 def _film(folder: Path, studio: Studio, template: Template, videos: dict[str, Shots], config: SynthConfig) -> None:
-    """Take the four videos and write them with what a learner is told of them."""
+    """Take the four videos and write them with the cameras, poses and facts that training reads."""
     done, report = 0, Progress("filming", sum(len(shots.root) for shots in videos.values()))
     for part, shots in videos.items():
         light = light_of(config.light, part, config.seed)

@@ -112,7 +112,7 @@ def _in_processes(jobs: Mapping[str, T], work: Work, board: ProgressBoard, worke
 
 def _lost(name: str, code: int | None) -> AssetError:
     why = "killed, perhaps for want of memory" if code == -9 else f"exit code {code}"
-    return AssetError(f"{name}: its process ended without a word ({why}); --resume goes on from its checkpoint")
+    return AssetError(f"{name}: its process ended unexpectedly ({why}); --resume goes on from its checkpoint")
 
 
 def _worker(work: Work, job: object, connection: Connection) -> None:
@@ -135,18 +135,18 @@ def _worker(work: Work, job: object, connection: Connection) -> None:
             facts = work(job, reporter)
             connection.send(("done", facts))
     except Stopped as stopped:
-        _last_word(connection, "stopped", stopped.number)
+        _send_outcome(connection, "stopped", stopped.number)
     except Exception as error:
         if not isinstance(error, (AssetError, FloatingPointError)):
             traceback.print_exc()
-        _last_word(
+        _send_outcome(
             connection,
             "failed",
             type(error)(str(error)) if len(error.args) == 1 else RuntimeError(repr(error)),
         )
 
 
-def _last_word(connection: Connection, *message) -> None:
-    # no one is left to hear it
+def _send_outcome(connection: Connection, *message) -> None:
+    # the parent may be gone
     with contextlib.suppress(OSError):
         connection.send(message)

@@ -1,4 +1,4 @@
-"""Rows of pose numbers and what they mean: told by their length, expanded to 52 x 3 axis-angle vectors.
+"""Rows of pose numbers: the layout that follows from their length, and expansion to 52 x 3 axis-angle vectors.
 
     66   root and 21 body joints (SMPL+H, SMPL-X bodies)      hands: none
     72   SMPL: the same and two hand joints, which are left out

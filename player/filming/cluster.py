@@ -17,14 +17,14 @@ from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
 from player.filming.film import VIDEO, film_kind
 from player.filming.parts import Parts, fingerprint
-from player.filming.shot import Set, Shot
+from player.filming.shot import Shot, ShotRenderer
 
 # tasks a worker has in hand or waiting
 AHEAD = 2
 
 
-class Drawn(NamedTuple):
-    """A part as it comes back from a worker."""
+class DrawnPart(NamedTuple):
+    """A part drawn by a worker."""
 
     # one video without a name, or PNG frames by name
     files: list[tuple[str, bytes]]
@@ -32,10 +32,10 @@ class Drawn(NamedTuple):
     notes: list[str]
 
 
-def film_on(
+def draw_parts_on_cluster(
     address: str, shot: Shot, parts: Parts, fingerprints: Mapping[str, str]
-) -> Iterator[tuple[tuple[int, int], Drawn]]:
-    """Have the missing parts drawn and put where they are kept; each is yielded when it is there.
+) -> Iterator[tuple[tuple[int, int], DrawnPart]]:
+    """Draw the missing parts on a cluster and write their files; yields each part once it is written.
 
     address is tcp://HOST:PORT of a scheduler, a scheduler file, or a number of processes to start here.
 
@@ -46,7 +46,7 @@ def film_on(
 
     kind = film_kind(parts.out)
     kind = kind if kind in VIDEO else ""
-    with connected(address) as client:
+    with cluster_client(address) as client:
         workers = len(client.scheduler_info(n_workers=-1)["workers"])
         waiting = iter(parts.missing())
         futures: dict[Any, tuple[int, int]] = {}
@@ -70,7 +70,7 @@ def film_on(
                 except Exception as error:  # what a worker ran into, as one line
                     raise AssetError(f"frames {part[0]}:{part[1]} on the cluster: {error}") from None
                 future.release()
-                keep(parts.piece(part)[0], drawn.files)
+                store_part(parts.piece(part)[0], drawn.files)
                 yield part, drawn
                 for more in submit():
                     results.add(more)
@@ -78,8 +78,8 @@ def film_on(
             client.cancel(list(futures))
 
 
-def keep(path: Path, files: Sequence[tuple[str, bytes]]) -> None:
-    """Put a part where it is kept."""
+def store_part(path: Path, files: Sequence[tuple[str, bytes]]) -> None:
+    """Write the files of a part to its place."""
     if film_kind(path) in VIDEO:
         with whole_file(path) as file:
             file.write(files[0][1])
@@ -90,7 +90,7 @@ def keep(path: Path, files: Sequence[tuple[str, bytes]]) -> None:
 
 
 @contextmanager
-def connected(address: str) -> Iterator[Any]:
+def cluster_client(address: str) -> Iterator[Any]:
     """A client of the cluster; a number starts one of so many processes here and stops it in the end."""
     from distributed import Client, LocalCluster
 
@@ -123,7 +123,7 @@ _drawing: ThreadPoolExecutor | None = None
 _lock = threading.Lock()
 
 
-def draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mapping[str, str]) -> Drawn:
+def draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mapping[str, str]) -> DrawnPart:
     """A task: draw some frames of a film. Its files and OpenGL stay open for the next part of the same film."""
     global _drawing
     with _lock:
@@ -133,8 +133,8 @@ def draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mappin
     return _drawing.submit(_draw_part, shot, part, kind, fingerprints).result()
 
 
-def _draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mapping[str, str]) -> Drawn:
-    opened: Set | None = getattr(_thread, "opened", None)
+def _draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mapping[str, str]) -> DrawnPart:
+    opened: ShotRenderer | None = getattr(_thread, "opened", None)
     asked = pickle.dumps(shot)
     if opened is None or _thread.asked != asked:
         if opened is not None:
@@ -143,7 +143,7 @@ def _draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mappi
         for name, expected in fingerprints.items():
             if fingerprint(name) != expected:
                 raise AssetError(f"{name}: differs on this worker from the one on the machine that asks")
-        opened = _thread.opened = Set(shot)
+        opened = _thread.opened = ShotRenderer(shot)
         _thread.asked = asked
     with TemporaryDirectory(prefix="selfscan-") as folder:
         out = Path(folder) / f"part{kind}"
@@ -152,4 +152,4 @@ def _draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mappi
             files = [("", out.read_bytes())]
         else:
             files = [(file.name, file.read_bytes()) for file in sorted(out.glob("*.png"))]
-    return Drawn(files, opened.context.renderer, film.notes)
+    return DrawnPart(files, opened.context.renderer, film.notes)

@@ -114,7 +114,7 @@ class Film:
 
     def _work(self) -> None:
         try:
-            frames = self._arriving()
+            frames = self._frames_in_order()
             for path, count in self.pieces:
                 self._write(path, islice(frames, count))
             if not self.pieces:
@@ -122,18 +122,18 @@ class Film:
             for _ in frames:
                 raise AssetError(f"{self.path}: more frames than its pieces hold")
         except BaseException as error:  # carried over to the drawing thread, which raises it
-            self._error = self._error or self._said(error)
+            self._error = self._error or self._located_error(error)
         # so that `add` is never left waiting
         while not self._ended:
             self._ended = self._queue.get() is None
 
-    def _said(self, error: BaseException) -> BaseException:
+    def _located_error(self, error: BaseException) -> BaseException:
         """Errors of disk and encoder as one line that names the file; all others as they are."""
         if isinstance(error, OSError) or type(error).__module__.startswith("av."):
             return AssetError(f"{self.path}: cannot be written as {self.kind or 'frames'}: {error}")
         return error
 
-    def _arriving(self) -> Iterator[Frame]:
+    def _frames_in_order(self) -> Iterator[Frame]:
         """The frames, each free to be drawn over when the next is asked for."""
         while not self._ended:
             image = self._queue.get()
@@ -203,7 +203,7 @@ class Film:
         encode(file, kind, encoder, map(straight, images) if alpha else images, size, self.rate, self.quality)
 
     def note(self, line: str) -> None:
-        """Something to be said when the film is done, once."""
+        """Add a note for the user, printed once when the film is done."""
         if line not in self.notes:
             self.notes.append(line)
 

@@ -18,7 +18,7 @@ from player.arguments import with_effects
 from player.context import Context, opened
 from player.filming.film import VIDEO, film_kind, join_pieces
 from player.filming.parts import LENGTH, Parts
-from player.filming.shot import Set, Shot, with_whole_paths
+from player.filming.shot import Shot, ShotRenderer, with_whole_paths
 from player.filming.stage import Stage, camera_from_option
 from player.motions import beside, frame_range
 from player.render_command import RenderCommand
@@ -57,7 +57,7 @@ def render(command: RenderCommand) -> None:
 
 
 def render_stage(command: RenderCommand, stage: Stage, context: Context | None) -> None:
-    """Draw what the command ask for, from an opened scene, with this context (None: workers draw)."""
+    """Draw what the command asks for, from an opened scene, with this context (None: workers draw)."""
     stage.scene = replace(stage.scene, effects=effects_for(command.quality, stage.scene.effects, stage.avatars))
     kind, frame = film_kind(command.output), command.frame
     if frame is not None and stage.camera.kind == "turntable" and stage.still is None:
@@ -107,14 +107,14 @@ def at_rate(command: RenderCommand, stage: Stage, start: int, stop: int) -> tupl
 
 
 def level_of(command: RenderCommand) -> int:
-    """The level of detail that the command ask for."""
+    """The level of detail that the command asks for."""
     if command.level is not None:
         return command.level
     return DRAFT_LEVEL if command.quality == "draft" else 0
 
 
 def scene_of(command: RenderCommand) -> Scene:
-    """The scene that the command ask for; those given go before what a scene file says."""
+    """The scene that the command asks for; its options override what a scene file says."""
     if command.scene:
         from player.scenes.scene_file import read_scene
 
@@ -165,19 +165,19 @@ def _unless_given(value: str, otherwise: str) -> str:
 def film_at_once(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
     """Draw straight into the file."""
     path = Path(command.output)
-    drawn = Set(shot, stage, context)
+    drawn = ShotRenderer(shot, stage, context)
     try:
         began = time.perf_counter()
         film = drawn.film(path, progress(range(shot.start, shot.stop), "frames", shot.stop - shot.start))
         took = time.perf_counter() - began
-        say(shot, stage, [*film.notes, how(drawn)])
-        done(
+        print_notes(shot, stage, [*film.notes, drawing_summary(drawn)])
+        print_result(
             shot,
             path,
-            f"drawn at {len_of(shot) / max(drawn.drawing, 1e-9):.0f} frames/s, written in {took:.1f} s",
+            f"drawn at {frame_count(shot) / max(drawn.drawing, 1e-9):.0f} frames/s, written in {took:.1f} s",
         )
         if command.explain:
-            explain(drawn.renderer, command.json)
+            print_passes(drawn.renderer, command.json)
     finally:
         drawn.release()
 
@@ -199,15 +199,16 @@ def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Con
     parts.begin(resume=command.resume or command.part is not None)
     wanted = parts.share(*command.part) if command.part else parts.ranges
     missing = [part for part in parts.missing() if part in wanted]
-    had = sum(b - a for a, b in wanted) - sum(b - a for a, b in missing)
-    if had:
-        print(f"{had} of {sum(b - a for a, b in wanted)} frames are in {parts.folder}")
+    present = sum(b - a for a, b in wanted) - sum(b - a for a, b in missing)
+    if present:
+        total = sum(b - a for a, b in wanted)
+        print(f"{present} of {counted(total, 'frame')} {'is' if present == 1 else 'are'} in {parts.folder}")
     began, notes = time.perf_counter(), []
     try:
         if missing and command.workers:
-            notes = drawn_by_workers(command.workers, shot, parts)
+            notes = draw_on_cluster(command.workers, shot, parts)
         elif missing:
-            drawn = Set(shot, stage, context)
+            drawn = ShotRenderer(shot, stage, context)
             try:
                 frames = chain.from_iterable(range(*part) for part in missing)
                 film = drawn.film(
@@ -215,20 +216,20 @@ def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Con
                     progress(frames, "frames", sum(b - a for a, b in missing)),
                     list(map(parts.piece, missing)),
                 )
-                notes = [*film.notes, how(drawn)]
+                notes = [*film.notes, drawing_summary(drawn)]
                 if command.explain:
-                    explain(drawn.renderer, command.json)
+                    print_passes(drawn.renderer, command.json)
             finally:
                 drawn.release()
     except BaseException:
-        there = len(parts.ranges) - len(parts.missing())
-        if there:
-            print(f"{there} of {len(parts.ranges)} parts are kept in {parts.folder}; the same command with "
+        written = len(parts.ranges) - len(parts.missing())
+        if written:
+            print(f"{written} of {counted(len(parts.ranges), 'part')} kept in {parts.folder}; the same command with "
                   f"--resume goes on", file=sys.stderr)  # fmt: skip
         else:
             parts.discard()
         raise
-    say(shot, stage, notes)
+    print_notes(shot, stage, notes)
     left = parts.missing()
     if command.part and left:
         print(f"{parts.folder}: share {command.part[0]} of {command.part[1]} is there, {len(left)} of "
@@ -236,13 +237,13 @@ def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Con
         return
     join_pieces(list(map(parts.piece, parts.ranges)), path, shot.rate)
     parts.discard()
-    done(shot, path, f"in {len(parts.ranges)} parts, written in {time.perf_counter() - began:.1f} s")
+    print_result(shot, path, f"in {counted(len(parts.ranges), 'part')}, written in {time.perf_counter() - began:.1f} s")
 
 
-def drawn_by_workers(address: str, shot: Shot, parts: Parts) -> list[str]:
-    """Have a cluster draw the missing parts; what it has to say."""
+def draw_on_cluster(address: str, shot: Shot, parts: Parts) -> list[str]:
+    """Draw the missing parts on a cluster; returns its notes for the user."""
     try:
-        from player.filming.cluster import film_on
+        from player.filming.cluster import draw_parts_on_cluster
     except ModuleNotFoundError as error:
         raise missing_package(error.name, "cluster", "--workers") from None
 
@@ -254,36 +255,36 @@ def drawn_by_workers(address: str, shot: Shot, parts: Parts) -> list[str]:
         )
     report, frames = Progress("frames", sum(b - a for a, b in missing)), 0
     notes: list[str] = []
-    for (start, stop), drawn in film_on(address, shot, parts, parts.identity["files"]):
+    for (start, stop), drawn in draw_parts_on_cluster(address, shot, parts, parts.identity["files"]):
         frames += stop - start
         report.update(frames)
         notes += [line for line in (*drawn.notes, f"drawn by {drawn.renderer}") if line not in notes]
     return notes
 
 
-def len_of(shot: Shot) -> int:
+def frame_count(shot: Shot) -> int:
     return shot.stop - shot.start
 
 
-def say(shot: Shot, stage: Stage, notes: Sequence[str]) -> None:
+def print_notes(shot: Shot, stage: Stage, notes: Sequence[str]) -> None:
     for note in (*stage.notes, *notes):
         print(note)
 
 
-def how(drawn: Set) -> str:
+def drawing_summary(drawn: ShotRenderer) -> str:
     return f"{drawn.context.attempts[-1]}; view {', '.join(drawn.renderer.views)}"
 
 
-def done(shot: Shot, path: Path, rest: str) -> None:
+def print_result(shot: Shot, path: Path, rest: str) -> None:
     width, height = shot.size
     if film_kind(path) in VIDEO:
         from player.filming.encoder import padded_size
 
         width, height = padded_size(shot.size)
-    print(f"{path}: {counted(len_of(shot), 'frame')}, {width}x{height}, {rest}")
+    print(f"{path}: {counted(frame_count(shot), 'frame')}, {width}x{height}, {rest}")
 
 
-def explain(renderer: Renderer, json_path: str | None) -> None:
+def print_passes(renderer: Renderer, json_path: str | None) -> None:
     """Print and write the passes of the last frame."""
     rows = renderer.explain()
     for row in rows:

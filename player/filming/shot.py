@@ -1,6 +1,6 @@
-"""A film as an order: everything that decides its frames, as plain data that may travel to another machine.
+"""Which frames to draw and all that decides them, as plain data that can be sent to another machine.
 
-Whoever opens the order draws the same frames: the cameras that had to be fitted to the whole film travel with it.
+Every machine that opens a shot draws the same frames: cameras fitted to the whole film are part of it.
 """
 
 import time
@@ -87,8 +87,8 @@ def with_whole_paths(scene: Scene) -> Scene:
     return replace(scene, avatars=avatars, cameras=cameras, background=background)
 
 
-class Set:
-    """A shot with its files open and a renderer made: it draws any frame of it. The context becomes its own."""
+class ShotRenderer:
+    """Draws the frames of a shot: its files are open and its renderer is made. It owns the context."""
 
     def __init__(self, shot: Shot, stage: Stage | None = None, context: Context | None = None):
         self.shot = shot
@@ -137,7 +137,7 @@ class Set:
                 self.drawing += time.perf_counter() - began
                 film.add(image)
                 stop.check()
-        # what came while the film was finished
+        # notes that arose while the film was finished
         stop.check()
         return film
 

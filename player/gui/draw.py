@@ -133,7 +133,7 @@ class DrawLists:
         data.set_status(imgui.ImTextureStatus.destroyed)
 
     def release(self) -> None:
-        """Free everything; Dear ImGui's context must still be there, and is told."""
+        """Free everything; Dear ImGui's context must still exist; its textures are marked as freed."""
         self.context.make_current()
         self.context.leave_framebuffer()
         for data in imgui.get_platform_io().textures:

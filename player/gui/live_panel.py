@@ -1,4 +1,4 @@
-"""The panel of live poses: who sends, how many came, what was lost, and how late each picture is."""
+"""The panel of live poses: the sender, received and lost frames, and the latency of each picture."""
 
 import numpy as np
 from imgui_bundle import imgui

@@ -27,8 +27,8 @@ INK = imgui.IM_COL32(0, 0, 0, 200)
 FEWEST = 40.0
 
 
-class Paper:
-    """The picture as imgui draws on it: world points in window units."""
+class OverlayCanvas:
+    """Draws over the picture with imgui; projects world points to window units."""
 
     def __init__(self, camera: Camera, units: tuple[float, float]):
         self.camera, self.units = camera, units
@@ -47,7 +47,7 @@ def pose_overlay(tool: PoseTool, state: WindowState) -> None:
     """All of it, for the avatar that is being posed."""
     if state.last.camera is None:
         return
-    paper = Paper(state.last.camera, state.layout.screen.pixel(1.0, 1.0))
+    paper = OverlayCanvas(state.last.camera, state.layout.screen.pixel(1.0, 1.0))
     places, depth = paper.points(tool.session.world()[:, :3, 3])
     ahead = depth > 1e-3
     fingers = np.ptp(places[20:52], axis=0).max() > 0 and _hand_size(places) > FEWEST
@@ -70,7 +70,7 @@ def _hand_size(places: Float[np.ndarray, "52 2"]) -> float:
     return float(max(np.linalg.norm(places[20] - places[27]), np.linalg.norm(places[21] - places[42])))
 
 
-def _handle(paper: Paper, tool: PoseTool, handle: Handle, place: Float[np.ndarray, "2"]) -> None:
+def _handle(paper: OverlayCanvas, tool: PoseTool, handle: Handle, place: Float[np.ndarray, "2"]) -> None:
     """A square at hands and feet (blue when pinned), a diamond for the body, a small ring at elbows and knees."""
     held = tool.held is not None and tool.held.handle is handle
     lit = held or tool.hovered is handle
@@ -88,7 +88,7 @@ def _handle(paper: Paper, tool: PoseTool, handle: Handle, place: Float[np.ndarra
     draw.add_polyline(shape, INK, 1.0, imgui.ImDrawFlags_.closed)
 
 
-def _rings(paper: Paper, tool: PoseTool, gizmo: Gizmo) -> None:
+def _rings(paper: OverlayCanvas, tool: PoseTool, gizmo: Gizmo) -> None:
     """Near halves bold, far halves faint; the ring that is held with the angle it was turned by."""
     held = tool.held.grab.ring if tool.held is not None and tool.held.grab is not None else None
     for ring in (VIEW_RING, 0, 1, 2):

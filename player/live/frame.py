@@ -1,4 +1,4 @@
-"""One pose as it came in, before it is fitted to an avatar; and the counts of all that came."""
+"""One received pose, before it is fitted to an avatar; and counts of what was received."""
 
 from dataclasses import dataclass
 from typing import NamedTuple

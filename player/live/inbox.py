@@ -35,12 +35,12 @@ DRIFT = 1e-3  # seconds a second, by which lag may grow
 SILENT = 1.0  # seconds without a datagram
 
 
-class Facts(NamedTuple):
-    """How the source does, for the line of text."""
+class SourceStatus(NamedTuple):
+    """State of the source, for the status line."""
 
     frames: int
     rate: float  # frames a second, of late
-    # seconds since the last frame came; None: none has
+    # seconds since the last frame; None: no frame yet
     age: float | None
     counters: Counters
     tracking: bool
@@ -169,7 +169,7 @@ class Inbox:
         return frame.content.pose
 
     def leg(self) -> float | None:
-        """Leg length of the sender's body (vmc.leg_length), where its bones tell."""
+        """Leg length of the sender's body (vmc.leg_length), where its bones have lengths."""
         frame = self.newest
         return rig_from_state(frame.content).leg if frame and isinstance(frame.content, VmcState) else None
 
@@ -206,14 +206,14 @@ class Inbox:
             return before, self.pose(before)
         return after, blended(self.pose(before), self.pose(after), (at - before.time) / (after.time - before.time))
 
-    def facts(self, now: float | int) -> Facts:
+    def facts(self, now: float | int) -> SourceStatus:
         with self.lock:
             times = list(self.arrivals)
             age = now - self.newest.received if self.newest else None
             span = times[-1] - times[0] if len(times) > 1 else 0.0
             rate = (len(times) - 1) / span if span > 0 and age is not None and age < SILENT else 0.0
             tracking = self.vmc is None or self.vmc.tracking
-            return Facts(self.counters.frames, rate, age, Counters(**vars(self.counters)), tracking)
+            return SourceStatus(self.counters.frames, rate, age, Counters(**vars(self.counters)), tracking)
 
 
 def blended(a: LivePose, b: LivePose, part: float) -> LivePose:

@@ -23,7 +23,7 @@ PATIENCE = 10.0  # seconds that a script waits for a pose
 
 
 class LivePlayback:
-    """What the window asks of a playback, from an inbox. Until a pose comes the avatars stand in T-pose.
+    """Playback of the poses in an inbox; before the first one the avatars stand in T-pose.
 
     The person first seen stands at the world's origin; `calibrate` puts them there again, soles on the ground. The
     root is scaled by the ratio of leg lengths where the sender tells its own (VMC bone positions, JSON pelvis_height).
@@ -63,7 +63,7 @@ class LivePlayback:
                 self.calibrate()
 
     def seek(self, frame: int) -> None:
-        """There is no going back in what is live."""
+        """Live poses cannot be rewound: does nothing."""
 
     def ask_for_t_pose(self, seconds: float | int = 3.0) -> None:
         """Start the countdown to the calibration; pressed again, stop it."""
@@ -111,7 +111,7 @@ class LivePlayback:
         return self.heights[0] / self._ratio(0)
 
     def drawn(self) -> None:
-        """The picture of the last `poses` is on the screen."""
+        """Note that the last `poses` are on the screen."""
         self.latency.drawn(self.clock())
 
     def wait_for_pose(self) -> None:
@@ -145,7 +145,7 @@ class LivePlayback:
         return "  ".join(parts)
 
     def summary(self) -> list[str]:
-        """What came, in a few lines for printing at the end."""
+        """Counts of what was received and the latency, as lines for printing at the end."""
         facts = self.inbox.facts(self.clock())
         named = {name: n for name, n in vars(facts.counters).items() if n or name in ("received", "frames")}
         return [f"live: {', '.join(f'{name} {n}' for name, n in named.items())}", *self.latency.summary()]

@@ -1,4 +1,4 @@
-"""The thread that listens: UDP datagrams or WebSocket messages into an inbox. Bound to this machine unless told."""
+"""Threads that receive UDP datagrams or WebSocket messages into an inbox, from this machine unless a host is given."""
 
 import errno
 import logging
@@ -20,9 +20,9 @@ SO_TIMESTAMPNS = 35
 STAMP = struct.Struct("@qq")
 LARGEST_MESSAGE = 65536  # bytes; a WebSocket that sends more is closed
 MOST_CLIENTS = 8
-# connections at once, with those that have not said yet what they want
+# connections at once, those whose handshake is not done included
 MOST_CONNECTIONS = 32
-# seconds in which a connection must say what it wants
+# seconds for a connection's handshake
 HANDSHAKE = 5.0
 # seconds; a sender silent for longer gives its place to a new one
 SILENT = 5.0
@@ -102,11 +102,11 @@ def _reason(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-class Door(socket.socket):
-    """A listening socket that lets in so many at once and closes the rest; what passes does not end it."""
+class BoundedListener(socket.socket):
+    """A listening socket with at most MOST_CONNECTIONS open connections; others are closed, passing errors retried."""
 
-    # those inside
-    inside: set[socket.socket]
+    # open now
+    connections: set[socket.socket]
 
     def accept(self) -> tuple[socket.socket, Any]:
         while True:
@@ -117,8 +117,8 @@ class Door(socket.socket):
                     raise
                 time.sleep(0.05)
                 continue
-            if len(self.inside) < MOST_CONNECTIONS:
-                self.inside.add(connection)
+            if len(self.connections) < MOST_CONNECTIONS:
+                self.connections.add(connection)
                 return connection, place
             connection.close()
 
@@ -131,22 +131,22 @@ class WebSocketListener:
 
     def __init__(self, address: Address, inbox: Inbox):
         self.inbox, self.lock = inbox, threading.Lock()
-        # senders, and when each was heard last
-        self.heard: dict[Any, float] = {}
+        # time of each sender's last message
+        self.last_message: dict[Any, float] = {}
         serve = _websocket_server()
         try:
             family, kind, proto, _, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_STREAM)[0]
             listening = socket.create_server(place[:2], family=family)
         except OSError as error:
             raise AssetError(f"{address}: {_reason(error)}") from None
-        self.door = Door(family, kind, proto, listening.detach())
-        self.door.inside = set()
+        self.listener = BoundedListener(family, kind, proto, listening.detach())
+        self.listener.connections = set()
         quiet = logging.getLogger("selfscan.live")
         quiet.addHandler(logging.NullHandler())
         quiet.propagate = False
         self.server = serve(
             self._client,
-            sock=self.door,
+            sock=self.listener,
             max_size=LARGEST_MESSAGE,
             process_request=refuse_foreign_pages,
             compression=None,
@@ -155,56 +155,56 @@ class WebSocketListener:
             close_timeout=1,
             logger=quiet,
         )
-        self.server.handler = self._leaving(self.server.handler)
-        self.address = address._replace(port=self.door.getsockname()[1])
+        self.server.handler = self._with_release(self.server.handler)
+        self.address = address._replace(port=self.listener.getsockname()[1])
         self.thread = threading.Thread(target=self.server.serve_forever, name="live poses", daemon=True)
         self.thread.start()
 
-    def _leaving(self, handler: Callable[[socket.socket, Any], None]) -> Callable[[socket.socket, Any], None]:
-        """The handler of a connection, which is let out when it is done."""
+    def _with_release(self, handler: Callable[[socket.socket, Any], None]) -> Callable[[socket.socket, Any], None]:
+        """The handler of a connection, which no longer counts once it returns."""
 
         def handled(connection: socket.socket, place: Any) -> None:
             try:
                 handler(connection, place)
             finally:
-                self.door.inside.discard(connection)
+                self.listener.connections.discard(connection)
 
         return handled
 
     def _client(self, connection: Any) -> None:
         from websockets.exceptions import ConnectionClosed
 
-        if not self._admitted(connection):
+        if not self._admit(connection):
             connection.close(1013, "too many senders")
             return
         try:
             for message in connection:
-                self.heard[connection] = time.monotonic()
-                self.inbox.feed(message, self.heard[connection])
+                self.last_message[connection] = time.monotonic()
+                self.inbox.feed(message, self.last_message[connection])
         except ConnectionClosed as error:
             if error.sent is not None and error.sent.code == 1009:
                 self.inbox.oversize()
         finally:
             with self.lock:
-                self.heard.pop(connection, None)
+                self.last_message.pop(connection, None)
 
-    def _admitted(self, connection: Any) -> bool:
-        """Whether there is a place for one more, or a silent sender that leaves its own."""
+    def _admit(self, connection: Any) -> bool:
+        """Register a sender; False where all places are taken by senders that are not silent."""
         with self.lock:
             now = time.monotonic()
-            quietest = min(self.heard, key=lambda sender: self.heard[sender], default=None)
-            if len(self.heard) >= MOST_CLIENTS and now - self.heard[quietest] < SILENT:
+            quietest = min(self.last_message, key=lambda sender: self.last_message[sender], default=None)
+            if len(self.last_message) >= MOST_CLIENTS and now - self.last_message[quietest] < SILENT:
                 return False
-            leaving = quietest if len(self.heard) >= MOST_CLIENTS else None
+            leaving = quietest if len(self.last_message) >= MOST_CLIENTS else None
             if leaving is not None:
-                del self.heard[leaving]
-            self.heard[connection] = now
+                del self.last_message[leaving]
+            self.last_message[connection] = now
         if leaving is not None:
             leaving.close(1008, "silent, and others wait")
         return True
 
     def close(self) -> None:
-        for connection in list(self.door.inside):
+        for connection in list(self.listener.connections):
             with suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
         self.server.shutdown()

@@ -1,4 +1,4 @@
-"""A live session from start to end: listens while the block runs, then writes what was asked for."""
+"""A live session: listens while the block runs, then writes the take and the latencies that were asked for."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager

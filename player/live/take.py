@@ -1,4 +1,4 @@
-"""A live take: the poses that came, on the disk as they come, then put on an even clock and written with AMASS keys.
+"""A live take: received poses, recorded on disk at once, at the end resampled to an even rate and written as AMASS.
 
 While it is recorded, the frames lie in FILE.recording, one record each. Whatever ends the program costs at most the
 frame in hand: the next recording to the same FILE first saves what lies there beside it. Memory does not grow.
@@ -60,7 +60,7 @@ class Take:
             if not _locked(self.file):
                 raise AssetError(f"{path}: another process records into it; choose another name")
             if os.fstat(self.file).st_size:
-                self._save_what_was_left()
+                self._recover_interrupted_take()
             os.ftruncate(self.file, 0)
             os.write(self.file, np.array([(MAGIC, np.nan)], HEADER).tobytes())
         except BaseException:
@@ -131,8 +131,8 @@ class Take:
         height = self.sender_height()
         os.pwrite(self.file, np.array([(MAGIC, np.nan if height is None else height)], HEADER).tobytes(), 0)
 
-    def _save_what_was_left(self) -> None:
-        """Write the take of a process that was killed beside this one."""
+    def _recover_interrupted_take(self) -> None:
+        """Write what a killed process recorded for this path to a file of its own."""
         records, height = _records(self.recording), _height(self.recording)
         if not len(records):
             return
@@ -160,7 +160,7 @@ def even_motion(records: np.ndarray, pelvis_height: float | None, name: str) -> 
     ticks = ticks[last] - ticks[last[0]]
 
     def block(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-        return filled(ticks, lambda chosen: records["pose"][last[chosen]].astype(np.float64), start, stop)
+        return poses_at_ticks(ticks, lambda chosen: records["pose"][last[chosen]].astype(np.float64), start, stop)
 
     return Motion(name, int(ticks[-1]) + 1, rate, notes, block, pelvis_height)
 
@@ -175,7 +175,7 @@ def even_rate(steps: Float[np.ndarray, "steps"]) -> float:
     return float(nearest) if abs(nearest - rate) < 0.02 * nearest else rate
 
 
-def filled(
+def poses_at_ticks(
     ticks: Int[np.ndarray, "frames"], poses: Callable[[np.ndarray], Any], start: int, stop: int
 ) -> tuple[Float[np.ndarray, "ticks 52 3"], Float[np.ndarray, "ticks 3"]]:
     """Poses on the ticks start .. stop - 1: those of a frame as they are, the others between their neighbours.

@@ -76,8 +76,8 @@ class VmcRig(NamedTuple):
     leg: float | None
 
 
-class Arrival(NamedTuple):
-    """What a datagram brought: a state, whether it begins a new frame, and the sender's clock."""
+class DecodedDatagram(NamedTuple):
+    """A decoded datagram: a state, whether it begins a new frame, and the sender's clock."""
 
     state: VmcState
     begins: bool
@@ -98,7 +98,7 @@ class VmcDecoder:
         self.recent: dict[int, None] = {}
         self.tracking = True
 
-    def decode(self, data: bytes, counters: Counters) -> Arrival | None:
+    def decode(self, data: bytes, counters: Counters) -> DecodedDatagram | None:
         """The state after this datagram, or None where it held no bone or is not used; the counters say why."""
         try:
             messages = parse_packet(data)
@@ -126,7 +126,7 @@ class VmcDecoder:
         self.clock_is_new = False
         self.bones.update(found)
         self.root = root or self.root
-        return Arrival(VmcState(dict(self.bones), self.root), begins, self.frame_clock, restarted)
+        return DecodedDatagram(VmcState(dict(self.bones), self.root), begins, self.frame_clock, restarted)
 
     def _read(self, messages: list[Message]) -> tuple[float | None, dict[str, Bone], Bone | None, bool]:
         clock, found, root, bad = None, {}, None, False

@@ -86,16 +86,16 @@ class Background:
             return (upload, CopyPass(image.handles, image, None))
         return (CopyPass(image.handles, image, upload),)
 
-    def content(self, draft: Draft) -> "Behind | Panorama":
+    def content(self, draft: Draft) -> "OpenBackground | Panorama":
         """What is drawn, opened once."""
         path = self.path
         assert path is not None
         if self.kind == "hdr":
             return draft.keep(self, lambda: Panorama(path, self.exposure, self.turn_deg))
-        return draft.keep(self, lambda: Behind(opened_source(self)))
+        return draft.keep(self, lambda: OpenBackground(opened_source(self)))
 
 
-class Behind:
+class OpenBackground:
     """An open picture or film, and which of its frames the texture holds."""
 
     def __init__(self, source: Source):
@@ -112,7 +112,7 @@ class UploadPass:
 
     uses: tuple[Handle[Any], ...]
     image: Image
-    behind: Behind
+    behind: OpenBackground
     name: str = "background: video"
 
     def decide(self, drawing: Drawing) -> Decision:

@@ -118,7 +118,7 @@ def grabbed(gizmo: Gizmo, ring: int, camera: Camera, pixel: Float[Array, "2"]) -
     """The ring seized with the pointer at `pixel`, which may be anywhere."""
     axis = gizmo.axes[ring]
     origin, direction = _ray(camera, pixel)
-    met = _met(gizmo.center, axis, origin, direction)
+    met = _direction_to_hit(gizmo.center, axis, origin, direction)
     if abs(float(direction @ axis)) >= EDGE_ON and met is not None:
         return Grab(gizmo, ring, np.array(pixel, np.float64), met, None)
     found = _nearest_on_ring(gizmo, ring, camera, pixel)
@@ -143,7 +143,7 @@ def drag_angle(grab: Grab, camera: Camera, pixel: Float[Array, "2"], last: float
         way = np.asarray(pixel, np.float64) - grab.pixel
         return float(way @ grab.rolled / (grab.rolled @ grab.rolled))
     axis = grab.gizmo.axes[grab.ring]
-    met = _met(grab.gizmo.center, axis, *_ray(camera, pixel))
+    met = _direction_to_hit(grab.gizmo.center, axis, *_ray(camera, pixel))
     if met is None:
         return last
     angle = float(np.arctan2(np.cross(grab.start, met) @ axis, grab.start @ met))
@@ -194,7 +194,7 @@ def _ray(camera: Camera, pixel: Float[Array, "2"]) -> tuple[Array, Array]:
     return origin[0], direction[0]
 
 
-def _met(center: Array, axis: Array, origin: Array, direction: Array) -> Float[Array, "3"] | None:
+def _direction_to_hit(center: Array, axis: Array, origin: Array, direction: Array) -> Float[Array, "3"] | None:
     """Unit vector from the centre to where the ray meets the plane; None: behind the eye, along it, or the centre."""
     slope = float(direction @ axis)
     if abs(slope) < 1e-3:

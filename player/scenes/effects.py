@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from avatar.settings import Fact, OneOf, check, facts, rule_of
+from avatar.settings import OneOf, Setting, check, rule_of, settings_of
 from player.passes.antialiasing import BestAntialiasing
 from player.passes.background import Background
 from player.passes.fxaa import Fxaa
@@ -55,15 +55,15 @@ class Effects:
     def __post_init__(self):
         check(self)
 
-    def effects(self) -> Iterator[tuple[Fact, Stage, Effect | None]]:
+    def effects(self) -> Iterator[tuple[Setting, Stage, Effect | None]]:
         """Every field that can ask for an effect: where in a frame it draws, and what it asks for."""
-        for fact in facts(Effects):
-            value, makes = getattr(self, fact.name), rule_of(fact, Makes)
+        for setting in settings_of(Effects):
+            value, makes = getattr(self, setting.name), rule_of(setting, Makes)
             if makes is not None:
                 stage = next(iter(makes.of.values())).stage
-                yield fact, stage, makes.of[value]() if value in makes.of else None
-            elif fact.table is not None:
-                yield fact, fact.table.stage, value
+                yield setting, stage, makes.of[value]() if value in makes.of else None
+            elif setting.table is not None:
+                yield setting, setting.table.stage, value
 
 
 # where a scene says nothing

@@ -11,7 +11,7 @@ from typing import Any, NoReturn, get_args, get_origin
 
 from avatar.errors import AssetError
 from avatar.input_file import one_line, read_text
-from avatar.settings import Color, Fact, Place, broken_rule, facts
+from avatar.settings import Color, Place, Setting, broken_rule, settings_of
 from player.address import PORTS, parse_address
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, Effects
@@ -110,10 +110,10 @@ class _Reader:
             "background": Background,
             "effects": Effects,
         }
-        own = {fact.name: fact for fact in facts(Scene) if fact.name in ("size", "rate")}
+        own = {setting.name: setting for setting in settings_of(Scene) if setting.name in ("size", "rate")}
         self.known((), content, [*sections, *own])
         fields: dict[str, Any] = {
-            name: self.value((name,), fact, content[name]) for name, fact in own.items() if name in content
+            name: self.value((name,), setting, content[name]) for name, setting in own.items() if name in content
         }
         for name, plural in (("avatar", "avatars"), ("camera", "cameras")):
             if name in content:
@@ -134,12 +134,12 @@ class _Reader:
 
     def record(self, at: KeyPath, record: type, table: Mapping[str, Any], shown: str) -> Any:
         """A table as a dataclass."""
-        by_name = {fact.name: fact for fact in facts(record)}
+        by_name = {setting.name: setting for setting in settings_of(record)}
         self.known(at, table, list(by_name), shown)
         values = {name: self.value((*at, name), by_name[name], table[name]) for name in table}
-        for fact in by_name.values():
-            if fact.default is MISSING and fact.name not in table:
-                self.fail(at, f"{shown} needs the key {fact.name}: {fact.means}")
+        for setting in by_name.values():
+            if setting.default is MISSING and setting.name not in table:
+                self.fail(at, f"{shown} needs the key {setting.name}: {setting.means}")
         if record is Background:
             values = self.background(at, table, values)
         if values.get("live") is not None:
@@ -167,20 +167,20 @@ class _Reader:
                 hint = f"did you mean {near[0]}?" if near else f"{shown} has {', '.join(names)}"
                 self.fail((*at, key), f"unknown key in {shown}; {hint}")
 
-    def value(self, at: KeyPath, fact: Fact, found: Any) -> Any:
+    def value(self, at: KeyPath, setting: Setting, found: Any) -> Any:
         """A value of the type and within the rules of its field."""
-        if fact.table is not None:
+        if setting.table is not None:
             shown = f"[{'.'.join(map(str, at))}]"
             if not isinstance(found, dict):
                 self.fail(at, f"expected a table, {shown}, found {_kind(found)}")
-            return self.record(at, fact.table, found, shown)
-        if any(isinstance(rule, Color) for rule in fact.rules):
+            return self.record(at, setting.table, found, shown)
+        if any(isinstance(rule, Color) for rule in setting.rules):
             return self.color(at, found)
-        value = self.typed(at, fact.type, found)
-        problem = broken_rule(fact, value)
+        value = self.typed(at, setting.type, found)
+        problem = broken_rule(setting, value)
         if problem:
             self.fail(at, problem)
-        place = next((rule for rule in fact.rules if isinstance(rule, Place)), None)
+        place = next((rule for rule in setting.rules if isinstance(rule, Place)), None)
         is_background = at[0] == "background" and at[-1] == "path"
         if is_background or (place is not None and value not in place.names):
             return self.file(at, value, place.names if place else ())

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 from avatar.files import whole_file
-from avatar.settings import Above, AtLeast, Color, Fact, OneOf, facts
+from avatar.settings import Above, AtLeast, Color, OneOf, Setting, settings_of
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
@@ -31,7 +31,7 @@ WORDS = {str: "string", float: "number", int: "whole number"}
 
 def scene_schema() -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a scene file, as editors read it."""
-    properties = {fact.name: _property(fact) for fact in _own_keys()}
+    properties = {setting.name: _property(setting) for setting in _own_keys()}
     for name, record in TABLES.items():
         one = _table(record)
         several = {"type": "array", "items": one}
@@ -48,84 +48,84 @@ def scene_schema() -> dict[str, Any]:
     }
 
 
-def _own_keys() -> Iterator[Fact]:
-    return (fact for fact in facts(Scene) if fact.name in ("size", "rate"))
+def _own_keys() -> Iterator[Setting]:
+    return (setting for setting in settings_of(Scene) if setting.name in ("size", "rate"))
 
 
 def _table(record: type) -> dict[str, Any]:
-    needed = [fact.name for fact in facts(record) if fact.default is MISSING]
-    properties = {fact.name: _property(fact) for fact in facts(record)}
+    needed = [setting.name for setting in settings_of(record) if setting.default is MISSING]
+    properties = {setting.name: _property(setting) for setting in settings_of(record)}
     return {"type": "object", "properties": properties, "additionalProperties": False} | (
         {"required": needed} if needed else {}
     )
 
 
-def _property(fact: Fact) -> dict[str, Any]:
-    out: dict[str, Any] = {"description": fact.means}
-    if fact.table is not None:
-        return _table(fact.table) | out
-    if any(isinstance(rule, Color) for rule in fact.rules):
-        return out | {"type": "string", "pattern": "^#[0-9a-fA-F]{6}([0-9a-fA-F]{2})?$", "default": _color(fact)}
+def _property(setting: Setting) -> dict[str, Any]:
+    out: dict[str, Any] = {"description": setting.means}
+    if setting.table is not None:
+        return _table(setting.table) | out
+    if any(isinstance(rule, Color) for rule in setting.rules):
+        return out | {"type": "string", "pattern": "^#[0-9a-fA-F]{6}([0-9a-fA-F]{2})?$", "default": _color(setting)}
     limits: dict[str, Any] = {}
-    for rule in fact.rules:
+    for rule in setting.rules:
         if isinstance(rule, OneOf):
             limits["enum"] = list(rule.values)
         elif isinstance(rule, Above):
             limits["exclusiveMinimum"] = rule.least
         elif isinstance(rule, AtLeast):
             limits["minimum"] = rule.least
-    if get_origin(fact.type) is tuple:
-        each = get_args(fact.type)
+    if get_origin(setting.type) is tuple:
+        each = get_args(setting.type)
         one = {"type": JSON_TYPES[each[0]], **limits}
         out |= {"type": "array", "items": one, "minItems": len(each), "maxItems": len(each)}
     else:
-        out |= {"type": JSON_TYPES[fact.type], **limits}
-    if fact.default is not MISSING and fact.default is not None:
-        out["default"] = list(fact.default) if isinstance(fact.default, tuple) else fact.default
+        out |= {"type": JSON_TYPES[setting.type], **limits}
+    if setting.default is not MISSING and setting.default is not None:
+        out["default"] = list(setting.default) if isinstance(setting.default, tuple) else setting.default
     return out
 
 
-def _color(fact: Fact) -> str:
+def _color(setting: Setting) -> str:
     """The default of a color; what is transparent in memory is the studio's in a file."""
-    color = fact.default if fact.default[3] else STUDIO.color
+    color = setting.default if setting.default[3] else STUDIO.color
     return "#" + "".join(f"{round(255 * share):02x}" for share in color[:3])
 
 
 def scene_table(name: str) -> str:
     """Keys of one table of the file, or with "" those outside all tables, as Markdown."""
     rows = ["| key | value | default | |", "|---|---|---|---|"]
-    for fact in facts(TABLES[name]) if name else _own_keys():
-        rows.append(f"| `{fact.name}` | {_values(fact)} | {_default(fact)} | {fact.means} |")
-        for inner in facts(fact.table) if fact.table is not None else ():
-            key = f"{fact.name}.{inner.name}"
+    for setting in settings_of(TABLES[name]) if name else _own_keys():
+        rows.append(f"| `{setting.name}` | {_values(setting)} | {_default(setting)} | {setting.means} |")
+        for inner in settings_of(setting.table) if setting.table is not None else ():
+            key = f"{setting.name}.{inner.name}"
             rows.append(f"| `{key}` | {_values(inner)} | {_default(inner)} | {inner.means} |")
     return "\n".join(rows)
 
 
-def _values(fact: Fact) -> str:
-    if fact.table is not None:
+def _values(setting: Setting) -> str:
+    if setting.table is not None:
         return "table"
-    for rule in fact.rules:
+    for rule in setting.rules:
         if isinstance(rule, OneOf):
             return ", ".join(rule.values)
         if isinstance(rule, Color):
             return "`#rrggbb`, `#rrggbbaa`"
-    if get_origin(fact.type) is tuple:
-        each = get_args(fact.type)
+    if get_origin(setting.type) is tuple:
+        each = get_args(setting.type)
         return f"{len(each)} {WORDS[each[0]]}s in brackets"
-    return WORDS[fact.type]
+    return WORDS[setting.type]
 
 
-def _default(fact: Fact) -> str:
-    if any(isinstance(rule, Color) for rule in fact.rules):
-        return f"`{_color(fact)}`"
-    if fact.default is MISSING:
+def _default(setting: Setting) -> str:
+    if any(isinstance(rule, Color) for rule in setting.rules):
+        return f"`{_color(setting)}`"
+    if setting.default is MISSING:
         return "needed"
-    if fact.default is None:
+    if setting.default is None:
         return ""
-    if isinstance(fact.default, tuple):
-        return f"`[{', '.join(f'{value:g}' for value in fact.default)}]`"
-    return f"`{fact.default:g}`" if isinstance(fact.default, float) else f"`{fact.default}`"
+    if isinstance(setting.default, tuple):
+        return f"`[{', '.join(f'{value:g}' for value in setting.default)}]`"
+    return f"`{setting.default:g}`" if isinstance(setting.default, float) else f"`{setting.default}`"
 
 
 def with_tables(page: str) -> str:

@@ -16,10 +16,10 @@ from avatar.settings import (
     OneOf,
     Option,
     check,
-    facts,
     parse,
     parser_of,
     settings_json,
+    settings_of,
 )
 
 ABOUT = Help("selfscan try", "Tries settings.", "example: selfscan try a b")
@@ -113,7 +113,7 @@ def test_records_made_in_code_obey_the_same_limits():
 
 
 def test_optional_fields_know_their_type():
-    kinds = {fact.name: (fact.type, fact.optional) for fact in facts(Try)}
+    kinds = {setting.name: (setting.type, setting.optional) for setting in settings_of(Try)}
     assert kinds["seconds"] == (float, True) and kinds["rate"] == (float, False)
     assert kinds["more"] == (tuple[str, ...], False)
 

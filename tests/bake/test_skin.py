@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from capsules import ball_mesh
 
-from bake.skin import quantised, strayed, transferred_weights
+from bake.skin import detached_vertices, quantised, transferred_weights
 from geometry.closest import match_surface
 from geometry.harmonic import fill_harmonic
 
@@ -68,7 +68,7 @@ def test_an_islet_of_another_limb_is_inpainted_from_its_own():
     patch = (ball.vertices[:, 0] < -0.06) & (ball.vertices[:, 1] > 0.03)
     assert 5 < patch.sum() < 0.2 * left.sum()
     weights[patch] = np.roll(weights[patch], 3, axis=1)
-    np.testing.assert_array_equal(strayed(weights, ball.faces), patch)
+    np.testing.assert_array_equal(detached_vertices(weights, ball.faces), patch)
     match = match_surface(ball.vertices, ball.vertices / 0.1, ball.vertices, ball.faces)
     found, filled = transferred_weights(match, ball.faces, ball.faces, weights)
     assert filled == patch.sum()

@@ -20,7 +20,7 @@ from avatar.gltf.avatar_file import write_avatar
 from player.camera_path import CameraPath
 from player.filming.film import join_pieces
 from player.filming.parts import Parts, fingerprint
-from player.filming.shot import Set
+from player.filming.shot import ShotRenderer
 from player.render_command import render_main
 
 FRAMES = 50  # from 5 to 55: parts 5:20, 20:40, 40:55
@@ -69,7 +69,7 @@ def decoded(path: Path) -> list[str]:
 @pytest.fixture
 def stopping(monkeypatch):
     """Stops the drawing at a frame, as Ctrl-C does."""
-    draw = Set.draw
+    draw = ShotRenderer.draw
 
     def stop_at(number, error=KeyboardInterrupt):
         def stopped(self, frame, out=None):
@@ -77,8 +77,8 @@ def stopping(monkeypatch):
                 raise error
             return draw(self, frame, out)
 
-        monkeypatch.setattr(Set, "draw", stopped)
-        return lambda: monkeypatch.setattr(Set, "draw", draw)
+        monkeypatch.setattr(ShotRenderer, "draw", stopped)
+        return lambda: monkeypatch.setattr(ShotRenderer, "draw", draw)
 
     return stop_at
 
@@ -89,15 +89,15 @@ def test_a_stopped_film_goes_on_and_is_the_film_in_one_go(arguments, films, tmp_
     with pytest.raises(KeyboardInterrupt):
         render_main([*arguments, "-o", str(out)])
     # the encoder may not be through with the second part when the drawing is stopped in the third
-    assert re.search("[12] of 3 parts are kept", capsys.readouterr().err)
+    assert re.search("[12] of 3 parts kept", capsys.readouterr().err)
     kept = sorted(path.name for path in (tmp_path / f"{name}.parts").iterdir())
     ending = Path(name).suffix
     assert kept == [f"00000005-00000020{ending}", f"00000020-00000040{ending}", "film.json"]
     go_on()
     drawn = []
     with pytest.MonkeyPatch.context() as patch:
-        draw = Set.draw
-        patch.setattr(Set, "draw", lambda self, frame, out=None: drawn.append(frame) or draw(self, frame, out))
+        draw = ShotRenderer.draw
+        patch.setattr(ShotRenderer, "draw", lambda self, frame, out=None: drawn.append(frame) or draw(self, frame, out))
         render_main([*arguments, "-o", str(out), "--resume"])
     assert drawn == list(range(40, 55))  # what was there is not drawn again
     assert sorted(path.name for path in tmp_path.iterdir()) == [name]
@@ -107,7 +107,7 @@ def test_a_stopped_film_goes_on_and_is_the_film_in_one_go(arguments, films, tmp_
 
 def test_ctrl_c_waits_for_the_frame_and_a_second_one_does_not(arguments, tmp_path, monkeypatch):
     """OpenGL calls back into Python, where an exception would be dropped, and the call with it."""
-    draw, before = Set.draw, signal.getsignal(signal.SIGINT)
+    draw, before = ShotRenderer.draw, signal.getsignal(signal.SIGINT)
     for signals, whole in ((1, True), (2, False)):
         drawn = []
 
@@ -119,7 +119,7 @@ def test_ctrl_c_waits_for_the_frame_and_a_second_one_does_not(arguments, tmp_pat
             drawn.append(frame)
             return image
 
-        monkeypatch.setattr(Set, "draw", drawing)
+        monkeypatch.setattr(ShotRenderer, "draw", drawing)
         with pytest.raises(KeyboardInterrupt):
             render_main([*arguments, "-o", str(tmp_path / "film.mp4")])
         assert drawn == list(range(5, 31 if whole else 30))
@@ -278,12 +278,12 @@ def test_a_scheduler_that_is_not_there_is_one_line(arguments, tmp_path, monkeypa
 
 def test_what_a_worker_draws_is_what_is_asked_for(arguments, films, tmp_path, monkeypatch):
     """The task itself, without a cluster: the same frames, and no file that differs."""
-    from player.filming.cluster import draw_part, keep
+    from player.filming.cluster import draw_part, store_part
     from player.filming.stage import Stage
 
     orders = []
     monkeypatch.setattr(
-        player.filming.render, "drawn_by_workers", lambda _a, shot, parts: orders.append((shot, parts)) or []
+        player.filming.render, "draw_on_cluster", lambda _a, shot, parts: orders.append((shot, parts)) or []
     )
     folder, name = Path(arguments[0]).parent, Path(arguments[0]).name
     monkeypatch.chdir(folder)
@@ -293,7 +293,7 @@ def test_what_a_worker_draws_is_what_is_asked_for(arguments, films, tmp_path, mo
     [(shot, parts)] = orders
     assert Stage(shot.scene).frames > 55
     drawn = draw_part(shot, (20, 23), "", parts.identity["files"])
-    keep(tmp_path / "part", drawn.files)
+    store_part(tmp_path / "part", drawn.files)
     assert decoded(tmp_path / "part") == decoded(films / "frames")[15:18]
     wrong = dict.fromkeys(parts.identity["files"], "0" * 64)
     with pytest.raises(AssetError, match=r"tiny\.glb: differs on this worker"):

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from avatar.errors import AssetError
-from avatar.settings import facts
+from avatar.settings import settings_of
 from player.passes.background import Background
 from player.render_command import render_main
 from player.scenes.effects import STUDIO, Effects
@@ -217,7 +217,7 @@ def test_schema_and_tables_in_docs_are_those_of_the_dataclasses():
     page = (DOCS / "scenes.md").read_text()
     assert with_tables(page) == page
     for record in (SceneAvatar, SceneCamera, Background, Effects):
-        assert all(f"| `{fact.name}` |" in page for fact in facts(record))
+        assert all(f"| `{fact.name}` |" in page for fact in settings_of(record))
 
 
 def test_the_example_on_the_page_is_a_scene(tmp_path):

@@ -200,7 +200,7 @@ def web_sockets(middle: str) -> str:
 def test_connections_that_say_nothing_are_closed_and_the_listener_goes_on():
     """At 256 descriptors; each connection takes one here and one there."""
     silent = "silent = [socket.create_connection(place) for _ in range(110)]\ntime.sleep(0.5)\n"
-    inside = "assert len(listener.door.inside) <= 32\n"
+    inside = "assert len(listener.listener.connections) <= 32\n"
     assert web_sockets(silent + inside) == ""
 
 
