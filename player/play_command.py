@@ -10,6 +10,7 @@ import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
+from avatar.interrupt import deferred_stop
 from avatar.motion.hands import HANDS
 from avatar.settings import AtLeast, Help, OneOf, Option, parse
 from avatar.skeleton import PARTS
@@ -195,6 +196,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
     from player.window.window import play
 
     avatars = opened_avatars(scene)
+    panels = installed_panels() if command.gui else None
     with ExitStack() as sources:
         live = [
             (sources.enter_context(_listening(address, command, [avatars[k] for k in indices])), indices)
@@ -207,7 +209,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             show,
             size=scene.size or (1280, 800),
             null=command.platform == "null",
-            panels=installed_panels() if command.gui else None,
+            panels=panels,
             script=None if command.script is None else command.script.split(),
             screenshot=command.screenshot,
         )
@@ -216,7 +218,10 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
 def installed_panels() -> "Callable[[Parts], Panels] | None":
     """What makes the panels; None where imgui-bundle is not installed: then there are keys and a line of text."""
     try:
-        from player.gui.panels import Panels
+        # an exception from a signal handler inside the extension's initialisation would abort the process
+        with deferred_stop() as stop:
+            from player.gui.panels import Panels
+        stop.check()
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] != "imgui_bundle":
             raise
