@@ -27,11 +27,11 @@ def one_line(error: object) -> str:
 def open_input(path: Path | str, what: str, *, most: int = MAX_BYTES) -> io.BufferedReader:
     """A regular file of at most `most` bytes, opened to be read.
 
-    `what` names the expected content in messages, for example "a camera file". Devices, pipes and sockets are
-    refused before a byte is read: reading them may never end.
+    `what` names the expected content in messages, for example "a camera file". Devices, pipes and sockets, and the
+    system's own files, which claim to be empty, are refused before a byte is read: reading them may never end.
 
     Raises:
-        AssetError: absent, not a regular file, too large, or not to be read.
+        AssetError: absent, not a regular file, empty, too large, or not to be read.
     """
     try:
         _check_regular(path, what, os.stat(path))
@@ -49,9 +49,10 @@ def open_input(path: Path | str, what: str, *, most: int = MAX_BYTES) -> io.Buff
         raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:  # a NUL in a name that a file gave
         raise AssetError(f"{str(path)!r}: cannot be read: {error}") from None
-    if found.st_size > most:
+    if not 0 < found.st_size <= most:
         os.close(handle)
-        raise AssetError(f"{path}: expected {what} of at most {most} bytes, found {found.st_size}")
+        size = f"{found.st_size} bytes" if found.st_size else "an empty file"
+        raise AssetError(f"{path}: expected {what} of at most {most} bytes, found {size}")
     return os.fdopen(handle, "rb")
 
 
@@ -67,9 +68,6 @@ def read_bytes(path: Path | str, what: str, *, most: int = MAX_BYTES) -> bytes:
         with open_input(path, what, most=most) as file:
             # as much memory is taken as is asked for, so no more is asked for than is there
             data = file.read(os.fstat(file.fileno()).st_size + 1)
-            # some files of the system claim to be empty
-            while len(data) <= most and (more := file.read(1 << 16)):
-                data += more
     except OSError as error:
         raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
     if len(data) > most:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 from avatar.motion.hands import HANDS
-from avatar.settings import Above, AtLeast, AtMost, Help, OneOf, Option, parse
+from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, parse
 from player.arguments import (
     EFFECTS,
     GROUND_HELP,
@@ -19,7 +19,7 @@ from player.arguments import (
 )
 from player.filming.film import film_kind
 from player.passes.background import Background
-from player.scenes.scene import GROUNDS
+from player.scenes.scene import FILM_RATES, GROUNDS, TURNS
 
 EXAMPLES = """examples
   selfscan render me.glb --motion counting -o counting.mp4
@@ -73,8 +73,8 @@ class RenderCommand:
     ] = None
     seconds: Annotated[
         float | None,
-        Above(0),
-        AtMost(86400),
+        AtLeast(TURNS[0]),
+        AtMost(TURNS[1]),
         Option(metavar="S"),
         "one turn of orbit (default: the film) or turntable (6)",
     ] = None
@@ -91,8 +91,8 @@ class RenderCommand:
     ] = None
     rate: Annotated[
         float | None,
-        Above(0),
-        AtMost(1000),
+        AtLeast(FILM_RATES[0]),
+        AtMost(FILM_RATES[1]),
         Option(metavar="HZ"),
         "frames a second of the film (default: the motion's, halved, cut to a third ... where that is above 60)",
     ] = None

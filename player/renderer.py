@@ -23,6 +23,8 @@ from player.resolve import resolve
 from player.resources import PlanResources
 from player.scenes.effects import PLAIN, Effects
 
+# of one image, whose sides may be anything that the device can hold
+MAX_PIXELS = 1 << 27
 BULGE = (
     # dual quaternions leave the hull of the bones' spheres: by less than half of what the bones disagree
     1.5
@@ -265,6 +267,8 @@ class Renderer:
             raise ValueError(
                 f"{largest} pixels across; {self.context.renderer} holds at most {info['GL_MAX_TEXTURE_SIZE']}"
             )
+        if self.size is not None and self.size[0] * self.size[1] > MAX_PIXELS:
+            raise ValueError(f"size: expected at most {MAX_PIXELS} pixels, found {self.size[0]} x {self.size[1]}")
         canvas = Canvas(self.size, self.own_image, self.context.software, self.context.gl.max_samples)
         return resolve(self.avatars, canvas, self.effects, self.background, self.level, kept)
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from avatar.errors import AssetError
-from avatar.settings import Above, Color, OneOf, check
+from avatar.settings import Above, AtMost, Color, OneOf, check
 from player.drawing import Drawing, Warming
 from player.passes.panorama import Panorama, panorama_pass
 from player.plan import Absent, Decision, Draft, Pass, Stage, State
@@ -47,7 +47,7 @@ class Background:
     fit: Annotated[
         str, OneOf(FITS), "of image and video: cover crops, contain leaves bars of `color`, stretch distorts"
     ] = "cover"
-    rate: Annotated[float, Above(0), "frames per second of a folder of frames; films know theirs"] = 30.0
+    rate: Annotated[float, Above(0), AtMost(1e4), "frames per second of a folder of frames; films know theirs"] = 30.0
     exposure: Annotated[float, "of hdr, stops: +1 is twice as bright"] = 0.0
     turn_deg: Annotated[float, "of hdr, about the vertical: at 0 a camera in front sees the middle of the panorama"] = (
         0.0

@@ -8,13 +8,16 @@ from typing import Annotated
 
 from avatar.motion.hands import HANDS
 from avatar.motion.read import BUILTIN_MOTIONS
-from avatar.settings import Above, AtLeast, OneOf, Place, check
+from avatar.settings import AtLeast, AtMost, OneOf, Place, check
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, USUAL, Effects
 
 # where the ground of a motion is: avatar/motion/ground.py
 GROUNDS = ("auto", "find", "keep")
 CAMERAS = ("front", "orbit", "turntable", "file", "path", "capture")
+# of a film, frames per second, and of a round, seconds: beyond them containers of films count wrong
+FILM_RATES, TURNS = (0.01, 1000.0), (0.01, 86_400.0)
+MOST_AVATARS = 256
 MANNEQUINS = ("mannequin", "mannequin:female")
 
 
@@ -37,7 +40,7 @@ class SceneAvatar:
         "auto: keep before cameras that were measured (file, capture), else find",
     ] = "auto"
     body: Annotated[str | None, Place(), "SMPL+H model (.npz, .pkl) that the pose file was made for"] = None
-    start: Annotated[float, AtLeast(0), "seconds into the motion at which the scene begins"] = 0.0
+    start: Annotated[float, AtLeast(0), AtMost(1e9), "seconds into the motion at which the scene begins"] = 0.0
 
     def __post_init__(self):
         check(self)
@@ -58,10 +61,13 @@ class SceneCamera:
     name: Annotated[str | None, "what the window calls it; of capture, the part: body, head, hand_left, hand_right"] = (
         None
     )
-    seconds: Annotated[float | None, Above(0), "of orbit and turntable: one round; none: the length of the motion"] = (
-        None
-    )
-    fov_deg: Annotated[float | None, Above(0), "of the fitted cameras: vertical field of view; none: 35"] = None
+    seconds: Annotated[
+        float | None,
+        AtLeast(TURNS[0]),
+        AtMost(TURNS[1]),
+        "of orbit and turntable: one round; none: the length of the motion",
+    ] = None
+    fov_deg: Annotated[float | None, AtLeast(0.01), "of the fitted cameras: vertical field of view; none: 35"] = None
 
     def __post_init__(self):
         check(self)
@@ -86,7 +92,12 @@ class Scene:
         AtLeast(1),
         "width and height, pixels; none: the camera file's, else 640 x 640",
     ] = None
-    rate: Annotated[float | None, Above(0), "frames per second; none: the first motion's"] = None
+    rate: Annotated[
+        float | None,
+        AtLeast(FILM_RATES[0]),
+        AtMost(FILM_RATES[1]),
+        "frames per second; none: the first motion's",
+    ] = None
 
     def __post_init__(self):
         check(self)

@@ -15,7 +15,7 @@ from avatar.settings import Color, Place, Setting, broken_rule, settings_of
 from player.address import PORTS, parse_address
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, Effects
-from player.scenes.scene import Scene, SceneAvatar, SceneCamera
+from player.scenes.scene import MOST_AVATARS, Scene, SceneAvatar, SceneCamera
 
 # ("avatar", 1, "motion") is `motion` of the second [[avatar]]
 KeyPath = tuple[str | int, ...]
@@ -24,6 +24,7 @@ HEADER = re.compile(r"^\s*(\[\[|\[)\s*([^\]]+?)\s*\]\]?\s*(?:#.*)?$")
 KEY = re.compile(r"""^\s*((?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*'))*)\s*=""")
 STRINGS = re.compile(r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL)
 LARGEST_FILE = 1 << 20  # bytes; a scene is a page of text
+MOST_DOTS = 1000
 # beyond it nothing that a scene says has a meaning, and squares still are numbers
 LARGEST_NUMBER = 1e18
 SCALARS = {str: "a string", float: "a number", int: "a whole number"}
@@ -37,6 +38,9 @@ def read_scene(path: Path | str) -> Scene:
     """
     path = Path(path)
     text = read_text(path, "a scene", most=LARGEST_FILE)
+    # the parser walks every part of a key from the first one
+    if max(line.count(".") for line in text.split("\n")) > MOST_DOTS:
+        raise AssetError(f"{path}: expected at most {MOST_DOTS} dots in a line")
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -130,6 +134,9 @@ class _Reader:
                 fields[name] = self.record((name,), record, content[name], f"[{name}]")
         if not fields.get("avatars"):
             raise AssetError(f"{self.path}: expected at least one [[avatar]], found none")
+        if len(fields["avatars"]) > MOST_AVATARS:
+            found = len(fields["avatars"])
+            raise AssetError(f"{self.path}: expected at most {MOST_AVATARS} [[avatar]], found {found}")
         return Scene(**fields)
 
     def record(self, at: KeyPath, record: type, table: Mapping[str, Any], shown: str) -> Any:

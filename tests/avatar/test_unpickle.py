@@ -192,7 +192,7 @@ def test_nothing_is_run_and_the_name_is_said(tmp_path, protocol):
         (b"\x80\x05\x97.", "NEXT_BUFFER"),
         (b"\xff.", r"b'.xff' at byte 0, which no pickle"),
         (b"N", "ends at byte 1"),
-        (b"", "ends at byte 0"),
+        (b"", "an empty file"),
         (b".", "empty stack"),
         (b"0.", "empty stack"),
         (b"g7\n.", "reference to object 7"),

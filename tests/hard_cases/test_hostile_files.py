@@ -584,3 +584,50 @@ def test_channels_that_share_a_sampler_hold_its_keys_once(tmp_path):
         channel["sampler"] = n
     with pytest.raises(AssetError, match="keys of at most"):
         _channels(gltf, {n: n for n in range(300)}, [])
+
+
+def test_an_empty_file_is_refused_before_it_is_read(tmp_path):
+    """Files of the system claim to be empty, and reading some of them waits for ever."""
+    from avatar.input_file import read_bytes
+
+    (tmp_path / "a.json").touch()
+    with pytest.raises(AssetError, match="found an empty file"):
+        read_bytes(tmp_path / "a.json", "a camera")
+    if os.path.exists("/proc/self/maps"):
+        with pytest.raises(AssetError, match="found an empty file"):
+            read_bytes("/proc/self/maps", "a camera")
+
+
+def test_a_scene_of_one_endless_key_is_refused_at_once(tmp_path):
+    """The parser of TOML takes the square of a key's parts."""
+    from player.scenes.scene_file import read_scene
+
+    (tmp_path / "a.toml").write_text("a" + ".a" * 100_000 + " = 1\n")
+    started = time.process_time()
+    with pytest.raises(AssetError, match="dots in a line"):
+        read_scene(tmp_path / "a.toml")
+    assert time.process_time() - started < 1
+
+
+@pytest.mark.parametrize("text, match", [
+    ("rate = 1e-5", "rate: expected at least"), ("rate = 1e5", "rate: expected at most"),
+    ("[[camera]]\nseconds = 5e-324", "seconds: expected at least"),
+    ("[[camera]]\nfov_deg = 5e-324", "fov_deg: expected"),
+    ('[[avatar]]\npath = "mannequin"\n' * 300, "expected at most 256 .*, found 301"),
+])  # fmt: skip
+def test_scenes_that_no_film_can_show_are_refused(tmp_path, text, match):
+    from player.scenes.scene_file import read_scene
+
+    avatar = '[[avatar]]\npath = "mannequin"\n'
+    (tmp_path / "a.toml").write_text(f"{text}\n{avatar}" if text[0] == "r" else avatar + text)
+    with pytest.raises(AssetError, match=match):
+        read_scene(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("options", [["--rate", "1e-5"], ["--seconds", "5e-324"], ["--seconds", "1e308"]])
+def test_command_lines_that_no_film_can_show_are_wrong_usage(options, capsys):
+    from player.render_command import render_main
+
+    with pytest.raises(SystemExit) as stopped:
+        render_main(["a.glb", "--camera", "turntable", "-o", "a.gif", *options])
+    assert stopped.value.code == 2 and "expected at" in capsys.readouterr().err

@@ -142,7 +142,7 @@ def test_tables_of_the_wrong_kind_and_empty_scenes(scene_file):
     with pytest.raises(AssetError, match=r"toml:1: effects: expected a table, \[effects\], found the number 3"):
         read_scene(scene_file('effects = 3\n[[avatar]]\npath = "mannequin"'))
     with pytest.raises(AssetError, match=r"expected at least one \[\[avatar\]\], found none"):
-        read_scene(scene_file(""))
+        read_scene(scene_file("\n"))
     with pytest.raises(AssetError, match=r"absent\.toml: no such file; expected a scene"):
         read_scene(Path("absent.toml"))
 

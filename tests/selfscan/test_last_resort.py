@@ -38,6 +38,12 @@ def film(tmp_path_factory):
     return f"{SELFSCAN} render {path} --motion walking --frames 0:40 --size 48x48 --encoder software"
 
 
+def test_a_name_that_is_no_text_is_printed_all_the_same(film, tmp_path):
+    done = shell(f"{film} --frames 0:1 -o {tmp_path}/$'\\xff.mp4'", PYTHONIOENCODING="utf-8:strict")
+    assert done.returncode == 0, done.stderr
+    assert "\\udcff.mp4: 1 frame" in done.stdout
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 @pytest.mark.parametrize("asked", ["--help", "render --help", "--version"])
 def test_output_that_cannot_be_printed_is_one_line(asked):
