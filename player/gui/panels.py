@@ -135,6 +135,9 @@ class Panels:
     def on_key(self, key: int, down: bool) -> bool:
         io = self._io()
         found = SPECIAL.get(key) or LETTERS.get(key)
+        if found == imgui.Key.tab and down and not io.want_text_input:
+            # outside a text field Tab selects an avatar; here it would begin to type in the next field
+            found = None
         if found is not None:
             io.add_key_event(found, down)
             if found in MODIFIERS:

@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import json
 import re
 from pathlib import Path
 
@@ -35,6 +36,16 @@ def test_examples_run_as_they_stand(demo, page, least):
     assert len(run) >= least
     for code in run:
         exec(compile(code, page, "exec"), names)
+
+
+def test_the_notebook_runs_and_was_saved_with_its_pictures(demo):
+    cells = json.loads((ROOT / "docs" / "avatars.ipynb").read_text("utf-8"))["cells"]
+    written = [cell for cell in cells if cell["cell_type"] == "code"]
+    names: dict[str, object] = {}
+    for cell in written:
+        exec(compile("".join(cell["source"]), "avatars.ipynb", "exec"), names)
+    assert len(written) >= 4
+    assert sum("image/png" in output.get("data", {}) for cell in written for output in cell["outputs"]) >= 3
 
 
 def test_what_an_example_imports_is_there_even_where_it_is_not_run():

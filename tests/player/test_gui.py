@@ -70,6 +70,14 @@ def test_the_picture_is_the_same_before_and_after_panels_were_drawn(window):
     assert np.array_equal(first[:-30], again[:-30])
 
 
+def test_tab_selects_an_avatar_and_does_not_begin_to_type_in_a_panel(window):
+    run(window, "tab wait wait wait")
+    assert window.parts.state.layout.panels_drawn
+    # g is still a key of the window, no letter in a text field
+    run(window, "g wait")
+    assert not window.parts.state.layout.panels_drawn
+
+
 def test_widgets_do_what_their_keys_do(window):
     line = window.parts.state.timeline
     run(window, "press:on press:on")
