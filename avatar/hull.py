@@ -20,6 +20,8 @@ Array = np.ndarray
 DIRECTIONS = 128
 # frames posed at once
 BLOCK = 32
+# points looked at at once
+CHUNK = 8192
 
 
 class Hull(NamedTuple):
@@ -83,6 +85,13 @@ def outermost(points: Float[Array, "points 3"], directions: int = 512) -> Int[Ar
     height, turn = 1 - 2 * n / directions, np.pi * (1 + 5**0.5) * n
     flat = np.sqrt(1 - height * height)
     along = np.stack([flat * np.cos(turn), height, flat * np.sin(turn)], 1)
-    farthest = np.argmax(points @ along.T, axis=0)
+    farthest, reached = np.zeros(directions, np.int64), np.full(directions, -np.inf)
+    # a film's points by 512 directions would be a gigabyte
+    for first in range(0, len(points), CHUNK):
+        reach = along @ points[first : first + CHUNK].T
+        best = reach.argmax(1)
+        value = reach[np.arange(directions), best]
+        better = value > reached
+        farthest[better], reached[better] = first + best[better], value[better]
     # np.unique would load numpy.ma
     return np.flatnonzero(np.bincount(farthest, minlength=len(points)))

@@ -101,7 +101,7 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ("seconds = 8", 'seconds = "8"', 18, r"camera 1\.seconds: expected a number, found the string '8'"),
     ("start = 1", "start = true", 13, r"avatar 2\.start: expected a number, found true"),
     ("start = 1", "start = -1", 13, r"avatar 2\.start: expected at least 0, found -1"),
-    ("rate = 24", "rate = 0", 2, r"rate: expected more than 0, found 0"),
+    ("rate = 24", "rate = 0", 2, r"rate: expected at least 0.01, found 0"),
     ("rate = 24", "rate = inf", 2, r"rate: expected a finite number, found inf"),
     ("rate = 24", "rate = ", 2, r"Invalid value, column 11"),
     ("[640, 480]", "[640]", 1, r"size: expected 2 whole numbers in brackets, found 1 of them"),
