@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.errors import AssetError
-from avatar.hull import Hull, posed_hull
+from avatar.hull import Hull, lowest_points
 from avatar.motion.clip import Motion
 
 Array = np.ndarray
@@ -82,15 +82,16 @@ def _lowest_points(motion: Motion, hull: Hull) -> Float[Array, "frames"]:
     else:
         first = np.linspace(0, count - RUN, SAMPLED_FRAMES // RUN).astype(int)
         runs = [(int(k), int(k) + RUN) for k in first]
-    heights: list[Array] = []
+    read: list[tuple[Array, Array]] = []
     for start, stop in runs:
         try:
-            axis_angle, root = motion.block(start, stop)
+            read.append(motion.block(start, stop))
         except AssetError:
             # a broken frame is an error when it is shown, not before
             continue
-        heights.append(posed_hull(hull, axis_angle, root)[..., 1].min(1))
-    return np.concatenate(heights) if heights else np.zeros(0)
+    if not read:
+        return np.zeros(0)
+    return lowest_points(hull, np.concatenate([pose for pose, _ in read]), np.concatenate([root for _, root in read]))
 
 
 def _length(metres: float) -> str:

@@ -4,7 +4,8 @@ import tracemalloc
 
 import numpy as np
 
-from avatar.hull import CHUNK, outermost
+from avatar.body import builtin_body
+from avatar.hull import CHUNK, body_hull, lowest_points, outermost, posed_hull
 
 
 def test_outermost_points_are_those_of_one_product_however_many_there_are():
@@ -29,3 +30,11 @@ def test_the_points_of_a_long_film_take_little_memory():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 150e6
+
+
+def test_heights_alone_are_those_of_the_posed_points():
+    hull = body_hull(builtin_body("male"))
+    rng = np.random.default_rng(0)
+    pose, root = rng.normal(size=(40, 52, 3)), rng.normal(size=(40, 3))
+    expected = posed_hull(hull, pose, root)[..., 1].min(1)
+    np.testing.assert_allclose(lowest_points(hull, pose, root), expected, rtol=0, atol=1e-12)
