@@ -15,6 +15,7 @@ import torch
 from painted_capture import write_capture
 
 from avatar.errors import AssetError
+from avatar.files import whole_folder
 from train.options import TrainOptions
 from train.preset import DEMO
 from train.session import FILE, capture_digest, exclusive_lock, open_session
@@ -185,8 +186,8 @@ def test_nothing_to_resume_and_nothing_left_to_resume_are_said(tmp_path):
 
 
 def test_a_finished_run_is_replaced_only_by_force(tmp_path):
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "run.json").write_text("{}")
+    with whole_folder(tmp_path / "run") as folder:
+        (folder / "run.json").write_text("{}")
     with pytest.raises(AssetError, match="a finished run lies here; --force replaces it"):
         open_session(tmp_path / "run", SETTINGS, resume=False, force=False, say=print)
     assert open_session(tmp_path / "run", SETTINGS, resume=False, force=True, say=print) is not None
