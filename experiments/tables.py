@@ -219,7 +219,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         tuple(given.lpips),
         given.jobs,
     )
-    options.out.mkdir(parents=True, exist_ok=True)
+    for folder in (options.out, options.runs):
+        folder.mkdir(parents=True, exist_ok=True)
     absent = tables(options)
     for text in absent:
         note(f"not measured: {text}")
