@@ -1,5 +1,6 @@
 """The run folder: what training leaves for baking and measuring."""
 
+import dataclasses
 import json
 import sys
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from jaxtyping import Float
 
 from avatar.errors import AssetError
 from avatar.input_file import read_json
+from avatar.light import CaptureLight, light_from_json
 from avatar.npz import field as field_of
 from avatar.npz import read_npz
 from avatar.skeleton import PARTS
@@ -44,6 +46,13 @@ class Run:
     # what it was trained with, as run.json holds it
     preset: Preset
     provenance: dict  # all of run.json
+    # of each video, by part; empty: the fields' colours hold the light
+    lights: dict[str, CaptureLight] = dataclasses.field(default_factory=dict)
+
+    @property
+    def light(self) -> CaptureLight | None:
+        """The body video's light, which is everyone's reference; None: it was not told from the albedo."""
+        return self.lights.get("body")
 
 
 def build_field(
@@ -182,6 +191,25 @@ def matrix_of(path: Path, facts: dict, name: str) -> Float[np.ndarray, "4 4"]:
     return matrix
 
 
+def lights_of(path: Path, facts: dict) -> dict[str, CaptureLight]:
+    """The lights of run.json, by video; runs without a light factor have none.
+
+    Raises:
+        AssetError: they are not lights, or not of all four videos.
+    """
+    lights = facts.get("light")
+    if lights is None:
+        return {}
+    where = f"{path / 'run.json'}: light"
+    if not isinstance(lights, dict) or set(lights) != set(PARTS):
+        found = sorted(lights) if isinstance(lights, dict) else repr(lights)[:80]
+        raise AssetError(f"{where} should hold {', '.join(PARTS)} or be null, is {found}")
+    try:
+        return {part: light_from_json(lights[part]) for part in PARTS}
+    except ValueError as error:
+        raise AssetError(f"{where}: {error}") from None
+
+
 def read_run(path: Path | str, device: str = "cpu") -> Run:
     """Read a run folder.
 
@@ -202,4 +230,4 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
     correction = matrix_of(path, facts, "canonical_from_head_field")
     inverse = torch.tensor(np.linalg.inv(correction), dtype=torch.float32)
     field = FusedField(fields, part_boxes(subject), inverse).to(device).eval().requires_grad_(False)
-    return Run(path, field, read_surface(path / "surface.npz"), subject, preset, facts)
+    return Run(path, field, read_surface(path / "surface.npz"), subject, preset, facts, lights_of(path, facts))
