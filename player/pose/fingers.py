@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
+from avatar.limits import axis_angle_from_joint_angles, clamped_angles, joint_angles
 from avatar.motion.fingers import FINGERS, JOINT_SHARE
 from avatar.skeleton import LEFT_HAND, RIGHT_HAND
-from player.pose.limits import axis_angle_from_joint_angles, clamped_angles, joint_angles
 
 Array = np.ndarray
 Side = Literal["left", "right"]

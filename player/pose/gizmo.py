@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from avatar.camera import Camera, pixel_rays, project
+from avatar.limits import joint_angles, limits
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import PARENTS, joint_transforms
-from player.pose.limits import joint_angles, limits
 
 Array = np.ndarray
 

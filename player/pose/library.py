@@ -2,7 +2,7 @@
 
 The user's poses are one-frame AMASS files in our own world (up_axis "y"), so that they come back to the last bit
 and play like any motion: `selfscan render AVATAR --motion POSE.npz`. Built-in poses are written down as degrees of
-the joints' named angles (player/pose/limits.py) and hand shapes; they stand on the ground of whoever takes them.
+the joints' named angles (avatar/limits.py) and hand shapes; they stand on the ground of whoever takes them.
 """
 
 import os
@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.errors import AssetError
+from avatar.limits import posed
 from player.pose.fingers import PRESETS, with_hand
 from player.pose.keyframes import Pose
-from player.pose.limits import posed
 from player.pose.pose_file import read_pose, write_pose
 
 Array = np.ndarray

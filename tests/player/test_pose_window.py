@@ -8,6 +8,7 @@ pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 import glfw
 
 from avatar.camera import project
+from avatar.limits import joint_angles, within
 from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_matrix
 from avatar.settings import parse
@@ -18,7 +19,6 @@ from player.motions import motion_for
 from player.play_command import PLAY, PlayCommand, scene_of
 from player.pose.fingers import PRESETS, hand_shape
 from player.pose.ik import LIMBS
-from player.pose.limits import joint_angles, within
 from player.pose.mirror import mirrored_in_place
 from player.scenes.opened import opened_avatars
 from player.window.pose_tool import HANDLES

@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avatar.body import builtin_body
+from avatar.limits import joint_angles, within
 from avatar.motion.fingers import FINGERS, relaxed_hands
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND, joint_transforms, skin_transforms
 from avatar.skinning import skin_points
 from player.pose.fingers import PRESETS, HandShape, hand_shape, with_curl, with_hand, with_spread
-from player.pose.limits import joint_angles, within
 from player.pose.mirror import mirrored
 
 SOME = settings(max_examples=15, deadline=None, derandomize=True)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from avatar.body import builtin_body
 from avatar.camera import orbit_camera, project
+from avatar.limits import joint_angles, limits, with_angle
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms
 from player.pose.gizmo import (
@@ -23,7 +24,6 @@ from player.pose.gizmo import (
     ring_points,
     turned,
 )
-from player.pose.limits import joint_angles, limits, with_angle
 
 SOME = settings(max_examples=15, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -6,11 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avatar.body import builtin_body
-from avatar.motion.fingers import relaxed_hands
-from avatar.motion.read import read_motion
-from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import JOINTS, joint_transforms
-from player.pose.limits import (
+from avatar.limits import (
     allowed,
     axis_angle_from_joint_angles,
     clamped,
@@ -21,6 +17,10 @@ from player.pose.limits import (
     with_angle,
     within,
 )
+from avatar.motion.fingers import relaxed_hands
+from avatar.motion.read import read_motion
+from avatar.rotation import matrix_from_axis_angle
+from avatar.skeleton import JOINTS, joint_transforms
 from player.pose.mirror import mirrored
 
 FEW = settings(max_examples=12, deadline=None, derandomize=True)
