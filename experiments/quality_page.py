@@ -25,7 +25,7 @@ def light_of_facts(facts: dict[str, Any]) -> str:
 
 def lights_order(light: str) -> tuple[int, str]:
     """Even light first, as the easiest; then as the lights harden."""
-    names = ("even", "soft", "fixed", "varied")
+    names = ("even", "soft", "fixed", "varied", "room")
     name = light.split(" ")[0]
     return (names.index(name) if name in names else len(names)), light
 

@@ -42,7 +42,7 @@ class SynthConfig:
         str,
         OneOf(MODES),
         "even: base colour; soft: .75 ambient + .25 key; fixed: .45 + .55 and a highlight; varied: another light in "
-        "each video",
+        "each video; room: a window, a lamp, shadows and a camera's exposure",
     ] = "even"
     sheen: Annotated[float, AtLeast(0), AtMost(1), Option(metavar="0..1"), "view-dependent shine"] = 0.0
     pose_noise: Annotated[

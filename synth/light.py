@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-MODES = ("even", "soft", "fixed", "varied")
+from synth.room import ROOM, Room
+
+MODES = ("even", "soft", "fixed", "varied", "room")
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Light:
     specular: float = 0.0
 
 
-def light_of(mode: str, video: str, seed: int) -> Light:
+def light_of(mode: str, video: str, seed: int) -> Light | Room:
     """The light of one video. "varied" gives every video another light; the others share one.
 
     Raises:
@@ -42,6 +44,8 @@ def light_of(mode: str, video: str, seed: int) -> Light:
         x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
         ambient = float(rng.uniform(0.45, 0.8))
         return Light(ambient, 1 - ambient, (float(x), float(y), float(np.cos(azimuth) * np.cos(elevation))), 0.05)
+    if mode == "room":
+        return ROOM
     raise ValueError(f"light should be one of {MODES}, is {mode!r}")
 
 
@@ -68,5 +72,10 @@ def shade(
     half = towards_eye + towards_light
     half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
     added = light.specular * np.maximum((normals * half).sum(1), 0) ** 20
-    added = added + sheen * (0.30 * facing**24 + 0.35 * (1 - facing) ** 3)
+    added = added + sheen_of(facing, sheen)
     return base * lit[:, None] + 255 * added[:, None]
+
+
+def sheen_of(facing: Float[np.ndarray, "n"], sheen: float) -> Float[np.ndarray, "n"]:
+    """What a sheen adds to shown values of 0 to 1, where the cosine between normal and view is `facing`."""
+    return sheen * (0.30 * facing**24 + 0.35 * (1 - facing) ** 3)

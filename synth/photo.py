@@ -14,7 +14,8 @@ from avatar.skinning import skin_points
 from avatar.texture import sample_texture
 from geometry.mesh import vertex_normals, weld
 from player.raster import Rasteriser
-from synth.light import Light, shade
+from synth.light import Light, shade, sheen_of
+from synth.room import Room, RoomLighting, shade_in_room
 from synth.subject import SynthSubject
 
 
@@ -36,6 +37,7 @@ class Studio:
         self.rasteriser, self.subject, self.supersample = rasteriser, subject, supersample
         self.welded = weld(subject.vertices)
         self.face_part = subject.part[subject.faces[:, 0]]
+        self.lighting = RoomLighting(rasteriser, subject.faces, self.welded)
 
     def posed(
         self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
@@ -45,7 +47,9 @@ class Studio:
         transforms = skin_transforms(axis_angle, joints, root, rest=np.zeros((52, 3)))
         return skin_points(self.subject.vertices, self.subject.skin, transforms)
 
-    def take(self, vertices: Float[np.ndarray, "vertices 3"], camera: Camera, light: Light, sheen: float) -> Photo:
+    def take(
+        self, vertices: Float[np.ndarray, "vertices 3"], camera: Camera, light: Light | Room, sheen: float
+    ) -> Photo:
         """A picture of posed vertices."""
         width, height = camera.size
         n = self.supersample
@@ -53,13 +57,20 @@ class Studio:
         hit = fragments.face >= 0
         face, weights = fragments.face[hit], fragments.barycentric[hit]
         color = self._color(face, weights)
-        if light.key > 0 or sheen > 0:
+        if isinstance(light, Room) or light.key > 0 or sheen > 0:
             corners = self.subject.faces[face]
             normals = _blend(vertex_normals(vertices, self.subject.faces, self.welded), corners, weights)
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
             towards_eye = camera.eye - _blend(vertices, corners, weights)
             towards_eye /= np.linalg.norm(towards_eye, axis=1, keepdims=True)
-            color = shade(color, normals, towards_eye, light, sheen)
+            if isinstance(light, Room):
+                facing = (normals * towards_eye).sum(1)
+                lit = self.lighting.on(vertices, light).at(corners, weights, behind=facing < 0)
+                normals = np.where(facing[:, None] < 0, -normals, normals)
+                color = shade_in_room(color, normals, towards_eye, lit, light)
+                color += 255 * sheen_of(np.abs(facing), sheen)[:, None]
+            else:
+                color = shade(color, normals, towards_eye, light, sheen)
         samples = np.zeros((*hit.shape, 3), np.float32)
         samples[hit] = np.clip(color, 0, 255)
         image = np.round(_block_sum(samples, n) / n**2).astype(np.uint8)

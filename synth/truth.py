@@ -16,6 +16,7 @@ from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND
 from synth.film import FINEST_PIXEL, frame_points, rotation
 from synth.light import Light
 from synth.photo import Photo, Studio
+from synth.room import Room
 from synth.subject import SynthSubject
 
 SIZE = 512  # pixels
@@ -180,7 +181,9 @@ def _direction(azimuth: float, elevation: float) -> Float[np.ndarray, "3"]:
     return np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
 
 
-def take_set(studio: Studio, stands: list[Stand], folder: Path, light: Light, sheen: float, seed: int) -> Iterator[str]:
+def take_set(
+    studio: Studio, stands: list[Stand], folder: Path, light: Light | Room, sheen: float, seed: int
+) -> Iterator[str]:
     """Write one set of held-out pictures (images, masks, parts, views.npz); yields the name of each picture."""
     for kind in ("images", "masks", "parts"):
         (folder / kind).mkdir(parents=True)

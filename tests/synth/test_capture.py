@@ -244,3 +244,21 @@ def test_settings_out_of_range_are_wrong_usage(person, tmp_path, capsys, options
         main([str(person), str(tmp_path / "out"), *options])
     assert stop.value.code == 2 and message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_picture_in_the_room_keeps_mask_and_parts_and_is_darker_on_the_far_side(rasteriser, person):
+    """Studio with a room: the window is at the picture's left, the body's right half is darker than its left one."""
+    subject = read_subject(person)
+    studio = Studio(rasteriser, subject, supersample=1)
+    shots = plan_videos(studio, 4, 64)["body"]
+    vertices = studio.posed(shots.axis_angle[0], shots.root[0])
+    even = studio.take(vertices, shots.cameras[0], light_of("even", "body", 0), 0.0)
+    room = studio.take(vertices, shots.cameras[0], light_of("room", "body", 0), 0.0)
+    np.testing.assert_array_equal(room.mask, even.mask)
+    np.testing.assert_array_equal(room.parts, even.parts)
+    assert (room.image[even.mask == 0] == even.image[even.mask == 0]).all()
+    column = np.nonzero(even.mask)[1]
+    ratio = room.image[even.mask > 0].sum(1) / np.maximum(even.image[even.mask > 0].sum(1, dtype=float), 1)
+    assert ratio[column < 32].mean() > 1.1 * ratio[column >= 32].mean()
+    sheen = studio.take(vertices, shots.cameras[0], light_of("room", "body", 0), 0.5)
+    assert (sheen.image.astype(int) - room.image).min() >= 0 < (sheen.image.astype(int) - room.image).max()

@@ -48,6 +48,21 @@ def test_varied_light_differs_between_videos_and_repeats_with_the_seed():
     assert lights["head"] == light_of("varied", "head", 5) != light_of("varied", "head", 6)
 
 
+@pytest.mark.parametrize(
+    "mode, shown",
+    [
+        ("soft", [94.42985758771519, 93.25811121601309, 100.81467432779634]),
+        ("fixed", [88.6181405909465, 60.52270978890758, 94.95123060755891]),
+        ("varied", [76.49849580931544, 57.51132791365749, 101.72478555371293]),
+    ],
+)
+def test_lights_of_display_values_are_the_same_bits_as_ever(mode, shown):
+    base = np.array([[100.0], [120.0], [80.0]]).repeat(3, 1)
+    normals = np.array([[0.6, 0, 0.8], [0.0, -0.6, 0.8], [0.28, 0.96, 0.0]])
+    view = np.array([[0.0, 0, 1], [0.0, 0, 1], [0.6, 0.0, 0.8]])
+    assert shade(base, normals, view, light_of(mode, "head", 3), 0.5)[:, 0].tolist() == shown
+
+
 def test_an_unknown_mode_is_refused():
     with pytest.raises(ValueError, match="disco"):
         light_of("disco", "body", 0)
