@@ -79,4 +79,5 @@ def true_subject(capture: Path, truth: TrueMesh) -> SynthSubject:
         part=truth.part.astype(np.uint8),
         hair=truth.hair,
         licence="",
+        eye=truth.eye,
     )

@@ -26,6 +26,8 @@ class TrueMesh:
     hair: Bool[np.ndarray, "vertices"]
     # seen from outside in pose 0
     visible: Bool[np.ndarray, "faces"]
+    # vertices of the eyeballs; None: the capture does not say
+    eye: Bool[np.ndarray, "vertices"] | None = None
 
     def posed(
         self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
@@ -55,7 +57,7 @@ def read_true_mesh(capture: Path) -> TrueMesh:
         "hair": ("v",),
         "visible": ("f",),
     }
-    fields = read_arrays(path, shapes)
+    fields = read_arrays(path, shapes, {"eye": ("v",)})
     return TrueMesh(
         fields["vertices"].astype(np.float64),
         fields["faces"].astype(np.int64),
@@ -64,4 +66,5 @@ def read_true_mesh(capture: Path) -> TrueMesh:
         fields["part"].astype(np.int64),
         fields["hair"].astype(bool),
         fields["visible"].astype(bool),
+        fields["eye"].astype(bool) if "eye" in fields else None,
     )

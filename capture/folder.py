@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -37,6 +38,8 @@ class CaptureSubject:
     joints: Float[Array, "52 3"]  # pose 0
     part: Int[Array, "vertices"]  # index into PARTS
     hair: Bool[Array, "vertices"]
+    # centre and radius of the eyeballs, left then right, in pose 0, metres; None: not stated (capture/eyes.py)
+    eyes: Float[Array, "2 4"] | None = None
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
     Raises:
         AssetError: a field is absent, misshapen or not finite; file and field are named.
     """
-    fields = read_npz(path, "a subject", SUBJECT)
+    fields = read_npz(path, "a subject", SUBJECT, ("eyes",))
     rest = field(path, fields, "v_template", (None, 3)).astype(np.float64)
     count = len(rest)
     height = float(np.ptp(rest[:, 1])) if count else 0.0
@@ -128,19 +131,38 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
     if absent or part.max() > 3:
         raise AssetError(f"{path}: part should hold each of 0..3, lacks {absent}, largest {int(part.max())}")
     hair = field(path, fields, "hair", (count,)).astype(bool)
+    eyes = _read_eyes(path, fields, rest)
     skin = SkinWeights(bones, weights)
     canonical = skin_points(rest, skin, skin_transforms(BIG_POSE, joints, rest=np.zeros((52, 3))))
-    return CaptureSubject(name, rest, canonical, faces, skin, joints, part, hair)
+    return CaptureSubject(name, rest, canonical, faces, skin, joints, part, hair, eyes)
+
+
+def _read_eyes(path: Path, fields: dict[str, Array], rest: Float[Array, "vertices 3"]) -> Float[Array, "2 4"] | None:
+    """Centres and radii of the eyeballs, where the file states them."""
+    if "eyes" not in fields:
+        return None
+    eyes = field(path, fields, "eyes", (2, 4)).astype(np.float64)
+    low, high = rest.min(0), rest.max(0)
+    for name, (*centre, radius) in zip(("left", "right"), eyes):
+        if not ((low < centre) & (centre < high)).all() or not 0 < radius < 0.05:
+            raise AssetError(
+                f"{path}: eyes should hold a centre within the template and a radius below 0.05 m; the {name} one is "
+                f"{np.round([*centre, radius], 4).tolist()}"
+            )
+    return eyes
 
 
 def write_subject(path: Path, subject: CaptureSubject) -> None:
     """Write the template so that `read_subject` gives it back."""
+    fields: dict[str, Any] = {
+        "v_template": subject.rest, "faces": subject.faces, "joints": subject.joints,
+        "skin_joints": subject.skin.joints.astype(np.uint8), "skin_weights": subject.skin.weights,
+        "part": subject.part.astype(np.uint8), "hair": subject.hair,
+    }  # fmt: skip
+    if subject.eyes is not None:
+        fields["eyes"] = subject.eyes
     with whole_file(path) as file:
-        np.savez(
-            file, v_template=subject.rest, faces=subject.faces, joints=subject.joints,
-            skin_joints=subject.skin.joints.astype(np.uint8), skin_weights=subject.skin.weights,
-            part=subject.part.astype(np.uint8), hair=subject.hair,
-        )  # fmt: skip
+        np.savez(file, **fields)
 
 
 def _read_video(path: Path, part: str, vertex_count: int) -> PartVideo:

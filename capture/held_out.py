@@ -83,11 +83,16 @@ def read_held_out(capture: Path, name: str) -> list[HeldOutView]:
     return views
 
 
-def read_arrays(path: Path, shapes: dict[str, tuple]) -> dict[str, np.ndarray]:
+def read_arrays(
+    path: Path, shapes: dict[str, tuple], optional: dict[str, tuple] | None = None
+) -> dict[str, np.ndarray]:
     """Arrays of an .npz whose shapes agree: a letter stands for a length that must be the same everywhere."""
-    fields = read_npz(path, "ground truth", shapes)
+    optional = optional or {}
+    fields = read_npz(path, "ground truth", shapes, optional)
     lengths: dict[str, int] = {}
-    for name, shape in shapes.items():
+    for name, shape in {**shapes, **optional}.items():
+        if name not in fields:
+            continue
         array = fields[name]
         found = array.shape
         expected = tuple(lengths.setdefault(s, n) if isinstance(s, str) else s for s, n in zip(shape, found))

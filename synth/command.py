@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -158,20 +158,23 @@ def _facts(person: SynthSubject, template: Template, config: SynthConfig) -> dic
 
 
 def _write_template(path: Path, template: Template) -> None:
+    # any, as savez has a keyword that is no array
+    fields: dict[str, Any] = {
+        "v_template": template.vertices,
+        "faces": template.faces,
+        "skin_joints": template.skin.joints.astype(np.uint8),
+        "skin_weights": template.skin.weights.astype(np.float32),
+        "joints": template.joints,
+        "parents": PARENTS,
+        "uv": template.uv,
+        "uv_faces": template.uv_faces,
+        "hair": template.hair,
+        "part": template.part,
+    }
+    if template.eyes is not None:
+        fields["eyes"] = template.eyes
     with whole_file(path) as file:
-        np.savez_compressed(
-            file,
-            v_template=template.vertices,
-            faces=template.faces,
-            skin_joints=template.skin.joints.astype(np.uint8),
-            skin_weights=template.skin.weights.astype(np.float32),
-            joints=template.joints,
-            parents=PARENTS,
-            uv=template.uv,
-            uv_faces=template.uv_faces,
-            hair=template.hair,
-            part=template.part,
-        )
+        np.savez_compressed(file, **fields)
 
 
 def _film(folder: Path, studio: Studio, template: Template, videos: dict[str, Shots], config: SynthConfig) -> None:

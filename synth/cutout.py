@@ -23,6 +23,7 @@ def cut_out(subject: SynthSubject) -> SynthSubject:
         return subject
     vertices, uv = subject.vertices.astype(np.float64), subject.uv.astype(np.float64)
     weights, part, hair = dense_weights(subject.skin), subject.part, subject.hair
+    eye = np.zeros(len(vertices), bool) if subject.eye is None else subject.eye
     kept_faces, kept_material = [], []
     for number, alpha in enumerate(subject.alpha):
         faces = subject.faces[subject.material == number].astype(np.int64)
@@ -43,7 +44,7 @@ def cut_out(subject: SynthSubject) -> SynthSubject:
                 vertices, uv, weights = (
                     np.concatenate([values, values[edges].mean(1)]) for values in (vertices, uv, weights)
                 )
-                part, hair = (np.concatenate([values, values[edges[:, 0]]]) for values in (part, hair))
+                part, hair, eye = (np.concatenate([values, values[edges[:, 0]]]) for values in (part, hair, eye))
                 corners = [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
                 faces = np.concatenate([np.stack(corner, 1) for corner in corners])
             faces = np.concatenate(whole)
@@ -61,6 +62,7 @@ def cut_out(subject: SynthSubject) -> SynthSubject:
         skin=strongest_four(weights[used]),
         part=part[used],
         hair=hair[used],
+        eye=None if subject.eye is None else eye[used],
     )
 
 

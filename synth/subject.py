@@ -40,6 +40,8 @@ from synth.humanoid import find_joints
 # an arm this close to horizontal is a T-pose as animators leave it: turning it would only stretch the shoulders
 REST_ARM_DEGREES = 8.0
 HAIR_NAME = re.compile(r"wig|hair|ponytail|afro|beard", re.IGNORECASE)
+# eyeballs; lids, lashes, brows and glasses are called after the eye as well
+EYE_NAME = re.compile(r"eyes?(balls?)?(?![a-z])", re.IGNORECASE)
 HAIR_SIZE = (
     # metres: a mesh on the head alone and larger than this in two directions is no eye and no tooth
     0.10
@@ -65,6 +67,8 @@ class SynthSubject:
     licence: str
     # what was assumed in reading, printed by the command
     notes: tuple[str, ...] = ()
+    # vertices of the eyeballs; None: the file does not tell them apart
+    eye: Bool[np.ndarray, "vertices"] | None = None
 
 
 def read_subject(path: Path) -> SynthSubject:
@@ -114,6 +118,7 @@ def read_subject(path: Path) -> SynthSubject:
     textures, alpha = zip(*(_read_material(gltf, index, notes) for index in materials), strict=True)
     part = part_of(skin)
     hair = np.concatenate([np.full(len(mesh.vertices), mesh.hair) for mesh in meshes])
+    eye = np.concatenate([np.full(len(mesh.vertices), mesh.eye) for mesh in meshes])
     part[hair] = PARTS.index("head")  # hair that hangs over the shoulders is measured with the head all the same
     subject = SynthSubject(
         name=path.stem,
@@ -131,6 +136,7 @@ def read_subject(path: Path) -> SynthSubject:
         hair=hair,
         licence=_licence(path, gltf),
         notes=tuple(notes),
+        eye=eye if eye.any() else None,
     )
     return _as_made(gltf, subject)
 
@@ -168,6 +174,7 @@ def _as_made(gltf: Gltf, subject: SynthSubject) -> SynthSubject:
         skin=skin,
         part=part_of(skin),
         hair=fields["hair"][vertices] > 0,
+        eye=None if subject.eye is None else subject.eye[vertices],
     )
 
 
@@ -181,6 +188,7 @@ class _Primitive:
     weights: Float[np.ndarray, "vertices 52"]
     material: int  # glTF material, -1: none
     hair: bool
+    eye: bool
 
 
 class _NodeTree:
@@ -277,8 +285,9 @@ def _read_mesh_node(rig: _NodeTree, node: int) -> list[_Primitive]:
         if np.linalg.det(place[:3, :3]) < 0:
             faces = faces[:, ::-1]
         names = (described, gltf.items("meshes")[number], _material(gltf, material))
-        hair = _is_hair(" ".join(str(named.get("name", "")) for named in names), vertices, weights)
-        meshes.append(_Primitive(vertices, faces, uv, weights, material, hair))
+        called = " ".join(str(named.get("name", "")) for named in names)
+        hair = _is_hair(called, vertices, weights)
+        meshes.append(_Primitive(vertices, faces, uv, weights, material, hair, _is_eye(called, hair, weights)))
     return meshes
 
 
@@ -287,6 +296,11 @@ def _is_hair(name: str, vertices: Float[np.ndarray, "vertices 3"], weights: Floa
     on_head = weights[:, JOINTS.index("head")].mean() > 0.9
     second_extent = np.sort(np.ptp(vertices, axis=0))[1]
     return bool(HAIR_NAME.search(name)) or bool(on_head and second_extent > HAIR_SIZE)
+
+
+def _is_eye(name: str, hair: bool, weights: Float[np.ndarray, "vertices 52"]) -> bool:
+    """Whether a mesh is eyeballs: it is called so and moves with the head alone."""
+    return not hair and bool(EYE_NAME.search(name)) and bool(weights[:, JOINTS.index("head")].mean() > 0.9)
 
 
 def _upright(path: Path, joints: Float[np.ndarray, "52 3"]) -> tuple[Float[np.ndarray, "3 3"], str]:

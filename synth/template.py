@@ -23,6 +23,7 @@ from avatar.body import Body, builtin_body, shaped
 from avatar.rotation import rotation_between
 from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, PARTS, RIGHT_HAND
 from avatar.skinning import SkinWeights, skin_points
+from capture.eyes import RADIUS, body_sockets, fit_sphere
 from geometry.closest import closest_points, triangle_index
 from geometry.mesh import face_normals, vertex_normals
 from geometry.sample import stratified_samples
@@ -40,6 +41,10 @@ STEPS = (
     (28.0, 0.04, 5),
     (20.0, 0.04, 8),
 )
+
+# metres: vertices so near the edge of a lid are drawn to nothing farther than LID_LIMIT, or lids fold over each other
+LIDS = 0.006
+LID_LIMIT = 0.004
 
 _LIMBS = [
     i
@@ -65,6 +70,8 @@ class Template:
     body_licence: str
     # centimetres, mean distance from the subject's visible surface
     residual: dict[str, float]
+    # centre and radius of the eyeballs, left then right; None: the subject's mesh does not tell them apart
+    eyes: Float[np.ndarray, "2 4"] | None = None
 
 
 def register(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], rasteriser: Rasteriser) -> Template:
@@ -94,11 +101,31 @@ def register(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], rasteris
         body=body.name,
         body_licence=body.licence,
         residual=_residual(vertices, body.faces, surface),
+        eyes=_eyes(subject, visible),
     )
 
 
+def _eyes(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> Float[np.ndarray, "2 4"] | None:
+    """Spheres through what can be seen of the subject's own eyeballs, left then right."""
+    if subject.eye is None:
+        return None
+    seen = np.unique(subject.faces[visible & subject.eye[subject.faces].all(1)])
+    points = subject.vertices[seen].astype(np.float64)
+    if not len(points):
+        return None
+    middle = 0.5 * (points[:, 0].min() + points[:, 0].max())
+    sides = [points[points[:, 0] > middle], points[points[:, 0] <= middle]]
+    try:
+        fitted = [fit_sphere(side) for side in sides]
+    except ValueError:  # eyes drawn on a plane
+        return None
+    if not all(RADIUS[0] < radius < RADIUS[1] for _, radius in fitted):
+        return None
+    return np.array([[*centre, radius] for centre, radius in fitted])
+
+
 class _Surface(NamedTuple):
-    """The visible, hairless surface of a subject, with the joint that moves each point most."""
+    """The visible surface of a subject without hair and eyeballs, with the joint that moves each point most."""
 
     points: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
@@ -111,7 +138,11 @@ def _strongest_joint(skin: SkinWeights) -> Int[np.ndarray, "vertices"]:
 
 
 def _subject_surface(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> _Surface:
-    faces = subject.faces[visible & ~subject.hair[subject.faces].any(1)]
+    shown = visible & ~subject.hair[subject.faces].any(1)
+    if subject.eye is not None:
+        # the body has no eyeballs: its lids would be drawn onto them
+        shown &= ~subject.eye[subject.faces].any(1)
+    faces = subject.faces[shown]
     samples = stratified_samples(subject.vertices, faces, SAMPLES, seed=0)
     # hands are 3 % of the area and a third of what is looked at
     hand_faces = faces[subject.part[faces[:, 0]] >= PARTS.index("hand_left")]
@@ -312,8 +343,11 @@ def _smooth_offsets(
         tree = KDTree(np.concatenate([surface.points[rows], reach * surface.normals[rows]], 1))
         groups.append((np.flatnonzero(finger == f), rows, tree))
 
+    rims = np.concatenate([socket.rim for socket in body_sockets()])
+    on_lids = KDTree(start[rims]).query(start)[0] < LIDS
     x = start.copy()
-    for stiffness, limit, repetitions in STEPS:
+    for stiffness, farthest, repetitions in STEPS:
+        limit = np.where(on_lids, LID_LIMIT, farthest)
         for _ in range(repetitions):
             normals = vertex_normals(x, faces)
             target, weight = x.copy(), np.zeros(V)
@@ -323,7 +357,7 @@ def _smooth_offsets(
                 apart = x[members] - p
                 distance = np.linalg.norm(apart, axis=1)
                 agree = (n * normals[members]).sum(1) > 0.5
-                tukey = np.maximum(1 - (distance / limit) ** 2, 0) ** 2
+                tukey = np.maximum(1 - (distance / limit[members]) ** 2, 0) ** 2
                 along = (apart * n).sum(1, keepdims=True)
                 # mostly the foot on the plane; a tenth of the way to the point itself keeps rims from drifting
                 target[members] = x[members] - along * n

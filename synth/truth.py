@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -228,6 +229,7 @@ def write_png(path: Path, pixels: UInt8[np.ndarray, "..."]) -> None:
 def write_rest(folder: Path, subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> None:
     """rest.npz and a picture per material: the subject's own mesh in pose 0."""
     folder.mkdir(exist_ok=True)
+    eye: dict[str, Any] = {} if subject.eye is None else {"eye": subject.eye}
     with whole_file(folder / "rest.npz") as file:
         np.savez_compressed(
             file,
@@ -241,6 +243,7 @@ def write_rest(folder: Path, subject: SynthSubject, visible: Bool[np.ndarray, "f
             part=subject.part,
             hair=subject.hair,
             visible=visible,
+            **eye,
         )
     for i, texture in enumerate(subject.textures):
         write_png(folder / f"texture_{i}.png", texture)

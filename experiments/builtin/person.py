@@ -10,7 +10,7 @@ from avatar.skeleton import PARTS
 from avatar.skinning import strongest_four
 from experiments.builtin.atlas import BODY, HEAD, layout
 from experiments.builtin.dress import dress
-from experiments.builtin.dressed import HAIR
+from experiments.builtin.dressed import EYE, HAIR
 from experiments.builtin.eyes import eye_picture
 from experiments.builtin.looks import FEMALE, MALE
 from experiments.builtin.occlusion import baked_light, crease
@@ -66,6 +66,8 @@ def builtin_subject(sex: str, texture: int = TEXTURE) -> SynthSubject:
     point = mesh.faces.reshape(-1)[first]
     hair_points = np.zeros(len(mesh.vertices), bool)
     hair_points[mesh.faces[dressed.kind == HAIR]] = True
+    eye_points = np.zeros(len(mesh.vertices), bool)
+    eye_points[mesh.faces[dressed.kind == EYE]] = True
     skin = strongest_four(mesh.weights[point])
     return SynthSubject(
         name=f"builtin:{sex}",
@@ -79,6 +81,7 @@ def builtin_subject(sex: str, texture: int = TEXTURE) -> SynthSubject:
         joints=np.asarray(body.joints, np.float64),
         part=part[point],
         hair=hair_points[point],
+        eye=eye_points[point],
         licence="CC0-1.0 (body: MakeHuman base mesh; clothes, hair and colors: this project)",
     )
 
