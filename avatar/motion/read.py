@@ -35,7 +35,10 @@ def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestS
         return read_easymocap(path, body=body)
     if suffix == ".npz":
         from avatar.motion.amass import read_amass
+        from avatar.motion.sam3d_body import is_sam3d_body, read_sam3d_body
 
+        if is_sam3d_body(path):
+            return read_sam3d_body(path, skeleton)
         return read_amass(path, body=body)
     if suffix == ".pkl":
         from avatar.motion.pickled import read_pickled_motion

@@ -36,11 +36,17 @@ J = {name: index for index, name in enumerate(JOINTS)}
 
 
 def retarget(
-    rig: AnimatedRig, skeleton: RestSkeleton | None = None, *, up_known: bool = False, assumed: tuple[str, ...] = ()
+    rig: AnimatedRig,
+    skeleton: RestSkeleton | None = None,
+    *,
+    up_known: bool = False,
+    assumed: tuple[str, ...] = (),
+    alignment: Alignment | None = None,
 ) -> Motion:
     """The motion on our skeleton, with the bones of `skeleton` (the built-in man's where none is given).
 
     `up_known` says that the file's world is y-up by its format; `assumed` are the reader's own notes, put first.
+    `alignment` is given where it is known how the rig's axes lie; else its rest pose or its motion tells.
     The root keeps the file's heights: avatar/motion/ground.py finds the ground.
 
     Facts and assumptions are in the notes: joints not found, rest pose, up axis, scale, calibration frame.
@@ -62,7 +68,11 @@ def retarget(
     G, at = rig.transforms(np.concatenate([rig.values(int(k), int(k) + 1) for k in sample]))
     upright = (at[:, joints.head] - at[:, hips].mean(1)).mean(0)
     check_torso(rig, at[0, hips[0]] - at[0, hips[1]], upright)
-    if rests_standing(rig, joints):
+    known = alignment is not None
+    if alignment is not None:
+        W = np.eye(3) if up_known else _world_turn(upright, notes)
+        scale = _scale(rig, joints.places, ours, notes)
+    elif rests_standing(rig, joints):
         with_leg, flat = rest_alignment(rig, joints, ours, notes)
         scale = _scale(rig, joints.places, ours, notes)
         W = np.eye(3) if up_known else _world_turn(upright, notes)
@@ -71,7 +81,8 @@ def retarget(
         W = np.eye(3) if up_known else _world_turn(upright, notes)
         alignment = calibrated_alignment(rig, joints, Sampled(G, at, W[1]), ours, notes)
         scale = _scale(rig, joints.places, ours, notes)
-    _note_calibration(rig, joints, notes)
+    if not known:
+        _note_calibration(rig, joints, notes)
     # of the middle of the hips from the pelvis joint, in its frame
     offset = (ours[J["left_hip"]] + ours[J["right_hip"]]) / 2
 

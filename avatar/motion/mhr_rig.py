@@ -1,0 +1,265 @@
+"""The Momentum Human Rig (MHR), which SAM 3D Body poses: which of its 127 joints are ours, and how its bones' axes lie.
+
+Facts about the rig, none of its data: the order of the joints is that of `get_joint_names()` of the published model
+(github.com/facebookresearch/MHR, Apache-2.0; tools/mhr_smpl_conversion there holds real results). The axes were
+measured in two of those results: what is left of a joint's rotation against its parent when the pose parameters
+stored beside it are taken off is the same in both to 0.01 degrees for hips, shoulders, elbows, feet, collar bones,
+neck and head, 0.3 for knees and spine.
+
+    limbs, fingers      the bone runs along +x on the left, along -x on the right; +z is the hinge (knee, elbow, finger)
+    pelvis              x to the left, y up, z forward
+    spine               x up, y forward, z to the left, without any curve at rest; neck 19, head 2.2 degrees forward
+    right               R_right = -M R_left with M = diag(-1, 1, 1)
+
+A bone is laid along theirs with its hinge on their hinge, so an elbow that bends there bends here, about the same axis.
+Hands follow the palm that the joints span (wrist, forefinger, middle and little finger), not the wrist's own rotation:
+in real results the rotations of one hand may be older than its joints, which are what was fitted to the picture. Then
+the fingers' rotations are carried along with the palm. The forearm's turn is shared out evenly between elbow and wrist.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.motion.fingers import FINGERS, MIRROR, finger_axes
+from avatar.motion.rest_pose import Alignment, frame_of
+from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix, rotation_between
+from avatar.skeleton import JOINTS
+
+Array = np.ndarray
+J = {name: index for index, name in enumerate(JOINTS)}
+
+MHR_JOINTS = 127
+# of the left side: ours -> the joint that turns it, the joint that places it
+_LEFT: dict[str, tuple[int, int]] = {
+    "hip": (2, 2), "knee": (3, 3), "ankle": (7, 5), "foot": (8, 8),
+    "collar": (74, 74), "shoulder": (75, 75), "elbow": (76, 76), "wrist": (78, 78),
+    "index1": (92, 92), "index2": (93, 93), "index3": (94, 94),
+    "middle1": (88, 88), "middle2": (89, 89), "middle3": (90, 90),
+    "pinky1": (80, 80), "pinky2": (81, 81), "pinky3": (82, 82),
+    "ring1": (84, 84), "ring2": (85, 85), "ring3": (86, 86),
+    "thumb1": (97, 97), "thumb2": (98, 98), "thumb3": (99, 99),
+}  # fmt: skip
+# legs of the right side come 16 later, arms 36 earlier
+LEG, ARM = 16, -36
+SPINE = (34, 35, 36, 37)
+NECK, HEAD = 110, 113
+FINGER_ENDS = {"index": 95, "middle": 91, "pinky": 83, "ring": 87, "thumb": 100}
+# bones that lie along x: from joint, to joint (our names, left and right)
+BONES = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"),
+         *((f"{finger}{n}", f"{finger}{n + 1}") for finger in FINGERS for n in (1, 2, 3)))  # fmt: skip
+# axes in the world at rest, left side; columns x, y, z
+_COLLAR = np.array([[0.8365, 0.5443, 0.0639], [0.1003, -0.0374, -0.9943], [-0.5387, 0.8381, -0.0859]])
+_ANKLE = np.array([[-0.0149, -0.0042, 0.9999], [-0.1725, 0.9850, 0.0016], [-0.9849, -0.1725, -0.0154]])
+_TOES = np.array([[-0.2337, 0.0158, 0.9722], [0.0031, 0.9999, -0.0155], [-0.9723, -0.0006, -0.2337]])
+_UPRIGHT = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+NECK_TILT, HEAD_TILT = np.radians(19.0), np.radians(2.2)
+# the palm's frame as the left wrist sees it where rotations and joints agree
+_PALM = np.array([[0.999, 0.045, 0.008], [0.046, -0.991, -0.124], [0.002, 0.124, -0.992]])
+# of the forearm's turn, the elbow's part
+ELBOW_SHARE = 0.5
+# the knee bends about +x, the left elbow about -y, the right one about +y (avatar/motion/calibrate.py)
+HINGES = {"hip": (1.0, 0, 0), "knee": (1.0, 0, 0), "shoulder": (0, -1.0, 0), "elbow": (0, -1.0, 0)}
+
+
+def _numbers() -> dict[str, tuple[int, int]]:
+    """Our joint -> (MHR's joint that turns it, MHR's joint that places it), parents first."""
+    out = (
+        {"pelvis": (1, 1)}
+        | {f"spine{n}": (k, k) for n, k in enumerate(SPINE)}
+        | {"neck": (NECK,) * 2, "head": (HEAD,) * 2}
+    )
+    for side in ("left", "right"):
+        for name, (turn, place) in _LEFT.items():
+            shift = 0 if side == "left" else LEG if turn < 9 else ARM
+            out[f"{side}_{name}"] = (turn + shift, place + shift)
+    return out
+
+
+NUMBERS = _numbers()
+NAMES = tuple(NUMBERS)
+
+
+def _parent(name: str) -> str:
+    chain = ("pelvis", "spine0", "spine1", "spine2", "spine3", "neck", "head")
+    if name in chain[1:]:
+        return chain[chain.index(name) - 1]
+    side, base = name.split("_")
+    above = {
+        "knee": "hip",
+        "ankle": "knee",
+        "foot": "ankle",
+        "shoulder": "collar",
+        "elbow": "shoulder",
+        "wrist": "elbow",
+    }
+    if base in above:
+        return f"{side}_{above[base]}"
+    if base in ("hip", "collar"):
+        return "pelvis" if base == "hip" else "spine3"
+    return f"{side}_{base[:-1]}{int(base[-1]) - 1}" if base[-1] != "1" else f"{side}_wrist"
+
+
+@dataclass(frozen=True)
+class MhrRig:
+    """MHR's joints over time, under our names: an AnimatedRig (avatar/motion/rig.py) for avatar/motion/retarget.py.
+
+    Its "turns away from rest" are the joints' own axes in the world, which `mhr_alignment` knows.
+    """
+
+    path: Path
+    frames: int
+    rate: float
+    # (start, stop) -> rotations and places of MHR's joints in our world, metres
+    read: Callable[[int, int], tuple[Float[Array, "frames 127 3 3"], Float[Array, "frames 127 3"]]] = field(repr=False)
+    joints: Float[Array, "52 3"]  # of the skeleton that is to move
+    names: tuple[str, ...] = NAMES
+    parents: tuple[int, ...] = tuple(-1 if n == "pelvis" else NAMES.index(_parent(n)) for n in NAMES)
+    ends: tuple[tuple[int, tuple[float, float, float]], ...] = ()
+
+    def rest_positions(self) -> Float[Array, "joints 3"]:
+        """The places of the first frame: only lengths are taken from them."""
+        return self.transforms(self.values(0, 1))[1][0]
+
+    def values(self, start: int, stop: int) -> Float[Array, "frames 1"]:
+        """The numbers of the frames."""
+        return np.arange(start, stop, dtype=np.float64)[:, None]
+
+    def transforms(
+        self, values: Float[Array, "frames 1"]
+    ) -> tuple[Float[Array, "frames joints 3 3"], Float[Array, "frames joints 3"]]:
+        """Axes of each joint, every limb's and finger's bone laid exactly along the joints' places."""
+        numbers = values[:, 0].astype(int)
+        pieces = [
+            self.read(int(a[0]), int(a[-1]) + 1) for a in np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
+        ]
+        R = np.concatenate([turn for turn, _ in pieces])
+        at = np.concatenate([place for _, place in pieces])
+        G = R[:, [turn for turn, _ in NUMBERS.values()]]
+        places = at[:, [place for _, place in NUMBERS.values()]]
+        for side in ("left", "right"):
+            wrist = NAMES.index(f"{side}_wrist")
+            palm = palm_frames(at, side)
+            carried = palm @ np.swapaxes(R[:, NUMBERS[f"{side}_wrist"][0]] @ mirrored(_PALM, side), -1, -2)
+            G[:, wrist] = palm
+            for finger in FINGERS:
+                joints = [NAMES.index(f"{side}_{finger}{n}") for n in (1, 2, 3)]
+                G[:, joints] = carried[:, None] @ G[:, joints]
+            for bone in BONES:
+                joint = NAMES.index(f"{side}_{bone[0]}")
+                theirs = at[:, _end(side, bone[1])] - places[:, joint]
+                G[:, joint] = along_bone(G[:, joint], theirs, side)
+            self._share_forearm(G, side)
+        return G, places
+
+    def _share_forearm(self, G: Float[Array, "frames joints 3 3"], side: str) -> None:
+        """Give the elbow its part of the forearm's turn; in place."""
+        elbow, wrist = NAMES.index(f"{side}_elbow"), NAMES.index(f"{side}_wrist")
+        A = mhr_alignment(self.joints).limbs
+        relative = np.swapaxes(G[:, elbow] @ A[f"{side}_elbow"], -1, -2) @ G[:, wrist] @ A[f"{side}_wrist"]
+        bone = _unit(self.joints[J[f"{side}_wrist"]] - self.joints[J[f"{side}_elbow"]])
+        angle = twist_about(relative, bone)
+        along = np.array([sign(side), 0.0, 0.0])
+        G[:, elbow] = G[:, elbow] @ matrix_from_axis_angle(ELBOW_SHARE * angle[:, None] * along)
+
+
+def mhr_alignment(ours: Float[Array, "52 3"]) -> Alignment:
+    """The constant turns that lay the bones of a skeleton along MHR's axes (A_k of avatar/motion/retarget.py)."""
+    column = {NAMES.index("pelvis"): np.eye(3)}
+    column |= {NAMES.index(f"spine{n}"): _UPRIGHT.T for n in range(4)}
+    for name, tilt in (("neck", NECK_TILT), ("head", HEAD_TILT)):
+        column[NAMES.index(name)] = (_UPRIGHT @ matrix_from_axis_angle(np.array([0, 0, tilt]))).T
+    A: dict[str, Array] = {}
+    curl = finger_axes()[0]
+    for side in ("left", "right"):
+        for name, end in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")):
+            hinge = np.array(HINGES[name]) * (MIRROR if side == "right" else 1)
+            A[f"{side}_{name}"] = _hinged(ours[J[f"{side}_{end}"]] - ours[J[f"{side}_{name}"]], hinge, side)
+        for n, finger in enumerate(FINGERS):
+            for k in range(3):
+                a, b = (f"{side}_{finger}{min(k, 1) + 1}", f"{side}_{finger}{min(k, 1) + 2}")
+                hinge = curl[n, k] * (MIRROR if side == "right" else 1)
+                A[f"{side}_{finger}{k + 1}"] = _hinged(ours[J[b]] - ours[J[a]], hinge, side)
+        A[f"{side}_wrist"] = _our_palm(ours, side).T
+        for name, rest in (("collar", _COLLAR), ("ankle", _ANKLE), ("foot", _TOES)):
+            A[f"{side}_{name}"] = mirrored_rest(rest, side).T
+    return Alignment(A, column)
+
+
+def sign(side: str) -> float:
+    """Which way a side's bones run along x."""
+    return 1.0 if side == "left" else -1.0
+
+
+def mirrored_rest(left: Float[Array, "3 3"], side: str) -> Float[Array, "3 3"]:
+    """Axes at rest of one side from the left's."""
+    return left if side == "left" else -np.diag([-1.0, 1, 1]) @ left
+
+
+def mirrored(left: Float[Array, "3 3"], side: str) -> Float[Array, "3 3"]:
+    """The palm as the wrist of one side sees it, from the left's."""
+    return left if side == "left" else left @ np.diag([-1.0, 1, -1])
+
+
+def palm_frames(at: Float[Array, "frames 127 3"], side: str) -> Float[Array, "frames 3 3"]:
+    """Frame of the palm: x from the wrist to the middle finger, z towards the forefinger's side."""
+    places = {name: at[:, NUMBERS[f"{side}_{name}"][1]] for name in ("wrist", "middle1", "index1", "pinky1")}
+    return _frame(places["middle1"] - places["wrist"], places["index1"] - places["pinky1"])
+
+
+def along_bone(G: Float[Array, "frames 3 3"], bone: Float[Array, "frames 3"], side: str) -> Float[Array, "frames 3 3"]:
+    """The axes, turned by the least that lays x along the bone."""
+    x = G[:, :, 0] * sign(side)
+    return rotation_between(_unit(x), _unit(bone)) @ G
+
+
+def off_bones(
+    R: Float[Array, "frames 127 3 3"], at: Float[Array, "frames 127 3"], *, fingers: bool
+) -> Float[Array, "frames bones"]:
+    """Angles, radians, between the bones' x axes and the ways from joint to joint: of arms and legs, or of fingers."""
+    out = []
+    for side in ("left", "right"):
+        for a, b in BONES:
+            if (a[-1] in "123") == fingers:
+                turn, place = NUMBERS[f"{side}_{a}"]
+                bone = _unit(at[:, _end(side, b)] - at[:, place])
+                cosine = np.sum(_unit(R[:, turn, :, 0]) * bone, -1) * sign(side)
+                out.append(np.arccos(np.clip(cosine, -1, 1)))
+    return np.stack(out, -1)
+
+
+def twist_about(R: Float[Array, "frames 3 3"], axis: Float[Array, "3"]) -> Float[Array, "frames"]:
+    """The turn about an axis that is in a rotation (its swing-twist decomposition), within half a turn, radians."""
+    q = quaternion_from_matrix(R)
+    return 2 * np.arctan2(q[:, :3] @ axis, q[:, 3])
+
+
+def _end(side: str, name: str) -> int:
+    """MHR's joint at the end of a bone; finger "4"s are the tips."""
+    if name.endswith("4"):
+        return FINGER_ENDS[name[:-1]] + (ARM if side == "right" else 0)
+    return NUMBERS[f"{side}_{name}"][1]
+
+
+def _hinged(bone: Float[Array, "3"], hinge: Float[Array, "3"], side: str) -> Float[Array, "3 3"]:
+    """The turn that lays our bone along x, and our hinge on z."""
+    return frame_of(np.array([0.0, 0, 1]), np.array([sign(side), 0, 0])) @ frame_of(hinge, bone).T
+
+
+def _our_palm(ours: Float[Array, "52 3"], side: str) -> Float[Array, "3 3"]:
+    at = {name: ours[None, J[f"{side}_{name}"]] for name in ("wrist", "middle1", "index1", "pinky1")}
+    return _frame(at["middle1"] - at["wrist"], at["index1"] - at["pinky1"])[0]
+
+
+def _frame(along: Float[Array, "frames 3"], across: Float[Array, "frames 3"]) -> Float[Array, "frames 3 3"]:
+    x = _unit(along)
+    z = _unit(across - x * np.sum(x * across, -1, keepdims=True))
+    return np.stack([x, np.cross(z, x), z], -1)
+
+
+def _unit(v: Array) -> Array:
+    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    return v / np.where(length > 0, length, 1)

@@ -1,0 +1,235 @@
+"""Poses that SAM 3D Body found in photos: one .npz a photo, a folder of them, or their fields stacked, frames first.
+
+    pred_joint_coords (127,3)   metres, in the camera's axes: x right, y down, z forward; counted from the body's ground
+    pred_global_rots (127,3,3)  of the joints' axes, in axes with y up and z towards the camera
+    pred_cam_t (3,)             what is added to the joints to place them before the camera
+
+So joints and rotations are given in different axes: the joints are turned half round about x, which is also what
+makes our world (y up) of the camera's. Files whose rotations were turned already are recognised by their bones. Which
+way the camera leaned is not known: its up is taken for the world's. A photo has no frame rate.
+"""
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.errors import AssetError
+from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton
+from avatar.motion.mhr_rig import MHR_JOINTS, NUMBERS, MhrRig, mhr_alignment, off_bones
+from avatar.motion.retarget import retarget
+from avatar.npz import NpzFile
+
+Array = np.ndarray
+
+WHAT = "a result of SAM 3D Body"
+# the names that people save the fields under
+JOINTS_KEYS = ("pred_joint_coords", "joint_coords")
+TURNS_KEYS = ("pred_global_rots", "joint_global_rots", "joint_rots")
+CAMERA_KEYS = ("pred_cam_t", "cam_t")
+LARGEST = 1e6  # metres
+# of R^T R from the identity
+NOT_A_ROTATION = 0.01
+ASSUMED_RATE = 30.0
+SAMPLED_FRAMES = 30
+# from the camera's axes, y down, to ours
+FLIP = np.array([1.0, -1, -1])
+# degrees between bones and rotations: of arms and legs, above which the fields are not of one body; of hands, told
+MOST_OFF, HANDS_OFF = 15.0, 5.0
+# metres, of a bone that has a direction
+SHORTEST = 1e-5
+
+Rows = Callable[[int, int], tuple[Array, Array, Array]]
+
+
+def is_sam3d_body(path: Path | str) -> bool:
+    """Whether an .npz holds joints and rotations of a SAM 3D Body result, going by the names of its arrays."""
+    with NpzFile(path, WHAT) as npz:
+        return any(k in npz.names for k in JOINTS_KEYS) and any(k in npz.names for k in TURNS_KEYS)
+
+
+def read_sam3d_body(path: Path | str, skeleton: RestSkeleton | None = None) -> Motion:
+    """Open a result of SAM 3D Body, or a folder of them in the order of their names (numbers in them count as numbers).
+
+    Raises:
+        AssetError: no .npz, a field that is absent, misshapen, not finite or no rotation, or joints and rotations
+            that are not of one body. File, field, frame and joint are named.
+    """
+    path = Path(path)
+    notes: list[str] = []
+    frames, rows, placed = _opened(path, notes)
+    skeleton = builtin_skeleton() if skeleton is None else skeleton
+    sample = np.unique(np.linspace(0, frames - 1, min(frames, SAMPLED_FRAMES)).astype(int))
+    seen = [rows(int(k), int(k) + 1) for k in sample]
+    turn = _turned(path, np.concatenate([s[1] for s in seen]), np.concatenate([s[0] for s in seen]), notes)
+
+    def read(start: int, stop: int) -> tuple[Array, Array]:
+        joints, R, camera = rows(start, stop)
+        return turn[:, None] * R, (joints + camera[:, None]) * FLIP
+
+    notes.append("up: the camera's, which is taken to be level")
+    if placed:
+        notes.append("root: the place before the camera (pred_cam_t), the camera at the origin")
+    else:
+        notes.append("no pred_cam_t: the body stays where its joints are counted from")
+    if frames > 1:
+        notes.append(f"no frame rate in the files: {ASSUMED_RATE:g} frames per second assumed")
+    rig = MhrRig(path, frames, ASSUMED_RATE, read, skeleton.joints.astype(np.float64))
+    return retarget(rig, skeleton, up_known=True, assumed=tuple(notes), alignment=mhr_alignment(rig.joints))
+
+
+def _opened(path: Path, notes: list[str]) -> tuple[int, Rows, bool]:
+    """How many frames there are, what reads a stretch of them, and whether they are placed before the camera."""
+    if path.is_dir():
+        files = _files(path)
+        notes.append(f"frames: {len(files)} files in the order of their names, {files[0].name} to {files[-1].name}")
+        with NpzFile(files[0], WHAT) as npz:
+            placed = _key(npz, CAMERA_KEYS) is not None
+
+        def one(file: Path) -> tuple[Array, Array, Array]:
+            with NpzFile(file, WHAT) as npz:
+                frames, rows = _fields(npz, file.name)
+                if frames != 1:
+                    raise AssetError(f"{file}: expected one frame a file in a folder, found {frames}")
+                return rows(0, 1)
+
+        def stretch(start: int, stop: int) -> tuple[Array, Array, Array]:
+            parts = [one(file) for file in files[start:stop]]
+            if not parts:
+                return np.zeros((0, MHR_JOINTS, 3)), np.zeros((0, MHR_JOINTS, 3, 3)), np.zeros((0, 3))
+            joints, R, camera = (np.concatenate(values) for values in zip(*parts, strict=True))
+            return joints, R, camera
+
+        return len(files), stretch, placed
+    npz = NpzFile(path, WHAT)
+    frames, rows = _fields(npz, "")
+    return frames, rows, _key(npz, CAMERA_KEYS) is not None
+
+
+def _files(folder: Path) -> list[Path]:
+    """The .npz files of a folder in the order of their names."""
+    try:
+        names = [name for name in os.listdir(folder) if name.lower().endswith(".npz") and not name.startswith(".")]
+    except OSError as error:
+        raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
+    if not names:
+        raise AssetError(f"{folder}: expected results of SAM 3D Body (.npz), found none")
+    return [folder / name for name in sorted(names, key=name_order)]
+
+
+def name_order(name: str) -> tuple[list[tuple[str, int]], str]:
+    """What names are sorted by: frame_9 comes before frame_10."""
+    parts = re.findall(r"([^0-9]*)([0-9]{0,18})", name)
+    return [(text, int(digits) if digits else -1) for text, digits in parts], name
+
+
+def _key(npz: NpzFile, names: tuple[str, ...]) -> str | None:
+    return next((name for name in names if name in npz.names), None)
+
+
+def _fields(npz: NpzFile, place: str) -> tuple[int, Rows]:
+    """Frames of one file and what reads them: joints, rotations, places before the camera."""
+    path = npz.path
+    keys = {}
+    for names in (JOINTS_KEYS, TURNS_KEYS):
+        key = _key(npz, names)
+        if key is None:
+            raise AssetError(
+                f"{path}: no {names[0]}; expected {WHAT}, the file has {', '.join(sorted(npz.names)[:12])}"
+            )
+        keys[names] = key
+    members = {key: npz.member(key) for key in keys.values()}
+    camera = _key(npz, CAMERA_KEYS)
+    if camera is not None:
+        members[camera] = npz.member(camera)
+    tails = {keys[JOINTS_KEYS]: (MHR_JOINTS, 3), keys[TURNS_KEYS]: (MHR_JOINTS, 3, 3), camera: (3,)}
+    frames = -1
+    for key, member in members.items():
+        tail = tails[key]
+        stacked = member.shape[1:] == tail
+        if (not stacked and member.shape != tail) or member.dtype.kind not in "fiu":
+            raise AssetError(
+                f"{path}: {key} should be {tail} numbers, or frames of them, is {member.shape} {member.dtype}"
+            )
+        count = member.shape[0] if stacked else 1
+        if count == 0 or frames not in (-1, count):
+            expected = "at least 1" if count == 0 else f"{frames} as in {keys[JOINTS_KEYS]}"
+            raise AssetError(f"{path}: {key} has {count} frames, expected {expected}")
+        frames = count
+
+    def values(key: str, start: int, stop: int) -> Array:
+        member, tail = members[key], tails[key]
+        if member.shape == tail:
+            found = member.all().astype(np.float64)[None][start:stop]
+        else:
+            found = member.rows(start, stop).reshape(stop - start, *tail)
+        bad = ~(np.abs(found) < LARGEST)
+        if bad.any():
+            where = np.argwhere(bad)[0]
+            joint = f", joint {int(where[1])}" if len(tail) > 1 else ""
+            raise AssetError(
+                f"{path}: {key} is not finite, or beyond {LARGEST:g}, first in frame {start + int(where[0])}{joint}"
+            )
+        return found
+
+    def rows(start: int, stop: int) -> tuple[Array, Array, Array]:
+        joints, R = values(keys[JOINTS_KEYS], start, stop), values(keys[TURNS_KEYS], start, stop)
+        _check(path, joints, R, start, keys)
+        return joints, R, np.zeros((stop - start, 3)) if camera is None else values(camera, start, stop)
+
+    return frames, rows
+
+
+def _check(path: Path, joints: Array, R: Array, start: int, keys: dict[tuple[str, ...], str]) -> None:
+    """Refuse what is no rotation, and joints that fall together."""
+    used = sorted({k for pair in NUMBERS.values() for k in pair})
+    error = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max((-1, -2))
+    error = np.where(np.linalg.det(R) > 0, error, 2.0)[:, used]
+    if (error > NOT_A_ROTATION).any():
+        frame, k = (int(v) for v in np.argwhere(error > NOT_A_ROTATION)[0])
+        raise AssetError(
+            f"{path}: {keys[TURNS_KEYS]} should be rotations, joint {used[k]} of frame {start + frame} is none "
+            f"({R[frame, used[k]].round(3).tolist()})"
+        )
+    places = {name: joints[:, place] for name, (_, place) in NUMBERS.items()}
+    pairs = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in (
+        ("hip", "knee"), ("knee", "ankle"), ("ankle", "foot"), ("shoulder", "elbow"), ("elbow", "wrist"),
+        ("wrist", "middle1"), ("pinky1", "index1"))] + [("left_hip", "right_hip"), ("pelvis", "head")]  # fmt: skip
+    for a, b in pairs:
+        length = np.linalg.norm(places[b] - places[a], axis=-1)
+        if (length < SHORTEST).any():
+            frame = start + int(np.argmax(length < SHORTEST))
+            raise AssetError(f"{path}: {keys[JOINTS_KEYS]}: {a} and {b} of frame {frame} are at one place")
+
+
+def _turned(path: Path, R: Array, joints: Array, notes: list[str]) -> Float[Array, "3"]:
+    """The signs of the axes that make the rotations those of our world; notes hands that are older than their joints.
+
+    Raises:
+        AssetError: neither the rotations as they are stored nor turned with the joints lie along arms and legs.
+    """
+    upright = joints * FLIP
+    choices = {1: np.ones(3), -1: FLIP}
+    off = {
+        key: np.degrees(np.median(off_bones(signs[:, None] * R, upright, fingers=False)))
+        for key, signs in choices.items()
+    }
+    best = min(off, key=lambda key: off[key])
+    if off[best] > MOST_OFF:
+        raise AssetError(
+            f"{path}: joints and rotations should be of one body, the bones of arms and legs lie {off[best]:.0f} "
+            f"degrees (median) off the axes that should run along them (at most {MOST_OFF:g})"
+        )
+    signs = choices[best]
+    fingers = np.degrees(off_bones(signs[:, None] * R, upright, fingers=True)).reshape(len(R), 2, -1).mean((0, 2))
+    older = [
+        f"{side} ({angle:.0f} degrees)"
+        for side, angle in zip(("left", "right"), fingers, strict=True)
+        if angle > HANDS_OFF
+    ]
+    if older:
+        notes.append(f"hands: rotations are off the joints, which are kept: {', '.join(older)}")
+    return signs
