@@ -66,17 +66,15 @@ HINGES = {"hip": (1.0, 0, 0), "knee": (1.0, 0, 0), "shoulder": (0, -1.0, 0), "el
 
 
 def _numbers() -> dict[str, tuple[int, int]]:
-    """Our joint -> (MHR's joint that turns it, MHR's joint that places it), parents first."""
-    out = (
-        {"pelvis": (1, 1)}
-        | {f"spine{n}": (k, k) for n, k in enumerate(SPINE)}
-        | {"neck": (NECK,) * 2, "head": (HEAD,) * 2}
-    )
+    """Our joint -> (MHR's joint that turns it, MHR's joint that places it)."""
+    out = {"pelvis": (1, 1), "neck": (NECK, NECK), "head": (HEAD, HEAD)}
+    out |= {f"spine{n}": (k, k) for n, k in enumerate(SPINE)}
     for side in ("left", "right"):
         for name, (turn, place) in _LEFT.items():
             shift = 0 if side == "left" else LEG if turn < 9 else ARM
             out[f"{side}_{name}"] = (turn + shift, place + shift)
-    return out
+    # parents first
+    return dict(sorted(out.items(), key=lambda item: item[1]))
 
 
 NUMBERS = _numbers()

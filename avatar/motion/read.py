@@ -1,5 +1,6 @@
 """Opening a motion: which reader a file, a folder or a built-in name goes to. Each reader is a file beside this one."""
 
+import os
 from importlib.resources import files
 from pathlib import Path
 
@@ -29,6 +30,10 @@ def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestS
     if not path.exists():
         raise AssetError(f"{path}: no such file; expected {MOTION_FILES}, or one of {', '.join(BUILTIN_MOTIONS)}")
     suffix = path.suffix.lower()
+    if path.is_dir() and _has(path, ".npz"):
+        from avatar.motion.sam3d_body import read_sam3d_body
+
+        return read_sam3d_body(path, skeleton)
     if path.is_dir() or suffix == ".json":
         from avatar.motion.easymocap import read_easymocap
 
@@ -53,6 +58,14 @@ def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestS
 
         return read_gltf_motion(path, skeleton)
     raise AssetError(f"{path}: expected {MOTION_FILES}, found '{path.suffix}'")
+
+
+def _has(folder: Path, suffix: str) -> bool:
+    """Whether a folder holds files of this kind."""
+    try:
+        return any(name.lower().endswith(suffix) for name in os.listdir(folder))
+    except OSError as error:
+        raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
 
 
 def builtin_motion(name: str) -> Motion:

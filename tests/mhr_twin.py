@@ -1,0 +1,76 @@
+"""Results of SAM 3D Body made from poses of our own skeleton."""
+
+import numpy as np
+
+from avatar.body import builtin_body
+from avatar.limits import axis_angle_from_joint_angles, clamped_angles, limits
+from avatar.motion.mhr_rig import (
+    _PALM,
+    ARM,
+    FINGER_ENDS,
+    NUMBERS,
+    mhr_alignment,
+    mirrored,
+    palm_frames,
+    sign,
+    twist_about,
+)
+from avatar.motion.sam3d_body import FLIP
+from avatar.rotation import matrix_from_axis_angle
+from avatar.skeleton import JOINTS, joint_transforms
+
+J = {name: k for k, name in enumerate(JOINTS)}
+WITHOUT_CURVE = [J[name] for name in ("spine1", "spine2", "spine3")]
+
+
+def natural_poses(frames, seed=0, share=0.7):
+    """Poses within the limits, the pelvis turned about its height by anything."""
+    rng = np.random.default_rng(seed)
+    table = limits()
+    angles = clamped_angles(share * rng.uniform(table.low, table.high, (frames, 52, 3)))
+    angles[:, 0] = np.stack([rng.normal(0, 0.2, frames), rng.normal(0, 0.2, frames), rng.uniform(-3, 3, frames)], -1)
+    # hinges bend, and do not move sideways
+    for name in ("left_knee", "right_knee", "left_elbow", "right_elbow"):
+        angles[:, J[name], 1:] = 0
+    return axis_angle_from_joint_angles(angles)
+
+
+def world(axis_angle, joints, root):
+    transforms = joint_transforms(axis_angle, joints, root)
+    return transforms[:, :, :3, :3], transforms[:, :, :3, 3]
+
+
+def sam3d_fields(axis_angle, root, skeleton=None, camera=(0.3, 0.9, 5.0)):
+    """pred_joint_coords, pred_global_rots and pred_cam_t of a body that stands so; its spine is not curved."""
+    joints = builtin_body("male").joints if skeleton is None else skeleton
+    pose = np.array(axis_angle)
+    pose[:, WITHOUT_CURVE] = 0
+    G, at = world(pose, joints, root)
+    A = mhr_alignment(joints)
+    p, R = np.zeros((len(pose), 127, 3)), np.tile(np.eye(3), (len(pose), 127, 1, 1))
+
+    def ours(name: str) -> int:
+        return J["spine1" if name == "spine0" else name]
+
+    for k, (name, (turn, place)) in enumerate(NUMBERS.items()):
+        back = A.limbs[name].T if name in A.limbs else A.column[k].T
+        R[:, turn], p[:, place] = G[:, ours(name)] @ back, at[:, ours(name)]
+    for side in ("left", "right"):
+        # MHR's forearm has no turn of its own: the wrist's has all of it
+        elbow, wrist = J[f"{side}_elbow"], J[f"{side}_wrist"]
+        bone = joints[wrist] - joints[elbow]
+        upper = np.swapaxes(G[:, J[f"{side}_shoulder"]], -1, -2) @ G[:, elbow]
+        turn = twist_about(upper, bone / np.linalg.norm(bone))
+        back = matrix_from_axis_angle(-turn[:, None] * np.array([sign(side), 0, 0]))
+        R[:, NUMBERS[f"{side}_elbow"][0]] = R[:, NUMBERS[f"{side}_elbow"][0]] @ back
+        for finger, tip in FINGER_ENDS.items():
+            last, before = J[f"{side}_{finger}3"], J[f"{side}_{finger}2"]
+            end = at[:, last] + (G[:, last] @ (joints[last] - joints[before]))
+            p[:, tip + (ARM if side == "right" else 0)] = end
+        R[:, NUMBERS[f"{side}_wrist"][0]] = palm_frames(p, side) @ mirrored(_PALM, side).T
+    camera = np.asarray(camera)
+    return {
+        "pred_joint_coords": (p * FLIP - camera).astype("<f4"),
+        "pred_global_rots": R.astype("<f4"),
+        "pred_cam_t": np.tile(camera, (len(p), 1)).astype("<f4"),
+    }
