@@ -1,0 +1,1 @@
+"""The light of a capture, told from what the posed template shows of its videos."""

@@ -1,0 +1,116 @@
+"""What the videos show of the template: colour, triangle, normal and direction of pixels well inside the person."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from avatar.camera import Camera, pixel_rays
+from avatar.light import Frame
+from avatar.skeleton import PARTS
+from capture.check.silhouette import canonical_from_head, even, posed_template
+from capture.folder import Capture
+from capture.light.frames import light_from_video
+from geometry.mesh import vertex_normals
+from geometry.rasterise import rasterise
+
+Array = np.ndarray
+
+# of 255: brighter ones may have been clipped, which looks like a darker skin
+CLIPPED = 249
+# as dark as this is noise and the dirt between two pixels
+DARK = 3
+# of the angle between normal and eye: flatter ones show neither place nor normal well
+GRAZING = 0.25
+# metres of depth between neighbours: an outline in the middle of the person
+JUMP = 0.02
+# of a video: half a turn apart twice over is enough
+MOST_FRAMES = 16
+
+
+class LitPixels(NamedTuple):
+    """Pixels of all videos that show the template; n of them."""
+
+    video: Int[Array, "n"]  # index into PARTS
+    face: Int[Array, "n"]  # of the template
+    color: Float[Array, "n 3"]  # sRGB in [0, 1]
+    normal: Float[Array, "n 3"]  # unit, where the light stands still
+    towards_eye: Float[Array, "n 3"]  # the same
+
+    def chosen(self, rows: Array) -> "LitPixels":
+        return LitPixels(*(values[rows] for values in self))
+
+
+def lit_pixels(capture: Capture, frame: Frame, *, per_video: int = 40_000, seed: int = 0) -> LitPixels:
+    """Pixels in which the light can be read; at most `per_video` of each video, evenly chosen.
+
+    Left out are pixels at an outline, clipped or black ones, flat views, hair (which no template has), and, in the
+    head's and hands' videos, everything else of the person: it is out of focus there, or stands in another pose.
+    """
+    rng = np.random.default_rng([seed, 31])
+    hair = np.asarray(capture.subject.hair[capture.subject.faces].any(1))
+    found = []
+    for index, part in enumerate(PARTS):
+        own = (capture.subject.part[capture.subject.faces] == index).any(1) & ~hair
+        if part == "body":
+            own = ~hair
+        pieces = _video_pixels(capture, part, own, frame, per_video, rng)
+        found.append(LitPixels(np.full(len(pieces.face), index), *pieces[1:]))
+    return LitPixels(*(np.concatenate(values) for values in zip(*found, strict=True)))
+
+
+def _video_pixels(
+    capture: Capture, part: str, own: Bool[Array, "faces"], frame: Frame, most: int, rng: np.random.Generator
+) -> LitPixels:
+    video, faces = capture.videos[part], capture.subject.faces
+    turns = light_from_video(capture, part, frame)
+    frames = even(len(video.cameras), MOST_FRAMES)
+    each = -(-most // len(frames))
+    # the head's frame has its own unit
+    metres = float(np.cbrt(np.linalg.det(canonical_from_head(capture)[:3, :3]))) if part == "head" else 1.0
+    jump, pieces = JUMP / metres, []
+    for number in frames:
+        camera = video.cameras[number]
+        vertices = posed_template(capture, part, number)
+        drawn = rasterise(vertices, faces, camera)
+        image = video.images[number]
+        usable = (drawn.face >= 0) & (image.max(-1) < CLIPPED) & (image.max(-1) > DARK)
+        usable &= own[np.maximum(drawn.face, 0)] & _inside(video.masks[number], drawn.depth, jump)
+        if video.unsure is not None:
+            usable &= ~video.unsure[number]
+        pixels = np.argwhere(usable)
+        pixels = rng.permutation(pixels)[: 3 * each]
+        face = drawn.face[tuple(pixels.T)]
+        normal, towards_eye = _seen(vertices, faces, face, camera, pixels, drawn.depth[tuple(pixels.T)])
+        facing = np.flatnonzero((normal * towards_eye).sum(1) > GRAZING)[:each]
+        R = turns[number].T
+        color = image[tuple(pixels[facing].T)] / 255
+        pieces.append(LitPixels(facing, face[facing], color, normal[facing] @ R, towards_eye[facing] @ R))
+    return LitPixels(*(np.concatenate(values) for values in zip(*pieces, strict=True)))
+
+
+def _inside(mask: Bool[Array, "height width"], depth: Float[Array, "height width"], jump: float) -> Array:
+    """Pixels whose neighbours show the person too, at a depth that differs by less than `jump`."""
+    inside = np.asarray(ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1), bool)
+    # the farthest finite one stands for what is behind the person
+    depth = np.where(np.isfinite(depth), depth, np.max(depth, initial=0, where=np.isfinite(depth)) + 10 * jump)
+    return inside & (ndimage.maximum_filter(depth, 3) - ndimage.minimum_filter(depth, 3) < jump)
+
+
+def _seen(
+    vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], face: Int[Array, "n"], camera: Camera,
+    pixels: Int[Array, "n 2"], depth: Float[Array, "n"],
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:  # fmt: skip
+    """Interpolated unit normals of pixels (row, column) on faces, and unit directions to the eye."""
+    origins, directions = pixel_rays(camera, pixels[:, ::-1] + 0.5)
+    along = directions @ camera.camera_from_world[2, :3]
+    points = origins + directions * (depth / along)[:, None]
+    a, b, c = (vertices[faces[face, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    area = np.maximum((normal**2).sum(1), 1e-30)
+    u = (np.cross(c - b, points - b) * normal).sum(1) / area
+    v = (np.cross(a - c, points - c) * normal).sum(1) / area
+    weight = np.clip(np.stack([u, v, 1 - u - v], 1), 0, 1)
+    n = (weight[:, :, None] * vertex_normals(vertices, faces)[faces[face]]).sum(1)
+    return n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-9), -directions
