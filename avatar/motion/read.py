@@ -6,20 +6,26 @@ from pathlib import Path
 
 from avatar.body import Body
 from avatar.errors import AssetError
+from avatar.input_file import read_json
 from avatar.motion.clip import Motion, RestSkeleton
 
 BUILTIN_MOTIONS = ("counting", "walking")
 MOTIONS_FOLDER = Path(str(files("avatar") / "data" / "motions"))
-MOTION_FILES = "a motion (.npz AMASS, .pkl, .bvh, .glb .gltf .vrm .vrma, EasyMocap .json or folder)"
+LANDMARK_FILES = (".pbtxt", ".prototxt", ".textproto", ".jsonl")
+MOTION_FILES = (
+    "a motion (.npz AMASS or SAM 3D Body, .pkl, .bvh, .glb .gltf .vrm .vrma, .json EasyMocap or MediaPipe, .pbtxt, a "
+    "folder of them)"
+)
 
 
 def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestSkeleton | None = None) -> Motion:
     """Open a motion: a pose file, a folder of them, or the name of a built-in one.
 
-    .npz (AMASS), .pkl (SMPL+H, MoSh, 3DPW), .bvh, .glb .gltf .vrm .vrma (animation), .json or a folder of them
-    (EasyMocap). `body` is the body the file was made for; it settles where `trans` puts the pelvis and what hand
-    coefficients mean. `skeleton` is the one that the motion is to move (default: the built-in man's): its bones take
-    the directions of another rig's. What had to be assumed is in `notes`.
+    .npz (AMASS; SAM 3D Body), .pkl (SMPL+H, MoSh, 3DPW), .bvh, .glb .gltf .vrm .vrma (animation), .json (EasyMocap;
+    MediaPipe's landmarks, also .pbtxt and .jsonl), or a folder with a file a frame. `body` is the body the file was
+    made for; it settles where `trans` puts the pelvis and what hand coefficients mean. `skeleton` is the one that the
+    motion is to move (default: the built-in man's): its bones take the directions of another
+    rig's. What had to be assumed is in `notes`.
 
     Raises:
         AssetError: the file is absent, of an unknown kind, or holds what cannot be explained.
@@ -30,14 +36,20 @@ def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestS
     if not path.exists():
         raise AssetError(f"{path}: no such file; expected {MOTION_FILES}, or one of {', '.join(BUILTIN_MOTIONS)}")
     suffix = path.suffix.lower()
-    if path.is_dir() and _has(path, ".npz"):
-        from avatar.motion.sam3d_body import read_sam3d_body
-
-        return read_sam3d_body(path, skeleton)
-    if path.is_dir() or suffix == ".json":
+    if path.is_dir():
+        return _read_folder(path, body, skeleton)
+    if suffix == ".json":
         from avatar.motion.easymocap import read_easymocap
+        from avatar.motion.landmark_file import WHAT, is_mediapipe
+        from avatar.motion.mediapipe import read_mediapipe
 
+        if is_mediapipe(read_json(path, f"a frame of EasyMocap, or {WHAT}")):
+            return read_mediapipe(path, skeleton)
         return read_easymocap(path, body=body)
+    if suffix in LANDMARK_FILES:
+        from avatar.motion.mediapipe import read_mediapipe
+
+        return read_mediapipe(path, skeleton)
     if suffix == ".npz":
         from avatar.motion.amass import read_amass
         from avatar.motion.sam3d_body import is_sam3d_body, read_sam3d_body
@@ -60,12 +72,26 @@ def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestS
     raise AssetError(f"{path}: expected {MOTION_FILES}, found '{path.suffix}'")
 
 
-def _has(folder: Path, suffix: str) -> bool:
-    """Whether a folder holds files of this kind."""
+def _read_folder(path: Path, body: Body | None, skeleton: RestSkeleton | None) -> Motion:
+    """A folder of frames: what its files are decides who made it."""
+    from avatar.motion.easymocap import read_easymocap
+    from avatar.motion.landmark_file import WHAT, is_mediapipe
+    from avatar.motion.mediapipe import read_mediapipe
+    from avatar.motion.sam3d_body import read_sam3d_body
+
     try:
-        return any(name.lower().endswith(suffix) for name in os.listdir(folder))
+        names = sorted(name for name in os.listdir(path) if not name.startswith("."))
     except OSError as error:
-        raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
+        raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
+    kinds = {Path(name).suffix.lower() for name in names}
+    if ".npz" in kinds:
+        return read_sam3d_body(path, skeleton)
+    if kinds & set(LANDMARK_FILES):
+        return read_mediapipe(path, skeleton)
+    first = next((name for name in names if name.lower().endswith(".json")), None)
+    if first is not None and is_mediapipe(read_json(path / first, f"a frame of EasyMocap, or {WHAT}")):
+        return read_mediapipe(path, skeleton)
+    return read_easymocap(path, body=body)
 
 
 def builtin_motion(name: str) -> Motion:

@@ -1,0 +1,390 @@
+"""MediaPipe's landmarks: limbs keep their directions, fingers stay within limits, files of many shapes are one."""
+
+import json
+
+import numpy as np
+import pytest
+from landmark_twin import DOWN, landmarks, points
+from mhr_twin import J, natural_poses, world
+
+from avatar.body import builtin_body
+from avatar.errors import AssetError
+from avatar.limits import axis_angle_from_joint_angles, joint_angles
+from avatar.limits import within as inside
+from avatar.motion.clip import rest_skeleton
+from avatar.motion.landmark_pose import curl_sign
+from avatar.motion.mediapipe import read_mediapipe
+from avatar.motion.read import read_motion
+from avatar.rotation import axis_angle_from_matrix
+from avatar.skeleton import JOINTS, PARENTS
+
+SIDES = ("left", "right")
+LIMBS = [(f"{s}_{a}", f"{s}_{b}") for s in SIDES for a, b in (
+    ("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))]  # fmt: skip
+FINGERS = [(JOINTS[PARENTS[k]], JOINTS[k]) for k in range(22, 52) if JOINTS[k][-1] in "23"]
+MALE = builtin_body("male").joints
+
+
+def directions(places, pairs):
+    bones = np.stack([places[:, J[b]] - places[:, J[a]] for a, b in pairs], 1)
+    return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+
+
+def degrees_between(a, b):
+    return np.degrees(2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)))
+
+
+def poses(frames, seed=0):
+    """Natural poses without turns of the fingers about themselves, and with collar bones and spine at rest."""
+    angles = joint_angles(natural_poses(frames, seed, share=0.6))
+    angles[:, 22:, 2] = 0
+    angles[:, [J[n] for n in ("spine1", "spine2", "spine3", "neck", "left_collar", "right_collar")]] = 0
+    return axis_angle_from_joint_angles(angles)
+
+
+def frame(body, left=None, right=None, *, world_points=True, visibility=0.99):
+    out = {"pose_world_landmarks" if world_points else "pose_landmarks": points(body, visibility)}
+    for side, hand in (("left", left), ("right", right)):
+        if hand is not None:
+            out[f"{side}_hand_landmarks"] = points(hand)
+    return out
+
+
+def written(path, content):
+    path.write_text(json.dumps(content))
+    return path
+
+
+def placed(motion, joints):
+    clip = motion.read()
+    return world(clip.axis_angle, joints, clip.root)
+
+
+@pytest.mark.parametrize("gender", ["male", "female"])
+def test_limbs_point_where_the_landmarks_do_and_fingers_as_far_as_they_may(tmp_path, gender, within):
+    body = builtin_body(gender)
+    pose = poses(8)
+    points33, left, right, at = landmarks(pose, body.joints, np.zeros((8, 3)))
+    # the picture is square, so that its points are metres as well
+    told = {"image_width": 100, "image_height": 100}
+    frames = [frame(*k) for k in zip(points33, left, right, strict=True)]
+    motion = read_motion(written(tmp_path / "a.json", told | {"frames": frames}), skeleton=rest_skeleton(body))
+    _, mine = placed(motion, body.joints)
+    within(degrees_between(directions(mine, LIMBS), directions(at, LIMBS)), 0.05, "degrees")
+    within(degrees_between(directions(mine, FINGERS), directions(at, FINGERS)), 3.0, "degrees")
+    assert inside(motion.read().axis_angle, 1e-6)[:, 20:].all()
+
+
+def test_bent_limbs_turn_about_themselves_as_they_did(tmp_path, within):
+    """Knees and elbows bent by 60 degrees and more say how thigh and upper arm are turned; palms say it of the hand."""
+    angles = joint_angles(poses(6, seed=4))
+    hinges = [J[f"{s}_{n}"] for s in SIDES for n in ("knee", "elbow")]
+    angles[:, hinges] = [np.radians(75), 0, 0]
+    wrists = [J[f"{s}_wrist"] for s in SIDES]
+    angles[:, wrists, 2] = 0
+    # how a foot is rolled about its length, heel and toe do not say
+    angles[:, [J[f"{s}_ankle"] for s in SIDES], 1:] = 0
+    pose = axis_angle_from_joint_angles(angles)
+    points33, left, right, _ = landmarks(pose, MALE, np.zeros((6, 3)))
+    frames = [frame(*k) for k in zip(points33, left, right, strict=True)]
+    path = written(tmp_path / "a.json", {"width": 9, "height": 9, "frames": frames})
+    G, _ = world(pose, MALE, np.zeros((6, 3)))
+    ours, _ = placed(read_motion(path), MALE)
+    turned = [J[f"{s}_{n}"] for s in SIDES for n in ("hip", "knee", "shoulder", "ankle", "wrist")] + [J["head"], 0]
+    off = axis_angle_from_matrix(np.swapaxes(G[:, turned], -1, -2) @ ours[:, turned])
+    within(np.degrees(np.linalg.norm(off, axis=-1)), 1.5, "degrees")
+
+
+def test_a_hand_that_is_not_there_is_flat_and_said(tmp_path):
+    pose = poses(2)
+    body, left, _, _ = landmarks(pose, MALE, np.zeros((2, 3)))
+    path = written(tmp_path / "a.json", [frame(b, hand) for b, hand in zip(body, left, strict=True)])
+    motion = read_motion(path)
+    clip = motion.read()
+    assert not clip.axis_angle[:, 37:].any() and not clip.axis_angle[:, J["right_wrist"]].any()
+    assert np.abs(clip.axis_angle[:, 22:37]).max() > 0.1
+    assert any("no right hand in the file, flat" in note for note in motion.notes)
+
+
+def test_impossible_fingers_come_back_possible(tmp_path):
+    """A finger that is bent back by 90 degrees, as detectors see them, is held by its joints."""
+    body, left, right, _ = landmarks(np.zeros((1, 52, 3)), MALE, np.zeros((1, 3)))
+    for k in (2, 3):
+        left[0, 5 + k] = left[0, 5 + k - 1] + [0, -0.03, 0]
+    clip = read_motion(written(tmp_path / "a.json", frame(body[0], left[0], right[0]))).read()
+    assert inside(clip.axis_angle, 1e-6).all()
+
+
+def shapes_of(body, left, right):
+    """The same two frames in the shapes in which people write them."""
+    yield "list.json", [frame(body[k], left[k], right[k]) for k in range(2)]
+    yield "frames.json", {"fps": 25, "frames": [frame(body[k], left[k], right[k]) for k in range(2)]}
+    yield (
+        "messages.json",
+        [{key: {"landmark": value} for key, value in frame(body[k], left[k], right[k]).items()} for k in range(2)],
+    )
+    yield "people.json", [{key: [value] for key, value in frame(body[k], left[k], right[k]).items()} for k in range(2)]
+    yield (
+        "rows.json",
+        [
+            {
+                "poseWorldLandmarks": np.column_stack([body[k], np.full(33, 0.9)]).tolist(),
+                "leftHandLandmarks": left[k].tolist(),
+                "right_hand": right[k].ravel().tolist(),
+            }
+            for k in range(2)
+        ],
+    )
+
+
+def test_files_of_every_shape_are_the_same_motion(tmp_path):
+    body, left, right, _ = landmarks(poses(2), MALE, np.zeros((2, 3)))
+    expected = None
+    for name, content in shapes_of(body, left, right):
+        motion = read_motion(written(tmp_path / name, content))
+        assert motion.rate == (25 if name == "frames.json" else 30)
+        expected = motion.read().axis_angle if expected is None else expected
+        np.testing.assert_allclose(motion.read().axis_angle, expected, atol=1e-9, err_msg=name)
+    frames = [frame(body[k], left[k], right[k]) for k in range(2)]
+    (tmp_path / "lines.jsonl").write_text("\n".join(json.dumps(f) for f in frames) + "\n")
+    np.testing.assert_allclose(read_motion(tmp_path / "lines.jsonl").read().axis_angle, expected, atol=1e-9)
+    for kind, write in (("json", json.dumps), ("pbtxt", protobuf_text)):
+        folder = tmp_path / kind
+        folder.mkdir()
+        for k, f in enumerate(frames):
+            (folder / f"shot_{9 + k}.{kind}").write_text(write(f))
+        np.testing.assert_allclose(read_motion(folder).read().axis_angle, expected, atol=1e-9, err_msg=kind)
+
+
+def protobuf_text(content):
+    out = ["# proto-message: HolisticResult"]
+    for key, landmark in content.items():
+        rows = ["  landmark {\n" + "".join(f"    {k}: {v!r}\n" for k, v in row.items()) + "  }" for row in landmark]
+        out += [f"{key} {{", *rows, "}"]
+    return "\n".join(out) + "\n"
+
+
+def in_picture(body, width, height, focal=1.2, far=4.0):
+    """x, y in parts of the picture, z as x; seen from so far that perspective hardly shows."""
+    scale = focal / far / 2
+    return np.stack([0.5 + scale * body[..., 0] / width, 0.5 + scale * body[..., 1] / height,
+                     scale * (body[..., 2] - body[..., 23:25, 2].mean(-1, keepdims=True)) / width], -1)  # fmt: skip
+
+
+@pytest.mark.parametrize("width, height", [(9, 16), (16, 9), (1, 1)])
+def test_the_shape_of_the_picture_is_found_from_the_bodys_proportions(tmp_path, width, height, within):
+    pose = poses(5, seed=7)
+    body, _, _, at = landmarks(pose, MALE, np.zeros((5, 3)))
+    flat = in_picture(body, width / 9, height / 9)
+    told = read_motion(written(tmp_path / "a.json", [frame(b, world_points=False) for b in flat]))
+    assert any(f"width / height {width / height:.2f}" in note for note in told.notes)
+    _, mine = placed(told, MALE)
+    within(degrees_between(directions(mine, LIMBS), directions(at, LIMBS)), 0.1, "degrees")
+
+
+def test_the_root_follows_the_hips_in_the_picture(tmp_path, within):
+    pose = np.repeat(poses(1), 4, 0)
+    steps = np.array([[0, 0, 0], [0.3, 0, 0], [0.3, 0.4, 0], [-0.1, 0.1, 0]])
+    body, _, _, at = landmarks(pose, MALE, steps)
+    frames = [frame(b, world_points=False) for b in in_picture(body, 1.0, 1.5)]
+    told = {"image_width": 720, "image_height": 1080, "frames": frames}
+    root = read_motion(written(tmp_path / "a.json", told)).read().root
+    within((root - root[0]) - (at[:, 0] - at[0, 0]), 0.01, "m")
+
+
+def test_gaps_are_filled_and_said(tmp_path, within):
+    body, left, right, _ = landmarks(np.repeat(poses(1), 30, 0), MALE, np.zeros((30, 3)))
+    frames = [frame(*k) for k in zip(body, left, right, strict=True)]
+    whole = read_motion(written(tmp_path / "a.json", frames)).read()
+    for k in (3, 4, 11):
+        frames[k] = None if k == 3 else {"pose_world_landmarks": None, "left_hand_landmarks": []}
+    del frames[20]["left_hand_landmarks"]
+    for k in range(10, 30):
+        frames[k].pop("right_hand_landmarks", None)
+    motion = read_motion(written(tmp_path / "b.json", frames))
+    within(motion.read().axis_angle[:, :37] - whole.axis_angle[:, :37], 0.6, "rad")
+    np.testing.assert_allclose(motion.read().axis_angle[:, 22:37], whole.axis_angle[:, 22:37], atol=1e-6)
+    assert any("body: not found in 3 of 30 frames" in n for n in motion.notes)
+    assert any("no right hand in" in n and "flat there" in n for n in motion.notes)
+    # so long after the last sight of it
+    assert not motion.read().axis_angle[-1, 37:].any()
+
+
+def test_hardly_visible_legs_hang_straight(tmp_path):
+    body, _, _, _ = landmarks(poses(3), MALE, np.zeros((3, 3)))
+    frames = [frame(b) for b in body]
+    for one in frames:
+        for k in (25, 26, 27, 28, 29, 30, 31, 32):
+            one["pose_world_landmarks"][k]["visibility"] = 0.05
+    motion = read_motion(written(tmp_path / "a.json", frames))
+    legs = [J[f"{s}_{n}"] for s in SIDES for n in ("hip", "knee", "ankle")]
+    np.testing.assert_allclose(motion.read().axis_angle[:, legs], 0, atol=1e-9)
+    assert any("hardly ever visible" in n and "knee" in n for n in motion.notes)
+
+
+def test_which_hand_it_is_shows_in_how_it_bends(tmp_path):
+    """Single hands are labelled as in a mirrored picture by some versions; a bent finger tells."""
+    angles = np.zeros((1, 52, 3))
+    angles[:, 22:, 0] = np.radians(50)
+    _, left, right, _ = landmarks(axis_angle_from_joint_angles(angles), MALE, np.zeros((1, 3)))
+    assert curl_sign(left) < -0.2 and curl_sign(right) > 0.2
+    wrong = {"hand_landmarks": [points(left[0])], "handedness": [[{"category_name": "Right", "score": 0.9}]]}
+    motion = read_motion(written(tmp_path / "a.json", wrong))
+    assert motion.read().axis_angle[0, 22:37].any() and not motion.read().axis_angle[0, 37:].any()
+    assert any("labelled right bends as a left one" in n for n in motion.notes)
+    both = {
+        "hand_world_landmarks": [points(right[0]), points(left[0])],
+        "handedness": [[{"categoryName": "Right"}], [{"categoryName": "Left"}]],
+    }
+    clip = read_motion(written(tmp_path / "b.json", both)).read()
+    curls = np.degrees(joint_angles(clip.axis_angle[0]))
+    np.testing.assert_allclose(curls[[J[f"{s}_index2"] for s in SIDES], 0], 50, atol=2)
+
+
+def change(key, landmark, **values):
+    def apply(content):
+        for name, value in values.items():
+            content[key][landmark][name] = value
+        return content
+
+    return apply
+
+
+POSE = "pose_world_landmarks"
+
+
+@pytest.mark.parametrize(
+    "spoil, match",
+    [
+        (change(POSE, 3, x="left"), f"{POSE}: landmark 3: x should be a finite number, is 'left'"),
+        (change(POSE, 3, y=1e9), f"{POSE}: landmark 3: y should be a finite number"),
+        (change(POSE, 3, z=True), f"{POSE}: landmark 3: z should be a finite number"),
+        (lambda c: c | {POSE: c[POSE][:20]}, "pose_world_landmarks should be 33 landmarks, are 20"),
+        (lambda c: c | {"left_hand_landmarks": c[POSE]}, "left_hand_landmarks should be 21 landmarks, are 33"),
+        (lambda c: c | {POSE: 7}, f"{POSE} should be a list of landmarks, is '7'"),
+        (lambda c: c | {POSE: [1.0] * 50}, "3 or 4 numbers for each of 33 or 21 points, is 50 numbers"),
+        (lambda c: {POSE: None, "left_hand_landmarks": []}, "no landmarks of a body or a hand in 1 frames"),
+        (lambda c: {POSE: points(np.zeros((33, 3)))}, "frame 0: hips and shoulders are at one place"),
+        (lambda c: c | {"left_hand_landmarks": points(np.zeros((21, 3)))}, "the left hand's palm has no area"),
+        (lambda c: {"fps": -3, "frames": [c]}, "fps should be a positive number"),
+        (lambda c: {"fps": 1e-9, "frames": [c]}, "fps should be positive"),
+        (lambda c: {"landmarks": points(np.random.default_rng(0).normal(size=(468, 3)))}, "are 468"),
+        (lambda c: [c, 5], "frame 1: expected landmarks of MediaPipe, an object, found a int"),
+    ],
+)
+def test_bad_landmarks_are_refused_by_name(tmp_path, spoil, match):
+    body, left, right, _ = landmarks(poses(1), MALE, np.zeros((1, 3)))
+    path = written(tmp_path / "bad.json", spoil(frame(body[0], left[0], right[0])))
+    with pytest.raises(AssetError, match=match) as error:
+        read_motion(path)
+    assert "\n" not in str(error.value) and "bad.json" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text, match",
+    [
+        ("landmark { x: 1", "its end inside a message"),
+        ("landmark { x: nan y: 0 z: 0 }", "which is not finite"),
+        ("landmark { x: 1e999 y: 0 z: 0 }", "which is beyond floats"),
+        ("landmark { x: 1 } }", "line 1: expected landmarks of MediaPipe"),
+        ("a { " * 40, "nested more than 32 deep"),
+        ("landmark { x 1 }", "found '1'"),
+        ("\x00\x01", "expected landmarks of MediaPipe"),
+        ('landmark { x: "unclosed }', "found"),
+        ("landmark { x: 1 y: 2 z: 3 }", "should be 33 of a body or 21 of a hand, are 1"),
+        ("label: 3", "no landmarks of a body or a hand"),
+    ],
+)
+def test_bad_protobuf_text_is_refused_by_line(tmp_path, text, match):
+    (tmp_path / "bad.pbtxt").write_text(text)
+    with pytest.raises(AssetError, match=match) as error:
+        read_motion(tmp_path / "bad.pbtxt")
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_cut_anywhere_is_refused_or_lacks_its_end(tmp_path):
+    body, left, right, _ = landmarks(poses(1), MALE, np.zeros((1, 3)))
+    for kind, write in (("json", json.dumps), ("pbtxt", protobuf_text)):
+        whole = write(frame(body[0], left[0], right[0]))
+        for length in range(1, len(whole) - 2, len(whole) // 60):
+            path = tmp_path / f"cut.{kind}"
+            path.write_text(whole[:length])
+            try:
+                clip = read_motion(path).read()
+            except AssetError as error:
+                assert "\n" not in str(error) and "cut." in str(error)
+            else:
+                # cut between two messages: what is there is whole
+                assert kind == "pbtxt" and np.isfinite(clip.axis_angle).all()
+
+
+def test_any_value_replaced_is_refused_or_gives_finite_poses(tmp_path):
+    body, left, right, _ = landmarks(poses(1), MALE, np.zeros((1, 3)))
+    rng = np.random.default_rng(0)
+    strange = [None, True, -1, 1e4, 0, "x", [], {}, [[]], {"landmark": None}, 1e308, [0, 0, 0]]
+    for _ in range(60):
+        content = frame(body[0], left[0], right[0])
+        key = rng.choice(list(content))
+        if rng.random() < 0.3:
+            content[key] = strange[rng.integers(len(strange))]
+        else:
+            at = content[key][rng.integers(len(content[key]))]
+            at[rng.choice(["x", "y", "z"])] = strange[rng.integers(len(strange))]
+        try:
+            clip = read_motion(written(tmp_path / "a.json", content)).read()
+        except AssetError as error:
+            assert "\n" not in str(error)
+        else:
+            assert np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()
+
+
+def test_easymocaps_frames_are_still_easymocaps(tmp_path):
+    person = {"id": 0, "Rh": [[0, 0, 0]], "Th": [[0, 0, 0]], "poses": [[0.0] * 72], "shapes": [[0.0] * 10]}
+    written(tmp_path / "000000.json", [person])
+    assert any("EasyMocap" in note for note in read_motion(tmp_path).notes)
+    assert any("EasyMocap" in note for note in read_motion(tmp_path / "000000.json").notes)
+
+
+def real(data, name):
+    path = data / "estimators" / f"mediapipe_{name}.pbtxt"
+    if not path.is_file():
+        pytest.skip(f"no {path}")
+    return path
+
+
+def test_a_real_fist_is_closed_and_a_pointing_hand_points(data):
+    for name, straight in (("fist_landmarks", ()), ("pointing_up_landmarks", ("index",))):
+        motion = read_mediapipe(real(data, name))
+        curl = np.degrees(joint_angles(motion.read().axis_angle[0]))[:, 0]
+        assert any("T-pose" in note for note in motion.notes)
+        for finger in ("index", "middle", "ring", "pinky"):
+            bend = curl[[J[f"right_{finger}{n}"] for n in (1, 2, 3)]].sum()
+            assert bend < 45 if finger in straight else bend > 170, (name, finger, bend)
+
+
+def test_a_real_photo_lies_over_its_landmarks(data, within):
+    """In the plane of the picture the limbs point as the photo's do; both hands are there, and no joint is broken."""
+    path = real(data, "male_full_height_hands_result_cpu")
+    motion = read_mediapipe(path)
+    clip = motion.read()
+    assert "width / height 0.67" in " ".join(motion.notes)
+    _, at = world(clip.axis_angle, MALE, clip.root)
+    text = path.read_text().split("pose_landmarks {")[1].split("\n}\n")[0]
+    numbers = {
+        axis: [float(line.split()[1]) for line in text.splitlines() if line.strip().startswith(f"{axis}:")]
+        for axis in "xyz"
+    }
+    seen = np.stack([numbers[axis] for axis in "xyz"], -1) * DOWN * [1, 1.5, 1]
+    for a, b, first, last in (("left_shoulder", "left_elbow", 11, 13), ("left_elbow", "left_wrist", 13, 15),
+                              ("right_shoulder", "right_elbow", 12, 14), ("right_elbow", "right_wrist", 14, 16),
+                              ("left_hip", "left_knee", 23, 25), ("right_knee", "right_ankle", 26, 28)):  # fmt: skip
+        way = seen[last] - seen[first]
+        within(degrees_between(directions(at, [(a, b)])[0, 0], way / np.linalg.norm(way)), 0.1, "degrees")
+    assert inside(clip.axis_angle[0]).all()
+
+
+def test_a_real_face_alone_is_refused(data):
+    with pytest.raises(AssetError, match="are 478"):
+        read_motion(real(data, "portrait_expected_face_landmarks"))
+    with pytest.raises(AssetError, match="no landmarks of a body or a hand"):
+        read_motion(real(data, "portrait_expected_blendshapes"))

@@ -1,0 +1,48 @@
+"""MediaPipe's landmarks made from poses of our own skeleton."""
+
+import numpy as np
+from mhr_twin import world
+
+from avatar.motion.landmark_pose import FACE, FACE_AT_REST, HAND_STARTS, PAIRS
+from avatar.skeleton import JOINTS
+
+J = {name: k for k, name in enumerate(JOINTS)}
+SIDES = ("left", "right")
+# from our axes to the picture's: y down, z away
+DOWN = np.array([1.0, -1, -1])
+
+
+def landmarks(axis_angle, joints, root):
+    """Body (frames 33 3) and both hands (frames 21 3) in the camera's axes, metres, with the joints' world places."""
+    G, at = world(axis_angle, joints, root)
+    body = np.zeros((len(at), 33, 3))
+    head = G[:, J["head"]]
+    body[:, FACE] = at[:, J["head"], None] + (FACE_AT_REST + [0, 0.05, 0.1]) @ np.swapaxes(head, -1, -2)
+    for spare, near in ((1, 2), (3, 2), (4, 5), (6, 5)):
+        body[:, spare] = body[:, near]
+    hands = {}
+    for n, side in enumerate(SIDES):
+        for name in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle"):
+            body[:, PAIRS[name][n]] = at[:, J[f"{side}_{name}"]]
+        foot = G[:, J[f"{side}_ankle"]]
+        for name, offset in (("heel", (0, -0.06, -0.05)), ("toe", (0, -0.06, 0.18))):
+            body[:, PAIRS[name][n]] = at[:, J[f"{side}_ankle"]] + foot @ np.array(offset)
+        hand = np.zeros((len(at), 21, 3))
+        hand[:, 0] = at[:, J[f"{side}_wrist"]]
+        for finger, start in HAND_STARTS.items():
+            names = [J[f"{side}_{finger}{k}"] for k in (1, 2, 3)]
+            hand[:, start : start + 3] = at[:, names]
+            hand[:, start + 3] = at[:, names[2]] + G[:, names[2]] @ (joints[names[2]] - joints[names[1]])
+        hands[side] = hand * DOWN
+        # pose's own points of the hand
+        for point, start in ((17, 17), (19, 5), (21, 2)):
+            body[:, point + n] = hand[:, start]
+    return body * DOWN, hands["left"], hands["right"], at
+
+
+def points(array, visibility=None):
+    """Landmarks as Python prints them."""
+    return [
+        {"x": float(x), "y": float(y), "z": float(z)} | ({} if visibility is None else {"visibility": visibility})
+        for x, y, z in array
+    ]
