@@ -34,6 +34,8 @@ Array = np.ndarray
 WHAT = "landmarks of MediaPipe"
 TEXT = (".pbtxt", ".prototxt", ".textproto")
 MOST_FRAMES = 1_000_000
+# of lists in lists: a list of people, each a list of landmarks
+MAX_DEPTH = 4
 LARGEST = 1e5  # of a coordinate: pixels, parts of the picture, metres
 # of curl_sign, beyond which it is certain which hand it is
 CERTAIN = 0.1
@@ -136,6 +138,9 @@ def _json_frames(path: Path, content: Any, told: dict[str, float]) -> list[tuple
         if inner is None:
             return [(str(path), content)]
         content = inner
+    if isinstance(content, list) and content and isinstance(content[0], dict):
+        # some write the picture's size into every frame
+        _take_told(path, content[0], told)
     if not isinstance(content, list):
         raise AssetError(f"{path}: expected {WHAT}, an object or a list, found a {type(content).__name__}")
     if content and all(_is_landmark(item) for item in content):
@@ -156,12 +161,12 @@ def _frames_like(values: list[Any]) -> bool:
 
 def _take_told(path: Path, place: dict[str, Any], told: dict[str, float]) -> None:
     for name, keys in (
-        ("fps", ("fps", "framerate", "rate")),
-        ("width", ("imagewidth", "width", "framewidth")),
-        ("height", ("imageheight", "height", "frameheight")),
+        ("fps", ("fps", "framerate")),
+        ("width", ("imagewidth", "width", "framewidth", "videowidth")),
+        ("height", ("imageheight", "height", "frameheight", "videoheight")),
     ):
         for key, value in place.items():
-            if _letters(key) in keys:
+            if _letters(key) in keys and value is not None:
                 if type(value) not in (int, float) or not 0 < value < LARGEST:
                     raise AssetError(f"{path}: {key} should be a positive number, is {str(value)[:40]!r}")
                 told[name] = float(value)
@@ -178,6 +183,11 @@ def _frame(place: str, content: Any, notes: list[str]) -> Frame:
         # a bare NormalizedLandmarkList
         content = {"landmarks": content}
     fields = {_plain(str(key)): (str(key), value) for key, value in content.items()}
+    for name in SEVERAL[0]:
+        # {"hands": {"left": [...], "right": [...]}}
+        if name in fields and isinstance(fields[name][1], dict) and fields[name][1].keys() & {"left", "right"}:
+            key, pair = fields.pop(name)
+            fields |= {f"{side}hand": (f"{key}.{side}", pair.get(side)) for side in ("left", "right")}
 
     def people(names: tuple[str, ...]) -> list[Float[Array, "points 4"]]:
         found = [fields[name] for name in names if name in fields]
@@ -222,16 +232,16 @@ def _checked_hand(place: str, points: Float[Array, "points 4"]) -> Float[Array, 
     return points
 
 
-def _lists(place: str, value: Any) -> list[Float[Array, "points 4"]]:
+def _lists(place: str, value: Any, depth: int = 0) -> list[Float[Array, "points 4"]]:
     """The lists of landmarks that a field holds: none, one, or one a person; x, y, z, visibility (NaN: not told)."""
     if isinstance(value, dict):
         if _is_landmark(value):
             return [_points(place, [value])]
         inner = [value[key] for key in ("landmark", "landmarks", "points") if key in value]
-        return _lists(place, inner[0]) if inner else []
+        return _lists(place, inner[0], depth + 1) if inner else []
     if value is None or value == []:
         return []
-    if not isinstance(value, list):
+    if not isinstance(value, list) or depth > MAX_DEPTH:
         raise AssetError(f"{place} should be a list of landmarks, is {str(value)[:40]!r}")
     if all(type(v) in (int, float) for v in value):
         for count in (BODY_POINTS, HAND_POINTS):
@@ -240,7 +250,7 @@ def _lists(place: str, value: Any) -> list[Float[Array, "points 4"]]:
         raise AssetError(f"{place} should be 3 or 4 numbers for each of 33 or 21 points, is {len(value)} numbers")
     if _is_landmark(value[0]):
         return [_points(place, value)]
-    return [points for item in value for points in _lists(place, item)]
+    return [points for item in value for points in _lists(place, item, depth + 1)]
 
 
 def _is_landmark(item: Any) -> bool:
@@ -271,17 +281,19 @@ def _points(place: str, items: list[Any]) -> Float[Array, "points 4"]:
     return out
 
 
-def _labels(value: Any) -> list[str]:
+def _labels(value: Any, depth: int = 0) -> list[str]:
     """ "left" and "right" of handedness, in the order of the hands."""
+    if depth > MAX_DEPTH:
+        return []
     if isinstance(value, str):
         return [value.lower()] if value.lower() in ("left", "right") else []
     if isinstance(value, dict):
         for key in ("label", "category_name", "categoryName", "display_name", "displayName"):
             if isinstance(value.get(key), str):
                 return _labels(value[key])
-        return [label for inner in value.values() for label in _labels(inner)][:1]
+        return [label for inner in value.values() for label in _labels(inner, depth + 1)][:1]
     if isinstance(value, list):
-        return [label for item in value for label in _labels(item)]
+        return [label for item in value for label in _labels(item, depth + 1)]
     return []
 
 

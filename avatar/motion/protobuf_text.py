@@ -11,10 +11,11 @@ from typing import Any
 from avatar.errors import AssetError
 from avatar.input_file import read_text
 
+MAX_BYTES = 1 << 25
 MAX_FIELDS = 500_000
 MAX_DEPTH = 32
 TOKEN = re.compile(
-    r"(?P<space>\s+|#[^\n]*|[,;])"
+    r"(?P<space>(?:[\s,;]++|#[^\n]*+)++)"
     r"|(?P<open>[{<])|(?P<close>[}>])"
     r"|(?P<name>[A-Za-z_][A-Za-z0-9_.]*)"
     r"|(?P<colon>:)"
@@ -29,7 +30,7 @@ def read_protobuf_text(path: Path | str, what: str) -> dict[str, Any]:
     Raises:
         AssetError: absent, too long, no text of this format; file and line are named.
     """
-    text = read_text(path, what)
+    text = read_text(path, what, most=MAX_BYTES)
     top: dict[str, Any] = {}
     stack, name, colon, fields, at = [top], "", False, 0, 0
 
@@ -65,9 +66,9 @@ def read_protobuf_text(path: Path | str, what: str) -> dict[str, Any]:
             name, colon = "", False
         elif kind != "space":
             raise error(repr(value[:20]))
-        fields += kind in ("open", "number", "string")
+        fields += kind not in ("space", "colon")
         if fields > MAX_FIELDS:
-            raise error(f"more than {MAX_FIELDS} fields")
+            raise error(f"more than {MAX_FIELDS} names and values")
         at = token.end()
     if len(stack) > 1 or name:
         raise error("its end inside a message")

@@ -11,6 +11,7 @@ from avatar.body import builtin_body
 from avatar.errors import AssetError
 from avatar.limits import axis_angle_from_joint_angles, joint_angles
 from avatar.limits import within as inside
+from avatar.motion import protobuf_text as protobuf_text_reader
 from avatar.motion.clip import rest_skeleton
 from avatar.motion.landmark_pose import curl_sign
 from avatar.motion.mediapipe import read_mediapipe
@@ -253,6 +254,13 @@ def change(key, landmark, **values):
 POSE = "pose_world_landmarks"
 
 
+def deep(levels):
+    out = [1.0, 2.0]
+    for _ in range(levels):
+        out = [out]
+    return out
+
+
 @pytest.mark.parametrize(
     "spoil, match",
     [
@@ -266,6 +274,7 @@ POSE = "pose_world_landmarks"
         (lambda c: {POSE: None, "left_hand_landmarks": []}, "no landmarks of a body or a hand in 1 frames"),
         (lambda c: {POSE: points(np.zeros((33, 3)))}, "frame 0: hips and shoulders are at one place"),
         (lambda c: c | {"left_hand_landmarks": points(np.zeros((21, 3)))}, "the left hand's palm has no area"),
+        (lambda c: c | {POSE: deep(900)}, "pose_world_landmarks should be a list of landmarks"),
         (lambda c: {"fps": -3, "frames": [c]}, "fps should be a positive number"),
         (lambda c: {"fps": 1e-9, "frames": [c]}, "fps should be positive"),
         (lambda c: {"landmarks": points(np.random.default_rng(0).normal(size=(468, 3)))}, "are 468"),
@@ -292,6 +301,7 @@ def test_bad_landmarks_are_refused_by_name(tmp_path, spoil, match):
         ("\x00\x01", "expected landmarks of MediaPipe"),
         ('landmark { x: "unclosed }', "found"),
         ("landmark { x: 1 y: 2 z: 3 }", "should be 33 of a body or 21 of a hand, are 1"),
+        ("# nothing\n,;" * 1_000_000, "no landmarks of a body or a hand"),
         ("label: 3", "no landmarks of a body or a hand"),
     ],
 )
@@ -300,6 +310,13 @@ def test_bad_protobuf_text_is_refused_by_line(tmp_path, text, match):
     with pytest.raises(AssetError, match=match) as error:
         read_motion(tmp_path / "bad.pbtxt")
     assert "\n" not in str(error.value)
+
+
+def test_protobuf_text_has_a_bounded_number_of_fields(tmp_path, monkeypatch):
+    monkeypatch.setattr(protobuf_text_reader, "MAX_FIELDS", 1000)
+    (tmp_path / "long.pbtxt").write_text("a: b " * 600)
+    with pytest.raises(AssetError, match="more than 1000 names and values"):
+        read_motion(tmp_path / "long.pbtxt")
 
 
 def test_a_file_cut_anywhere_is_refused_or_lacks_its_end(tmp_path):
