@@ -2,7 +2,8 @@
 
 Box: pixels whose rays meet the axis-aligned box of the posed true region, 2 cm wider, ground black. The total is
 scored on the body view; head and hands on their close-ups, both pictures blacked out beyond the true part mask
-dilated by 5 px. Frames in the T-pose are kept apart.
+dilated by 5 px; the eyes on the head's close-ups, over the truth's visible eyeballs grown by 3 mm (eye_region.py),
+box and mask being that region itself. Frames in the T-pose are kept apart.
 """
 
 from collections.abc import Callable, Set
@@ -17,9 +18,11 @@ from avatar.camera import Camera, pixel_rays
 from avatar.progress import progress
 from avatar.skeleton import PARTS
 from bench import metrics
+from bench.eye_region import eye_region
 from bench.field_view import MaskedPicture
 from bench.true_mesh import TrueMesh
 from capture.held_out import HeldOutView
+from player.raster import Rasteriser
 
 Perceive = Callable[[Float[np.ndarray, "height width 3"], Float[np.ndarray, "_ _ 3"]], metrics.Score]  # LPIPS
 
@@ -136,9 +139,14 @@ def score_images(
     t_pose_apart: bool,
     perceive: Perceive | None = None,
     few: Set[int] = frozenset(),
+    raster: Rasteriser | None = None,
 ) -> SetScores:
-    """Draw and score every picture of a set; those of the `few` pose indices are also gathered by themselves."""
-    scores = SetScores({region: ImageScores() for region in REGIONS}, {}, {region: ImageScores() for region in REGIONS})
+    """Draw and score every picture of a set; those of the `few` pose indices are also gathered by themselves.
+
+    With a `raster` and a truth that knows its eyes, the eye region of the head's close-ups is scored as well.
+    """
+    regions = REGIONS if raster is None or mesh.eye is None else (*REGIONS, "eyes")
+    scores = SetScores({region: ImageScores() for region in regions}, {}, {region: ImageScores() for region in regions})
     vertices_of = {region: np.flatnonzero(mesh.part == part) for region, part in REGION_PART.items()}
     vertices_of["total"] = np.unique(mesh.faces)
     posed: tuple[int, np.ndarray] = (-1, np.zeros((0, 3)))
@@ -155,12 +163,17 @@ def score_images(
             looked_at[where] = around[where]
         image = draw(view.axis_angle, view.root, view.camera, SAMPLES, looked_at).color * around[..., None]
         truth = view.image() * around[..., None]
-        one = ImageScores()
-        one.add(truth, image, box, mask, perceive)
+        ones = {region: ImageScores()}
+        ones[region].add(truth, image, box, mask, perceive)
+        if region == "head" and raster is not None and "eyes" in regions:
+            eyes = eye_region(raster, mesh, posed[1], view.camera) & around
+            ones["eyes"] = ImageScores()
+            ones["eyes"].add(truth, image, eyes, eyes, perceive)
         into = scores.t_pose if t_pose_apart and is_t_pose(view) else scores.scored
-        into[region] = into.get(region, ImageScores()).merged(one)
-        if into is scores.scored and view.pose_index in few:
-            scores.few[region] = scores.few[region].merged(one)
+        for region, one in ones.items():
+            into[region] = into.get(region, ImageScores()).merged(one)
+            if into is scores.scored and view.pose_index in few:
+                scores.few[region] = scores.few[region].merged(one)
     return scores
 
 

@@ -24,6 +24,7 @@ from avatar.skeleton import BIG_POSE
 from bake.truth import IDENTITY, better_mode, scores_by_mode, some_poses
 from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
+from bench.eye_region import NO_EYES
 from bench.field_view import one_thread
 from bench.lpips import read_perceptual
 from bench.machine import machine
@@ -39,7 +40,7 @@ from bench.posed_geometry import (
     posed_pair,
 )
 from bench.quality_table import PAPER, markdown, print_table
-from bench.region_scores import gather, regions_of
+from bench.region_scores import gather, regions_of, without_eyes
 from bench.remeasure import remeasured
 from bench.true_mesh import TrueMesh, read_true_mesh
 from capture.held_out import SETS, HeldOutView, read_capture_facts, read_held_out
@@ -177,8 +178,9 @@ def measured(
         print_stage(f"{name.replace('_', ' ')}: {len(views)} pictures")
         chosen = {view.pose_index for view in some_poses(views, few)} if apart and few else frozenset()
         images = score_images(
-            views, truth, drawer.draw, f"{name} pictures", t_pose_apart=apart, perceive=perceive, few=chosen
-        )
+            views, truth, drawer.draw, f"{name} pictures", t_pose_apart=apart, perceive=perceive, few=chosen,
+            raster=drawer.raster,
+        )  # fmt: skip
         distances = {kind: {region: Distances() for region in SAMPLES} for kind in ("ours", "own", "aligned")}
         few_distances = {region: Distances() for region in SAMPLES}
         poses = distinct_poses([view for view in views if not (apart and is_t_pose(view))])
@@ -198,6 +200,7 @@ def measured(
                 pair = pair._replace(surface=posed, index=triangle_index(posed, case.faces))
                 measure_pose(case, pair, distances["own"], every=BESIDE)
         out[name] = regions_of(distances["ours"], images.scored)
+        out[name].setdefault("eyes", without_eyes(NO_EYES))
         if apart and few:
             out["few_poses"] = {"poses": len(chosen), **regions_of(few_distances, images.few)}
         if apart:
@@ -222,7 +225,9 @@ def measured_ceiling(
     """Novel poses of the true mesh under our weights: pictures and distances."""
     print_stage(f"the ceiling: {len(views)} pictures and their poses")
     best = CeilingDrawer(drawer.raster, capture, facts, truth)
-    images = score_images(views, truth, best.draw, "ceiling pictures", t_pose_apart=True, perceive=perceive)
+    images = score_images(
+        views, truth, best.draw, "ceiling pictures", t_pose_apart=True, perceive=perceive, raster=drawer.raster
+    )
     case = geometry_case(truth, best.surface, truth.visible)
     distances = {region: Distances() for region in SAMPLES}
     for view in progress(distinct_poses([v for v in views if not is_t_pose(v)]), "ceiling surfaces"):

@@ -38,7 +38,9 @@ def table_rows(result: dict[str, Any]) -> list[list[str]]:
     """Rows of the printed and the Markdown table: ours and, beside it, the paper's."""
     rows = []
     for name in SETS:
-        for region in ("head", "left_hand", "right_hand", "hands", "total"):
+        for region in ("head", "eyes", "left_hand", "right_hand", "hands", "total"):
+            if region not in result[name]:  # results of earlier versions
+                continue
             rows.append([f"{name.replace('_', ' ')}: {region.replace('_', ' ')}", *cells(result[name][region])])
             if name == "novel_pose" and region in PAPER:
                 rows.append([f"  paper: {region}", *cells(PAPER[region])])

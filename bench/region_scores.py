@@ -9,16 +9,23 @@ from bench.posed_geometry import Distances
 def regions_of(
     distances: dict[str, Distances], images: dict[str, ImageScores] | None = None
 ) -> dict[str, dict[str, Any]]:
-    """{"head": M, "left_hand": M, "right_hand": M, "hands": M, "total": M}; hands pool left and right."""
+    """{"head": M, "left_hand": M, "right_hand": M, "hands": M, "total": M}; hands pool left and right.
+
+    "eyes" stands beside the head where pictures of them were scored.
+    """
     distances, images = dict(distances), dict(images or {})
     if {"left_hand", "right_hand"} <= distances.keys():
         distances["hands"] = distances["left_hand"].merged(distances["right_hand"])
     if {"left_hand", "right_hand"} <= images.keys():
         images["hands"] = images["left_hand"].merged(images["right_hand"])
-    return {
-        region: region_scores(distances.get(region), images.get(region))
-        for region in ("head", "left_hand", "right_hand", "hands", "total")
-    }
+    regions = ["head", *(("eyes",) if "eyes" in images else ()), "left_hand", "right_hand", "hands", "total"]
+    return {region: region_scores(distances.get(region), images.get(region)) for region in regions}
+
+
+def without_eyes(reason: str) -> dict[str, Any]:
+    """M of an eye region that cannot be scored."""
+    keys = ("psnr_db", "psnr_mask_db", "ssim", "flip", "lpips")
+    return {**dict.fromkeys(keys), "reasons": dict.fromkeys(keys, reason)}
 
 
 def region_scores(distances: Distances | None, images: ImageScores | None) -> dict[str, Any]:
