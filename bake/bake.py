@@ -33,7 +33,9 @@ from bake.level import (
 from bake.network import AMPLITUDE, Distilled, distil, write_onnx
 from bake.options import BakeOptions
 from bake.promises import missed_promises
+from bake.run_capture import RunVideos, run_videos
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
+from bake.video_texture import with_video_textures
 from capture.solid import solid_inside
 from geometry.isosurface import Extraction, extract
 from geometry.mesh import TriangleMesh, enclosed_volume
@@ -50,13 +52,23 @@ def bake(
 ) -> Avatar:
     """Bake a run folder into NAME.glb (and NAME.onnx where a network is shipped).
 
-    With `capture`, its true pictures decide which view mode is the file's default.
+    `capture` is where the videos lie, else run.json says where; with a `capture` that holds true pictures these decide
+    which view mode is the file's default.
+
+    Raises:
+        AssetError: the videos are asked for and nowhere, or the run or the capture is unusable.
     """
     from train.run import read_run
 
-    true = None if capture is None else read_true_views(Path(capture), options.truth_poses)
+    given = None if capture is None else Path(capture)
+    by_field = options.texture_from == "field"
+    # with nothing else to take from the capture, its truth is what was meant
+    true = None
+    if given is not None and (by_field or (given / "truth").is_dir()):
+        true = read_true_views(given, options.truth_poses)
     run = read_run(Path(run_path))
-    avatar = bake_run(run, Path(out), options, progress, true)
+    videos = None if by_field else run_videos(run, given)
+    avatar = bake_run(run, Path(out), options, progress, true, videos)
     write_field_beside(run, progress)
     return avatar
 
@@ -81,8 +93,10 @@ def bake_run(
     options: BakeOptions,
     report: Callable[[str], None] = print,
     true: TrueViews | None = None,
+    videos: RunVideos | None = None,
 ) -> Avatar:
-    """As `bake`, for a run already read: .field, .surface, .subject.joints, .provenance."""
+    """As `bake`, for a run already read: .field, .surface, .subject.joints, .provenance; without `videos` the textures
+    are the field's."""
     clock = _Clock(report)
     field = numpy_field(run.field)
     joints = np.asarray(run.subject.joints, np.float64)
@@ -134,7 +148,14 @@ def bake_run(
         provenance={**run.provenance, "baked": facts},
     )
     facts["missed"] = []
+    # with the field's own textures, whatever the file will hold
     facts["against_field"] = compared_with_field(avatar, extraction, fine, field, options, clock)
+    facts["texture_from"] = "field" if videos is None else "videos"
+    if videos is not None:
+        levels, facts["videos"] = with_video_textures(levels, joints, videos, clock.report)
+        facts["levels"] = [baked.facts for baked in levels]
+        avatar = replace(avatar, levels=tuple(baked.level for baked in levels))
+        clock(f"textures from the videos: chart edges step p99 {video_steps(levels)} of 255")
     view, facts["default_view"] = chosen_view(avatar, distilled, true)
     clock(f"default view: {view} ({facts['default_view']['reason']})")
     avatar = replace(avatar, default_view=view, provenance={**run.provenance, "baked": facts})
@@ -149,6 +170,11 @@ def bake_run(
     for line in facts["missed"]:
         report(f"missed: {line}")
     return avatar
+
+
+def video_steps(levels: list[BakedLevel]) -> str:
+    """The steps across chart edges of each level, as its facts have them."""
+    return " / ".join(f"{level.facts['seam_step']['p99']:.1f}" for level in levels)
 
 
 def chosen_view(avatar: Avatar, distilled: Distilled, true: TrueViews | None) -> tuple[Mode, dict[str, Any]]:

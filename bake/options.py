@@ -17,6 +17,10 @@ class BakeOptions:
         Literal["normal", "high"],
         "view network: normal (4 features, 8-16-3) or high (8 features, 12-16-16-3: twice the feature images)",
     ] = "normal"
+    texture_from: Annotated[
+        Literal["videos", "field"],
+        "videos: solved against the frames of the run's capture; field: as trained, the paper's own colors",
+    ] = "videos"
     body_step: Annotated[float, Hidden(), "grid step of the extraction, metres"] = 0.005
     fine_step: Annotated[float, Hidden(), "the same along the spans of head and hands, metres"] = 0.0025
     head_density: Annotated[float, Hidden(), "texels per metre, relative to the body's"] = 2.5
@@ -35,6 +39,8 @@ class BakeOptions:
             raise ValueError(f"texture: expected a power of two from 64 to 8192, found {self.texture}")
         if self.quality not in ("normal", "high"):
             raise ValueError(f"quality: expected normal or high, found {self.quality!r}")
+        if self.texture_from not in ("videos", "field"):
+            raise ValueError(f"texture_from: expected videos or field, found {self.texture_from!r}")
 
 
 @dataclass(frozen=True)
@@ -45,7 +51,9 @@ class BakeCommand:
     out: Annotated[Path, Option(("-o",), "NAME.glb"), "avatar file to write"]
     options: Annotated[BakeOptions, "how it is baked"]
     capture: Annotated[
-        Path | None, Option(metavar="CAPTURE"), "choose the default view mode by this capture's truth"
+        Path | None,
+        Option(metavar="CAPTURE"),
+        "its videos, where run.json does not find them; where it holds the truth, that chooses the default view mode",
     ] = None
 
     def __post_init__(self):

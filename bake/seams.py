@@ -310,7 +310,7 @@ def _chain(uv: Float[np.ndarray, "corners 2"], edges: ChartEdges, size: int, lev
     chain: list[_Mip] = []
     for number in range(levels):
         wide = size >> number
-        rows, columns, values, count = _edge_reads(uv, edges, wide)
+        rows, columns, values, count = edge_reads(uv, edges, wide)
         texels, place = np.unique(columns, return_inverse=True)
         finer, rest = None, np.ones((len(texels), 1), np.float32)
         if chain:
@@ -341,7 +341,7 @@ def _owners(chain: list[_Mip], size: int) -> Integer[np.ndarray, "all"]:
     return owner.reshape(-1)
 
 
-def _edge_reads(
+def edge_reads(
     uv: Float[np.ndarray, "corners 2"], edges: ChartEdges, size: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     """Bilinear reads of points along the edges in a mip: rows (points), texels, weights, and how many points.

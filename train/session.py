@@ -38,6 +38,15 @@ def capture_digest(path: Path) -> str:
     return digest.hexdigest()[:12]
 
 
+def capture_place(capture: Path, run: Path) -> dict[str, str]:
+    """What run.json says of where its capture lies: its folder, seen from the run folder, and its digest."""
+    try:
+        folder = Path(os.path.relpath(capture.resolve(), run.resolve()))
+    except ValueError:  # another drive
+        folder = capture.resolve()
+    return {"folder": folder.as_posix(), "digest": capture_digest(capture)}
+
+
 def digest_of(facts: dict[str, Any]) -> str:
     """Tells one preset's numbers from another's."""
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:12]

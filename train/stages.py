@@ -31,7 +31,7 @@ from train.options import TrainOptions
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
 from train.preset import Preset
 from train.rigid import with_rigid_head
-from train.session import Session, capture_digest, digest_of, exclusive_lock, open_session
+from train.session import Session, capture_digest, capture_place, digest_of, exclusive_lock, open_session
 from train.single import part_names, part_presets
 from train.stored_preset import preset_json
 from train.trainer import Checkpoints, Watch, peak_memory
@@ -153,6 +153,7 @@ def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], r
                 "device": device,
                 "machine": f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}",
                 "capture": capture.facts,
+                "capture_at": capture_place(capture.path, out),
                 "body_licence": capture.facts.get("body_licence", "not stated by the capture"),
                 "subject_licence": capture.facts.get("subject_licence", "not stated by the capture"),
                 "canonical_pose": "hips opened 30 degrees about z (avatar.skeleton.BIG_POSE)",

@@ -79,7 +79,7 @@ def test_solution_is_the_least_squares_one_within_the_bounds(monkeypatch):
     low, high = given.copy(), given.copy()
     halve = np.kron(np.kron(np.eye(2), [[0.5, 0.5]]), np.kron(np.eye(2), [[0.5, 0.5]]))
     for mip, mean in enumerate((np.eye(16), halve)):
-        row, column, value, count = seams._edge_reads(uv, edges, size >> mip)
+        row, column, value, count = seams.edge_reads(uv, edges, size >> mip)
         read = np.zeros((count, (size >> mip) ** 2))
         np.add.at(read, (row, column), value)
         rows.append(np.sqrt(seams.AGREE * 1024 / size * seams.GROW**mip) * read @ mean)

@@ -1,0 +1,87 @@
+"""The videos that a run was trained on, found again: from there its textures are taken."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.errors import AssetError
+from avatar.light import CaptureLight
+from capture.folder import PartVideo, read_capture
+from capture.repair.refine import with_refined
+from train.session import capture_digest
+
+Array = np.ndarray
+
+# metres that the head's landmarks may be off the template, in the place that the run found for the head
+HEAD_OFF = 0.03
+
+
+@dataclass(frozen=True)
+class RunVideos:
+    """Where the videos lie, and what the run knows of them."""
+
+    capture: Path
+    # run folder with refined poses of just these videos; None: the capture's own poses
+    refined: Path | None
+    head_from_canonical: Float[Array, "4 4"]
+    # of each video, by part; empty: what is seen holds the light
+    lights: dict[str, CaptureLight]
+
+    def video(self, part: str) -> PartVideo:
+        """One video, in the poses that training ended with; one at a time, for they are large."""
+        capture = read_capture(self.capture, parts=(part,))
+        if self.refined is not None:
+            capture = with_refined(capture, self.refined)
+        return capture.videos[part]
+
+
+def run_videos(run: Any, given: Path | None) -> RunVideos:
+    """The videos of a run (as train.run.read_run gives it): in the folder `given`, else where run.json says.
+
+    A capture that is given may be another one of the same person, say of larger frames; its own poses are taken then.
+
+    Raises:
+        AssetError: the capture is nowhere, or another one lies there; or the head of the one that is given lies
+            elsewhere than the run's.
+    """
+    path, facts = Path(run.path), run.provenance
+    said = facts.get("capture_at")
+    ways = "name the videos with --capture FOLDER, or take the field's colors with --texture-from field"
+    if given is None and not (isinstance(said, dict) and isinstance(said.get("folder"), str)):
+        raise AssetError(f"{path / 'run.json'}: capture_at should say where the run's capture lies, is absent: {ways}")
+    folder = Path(given) if given is not None else path / said["folder"]
+    if not (folder / "capture.json").is_file():
+        raise AssetError(f"{folder}: expected the capture folder that {path} was trained on, found none: {ways}")
+    digest = said.get("digest") if isinstance(said, dict) else None
+    same = digest == capture_digest(folder)
+    if given is None and not same:
+        raise AssetError(f"{folder}: expected the capture that {path} was trained on ({digest}), found another: {ways}")
+    from train.run import matrix_of
+
+    # older runs say nothing of their capture: what is given is theirs when it says the same of itself
+    own = same or (digest is None and facts.get("capture") == read_capture(folder, parts=()).facts)
+    videos = RunVideos(
+        folder, path if own else None, matrix_of(path, facts, "head_from_canonical"), dict(getattr(run, "lights", {}))
+    )
+    if not own:
+        _check_head(videos, path)
+    return videos
+
+
+def _check_head(videos: RunVideos, run: Path) -> None:
+    """Refuse videos whose head lies in another frame than the run's."""
+    capture = read_capture(videos.capture, parts=("head",))
+    video = capture.videos["head"]
+    assert video.landmarks is not None and video.landmark_vertices is not None
+    canonical_from_head = np.linalg.inv(videos.head_from_canonical)
+    found = video.landmarks @ canonical_from_head[:3, :3].T + canonical_from_head[:3, 3]
+    off = float(np.median(np.linalg.norm(found - capture.subject.vertices[video.landmark_vertices], axis=1)))
+    if not off < HEAD_OFF:
+        raise AssetError(
+            f"{videos.capture / 'head'}: landmarks should lie within {HEAD_OFF * 1e3:.0f} mm of the template where {run} "
+            f"has the head, are {off * 1e3:.0f} mm off: the videos' head frame is not the run's"
+        )
+

@@ -1,0 +1,103 @@
+"""The change of an atlas that explains the pixels of the videos best.
+
+    min over d   sum_pixels w (A d - r)^2  +  sum_texels lambda d^2  +  sum_neighbours mu (d_i - d_j)^2
+                 +  agree sum_points on chart edges (left(t + d) - right(t + d))^2
+
+t is the atlas as the field has it, r what a pixel shows beyond what it reads in t, A reads pixels from texels
+(pixel_reads.py). lambda keeps what no pixel tells, mu what pixels larger than a texel leave open. By conjugate gradients
+with the diagonal as preconditioner (Hestenes and Stiefel 1952; Saad 2003, section 9.2).
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Integer
+from scipy.sparse import csr_matrix, diags
+
+from bake.texels import TexelMap
+
+Array = np.ndarray
+
+ROUNDS = 24
+
+
+class Equations(NamedTuple):
+    """Rows of one least-squares problem, their weights multiplied in: matrix @ change should be `wanted`."""
+
+    matrix: csr_matrix
+    wanted: Float[Array, "rows channels"]
+
+
+class Prior(NamedTuple):
+    """How much a texel resists, and how much it differs from its neighbours unwillingly."""
+
+    stay: Float[Array, "texels"]  # lambda
+    smooth: Float[Array, "texels"]  # mu
+
+
+def neighbour_pairs(texels: TexelMap) -> Integer[Array, "pairs 2"]:
+    """Rows of texels that lie side by side in the atlas, each pair once."""
+    size = texels.size
+    row = np.full(size * size, -1, np.int32)
+    row[texels.index] = np.arange(len(texels.index), dtype=np.int32)
+    row = row.reshape(size, size)
+    across = np.stack([row[:, :-1].ravel(), row[:, 1:].ravel()], 1)
+    down = np.stack([row[:-1].ravel(), row[1:].ravel()], 1)
+    pairs = np.concatenate([across, down])
+    return pairs[(pairs >= 0).all(1)]
+
+
+def laplacian(pairs: Integer[Array, "pairs 2"], weight: Float[Array, "pairs"], count: int) -> csr_matrix:
+    """sum over pairs of weight (x_i - x_j)^2 = x^T L x."""
+    first, second = pairs.T
+    weight = weight.astype(np.float32)
+    rows, columns = np.r_[first, second], np.r_[second, first]
+    off = csr_matrix((np.r_[-weight, -weight], (rows, columns)), (count, count))
+    return (diags(-np.asarray(off.sum(1)).ravel().astype(np.float32)) + off).tocsr()
+
+
+def solve_change(
+    equations: list[Equations],
+    prior: Prior,
+    pairs: Integer[Array, "pairs 2"],
+    *,
+    rounds: int = ROUNDS,
+    report: Callable[[int, float], None] = lambda number, residual: None,
+) -> Float[Array, "texels channels"]:
+    """The change d of the atlas, float32; `report` gets each round's residual relative to the first."""
+    count = len(prior.stay)
+    smooth = laplacian(pairs, 0.5 * (prior.smooth[pairs[:, 0]] + prior.smooth[pairs[:, 1]]), count)
+    regular = (smooth + diags(prior.stay.astype(np.float32))).tocsr()
+    residual = sum(own.matrix.T @ own.wanted for own in equations)
+    diagonal = regular.diagonal() + support(equations, count)
+    inverse = (1 / np.maximum(diagonal, 1e-12)).astype(np.float32)[:, None]
+
+    def apply(x: Array) -> Array:
+        result = regular @ x
+        for own in equations:
+            result += own.matrix.T @ (own.matrix @ x)
+        return result
+
+    change = np.zeros_like(residual)
+    scaled = inverse * residual
+    ahead, energy = scaled.copy(), (residual * scaled).sum(0)
+    first = np.maximum(energy, 1e-30)
+    for number in range(rounds):
+        moved = apply(ahead)
+        step = energy / np.maximum((ahead * moved).sum(0), 1e-30)
+        change += step * ahead
+        residual -= step * moved
+        scaled = inverse * residual
+        before, energy = energy, (residual * scaled).sum(0)
+        report(number, float(np.sqrt((energy / first).max())))
+        ahead = scaled + (energy / np.maximum(before, 1e-30)) * ahead
+    return change
+
+
+def support(equations: list[Equations], count: int) -> Float[Array, "texels"]:
+    """Sum of squares of each texel's column: how much the equations tell of it."""
+    total = np.zeros(count)
+    for own in equations:
+        total += np.bincount(own.matrix.indices, np.square(own.matrix.data), count)
+    return total

@@ -1,0 +1,97 @@
+"""What textures from the videos gain over the field's, on true pictures that nothing was trained on.
+
+    python -m experiments.texture AVATAR.glb RUN [--capture CAPTURE] [-o OUT.glb] [--poses 20]
+
+AVATAR.glb is RUN baked with `--texture-from field`. Its atlas is solved against the videos of the run (or of CAPTURE, say
+of larger frames of the same person) and both avatars are drawn by the player, paper mode, beside the held-out pictures:
+PSNR inside the mask of the whole person, head and hands. Seconds are the processor's; memory is the process's highest.
+"""
+
+import torch._dynamo  # noqa: F401  before any GL context
+import argparse
+import json
+import resource
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from avatar.gltf.avatar_file import Avatar, Level, read_avatar, write_avatar
+from bake.bake import with_video_textures
+from bake.cone import ViewCone
+from bake.level import BakedLevel, Charted
+from bake.run_capture import run_videos
+from bake.seams import chart_edges
+from bake.truth import decibels_by_region, mode_errors, read_true_views
+from player.context import open_context
+from train.run import lights_of, read_facts
+
+
+class RunFacts(NamedTuple):
+    """Of a run only what its videos need."""
+
+    path: Path
+    provenance: dict[str, Any]
+    lights: dict[str, Any]
+
+
+def baked_level(level: Level) -> BakedLevel:
+    """A level of a file as the bake had it."""
+    uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
+    cone = ViewCone(*(a.astype(np.float64) for a in (level.view_dir, level.view_q, level.view_seen)))
+    charted = Charted(uv, faces, level.positions.astype(np.float64), level.normals.astype(np.float64), cone)
+    _, source = np.unique(level.positions, axis=0, return_inverse=True)
+    return BakedLevel(level, charted, chart_edges(uv, faces, source.reshape(-1)), {})
+
+
+def retextured(avatar: Avatar, run: RunFacts, capture: Path | None) -> tuple[Avatar, dict[str, Any]]:
+    """The avatar with its textures solved against the videos, and what the solve says of itself."""
+    levels = [baked_level(level) for level in avatar.levels]
+    levels, facts = with_video_textures(levels, avatar.joint_positions, run_videos(run, capture), print)
+    facts["seam_steps"] = [level.facts["seam_step"]["mips"] for level in levels]
+    return replace(avatar, levels=tuple(level.level for level in levels)), facts
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m experiments.texture", description=__doc__)
+    parser.add_argument("avatar", type=Path)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--capture", type=Path, help="videos, where run.json does not find them")
+    parser.add_argument("--truth", type=Path, help="capture with true pictures (default: --capture)")
+    parser.add_argument("-o", "--out", type=Path, help="avatar with the new textures")
+    parser.add_argument("--poses", type=int, help="of each held-out set (default: all)")
+    options = parser.parse_args(argv)
+    avatar = read_avatar(options.avatar)
+    facts = read_facts(options.run)
+    run = RunFacts(options.run, facts, lights_of(options.run, facts))
+    began = time.process_time()
+    new, found = retextured(avatar, run, options.capture)
+    found["cpu_seconds"] = round(time.process_time() - began, 1)
+    found["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
+    if options.out:
+        write_avatar(options.out, new)
+    true = read_true_views(options.truth or options.capture, options.poses)
+    context = open_context()
+    try:
+        for name, views in true.sets.items():
+            scores = {
+                label: decibels_by_region(mode_errors(context, one, views, ["off"])["off"])
+                for label, one in (("field", avatar), ("videos", new))
+            }
+            gain = {key: _difference(scores["videos"][key], scores["field"][key]) for key in scores["field"]}
+            found[name] = {**scores, "gain": gain}
+            print(name, json.dumps(found[name]))
+    finally:
+        context.release()
+    print(json.dumps(found, indent=1))
+    return 0
+
+
+def _difference(one: float | None, other: float | None) -> float | None:
+    return None if one is None or other is None else round(one - other, 3)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
