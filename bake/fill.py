@@ -1,12 +1,14 @@
 """What no video saw takes the color of what it is made of: filled on the surface from seen places of the same material.
 
-Seen texels are grouped by color into materials: skin, hair, each color of a cloth. An unseen texel is of the material
-that most of the nearest seen ones are of that face its way, so that stripes and hems go on. Its color is the material's
-own, as smooth on the surface as its seen texels allow:
+Seen texels are grouped by color into materials: skin, hair, each color of a cloth. A material's color anywhere is as
+smooth on the surface as its seen texels allow:
 
     min over x of material m   sum_vertices w_m (x - c_m)^2  +  sum_edges k_ij (x_i - x_j)^2
 
-c_m is the mean color of the material's seen texels round a vertex and w_m how much surface they cover there.
+c_m is the mean color of the material's seen texels round a vertex and w_m how much surface they cover there. An unseen
+texel may be of any material that the nearest seen places which face its way are of; what the field made of it stays as
+far as it lies within NEAR of these materials' colors. So skin beside skin becomes skin, and stripes stay as they
+were guessed.
 """
 
 from typing import NamedTuple
@@ -24,8 +26,11 @@ Array = np.ndarray
 
 # groups that colors fall into at most, and how far apart two groups lie at least (root mean square over the channels)
 MATERIALS, APART = 8, 0.07
-# seen texels that vote on an unseen one's material, and how far apart normals may be (cosine)
-VOTES, FACING = 24, 0.0
+# seen places, one in each cell of so many metres, that vote on an unseen texel's materials, the share of votes that a
+# material needs, and how far apart normals may be (cosine)
+VOTES, CELL, ENOUGH, FACING = 24, 0.0025, 0.15, 0.0
+# how far from its materials' colors an unseen texel's may be
+NEAR = 6 / 255
 # of an edge against all the seen surface round a vertex
 STIFF = 0.05
 
@@ -50,15 +55,16 @@ def filled_colors(
         return color[unseen]
     centres = material_centres(color[seen])
     material = np.argmin([np.square(color - centre).sum(1) for centre in centres], axis=0)
-    label = nearest_material(surface, material, seen)
-    result = np.empty((len(unseen), 3))
+    share = material_shares(surface, material, seen, len(centres))
+    low, high = np.full((len(unseen), 3), np.inf), np.full((len(unseen), 3), -np.inf)
     stiffness = _stiffness(surface.mesh)
-    for number in np.unique(label):
-        chosen = label == number
+    for number in np.flatnonzero((share >= ENOUGH).any(0)):
+        chosen = np.flatnonzero(share[:, number] >= ENOUGH)
         at_vertex = _spread_on_mesh(surface, color, np.flatnonzero(seen & (material == number)), stiffness)
         own = unseen[chosen]
-        result[chosen] = (surface.weight[own][:, :, None] * at_vertex[surface.corners[own]]).sum(1)
-    return np.clip(result, 0, 1)
+        found = (surface.weight[own][:, :, None] * at_vertex[surface.corners[own]]).sum(1)
+        low[chosen], high[chosen] = np.minimum(low[chosen], found), np.maximum(high[chosen], found)
+    return np.clip(np.clip(color[unseen], low - NEAR, high + NEAR), 0, 1)
 
 
 def material_centres(color: Float[Array, "n 3"]) -> Float[Array, "materials 3"]:
@@ -82,25 +88,29 @@ def material_centres(color: Float[Array, "n 3"]) -> Float[Array, "materials 3"]:
     return np.array(kept)
 
 
-def nearest_material(
-    surface: Surface, material: Integer[Array, "texels"], seen: Bool[Array, "texels"]
-) -> Integer[Array, "unseen"]:
-    """Of each unseen texel, what most of the nearest seen ones are that face its way (of all, where none does)."""
+def material_shares(
+    surface: Surface, material: Integer[Array, "texels"], seen: Bool[Array, "texels"], count: int
+) -> Float[Array, "unseen materials"]:
+    """Of each unseen texel, how the nearest seen places that face its way are divided among the materials; the largest
+    share is made 1, so that one is always enough."""
     unseen = np.flatnonzero(~seen)
-    # only seen texels near unseen ones can be the nearest; one in a few is enough to vote
     given = np.flatnonzero(seen)
-    away, _ = KDTree(surface.points[unseen]).query(surface.points[given], distance_upper_bound=0.02)
-    rim = given[np.isfinite(away)]
-    given = rim if len(rim) >= VOTES else given
-    count = min(VOTES, len(given))
-    _, near = KDTree(surface.points[given]).query(surface.points[unseen], k=count)
-    near = given[near.reshape(len(unseen), count)]
-    cosine = np.einsum("nkc,nc->nk", surface.normals[near], surface.normals[unseen])
-    counted = (cosine > FACING) + 1e-3
-    votes = np.zeros((len(unseen), int(material.max()) + 1))
-    for k in range(count):
-        np.add.at(votes, (np.arange(len(unseen)), material[near[:, k]]), counted[:, k])
-    return votes.argmax(1)
+    # only seen texels near unseen ones can be the nearest
+    away, _ = KDTree(surface.points[unseen]).query(surface.points[given], distance_upper_bound=0.03)
+    near = given[np.isfinite(away)]
+    given = near if len(near) >= VOTES else given
+    _, first = np.unique(np.floor(surface.points[given] / CELL).astype(np.int64), axis=0, return_index=True)
+    given = given[first]
+    votes = min(VOTES, len(given))
+    _, near = KDTree(surface.points[given]).query(surface.points[unseen], k=votes)
+    near = given[near.reshape(len(unseen), votes)]
+    total = np.zeros((len(unseen), count))
+    for k in range(votes):
+        cosine = (surface.normals[near[:, k]] * surface.normals[unseen]).sum(1)
+        np.add.at(total, (np.arange(len(unseen)), material[near[:, k]]), (cosine > FACING) + 1e-3)
+    share = total / total.sum(1, keepdims=True)
+    share[np.arange(len(share)), share.argmax(1)] = 1.0
+    return share
 
 
 def _spread_on_mesh(
@@ -127,5 +137,7 @@ def _stiffness(mesh: TriangleMesh) -> csr_matrix:
     length = np.linalg.norm(mesh.vertices[pairs[:, 0]] - mesh.vertices[pairs[:, 1]], axis=1)
     stiff = np.clip(np.median(length) / np.maximum(length, 1e-9), 0.1, 10)
     count = len(mesh.vertices)
-    k = csr_matrix((np.r_[stiff, stiff], (np.r_[pairs[:, 0], pairs[:, 1]], np.r_[pairs[:, 1], pairs[:, 0]])), (count, count))
+    k = csr_matrix(
+        (np.r_[stiff, stiff], (np.r_[pairs[:, 0], pairs[:, 1]], np.r_[pairs[:, 1], pairs[:, 0]])), (count, count)
+    )
     return (diags(np.asarray(k.sum(1)).ravel()) - k).tocsr()

@@ -39,8 +39,6 @@ class BakeOptions:
             raise ValueError(f"texture: expected a power of two from 64 to 8192, found {self.texture}")
         if self.quality not in ("normal", "high"):
             raise ValueError(f"quality: expected normal or high, found {self.quality!r}")
-        if self.texture_from not in ("videos", "field"):
-            raise ValueError(f"texture_from: expected videos or field, found {self.texture_from!r}")
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,11 @@ PART_JOINTS = {
     "hand_left": [20, *range(LEFT_HAND.start, LEFT_HAND.stop)],
     "hand_right": [21, *range(RIGHT_HAND.start, RIGHT_HAND.stop)],
 }
-HELD_JOINTS = {**PART_JOINTS, "hand_left": [18, *PART_JOINTS["hand_left"]], "hand_right": [19, *PART_JOINTS["hand_right"]]}
+HELD_JOINTS = {
+    **PART_JOINTS,
+    "hand_left": [18, *PART_JOINTS["hand_left"]],
+    "hand_right": [19, *PART_JOINTS["hand_right"]],
+}
 # samples of a pixel, per side: about as far apart as texels are, at most so many
 MOST_SAMPLES = 4
 
@@ -270,4 +274,3 @@ def part_of_corners(mesh: AtlasMesh) -> Integer[Array, "corners"]:
     """The part of each vertex by its skin weights, index into PARTS."""
     sums = [mesh.share[:, PART_JOINTS[part]].sum(1) for part in PARTS[1:]]
     return np.where(np.max(sums, axis=0) > 0.5, np.argmax(sums, axis=0) + 1, 0)
-

@@ -81,7 +81,6 @@ def _check_head(videos: RunVideos, run: Path) -> None:
     off = float(np.median(np.linalg.norm(found - capture.subject.vertices[video.landmark_vertices], axis=1)))
     if not off < HEAD_OFF:
         raise AssetError(
-            f"{videos.capture / 'head'}: landmarks should lie within {HEAD_OFF * 1e3:.0f} mm of the template where {run} "
-            f"has the head, are {off * 1e3:.0f} mm off: the videos' head frame is not the run's"
+            f"{videos.capture / 'head'}: landmarks should lie within {HEAD_OFF * 1e3:.0f} mm of the template where "
+            f"{run} has the head, are {off * 1e3:.0f} mm off: the videos' head frame is not the run's"
         )
-

@@ -4,8 +4,8 @@
                  +  agree sum_points on chart edges (left(t + d) - right(t + d))^2
 
 t is the atlas as the field has it, r what a pixel shows beyond what it reads in t, A reads pixels from texels
-(pixel_reads.py). lambda keeps what no pixel tells, mu what pixels larger than a texel leave open. By conjugate gradients
-with the diagonal as preconditioner (Hestenes and Stiefel 1952; Saad 2003, section 9.2).
+(pixel_reads.py). lambda keeps what no pixel tells, mu what pixels larger than a texel leave open. By conjugate
+gradients with the diagonal as preconditioner (Hestenes and Stiefel 1952; Saad 2003, section 9.2).
 """
 
 from collections.abc import Callable

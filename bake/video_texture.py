@@ -60,7 +60,7 @@ def with_video_textures(
     """The levels with their base color solved against the videos, and what the file says of it."""
     finest = levels[0]
     solved = solve_texture(finest, joints, videos, report)
-    images = [solved.image] + [carried_to(level, finest.level, solved.change, n) for n, level in enumerate(levels[1:], 1)]
+    images = [solved.image, *(carried_to(level, finest.level, solved.change) for level in levels[1:])]
     result = []
     for baked, image in zip(levels, images, strict=True):
         mesh = atlas_mesh(baked.level, joints)
@@ -124,7 +124,7 @@ def solve_texture(
     solved[rest] = seen[rest] * solved[rest] + (1 - seen[rest]) * fill
     image = spread(solved.astype(np.float64), mesh.texels)
     facts["unseen_share"] = rounded(float(np.average(seen[:, 0] < 0.5, weights=texel**2)))
-    report(f"textures: {facts['unseen_share'] * 100:.0f} % of the surface was seen by no video and takes its material's color")
+    report(f"textures: {facts['unseen_share'] * 100:.0f} % of the surface was in no video, filled by material")
     return VideoTexture(image, image - level.base_color / 255.0, facts)
 
 
@@ -216,9 +216,7 @@ def texel_surface(baked: BakedLevel, mesh: AtlasMesh, texel: Float[Array, "texel
     return Surface(TriangleMesh(welded, faces), faces[mesh.texels.face], weight, points, facing, np.square(texel))
 
 
-def carried_to(
-    baked: BakedLevel, finest: Level, change: Float[Array, "size size 3"], number: int
-) -> Float[Array, "own own 3"]:
+def carried_to(baked: BakedLevel, finest: Level, change: Float[Array, "size size 3"]) -> Float[Array, "own own 3"]:
     """The atlas of a coarser level with the change that the finest one had at the nearest place that faces the same
     way, averaged over as many texels as one of its own covers."""
     level = baked.level

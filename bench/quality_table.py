@@ -127,6 +127,8 @@ def lost_lines(result: dict[str, Any]) -> list[str]:
         recorded = levels[index].get("field_to_mesh_mm", {}).get("mean") if index < len(levels) else None
         lines.append(f"- level {index}: field to mesh said {number(recorded, 3)} mm, "
                      f"found {number(level['field_to_mesh_mm']['mean'], 3)}")  # fmt: skip
+    if baked.get("texture_from") == "videos":
+        lines.append("- textures are from the videos: what was found against the field is how much they changed it")
     return ["What was lost in baking, as the file says and as measured now:", *lines]
 
 

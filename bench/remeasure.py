@@ -35,7 +35,9 @@ def field_surface(run: Any) -> measure.FieldSurface:
 def remeasured(avatar: Avatar, run: Any, held_out: dict[str, list[HeldOutView]]) -> dict[str, Any]:
     """`said`: what the file holds; `found`: the same measured now; `on_held_out`: on pictures of the capture.
 
-    `run` as train.run.read_run gives it: .field, .surface, .subject.joints.
+    `run` as train.run.read_run gives it: .field, .surface, .subject.joints. A file whose textures are from the videos
+    was compared with the field before it got them: what is found against the field then tells how much they changed, and
+    is no difference from what the file says.
     """
     surface = field_surface(run)
     said = recorded_facts(avatar)
@@ -44,7 +46,14 @@ def remeasured(avatar: Avatar, run: Any, held_out: dict[str, list[HeldOutView]])
         "against_field": score_json(measure.compare(avatar, surface, views)),
         "levels": [level_facts_again(level, surface, run) for level in avatar.levels],
     }
-    out: dict[str, Any] = {"said": said, "found": found, "differences": differences(said, found)}
+    videos = textures_from_videos(avatar)
+    compared = {key: value for key, value in found.items() if not (videos and key == "against_field")}
+    out: dict[str, Any] = {
+        "texture_from": "videos" if videos else "field",
+        "said": said,
+        "found": found,
+        "differences": differences(said, compared),
+    }
     pictures = [scored_view(view, name) for name, group in held_out.items() for view in group]
     if pictures:
         score = measure.compare(avatar, surface, pictures)
@@ -67,6 +76,12 @@ def recorded_facts(avatar: Avatar) -> dict[str, Any]:
         "against_field": against if isinstance(against, dict) else {},
         "levels": [level for level in levels if isinstance(level, dict)] if isinstance(levels, list) else [],
     }
+
+
+def textures_from_videos(avatar: Avatar) -> bool:
+    """Whether the file's textures were solved against the videos, rather than read from the field."""
+    baked = avatar.provenance.get("baked")
+    return isinstance(baked, dict) and baked.get("texture_from") == "videos"
 
 
 def scored_view(view: HeldOutView, group: str) -> measure.ScoredView:

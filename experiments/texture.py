@@ -2,12 +2,12 @@
 
     python -m experiments.texture AVATAR.glb RUN [--capture CAPTURE] [-o OUT.glb] [--poses 20]
 
-AVATAR.glb is RUN baked with `--texture-from field`. Its atlas is solved against the videos of the run (or of CAPTURE, say
-of larger frames of the same person) and both avatars are drawn by the player, paper mode, beside the held-out pictures:
-PSNR inside the mask of the whole person, head and hands. Seconds are the processor's; memory is the process's highest.
+AVATAR.glb is RUN baked with `--texture-from field`. Its atlas is solved against the videos of the run (or of CAPTURE,
+say of larger frames of the same person) and both avatars are drawn by the player, paper mode, beside the held-out
+pictures: PSNR inside the mask of the whole person, head and hands. Seconds are the processor's; memory is the process's
+highest.
 """
 
-import torch._dynamo  # noqa: F401  before any GL context
 import argparse
 import json
 import resource
@@ -17,6 +17,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+
+# before any GL context: it loads an LLVM that crashes when Mesa's came first
+import torch._dynamo  # noqa: F401
 
 from avatar.gltf.avatar_file import Avatar, Level, read_avatar, write_avatar
 from bake.bake import with_video_textures

@@ -8,6 +8,8 @@ import pytest
 
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import JOINTS
+from bake.truth import decibels_by_region, mode_errors, read_true_views
+from player.context import open_context
 from selfscan.__main__ import main
 
 
@@ -17,8 +19,28 @@ def out(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("whole")
     assert main(["synth", "builtin", str(out / "capture"), "--size", "128", "--frames", "16", "--seed", "1"]) == 0
     assert main(["train", str(out / "capture"), "-o", str(out / "run"), "--iterations", "150"]) == 0
-    assert main(["bake", str(out / "run"), "-o", str(out / "a.glb"), "--faces", "12000", "--texture", "1024"]) == 0
+    sizes = ["--faces", "12000", "--texture", "1024"]
+    assert main(["bake", str(out / "run"), "-o", str(out / "a.glb"), *sizes, "--texture-from", "field"]) == 0
+    assert main(["bake", str(out / "run"), "-o", str(out / "videos.glb"), *sizes]) == 0
     return out
+
+
+def test_textures_from_the_videos_are_nearer_to_the_true_pictures(out):
+    """The bake found the capture by what the run says of it; geometry is the same, held-out pictures judge."""
+    avatars = {name: read_avatar(out / f"{name}.glb") for name in ("a", "videos")}
+    facts = avatars["videos"].provenance["baked"]
+    assert facts["texture_from"] == "videos" and facts["videos"]["hand_left"]["pixels"] > 1000
+    assert facts["against_field"] == avatars["a"].provenance["baked"]["against_field"]
+    assert np.array_equal(avatars["a"].levels[0].positions, avatars["videos"].levels[0].positions)
+    views = read_true_views(out / "capture", 3).sets["novel_view"]
+    context = open_context()
+    try:
+        field, videos = (
+            decibels_by_region(mode_errors(context, avatar, views, ["off"])["off"]) for avatar in avatars.values()
+        )
+    finally:
+        context.release()
+    assert videos["total"] > field["total"] + 1 and videos["hands"] > field["hands"] + 1
 
 
 def test_the_avatar_is_whole(out):

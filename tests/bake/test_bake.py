@@ -147,7 +147,9 @@ def test_command_refuses_what_is_no_run(tmp_path):
         main([str(tmp_path / "absent"), "-o", str(tmp_path / "a.glb")])
 
 
-@pytest.mark.parametrize("extra", [["--texture", "1000"], ["--faces", "3"], ["--nonsense"]])
+@pytest.mark.parametrize(
+    "extra", [["--texture", "1000"], ["--faces", "3"], ["--nonsense"], ["--texture-from", "dreams"]]
+)
 def test_wrong_usage_exits_2(tmp_path, extra, capsys):
     with pytest.raises(SystemExit) as stop:
         main([str(tmp_path), "-o", "a.glb", *extra])

@@ -1,0 +1,267 @@
+"""Textures solved against videos: what was painted comes back from its pictures, what no picture shows is filled."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from painted_capture import write_capture
+from scipy.ndimage import gaussian_filter
+from scipy.sparse import csr_matrix
+
+from avatar.camera import Camera, orbit_camera
+from avatar.errors import AssetError
+from avatar.skeleton import PARTS
+from bake.cone import ViewCone
+from bake.fill import NEAR, Surface, filled_colors
+from bake.level import BakedLevel, Charted
+from bake.pixel_reads import atlas_mesh, drawn_finer, frame_reads, posed_frames
+from bake.run_capture import RunVideos, run_videos
+from bake.seams import chart_edges
+from bake.texture_solve import Equations, Prior, neighbour_pairs, solve_change
+from bake.video_texture import averaged, averaging, carried_to, solve_texture
+from capture.folder import PartVideo
+from geometry.mesh import TriangleMesh
+from player.context import open_context
+from player.mannequin import mannequin
+from player.raster import Rasteriser
+from player.renderer import Renderer
+from train.session import capture_place
+
+SIZE = (96, 96)
+
+
+@dataclass(frozen=True)
+class Filmed(RunVideos):
+    """Videos that lie in no folder."""
+
+    found: dict[str, PartVideo]
+
+    def video(self, part: str) -> PartVideo:
+        return self.found[part]
+
+
+def baked(level):
+    """A level of a file as the bake had it."""
+    uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
+    cone = ViewCone(*(a.astype(np.float64) for a in (level.view_dir, level.view_q, level.view_seen)))
+    charted = Charted(uv, faces, level.positions.astype(np.float64), level.normals.astype(np.float64), cone)
+    _, source = np.unique(level.positions, axis=0, return_inverse=True)
+    return BakedLevel(level, charted, chart_edges(uv, faces, source.reshape(-1)), {})
+
+
+@pytest.fixture(scope="module")
+def painted():
+    """The mannequin with colors that vary over centimetres."""
+    avatar = mannequin()
+    noise = np.random.default_rng(0).normal(size=(256, 256, 3))
+    smooth = gaussian_filter(noise, (3, 3, 0), mode="wrap")
+    image = np.clip(0.5 + 0.2 * smooth / smooth.std(), 0, 1)
+    level = replace(avatar.levels[0], base_color=np.uint8(255 * image))
+    return replace(avatar, levels=(level,), network=None, linear=None, default_view="off")
+
+
+@pytest.fixture(scope="module")
+def context():
+    context = open_context()
+    yield context
+    context.release()
+
+
+@pytest.fixture(scope="module")
+def videos(context, painted):
+    """Turning videos of the body and of the head, which is filmed in a frame of its own, twice as large."""
+    renderer = Renderer(context, [painted], SIZE, view="off")
+    found = {}
+    head_from_canonical = np.diag([2.0, 2.0, 2.0, 1.0])
+    head_from_canonical[:3, 3] = 0.3, -0.2, 0.1
+    for part in PARTS:
+        cameras, images, masks = [], [], []
+        middle, far = ((0, 0.6, 0), 0.8) if part == "head" else ((0, -0.1, 0), 3.2)
+        # a head is filmed as it stands in the canonical pose, which is the mannequin's
+        pose = np.asarray(painted.canonical_pose, np.float64)
+        for turn in 2 * np.pi * np.arange(8) / 8:
+            camera = orbit_camera(middle, far, turn, 0.05, SIZE)
+            image = renderer.draw([(pose, np.zeros(3))], camera)
+            images.append(image[..., :3].copy())
+            masks.append(image[..., 3] == 255)
+            if part == "head":
+                # the same picture from a camera in the head's frame
+                view = camera.camera_from_world @ np.linalg.inv(head_from_canonical)
+                view[:3] *= 2
+                camera = Camera(camera.K, view, SIZE)
+            cameras.append(camera)
+        posed = part != "head"
+        found[part] = PartVideo(
+            part, np.stack(images), np.stack(masks), tuple(cameras),
+            np.tile(pose, (8, 1, 1)) if posed else None, np.zeros((8, 3)) if posed else None, None, None,
+        )  # fmt: skip
+    renderer.release()
+    return Filmed(Path(), None, head_from_canonical, {}, found)
+
+
+def test_a_painted_texture_comes_back_from_its_pictures(painted, videos):
+    level = painted.levels[0]
+    grey = replace(level, base_color=np.full_like(level.base_color, 128))
+    lines = []
+    solved = solve_texture(baked(grey), painted.joint_positions, videos, lines.append)
+    mesh = atlas_mesh(level, painted.joint_positions)
+    truth = level.base_color.reshape(-1, 3)[mesh.texels.index] / 255
+    found = solved.image.reshape(-1, 3)[mesh.texels.index]
+    before, after = np.median(np.abs(0.5 - truth)), np.median(np.abs(found - truth))
+    assert after < 0.35 * before
+    assert solved.facts["body"]["rms_after"] < 0.25 * solved.facts["body"]["rms_before"]
+    assert solved.facts["head"]["rms_after"] < 0.35 * solved.facts["head"]["rms_before"]
+    assert 0 < solved.facts["unseen_share"] < 0.5
+    assert any("head: 8 frames" in line for line in lines)
+    # the coarser level's texels get the change of the place that they show
+    small = replace(grey, base_color=np.full((128, 128, 3), 128, np.uint8))
+    image = carried_to(baked(small), grey, solved.change)
+    own = atlas_mesh(small, painted.joint_positions)
+    halved = level.base_color.reshape(128, 2, 128, 2, 3).mean((1, 3)).reshape(-1, 3)[own.texels.index] / 255
+    assert np.median(np.abs(image.reshape(-1, 3)[own.texels.index] - halved)) < 0.45 * before
+
+
+def test_pixels_read_what_the_player_draws(context, painted, videos):
+    """Rows of the reads, applied to the true atlas, are the pictures, up to the player's nearest mip."""
+    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
+    true = painted.levels[0].base_color.reshape(-1, 3)[mesh.texels.index] / 255
+    rasteriser = Rasteriser(context)
+    video = videos.video("body")
+    frame = next(posed_frames(mesh, video, videos.head_from_canonical))
+    drawn = drawn_finer(rasteriser, mesh, frame, 3)
+    reads = frame_reads(mesh, frame, drawn, video.images[0], video.masks[0], np.ones(len(mesh.positions)), 2)
+    np.testing.assert_allclose(np.asarray(reads.reads.sum(1)).ravel(), 1, atol=1e-5)
+    assert len(reads.color) > 300
+    assert np.median(np.abs(reads.reads @ true - reads.color)) < 0.02
+    # a lens moves what each pixel reads
+    bent = frame._replace(camera=replace(frame.camera, distortion=np.array([-0.3, 0.1, 0, 0, 0])))
+    moved = drawn_finer(rasteriser, mesh, bent, 3)
+    rasteriser.release()
+    assert 0 < (moved.face >= 0).sum() != (drawn.face >= 0).sum()
+
+
+def test_outlines_hardly_count(context, painted, videos):
+    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
+    rasteriser = Rasteriser(context)
+    video = videos.video("body")
+    frame = next(posed_frames(mesh, video, videos.head_from_canonical))
+    drawn = drawn_finer(rasteriser, mesh, frame, 2)
+    rasteriser.release()
+    ones = np.ones(len(mesh.positions))
+    whole = frame_reads(mesh, frame, drawn, video.images[0], video.masks[0], ones, 0)
+    cut = video.masks[0].copy()
+    cut[:, SIZE[0] // 2 :] = False
+    half = frame_reads(mesh, frame, drawn, video.images[0], cut, ones, 0)
+    assert 0.3 < len(half.weight) / len(whole.weight) < 0.7
+    assert (half.weight < 0.06).sum() > 10 and (whole.weight > 0.9).sum() > 100
+
+
+def line_texels(count):
+    from bake.texels import TexelMap
+
+    return TexelMap(np.arange(count), np.zeros(count, int), np.ones(count, bool), count)
+
+
+def test_least_squares_finds_what_pixels_wider_than_texels_tell():
+    """Means over four of twelve texels, at every offset, give back the texels but for the mean's null space."""
+    texels = line_texels(12)
+    rows = [np.roll(np.r_[np.full(4, 0.25), np.zeros(8)], shift) for shift in range(9)]
+    truth = np.random.default_rng(1).normal(size=(12, 1)).astype(np.float32)
+    matrix = csr_matrix(np.array(rows, np.float32))
+    nothing = Prior(np.full(12, 1e-5), np.full(12, 1e-6))
+    found = solve_change([Equations(matrix, matrix @ truth)], nothing, neighbour_pairs(texels), rounds=60)
+    np.testing.assert_allclose(matrix @ found, matrix @ truth, atol=2e-3)
+    # a texel that no pixel reads keeps its color, and its neighbours pull it only as far as mu says
+    alone = csr_matrix(np.eye(1, 12, dtype=np.float32))
+    one = solve_change(
+        [Equations(alone, np.ones((1, 1), np.float32))], Prior(np.full(12, 1.0), np.zeros(12)), neighbour_pairs(texels)
+    )
+    np.testing.assert_allclose(one[:, 0], np.r_[0.5, np.zeros(11)], atol=1e-6)
+
+
+def test_unseen_skin_becomes_skin_and_cloth_stays_cloth():
+    """A strip that nobody saw across an arm of skin and a sleeve: what the field dreamt there goes."""
+    x, y = np.meshgrid(np.linspace(0, 0.2, 81), np.linspace(0, 0.1, 41))
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
+    index = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
+    vertices = np.arange(len(points))
+    surface = Surface(
+        TriangleMesh(points, faces), np.stack([vertices] * 3, 1), np.tile([1.0, 0, 0], (len(points), 1)), points,
+        np.tile([0, 0, 1.0], (len(points), 1)), np.full(len(points), 6e-6),
+    )  # fmt: skip
+    skin, cloth = np.array([0.8, 0.6, 0.5]), np.array([0.1, 0.15, 0.4])
+    truth = np.where(points[:, [0]] < 0.1, skin, cloth)
+    seen = np.abs(points[:, 1] - 0.05) > 0.02
+    dreamt = np.where(seen[:, None], truth, cloth + 0.1)
+    found = filled_colors(surface, dreamt, seen)
+    # beside the hem either may stay
+    away = np.abs(points[~seen, 0] - 0.1) > 0.012
+    np.testing.assert_allclose(found[away], truth[~seen][away], atol=NEAR + 1e-3)
+    assert np.abs(dreamt[~seen] - truth[~seen]).max() > 0.4
+    np.testing.assert_array_equal(filled_colors(surface, dreamt, np.zeros(len(seen), bool)), dreamt)
+
+
+def test_frames_finer_than_texels_are_averaged(videos):
+    assert averaging(0.002, 0.001) == 1 and averaging(0.00025, 0.0009) == 1 and averaging(0.0001, 0.0009) == 4
+    video = videos.video("body")
+    small = averaged(video, 3)
+    assert small.images.shape == (8, 32, 32, 3) and small.cameras[0].size == (32, 32)
+    assert small.masks.sum() * 9 <= video.masks.sum()
+    np.testing.assert_allclose(small.images[0, 10, 10], video.images[0, 30:33, 30:33].mean((0, 1)), atol=0.5)
+    np.testing.assert_allclose(small.cameras[0].K[:2], video.cameras[0].K[:2] / 3)
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory):
+    """A run folder beside the capture that it says it was trained on."""
+    folder = tmp_path_factory.mktemp("filmed")
+    write_capture(folder / "capture", size=16, frames=1)
+    (folder / "run").mkdir()
+    facts = {"capture_at": capture_place(folder / "capture", folder / "run")}
+    return folder, facts | {"head_from_canonical": np.diag([2.0, 2, 2, 1]).tolist()}
+
+
+def run_of(folder, facts):
+    return SimpleNamespace(path=folder / "run", provenance=facts, lights={})
+
+
+def test_the_videos_of_a_run_are_found_again(filmed, tmp_path):
+    folder, facts = filmed
+    assert facts["capture_at"]["folder"] == "../capture"
+    found = run_videos(run_of(folder, facts), None)
+    assert found.video("body").images.shape == (1, 16, 16, 3) and found.refined == folder / "run"
+    # another capture of the same person: its own poses, the run's head
+    write_capture(tmp_path / "large", size=24, frames=1)
+    other = run_videos(run_of(folder, facts), tmp_path / "large")
+    assert other.refined is None and other.video("head").images.shape == (1, 24, 24, 3)
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"capture_at": None}, "capture_at should say"),
+        ({"capture_at": {"folder": "../gone", "digest": "x"}}, "expected the capture folder"),
+        ({"capture_at": {"folder": "../capture", "digest": "x"}}, "found another"),
+    ],
+)
+def test_videos_that_are_nowhere_are_one_line_with_two_ways_out(filmed, change, words):
+    folder, facts = filmed
+    with pytest.raises(AssetError, match=words) as raised:
+        run_videos(run_of(folder, facts | change), None)
+    assert "--capture FOLDER" in str(raised.value) and "--texture-from field" in str(raised.value)
+
+
+def test_videos_whose_head_lies_elsewhere_are_refused(filmed, tmp_path):
+    folder, facts = filmed
+    write_capture(tmp_path / "other", size=24, frames=1)
+    marks = tmp_path / "other" / "head" / "landmarks.json"
+    content = json.loads(marks.read_text())
+    content["points"] = {name: [x + 0.5, y, z] for name, (x, y, z) in content["points"].items()}
+    marks.write_text(json.dumps(content))
+    with pytest.raises(AssetError, match="head frame is not the run's"):
+        run_videos(run_of(folder, facts), tmp_path / "other")
