@@ -140,4 +140,4 @@ def _stiffness(mesh: TriangleMesh) -> csr_matrix:
     k = csr_matrix(
         (np.r_[stiff, stiff], (np.r_[pairs[:, 0], pairs[:, 1]], np.r_[pairs[:, 1], pairs[:, 0]])), (count, count)
     )
-    return (diags(np.asarray(k.sum(1)).ravel()) - k).tocsr()
+    return csr_matrix(diags(np.asarray(k.sum(1)).ravel()) - k)

@@ -262,7 +262,7 @@ def _near_rim(
     sample = float(np.median(drawn.depth[hit])) / (frame.camera.K[0, 0] * s)
     reach = int(np.ceil(RIM_WIDTH / sample))
     bad = maximum_filter(bad, size=2 * reach + 1)
-    return bad.reshape(height, s, width, s).any((1, 3))
+    return np.asarray(bad.reshape(height, s, width, s).any((1, 3)))
 
 
 def samples_for(pixel: float, texel: float) -> int:

@@ -54,7 +54,7 @@ def laplacian(pairs: Integer[Array, "pairs 2"], weight: Float[Array, "pairs"], c
     weight = weight.astype(np.float32)
     rows, columns = np.r_[first, second], np.r_[second, first]
     off = csr_matrix((np.r_[-weight, -weight], (rows, columns)), (count, count))
-    return (diags(-np.asarray(off.sum(1)).ravel().astype(np.float32)) + off).tocsr()
+    return csr_matrix(diags(-np.asarray(off.sum(1)).ravel().astype(np.float32)) + off)
 
 
 def solve_change(

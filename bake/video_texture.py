@@ -83,7 +83,8 @@ def solve_texture(
     part = part_of_corners(mesh)[mesh.faces[mesh.texels.face]].max(1)
     frames = np.zeros(len(given))
     pixel = np.full(len(PARTS), np.inf)
-    equations, facts = [], {}
+    equations: list[Equations] = []
+    facts: dict[str, Any] = {}
     context = open_context()
     try:
         rasteriser = Rasteriser(context)
@@ -100,12 +101,12 @@ def solve_texture(
             frames += np.square(pixel[index] / texel) * found.told
             facts[name] = {
                 "pixel_mm": rounded(seen_size * 1e3),
-                "pixels": found.equations.matrix.shape[0],
+                "pixels": len(found.equations.wanted),
                 "rms_before": rounded(found.rms * 255),
             }
             report(
                 f"{name}: {len(video.images)} frames, {seen_size * 1e3:.2f} mm a pixel, texels of {own * 1e3:.2f} mm, "
-                f"{found.equations.matrix.shape[0] / 1e6:.1f} M pixels, {found.rms * 255:.1f} of 255 beside the field's"
+                f"{len(found.equations.wanted) / 1e6:.1f} M pixels, {found.rms * 255:.1f} of 255 beside the field's"
             )
         rasteriser.release()
     finally:
@@ -123,8 +124,9 @@ def solve_texture(
     fill = filled_colors(texel_surface(baked, mesh, texel), solved, seen[:, 0] == 1)
     solved[rest] = seen[rest] * solved[rest] + (1 - seen[rest]) * fill
     image = spread(solved.astype(np.float64), mesh.texels)
-    facts["unseen_share"] = rounded(float(np.average(seen[:, 0] < 0.5, weights=texel**2)))
-    report(f"textures: {facts['unseen_share'] * 100:.0f} % of the surface was in no video, filled by material")
+    unseen = float(np.average(seen[:, 0] < 0.5, weights=texel**2))
+    facts["unseen_share"] = rounded(unseen)
+    report(f"textures: {unseen * 100:.0f} % of the surface was in no video, filled by material")
     return VideoTexture(image, image - level.base_color / 255.0, facts)
 
 

@@ -36,8 +36,8 @@ def remeasured(avatar: Avatar, run: Any, held_out: dict[str, list[HeldOutView]])
     """`said`: what the file holds; `found`: the same measured now; `on_held_out`: on pictures of the capture.
 
     `run` as train.run.read_run gives it: .field, .surface, .subject.joints. A file whose textures are from the videos
-    was compared with the field before it got them: what is found against the field then tells how much they changed, and
-    is no difference from what the file says.
+    was compared with the field before it got them: what is found against the field then tells how much they changed,
+    and is no difference from what the file says.
     """
     surface = field_surface(run)
     said = recorded_facts(avatar)
