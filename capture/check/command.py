@@ -9,6 +9,7 @@ from typing import Annotated
 from avatar.errors import AssetError
 from avatar.files import check_file, check_folder, whole_file
 from avatar.settings import Help, Option, parse
+from capture.check.keypoints import Followed, compare_keypoints, keypoint_findings, keypoint_lines
 from capture.check.report import CaptureReport, PartReport, examine, report_facts
 from capture.check.sheet import contact_sheet, overlay
 from capture.check.silhouette import even
@@ -26,6 +27,12 @@ class CheckCommand:
         "folder made by `selfscan synth` or `selfscan import`",
     ]
     out: Annotated[Path | None, Option(("-o", "--out"), "DIR"), "write DIR/overlays.png and DIR/check.json"] = None
+    keypoints: Annotated[
+        Path | None,
+        Option(metavar="DIR"),
+        "keypoints of the videos in DIR/body, DIR/hand_left, DIR/hand_right (OpenPose, COCO-WholeBody, MediaPipe), one "
+        "for each frame of the capture: do the poses follow them?",
+    ] = None
     json: Annotated[Path | None, Option(metavar="FILE"), "write everything measured and the verdict to FILE"] = None
 
 
@@ -51,9 +58,12 @@ def main(argv: list[str]) -> int:
     except ValueError as error:  # the landmarks determine nothing
         raise AssetError(f"{capture.path / 'head' / 'landmarks.json'}: {error}") from None
     judged = verdict(report)
-    print("\n".join(lines(report, judged)))
+    followed = compare_keypoints(capture, arguments.keypoints, report) if arguments.keypoints else ()
+    judged = Verdict(tuple(sorted((*judged.findings, *keypoint_findings(followed)), key=lambda f: not f.fatal)))
+    print("\n".join(lines(report, judged, followed)))
     facts = {"capture": str(capture.path), "usable": judged.usable, "verdict": judged.line(),
-             "findings": [vars(finding) for finding in judged.findings], **report_facts(report)}  # fmt: skip
+             "findings": [vars(finding) for finding in judged.findings],
+             "keypoints": [vars(part) for part in followed], **report_facts(report)}  # fmt: skip
     files = [arguments.json] if arguments.json else []
     if arguments.out:
         out = arguments.out
@@ -67,7 +77,7 @@ def main(argv: list[str]) -> int:
     return 0 if judged.usable else 1
 
 
-def lines(report: CaptureReport, judged: Verdict) -> list[str]:
+def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...] = ()) -> list[str]:
     """The report for reading."""
     out = [
         f"template {report.height:.2f} m tall; head frame by {report.landmarks} landmarks, "
@@ -86,6 +96,8 @@ def lines(report: CaptureReport, judged: Verdict) -> list[str]:
         )
     out += ["", "frames by direction of the camera, turning to the right, from above to below:"]
     out += _histograms(list(report.parts.values()))
+    if followed:
+        out += ["", *keypoint_lines(followed)]
     out += ["", judged.line()]
     for finding in judged.findings:
         out.append(f"  {finding.part}: {finding.what}: {finding.advice}")

@@ -1,0 +1,71 @@
+"""OpenPose's JSON: one file a frame (`..._000000000000_keypoints.json`), BODY_25, hands of 21 and face of 70 points.
+
+Its pixels count from the middle of the first one, ours from its corner: half a pixel is added. A point with confidence
+0 was not found (its place is then 0, 0). Of the face's 70 points the last two, the pupils, are left out.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.errors import AssetError
+from capture.keypoints.numbers import triples
+from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of, largest
+
+Array = np.ndarray
+
+BODY_25 = (
+    "nose shoulders right_shoulder right_elbow right_wrist left_shoulder left_elbow left_wrist hips right_hip "
+    "right_knee right_ankle left_hip left_knee left_ankle right_eye left_eye right_ear left_ear left_big_toe "
+    "left_small_toe left_heel right_big_toe right_small_toe right_heel"
+).split()
+FACE_POINTS = 70
+NAMES = (*BODY_25, *hand_points("left"), *hand_points("right"), *FACE)
+
+
+def is_openpose(content: Any) -> bool:
+    """Whether parsed JSON is a frame of OpenPose."""
+    return isinstance(content, dict) and isinstance(content.get("people"), list)
+
+
+def openpose_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Keypoints:
+    """The record of parsed frames, in order.
+
+    Raises:
+        AssetError: no frame of OpenPose, lists of other lengths, numbers that are not finite, nobody in any frame.
+    """
+    rows = np.zeros((len(frames), len(NAMES), 3))
+    empty = 0
+    for k, (path, content) in enumerate(frames):
+        if not is_openpose(content):
+            raise AssetError(f"{path}: expected a frame of OpenPose, an object with people")
+        people = [_person(f"{path}: people[{n}]", person) for n, person in enumerate(content["people"])]
+        if people:
+            rows[k] = largest(people, notes)
+        empty += not people
+    if empty == len(frames):
+        raise AssetError(f"{frames[0][0].parent}: nobody in any of {len(frames)} frames")
+    if empty:
+        notes.append(f"nobody in {empty} of {len(frames)} frames")
+    if rows[:, :, :2].max() <= 1:
+        raise AssetError(f"{frames[0][0]}: expected pixels, found parts of the picture (OpenPose's keypoint_scale 3)")
+    rows[:, :, :2] += 0.5
+    return keypoints_of(NAMES, rows, None, notes)
+
+
+def _person(place: str, person: Any) -> Float[Array, "points 3"]:
+    """The points of one person; lists that are absent or empty were not asked for."""
+    if not isinstance(person, dict):
+        raise AssetError(f"{place} should be an object, is {str(person)[:40]!r}")
+    out = [triples(f"{place}.pose_keypoints_2d", person.get("pose_keypoints_2d"), len(BODY_25))]
+    for side in SIDES:
+        out.append(_optional(place, person, f"hand_{side}_keypoints_2d", 21))
+    out.append(_optional(place, person, "face_keypoints_2d", FACE_POINTS)[: len(FACE)])
+    return np.concatenate(out)
+
+
+def _optional(place: str, person: dict[str, Any], key: str, points: int) -> Float[Array, "points 3"]:
+    value = person.get(key)
+    return np.zeros((points, 3)) if value in (None, []) else triples(f"{place}.{key}", value, points)

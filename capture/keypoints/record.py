@@ -1,0 +1,71 @@
+"""The keypoints of one person through a video, whichever detector found them.
+
+Points are called as our joints where they are those joints (`left_elbow`, `right_index2`); `left` is the person's left.
+Beside them: nose, eyes, ears; `shoulders` and `hips`, the middles that some detectors add; heels, big and small toes;
+`left_hand`, the wrist as the hand's own detector sees it, and the finger tips `left_index_tip` ...; `face_00` to
+`face_67`, the 68 points of a face in iBUG's order.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+Array = np.ndarray
+
+SIDES = ("left", "right")
+FACE = tuple(f"face_{k:02d}" for k in range(68))
+# pixels
+LARGEST = 1e5
+
+
+def hand_points(side: str) -> tuple[str, ...]:
+    """The 21 points of a hand in the order of all detectors: wrist, then thumb to little finger, each to its tip."""
+    fingers = ("thumb", "index", "middle", "ring", "pinky")
+    return (f"{side}_hand", *(f"{side}_{finger}{n}" for finger in fingers for n in (1, 2, 3, "_tip")))
+
+
+@dataclass(frozen=True)
+class Keypoints:
+    """Pixels of named points, frame by frame. What was not seen has confidence 0, and its pixel is NaN."""
+
+    names: tuple[str, ...]
+    # x to the right, y down; the middle of the first pixel is (.5, .5)
+    pixels: Float[Array, "frames points 2"]
+    confidence: Float[Array, "frames points"]  # 0 to 1
+    size: tuple[int, int] | None  # of the pictures, where the files tell it
+    notes: tuple[str, ...] = ()  # what was assumed
+
+    def seen(self, name: str) -> Float[Array, "frames 3"]:
+        """x, y and confidence of one point; confidence 0 throughout where the detector has no such point."""
+        out = np.full((len(self.pixels), 3), np.nan)
+        out[:, 2] = 0
+        if name in self.names:
+            k = self.names.index(name)
+            out[:, :2], out[:, 2] = self.pixels[:, k], self.confidence[:, k]
+        return out
+
+
+def keypoints_of(
+    names: tuple[str, ...],
+    rows: Float[Array, "frames points 3"],
+    size: tuple[int, int] | None,
+    notes: list[str],
+) -> Keypoints:
+    """The record of rows of x, y and confidence; what has confidence 0 loses its pixel, confidences are cut at 1."""
+    confidence = np.clip(rows[:, :, 2], 0, 1)
+    pixels = np.where(confidence[:, :, None] > 0, rows[:, :, :2], np.nan)
+    return Keypoints(names, pixels, confidence, size, tuple(dict.fromkeys(notes)))
+
+
+def largest(people: list[Float[Array, "points 3"]], notes: list[str]) -> Float[Array, "points 3"]:
+    """The person whose seen points span most of the picture; says where there are several."""
+    if len(people) == 1:
+        return people[0]
+    notes.append("people: several in a frame, the largest is taken")
+
+    def span(rows: Array) -> float:
+        seen = rows[rows[:, 2] > 0, :2]
+        return float(np.prod(np.ptp(seen, axis=0))) if len(seen) else 0.0
+
+    return max(people, key=span)

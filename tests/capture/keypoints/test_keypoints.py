@@ -1,0 +1,226 @@
+"""Keypoints of three detectors: written as they write them, read back as one record; what is wrong is named."""
+
+import json
+
+import numpy as np
+import pytest
+
+from avatar.errors import AssetError
+from capture.keypoints import coco_wholebody, mediapipe, openpose
+from capture.keypoints.read import read_keypoints
+from capture.keypoints.record import FACE, hand_points
+
+FRAMES, SIZE = 3, (640, 480)
+EVERY = sorted({*openpose.NAMES, *coco_wholebody.NAMES, *mediapipe.NAMES})
+
+
+def truth(seed=0):
+    """Places of every point in every frame, one of them unseen, in our pixels."""
+    rng = np.random.default_rng(seed)
+    return {name: rng.uniform(5, 470, (FRAMES, 2)) for name in EVERY}, {("left_knee", 1), ("right_index2", 0)}
+
+
+def rows(names, points, unseen, frame, half=0.5):
+    """x, y, confidence as a detector whose pixels count from the first one's middle has them."""
+    out = np.array([[*(points[name][frame] - half), 0.8] for name in names])
+    for k, name in enumerate(names):
+        if (name, frame) in unseen:
+            out[k] = 0
+    return out
+
+
+def write_openpose(folder, points, unseen, people=1):
+    folder.mkdir()
+    for frame in range(FRAMES):
+        flat = rows(openpose.NAMES, points, unseen, frame)
+        parts = np.split(flat, [25, 46, 67])
+        person = {
+            "person_id": [-1],
+            "pose_keypoints_2d": parts[0].ravel().tolist(),
+            "hand_left_keypoints_2d": parts[1].ravel().tolist(),
+            "hand_right_keypoints_2d": parts[2].ravel().tolist(),
+            "face_keypoints_2d": np.concatenate([parts[3], np.zeros((2, 3))]).ravel().tolist(),
+        }
+        small = {key: (np.array(v) * 0.1).tolist() if key != "person_id" else v for key, v in person.items()}
+        content = {"version": 1.3, "people": [small] * (people - 1) + [person]}
+        (folder / f"me_{frame:012d}_keypoints.json").write_text(json.dumps(content))
+    return folder
+
+
+def write_mmpose(path, points, unseen):
+    infos = []
+    for frame in range(FRAMES):
+        flat = rows(coco_wholebody.NAMES, points, unseen, frame)
+        person = {"keypoints": flat[:, :2].tolist(), "keypoint_scores": flat[:, 2].tolist(), "bbox": [[0, 0, 9, 9]]}
+        infos.append({"frame_id": frame + 1, "instances": [person]})
+    path.write_text(json.dumps({"meta_info": {"dataset_name": "coco_wholebody"}, "instance_info": infos}))
+    return path
+
+
+def write_results(path, points, unseen):
+    people = []
+    for frame in (2, 0, 1):
+        flat = rows(coco_wholebody.NAMES, points, unseen, frame)
+        people.append({"image_id": 10 + frame, "category_id": 1, "keypoints": flat.ravel().tolist(), "score": 0.9})
+    path.write_text(json.dumps(people))
+    return path
+
+
+def write_annotations(path, points, unseen):
+    people = []
+    for frame in range(FRAMES):
+        flat = rows(coco_wholebody.NAMES, points, unseen, frame)
+        parts = dict(zip([key for key, _ in coco_wholebody.GROUPS], np.split(flat, [17, 23, 91, 112]), strict=True))
+        people.append({"image_id": frame, **{key: part.ravel().tolist() for key, part in parts.items()}})
+    path.write_text(json.dumps({"images": [], "annotations": people}))
+    return path
+
+
+def write_mediapipe(path, points, unseen, told=True):
+    frames = []
+    for frame in range(FRAMES):
+        pose = np.zeros((33, 4))
+        for k, name in enumerate(mediapipe.POSE):
+            if name:
+                seen = (name, frame) not in unseen
+                pose[k] = [*(points[name][frame] / SIZE), 0.0, 0.8 * seen]
+        named = lambda side: np.array([[*(points[name][frame] / SIZE), 0.0] for name in hand_points(side)])
+        one = {"pose_landmarks": [dict(zip(("x", "y", "z", "visibility"), row, strict=True)) for row in pose.tolist()]}
+        one |= {f"{side}_hand_landmarks": named(side).tolist() for side in ("left", "right")}
+        frames.append(one)
+    size = {"image_width": SIZE[0], "image_height": SIZE[1]} if told else {}
+    path.write_text(json.dumps({**size, "frames": frames}))
+    return path
+
+
+WRITERS = {
+    "openpose": (write_openpose, openpose.NAMES),
+    "mmpose": (write_mmpose, coco_wholebody.NAMES),
+    "results": (write_results, coco_wholebody.NAMES),
+    "annotations": (write_annotations, coco_wholebody.NAMES),
+    "mediapipe": (write_mediapipe, mediapipe.NAMES),
+}
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+def test_what_a_detector_wrote_is_read_back(tmp_path, kind, within):
+    points, unseen = truth()
+    write, names = WRITERS[kind]
+    found = read_keypoints(write(tmp_path / f"{kind}.json" if kind != "openpose" else tmp_path / kind, points, unseen))
+    assert found.names == names and len(set(names)) == len(names)
+    for name in names:
+        seen = found.seen(name)
+        for frame in range(FRAMES):
+            if (name, frame) in unseen and kind != "mediapipe":
+                assert seen[frame, 2] == 0 and np.isnan(seen[frame, :2]).all()
+            elif (name, frame) not in unseen:
+                within(seen[frame, :2] - points[name][frame], 1e-3, "px")
+                assert seen[frame, 2] == pytest.approx(1 if kind == "mediapipe" and name[-1] in "123pd" and name not in
+                                                       mediapipe.POSE else 0.8)  # fmt: skip
+    assert (found.seen("third_eye")[:, 2] == 0).all()
+
+
+def test_left_is_the_persons_left_and_the_orders_are_the_published_ones():
+    """A few numbers of the published tables: OpenPose's BODY_25, COCO-WholeBody, MediaPipe."""
+    assert [openpose.NAMES[k] for k in (2, 7, 8, 12, 19, 24)] == [
+        "right_shoulder", "left_wrist", "hips", "left_hip", "left_big_toe", "right_heel"]  # fmt: skip
+    names = coco_wholebody.NAMES
+    assert (
+        len(names) == 133 and names[5] == "left_shoulder" and names[17] == "left_big_toe" and names[22] == "right_heel"
+    )
+    assert (
+        names[23:91] == FACE
+        and names[91] == "left_hand"
+        and names[112] == "right_hand"
+        and names[132] == "right_pinky_tip"
+    )
+    assert mediapipe.POSE[11] == "left_shoulder" and mediapipe.POSE[28] == "right_ankle" and len(mediapipe.POSE) == 33
+
+
+def test_of_several_people_the_largest_is_taken_and_said(tmp_path):
+    points, unseen = truth()
+    alone = read_keypoints(write_openpose(tmp_path / "one", points, unseen))
+    found = read_keypoints(write_openpose(tmp_path / "three", points, unseen, people=3))
+    np.testing.assert_allclose(found.pixels, alone.pixels)
+    assert any("several in a frame, the largest" in note for note in found.notes) and not alone.notes
+
+
+def test_an_empty_frame_is_unseen_and_said(tmp_path):
+    points, unseen = truth()
+    folder = write_openpose(tmp_path / "op", points, unseen)
+    (folder / "me_000000000001_keypoints.json").write_text('{"people": []}')
+    found = read_keypoints(folder)
+    assert (found.confidence[1] == 0).all() and np.isnan(found.pixels[1]).all() and (found.confidence[0] > 0).any()
+    assert "nobody in 1 of 3 frames" in found.notes
+
+
+def test_parts_of_a_picture_need_its_size(tmp_path):
+    points, unseen = truth()
+    path = write_mediapipe(tmp_path / "a.json", points, unseen, told=False)
+    with pytest.raises(AssetError, match="a picture whose size is not told"):
+        read_keypoints(path)
+    given = read_keypoints(path, size=SIZE)
+    np.testing.assert_allclose(given.seen("nose")[:, :2], points["nose"], atol=1e-9)
+
+
+def spoilt(change):
+    def apply(content):
+        change(content["people"])
+        return content
+
+    return apply
+
+
+@pytest.mark.parametrize(
+    "spoil, match",
+    [
+        (
+            spoilt(lambda c: c[0]["pose_keypoints_2d"].pop()),
+            "pose_keypoints_2d should be 25 times x",
+        ),
+        (spoilt(lambda c: c[0]["pose_keypoints_2d"].__setitem__(4, "x")), "should be finite numbers"),
+        (
+            spoilt(lambda c: c[0]["pose_keypoints_2d"].__setitem__(5, -1.0)),
+            "confidence should not be negative",
+        ),
+        (spoilt(lambda c: c.append(5)), r"people\[1\] should be an object"),
+        (lambda c: {"people": []}, "nobody in any of 1 frames"),
+        (lambda c: {"who": 1}, "expected keypoints"),
+        (lambda c: [{"keypoints": [[1, 2]] * 17, "keypoint_scores": [1] * 17}], "133 points of COCO-WholeBody, are 17"),
+        (lambda c: [{"keypoints": [[1, 2]] * 133}], "keypoint_scores should be 133 numbers"),
+        (lambda c: [{"keypoints": [[1]] * 133}], r"keypoints\[0\] should be \[x, y\]"),
+        (lambda c: {"instance_info": [7]}, r"instance_info\[0\] should be an object"),
+        (lambda c: {"instance_info": []}, "nobody in any of 0 frames"),
+        (lambda c: [{"keypoints": [1.0] * 399, "image_id": []}], "image_id should be a number or a name"),
+        (
+            lambda c: {"pose_world_landmarks": [{"x": 0, "y": 0, "z": 0}] * 33},
+            "no pose_landmarks or hand landmarks|size",
+        ),
+    ],
+)
+def test_bad_keypoints_are_refused_by_name(tmp_path, spoil, match):
+    points, unseen = truth()
+    source = write_openpose(tmp_path / "op", points, unseen) / "me_000000000000_keypoints.json"
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps(spoil(json.loads(source.read_text()))))
+    with pytest.raises(AssetError, match=match) as error:
+        read_keypoints(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_folder_of_nothing_is_refused(tmp_path):
+    with pytest.raises(AssetError, match=r"expected keypoints .*found none"):
+        read_keypoints(tmp_path)
+
+
+def test_the_real_holistic_result_has_its_points_where_the_photo_has_them(data):
+    path = data / "estimators" / "mediapipe_male_full_height_hands_result_cpu.pbtxt"
+    if not path.is_file():
+        pytest.skip(f"no {path}")
+    found = read_keypoints(path, size=(600, 900))
+    assert (found.confidence > 0.5).all()
+    # he faces the camera: his left is on the right
+    assert found.seen("left_shoulder")[0, 0] > found.seen("right_shoulder")[0, 0]
+    for side in ("left", "right"):
+        apart = found.seen(f"{side}_wrist")[0, :2] - found.seen(f"{side}_hand")[0, :2]
+        assert np.linalg.norm(apart) < 10
