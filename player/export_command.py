@@ -45,7 +45,7 @@ class ExportCommand:
     motion: Annotated[
         str,
         Option(metavar="FILE"),
-        "pose file (.npz, .pkl, .bvh, .glb, .vrma ...), EasyMocap folder, or: counting, walking",
+        "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking",
     ]
     output: Annotated[Path, Option(("-o", "--output"), "OUT"), "OUT.bvh, OUT.glb or OUT.npz"]
     frames: Annotated[

@@ -67,7 +67,7 @@ class PlayCommand:
     motion: Annotated[
         tuple[str, ...],
         Option(metavar="FILE", repeated=True),
-        "pose file, EasyMocap folder, counting (default) or walking: one for all avatars, or once for each, in order",
+        "pose file, folder of frames, counting (default) or walking: one for all avatars, or once for each, in order",
     ] = ()
     at: Annotated[
         tuple[tuple[float, float, float, float], ...],

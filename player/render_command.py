@@ -52,7 +52,7 @@ class RenderCommand:
     motion: Annotated[
         str | None,
         Option(metavar="FILE"),
-        "pose file (.npz, .pkl, .bvh, .glb, .vrma ...), EasyMocap folder, or: counting, walking (default: T-pose)",
+        "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking (default: T-pose)",
     ] = None
     frame: Annotated[
         int | None,

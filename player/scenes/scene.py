@@ -27,7 +27,7 @@ class SceneAvatar:
 
     path: Annotated[str, Place(MANNEQUINS), "avatar file (.glb), or mannequin, mannequin:female: the built-in body"]
     motion: Annotated[
-        str | None, Place(BUILTIN_MOTIONS), "pose file, EasyMocap folder, counting or walking; none: T-pose"
+        str | None, Place(BUILTIN_MOTIONS), "pose file, folder of frames, counting or walking; none: T-pose"
     ] = None
     live: Annotated[str | None, "vmc:PORT, udp:PORT or ws:PORT, instead of a motion (play only)"] = None
     at: Annotated[tuple[float, float, float], "metres, added to where the motion puts it"] = (0.0, 0.0, 0.0)
