@@ -163,7 +163,8 @@ def _fields(npz: NpzFile, place: str) -> tuple[int, Rows]:
     def values(key: str, start: int, stop: int) -> Array:
         member, tail = members[key], tails[key]
         if member.shape == tail:
-            found = member.all().astype(np.float64)[None][start:stop]
+            with np.errstate(invalid="ignore"):
+                found = member.all().astype(np.float64)[None][start:stop]
         else:
             found = member.rows(start, stop).reshape(stop - start, *tail)
         bad = ~(np.abs(found) < LARGEST)

@@ -158,6 +158,14 @@ def test_bad_fields_are_refused_by_name(tmp_path, spoil, match):
     assert "\n" not in str(error.value) and "bad.npz" in str(error.value)
 
 
+@pytest.mark.parametrize("stacked", [True, False])
+def test_a_signalling_nan_is_one_line_as_well(tmp_path, stacked):
+    fields = {k: v if stacked else v[0] for k, v in sam3d_fields(natural_poses(1), np.zeros((1, 3))).items()}
+    fields["pred_cam_t"].view("<u4").reshape(-1)[1] = 0x7FA00000
+    with pytest.raises(AssetError, match="pred_cam_t is not finite"):
+        read_motion(written(tmp_path / "a.npz", fields))
+
+
 def test_a_file_cut_anywhere_is_refused(tmp_path):
     whole = written(tmp_path / "a.npz", sam3d_fields(natural_poses(1), np.zeros((1, 3)))).read_bytes()
     for length in range(1, len(whole), len(whole) // 40):
