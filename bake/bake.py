@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import Avatar, write_avatar
 from avatar.skeleton import BIG_POSE, PARTS
-from avatar.skinning import dense_weights, strongest_four
+from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
 from bake.field import NumpyField, numpy_field
@@ -36,6 +36,7 @@ from bake.promises import missed_promises
 from bake.run_capture import RunVideos, run_videos
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
 from bake.video_texture import with_video_textures
+from capture.check.unseen import UnseenPlace, unseen_places
 from capture.solid import solid_inside
 from geometry.isosurface import Extraction, extract
 from geometry.mesh import TriangleMesh, enclosed_volume
@@ -155,6 +156,10 @@ def bake_run(
         levels, facts["videos"] = with_video_textures(levels, joints, videos, clock.report)
         facts["levels"] = [baked.facts for baked in levels]
         avatar = replace(avatar, levels=tuple(baked.level for baked in levels))
+        places = unseen_on_surface(run.surface)
+        facts["unseen"] = [place.line() for place in places]
+        for place in places:
+            clock.report(f"  {place.line()}")
         clock(f"textures from the videos: chart edges step p99 {video_steps(levels)} of 255")
     view, facts["default_view"] = chosen_view(avatar, distilled, true)
     clock(f"default view: {view} ({facts['default_view']['reason']})")
@@ -170,6 +175,15 @@ def bake_run(
     for line in facts["missed"]:
         report(f"missed: {line}")
     return avatar
+
+
+def unseen_on_surface(surface: Any) -> tuple[UnseenPlace, ...]:
+    """Sides of limbs of a run's surface that hardly any frame shows, with what to film."""
+    skin = SkinWeights(np.asarray(surface.skin.joints), np.asarray(surface.skin.weights))
+    vertices, faces = np.asarray(surface.vertices, np.float64), np.asarray(surface.faces, np.int64)
+    if enclosed_volume(TriangleMesh(vertices, faces)) < 0:
+        faces = faces[:, ::-1]
+    return unseen_places(vertices, faces, skin, np.asarray(surface.view_count, np.float64))
 
 
 def video_steps(levels: list[BakedLevel]) -> str:

@@ -19,7 +19,7 @@ from bake.texels import TexelMap
 
 Array = np.ndarray
 
-ROUNDS = 24
+ROUNDS = 14
 
 
 class Equations(NamedTuple):

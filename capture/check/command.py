@@ -98,6 +98,9 @@ def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...]
     out += _histograms(list(report.parts.values()))
     if followed:
         out += ["", *keypoint_lines(followed)]
+    if report.unseen:
+        out += ["", "hardly seen; the avatar gets the color of what lies round it there:"]
+        out += [f"  {place.line()}" for place in report.unseen]
     out += ["", judged.line()]
     for finding in judged.findings:
         out.append(f"  {finding.part}: {finding.what}: {finding.advice}")

@@ -11,6 +11,7 @@ from avatar.skeleton import PARTS
 from capture.check.coverage import Coverage, coverage
 from capture.check.pictures import Exposure, blurred, exposure, missing, repeated, sharpness
 from capture.check.silhouette import Agreement, Outline, agreement, even, outline, posed_template
+from capture.check.unseen import UnseenPlace, frames_that_see, unseen_places
 from capture.folder import Capture
 from capture.template import visible_faces
 
@@ -66,6 +67,8 @@ class CaptureReport:
     landmark_residual: float
     head_scale: float  # metres per unit of the head frame
     parts: dict[str, PartReport]
+    # sides of limbs that hardly any frame shows, the largest first
+    unseen: tuple[UnseenPlace, ...] = ()
 
 
 def examine(capture: Capture) -> CaptureReport:
@@ -77,7 +80,8 @@ def examine(capture: Capture) -> CaptureReport:
     visible = visible_faces(subject)
     parts = {part: examine_part(capture, part, scale, visible) for part in PARTS}
     height = float(np.ptp(subject.rest[:, 1]))
-    return CaptureReport(height, len(head.landmarks), fit.residual, scale, parts)
+    unseen = unseen_places(subject.rest, subject.faces, subject.skin, frames_that_see(capture), visible)
+    return CaptureReport(height, len(head.landmarks), fit.residual, scale, parts, unseen)
 
 
 def examine_part(capture: Capture, part: str, head_scale: float, visible: Bool[Array, "faces"]) -> PartReport:
@@ -165,7 +169,8 @@ def report_facts(report: CaptureReport) -> dict:
         }  # fmt: skip
         parts[name] = facts
     whole = {k: getattr(report, k) for k in ("height", "landmarks", "landmark_residual", "head_scale")}
-    return {key: _plain(value) for key, value in {**whole, "parts": parts}.items()}
+    unseen = [asdict(place) for place in report.unseen]
+    return {key: _plain(value) for key, value in {**whole, "parts": parts, "unseen": unseen}.items()}
 
 
 def _plain(value: object) -> object:
