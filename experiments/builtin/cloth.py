@@ -133,6 +133,8 @@ def _ease(
     heights = [y_ankle + 0.01, y_knee - 0.12, y_knee, y_hip, y_hip + 0.1]
     leg = np.interp(skin[:, 1], heights, [ankle, 0.5 * ankle + 0.5 * knee, knee, hip, 0.007])
     front = smoothstep(-0.02, 0.05, skin[:, 2] - joints[7, 2])
+    if looks.skirt is not None:
+        front = 0 * front
     leg = leg + front * 0.007 * smoothstep(y_ankle + 0.10, y_ankle + 0.01, skin[:, 1])  # breaks over the shoe
     leg = leg + 0.006 * np.exp(-(((skin[:, 1] - y_hip + 0.06) / 0.06) ** 2)) * smoothstep(0.02, 0.06, skin[:, 2])
     torso = looks.shirt_ease * np.interp(above, [0, 0.1, 0.3, 0.45], [1.5, 1.1, 0.8, 0.6])
@@ -175,6 +177,9 @@ def _folds(
     n = noise(np.stack([across + 0.7 * warp, y * 7 + 3.1 * side, z * 7], -1), seed + 6)
     elbow = np.exp(-(((np.abs(x) - abs(joints[18, 0])) / 0.09) ** 2))
     sleeve = (0.0018 + 0.0024 * elbow) * (0.7 - 2 * np.abs(n) ** 0.8)
+    if looks.skirt is not None:
+        # tights
+        leg = np.zeros_like(leg)
     return np.where(shirt, (1 - upper) * chest + upper * sleeve, leg)
 
 

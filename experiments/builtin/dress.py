@@ -2,7 +2,7 @@
 
 Shirt, trousers and hair are the body's own surface moved outwards: cut along hems, smoothed so that cloth spans
 what it would span, pushed out by its ease plus folds, and kept between 5 mm and 3 cm off the skin. Feet are
-replaced by shoes lofted round them. Frame: pose 0, pelvis at the origin, metres.
+replaced by shoes lofted round them; a skirt is a shell of its own. Frame: pose 0, pelvis at the origin, metres.
 """
 
 from dataclasses import replace
@@ -22,6 +22,7 @@ from experiments.builtin.hems import BELT_WIDTH, LIP, hems_at, neckline, sleeves
 from experiments.builtin.looks import Looks
 from experiments.builtin.refine import TexturedMesh, cut_along, refined, smoothed
 from experiments.builtin.shoes import with_shoe, without_feet
+from experiments.builtin.skirt import with_skirt
 from geometry.mesh import vertex_normals
 
 Array = np.ndarray
@@ -62,6 +63,8 @@ def dress(body: Body, looks: Looks) -> Dressed:
     )
     for side in (0, 1):
         dressed = with_shoe(dressed, body, joints, side)
+    if looks.skirt is not None:
+        dressed = with_skirt(dressed, joints, looks)
     for centre in face.eyes:
         dressed = with_eye(dressed, centre, face.eye_radius - 0.0004)
     return dressed

@@ -14,12 +14,12 @@ from experiments.builtin.refine import TexturedMesh
 Array = np.ndarray
 
 # what a face is made of
-SKIN, SHIRT, TROUSERS, BELT, HAIR, SHOE, SOLE, LINING, EYE = range(9)
+SKIN, SHIRT, TROUSERS, BELT, HAIR, SHOE, SOLE, LINING, EYE, SKIRT = range(10)
 
 
 @dataclass(frozen=True)
 class Dressed:
-    """The dressed person, still with the texture coordinates of the body (shoes and eyes: their own)."""
+    """The dressed person, still with the texture coordinates of the body (shoes, eyes and skirt: their own)."""
 
     mesh: TexturedMesh  # as seen
     # where each vertex lies on the naked body

@@ -52,7 +52,7 @@ def write_subject(path: Path, subject: SynthSubject) -> None:
     joint_from_mesh = np.tile(np.eye(4, dtype=np.float32), (len(JOINTS), 1, 1))
     joint_from_mesh[:, :3, 3] = -subject.joints
     described = builder.add_accessor(joint_from_mesh)
-    names = ("body", "head", "eyes")
+    names = ("body", "head", "eyes", "skirt")[: len(subject.textures)]
     document: dict[str, Any] = {
         "asset": {
             "version": "2.0",

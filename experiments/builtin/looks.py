@@ -30,6 +30,8 @@ class Looks:
     shirt: tuple[tuple[int, int, int], tuple[int, int, int]]
     trousers: tuple[int, int, int]
     shoes: tuple[int, int, int]
+    # over the legs, which wear tights in the trousers' place
+    skirt: tuple[int, int, int] | None = None
 
 
 MALE = Looks(
@@ -61,7 +63,7 @@ FEMALE = Looks(
     collar=0.004,
     neckline=0.5,
     shirt_ease=0.011,
-    trouser_ease=(0.009, 0.010, 0.019),
+    trouser_ease=(0.006, 0.006, 0.006),
     hair_top=0.012,
     hair_side=0.008,
     bun=0.019,
@@ -71,6 +73,7 @@ FEMALE = Looks(
     iris=(96, 108, 62),
     lips=(196, 98, 98),
     shirt=((150, 42, 44), (34, 40, 60)),
-    trousers=(70, 68, 74),
+    trousers=(58, 54, 62),
     shoes=(60, 44, 38),
+    skirt=(42, 78, 92),
 )

@@ -10,12 +10,13 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from experiments.builtin.canvas import Canvas
-from experiments.builtin.dressed import BELT, HAIR, LINING, SHIRT, SHOE, SKIN, SOLE, TROUSERS, Dressed
+from experiments.builtin.dressed import BELT, HAIR, LINING, SHIRT, SHOE, SKIN, SKIRT, SOLE, TROUSERS, Dressed
 from experiments.builtin.footwear import paint_shoe, paint_sole
 from experiments.builtin.hair import hairline, paint_hair
 from experiments.builtin.looks import Looks
 from experiments.builtin.shirt import paint_shirt
 from experiments.builtin.skin import paint_skin
+from experiments.builtin.skirt import paint_skirt
 from experiments.builtin.texels import covered_texels, spread
 from experiments.builtin.trousers import paint_belt, paint_lining, paint_trousers
 
@@ -48,6 +49,7 @@ def paint(
         SHOE: lambda x: paint_shoe(x, joints, ground, looks),
         SOLE: lambda x: paint_sole(x, ground, looks),
         LINING: lambda x: paint_lining(x, joints, looks),
+        SKIRT: lambda x: paint_skirt(x, looks),
     }
     for number, painter in painters.items():
         whole = np.flatnonzero(kind == number)

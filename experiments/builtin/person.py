@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 from avatar.body import builtin_body
 from avatar.skeleton import PARTS
 from avatar.skinning import strongest_four
-from experiments.builtin.atlas import BODY, HEAD, layout
+from experiments.builtin.atlas import BODY, CLOTH, EYEBALL, HEAD, layout
 from experiments.builtin.dress import dress
 from experiments.builtin.dressed import EYE, HAIR
 from experiments.builtin.eyes import eye_picture
@@ -27,7 +27,7 @@ TEXTURE = 2048
 def builtin_subject(sex: str, texture: int = TEXTURE) -> SynthSubject:
     """The built-in person, "male" or "female"; takes some seconds once, the same on every machine.
 
-    Materials: 0 body, clothes and shoes, 1 head, 2 eyes.
+    Materials: 0 body, clothes and shoes, 1 head, 2 eyes, 3 the skirt of who wears one.
 
     Raises:
         ValueError: another word.
@@ -44,7 +44,8 @@ def builtin_subject(sex: str, texture: int = TEXTURE) -> SynthSubject:
     cavity = crease(mesh.vertices, mesh.faces, normals)
 
     textures = []
-    for number in (BODY, HEAD):
+    sizes = {BODY: texture, HEAD: texture, CLOTH: texture // 2}
+    for number in (BODY, HEAD, CLOTH)[: 2 if looks.skirt is None else 3]:
         faces = np.flatnonzero(material == number)
         textures.append(
             painted(
@@ -54,10 +55,10 @@ def builtin_subject(sex: str, texture: int = TEXTURE) -> SynthSubject:
                 Shade(normals, light, opened, cavity),
                 body.joints,
                 looks,
-                texture,
+                sizes[number],
             )
         )
-    textures.append(eye_picture(looks, dressed.face.eye_radius))
+    textures.insert(EYEBALL, eye_picture(looks, dressed.face.eye_radius))
 
     # one vertex for each pair of a point and a texture coordinate
     corner = np.concatenate([mesh.faces.reshape(-1, 1), np.round(atlas.reshape(-1, 2) * 2**22).astype(np.int64)], 1)

@@ -12,7 +12,10 @@ Array = np.ndarray
 
 
 def paint_trousers(c: Canvas, joints: Float[Array, "52 3"], looks: Looks) -> Float[Array, "n 3"]:
-    """Trousers; sRGB, 0 to 1."""
+    """Trousers, or tights where a skirt hangs over them; sRGB, 0 to 1."""
+    if looks.skirt is not None:
+        rib = np.round(2 * weave(c.p, looks.seed + 200, 500)) * 0.02
+        return shaded(srgb(looks.trousers) * (1 + rib)[:, None], c, 0.80)
     p, seed = c.p, looks.seed + 200
     x, y, z = p.T
     middle = joints[0, 0]

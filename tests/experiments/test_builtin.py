@@ -15,7 +15,7 @@ from avatar.errors import AssetError
 from experiments.builtin import builtin_subject
 from experiments.builtin.atlas import layout
 from experiments.builtin.dress import dress
-from experiments.builtin.dressed import BELT, EYE, HAIR, LINING, SHIRT, SHOE, SKIN, SOLE, TROUSERS
+from experiments.builtin.dressed import BELT, EYE, HAIR, LINING, SHIRT, SHOE, SKIN, SKIRT, SOLE, TROUSERS
 from experiments.builtin.glb import write_subject
 from experiments.builtin.looks import FEMALE, MALE
 from experiments.builtin.noise import noise
@@ -65,6 +65,23 @@ def test_hair_and_shoes_have_volume(dressed):
     assert np.percentile(shoe, 2) > 0.002 and 0.005 < np.median(shoe) < 0.02
 
 
+def test_her_skirt_stands_off_up_to_twenty_centimetres_and_moves_with_both_legs():
+    dressed = dress(builtin_body("female"), FEMALE)
+    gap = off_skin(dressed, "female", SKIRT)
+    assert gap.min() > 0.006 and np.median(gap) > 0.06 and 0.17 < gap.max() < 0.21
+    rows = np.unique(dressed.mesh.faces[dressed.kind == SKIRT])
+    at, weights = dressed.mesh.vertices[rows], dressed.mesh.weights[rows]
+    left, right = weights[:, [1, 4]].sum(1), weights[:, [2, 5]].sum(1)
+    hem = at[:, 1] < at[:, 1].min() + 0.05
+    middle = hem & (np.abs(at[:, 0]) < 0.02)
+    assert middle.sum() > 20 and np.abs(left - right)[middle].max() < 0.25 and (left + right)[middle].min() > 0.8
+    assert left[hem & (at[:, 0] > 0.28)].min() > 0.7 and right[hem & (at[:, 0] < -0.28)].min() > 0.7
+    # no jump from one vertex to the next
+    skirt = dressed.mesh.faces[dressed.kind == SKIRT]
+    step = np.abs(dressed.mesh.weights[skirt] - dressed.mesh.weights[np.roll(skirt, 1, 1)]).max()
+    assert step < 0.12
+
+
 def test_no_island_of_the_atlas_lies_on_another(dressed):
     """The right shoe once lay on the right middle fingertip and painted it black."""
     material, atlas = layout(dressed)
@@ -93,7 +110,8 @@ def test_face_and_hands_are_bare_skin(dressed):
 def test_every_piece_is_closed_and_no_face_is_degenerate(dressed):
     mesh = trimesh.Trimesh(dressed.mesh.vertices, dressed.mesh.faces, process=False)
     pieces = mesh.split(only_watertight=False)
-    assert len(pieces) == 5  # the person, two shoes, two eyes
+    # the person, two shoes, two eyes, and her skirt
+    assert len(pieces) == (5 if sex_of(dressed) == "male" else 6)
     assert all(piece.is_watertight and piece.is_winding_consistent and piece.volume > 0 for piece in pieces)
     assert mesh.area_faces.min() > 0
     assert set(np.unique(dressed.kind)) >= {SKIN, SHIRT, TROUSERS, HAIR, SHOE, SOLE, LINING, EYE}
@@ -161,6 +179,7 @@ def test_what_is_written_is_what_ships(tmp_path):
     expected = (files("synth") / "data" / "builtin_male.glb").read_bytes()
     assert (tmp_path / "male.glb").read_bytes() == expected
     assert len(expected) < 8e6
+    assert (files("synth") / "data" / "builtin_female.glb").stat().st_size < 8e6
 
 
 @pytest.mark.parametrize(
