@@ -85,6 +85,8 @@ class Preset:
     # steps that fit F_s to the template before training, where it does not begin there
     prefit: int = 0
     surface_cells: tuple[float, float, float] = (0.006, 0.0035, 0.0025)  # metres: body, head, hands
+    # clothes beyond the body's band are carved from the masks and joined to the template (train/clothes.py)
+    clothes: bool = True
     # one network for everyone (train/single.py), instead of four parts
     single: bool = False
     union: UnionPreset = UnionPreset()
@@ -185,6 +187,7 @@ PAPER = Preset(
     mask_weight=1.0,
     adam=(0.9, 0.999, 1e-8),
     prefit=2000,
+    clothes=False,
     union=UnionPreset(iterations=100_000, rate=1.0, last_rate=0.1, warm_up=0, consistency=1.0, surface=1.0),
     appearance_steps=15_000,
     appearance_rate=5e-4,

@@ -22,6 +22,7 @@ from avatar.similarity import Registration, similarity_from_landmarks
 from capture.folder import Capture, read_capture, write_subject
 from capture.repair.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
 from train import run as run_folder
+from train.clothes import with_clothes
 from train.compose import HeadPlacement, TrainedParts, compose, landmark_placement, place_head
 from train.distributed import Ranks, join_ranks
 from train.field import PartField
@@ -234,12 +235,21 @@ def _head_of_single(training: _Training) -> HeadPlacement:
 
 
 def _with_own_template(training: _Training) -> _Training:
-    """The template with a rigid head and with standing hair joined to it, written for workers and run folder."""
+    """The template with a rigid head and with standing hair and loose clothes joined to it, written for workers and
+    run folder.
+    """
     capture, partial = training.capture, training.session.partial
-    subject = with_hair(with_rigid_head(capture.subject), with_refined(capture, partial), training.landmarks.transform)
+    refined = with_refined(capture, partial)
+    subject = with_hair(with_rigid_head(capture.subject), refined, training.landmarks.transform)
     added = len(subject.rest) - len(capture.subject.rest)
     if added:
         training.say(f"hair stands off the template: {added} vertices carved from the masks join it")
+    if training.preset.clothes:
+        dressed = with_clothes(subject, refined.videos["body"])
+        if dressed is not subject:
+            added = len(dressed.rest) - len(subject.rest)
+            training.say(f"clothes stand off the template: {added} vertices carved from the masks join it")
+        subject = dressed
     if training.ranks.writes:
         write_subject(partial / "subject.npz", subject)
     # no rank reads it before it is written
@@ -260,8 +270,11 @@ def _refine(training: _Training) -> dict:
             finally:
                 board.close()
 
-        partial, choice = training.session.partial, training.options.refine_poses
-        found = refine_capture(training.capture, partial, choice, training.say, run)
+        partial, choice, capture = training.session.partial, training.options.refine_poses, training.capture
+        if training.preset.clothes and choice != "off":
+            # or the outline of a skirt would be taken for that of legs that stand elsewhere
+            capture = replace(capture, subject=with_clothes(capture.subject, capture.videos["body"]))
+        found = refine_capture(capture, partial, choice, training.say, run)
     return training.ranks.broadcast(found) or {}
 
 
