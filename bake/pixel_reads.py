@@ -15,6 +15,7 @@ from scipy.sparse import csr_matrix
 
 from avatar.camera import Camera, pixel_rays
 from avatar.gltf.avatar_file import Level
+from avatar.light import CaptureLight
 from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
 from avatar.skinning import SkinWeights, blended_transforms, dense_weights
 from bake.texels import TexelMap, rasterise_charts
@@ -46,6 +47,8 @@ HELD_JOINTS = {
     "hand_left": [18, *PART_JOINTS["hand_left"]],
     "hand_right": [19, *PART_JOINTS["hand_right"]],
 }
+# of a byte: pixels from which on the light may have been brighter than shown; shading below which a pixel tells nothing
+BURNT, DARK = 249, 0.15
 # samples of a pixel, per side: about as far apart as texels are, at most so many
 MOST_SAMPLES = 4
 
@@ -63,6 +66,8 @@ class AtlasMesh(NamedTuple):
     texels: TexelMap
     # for each texel of the atlas the row of `texels` that stands for it: itself or the nearest
     row_of: Integer[Array, "all"]
+    # mean S and H (avatar/light.py) that the base color shows; None: light is not told from albedo
+    light: Float[Array, "corners 2"] | None
 
     @property
     def size(self) -> int:
@@ -84,8 +89,22 @@ class PosedFrame(NamedTuple):
     """One frame with the person posed as in it."""
 
     vertices: Float[Array, "corners 3"]  # metres, the camera's world
-    cosine: Float[Array, "corners"]  # between normal and direction to the camera
+    normals: Float[Array, "corners 3"]  # unit
+    towards: Float[Array, "corners 3"]  # unit, to the camera
     camera: Camera
+
+    @property
+    def cosine(self) -> Float[Array, "corners"]:
+        """Between normal and direction to the camera."""
+        return (self.normals * self.towards).sum(1)
+
+
+class FrameLight(NamedTuple):
+    """The light of one frame at each vertex, and that of the base color."""
+
+    light: CaptureLight
+    frame: Float[Array, "corners 2"]  # S and H
+    base: Float[Array, "corners 2"]
 
 
 def atlas_mesh(level: Level, joints: Float[Array, "52 3"]) -> AtlasMesh:
@@ -97,6 +116,7 @@ def atlas_mesh(level: Level, joints: Float[Array, "52 3"]) -> AtlasMesh:
     covered.reshape(-1)[texels.index] = True
     row = np.full((size, size), -1, np.int32)
     row.reshape(-1)[texels.index] = np.arange(len(texels.index), dtype=np.int32)
+    light = getattr(level, "light", None)
     skin = SkinWeights(level.joints.astype(np.int64), level.weights.astype(np.float32) / 255)
     return AtlasMesh(
         level.positions.astype(np.float64),
@@ -108,6 +128,7 @@ def atlas_mesh(level: Level, joints: Float[Array, "52 3"]) -> AtlasMesh:
         np.asarray(joints, np.float64),
         texels,
         row[nearest_marked(covered)].reshape(-1),
+        None if light is None else np.asarray(light, np.float64),
     )
 
 
@@ -129,7 +150,33 @@ def posed_frames(mesh: AtlasMesh, video: PartVideo, head_from_canonical: Float[A
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         towards = camera.eye - vertices
         towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
-        yield PosedFrame(vertices, (normals * towards).sum(1), camera)
+        yield PosedFrame(vertices, normals, towards, camera)
+
+
+def frame_light(
+    mesh: AtlasMesh, frame: PosedFrame, light: CaptureLight | None, world: Float[Array, "3 3"]
+) -> FrameLight | None:
+    """S and H of a frame; None where light is not told from albedo. `world` turns the frame's world into the one that
+    the light of a phone carried about stands still in."""
+    if light is None or mesh.light is None:
+        return None
+    turn = frame.camera.camera_from_world[:3, :3] if light.frame == "camera" else world
+    normals = frame.normals @ turn.T
+    found = np.stack([light.shading(normals), light.highlight(normals, frame.towards @ turn.T)], 1)
+    return FrameLight(light, found, mesh.light)
+
+
+def as_base_color(
+    color: Float[Array, "pixels 3"],
+    lit: FrameLight,
+    corners: Integer[Array, "pixels 3"],
+    weight: Float[Array, "pixels 3"],
+) -> Float[Array, "pixels 3"]:
+    """Colors of pixels as the light of the base color would show them."""
+    (shading, highlight), (base, glow) = (
+        (weight[..., None] * values[corners]).sum(1).T for values in (lit.frame, lit.base)
+    )
+    return lit.light.shown(lit.light.albedo(color, shading, highlight), base, glow)
 
 
 def vertex_importance(mesh: AtlasMesh, part: str) -> Float[Array, "corners"]:
@@ -162,13 +209,17 @@ def video_reads(
     head_from_canonical: Float[Array, "4 4"],
     rasteriser: Rasteriser,
     samples: int,
+    light: CaptureLight | None = None,
 ) -> Iterator[PixelReads]:
-    """What the pixels of each frame read, `samples` x `samples` places a pixel."""
+    """What the pixels of each frame read, `samples` x `samples` places a pixel; `light` is divided out of them."""
     importance = vertex_importance(mesh, video.part)
+    turn = head_from_canonical[:3, :3] / np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
+    world = turn if video.axis_angle is None else np.eye(3)
     for number, frame in enumerate(posed_frames(mesh, video, head_from_canonical)):
         sure = video.masks[number] if video.unsure is None else video.masks[number] & ~video.unsure[number]
         drawn = drawn_finer(rasteriser, mesh, frame, samples)
-        yield frame_reads(mesh, frame, drawn, video.images[number], sure, importance, COSINE_POWER[video.part])
+        lit = frame_light(mesh, frame, light, world)
+        yield frame_reads(mesh, frame, drawn, video.images[number], sure, importance, COSINE_POWER[video.part], lit)
 
 
 def drawn_finer(rasteriser: Rasteriser, mesh: AtlasMesh, frame: PosedFrame, samples: int) -> Fragments:
@@ -202,6 +253,7 @@ def frame_reads(
     sure: Bool[Array, "height width"],
     importance: Float[Array, "corners"],
     power: int,
+    lit: FrameLight | None = None,
 ) -> PixelReads:
     """The pixels of one frame that lie on the person as a whole; `sure` are those of its mask."""
     height, width = sure.shape
@@ -218,11 +270,19 @@ def frame_reads(
     cosine, important = (weight[..., None] * values[corners]).sum(2).mean(1).T
     visible = important * (cosine > GRAZING) * np.where(_near_rim(frame, drawn, hit, sure)[whole], RIM, 1.0)
     counts = visible * cosine**power
+    if lit is not None:
+        # nobody knows how bright a burnt pixel was, nor the color of what no light reached
+        known = (image[rows, columns].max(1) < BURNT) & (
+            (weight[..., None] * lit.frame[corners]).sum(2).mean(1)[:, 0] > DARK
+        )
+        counts = counts * known
     used = counts > 1e-5
     corners, weight = corners[used], weight[used]
     uv = (weight[..., None] * mesh.uv.astype(np.float32)[corners]).sum(2)
     reads = bilinear_reads(uv, mesh)
     color = image[rows[used], columns[used]].astype(np.float32) / 255
+    if lit is not None:
+        color = as_base_color(color, lit, corners[:, 0], weight[:, 0]).astype(np.float32)
     return PixelReads(reads, color, counts[used].astype(np.float32), visible[used].astype(np.float32))
 
 
@@ -267,7 +327,7 @@ def _near_rim(
 
 def samples_for(pixel: float, texel: float) -> int:
     """Samples a side of a pixel of `pixel` metres on texels of `texel` metres."""
-    return int(np.clip(np.ceil(pixel / texel) + 1, 1, MOST_SAMPLES))
+    return int(np.clip(np.ceil(pixel / texel), 1, MOST_SAMPLES))
 
 
 def part_of_corners(mesh: AtlasMesh) -> Integer[Array, "corners"]:

@@ -33,7 +33,7 @@ from player.raster import Rasteriser
 Array = np.ndarray
 
 # frames are averaged over k x k pixels before they are read, while a pixel stays within this share of a texel
-FINEST_PIXEL = 0.55
+FINEST_PIXEL = 0.9
 # lambda of a texel as wide as a pixel and its growth with the texel's share of a pixel: many small texels under one
 # pixel divide what it tells. mu over lambda.
 STAY, STAY_POWER, SMOOTH = 0.06, 1.5, 4.0
@@ -95,7 +95,8 @@ def solve_texture(
             seen_size = pixel_size(video, mesh, videos.head_from_canonical)
             video = averaged(video, averaging(seen_size, own))
             pixel[index] = pixel_size(video, mesh, videos.head_from_canonical)
-            reads = video_reads(mesh, video, videos.head_from_canonical, rasteriser, samples_for(pixel[index], own))
+            samples, light = samples_for(pixel[index], own), videos.lights.get(name)
+            reads = video_reads(mesh, video, videos.head_from_canonical, rasteriser, samples, light)
             found = equations_of(reads, given)
             equations.append(found.equations)
             frames += np.square(pixel[index] / texel) * found.told

@@ -13,11 +13,12 @@ from scipy.sparse import csr_matrix
 
 from avatar.camera import Camera, orbit_camera
 from avatar.errors import AssetError
+from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
 from bake.cone import ViewCone
 from bake.fill import NEAR, Surface, filled_colors
 from bake.level import BakedLevel, Charted
-from bake.pixel_reads import atlas_mesh, drawn_finer, frame_reads, posed_frames
+from bake.pixel_reads import atlas_mesh, drawn_finer, frame_light, frame_reads, posed_frames
 from bake.run_capture import RunVideos, run_videos
 from bake.seams import chart_edges
 from bake.texture_solve import Equations, Prior, neighbour_pairs, solve_change
@@ -159,6 +160,33 @@ def test_outlines_hardly_count(context, painted, videos):
     assert (half.weight < 0.06).sum() > 10 and (whole.weight > 0.9).sum() > 100
 
 
+@pytest.mark.parametrize("still", ["camera", "world"])
+def test_the_light_of_a_frame_is_divided_out(context, painted, videos, still):
+    """A plain person under a lamp is as plain as without it, as the light of the base color shows it."""
+    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
+    mesh = mesh._replace(light=np.tile([1.1, 0.02], (len(mesh.positions), 1)))
+    light = CaptureLight(0.5, (Lamp((0.6, 0.0, 0.8 if still == "world" else -0.8), 0.6),), 0.1, gamma=2.2, frame=still)
+    rasteriser = Rasteriser(context)
+    video = videos.video("body")
+    frame = list(posed_frames(mesh, video, videos.head_from_canonical))[1]
+    drawn = drawn_finer(rasteriser, mesh, frame, 1)
+    rasteriser.release()
+    lit = frame_light(mesh, frame, light, np.eye(3))
+    hit = drawn.face >= 0
+    corners, weight = mesh.faces[drawn.face[hit]], drawn.barycentric[hit].astype(float)
+    shading, highlight = (weight[..., None] * lit.frame[corners]).sum(1).T
+    albedo = np.array([0.5, 0.4, 0.3])
+    image = np.zeros((*hit.shape, 3), np.uint8)
+    image[hit] = np.round(255 * light.shown(np.tile(albedo, (len(corners), 1)), shading, highlight))
+    assert np.ptp(image[hit][:, 0].astype(int)) > 40
+    ones = np.ones(len(mesh.positions))
+    reads = frame_reads(mesh, frame, drawn, image, hit, ones, 2, lit)
+    expected = light.shown(albedo[None], np.array([1.1]), np.array([0.02]))[0]
+    np.testing.assert_allclose(reads.color, np.tile(expected, (len(reads.color), 1)), atol=4 / 255)
+    # without lights in the level nothing is divided
+    assert frame_light(mesh._replace(light=None), frame, light, np.eye(3)) is None
+
+
 def line_texels(count):
     from bake.texels import TexelMap
 
@@ -207,7 +235,7 @@ def test_unseen_skin_becomes_skin_and_cloth_stays_cloth():
 
 
 def test_frames_finer_than_texels_are_averaged(videos):
-    assert averaging(0.002, 0.001) == 1 and averaging(0.00025, 0.0009) == 1 and averaging(0.0001, 0.0009) == 4
+    assert averaging(0.002, 0.001) == 1 and averaging(0.0006, 0.0009) == 1 and averaging(0.0002, 0.0009) == 4
     video = videos.video("body")
     small = averaged(video, 3)
     assert small.images.shape == (8, 32, 32, 3) and small.cameras[0].size == (32, 32)
