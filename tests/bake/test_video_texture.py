@@ -172,6 +172,7 @@ def test_the_light_of_a_frame_is_divided_out(context, painted, videos, still):
     drawn = drawn_finer(rasteriser, mesh, frame, 1)
     rasteriser.release()
     lit = frame_light(mesh, frame, light, np.eye(3))
+    assert lit is not None
     hit = drawn.face >= 0
     corners, weight = mesh.faces[drawn.face[hit]], drawn.barycentric[hit].astype(float)
     shading, highlight = (weight[..., None] * lit.frame[corners]).sum(1).T
