@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights
+from bench.beside_hair import hair_faces, skin_beside_hair
 from bench.field_view import PosableSurface
 from bench.picture_scores import REGION_PART
 from bench.surface_distance import SurfaceDistance, check_same_unit, surface_distance
@@ -17,7 +18,8 @@ from geometry.icp import rigid_icp
 from geometry.mesh import check_mesh
 from geometry.sample import SurfaceSamples, stratified_samples
 
-SAMPLES = {"total": 4000, "head": 1500, "left_hand": 1000, "right_hand": 1000}  # in every pose
+# in every pose; a person without hair has no skin beside it
+SAMPLES = {"total": 4000, "head": 1500, "left_hand": 1000, "right_hand": 1000, "skin_beside_hair": 1000}
 
 
 @dataclass(frozen=True)
@@ -45,12 +47,15 @@ def geometry_case(
     middles = canonical[truth_faces].mean(1)
     nearest = KDTree(middles).query(surface.vertices[faces].mean(1))[1]
     truth_part = truth.part[truth_faces[:, 0]]
-    part = truth_part[nearest]
+    members = {region: truth_part == part for region, part in REGION_PART.items()}
+    members["skin_beside_hair"] = skin_beside_hair(truth)[truth.visible]
 
     on_truth, on_surface = {}, {}
     for number, (region, count) in enumerate(SAMPLES.items()):
-        keep_truth = None if region == "total" else truth_part == REGION_PART[region]
-        keep = None if region == "total" else part == REGION_PART[region]
+        keep_truth = members.get(region)
+        if keep_truth is not None and not keep_truth.any():
+            continue
+        keep = None if keep_truth is None else keep_truth[nearest]
         on_truth[region] = stratified_samples(
             truth.vertices, truth_faces, count, seed=seed + 2 * number, weight=keep_truth
         )
@@ -120,7 +125,7 @@ def measure_pose(
 ) -> None:
     """Add the distances of one pose, every region. `every` takes only each n-th sample; `truth_from_surface` moves
     the reconstruction rigidly first."""
-    hair = case.truth.hair[case.truth_faces].sum(1) >= 2
+    hair = hair_faces(case.truth)[case.truth.visible]
     regions = [region for region in case.on_truth if region in case.on_surface]
     ours = [thinned(case.on_surface[region], every) for region in regions]
     true = [thinned(case.on_truth[region], every) for region in regions]

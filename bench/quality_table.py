@@ -59,6 +59,8 @@ def table_rows(result: dict[str, Any]) -> list[list[str]]:
     for apart in ("without_hair", "hair"):
         if apart in result["novel_pose"]["head"]:
             rows.append([f"novel pose: head {apart.replace('_', ' ')}", *cells(result["novel_pose"]["head"][apart])])
+    if "skin_beside_hair" in result["novel_pose"]:
+        rows.append(["novel pose: skin beside hair", *cells(result["novel_pose"]["skin_beside_hair"])])
     return rows
 
 

@@ -11,7 +11,7 @@ def regions_of(
 ) -> dict[str, dict[str, Any]]:
     """{"head": M, "left_hand": M, "right_hand": M, "hands": M, "total": M}; hands pool left and right.
 
-    "eyes" stands beside the head where pictures of them were scored.
+    "eyes" stands beside the head where pictures of them were scored, "skin_beside_hair" last where there is hair.
     """
     distances, images = dict(distances), dict(images or {})
     if {"left_hand", "right_hand"} <= distances.keys():
@@ -19,6 +19,8 @@ def regions_of(
     if {"left_hand", "right_hand"} <= images.keys():
         images["hands"] = images["left_hand"].merged(images["right_hand"])
     regions = ["head", *(("eyes",) if "eyes" in images else ()), "left_hand", "right_hand", "hands", "total"]
+    if "skin_beside_hair" in distances and distances["skin_beside_hair"].to_truth:
+        regions.append("skin_beside_hair")
     return {region: region_scores(distances.get(region), images.get(region)) for region in regions}
 
 

@@ -68,11 +68,18 @@ def body_views(video: PartVideo, subject: CaptureSubject) -> list[MaskView]:
 
 
 def _moved(mask: Array, camera: Camera, frame_from_canonical: Array) -> MaskView:
-    """A similarity of the scene shows as the same picture when the camera's frame is scaled with it."""
+    return MaskView(mask, moved_camera(camera, frame_from_canonical))
+
+
+def moved_camera(camera: Camera, frame_from_canonical: Float[Array, "4 4"]) -> Camera:
+    """The camera of a frame as one that takes canonical metres.
+
+    A similarity of the scene shows as the same picture when the camera's frame is scaled with it.
+    """
     scale = float(np.cbrt(np.linalg.det(frame_from_canonical[:3, :3])))
     pose = camera.camera_from_world @ frame_from_canonical
     pose[:3] /= scale
-    return MaskView(mask, replace(camera, camera_from_world=pose))
+    return replace(camera, camera_from_world=pose)
 
 
 def background_share(

@@ -1,0 +1,66 @@
+"""Where hair meets skin: the true skin beside it, and edges of the reconstruction that a pose stretches there.
+
+Hair that is one sheet with neck or shoulder shows twice: the skin beside it is painted on a lid centimetres off, and
+the sheet stretches when the head turns against the shoulders.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from avatar.skeleton import JOINTS, PARTS
+from bench.true_mesh import TrueMesh
+from geometry.mesh import half_edges
+
+BESIDE = 0.04  # metres from hair
+# times its rest length: a longer edge is a sheet between two things that move apart
+STRETCHED = 2.0
+
+
+def hair_faces(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
+    """True faces that are hair: at least two of their corners are."""
+    return truth.hair[truth.faces].sum(1) >= 2
+
+
+def skin_beside_hair(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
+    """True visible faces of head and neck within BESIDE of visible hair, hair apart; canonical pose."""
+    middle = truth.canonical()[truth.faces].mean(1)
+    hair = hair_faces(truth)
+    chosen = truth.visible & ~hair & _head_or_neck(truth)
+    if not (hair & truth.visible).any() or not chosen.any():
+        return np.zeros(len(truth.faces), bool)
+    away = KDTree(middle[hair & truth.visible]).query(middle[chosen])[0]
+    chosen[chosen] = away < BESIDE
+    return chosen
+
+
+def _head_or_neck(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
+    bones = [JOINTS.index("neck"), JOINTS.index("head")]
+    strongest = np.take_along_axis(truth.skin.joints, truth.skin.weights.argmax(1)[:, None], 1)[:, 0]
+    own = (truth.part == PARTS.index("head")) | np.isin(strongest, bones)
+    return own[truth.faces].any(1)
+
+
+def edges_beside_hair(
+    truth: TrueMesh, vertices: Float[np.ndarray, "w 3"], faces: Int[np.ndarray, "g 3"]
+) -> Int[np.ndarray, "edges 2"]:
+    """Edges of a canonical reconstruction whose two ends lie within BESIDE of true visible hair, each once."""
+    hair = hair_faces(truth) & truth.visible
+    if not hair.any():
+        return np.zeros((0, 2), int)
+    near = KDTree(truth.canonical()[truth.faces[hair]].mean(1)).query(vertices)[0] < BESIDE
+    edges = np.unique(np.sort(half_edges(faces[near[faces].any(1)]), axis=1), axis=0)
+    return edges[near[edges].all(1)]
+
+
+def stretched_edges(
+    edges: Int[np.ndarray, "edges 2"], rest: Float[np.ndarray, "w 3"], posed: Iterable[Float[np.ndarray, "w 3"]]
+) -> int:
+    """How many edges are longer than STRETCHED times their rest length in any of the poses."""
+    lengths = lambda vertices: np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    before, stretched = lengths(rest), np.zeros(len(edges), bool)
+    for vertices in posed:
+        stretched |= lengths(vertices) > STRETCHED * before
+    return int(stretched.sum())
