@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import field as dataclass_field
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,12 @@ class CaptureSubject:
     hair: Bool[Array, "vertices"]
     # centre and radius of the eyeballs, left then right, in pose 0, metres; None: not stated (capture/eyes.py)
     eyes: Float[Array, "2 4"] | None = None
+    # skin that carved hair covers (train/hull.py): no outer surface, but what lies under the hair
+    under_hair: Int[Array, "k 3"] = dataclass_field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    # carved vertices of hair, the last ones of all
+    carved: int = 0
+    # metres under the lowest skin of the head that the head's field takes from the body's (train/parts.py)
+    head_reach: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -98,7 +105,7 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
     Raises:
         AssetError: a field is absent, misshapen or not finite; file and field are named.
     """
-    fields = read_npz(path, "a subject", SUBJECT, ("eyes",))
+    fields = read_npz(path, "a subject", SUBJECT, ("eyes", "under_hair", "carved", "head_reach"))
     rest = field(path, fields, "v_template", (None, 3)).astype(np.float64)
     count = len(rest)
     height = float(np.ptp(rest[:, 1])) if count else 0.0
@@ -133,8 +140,19 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
     hair = field(path, fields, "hair", (count,)).astype(bool)
     eyes = _read_eyes(path, fields, rest)
     skin = SkinWeights(bones, weights)
+    under_hair = np.zeros((0, 3), np.int64)
+    if "under_hair" in fields:
+        under_hair = field(path, fields, "under_hair", (None, 3)).astype(np.int64)
+        if under_hair.min(initial=0) < 0 or under_hair.max(initial=0) >= count:
+            raise AssetError(f"{path}: under_hair should index {count} vertices")
+    carved = int(field(path, fields, "carved", ())) if "carved" in fields else 0
+    if not 0 <= carved < count:
+        raise AssetError(f"{path}: carved should count some of {count} vertices, is {carved}")
+    reach = float(field(path, fields, "head_reach", ())) if "head_reach" in fields else 0.0
+    if not 0 <= reach <= 0.3:
+        raise AssetError(f"{path}: head_reach should be 0 to 0.3 metres, is {reach:g}")
     canonical = skin_points(rest, skin, skin_transforms(BIG_POSE, joints, rest=np.zeros((52, 3))))
-    return CaptureSubject(name, rest, canonical, faces, skin, joints, part, hair, eyes)
+    return CaptureSubject(name, rest, canonical, faces, skin, joints, part, hair, eyes, under_hair, carved, reach)
 
 
 def _read_eyes(path: Path, fields: dict[str, Array], rest: Float[Array, "vertices 3"]) -> Float[Array, "2 4"] | None:
@@ -161,6 +179,11 @@ def write_subject(path: Path, subject: CaptureSubject) -> None:
     }  # fmt: skip
     if subject.eyes is not None:
         fields["eyes"] = subject.eyes
+    # a run's own template has more
+    if subject.carved:
+        fields |= {"under_hair": subject.under_hair, "carved": np.int64(subject.carved)}
+    if subject.head_reach:
+        fields["head_reach"] = np.float64(subject.head_reach)
     with whole_file(path) as file:
         np.savez(file, **fields)
 

@@ -1,7 +1,7 @@
 """Variants of a finished run: the paper's ablations that need no training of their own, and what a seam measures.
 
     ours                 the run itself
-    landmarks_only       the head where its landmarks put it (Eq. 6), without Eq. 5; the body is ours
+    landmarks_only       the head where its landmarks put it (Eq. 6), without Eq. 5 and its own video; the body is ours
     no_L_g               the body as stage 1 left it (Eq. 7 and 13 undone); head's place and codes are ours
     no_codes_no_fusion   every part with the mean of its own codes (no Eq. 8), colour switched, not blended (no Eq. 9)
     no_fusion            matched codes, colour switched
@@ -64,8 +64,11 @@ def variant(run: Run, capture: Capture, name: str) -> Run:
     if name == "landmarks_only":
         correction = np.asarray(facts["canonical_from_head_field"], np.float64)
         canonical_from_head = np.linalg.solve(correction, canonical_from_head)
-        head_from_canonical = torch.eye(4)
-        facts |= {"canonical_from_head_field": np.eye(4).tolist(),
+        # the field is learnt where its own video put it (train/head_consistency.py): back to the landmarks' place
+        moved = np.asarray(facts.get("registration", {}).get("own_video", {}).get("moved", np.eye(4)), np.float64)
+        canonical_from_head = np.linalg.solve(moved, canonical_from_head)
+        head_from_canonical = torch.as_tensor(moved, dtype=torch.float32)
+        facts |= {"canonical_from_head_field": np.linalg.inv(moved).tolist(),
                   "head_from_canonical": np.linalg.inv(canonical_from_head).tolist()}  # fmt: skip
     else:
         fields[0] = read_part(run.path / "body_stage1.pt", run.subject, 0, run.preset.parts[0])

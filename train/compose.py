@@ -25,6 +25,7 @@ from geometry.mesh import vertex_normals
 from train.appearance import CodeSteps, match_appearance, overlap_rays
 from train.field import PartField
 from train.fused import FusedField
+from train.head_consistency import place_by_consistency
 from train.objective import RayTensors
 from train.parts import eq9_shares, part_boxes, part_weight
 from train.photometric import ColoredHead, refine_on_video
@@ -43,7 +44,8 @@ Say = Callable[[str], None]
 class HeadPlacement:
     """Where the head's video and the head's field lie on the body."""
 
-    # Eq. 6: from the head's video frame to where the head's field is learnt
+    # from the head's video frame to where the head's field is learnt: Eq. 6, refined on the head's own video where
+    # the preset says so (train/head_consistency.py); the residual is Eq. 6's
     landmarks: Registration
     # Eq. 5, then the body's pixels: canonical_from_head_field, a similarity near the identity
     correction: Float[Array, "4 4"]
@@ -95,7 +97,7 @@ def compose(
     began = time.monotonic()
     head, head_from_field = parts.head, np.eye(4)
     if rays is not None:
-        head = place_head(capture, parts.fields, head.landmarks, say)
+        head = place_head(capture, parts.fields, head, say)
         head_from_field = head.correction
     facts = placement_facts(head, head_from_field)
     fused = FusedField(
@@ -153,9 +155,35 @@ def landmark_placement(landmarks: Registration) -> HeadPlacement:
     return HeadPlacement(landmarks, np.eye(4), {"landmarks_rms_mm": round(landmarks.residual * 1000, 3)})
 
 
-def place_head(capture: Capture, fields: Sequence[PartField], landmarks: Registration, say: Say) -> HeadPlacement:
+def consistent_placement(capture: Capture, landmarks: Registration, say: Say) -> HeadPlacement:
+    """The head where its own video shows its skin alike in all frames, before any surface is known.
+
+    Where the frames give no answer the landmarks' place stays, and that is said.
+    """
+    placed = landmark_placement(landmarks)
+    video = capture.videos["head"]
+    try:
+        found = place_by_consistency(
+            capture.subject, video, landmarks.transform, landmark_anchors(capture, landmarks)
+        )
+    except ValueError as error:
+        say(f"the head's video does not place the template ({error}): the place by landmarks stays (Eq. 6)")
+        return placed
+    say(f"head by its own video: moved by {found.moved * 1000:.2f} mm from the landmarks' place")
+    facts = {
+        "moved_mm": round(found.moved * 1000, 3),
+        "residual_before": round(found.before, 5),
+        "residual_after": round(found.after, 5),
+        "moved": (found.canonical_from_head @ np.linalg.inv(landmarks.transform)).tolist(),
+    }
+    return HeadPlacement(
+        Registration(found.canonical_from_head, landmarks.residual), np.eye(4), {**placed.facts, "own_video": facts}
+    )
+
+
+def place_head(capture: Capture, fields: Sequence[PartField], start: HeadPlacement, say: Say) -> HeadPlacement:
     """The head's place by the surfaces of body and head, the first two fields (Eq. 5), then by the body's pixels."""
-    facts = landmark_placement(landmarks).facts
+    landmarks, facts = start.landmarks, dict(start.facts)
     anchors = landmark_anchors(capture, landmarks)
     correction, facts["surfaces_median_mm"] = place_on_surfaces(capture.subject, fields, anchors, say)
     correction, facts["video"] = place_on_video(capture, fields, correction, anchors, say)

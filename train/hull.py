@@ -24,6 +24,7 @@ from capture.template import neck_height, surface_cloud, visible_faces
 from geometry.cells import distance_to
 from geometry.isosurface import zero_set_mesh
 from geometry.mesh import TriangleMesh
+from train.hollows import ColorView, carve_hollows, color_views
 from train.template_grid import TemplateGrid, template_grid
 
 Array = np.ndarray
@@ -110,10 +111,20 @@ class Hair(NamedTuple):
         return ndimage.map_coordinates(self.share, places, order=1, mode="constant", cval=0.0)
 
 
-def carve(views: Sequence[MaskView], template: TemplateGrid, neck: float) -> Hair | None:
+class Pictures(NamedTuple):
+    """What colours need to carve hollows (train/hollows.py)."""
+
+    subject: CaptureSubject
+    views: Sequence[ColorView]
+
+
+def carve(
+    views: Sequence[MaskView], template: TemplateGrid, neck: float, pictures: Pictures | None = None
+) -> Hair | None:
     """What the views hold round the template, where it stands off far enough to be hair; None: nothing.
 
-    A piece counts when some of it is above the `neck`. The hair lies on the template's grid.
+    A piece counts when some of it is above the `neck`. The hair lies on the template's grid. With `pictures` hollows
+    that are full in every mask are carved by colour.
     """
     distance, cell = template.values.numpy().astype(np.float64), template.cell
     low = template.low.numpy().astype(np.float64)
@@ -122,6 +133,8 @@ def carve(views: Sequence[MaskView], template: TemplateGrid, neck: float) -> Hai
     asked = np.argwhere(~held & (distance < FARTHEST))
     share, seen = background_share(low + cell * asked, views)
     held[tuple(asked.T)] = (share <= AGAINST) & (seen >= SEEN_BY)
+    if pictures is not None:
+        held &= ~carve_hollows(held, held & (distance > cell), low, cell, *pictures)
     hull = distance_to(~held) * cell > ERODED
     standing = hull & (distance > STANDS_OFF)
     standing = np.asarray(ndimage.binary_opening(standing, ndimage.generate_binary_structure(3, 1)), bool)
@@ -139,11 +152,13 @@ def carve(views: Sequence[MaskView], template: TemplateGrid, neck: float) -> Hai
     return Hair(ndimage.gaussian_filter(solid.astype(np.float64), 0.8), low, cell)
 
 
-def with_hair(subject: CaptureSubject, capture: Capture, canonical_from_head: Float[Array, "4 4"]) -> CaptureSubject:
+def with_hair(
+    subject: CaptureSubject, capture: Capture, canonical_from_head: Float[Array, "4 4"], *, hollows: bool, layers: bool
+) -> CaptureSubject:
     """The subject with standing hair joined to its template; the subject itself where there is none.
 
-    Template faces inside the hair are dropped; vertices keep their numbers. Hair vertices move with the head;
-    above the neck they belong to the head part, below it to the body.
+    Template faces inside the hair are dropped, with `layers` into `under_hair`; vertices keep their numbers. Hair
+    vertices move with the head; above the neck they belong to the head part, below it to the body.
     """
     neck = neck_height(subject)
     head = subject.vertices[subject.part == PARTS.index("head")]
@@ -152,7 +167,12 @@ def with_hair(subject: CaptureSubject, capture: Capture, canonical_from_head: Fl
     template = closed_grid(subject, low, high, neck)
     views = head_views(capture.videos["head"], canonical_from_head)
     views += body_views(capture.videos["body"], subject)
-    hair = carve(views, template, neck)
+    pictures = None
+    if hollows:
+        video, head_from_canonical = capture.videos["head"], np.linalg.inv(canonical_from_head)
+        cameras = [moved_camera(camera, head_from_canonical) for camera in video.cameras]
+        pictures = Pictures(subject, color_views(video.images, video.masks, cameras))
+    hair = carve(views, template, neck, pictures)
     if hair is None:
         return subject
     vertices, faces = hair_mesh(hair)
@@ -160,7 +180,8 @@ def with_hair(subject: CaptureSubject, capture: Capture, canonical_from_head: Fl
     under = template.sample(torch.as_tensor(vertices[faces].mean(1), dtype=torch.float32))[0].numpy()
     faces = faces[under > -0.003]
     covered = hair.at(subject.vertices[subject.faces].mean(1)) > 0.75
-    return joined(subject, subject.faces[~covered], vertices, faces, neck)
+    out = joined(subject, subject.faces[~covered], vertices, faces, neck)
+    return replace(out, under_hair=subject.faces[covered]) if layers else out
 
 
 def hair_mesh(hair: Hair) -> TriangleMesh:
@@ -208,4 +229,5 @@ def joined(
         skin=SkinWeights(np.concatenate([subject.skin.joints, bones]), np.concatenate([subject.skin.weights, weights])),
         part=np.concatenate([subject.part, part]),
         hair=np.concatenate([subject.hair, np.ones(len(vertices), bool)]),
+        carved=subject.carved + len(vertices),
     )

@@ -48,8 +48,8 @@ class Part:
 def part_boxes(subject: CaptureSubject) -> tuple[Part, ...]:
     """The boxes of the four parts, from the template's labelled vertices.
 
-    Hands begin 10 cm up the forearm, the head 5 cm under its lowest labelled skin; there the overlap lies. The
-    other faces of `blend_box` stand off by d_s more than the surface needs, so that Eq. 9's weight is 1 at the
+    Hands begin 10 cm up the forearm, the head 3 cm under its lowest labelled skin, or lower by the subject's
+    `head_reach`; there the overlap lies. The other faces of `blend_box` stand off by d_s more than the surface needs, so that Eq. 9's weight is 1 at the
     fingertips and continuous everywhere.
     """
     everyone = Box(subject.vertices.min(0), subject.vertices.max(0))
@@ -64,7 +64,7 @@ def part_boxes(subject: CaptureSubject) -> tuple[Part, ...]:
             # and the networks' box reaches as far: no part has a weight where it learnt nothing
             stand_off = overlap + 0.02
             # the neck below: Eq. 9 starts under the lowest skin of the head, hair hanging deeper or not
-            low[1] = max(low[1], vertices[:, 1].min())
+            low[1] = max(low[1], vertices[:, 1].min()) - subject.head_reach
             blend_low, blend_high = low - stand_off, high + stand_off
             blend_low[1] = low[1] - overlap + 0.02
             low[1] = blend_low[1] - 0.02

@@ -41,6 +41,21 @@ class UnionPreset:
 
 
 @dataclass(frozen=True, kw_only=True)
+class HairPreset:
+    """What is done for heads with hair before and after training; the paper does none of it."""
+
+    # the head's place by its own video before anything is carved or learnt (train/head_consistency.py), after Eq. 6
+    consistency: bool = False
+    # hollows between hair and neck carved by colours (train/hollows.py)
+    hollows: bool = False
+    # hair that hangs below the rigid head is a surface of its own, with its own skin weights (train/layers.py)
+    layers: bool = False
+    # metres under the lowest skin of the head: so much lower the head's field ends, whose video holds neck and collar
+    # as still as the head and shows them several times finer than the body's
+    reach: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Preset:
     """Settings of a training run."""
 
@@ -89,6 +104,7 @@ class Preset:
     clothes: bool = True
     # one network for everyone (train/single.py), instead of four parts
     single: bool = False
+    hair: HairPreset = HairPreset()
     union: UnionPreset = UnionPreset()
     appearance_steps: int = 200  # Eq. 8, per part
     appearance_rate: float = 1e-2  # its learning rate
@@ -129,7 +145,9 @@ _DEMO_HAND = PartPreset(
     background=0.2,
 )
 
-DEMO = Preset(name="demo", parts=(_DEMO_BODY, _DEMO_HEAD, _DEMO_HAND, _DEMO_HAND))
+_HAIR = HairPreset(consistency=True, hollows=True, layers=True, reach=0.06)
+
+DEMO = Preset(name="demo", parts=(_DEMO_BODY, _DEMO_HEAD, _DEMO_HAND, _DEMO_HAND), hair=_HAIR)
 
 # For one GPU: a hash grid instead of planes, more rays, finer in the end; bands and grids are the demo's
 FAST = Preset(
@@ -149,6 +167,7 @@ FAST = Preset(
     shaded=8,
     grid_rate=1e-2,
     surface_cells=(0.005, 0.0025, 0.002),
+    hair=_HAIR,
     union=UnionPreset(iterations=500),
     appearance_steps=500,
 )

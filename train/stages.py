@@ -23,7 +23,14 @@ from capture.folder import Capture, read_capture, write_subject
 from capture.repair.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
 from train import run as run_folder
 from train.clothes import with_clothes
-from train.compose import HeadPlacement, TrainedParts, compose, landmark_placement, place_head
+from train.compose import (
+    HeadPlacement,
+    TrainedParts,
+    compose,
+    consistent_placement,
+    landmark_placement,
+    place_head,
+)
 from train.distributed import Ranks, join_ranks
 from train.field import PartField
 from train.hull import with_hair
@@ -54,8 +61,8 @@ class _Training:
     ranks: Ranks
     # this rank's
     device: str
-    # Eq. 6: canonical_from_head
-    landmarks: Registration
+    # where the head's video lies on the template before anything is learnt
+    head: HeadPlacement
     say: Callable[[str], None]
 
 
@@ -83,16 +90,16 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
         if ranks.writes and not tensorboard_installed():
             say("logs: CSV only; `pip install tensorboard` adds events for it")
 
-        landmarks = _register_landmarks(capture, say)
-        training = _Training(options, preset, capture, session, ranks, device, landmarks, say)
+        head = landmark_placement(_register_landmarks(capture, say))
+        training = _Training(options, preset, capture, session, ranks, device, head, say)
         say(
             f"stage 1: {', '.join(part_names(preset))} by volume rendering of signed distance (Eq. 10-12), "
             f"preset {preset.name}"
         )
         say(f"logs, previews and checkpoints: {session.partial}")
         refined = _refine(training)
-        training = _with_own_template(training)
-        head = _head_of_single(training) if preset.single else landmark_placement(landmarks)
+        training = _with_own_template(_with_consistent_head(training))
+        head = _head_of_single(training) if preset.single else training.head
         facts = _train_parts(training, session.partial, head.canonical_from_head)
         if ranks.writes:
             _compose(training, head, facts, refined, began)
@@ -223,24 +230,41 @@ def _head_of_single(training: _Training) -> HeadPlacement:
             shutil.copyfile(path, folder / path.name)
     training.ranks.broadcast(None)
     parts = replace(training, preset=replace(training.preset, single=False))
-    _train_parts(parts, folder, training.landmarks.transform, order=(1, 0))
+    _train_parts(parts, folder, training.head.canonical_from_head, order=(1, 0))
     head = None
     if training.ranks.writes:
         capture = with_learned(with_refined(training.capture, folder), folder)
-        head = place_head(capture, _read_fields(parts, folder, 2), training.landmarks, training.say)
+        head = place_head(capture, _read_fields(parts, folder, 2), training.head, training.say)
         head = replace(head, facts={**head.facts, "from": "body and head trained for it"})
     head = training.ranks.broadcast(head)
     assert head is not None
     return head
 
 
+def _with_consistent_head(training: _Training) -> _Training:
+    """The head placed by its own video, where the preset says so."""
+    if not training.preset.hair.consistency:
+        return training
+    head = None
+    if training.ranks.writes:
+        capture = with_refined(training.capture, training.session.partial)
+        head = consistent_placement(capture, training.head.landmarks, training.say)
+    head = training.ranks.broadcast(head)
+    assert head is not None
+    return replace(training, head=head)
+
+
 def _with_own_template(training: _Training) -> _Training:
     """The template with a rigid head and with standing hair and loose clothes joined to it, written for workers and
     run folder.
     """
-    capture, partial = training.capture, training.session.partial
+    capture, partial, hair = training.capture, training.session.partial, training.preset.hair
     refined = with_refined(capture, partial)
-    subject = with_hair(with_rigid_head(capture.subject), refined, training.landmarks.transform)
+    subject = with_hair(
+        with_rigid_head(capture.subject), refined, training.head.canonical_from_head,
+        hollows=hair.hollows, layers=hair.layers,
+    )  # fmt: skip
+    subject = replace(subject, head_reach=hair.reach)
     added = len(subject.rest) - len(capture.subject.rest)
     if added:
         training.say(f"hair stands off the template: {added} vertices carved from the masks join it")

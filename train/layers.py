@@ -1,0 +1,203 @@
+"""Hair that hangs below the head as a surface of its own: two closed layers in place of one.
+
+Training learns one signed distance s of everything. Where hair hangs down to neck and shoulders, one closed surface
+joins what moves with the head to what does not, and skinning draws it out into sheets. So space is divided there:
+
+    h(x) = max(GAP - d(x), z(x), y - y_top)      h < 0: this place is hair's
+    body  = max(s, -h)                           skin goes on under the hair
+    hair  = max(s + taper, max(ROOT - d(x), z(x), y - y_top - PLUG))
+
+with d the signed distance of the skin (the template without its hair, moved to where s has the skin beside the hair
+and harmonically in between under it), z the distance to the carved hair grown by MARGIN. Above y_top, where skin and
+hair both follow the head alone (train/rigid.py), nothing is divided; the hair's upper end is a plug inside that.
+Hair follows the head's bone alone, the body has the weights of the skin.
+
+Canonical frame, metres.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from avatar.skeleton import JOINTS, PARTS
+from avatar.skinning import SkinWeights, dense_weights
+from capture.folder import CaptureSubject
+from capture.template import surface_cloud
+from geometry.cells import distance_to
+from geometry.harmonic import anchored, fill_harmonic
+from geometry.mesh import vertex_normals
+from train.template_grid import TemplateGrid, template_grid
+
+Array = np.ndarray
+PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
+
+BODY, HAIR = 0, 1
+HEAD = JOINTS.index("head")
+
+CELL = 0.005  # of the grids
+GAP = 0.002  # the body ends so far off its skin under hair
+ROOT = 0.001  # hair begins so far off it
+MARGIN = 0.012  # learnt hair lies so far beyond the carved one at most
+THIN = 0.006  # what stands less off the skin than this is no carved hair
+# the hair's upper end: so long, and in its upper part so much thinner
+PLUG, TAPER = 0.012, 0.004
+# cloth stands no farther off the template where its offset is measured
+OFFSETS = np.linspace(-0.012, 0.03, 22)
+
+
+@dataclass(frozen=True)
+class HairLayers:
+    """Where hair is a layer of its own."""
+
+    skin: TemplateGrid  # d
+    zone: TemplateGrid  # z
+    top: float  # y_top
+
+    def box(self) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+        """The corners of the box outside of which there is only the body's layer."""
+        low = self.zone.low.numpy().astype(np.float64)
+        return low, low + self.zone.cell * (np.array(self.zone.values.shape) - 1)
+
+    def divide(
+        self, points: Float[Array, "n 3"], distance: Float[Array, "n"]
+    ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+        """Signed distances of body and hair at points where the whole has `distance`; positive outside each."""
+        body, hair = np.array(distance, np.float64), np.full(len(points), 1.0)
+        low, high = self.box()
+        near = np.flatnonzero(((points > low) & (points < high)).all(1))
+        at = torch.as_tensor(points[near], dtype=torch.float32)
+        d, z = (grid.sample(at)[0].numpy().astype(np.float64) for grid in (self.skin, self.zone))
+        up = points[near, 1] - self.top
+        own = np.maximum(np.maximum(GAP - d, z), up)
+        body[near] = np.maximum(distance[near], -own)
+        thinner = TAPER * np.clip(up / (0.5 * PLUG), 0, 1)
+        hair[near] = np.maximum(
+            np.maximum(distance[near] + thinner, ROOT - d), np.maximum(z, up - PLUG)
+        )
+        return body, hair
+
+    def distance(self, layer: int, whole: PointFunction) -> PointFunction:
+        """The signed distance of one layer, given that of the whole."""
+        return lambda points: self.divide(points, whole(points))[layer]
+
+    def normal(self, layer: int, whole: PointFunction, normal: PointFunction) -> PointFunction:
+        """Unit normals of one layer: the whole's `normal`, and where layers divide that of the division."""
+        divided = self.distance(layer, whole)
+
+        def normals(points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+            out = np.array(normal(points), np.float64)
+            apart = np.abs(divided(points) - whole(points)) > 1e-6
+            cut = np.flatnonzero(apart)
+            if len(cut):
+                steps = 1e-3 * np.eye(3)
+                slope = np.stack([divided(points[cut] + e) - divided(points[cut] - e) for e in steps], 1)
+                length = np.linalg.norm(slope, axis=1, keepdims=True)
+                out[cut] = np.where(length > 1e-9, slope / np.maximum(length, 1e-9), out[cut])
+            return out
+
+        return normals
+
+
+def hair_layers(subject: CaptureSubject, distance: PointFunction) -> HairLayers | None:
+    """Where the hair of a subject with carved hair is a layer of its own; None: nowhere.
+
+    `distance` is the learnt signed distance of the whole, canonical.
+    """
+    if len(subject.under_hair) == 0 or subject.carved == 0:
+        return None
+    first = len(subject.vertices) - subject.carved
+    own = (subject.faces >= first).all(1)
+    skin_faces = np.concatenate([subject.faces[~own], subject.under_hair])
+    top = rigid_height(subject, skin_faces)
+    carved = subject.vertices[first:]
+    hanging = carved[carved[:, 1] < top]
+    if len(hanging) == 0:
+        return None
+    low, high = hanging.min(0) - 0.06, hanging.max(0) + 0.06
+    high[1] = top + 0.06
+    skin = replace(subject, faces=skin_faces)
+    bare, whole = (signed_grid(person, low, high) for person in (skin, subject))
+    hair = (whole.values.numpy() < 0.5 * CELL) & (bare.values.numpy() > THIN)
+    hair = np.asarray(ndimage.binary_opening(hair), bool)
+    if not hair.any():
+        return None
+    zone = (distance_to(hair) - distance_to(~hair)) * CELL - MARGIN
+    zone = TemplateGrid(torch.tensor(ndimage.gaussian_filter(zone, 0.7), dtype=torch.float32), bare.low, CELL)
+    moved = replace(skin, vertices=skin_moved(skin, zone, low, high, distance))
+    return HairLayers(signed_grid(moved, low, high), zone, top)
+
+
+def rigid_height(subject: CaptureSubject, skin_faces: Int[Array, "k 3"]) -> float:
+    """The height above which all skin follows the head alone (train/rigid.py)."""
+    used = np.unique(skin_faces)
+    follows = dense_weights(SkinWeights(subject.skin.joints[used], subject.skin.weights[used]))[:, HEAD]
+    near = np.abs(subject.vertices[used, 0] - subject.joints[HEAD, 0]) < 0.25
+    loose = subject.vertices[used][near & (follows < 0.99)]
+    return float(loose[:, 1].max()) + 0.005
+
+
+def signed_grid(person: CaptureSubject, low: Float[Array, "3"], high: Float[Array, "3"]) -> TemplateGrid:
+    """Signed distance of all faces of a template in a box that cuts it open: near the surface the samples' side
+    decides, farther off the side of the nearest sample."""
+    near = (person.vertices[person.faces] > low - 0.1).all((1, 2)) & (person.vertices[person.faces] < high + 0.1).all(
+        (1, 2)
+    )
+    cloud = surface_cloud(person, PARTS.index("head"), np.asarray(near, bool), 0.004, 0.004)
+    grid = template_grid(cloud, low, high, CELL)
+    values = grid.values.clone()
+    leaked = np.argwhere(values.numpy() > 0)
+    side = cloud.distance(low + CELL * leaked)[0]
+    under = side < 0
+    values[tuple(leaked[under].T)] = torch.as_tensor(side[under], dtype=torch.float32)
+    return TemplateGrid(values, grid.low, CELL)
+
+
+def skin_moved(
+    skin: CaptureSubject, zone: TemplateGrid, low: Float[Array, "3"], high: Float[Array, "3"], distance: PointFunction
+) -> Float[Array, "vertices 3"]:
+    """The template's skin where the learnt surface has it beside the hair, and harmonically in between under it."""
+    used = np.zeros(len(skin.vertices), bool)
+    used[np.unique(skin.faces)] = True
+    used &= ((skin.vertices > low - 0.05) & (skin.vertices < high + 0.05)).all(1)
+    index = np.flatnonzero(used)
+    points, normals = skin.vertices[index], vertex_normals(skin.vertices, skin.faces)[index]
+    away = zone.sample(torch.as_tensor(points, dtype=torch.float32))[0].numpy()
+    open_ = np.flatnonzero(away > 0)
+    line = points[open_, None] + OFFSETS[:, None] * normals[open_, None]
+    values = distance(line.reshape(-1, 3)).reshape(len(open_), -1)
+    crosses = (values[:, :-1] < 0) & (values[:, 1:] >= 0)
+    found = crosses.any(1)
+    # the crossing nearest to the template
+    step = np.where(crosses, np.abs(OFFSETS[:-1])[None], np.inf).argmin(1)
+    a, b = values[np.arange(len(open_)), step], values[np.arange(len(open_)), step + 1]
+    offset = OFFSETS[step] + (OFFSETS[1] - OFFSETS[0]) * np.clip(-a / np.maximum(b - a, 1e-9), 0, 1)
+    known = np.zeros(len(skin.vertices), bool)
+    values_all = np.zeros((len(skin.vertices), 1))
+    known[index[open_[found]]] = True
+    values_all[index[open_[found]], 0] = offset[found]
+    known[~used] = True  # farther away nothing is asked
+    free = ~known & anchored(known, skin.faces)
+    known |= ~free
+    values_all = fill_harmonic(values_all, known, skin.faces)
+    out = skin.vertices.copy()
+    out[index] += values_all[index] * normals
+    return out
+
+
+def layer_skin_subject(subject: CaptureSubject, top: float) -> CaptureSubject:
+    """The template that the body's layer takes its weights from: its skin, and its hair above y_top."""
+    first = len(subject.vertices) - subject.carved
+    own = (subject.faces >= first).all(1)
+    above = subject.vertices[subject.faces].mean(1)[:, 1] > top - PLUG
+    return replace(subject, faces=np.concatenate([subject.faces[~own | above], subject.under_hair]))
+
+
+def rigid_weights(count: int) -> SkinWeights:
+    """Weights of what follows the head's bone alone."""
+    weights = np.zeros((count, 4), np.float32)
+    weights[:, 0] = 1
+    return SkinWeights(np.full((count, 4), HEAD), weights)
