@@ -18,6 +18,7 @@ from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
 from bake.field import NumpyField, numpy_field
+from bake.layers import Layer, collapsed, extract_layers, layered_data, layers_of
 from bake.level import (
     BakedLevel,
     SourceSurface,
@@ -27,7 +28,6 @@ from bake.level import (
     level_line,
     rounded,
     surface_points,
-    transferred_data,
     with_features,
 )
 from bake.network import AMPLITUDE, Distilled, distil, write_onnx
@@ -37,8 +37,7 @@ from bake.run_capture import RunVideos, run_videos
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
 from bake.video_texture import with_video_textures
 from capture.check.unseen import UnseenPlace, unseen_places
-from capture.solid import solid_inside
-from geometry.isosurface import Extraction, extract
+from geometry.isosurface import Extraction
 from geometry.mesh import TriangleMesh, enclosed_volume
 from train.field_onnx import is_exportable, write_field
 
@@ -102,10 +101,10 @@ def bake_run(
     field = numpy_field(run.field)
     joints = np.asarray(run.subject.joints, np.float64)
     origin = run_surface(run.surface, len(joints))
-    extraction = extract(
-        solid_inside(field.distance, run.subject),
-        field.normal,
-        origin.vertices,
+    layers = layers_of(field, run.subject, origin)
+    extraction = extract_layers(
+        layers,
+        origin,
         origin.part != PARTS.index("body"),
         coarse_step=options.body_step,
         fine_step=options.fine_step,
@@ -117,11 +116,11 @@ def bake_run(
         f"{extraction.islands} islands dropped)"
     )
 
-    fine = transferred_data(origin, extraction.mesh, extraction.normals)
+    fine = layered_data(origin, extraction.mesh, extraction.normals, extraction.layer)
     seen = float((origin.cone.seen > 0.5).mean())
     clock(f"statistics: {seen * 100:.0f} % of the surface seen, skin and cone carried over")
 
-    levels, distilled = bake_levels(extraction, origin, field, joints, options, clock)
+    levels, distilled = bake_levels(extraction, layers, origin, field, joints, options, clock)
     facts: dict[str, Any] = {
         "faces": options.faces,
         "texture": options.texture,
@@ -218,7 +217,8 @@ def run_surface(surface: Any, joint_count: int) -> SourceSurface:
         faces,
     )
     weights = dense_weights(surface.skin, joint_count)
-    return SourceSurface(vertices, faces, np.asarray(surface.part, np.int64), cone, weights)
+    layer = np.asarray(surface.layer, np.int64)
+    return SourceSurface(vertices, faces, np.asarray(surface.part, np.int64), cone, weights, layer)
 
 
 def check_complete(
@@ -244,6 +244,7 @@ def check_complete(
 
 def bake_levels(
     extraction: Extraction,
+    layers: list[Layer],
     origin: SourceSurface,
     field: NumpyField,
     joints: Float[np.ndarray, "52 3"],
@@ -259,7 +260,9 @@ def bake_levels(
     levels: list[BakedLevel] = []
     distilled: Distilled | None = None
     for number, (count, size) in enumerate(plan):
-        baked = bake_level(extraction, origin, field, count, size, parts, options)
+        surface = collapsed(extraction, layers, count, parts)
+        data = layered_data(origin, surface.mesh, surface.normals, surface.layer)
+        baked = bake_level(surface, data, field, size, options)
         if distilled is None:
             points = surface_points(field, baked.level, origin, options)
             clock(level_line(number, baked.facts))

@@ -20,8 +20,8 @@ from bake.seams import ChartEdges, chart_edges, seam_steps, solve_seams
 from bake.skin import quantised, transferred_weights
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from geometry.closest import match_surface
-from geometry.decimate import Enlargement, balanced, decimate
-from geometry.isosurface import Extraction, project_to_zero
+from geometry.decimate import Enlargement
+from geometry.isosurface import PointFunction, project_to_zero
 from geometry.mesh import TriangleMesh, face_areas
 from geometry.repair import find_faults
 from geometry.sample import stratified_samples
@@ -54,6 +54,17 @@ class SourceSurface(NamedTuple):
     part: Integer[np.ndarray, "vertices"]
     cone: ViewCone
     weights: Float[np.ndarray, "vertices joints"]
+    layer: Integer[np.ndarray, "vertices"]  # train/layers.py
+
+
+class LayeredMesh(NamedTuple):
+    """A collapsed mesh of all layers of a person (bake/layers.py)."""
+
+    mesh: TriangleMesh
+    normals: Float[np.ndarray, "vertices 3"]  # unit, of each vertex's layer
+    layer: Integer[np.ndarray, "vertices"]
+    # metres, canonical points to the nearest layer's surface
+    away: PointFunction
 
 
 class TransferredData(NamedTuple):
@@ -88,18 +99,10 @@ def enlargements(joints: Float[np.ndarray, "52 3"], options: BakeOptions) -> lis
 
 
 def bake_level(
-    extraction: Extraction,
-    origin: SourceSurface,
-    field: NumpyField,
-    count: int,
-    size: int,
-    parts: list[Enlargement],
-    options: BakeOptions,
+    surface: LayeredMesh, data: TransferredData, field: NumpyField, size: int, options: BakeOptions
 ) -> BakedLevel:
-    """One level of about `count` triangles and `size` texels a side, still without its features."""
-    mesh = balanced(decimate(extraction.mesh, count, parts), field.distance, field.normal)
-    normals = field.normal(mesh.vertices)
-    data = transferred_data(origin, mesh, normals)
+    """One level of `size` texels a side of a collapsed mesh, still without its features."""
+    mesh, normals = surface.mesh, surface.normals
 
     # the middle one of three is the majority's, or between
     face_part = np.sort(data.part[mesh.faces], axis=1)[:, 1]
@@ -129,7 +132,7 @@ def bake_level(
         base_color=base,
         features=None,
     )
-    facts = level_facts(level, mesh, face_part, chart, edges, field)
+    facts = level_facts(level, surface, face_part, chart, edges)
     return BakedLevel(level, charted, edges, {**facts, "weights_filled": data.filled})
 
 
@@ -196,15 +199,14 @@ def lifted(
 
 def level_facts(
     level: Level,
-    mesh: TriangleMesh,
+    surface: LayeredMesh,
     face_part: Integer[np.ndarray, "faces"],
     chart: Unwrapped,
     edges: ChartEdges,
-    field: NumpyField,
 ) -> dict[str, Any]:
-    """What the file's provenance says of a level; `mesh` is its mesh before the atlas split vertices."""
-    size = len(level.base_color)
-    away = measure.field_to_mesh(field.distance, mesh)
+    """What the file's provenance says of a level; `surface` is its mesh before the atlas split vertices."""
+    size, mesh = len(level.base_color), surface.mesh
+    away = measure.field_to_mesh(surface.away, mesh)
     fault = find_faults(mesh.faces, len(mesh.vertices))
     return {
         "faces": len(mesh.faces),

@@ -161,7 +161,8 @@ def on_zero_set(field: FusedField, points: Float[np.ndarray, "n 3"], steps: int 
             part = moved[start : start + CHUNK]
             for _ in range(steps):
                 distance = field.distance(part)
-                off = distance.abs() > CLOSE
+                # what lies farther off is no surface of the field's but where layers were divided (train/layers.py)
+                off = (distance.abs() > CLOSE) & (distance.abs() < 3 * FARTHEST)
                 if not bool(off.any()):
                     break
                 step = distance[off].clamp(-FARTHEST, FARTHEST)[:, None] * field.normal(part[off])

@@ -73,10 +73,10 @@ def variant(run: Run, capture: Capture, name: str) -> Run:
     else:
         fields[0] = read_part(run.path / "body_stage1.pt", run.subject, 0, run.preset.parts[0])
     field = _fused(run, fields, head_from_canonical)
-    vertices, faces, normals, skin = displayed_surface(field, run.subject, run.preset.surface_cells)
-    shares = eq9_shares(torch.as_tensor(vertices, dtype=torch.float32), part_boxes(run.subject)).numpy()
-    sums = view_sums(capture, vertices, normals, skin, shares, canonical_from_head)
-    surface = with_views(vertices, faces, normals, skin, shares, [statistics(s) for s in sums])
+    shown = displayed_surface(field, run.subject, run.preset.surface_cells)
+    shares = eq9_shares(torch.as_tensor(shown.vertices, dtype=torch.float32), part_boxes(run.subject)).numpy()
+    sums = view_sums(capture, shown, shares, canonical_from_head)
+    surface = with_views(shown, shares, [statistics(s) for s in sums])
     return replace(run, field=field, surface=surface, provenance=facts)
 
 

@@ -17,7 +17,14 @@ from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
 from avatar.errors import AssetError
-from geometry.mesh import TriangleMesh, enclosed_volume, largest_component
+from geometry.mesh import (
+    TriangleMesh,
+    concatenated,
+    enclosed_volume,
+    face_areas,
+    largest_component,
+    separate_pieces,
+)
 
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
@@ -35,6 +42,8 @@ class Extraction(NamedTuple):
     residual: float
     # grid samples of air that were filled
     slits: int
+    # of each vertex; extract makes one layer, numbered 0
+    layer: Integer[np.ndarray, "vertices"]
 
 
 def graded_axis(
@@ -224,11 +233,13 @@ def extract(
     coarse_step: float = 0.004,
     fine_step: float = 0.002,
     margin: float = 0.03,
+    least: float | None = None,
 ) -> Extraction:
     """The field's zero set as one closed mesh, its vertices on the surface to under 0.1 mm where it is smooth.
 
     hints are points near the surface (metres, canonical); those marked fine (head, hands) get `fine_step`
-    along every axis they span.
+    along every axis they span. The largest connected piece is kept, or with `least` all pieces of so much area
+    (square metres).
 
     Raises:
         AssetError: the field is not finite, never changes sign, or leaves the hints' box.
@@ -258,7 +269,14 @@ def extract(
     volume, slits = slits_filled(volume, axes)
     # a sample exactly on the surface would make triangles without area
     volume[volume == 0] = 1e-9
-    mesh, islands, island_area = largest_component(zero_set_mesh(volume, axes))
+    whole = zero_set_mesh(volume, axes)
+    mesh, islands, island_area = largest_component(whole)
+    if least is not None:
+        pieces = separate_pieces(whole, least)
+        if not pieces:
+            raise AssetError(f"field: no piece of its surface has {least * 1e4:.0f} square centimetres")
+        mesh, islands = concatenated(pieces), islands + 1 - len(pieces)
+        island_area = 1 - float(face_areas(*mesh).sum() / face_areas(*whole).sum())
     if enclosed_volume(mesh) <= 0:
         raise AssetError(
             "fused field: distance should be negative inside the person, its largest surface is inside out"
@@ -266,7 +284,8 @@ def extract(
     projected, residual = project_to_zero(distance, normal, mesh.vertices, reach=coarse_step)
     mesh = TriangleMesh(projected, mesh.faces)
     exceeded = float(np.quantile(residual, 0.999))
-    return Extraction(mesh, normal(projected), queries, islands, island_area, exceeded, slits)
+    return Extraction(mesh, normal(projected), queries, islands, island_area, exceeded, slits,
+                      np.zeros(len(projected), np.int64))  # fmt: skip
 
 
 def _clusters(points: Float[np.ndarray, "n 3"], cell: float = 0.03) -> Integer[np.ndarray, "n"]:

@@ -1,5 +1,6 @@
 """Triangle meshes: the record, normals, areas, and which vertices hang together."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -107,6 +108,23 @@ def largest_component(mesh: TriangleMesh) -> tuple[TriangleMesh, int, float]:
     dropped = int((areas > 0).sum()) - 1
     kept, _ = compact(mesh.vertices, mesh.faces[labels == best])
     return kept, max(dropped, 0), float(1 - areas[best] / areas.sum())
+
+
+def separate_pieces(mesh: TriangleMesh, least: float) -> list[TriangleMesh]:
+    """The connected pieces of at least so much area, the largest first."""
+    labels = component_labels(mesh.faces, len(mesh.vertices))[mesh.faces[:, 0]]
+    areas = np.bincount(labels, face_areas(mesh.vertices, mesh.faces))
+    order = np.argsort(-areas, kind="stable")
+    return [
+        compact(mesh.vertices, mesh.faces[labels == label])[0] for label in order[areas[order] >= max(least, 1e-12)]
+    ]
+
+
+def concatenated(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
+    """Several meshes as one, in their order."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts)])
+    return TriangleMesh(np.concatenate([mesh.vertices for mesh in meshes]), faces)
 
 
 def enclosed_volume(mesh: TriangleMesh) -> float:

@@ -8,11 +8,11 @@ fused field's zero set as a mesh, the directions it was seen from (Eq. 14), and 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from avatar.similarity import Registration
@@ -26,6 +26,7 @@ from train.appearance import CodeSteps, match_appearance, overlap_rays
 from train.field import PartField
 from train.fused import FusedField
 from train.head_consistency import place_by_consistency
+from train.layers import BODY, rigid_weights, without_hanging_hair
 from train.objective import RayTensors
 from train.parts import eq9_shares, part_boxes, part_weight
 from train.photometric import ColoredHead, refine_on_video
@@ -118,16 +119,17 @@ def compose(
             say(f"{name}: body {before:.2f} -> {step:.2f} mm from the part's surface in the overlap")
 
     began = time.monotonic()
-    vertices, faces, normals, skin = displayed_surface(fused, subject, preset.surface_cells)
+    shown = displayed_surface(fused, subject, preset.surface_cells)
+    vertices, faces = shown.vertices, shown.faces
     seconds["surface"] = time.monotonic() - began
     say(f"surface: {len(vertices)} vertices, {len(faces)} faces")
 
     began = time.monotonic()
     points = torch.as_tensor(vertices, dtype=torch.float32)
     shares = eq9_shares(points, part_boxes(subject)).numpy()
-    sums = view_sums(capture, vertices, normals, skin, shares, head.canonical_from_head)
+    sums = view_sums(capture, shown, shares, head.canonical_from_head)
     tables = [statistics(s) for s in sums]
-    surface = with_views(vertices, faces, normals, skin, shares, tables)
+    surface = with_views(shown, shares, tables)
     seconds["views"] = time.monotonic() - began
     say(f"view directions (Eq. 14): {float((surface.view_count > 0).mean()):.1%} of the vertices seen")
 
@@ -163,9 +165,7 @@ def consistent_placement(capture: Capture, landmarks: Registration, say: Say) ->
     placed = landmark_placement(landmarks)
     video = capture.videos["head"]
     try:
-        found = place_by_consistency(
-            capture.subject, video, landmarks.transform, landmark_anchors(capture, landmarks)
-        )
+        found = place_by_consistency(capture.subject, video, landmarks.transform, landmark_anchors(capture, landmarks))
     except ValueError as error:
         say(f"the head's video does not place the template ({error}): the place by landmarks stays (Eq. 6)")
         return placed
@@ -197,39 +197,69 @@ def code_steps(preset: Preset, seed: int) -> CodeSteps:
     )
 
 
-def displayed_surface(
-    fused: FusedField, subject: CaptureSubject, cells: Sequence[float]
-) -> tuple[Float[Array, "vertices 3"], Array, Float[Array, "vertices 3"], SkinWeights]:
-    """Vertices, faces, normals and skin weights of the fused zero level; `cells` of body, head and hands, metres."""
+class DisplayedSurface(NamedTuple):
+    """The fused zero level as it is posed; canonical, metres."""
+
+    vertices: Float[Array, "vertices 3"]
+    faces: Int[Array, "faces 3"]
+    normals: Float[Array, "vertices 3"]
+    skin: SkinWeights
+    layer: Int[Array, "vertices"]  # train/layers.py
+
+
+def displayed_surface(fused: FusedField, subject: CaptureSubject, cells: Sequence[float]) -> DisplayedSurface:
+    """The fused zero level with its skin weights; `cells` of body, head and hands, metres."""
     body, head, hand = cells
-    vertices, faces = extract_surface(
+    (vertices, faces), layer = extract_surface(
         fused, part_boxes(subject), subject, body_cell=body, head_cell=head, hand_cell=hand
     )
     points = torch.as_tensor(vertices, dtype=torch.float32, device=fused.device)
     normals = fused.normal(points).cpu().numpy().astype(np.float64)
-    return vertices, faces, normals, CanonicalSkin(subject).of_mesh(vertices, faces, normals)
+    if not layer.any():
+        return DisplayedSurface(
+            vertices, faces, normals, CanonicalSkin(subject).of_mesh(vertices, faces, normals), layer
+        )
+    # where a layer was cut off the field's gradient is no normal of it
+    of_mesh = vertex_normals(vertices, faces)
+    normals = np.where((of_mesh * normals).sum(1, keepdims=True) > 0.5, normals, of_mesh)
+    return DisplayedSurface(vertices, faces, normals, layered_skin(subject, vertices, faces, normals, layer), layer)
+
+
+def layered_skin(
+    subject: CaptureSubject, vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"],
+    normals: Float[Array, "vertices 3"], layer: Int[Array, "vertices"],
+) -> SkinWeights:  # fmt: skip
+    """Weights of a surface of two layers: the body's from the template without hanging hair, the hair's the head's."""
+    skin = rigid_weights(len(vertices))
+    body = layer == BODY
+    index = np.cumsum(body) - 1
+    own = CanonicalSkin(without_hanging_hair(subject)).of_mesh(
+        vertices[body], index[faces[body[faces[:, 0]]]], normals[body]
+    )
+    skin.joints[body], skin.weights[body] = own.joints, own.weights
+    return skin
 
 
 def view_sums(
-    capture: Capture, vertices: Float[Array, "vertices 3"], normals: Float[Array, "vertices 3"], skin: SkinWeights,
-    shares: Float[Array, "vertices 4"], canonical_from_head: Float[Array, "4 4"],
+    capture: Capture, shown: DisplayedSurface, shares: Float[Array, "vertices 4"],
+    canonical_from_head: Float[Array, "4 4"],
 ) -> list[ViewSums]:  # fmt: skip
     """Of each part's video, the directions that the vertices with a share in that part were seen from."""
     return [
-        part_views(capture.videos[name], capture.subject, vertices, normals, skin, shares[:, index] > 0,
-                   canonical_from_head if name == "head" else None)
+        part_views(capture.videos[name], capture.subject, shown.vertices, shown.normals, shown.skin,
+                   shares[:, index] > 0, canonical_from_head if name == "head" else None)
         for index, name in enumerate(PARTS)
     ]  # fmt: skip
 
 
 def with_views(
-    vertices: Float[Array, "vertices 3"], faces: Array, normals: Float[Array, "vertices 3"], skin: SkinWeights,
-    shares: Float[Array, "vertices 4"], tables: Sequence[ViewStatistics],
-) -> Surface:  # fmt: skip
+    shown: DisplayedSurface, shares: Float[Array, "vertices 4"], tables: Sequence[ViewStatistics]
+) -> Surface:
     """The surface with the parts' statistics fused by their shares; unseen vertices copy their neighbours' mean."""
     fused = fused_statistics(tables, shares)
-    filled = fill_from_neighbours(fused.mean, fused.count > 0, faces)  # their count stays 0
-    return Surface(vertices, faces, normals, shares.argmax(1), skin, fused.count, filled, fused.covariance)
+    filled = fill_from_neighbours(fused.mean, fused.count > 0, shown.faces)  # their count stays 0
+    return Surface(shown.vertices, shown.faces, shown.normals, shares.argmax(1), shown.skin, fused.count, filled,
+                   fused.covariance, shown.layer)  # fmt: skip
 
 
 def match_appearances(

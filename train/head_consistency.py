@@ -1,4 +1,4 @@
-"""The head's place read off its own video before anything is learnt: where the template's skin looks alike in all frames.
+"""The head's place by its own video before anything is learnt: where the template's skin looks alike in all frames.
 
 A dozen landmarks leave the head's scale 1 to 2 % and its turn a degree or two off (Eq. 6). The registered template is
 the head's shape; where it lies on the pictured head, a vertex has one colour in every frame that sees it. With S a

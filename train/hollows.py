@@ -78,7 +78,6 @@ def carve_hollows(
     solid, hair = solid.copy(), hair.copy()
     carved = np.zeros_like(hair)
     behind = [rasterise(subject.vertices, subject.faces, view.camera) for view in views]
-    tried = np.zeros_like(hair)  # at this visibility, and kept
     for _ in range(ROUNDS):
         outer = solid & ~np.asarray(ndimage.binary_erosion(solid), bool)
         surface = np.argwhere(outer)
@@ -170,5 +169,7 @@ def _shown_behind(
         middle[some] = np.nanmedian(shown[:, some], axis=0)
         apart = np.where(seen, np.abs(shown - middle).mean(2), 0).sum(0) / np.maximum(number, 1)
         off = np.where(known, np.abs(shown - expected).mean(2), 0).sum(0) / np.maximum(known.sum(0), 1)
-    matches = (number >= SEEN_BY) & (known.sum(0) >= np.maximum(KNOWN * number, 2)) & (off < SAME) & (off < apart + SAME)
+    matches = (
+        (number >= SEEN_BY) & (known.sum(0) >= np.maximum(KNOWN * number, 2)) & (off < SAME) & (off < apart + SAME)
+    )
     return ((number >= 2) & (apart > DISAGREE)) | matches

@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from scipy import ndimage
 
 from avatar.skeleton import JOINTS, PARTS
 from avatar.skinning import SkinWeights, dense_weights
 from capture.folder import CaptureSubject
-from capture.template import surface_cloud
+from capture.template import sample_grid, surface_cloud
 from geometry.cells import distance_to
 from geometry.harmonic import anchored, fill_harmonic
 from geometry.mesh import vertex_normals
@@ -38,13 +38,15 @@ PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 BODY, HAIR = 0, 1
 HEAD = JOINTS.index("head")
 
-CELL = 0.005  # of the grids
+CELL = 0.006  # of the grids
 GAP = 0.002  # the body ends so far off its skin under hair
 ROOT = 0.001  # hair begins so far off it
 MARGIN = 0.012  # learnt hair lies so far beyond the carved one at most
 THIN = 0.006  # what stands less off the skin than this is no carved hair
 # the hair's upper end: so long, and in its upper part so much thinner
 PLUG, TAPER = 0.012, 0.004
+# square metres: a smaller piece of hair is dropped
+LEAST_HAIR = 0.001
 # cloth stands no farther off the template where its offset is measured
 OFFSETS = np.linspace(-0.012, 0.03, 22)
 
@@ -75,9 +77,7 @@ class HairLayers:
         own = np.maximum(np.maximum(GAP - d, z), up)
         body[near] = np.maximum(distance[near], -own)
         thinner = TAPER * np.clip(up / (0.5 * PLUG), 0, 1)
-        hair[near] = np.maximum(
-            np.maximum(distance[near] + thinner, ROOT - d), np.maximum(z, up - PLUG)
-        )
+        hair[near] = np.maximum(np.maximum(distance[near] + thinner, ROOT - d), np.maximum(z, up - PLUG))
         return body, hair
 
     def distance(self, layer: int, whole: PointFunction) -> PointFunction:
@@ -141,19 +141,21 @@ def rigid_height(subject: CaptureSubject, skin_faces: Int[Array, "k 3"]) -> floa
 
 
 def signed_grid(person: CaptureSubject, low: Float[Array, "3"], high: Float[Array, "3"]) -> TemplateGrid:
-    """Signed distance of all faces of a template in a box that cuts it open: near the surface the samples' side
-    decides, farther off the side of the nearest sample."""
-    near = (person.vertices[person.faces] > low - 0.1).all((1, 2)) & (person.vertices[person.faces] < high + 0.1).all(
-        (1, 2)
-    )
+    """Signed distance of all faces of a template in a box that cuts it open.
+
+    A flood fill would leak in through the cut: farther than four cells off the side of the nearest sample decides.
+    """
+    corners = person.vertices[person.faces]
+    near = ((corners > low - 0.1) & (corners < high + 0.1)).all((1, 2))
     cloud = surface_cloud(person, PARTS.index("head"), np.asarray(near, bool), 0.004, 0.004)
     grid = template_grid(cloud, low, high, CELL)
-    values = grid.values.clone()
-    leaked = np.argwhere(values.numpy() > 0)
-    side = cloud.distance(low + CELL * leaked)[0]
-    under = side < 0
-    values[tuple(leaked[under].T)] = torch.as_tensor(side[under], dtype=torch.float32)
-    return TemplateGrid(values, grid.low, CELL)
+    values = grid.values.numpy().copy()
+    far = np.argwhere(np.abs(values) > 4 * CELL)
+    points = low + CELL * far
+    row = sample_grid(cloud, low - 0.5 * CELL, high + 0.5 * CELL, CELL).nearest(points)
+    side = ((points - cloud.points[row]) * cloud.normals[row]).sum(1)
+    values[tuple(far.T)] = np.where(side < 0, -1, 1) * np.abs(values[tuple(far.T)])
+    return TemplateGrid(torch.as_tensor(values, dtype=torch.float32), grid.low, CELL)
 
 
 def skin_moved(
@@ -188,10 +190,10 @@ def skin_moved(
     return out
 
 
-def layer_skin_subject(subject: CaptureSubject, top: float) -> CaptureSubject:
+def without_hanging_hair(subject: CaptureSubject) -> CaptureSubject:
     """The template that the body's layer takes its weights from: its skin, and its hair above y_top."""
-    first = len(subject.vertices) - subject.carved
-    own = (subject.faces >= first).all(1)
+    own = (subject.faces >= len(subject.vertices) - subject.carved).all(1)
+    top = rigid_height(subject, np.concatenate([subject.faces[~own], subject.under_hair]))
     above = subject.vertices[subject.faces].mean(1)[:, 1] > top - PLUG
     return replace(subject, faces=np.concatenate([subject.faces[~own | above], subject.under_hair]))
 

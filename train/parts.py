@@ -49,8 +49,8 @@ def part_boxes(subject: CaptureSubject) -> tuple[Part, ...]:
     """The boxes of the four parts, from the template's labelled vertices.
 
     Hands begin 10 cm up the forearm, the head 3 cm under its lowest labelled skin, or lower by the subject's
-    `head_reach`; there the overlap lies. The other faces of `blend_box` stand off by d_s more than the surface needs, so that Eq. 9's weight is 1 at the
-    fingertips and continuous everywhere.
+    `head_reach`; there the overlap lies. The other faces of `blend_box` stand off by d_s more than the surface
+    needs, so that Eq. 9's weight is 1 at the fingertips and continuous everywhere.
     """
     everyone = Box(subject.vertices.min(0), subject.vertices.max(0))
     parts = [Part("body", everyone.padded(0.08), None, 0.0)]

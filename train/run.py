@@ -127,6 +127,7 @@ def write_surface(path: Path, surface: Surface, per_part: list[ViewStatistics]) 
             view_count=surface.view_count.astype(np.float32),
             view_mean=surface.view_mean.astype(np.float32),
             view_covariance=surface.view_covariance.astype(np.float32),
+            layer=surface.layer.astype(np.uint8),
             **tables,
         )
 
@@ -143,7 +144,7 @@ def read_surface(path: Path) -> Surface:
     Raises:
         AssetError: a field is absent or misshapen.
     """
-    fields = read_npz(path, "a surface", SURFACE)
+    fields = read_npz(path, "a surface", SURFACE, ("layer",))
     count = len(field_of(path, fields, "vertices", (None, 3)))
     for name, columns in SURFACE.items():
         field_of(path, fields, name, (None if name == "faces" else count, *columns))
@@ -153,9 +154,12 @@ def read_surface(path: Path) -> Surface:
     if bones.min(initial=0) < 0 or bones.max(initial=0) > 51:
         raise AssetError(f"{path}: skin_joints should be 0..51, holds {int(bones.min())}..{int(bones.max())}")
     skin = SkinWeights(bones, fields["skin_weights"])
+    # runs of earlier versions have one layer
+    layer = field_of(path, fields, "layer", (count,)) if "layer" in fields else np.zeros(count)
     return Surface(
         fields["vertices"].astype(np.float64), fields["faces"].astype(np.int64), fields["normals"].astype(np.float64),
         fields["part"].astype(np.int64), skin, fields["view_count"], fields["view_mean"], fields["view_covariance"],
+        layer.astype(np.int64),
     )  # fmt: skip
 
 

@@ -11,8 +11,9 @@ from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
 from capture.solid import solid_inside
 from geometry.isosurface import zero_set_mesh
-from geometry.mesh import TriangleMesh, half_edges, largest_component
+from geometry.mesh import TriangleMesh, concatenated, half_edges, largest_component, separate_pieces
 from train.fused import FusedField
+from train.layers import HAIR, LEAST_HAIR, hair_layers
 from train.parts import Part
 
 Array = np.ndarray
@@ -33,6 +34,8 @@ class Surface:
     view_mean: Float[Array, "vertices 3"]
     # xx xy xz yy yz zz, across the mean direction
     view_covariance: Float[Array, "vertices 6"]
+    # 0 the body, 1 hair that is a surface of its own (train/layers.py)
+    layer: Int[Array, "vertices"]
 
 
 def grid_axes(parts: tuple[Part, ...], body_cell: float, head_cell: float, hand_cell: float) -> list[Array]:
@@ -62,9 +65,10 @@ def extract_surface(
     head_cell: float,
     hand_cell: float,
     near: float = 0.02,
-) -> TriangleMesh:
-    """Marching cubes on a rectilinear grid; the largest connected piece, facing outwards.
+) -> tuple[TriangleMesh, Int[Array, "vertices"]]:
+    """Marching cubes on a rectilinear grid, and the layer of each vertex (train/layers.py).
 
+    The body is the largest connected piece, facing outwards; where hair is a layer of its own its pieces follow.
     The field is asked only at grid points within `near` of a coarse pass (every fourth line) that found the
     surface near; all others take the coarse value. Neither floaters nor a second person survive, nor sheets deep
     inside the subject's template, which may hang on the skin by a pinhole and be turned out by skinning.
@@ -87,7 +91,23 @@ def extract_surface(
     values[tuple(index.T)] = distance(points)
     if not (values.min() < 0 < values.max()):
         raise ValueError("the field has no zero crossing: nothing to extract")
-    return largest_component(zero_set_mesh(values, axes))[0]
+    layers = hair_layers(subject, distance)
+    if layers is None:
+        mesh = largest_component(zero_set_mesh(values, axes))[0]
+        return mesh, np.zeros(len(mesh.vertices), np.int64)
+    low, high = layers.box()
+    inner = tuple(slice(*np.searchsorted(axis, [low[i], high[i]])) for i, axis in enumerate(axes))
+    own_axes = [axis[part] for axis, part in zip(axes, inner)]
+    points = np.stack(np.meshgrid(*own_axes, indexing="ij"), -1).reshape(-1, 3)
+    body, hair = layers.divide(points, values[inner].reshape(-1))
+    values[inner] = body.reshape(values[inner].shape)
+    pieces = [largest_component(zero_set_mesh(values, axes))[0]]
+    hair = np.pad(hair.reshape(values[inner].shape), 1, constant_values=1.0)
+    if hair.min() < 0:
+        around = [np.r_[2 * a[0] - a[1], a, 2 * a[-1] - a[-2]] for a in own_axes]
+        pieces += separate_pieces(zero_set_mesh(hair, around), LEAST_HAIR)
+    layer = np.concatenate([np.full(len(p.vertices), min(i, HAIR)) for i, p in enumerate(pieces)])
+    return concatenated(pieces), layer
 
 
 def _ask(field: FusedField, points: Array) -> Array:

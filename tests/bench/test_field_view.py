@@ -53,6 +53,7 @@ def view():
         view_count=np.full(count, 40.0),
         view_mean=np.tile([0.0, 0, -0.9], (count, 1)),
         view_covariance=np.tile([0.01, 0, 0, 0.01, 0, 0], (count, 1)),
+        layer=np.zeros(count, np.int64),
     )
     subject = CaptureSubject("body", body.vertices, canonical, body.faces, body.skin, body.joints, part, hair)
     return FieldView(Run(Path("run"), DirectionField(), surface, subject, DEMO, {}))

@@ -1,0 +1,133 @@
+"""Surfaces of a person that are extracted, collapsed and given weights apart: the body and hanging hair.
+
+A person without hanging hair has one layer, which is the field as it is.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Integer
+
+from bake.cone import ViewCone
+from bake.field import NumpyField
+from bake.level import LayeredMesh, SourceSurface, TransferredData, transferred_data
+from capture.solid import solid_inside
+from geometry.decimate import Enlargement, balanced, decimate, enlarged
+from geometry.isosurface import Extraction, PointFunction, extract
+from geometry.mesh import TriangleMesh, compact, component_labels, concatenated, face_areas
+from train.layers import BODY, HAIR, LEAST_HAIR, hair_layers
+
+
+class Layer(NamedTuple):
+    """One layer of a person as functions of canonical points."""
+
+    # made solid deep inside (capture/solid.py): for extraction
+    solid: PointFunction
+    distance: PointFunction
+    normal: PointFunction
+
+
+def layers_of(field: NumpyField, subject: Any, origin: SourceSurface) -> list[Layer]:
+    """The layers of a run's surface, the body first."""
+    whole = solid_inside(field.distance, subject)
+    divided = hair_layers(subject, whole) if origin.layer.any() else None
+    if divided is None:
+        return [Layer(whole, field.distance, field.normal)]
+    return [
+        Layer(
+            divided.distance(k, whole),
+            divided.distance(k, field.distance),
+            divided.normal(k, field.distance, field.normal),
+        )
+        for k in (BODY, HAIR)
+    ]
+
+
+def extract_layers(
+    layers: list[Layer], origin: SourceSurface, fine: Any, *, coarse_step: float, fine_step: float
+) -> Extraction:
+    """The zero sets of all layers as one mesh; vertices know their layer."""
+    found = []
+    for k, layer in enumerate(layers):
+        own = origin.layer == k
+        found.append(
+            extract(
+                layer.solid, layer.normal, origin.vertices[own], fine[own], coarse_step=coarse_step,
+                fine_step=fine_step, least=LEAST_HAIR if k == HAIR else None,
+            )
+        )  # fmt: skip
+    if len(found) == 1:
+        return found[0]
+    return Extraction(
+        concatenated([one.mesh for one in found]),
+        np.concatenate([one.normals for one in found]),
+        sum(one.queries for one in found),
+        sum(one.islands for one in found),
+        found[0].island_area,
+        max(one.residual for one in found),
+        sum(one.slits for one in found),
+        np.concatenate([np.full(len(one.normals), k) for k, one in enumerate(found)]),
+    )
+
+
+def collapsed(extraction: Extraction, layers: list[Layer], count: int, parts: list[Enlargement]) -> LayeredMesh:
+    """Each connected piece collapsed to its share of `count` triangles and balanced on its own layer's surface."""
+    pieces = pieces_of(extraction)
+    areas = np.array([face_areas(enlarged(mesh.vertices, parts), mesh.faces).sum() for mesh, _ in pieces])
+    meshes, normals, labels = [], [], []
+    for (mesh, k), share in zip(pieces, areas / areas.sum(), strict=True):
+        own = decimate(mesh, max(int(round(count * share)), 4), parts)
+        own = balanced(own, layers[k].distance, layers[k].normal)
+        meshes.append(own)
+        normals.append(layers[k].normal(own.vertices))
+        labels.append(np.full(len(own.vertices), k))
+    nearest = lambda points: np.min([np.abs(layer.distance(points)) for layer in layers], axis=0)
+    return LayeredMesh(concatenated(meshes), np.concatenate(normals), np.concatenate(labels), nearest)
+
+
+def pieces_of(extraction: Extraction) -> list[tuple[TriangleMesh, int]]:
+    """The connected pieces of an extraction, each with its layer."""
+    mesh = extraction.mesh
+    if not extraction.layer.any():
+        return [(mesh, BODY)]
+    piece = component_labels(mesh.faces, len(mesh.vertices))
+    out = []
+    for label in np.unique(piece[mesh.faces[:, 0]]):
+        faces = mesh.faces[piece[mesh.faces[:, 0]] == label]
+        out.append((compact(mesh.vertices, faces)[0], int(extraction.layer[faces[0, 0]])))
+    return out
+
+
+def layered_data(
+    origin: SourceSurface, mesh: TriangleMesh, normals: Float[np.ndarray, "n 3"], layer: Integer[np.ndarray, "n"]
+) -> TransferredData:
+    """What the run's surface says of the vertices of another mesh, each layer's from the same layer."""
+    if not layer.any():
+        return transferred_data(origin, mesh, normals)
+    count = len(mesh.vertices)
+    weights = np.zeros((count, origin.weights.shape[1]))
+    cone, part, filled = None, np.zeros(count, np.int64), 0
+    for k in np.unique(layer):
+        own, source = layer == k, origin.layer == k
+        data = transferred_data(_only(origin, source), _part_of(mesh, own), normals[own])
+        if cone is None:
+            cone = ViewCone(*(np.zeros((count, *value.shape[1:])) for value in data.cone))
+        weights[own], part[own], filled = data.weights, data.part, filled + data.filled
+        for whole, value in zip(cone, data.cone):
+            whole[own] = value
+    assert cone is not None
+    return TransferredData(weights, cone, part, filled)
+
+
+def _part_of(mesh: TriangleMesh, own: Any) -> TriangleMesh:
+    index = np.cumsum(own) - 1
+    return TriangleMesh(mesh.vertices[own], index[mesh.faces[own[mesh.faces[:, 0]]]])
+
+
+def _only(origin: SourceSurface, own: Any) -> SourceSurface:
+    index = np.cumsum(own) - 1
+    faces = index[origin.faces[own[origin.faces[:, 0]]]]
+    return SourceSurface(
+        origin.vertices[own], faces, origin.part[own], ViewCone(*(value[own] for value in origin.cone)),
+        origin.weights[own], origin.layer[own],
+    )  # fmt: skip
