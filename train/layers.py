@@ -42,6 +42,7 @@ CELL = 0.006  # of the grids
 GAP = 0.002  # the body ends so far off its skin under hair
 ROOT = 0.001  # hair begins so far off it
 MARGIN = 0.012  # learnt hair lies so far beyond the carved one at most
+SOLID = 0.008  # deeper under the outer surface all is solid
 THIN = 0.006  # what stands less off the skin than this is no carved hair
 # the hair's upper end: so long, and in its upper part so much thinner
 PLUG, TAPER = 0.012, 0.004
@@ -57,6 +58,7 @@ class HairLayers:
 
     skin: TemplateGrid  # d
     zone: TemplateGrid  # z
+    depth: TemplateGrid  # under the outer surface of the whole, 0 outside of it
     top: float  # y_top
 
     def box(self) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
@@ -72,12 +74,14 @@ class HairLayers:
         low, high = self.box()
         near = np.flatnonzero(((points > low) & (points < high)).all(1))
         at = torch.as_tensor(points[near], dtype=torch.float32)
-        d, z = (grid.sample(at)[0].numpy().astype(np.float64) for grid in (self.skin, self.zone))
+        d, z, deep = (grid.sample(at)[0].numpy().astype(np.float64) for grid in (self.skin, self.zone, self.depth))
         up = points[near, 1] - self.top
         own = np.maximum(np.maximum(GAP - d, z), up)
-        body[near] = np.maximum(distance[near], -own)
+        # deep inside there are sheets that nobody learnt; a division would open them
+        whole = np.where(deep > SOLID, np.minimum(distance[near], -0.5 * SOLID), distance[near])
+        body[near] = np.maximum(whole, -own)
         thinner = TAPER * np.clip(up / (0.5 * PLUG), 0, 1)
-        hair[near] = np.maximum(np.maximum(distance[near] + thinner, ROOT - d), np.maximum(z, up - PLUG))
+        hair[near] = np.maximum(np.maximum(whole + thinner, ROOT - d), np.maximum(z, up - PLUG))
         return body, hair
 
     def distance(self, layer: int, whole: PointFunction) -> PointFunction:
@@ -128,7 +132,21 @@ def hair_layers(subject: CaptureSubject, distance: PointFunction) -> HairLayers 
     zone = (distance_to(hair) - distance_to(~hair)) * CELL - MARGIN
     zone = TemplateGrid(torch.tensor(ndimage.gaussian_filter(zone, 0.7), dtype=torch.float32), bare.low, CELL)
     moved = replace(skin, vertices=skin_moved(skin, zone, low, high, distance))
-    return HairLayers(signed_grid(moved, low, high), zone, top)
+    return HairLayers(signed_grid(moved, low, high), zone, outer_depth(distance, bare, zone), top)
+
+
+def outer_depth(distance: PointFunction, bare: TemplateGrid, zone: TemplateGrid) -> TemplateGrid:
+    """How deep the cells of a grid lie under the outer surface of the whole: the air that is reached from outside
+    skin and hair ends there."""
+    values = bare.values.numpy()
+    cells = np.argwhere(np.ones(values.shape, bool))
+    air = (distance(bare.low.numpy() + bare.cell * cells) > 0).reshape(values.shape)
+    label = np.empty(air.shape, np.int32)
+    ndimage.label(air, output=label)
+    open_ = np.unique(label[air & (values > 0.01) & (zone.values.numpy() > 0.5 * CELL)])
+    outside = air & np.isin(label, open_)
+    depth = torch.tensor(distance_to(outside) * bare.cell, dtype=torch.float32)
+    return TemplateGrid(depth, bare.low, bare.cell)
 
 
 def rigid_height(subject: CaptureSubject, skin_faces: Int[Array, "k 3"]) -> float:
@@ -150,7 +168,8 @@ def signed_grid(person: CaptureSubject, low: Float[Array, "3"], high: Float[Arra
     cloud = surface_cloud(person, PARTS.index("head"), np.asarray(near, bool), 0.004, 0.004)
     grid = template_grid(cloud, low, high, CELL)
     values = grid.values.numpy().copy()
-    far = np.argwhere(np.abs(values) > 4 * CELL)
+    # exactly four cells off is far: the distance there is that of cells
+    far = np.argwhere(np.abs(values) > 3.99 * CELL)
     points = low + CELL * far
     row = sample_grid(cloud, low - 0.5 * CELL, high + 0.5 * CELL, CELL).nearest(points)
     side = ((points - cloud.points[row]) * cloud.normals[row]).sum(1)

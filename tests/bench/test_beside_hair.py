@@ -60,3 +60,5 @@ def test_edges_are_counted_once_however_many_poses_stretch_them():
     # the squares between the sixth and seventh centimetre: 6 edges across and 5 diagonals
     assert stretched_edges(edges, rest, [rest, opened, opened]) == 11
     assert stretched_edges(edges, rest, [rest, rest * 1.9]) == 0
+    # a plate of tenths of a millimetre: three times as long is not to be seen
+    assert stretched_edges(edges, rest * 0.01, [rest * 0.03]) == 0
