@@ -5,6 +5,7 @@
     no_L_g               the body as stage 1 left it (Eq. 7 and 13 undone); head's place and codes are ours
     no_codes_no_fusion   every part with the mean of its own codes (no Eq. 8), colour switched, not blended (no Eq. 9)
     no_fusion            matched codes, colour switched
+    one_surface          hair and body as one surface, without train/layers.py (ours where no hair hangs)
 
 Switched: the part of the largest weight gives all of the colour, so the border lies in the middle of the overlap,
 where both fields are equally at home. (At the border of the part's box, where the authors' code switches, the
@@ -33,7 +34,7 @@ from train.parts import eq9_shares, part_boxes
 from train.run import Run, read_part
 from train.union import in_overlap
 
-VARIANTS = ("ours", "landmarks_only", "no_L_g", "no_codes_no_fusion", "no_fusion")
+VARIANTS = ("ours", "landmarks_only", "no_L_g", "no_codes_no_fusion", "no_fusion", "one_surface")
 SEAMS = ("neck", "wrist_left", "wrist_right")  # between the body and PARTS[1:]
 
 
@@ -59,6 +60,8 @@ def variant(run: Run, capture: Capture, name: str) -> Run:
         field = _fused(run, fields, run.field.head_from_canonical, switch=True)
         return replace(run, field=field, provenance=facts)
 
+    if name == "one_surface":
+        run = replace(run, subject=replace(run.subject, under_hair=run.subject.under_hair[:0]))
     head_from_canonical = run.field.head_from_canonical
     canonical_from_head = np.linalg.inv(np.asarray(facts["head_from_canonical"], np.float64))
     if name == "landmarks_only":
@@ -70,7 +73,7 @@ def variant(run: Run, capture: Capture, name: str) -> Run:
         head_from_canonical = torch.as_tensor(moved, dtype=torch.float32)
         facts |= {"canonical_from_head_field": np.linalg.inv(moved).tolist(),
                   "head_from_canonical": np.linalg.inv(canonical_from_head).tolist()}  # fmt: skip
-    else:
+    elif name == "no_L_g":
         fields[0] = read_part(run.path / "body_stage1.pt", run.subject, 0, run.preset.parts[0])
     field = _fused(run, fields, head_from_canonical)
     shown = displayed_surface(field, run.subject, run.preset.surface_cells)

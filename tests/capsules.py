@@ -123,6 +123,7 @@ def make_run(sheen: float = 0.0, step: float = 0.010, fine: float = 0.005) -> Si
         view_count=np.where(seen, 40, 0),
         view_mean=mean,
         view_covariance=variance.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]],
+        layer=np.zeros(len(part), np.int64),
     )
     subject = CaptureSubject(
         "capsules",

@@ -17,7 +17,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy import ndimage
 
 from avatar.camera import Camera, project
@@ -53,7 +53,10 @@ class ColorView(NamedTuple):
 
 
 def color_views(
-    images: Sequence[Array], masks: Sequence[Array], cameras: Sequence[Camera], frames: int = 40
+    images: UInt8[Array, "frames height width 3"],
+    masks: Bool[Array, "frames height width"],
+    cameras: Sequence[Camera],
+    frames: int = 40,
 ) -> list[ColorView]:
     """At most `frames` of a video's pictures, each averaged down to SMALL pixels; cameras take canonical metres."""
     chosen = np.unique(np.linspace(0, len(images), min(frames, len(images)), endpoint=False).astype(int))
