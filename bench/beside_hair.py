@@ -45,16 +45,18 @@ def _head_or_neck(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
     return own[truth.faces].any(1)
 
 
-def edges_beside_hair(
+def edges_at_hair(
     truth: TrueMesh, vertices: Float[np.ndarray, "w 3"], faces: Int[np.ndarray, "g 3"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Edges of a canonical reconstruction whose two ends lie within BESIDE of true visible hair, each once."""
-    hair = hair_faces(truth) & truth.visible
-    if not hair.any():
-        return np.zeros((0, 2), int)
-    near = KDTree(truth.canonical()[truth.faces[hair]].mean(1)).query(vertices)[0] < BESIDE
-    edges = np.unique(np.sort(half_edges(faces[near[faces].any(1)]), axis=1), axis=0)
-    return edges[near[edges].all(1)]
+    """Edges of a canonical reconstruction of which at least one end lies on true hair, each once.
+
+    On hair: the nearest visible true face is hair, not farther than BESIDE.
+    """
+    seen = np.flatnonzero(truth.visible)
+    away, nearest = KDTree(truth.canonical()[truth.faces[seen]].mean(1)).query(vertices)
+    on_hair = hair_faces(truth)[seen[nearest]] & (away < BESIDE)
+    edges = np.unique(np.sort(half_edges(faces[on_hair[faces].any(1)]), axis=1), axis=0)
+    return edges[on_hair[edges].any(1)]
 
 
 def stretched_edges(

@@ -22,7 +22,7 @@ from avatar.progress import progress
 from avatar.settings import AtLeast, Help, Option, parse
 from avatar.skeleton import BIG_POSE
 from bake.truth import IDENTITY, better_mode, scores_by_mode, some_poses
-from bench.beside_hair import edges_beside_hair, stretched_edges
+from bench.beside_hair import edges_at_hair, stretched_edges
 from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
 from bench.eye_region import NO_EYES
@@ -208,7 +208,7 @@ def measured(
             beside["aligned"] = regions_of(distances["aligned"])
             beside["own_weights"] = regions_of(distances["own"])
             beside["poses"] = len(poses)
-            beside["stretched_beside_hair"] = stretched_beside_hair(truth, surface, poses)
+            beside["stretched_at_hair"] = stretched_at_hair(truth, surface, poses)
             if images.t_pose:
                 beside["t_pose_frames"] = regions_of({}, images.t_pose)
     out["baked_vs_field"] = baked_vs_field_of(drawer)
@@ -246,10 +246,10 @@ def distinct_poses(views: list[HeldOutView]) -> list[HeldOutView]:
     return list(found.values())
 
 
-def stretched_beside_hair(truth: TrueMesh, surface: PosableSurface, poses: list[HeldOutView]) -> dict[str, int] | None:
-    """Edges of the reconstruction beside hair, and how many of them a pose stretches to more than twice their length;
+def stretched_at_hair(truth: TrueMesh, surface: PosableSurface, poses: list[HeldOutView]) -> dict[str, int] | None:
+    """Edges of the reconstruction at hair, and how many of them a pose stretches to more than twice their length;
     None: nobody's hair."""
-    edges = edges_beside_hair(truth, surface.vertices, surface.faces)
+    edges = edges_at_hair(truth, surface.vertices, surface.faces)
     if not len(edges):
         return None
     posed = (surface.posed(view.axis_angle, view.root) for view in poses)

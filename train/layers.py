@@ -42,6 +42,7 @@ CELL = 0.006  # of the grids
 GAP = 0.002  # the body ends so far off its skin under hair
 ROOT = 0.001  # hair begins so far off it
 MARGIN = 0.012  # learnt hair lies so far beyond the carved one at most
+KEPT = 0.003  # beside and under hair the body reaches to its skin less so much
 SOLID = 0.008  # deeper under the outer surface all is solid
 THIN = 0.006  # what stands less off the skin than this is no carved hair
 # the hair's upper end: so long, and in its upper part so much thinner
@@ -77,8 +78,10 @@ class HairLayers:
         d, z, deep = (grid.sample(at)[0].numpy().astype(np.float64) for grid in (self.skin, self.zone, self.depth))
         up = points[near, 1] - self.top
         own = np.maximum(np.maximum(GAP - d, z), up)
-        # deep inside there are sheets that nobody learnt; a division would open them
-        whole = np.where(deep > SOLID, np.minimum(distance[near], -0.5 * SOLID), distance[near])
+        # skin under hair was never seen, deep inside there are sheets that nobody learnt: a division would open them
+        kept = (z < 0) & (up < PLUG)
+        whole = np.where(kept, np.minimum(distance[near], d + KEPT), distance[near])
+        whole = np.where((deep > SOLID) | (d < -SOLID), np.minimum(whole, -0.5 * SOLID), whole)
         body[near] = np.maximum(whole, -own)
         thinner = TAPER * np.clip(up / (0.5 * PLUG), 0, 1)
         hair[near] = np.maximum(np.maximum(whole + thinner, ROOT - d), np.maximum(z, up - PLUG))
@@ -141,10 +144,12 @@ def outer_depth(distance: PointFunction, bare: TemplateGrid, zone: TemplateGrid)
     values = bare.values.numpy()
     cells = np.argwhere(np.ones(values.shape, bool))
     air = (distance(bare.low.numpy() + bare.cell * cells) > 0).reshape(values.shape)
+    # a pinhole leads nowhere
+    wide = np.asarray(ndimage.binary_erosion(air, border_value=1), bool)
     label = np.empty(air.shape, np.int32)
-    ndimage.label(air, output=label)
-    open_ = np.unique(label[air & (values > 0.01) & (zone.values.numpy() > 0.5 * CELL)])
-    outside = air & np.isin(label, open_)
+    ndimage.label(wide, output=label)
+    reached = np.unique(label[wide & (values > 0.01) & (zone.values.numpy() > 0.5 * CELL)])
+    outside = air & np.asarray(ndimage.binary_dilation(wide & np.isin(label, reached), iterations=2), bool)
     depth = torch.tensor(distance_to(outside) * bare.cell, dtype=torch.float32)
     return TemplateGrid(depth, bare.low, bare.cell)
 
@@ -213,7 +218,7 @@ def without_hanging_hair(subject: CaptureSubject) -> CaptureSubject:
     """The template that the body's layer takes its weights from: its skin, and its hair above y_top."""
     own = (subject.faces >= len(subject.vertices) - subject.carved).all(1)
     top = rigid_height(subject, np.concatenate([subject.faces[~own], subject.under_hair]))
-    above = subject.vertices[subject.faces].mean(1)[:, 1] > top - PLUG
+    above = subject.vertices[subject.faces, 1].min(1) > top - 0.003
     return replace(subject, faces=np.concatenate([subject.faces[~own | above], subject.under_hair]))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from avatar.skeleton import JOINTS, PARTS
 from avatar.skinning import SkinWeights
-from bench.beside_hair import edges_beside_hair, skin_beside_hair, stretched_edges
+from bench.beside_hair import edges_at_hair, skin_beside_hair, stretched_edges
 from bench.true_mesh import TrueMesh
 
 HEAD = JOINTS.index("head")
@@ -34,7 +34,7 @@ def test_skin_beside_hair_ends_four_centimetres_from_it():
 def test_without_hair_nothing_is_beside_it():
     truth = plate(0)
     assert not skin_beside_hair(truth).any()
-    assert len(edges_beside_hair(truth, truth.vertices, truth.faces)) == 0
+    assert len(edges_at_hair(truth, truth.vertices, truth.faces)) == 0
 
 
 def test_hair_that_nobody_sees_has_nothing_beside_it():
@@ -48,17 +48,19 @@ def test_skin_of_the_trunk_is_not_beside_hair_though_its_edges_are():
     truth.part[:] = PARTS.index("body")
     truth.skin.joints[:] = JOINTS.index("spine3")
     assert not skin_beside_hair(truth).any()
-    assert len(edges_beside_hair(truth, truth.vertices, truth.faces)) > 0
+    assert len(edges_at_hair(truth, truth.vertices, truth.faces)) > 0
 
 
 def test_edges_are_counted_once_however_many_poses_stretch_them():
     truth = plate(5)
     rest = truth.vertices
-    edges = edges_beside_hair(truth, rest, truth.faces)
+    edges = edges_at_hair(truth, rest, truth.faces)
     assert len(np.unique(edges, axis=0)) == len(edges)
-    opened = rest + [0.03, 0, 0] * (rest[:, :1] > 0.065)
-    # the squares between the sixth and seventh centimetre: 6 edges across and 5 diagonals
+    opened = rest + [0.03, 0, 0] * (rest[:, :1] > 0.045)
+    # the squares between the fourth and fifth centimetre: 6 edges across and 5 diagonals
     assert stretched_edges(edges, rest, [rest, opened, opened]) == 11
+    # between skin and skin it is no matter of hair
+    assert stretched_edges(edges, rest, [rest + [0.03, 0, 0] * (rest[:, :1] > 0.085)]) == 0
     assert stretched_edges(edges, rest, [rest, rest * 1.9]) == 0
     # a plate of tenths of a millimetre: three times as long is not to be seen
     assert stretched_edges(edges, rest * 0.01, [rest * 0.03]) == 0
