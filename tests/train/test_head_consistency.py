@@ -21,7 +21,8 @@ def head() -> CaptureSubject:
     x, y, z = ball.vertices.T
     # longer than wide, dented and with a nose, so that no turn leaves it as it is
     vertices = ball.vertices * np.array([0.8, 1.1, 1.0])
-    vertices *= 1 + 0.12 * np.exp(-((x**2 + y**2) / 0.0006))[:, None] * (z > 0)[:, None] + 0.04 * np.sin(40 * x)[:, None]
+    nose = 0.12 * np.exp(-((x**2 + y**2) / 0.0006)) * (z > 0)
+    vertices *= (1 + nose + 0.04 * np.sin(40 * x))[:, None]
     count = len(vertices)
     skin = SkinWeights(np.zeros((count, 4), int), np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)))
     part = np.full(count, PARTS.index("head"))
