@@ -12,9 +12,13 @@ from scipy.spatial import KDTree
 
 from avatar.skeleton import JOINTS, PARTS
 from bench.true_mesh import TrueMesh
+from geometry.closest import closest_points, triangle_index
 from geometry.mesh import half_edges
+from geometry.sample import stratified_samples
 
 BESIDE = 0.04  # metres from hair
+SAMPLES = 1500
+FARTHEST = 0.1  # metres
 # times its rest length: a longer edge is a sheet between two things that move apart
 STRETCHED = 2.0
 # metres, at least: marching cubes leave slivers of hundredths of a millimetre, whose doubling nobody sees
@@ -43,6 +47,21 @@ def _head_or_neck(truth: TrueMesh) -> Bool[np.ndarray, "faces"]:
     strongest = np.take_along_axis(truth.skin.joints, truth.skin.weights.argmax(1)[:, None], 1)[:, 0]
     own = (truth.part == PARTS.index("head")) | np.isin(strongest, bones)
     return own[truth.faces].any(1)
+
+
+def skin_to_surface(truth: TrueMesh, vertices: Float[np.ndarray, "w 3"], faces: Int[np.ndarray, "g 3"]) -> float | None:
+    """Metres, mean from the true skin beside hair to the nearest surface of a canonical reconstruction, also to what
+    hair hides of it: skin that was kept under the hair counts. None: no such skin."""
+    canonical, chosen = truth.canonical(), truth.faces[skin_beside_hair(truth)]
+    if len(chosen) == 0:
+        return None
+    points = stratified_samples(canonical, chosen, SAMPLES, seed=0).on(canonical, chosen)
+    low, high = points.min(0) - FARTHEST, points.max(0) + FARTHEST
+    corners = vertices[faces]
+    near = ((corners > low) & (corners < high)).any(1).all(1)
+    if not near.any():
+        return FARTHEST
+    return float(closest_points(points, triangle_index(vertices, faces[near])).distance.mean())
 
 
 def edges_at_hair(

@@ -22,7 +22,7 @@ from avatar.progress import progress
 from avatar.settings import AtLeast, Help, Option, parse
 from avatar.skeleton import BIG_POSE
 from bake.truth import IDENTITY, better_mode, scores_by_mode, some_poses
-from bench.beside_hair import edges_at_hair, stretched_edges
+from bench.beside_hair import edges_at_hair, skin_to_surface, stretched_edges
 from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
 from bench.eye_region import NO_EYES
@@ -209,6 +209,8 @@ def measured(
             beside["own_weights"] = regions_of(distances["own"])
             beside["poses"] = len(poses)
             beside["stretched_at_hair"] = stretched_at_hair(truth, surface, poses)
+            away = skin_to_surface(truth, surface.vertices, surface.faces)
+            beside["skin_beside_hair_to_surface_cm"] = None if away is None else round(100 * away, 4)
             if images.t_pose:
                 beside["t_pose_frames"] = regions_of({}, images.t_pose)
     out["baked_vs_field"] = baked_vs_field_of(drawer)

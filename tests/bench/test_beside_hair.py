@@ -1,10 +1,11 @@
 """Skin beside hair and stretched edges, on a plate of skin whose first columns are hair."""
 
 import numpy as np
+import pytest
 
 from avatar.skeleton import JOINTS, PARTS
 from avatar.skinning import SkinWeights
-from bench.beside_hair import edges_at_hair, skin_beside_hair, stretched_edges
+from bench.beside_hair import edges_at_hair, skin_beside_hair, skin_to_surface, stretched_edges
 from bench.true_mesh import TrueMesh
 
 HEAD = JOINTS.index("head")
@@ -49,6 +50,15 @@ def test_skin_of_the_trunk_is_not_beside_hair_though_its_edges_are():
     truth.skin.joints[:] = JOINTS.index("spine3")
     assert not skin_beside_hair(truth).any()
     assert len(edges_at_hair(truth, truth.vertices, truth.faces)) > 0
+
+
+def test_skin_beside_hair_is_as_far_as_the_surface_lies_off_it():
+    truth = plate(5)
+    # in the canonical pose: the plate follows the head, which the big pose leaves alone
+    canonical = truth.canonical()
+    assert skin_to_surface(truth, canonical, truth.faces) == pytest.approx(0, abs=1e-9)
+    assert skin_to_surface(truth, canonical + [0, 0, 0.007], truth.faces) == pytest.approx(0.007, abs=1e-6)
+    assert skin_to_surface(plate(0), canonical, truth.faces) is None
 
 
 def test_edges_are_counted_once_however_many_poses_stretch_them():
