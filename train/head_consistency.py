@@ -151,6 +151,8 @@ def _add_consistency(
     """Add all frames to the normal equations; returns the sum of rho and the number of residuals."""
     count = len(points)
     vertex = np.concatenate([seen.vertex for seen in rows])
+    if len(vertex) == 0:
+        return 0.0, 0
     color = np.concatenate([seen.color for seen in rows])
     motion = np.concatenate([seen.derivative @ _moves(points[seen.vertex], centre) for seen in rows])
     slope = np.concatenate([seen.slope for seen in rows])
