@@ -43,8 +43,8 @@ class CaptureSubject:
     eyes: Float[Array, "2 4"] | None = None
     # skin that carved hair covers (train/hull.py): no outer surface, but what lies under the hair
     under_hair: Int[Array, "k 3"] = dataclass_field(default_factory=lambda: np.zeros((0, 3), np.int64))
-    # carved vertices of hair, the last ones of all
-    carved: int = 0
+    # carved vertices of hair: the first, and the one after the last
+    carved: tuple[int, int] = (0, 0)
     # metres under the lowest skin of the head that the head's field takes from the body's (train/parts.py)
     head_reach: float = 0.0
 
@@ -145,14 +145,16 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
         under_hair = field(path, fields, "under_hair", (None, 3)).astype(np.int64)
         if under_hair.min(initial=0) < 0 or under_hair.max(initial=0) >= count:
             raise AssetError(f"{path}: under_hair should index {count} vertices")
-    carved = int(field(path, fields, "carved", ())) if "carved" in fields else 0
-    if not 0 <= carved < count:
-        raise AssetError(f"{path}: carved should count some of {count} vertices, is {carved}")
+    first, last = (int(i) for i in field(path, fields, "carved", (2,))) if "carved" in fields else (0, 0)
+    if not 0 <= first <= last <= count:
+        raise AssetError(f"{path}: carved should be a range of {count} vertices, is {first} to {last}")
     reach = float(field(path, fields, "head_reach", ())) if "head_reach" in fields else 0.0
     if not 0 <= reach <= 0.3:
         raise AssetError(f"{path}: head_reach should be 0 to 0.3 metres, is {reach:g}")
     canonical = skin_points(rest, skin, skin_transforms(BIG_POSE, joints, rest=np.zeros((52, 3))))
-    return CaptureSubject(name, rest, canonical, faces, skin, joints, part, hair, eyes, under_hair, carved, reach)
+    return CaptureSubject(
+        name, rest, canonical, faces, skin, joints, part, hair, eyes, under_hair, (first, last), reach
+    )
 
 
 def _read_eyes(path: Path, fields: dict[str, Array], rest: Float[Array, "vertices 3"]) -> Float[Array, "2 4"] | None:
@@ -180,8 +182,8 @@ def write_subject(path: Path, subject: CaptureSubject) -> None:
     if subject.eyes is not None:
         fields["eyes"] = subject.eyes
     # a run's own template has more
-    if subject.carved:
-        fields |= {"under_hair": subject.under_hair, "carved": np.int64(subject.carved)}
+    if subject.carved[1]:
+        fields |= {"under_hair": subject.under_hair, "carved": np.array(subject.carved)}
     if subject.head_reach:
         fields["head_reach"] = np.float64(subject.head_reach)
     with whole_file(path) as file:

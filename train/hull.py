@@ -229,5 +229,5 @@ def joined(
         skin=SkinWeights(np.concatenate([subject.skin.joints, bones]), np.concatenate([subject.skin.weights, weights])),
         part=np.concatenate([subject.part, part]),
         hair=np.concatenate([subject.hair, np.ones(len(vertices), bool)]),
-        carved=subject.carved + len(vertices),
+        carved=(len(subject.vertices), len(subject.vertices) + len(vertices)),
     )

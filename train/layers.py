@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 from avatar.skeleton import JOINTS, PARTS
@@ -114,13 +114,12 @@ def hair_layers(subject: CaptureSubject, distance: PointFunction) -> HairLayers 
 
     `distance` is the learnt signed distance of the whole, canonical.
     """
-    if len(subject.under_hair) == 0 or subject.carved == 0:
+    if len(subject.under_hair) == 0:
         return None
-    first = len(subject.vertices) - subject.carved
-    own = (subject.faces >= first).all(1)
+    own = carved_faces(subject)
     skin_faces = np.concatenate([subject.faces[~own], subject.under_hair])
     top = rigid_height(subject, skin_faces)
-    carved = subject.vertices[first:]
+    carved = subject.vertices[slice(*subject.carved)]
     hanging = carved[carved[:, 1] < top]
     if len(hanging) == 0:
         return None
@@ -136,6 +135,12 @@ def hair_layers(subject: CaptureSubject, distance: PointFunction) -> HairLayers 
     zone = TemplateGrid(torch.tensor(ndimage.gaussian_filter(zone, 0.7), dtype=torch.float32), bare.low, CELL)
     moved = replace(skin, vertices=skin_moved(skin, zone, low, high, distance))
     return HairLayers(signed_grid(moved, low, high), zone, outer_depth(distance, bare, zone), top)
+
+
+def carved_faces(subject: CaptureSubject) -> Bool[Array, "faces"]:
+    """Which faces of the template are carved hair."""
+    first, last = subject.carved
+    return ((subject.faces >= first) & (subject.faces < last)).all(1)
 
 
 def outer_depth(distance: PointFunction, bare: TemplateGrid, zone: TemplateGrid) -> TemplateGrid:
@@ -216,7 +221,7 @@ def skin_moved(
 
 def without_hanging_hair(subject: CaptureSubject) -> CaptureSubject:
     """The template that the body's layer takes its weights from: its skin, and its hair above y_top."""
-    own = (subject.faces >= len(subject.vertices) - subject.carved).all(1)
+    own = carved_faces(subject)
     top = rigid_height(subject, np.concatenate([subject.faces[~own], subject.under_hair]))
     above = subject.vertices[subject.faces, 1].min(1) > top - 0.003
     return replace(subject, faces=np.concatenate([subject.faces[~own | above], subject.under_hair]))
