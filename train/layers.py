@@ -140,7 +140,7 @@ def hair_layers(subject: CaptureSubject, distance: PointFunction) -> HairLayers 
 def carved_faces(subject: CaptureSubject) -> Bool[Array, "faces"]:
     """Which faces of the template are carved hair."""
     first, last = subject.carved
-    return ((subject.faces >= first) & (subject.faces < last)).all(1)
+    return np.asarray(((subject.faces >= first) & (subject.faces < last)).all(1), bool)
 
 
 def outer_depth(distance: PointFunction, bare: TemplateGrid, zone: TemplateGrid) -> TemplateGrid:
