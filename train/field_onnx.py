@@ -21,6 +21,7 @@ from train.field import PartField
 from train.fused import FusedField
 from train.networks.triplane import TriPlaneColor, TriPlaneGeometry
 from train.parts import Part
+from train.template_grid import HELD, LEAST
 
 # the first with look-ups on a volume
 OPSET = 20
@@ -169,17 +170,44 @@ class FieldGraph:
             hidden = self("Mul", self("Softplus", scaled), self.constant(0.01))
         correction = self("Tanh", self.linear(network.correction, hidden))
         correction = self("Mul", self.flat(correction), self.constant(network.reach))
+        correction = self("Mul", self.freedom(field, points), correction)
         return self("Add", self.template(field, points), correction), self.linear(network.feature, hidden)
 
     def template(self, field: PartField, points: str) -> str:
-        """TemplateGrid: trilinear inside its box, outside it the border's distance plus the way there."""
+        """TemplateGrid: its box, and in the smaller box of a fine grid that one."""
         grid = field.template
-        values = array(grid.values)
+        distance = self.grid(array(grid.values), array(grid.low), grid.cell, points)
+        if (fine := grid.fine) is None:
+            return distance
+        values, low = array(fine.values), array(fine.low)
+        high = low + np.float32(fine.cell) * (np.asarray(values.shape, np.float32) - 1)
+        # Clip takes scalars only
+        within = self("Min", self("Max", points, self.constant(low)), self.constant(high))
+        outside = self("ReduceSum", self("Abs", self("Sub", points, within)), self.constant([1], np.int64), keepdims=0)
+        return self("Where", self("Greater", outside, self.constant(0.0)), distance,
+                    self.grid(values, low, fine.cell, points))  # fmt: skip
+
+    def freedom(self, field: PartField, points: str) -> str:
+        """The share of the correction that TemplateGrid leaves, least on the eyeballs."""
+        if field.template.eyes is None:
+            return self.like(points, 1, 1.0)
+        shares = []
+        for *centre, radius in array(field.template.eyes):
+            away = self("ReduceSumSquare", self("Sub", points, self.constant(np.array(centre, np.float32))),
+                        self.constant([1], np.int64), keepdims=0)  # fmt: skip
+            away = self("Sub", self("Sqrt", self("Add", away, self.constant(1e-12))), self.constant(radius))
+            shares.append(self("Clip", self("Mul", away, self.constant(1 / HELD)), self.constant(0.0),
+                               self.constant(1.0)))  # fmt: skip
+        share = self("Mul", self("Min", *shares), self.constant(1 - LEAST))
+        return self("Add", share, self.constant(LEAST))
+
+    def grid(self, values: np.ndarray, low: np.ndarray, cell: float, points: str) -> str:
+        """Trilinear distance inside a box, outside it the border's plus the way there."""
         last = np.asarray(values.shape, np.float32) - 1
-        unit = self("Mul", self("Sub", points, self.constant(array(grid.low))), self.constant(2 / (grid.cell * last)))
+        unit = self("Mul", self("Sub", points, self.constant(low)), self.constant(2 / (cell * last)))
         unit = self("Sub", unit, self.constant(1.0))
         inside = self("Clip", unit, self.constant(-1.0), self.constant(1.0))
-        beyond = self("Mul", self("Sub", unit, inside), self.constant(0.5 * grid.cell * last))
+        beyond = self("Mul", self("Sub", unit, inside), self.constant(0.5 * cell * last))
         away = self("ReduceSumSquare", beyond, self.constant([1], np.int64), keepdims=0)
         away = self("Sub", self("Sqrt", self("Add", away, self.constant(1e-10))), self.constant(1e-5))
         return self("Add", self.flat(self.volume(values[None], inside)), away)

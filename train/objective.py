@@ -204,7 +204,8 @@ def render_rays(
     opacity = -torch.expm1(rendered.log_transmittance)
 
     top, section = rendered.weights.topk(min(preset.shaded, count - 1), dim=1)
-    places = crossing(distance.detach(), ends)
+    # attached, the crossing moves along the ray with the distances at both ends of its section
+    places = crossing(distance if preset.attached else distance.detach(), ends)
     points = places.gather(1, section[..., None].expand(-1, -1, 3)).reshape(-1, 3)
     sample, gradient = field.gradient(points, create_graph=create_graph)
     directions = directions_at(rays, chosen, rays.row[chosen].gather(1, section)).reshape(-1, 3)

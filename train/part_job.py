@@ -19,6 +19,7 @@ from capture.template import SurfaceCloud, neck_height, surface_cloud, visible_f
 from train import run as run_folder
 from train.checkpoint import Position
 from train.distributed import ONE_PROCESS, Ranks
+from train.eye_grid import with_open_eyes
 from train.field import PartField
 from train.log import TrainingLog
 from train.objective import RayTensors, StepReport, ray_tensors
@@ -27,7 +28,7 @@ from train.pose_correction import PoseCorrection
 from train.prefit import fit_template
 from train.preset import PartPreset, Preset
 from train.preview import Preview, part_preview
-from train.rays import part_rays
+from train.rays import Focus, part_rays
 from train.single import part_names, part_presets, show_as_in_the_body_video, single_rays, single_template
 from train.template_grid import template_grid
 from train.trainer import Checkpoints, FieldTraining, Watch, peak_memory, train_field
@@ -75,6 +76,7 @@ class Ready(NamedTuple):
     field: PartField
     rays: RayTensors
     flagged: float  # share of the rays left out as ambiguous
+    lost: float  # share of the person's pixels whose ray meets no template
     preview: Preview | None
 
 
@@ -107,7 +109,7 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
     prepared = time.monotonic() - began
     reporter.say(
         f"{name}: {len(rays.ends)} rays of {frames} frames, {ready.flagged:.1%} left out as ambiguous, "
-        f"prepared in {prepared:.0f} s"
+        f"{ready.lost:.2%} of the person's pixels meet no template, prepared in {prepared:.0f} s"
     )
     last: dict[str, float] = {}
 
@@ -130,6 +132,7 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
     facts = {
         "rays": len(rays.ends),
         "flagged": round(ready.flagged, 5),
+        "lost": round(ready.lost, 5),
         "steps": part_preset.iterations,
         "skipped": at.skipped,
         "last": {key: round(value, 5) for key, value in last.items()},
@@ -180,25 +183,28 @@ def part_ready(job: PartJob, capture: Capture, prepared: Callable[[float], None]
     cloud = surface_cloud(subject, job.index, visible_faces(subject), settings.spacing)
     template = template_grid(cloud, part.extent.low, part.extent.high, settings.cell,
                              (subject, neck_height(subject)) if name == "head" else None)  # fmt: skip
+    if name == "head" and preset.open_eyes:
+        template = with_open_eyes(template, subject)
     field = run_folder.build_field(subject, job.index, settings, template, len(video.images)).to(device)
     rays = part_rays(
         video, subject, cloud, part, settings.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame,
         canonical_from_head=canonical_from_head, rng=np.random.default_rng([job.seed, job.index]),
         background=settings.background, prepared=prepared,
+        focus=None if settings.focus == 0 else Focus(template, settings.focus),
     )  # fmt: skip
     preview = _preview(job, video, subject, cloud, canonical_from_head)
-    return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, preview)
+    return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost, preview)
 
 
 def single_ready(job: PartJob, capture: Capture, prepared: Callable[[float], None]) -> Ready:
     """The single network (ablation), untrained, and the rays of all four videos; its preview is the body's."""
     device = torch.device(job.device)
     frames = sum(len(video.images) for video in capture.videos.values())
-    rays, cloud, flagged = single_rays(capture, job.preset, job.canonical_from_head, job.seed, device, prepared)
+    rays, cloud, flagged, lost = single_rays(capture, job.preset, job.canonical_from_head, job.seed, device, prepared)
     template = single_template(capture, cloud, job.settings.cell)
     field = run_folder.build_field(capture.subject, 0, job.settings, template, frames).to(device)
     preview = _preview(job, capture.videos["body"], capture.subject, cloud, None)
-    return Ready(field, rays, flagged, preview)
+    return Ready(field, rays, flagged, lost, preview)
 
 
 def _preview(

@@ -26,6 +26,8 @@ class PartPreset:
     networks: TriPlaneNetworks | HashNetworks | PaperNetworks
     # share of the cached pixels that may lie beside the person, at most
     background: float = 1.0
+    # metres off the template over which the sections of a ray grow to twice their shortest; 0: all are even
+    focus: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +90,10 @@ class Preset:
     # share of the steps before they move: first the field shows somebody
     pose_begin: float = 0.15
     pose_weight: float = 0.1  # of their prior
+    # the template has open eyes with eyeballs, to which F_s keeps (train/eye_grid.py); else closed sockets
+    open_eyes: bool = False
+    # photometric gradients move the surface within a section
+    attached: bool = False
     warm_up: int = 100  # steps
     # of the first, reached exponentially
     last_rate: float = 0.05

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
@@ -21,6 +22,7 @@ from capture.template import SurfaceCloud, sample_grid, signed
 from geometry.cells import distance_to
 from train.deform import apply_rows, canonical_from_posed, inverse_transforms
 from train.parts import Part
+from train.template_grid import TemplateGrid
 
 Array = np.ndarray
 
@@ -53,6 +55,29 @@ class TrainingRays:
     bones: Float[Array, "frames 52 4"] | None
     # share of rays left out because their map to the canonical pose did not settle
     flagged: float
+    # share of the chosen pixels on the person whose ray meets no template: too far from it, or lost on the way
+    lost: float
+
+
+class Focus(NamedTuple):
+    """Where sections are short: round the surfaces of the part's closed template distance."""
+
+    template: TemplateGrid
+    # metres off the surface at which a section is twice as long as on it
+    reach: float
+
+    def distance(self, points: Float[Array, "n 3"]) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
+        """The template's distance at canonical points, and which of them its grid holds."""
+        at = torch.as_tensor(points, dtype=torch.float32)
+        with torch.no_grad():
+            distance = torch.cat([self.template(piece) for piece in at.split(262144)] or [at.new_zeros(0)])
+        low = self.template.low
+        high = low + self.template.cell * (torch.tensor(self.template.values.shape) - 1)
+        return distance.double().numpy(), ((at >= low) & (at <= high)).all(1).numpy()
+
+
+# takes points and the nearest sample of each; distances with the sign put right
+Resign = Callable[[Array, Array, Array], Array]
 
 
 def march(
@@ -64,11 +89,13 @@ def march(
     band: Band,
     *,
     iterations: int = 72,
+    resign: Resign | None = None,
 ) -> tuple[Int[Array, "k"], Float[Array, "k"], Float[Array, "k"], Int[Array, "k"]]:
     """Steps of every ray inside the band around the (posed) template: ray, t, signed distance, nearest sample.
 
     Far from the surface a ray jumps by its distance less the band (sphere tracing); inside the band it walks in
-    fixed steps until it is `inside` deep or out of the box. Steps come in order of ray, then t.
+    fixed steps until it is `inside` deep or out of the box. Steps come in order of ray, then t. `resign` judges
+    points that the nearest sample's normal says are inside: where it is wrong, a ray would end before the surface.
 
     Raises:
         ValueError: a direction is not of unit length (zero, NaN), or an origin is not finite.
@@ -106,6 +133,8 @@ def march(
         length, sample = np.minimum(length, reach), np.minimum(sample, len(cloud_points) - 1)
         distance = signed(points, length, cloud_points[sample], cloud_normals[sample], gap[sample])
         distance = np.where(length < reach, distance, reach)
+        if resign is not None and len(under := np.flatnonzero(distance < 0)):
+            distance[under] = resign(points[under], sample[under], distance[under])
         within = (length <= band.outside * 1.001) & (distance > -band.inside - band.step)
         found.append((active[within], t[active[within]], distance[within], sample[within]))
         t[active] += np.maximum(length - band.outside, band.step)
@@ -122,6 +151,47 @@ def spread_ends(counts: Int[Array, "n"], ends: int) -> tuple[Int[Array, "n ends"
     place = np.linspace(0, 1, ends)[None, :] * counts[:, None]
     step = np.minimum(place.astype(int), counts[:, None] - 1)
     return step, place - step
+
+
+# parts of a march step in which the template's distance is taken as linear
+THIRDS = 3
+# a ray's share of sections behind the surface that it has been through, against the same place before it
+BEHIND = 0.3
+
+
+def focused_ends(
+    begin: Int[Array, "rays"], distance: Float[Array, "steps 2"], reach: float, ends: int
+) -> tuple[Int[Array, "rays ends"], Float[Array, "rays ends"]]:
+    """Section ends of each ray, dense where it meets the template: index of the step, and how far into it.
+
+    Between the ends lie equal shares of the integral of 1 / (reach + |d|) along the ray, so that a section is as long
+    as it is far from the surface, in proportion to reach + |d|. Behind the first surface that the ray went through
+    (by `reach`) the integrand counts BEHIND: a thin part may be missing in truth. `distance` is d where a step begins
+    and where it ends, taken as linear in between; steps come in order of ray, which begin at `begin`.
+    """
+    sign = np.sign(distance)
+    # the integral's antiderivative over d, and its mean over the step
+    F = sign * np.log1p(np.abs(distance) / reach)
+    change = distance[:, 1] - distance[:, 0]
+    steep = np.abs(change) > 1e-6
+    weight = np.where(steep, (F[:, 1] - F[:, 0]) / np.where(steep, change, 1.0), 1 / (reach + np.abs(distance[:, 0])))
+    of_ray = np.repeat(np.arange(len(begin)), np.diff(np.r_[begin, len(distance)]))
+    # through the first surface: a running count of steps that are deep, restarted with each ray
+    deep = np.cumsum(distance[:, 0] < -reach)
+    passed = deep - (deep[begin] - (distance[begin, 0] < -reach))[of_ray] > 0
+    weight = weight * np.where(passed, BEHIND, 1.0)
+
+    total = np.cumsum(weight)
+    before = total[begin] - weight[begin]
+    last = np.r_[begin[1:], len(distance)] - 1
+    place = before[:, None] + np.linspace(0, 1, ends) * (total[last] - before)[:, None]
+    step = np.clip(np.searchsorted(total, place.ravel()).reshape(place.shape), begin[:, None], last[:, None])
+    share = np.clip((place - (total - weight)[step]) / weight[step], 0, 1)
+    # back from the share of the step's integral to the share of its length
+    mixed = F[step, 0] + share * (F[step, 1] - F[step, 0])
+    at = np.sign(mixed) * reach * np.expm1(np.abs(mixed))
+    into = np.where(steep[step], (at - distance[step, 0]) / np.where(steep, change, 1.0)[step], share)
+    return step, np.clip(into, 0, 1)
 
 
 class PosedTemplate(NamedTuple):
@@ -154,10 +224,12 @@ def part_rays(
     rng: np.random.Generator,
     background: float = 1.0,
     prepared: Callable[[float], None] = lambda share: None,
+    focus: Focus | None = None,
 ) -> TrainingRays:
     """The rays of a video that train `part`, at most `per_frame` of each frame.
 
     Of these at most the share `background` lies beside the person. `prepared` hears the share of the frames done.
+    With `focus` the template's closed distance says where a ray is inside, and sections are short at its surface.
 
     A pixel supervises a part when its ray first meets the template inside the part's box, or, for a ray that
     passes by, when its closest approach lies in the box (FRAMES.md). Sections never leave the box.
@@ -170,7 +242,7 @@ def part_rays(
     grid = sample_grid(cloud, part.extent.low - 0.02, part.extent.high + 0.02, cloud.spacing)
     # neighbouring samples differ by this much near a joint
     settled = max(1e-4, 0.25 * cloud.spacing)
-    tried = dropped = 0
+    tried = dropped = on_person = lost = 0
     for frame in range(frames):
         prepared(frame / frames)
         mask = video.masks[frame]
@@ -194,8 +266,15 @@ def part_rays(
         if canonical_from_head is not None:
             origins = origins @ canonical_from_head[:3, :3].T + canonical_from_head[:3, 3]
             directions = directions @ canonical_from_head[:3, :3].T / scale
-        ray, t, distance, sample = march(origins, directions, posed.points, posed.normals, 2 * cloud.gap[thin], band)
+        resign = None if focus is None else _by_closed_distance(focus, posed, thin)
+        ray, t, distance, sample = march(
+            origins, directions, posed.points, posed.normals, 2 * cloud.gap[thin], band, resign=resign
+        )
         sample = thin[sample]
+        pictured = mask[pixels[:, 0], pixels[:, 1]]
+        met = np.zeros(len(pixels), bool)
+        met[ray] = True
+        on_person, lost = on_person + int(pictured.sum()), lost + int((pictured & ~met).sum())
         if len(ray) == 0:
             continue
         at = origins[ray] + t[:, None] * directions[ray]
@@ -204,17 +283,35 @@ def part_rays(
         else:
             row, canonical, ok = canonical_from_posed(at, sample, posed.inverse, grid.nearest, settled=settled)
             ok &= posed.invertible[row]
+        if focus is not None:
+            closed, held = focus.distance(canonical)
+            distance = np.where(held, closed, distance)
         trains, doubtful, keep = _choose_steps(ray, distance, canonical, ok, part, band)
         tried, dropped = tried + trains, dropped + doubtful
         if not keep.any():
             continue
         ray, t, row = ray[keep], t[keep], row[keep]
         begin = _first_steps(ray)
-        counts = np.diff(np.r_[begin, len(ray)])
-        step, into = spread_ends(counts, ends)
-        at_step = begin[:, None] + step
         which = ray[begin]
-        end = origins[which][:, None] + (t[at_step] + into * band.step)[..., None] * directions[which][:, None]
+        if focus is None:
+            step, into = spread_ends(np.diff(np.r_[begin, len(ray)]), ends)
+            at_step = begin[:, None] + step
+            length = band.step
+        else:
+            # the template turns within a step: thirds of it, mapped as the step is
+            t, row, ray = (np.repeat(values, THIRDS) for values in (t, row, ray))
+            length = band.step / THIRDS
+            t = t + np.tile(np.arange(THIRDS) * length, len(t) // THIRDS)
+            begin = THIRDS * begin
+            point = origins[ray] + t[:, None] * directions[ray]
+            if posed.inverse is not None:
+                point = apply_rows(posed.inverse, row, point)
+            here, _ = focus.distance(point)
+            # the end of a step is the next one's beginning, but where the ray leaves the band for a while
+            joined = (np.r_[ray[1:], -1] == ray) & (np.abs(np.r_[t[1:], 0] - t - length) < 0.1 * length)
+            there = np.where(joined, np.r_[here[1:], 0], here)
+            at_step, into = focused_ends(begin, np.stack([here, there], 1), focus.reach, ends)
+        end = origins[which][:, None] + (t[at_step] + into * length)[..., None] * directions[which][:, None]
         if posed.inverse is not None:
             end = apply_rows(posed.inverse, row[at_step].ravel(), end.reshape(-1, 3)).reshape(end.shape)
         pixel = pixels[which]
@@ -234,7 +331,21 @@ def part_rays(
         raise ValueError(f"no ray of the {video.part} video meets the template inside the {part.name} box")
     end, row, direction, of_frame, color, lit = (np.concatenate([rows[i] for rows in kept]) for i in range(6))
     quaternions = np.stack(bones).astype(np.float32) if bones else None
-    return TrainingRays(end, row, direction, of_frame, color, lit, quaternions, dropped / max(tried, 1))
+    return TrainingRays(end, row, direction, of_frame, color, lit, quaternions, dropped / max(tried, 1),
+                        lost / max(on_person, 1))  # fmt: skip
+
+
+def _by_closed_distance(focus: Focus, posed: PosedTemplate, thin: Int[Array, "thin"]) -> Resign:
+    """Signs by the template's closed grid instead of the nearest sample's normal, where the grid holds the point."""
+
+    def resign(points: Array, sample: Array, distance: Array) -> Array:
+        canonical = points
+        if posed.inverse is not None:
+            canonical = apply_rows(posed.inverse, thin[sample], points)
+        closed, held = focus.distance(canonical)
+        return np.where(held & (closed > 0), np.abs(distance), distance)
+
+    return resign
 
 
 def _choose_pixels(

@@ -30,7 +30,7 @@ from train.preset import PartPreset, Preset
 from train.single import part_names, part_presets
 from train.stored_preset import preset_from_json
 from train.surface import Surface
-from train.template_grid import TemplateGrid
+from train.template_grid import FineGrid, TemplateGrid
 
 FORMAT, VERSION = "selfscan-run", 1
 
@@ -75,7 +75,12 @@ def build_field(
 def write_part(path: Path, field: PartField) -> None:
     """One part's weights, readable with weights_only."""
     torch.save(
-        {"state": field.state_dict(), "cell": field.template.cell, "frames": len(field.appearance.weight)},
+        {
+            "state": field.state_dict(),
+            "cell": field.template.cell,
+            "fine_cell": field.template.fine_cell,
+            "frames": len(field.appearance.weight),
+        },
         path,
     )
 
@@ -89,7 +94,7 @@ def read_part(path: Path, subject: CaptureSubject, index: int, preset: PartPrese
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         state = content["state"]
-        template = TemplateGrid(state["template.values"], state["template.low"], content["cell"])
+        template = _stored_template(content)
         field = build_field(subject, index, preset, template, content["frames"])
         field.load_state_dict(state)
     except FileNotFoundError:
@@ -97,6 +102,15 @@ def read_part(path: Path, subject: CaptureSubject, index: int, preset: PartPrese
     except Exception as error:  # torch.load raises whatever the broken pickle or zip leads to
         raise AssetError(f"{path}: expected a trained part, found: {str(error).splitlines()[0][:200]}") from None
     return field
+
+
+def _stored_template(content: dict) -> TemplateGrid:
+    """The template's distance of a part's file; runs of earlier versions have no fine grid."""
+    state, fine = content["state"], None
+    if "template.fine_values" in state:
+        fine = FineGrid(state["template.fine_values"], state["template.fine_low"], content["fine_cell"],
+                        state["template.eyes"])  # fmt: skip
+    return TemplateGrid(state["template.values"], state["template.low"], content["cell"], fine)
 
 
 def write_codes(path: Path, fields: dict[str, PartField]) -> None:

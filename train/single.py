@@ -74,13 +74,13 @@ def single_rays(
     seed: int,
     device: torch.device,
     prepared: Callable[[float], None] = lambda share: None,
-) -> tuple[RayTensors, SurfaceCloud, float]:
-    """The rays of the four parts one after the other, a template cloud as fine as each part's, share left out.
+) -> tuple[RayTensors, SurfaceCloud, float, float]:
+    """The rays of the four parts one after the other, a template cloud as fine as each part's, shares left out, lost.
 
     Frames count through: body, head, left hand, right hand. `prepared` hears the share done.
     """
     subject, visible = capture.subject, visible_faces(capture.subject)
-    each, clouds, flagged = [], [], []
+    each, clouds, flagged, lost = [], [], [], []
     for index, (name, settings) in enumerate(zip(PARTS, preset.parts, strict=True)):
         cloud = surface_cloud(subject, index, visible, settings.spacing)
         rays = part_rays(
@@ -92,10 +92,11 @@ def single_rays(
         )  # fmt: skip
         each.append(ray_tensors(rays, cloud, device))
         flagged.append(rays.flagged * len(rays.ends))
+        lost.append(rays.lost)
         clouds.append(cloud)
     counts = [len(capture.videos[name].images) for name in PARTS]
     left_out = sum(flagged) / sum(len(rays.ends) for rays in each)
-    return joined_rays(each, counts), joined_cloud(clouds), left_out
+    return joined_rays(each, counts), joined_cloud(clouds), left_out, sum(lost) / len(lost)
 
 
 def joined_rays(each: list[RayTensors], frames: list[int]) -> RayTensors:

@@ -1,9 +1,11 @@
 """The canonical template as a signed distance grid: where a part field starts."""
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import ndimage
 from torch import Tensor
 
@@ -15,61 +17,128 @@ from geometry.sample import lattice_samples
 Array = np.ndarray
 
 
+# of its correction a field may make so much on an eyeball, and all of it so many metres off
+LEAST = 0.05
+HELD = 0.008
+
+
+class FineGrid(NamedTuple):
+    """Distances in a smaller box with smaller cells, whose faces lie on planes of the coarse grid's nodes."""
+
+    values: Float[Tensor, "x y z"]  # signed distance, metres; on the box's faces the coarse grid's
+    low: Float[Tensor, "3"]  # place of values[0, 0, 0], canonical
+    cell: float
+    # centre and radius of the eyeballs that it was made for
+    eyes: Float[Tensor, "2 4"]
+
+
 class TemplateGrid(torch.nn.Module):
     """Trilinear signed distance of the template in a box; outside it, the distance at the border plus the way there.
 
-    Value and gradient come from the same interpolant. The gradient is a constant of the training.
+    In the box of `fine`, where there is one, the fine grid counts. Value and gradient come from the same interpolant.
+    The gradient is a constant of the training.
     """
 
     values: Float[Tensor, "x y z"]  # signed distance, metres
     low: Float[Tensor, "3"]  # place of values[0, 0, 0], canonical
+    fine_values: Float[Tensor, "u v w"] | None
+    fine_low: Float[Tensor, "3"] | None
+    eyes: Float[Tensor, "2 4"] | None
 
-    def __init__(self, values: Float[Tensor, "x y z"], low: Float[Tensor, "3"], cell: float):
+    def __init__(
+        self, values: Float[Tensor, "x y z"], low: Float[Tensor, "3"], cell: float, fine: FineGrid | None = None
+    ):
         super().__init__()
         self.register_buffer("values", values)
         self.register_buffer("low", low)
         self.cell = cell
+        self.register_buffer("fine_values", None if fine is None else fine.values)
+        self.register_buffer("fine_low", None if fine is None else fine.low)
+        self.register_buffer("eyes", None if fine is None else fine.eyes)
+        self.fine_cell = 0.0 if fine is None else fine.cell
+
+    @property
+    def fine(self) -> FineGrid | None:
+        """The fine grid, where there is one."""
+        if self.fine_values is None or self.fine_low is None or self.eyes is None:
+            return None
+        return FineGrid(self.fine_values, self.fine_low, self.fine_cell, self.eyes)
+
+    def freedom(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
+        """The share of its correction that a field may make at points: least on the eyeballs, 1 from HELD off them on.
+
+        Colour says little of depth in the recess between the lids, and a field fills it: 3 to 5 mm in front of the
+        eyeballs. They were fitted as spheres; a field moves them by T_nr, not by F_s.
+        """
+        if self.eyes is None:
+            return torch.ones(len(points), dtype=points.dtype, device=points.device)
+        offset = points[:, None] - self.eyes[:, :3]
+        away = ((offset.square().sum(2) + 1e-12).sqrt() - self.eyes[:, 3]).amin(1)
+        return LEAST + (1 - LEAST) * (away / HELD).clamp(0, 1)
+
+    def in_fine(self, points: Float[Tensor, "n 3"], fine: FineGrid) -> Int[Tensor, "k"]:
+        """Rows of the points in the fine grid's box."""
+        size = fine.cell * (torch.tensor(fine.values.shape, device=points.device) - 1)
+        return ((points >= fine.low) & (points <= fine.low + size)).all(1).nonzero()[:, 0]
 
     def sample(self, points: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n"], Float[Tensor, "n 3"]]:
         """Distance and its gradient; no graph."""
         with torch.no_grad():
-            shape = torch.tensor(self.values.shape, device=points.device)
-            at = (points - self.low) / self.cell
-            inside = torch.minimum(at.clamp_min(0), (shape - 1 - 1e-4).to(at.dtype))
-            beyond = (at - inside) * self.cell
-            corner = inside.floor().long()
-            f = inside - corner
-            strides = torch.tensor([self.values.shape[1] * self.values.shape[2], self.values.shape[2], 1])
-            strides = strides.to(points.device)
-            base = (corner * strides).sum(-1)
-            flat = self.values.reshape(-1)
-            v = [flat[base + (strides * torch.tensor(o, device=base.device)).sum()] for o in _CORNERS]
-            fx, fy, fz = f.unbind(-1)
-            # interpolate along z, then y, then x, keeping the differences for the gradient
-            z00, z01, z10, z11 = (v[2 * i] + fz * (v[2 * i + 1] - v[2 * i]) for i in range(4))
-            d00, d01, d10, d11 = (v[2 * i + 1] - v[2 * i] for i in range(4))
-            y0, y1 = z00 + fy * (z01 - z00), z10 + fy * (z11 - z10)
-            gx = y1 - y0
-            gy = (z01 - z00) + fx * ((z11 - z10) - (z01 - z00))
-            dz0, dz1 = d00 + fy * (d01 - d00), d10 + fy * (d11 - d10)
-            gz = dz0 + fx * (dz1 - dz0)
-            gradient = torch.stack([gx, gy, gz], -1) / self.cell
-            away = beyond.norm(dim=-1)
-            out = away > 0
-            gradient = torch.where(out[:, None], beyond / away.clamp_min(1e-12)[:, None], gradient)
-            return y0 + fx * gx + away, gradient
+            distance, gradient = _sampled(self.values, self.low, self.cell, points)
+            if (fine := self.fine) is not None and len(rows := self.in_fine(points, fine)):
+                distance[rows], gradient[rows] = _sampled(*fine[:3], points[rows])
+            return distance, gradient
 
     def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
         """The value, differentiable once: torch's own interpolation, eight times as fast as `sample`."""
-        shape = torch.tensor(self.values.shape, dtype=points.dtype, device=points.device)
-        unit = (points - self.low) / self.cell / (shape - 1) * 2 - 1
-        inside = unit.clamp(-1, 1)
-        beyond = (unit - inside) * (shape - 1) * (0.5 * self.cell)
-        # grid_sample counts its last axis first
-        at = inside.flip(-1)[None, :, None, None]
-        sampled = F.grid_sample(self.values[None, None], at, align_corners=True)[0, 0, :, 0, 0]
-        # the square root's slope at zero is infinite; a hundredth of a millimetre hides it
-        return sampled + (beyond.square().sum(-1) + 1e-10).sqrt() - 1e-5
+        distance = _interpolated(self.values, self.low, self.cell, points)
+        if (fine := self.fine) is not None and len(rows := self.in_fine(points, fine)):
+            distance = distance.index_put((rows,), _interpolated(*fine[:3], points[rows]))
+        return distance
+
+
+def _sampled(
+    values: Float[Tensor, "x y z"], low: Float[Tensor, "3"], cell: float, points: Float[Tensor, "n 3"]
+) -> tuple[Float[Tensor, "n"], Float[Tensor, "n 3"]]:
+    shape = torch.tensor(values.shape, device=points.device)
+    at = (points - low) / cell
+    inside = torch.minimum(at.clamp_min(0), (shape - 1 - 1e-4).to(at.dtype))
+    beyond = (at - inside) * cell
+    corner = inside.floor().long()
+    f = inside - corner
+    strides = torch.tensor([values.shape[1] * values.shape[2], values.shape[2], 1])
+    strides = strides.to(points.device)
+    base = (corner * strides).sum(-1)
+    flat = values.reshape(-1)
+    v = [flat[base + (strides * torch.tensor(o, device=base.device)).sum()] for o in _CORNERS]
+    fx, fy, fz = f.unbind(-1)
+    # interpolate along z, then y, then x, keeping the differences for the gradient
+    z00, z01, z10, z11 = (v[2 * i] + fz * (v[2 * i + 1] - v[2 * i]) for i in range(4))
+    d00, d01, d10, d11 = (v[2 * i + 1] - v[2 * i] for i in range(4))
+    y0, y1 = z00 + fy * (z01 - z00), z10 + fy * (z11 - z10)
+    gx = y1 - y0
+    gy = (z01 - z00) + fx * ((z11 - z10) - (z01 - z00))
+    dz0, dz1 = d00 + fy * (d01 - d00), d10 + fy * (d11 - d10)
+    gz = dz0 + fx * (dz1 - dz0)
+    gradient = torch.stack([gx, gy, gz], -1) / cell
+    away = beyond.norm(dim=-1)
+    out = away > 0
+    gradient = torch.where(out[:, None], beyond / away.clamp_min(1e-12)[:, None], gradient)
+    return y0 + fx * gx + away, gradient
+
+
+def _interpolated(
+    values: Float[Tensor, "x y z"], low: Float[Tensor, "3"], cell: float, points: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n"]:
+    shape = torch.tensor(values.shape, dtype=points.dtype, device=points.device)
+    unit = (points - low) / cell / (shape - 1) * 2 - 1
+    inside = unit.clamp(-1, 1)
+    beyond = (unit - inside) * (shape - 1) * (0.5 * cell)
+    # grid_sample counts its last axis first
+    at = inside.flip(-1)[None, :, None, None]
+    sampled = F.grid_sample(values[None, None], at, align_corners=True)[0, 0, :, 0, 0]
+    # the square root's slope at zero is infinite; a hundredth of a millimetre hides it
+    return sampled + (beyond.square().sum(-1) + 1e-10).sqrt() - 1e-5
 
 
 _CORNERS = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]

@@ -23,7 +23,7 @@ from train.fused import FusedField
 from train.networks import triplane
 from train.networks.triplane import TriPlaneNetworks
 from train.parts import Box, Part
-from train.template_grid import TemplateGrid
+from train.template_grid import FineGrid, TemplateGrid
 
 SIZES = TriPlaneNetworks(plane_size=12, plane_channels=4, color_size=20, color_channels=4, width=24, feature=7)
 
@@ -45,7 +45,17 @@ def random_field(seed: int = 0) -> FusedField:
     for part in parts:
         low, high = (torch.tensor(edge, dtype=torch.float32) for edge in (part.extent.low, part.extent.high))
         networks = triplane.build(SIZES, frames=3, half=0.5 * (high - low), displacement_reach=0.01)
-        template = TemplateGrid(ball, torch.full((3,), -0.6), 0.05)
+        # a bump in the middle of a smaller box with smaller cells
+        bump = torch.zeros(9, 9, 9)
+        bump[2:7, 2:7, 2:7] = 0.02
+        template = TemplateGrid(
+            ball,
+            torch.full((3,), -0.6),
+            0.05,
+            FineGrid(
+                bump, torch.full((3,), 0.1), 0.025, torch.tensor([[0.1, 0.2, 0.25, 0.02], [-0.1, 0.2, 0.25, 0.02]])
+            ),
+        )
         field = PartField(template, low, high, networks)
         for name, weight in field.named_parameters():
             strong = 1.5 if name.startswith("color_network") else 0.2
