@@ -29,6 +29,8 @@ Array = np.ndarray
 GRAZING = 0.17
 # power of that cosine in a pixel's weight: a head turns before its camera and is seen well by other frames
 COSINE_POWER = {"body": 2, "head": 8, "hand_left": 2, "hand_right": 2}
+# weight under which a pixel is not worth its memory
+TELLS = 1e-3
 # metres beside an outline or a jump in depth of JUMP metres, where pixels count RIM as much
 RIM_WIDTH, JUMP, RIM = 0.003, 0.015, 0.05
 # how much the body's video counts where another video looks closer
@@ -276,7 +278,7 @@ def frame_reads(
             (weight[..., None] * lit.frame[corners]).sum(2).mean(1)[:, 0] > DARK
         )
         counts = counts * known
-    used = counts > 1e-5
+    used = counts > TELLS
     corners, weight = corners[used], weight[used]
     uv = (weight[..., None] * mesh.uv.astype(np.float32)[corners]).sum(2)
     reads = bilinear_reads(uv, mesh)

@@ -19,7 +19,7 @@ from bake.texels import TexelMap
 
 Array = np.ndarray
 
-ROUNDS = 14
+ROUNDS = 12
 
 
 class Equations(NamedTuple):

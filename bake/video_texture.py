@@ -148,17 +148,24 @@ def equations_of(reads: Any, given: Float[Array, "texels 3"]) -> VideoEquations:
         matrix, root = own.reads, np.sqrt(own.weight)
         each = np.diff(matrix.indptr)
         told += np.bincount(matrix.indices, matrix.data * np.repeat(own.visible, each), len(given))
-        wanted.append((own.color - matrix @ given) * root[:, None])
+        wanted.append(((own.color - matrix @ given) * root[:, None]).astype(np.float32))
         data.append(matrix.data * np.repeat(root, each))
         indices.append(matrix.indices)
         lengths.append(each)
-    pointers = np.r_[0, np.cumsum(np.concatenate(lengths), dtype=np.int64)]
+    pointers = np.r_[0, np.cumsum(_joined(lengths), dtype=np.int64)]
     if pointers[-1] < 2**31:
         pointers = pointers.astype(np.int32)
     shape = (len(pointers) - 1, len(given))
-    matrix = csr_matrix((np.concatenate(data), np.concatenate(indices), pointers), shape)
-    equations = Equations(matrix, np.concatenate(wanted).astype(np.float32))
+    matrix = csr_matrix((_joined(data), _joined(indices), pointers), shape)
+    equations = Equations(matrix, _joined(wanted))
     return VideoEquations(equations, told, _rms(equations.wanted, matrix))
+
+
+def _joined(pieces: list[Array]) -> Array:
+    """The pieces as one array; the list is emptied, or large videos would be in memory twice."""
+    result = np.concatenate(pieces)
+    pieces.clear()
+    return result
 
 
 def _rms(left: Float[Array, "rows 3"], matrix: csr_matrix) -> float:
