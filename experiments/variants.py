@@ -87,6 +87,7 @@ def _fused(
     run: Run, fields: list[PartField], head_from_canonical: Float[Tensor, "4 4"], *, switch: bool = False
 ) -> FusedField:
     field = FusedField(fields, part_boxes(run.subject), head_from_canonical, switch=switch)
+    field.seen = run.field.seen
     return field.to(run.field.head_from_canonical.device).eval().requires_grad_(False)
 
 

@@ -6,7 +6,7 @@ fused field's zero set as a mesh, the directions it was seen from (Eq. 14), and 
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -27,6 +27,7 @@ from train.field import PartField
 from train.fused import FusedField
 from train.head_consistency import place_by_consistency
 from train.layers import BODY, rigid_weights, without_hanging_hair
+from train.light import SeenTensors, VideoLight, light_facts, seen_lights_from_json, seen_tensors
 from train.objective import RayTensors
 from train.parts import eq9_shares, part_boxes, part_weight
 from train.photometric import ColoredHead, refine_on_video
@@ -70,6 +71,8 @@ class TrainedParts:
     # before composition only Eq. 6 is known of the parts' head; a single network learnt it where it lies in the end
     head: HeadPlacement
     seed: int
+    # of each part's video, where the fields' colours are albedo; empty: they are what was shown
+    lights: Mapping[str, VideoLight]
     # of each part, and of each step of composition, which are added
     seconds: dict[str, float]
 
@@ -97,22 +100,27 @@ def compose(
     subject, rays, seconds = capture.subject, parts.rays, parts.seconds
     began = time.monotonic()
     head, head_from_field = parts.head, np.eye(4)
+    lights = light_facts(capture, parts.lights) if parts.lights else {}
+    seen = seen_tensors(seen_lights_from_json("light_seen", lights["light_seen"])) if lights else None
     if rays is not None:
-        head = place_head(capture, parts.fields, head, say)
+        head = place_head(capture, parts.fields, head, say, seen)
         head_from_field = head.correction
-    facts = placement_facts(head, head_from_field)
+    facts = placement_facts(head, head_from_field) | lights
     fused = FusedField(
         parts.fields, part_boxes(subject), torch.tensor(np.linalg.inv(head_from_field), dtype=torch.float32)
     )
+    fused.seen = seen
     fused.to(device).eval().requires_grad_(False)
     seconds["registration"] = time.monotonic() - began
 
     if rays is not None and preset.union.iterations:
         began = time.monotonic()
         say(f"stage 2: the body meets the parts (Eq. 7, 13), {preset.union.iterations} steps")
+        parts.fields[0].light = parts.lights["body"].tensors(torch.device(device)) if parts.lights else None
         facts["union"] = train_union(
             fused, subject, rays, preset, seed=parts.seed, checkpoints=checkpoints, watch=watch
         )
+        parts.fields[0].light = None
         seconds["union"] = time.monotonic() - began
         for name, step in facts["union"]["step_mm_after"].items():
             before = facts["union"]["step_mm_before"][name]
@@ -181,12 +189,18 @@ def consistent_placement(capture: Capture, landmarks: Registration, say: Say) ->
     )
 
 
-def place_head(capture: Capture, fields: Sequence[PartField], start: HeadPlacement, say: Say) -> HeadPlacement:
-    """The head's place by the surfaces of body and head, the first two fields (Eq. 5), then by the body's pixels."""
+def place_head(
+    capture: Capture, fields: Sequence[PartField], start: HeadPlacement, say: Say,
+    seen: tuple[SeenTensors, ...] | None = None,
+) -> HeadPlacement:  # fmt: skip
+    """The head's place by the surfaces of body and head, the first two fields (Eq. 5), then by the body's pixels.
+
+    `seen`, the parts' seen lights, where their colours are albedo.
+    """
     landmarks, facts = start.landmarks, dict(start.facts)
     anchors = landmark_anchors(capture, landmarks)
     correction, facts["surfaces_median_mm"] = place_on_surfaces(capture.subject, fields, anchors, say)
-    correction, facts["video"] = place_on_video(capture, fields, correction, anchors, say)
+    correction, facts["video"] = place_on_video(capture, fields, correction, anchors, say, seen)
     return HeadPlacement(landmarks, correction.transform, facts)
 
 
@@ -333,7 +347,12 @@ def register_head(subject: CaptureSubject, fields: Sequence[PartField], anchors:
 
 
 def place_on_video(
-    capture: Capture, fields: Sequence[PartField], correction: Registration, anchors: Anchors, say: Say
+    capture: Capture,
+    fields: Sequence[PartField],
+    correction: Registration,
+    anchors: Anchors,
+    say: Say,
+    seen: tuple[SeenTensors, ...] | None = None,
 ) -> tuple[Registration, dict[str, Any]]:
     """The head's place of Eq. 5 refined on the body's video, and what run.json says of it.
 
@@ -341,6 +360,7 @@ def place_on_video(
     """
     subject = capture.subject
     apart = FusedField(fields, part_boxes(subject), torch.eye(4))
+    apart.seen = seen
     own = (subject.part == 1) & (part_weight(torch.as_tensor(subject.vertices), apart.parts[1]).numpy() > 0.5)
     chosen = np.flatnonzero(own)
     normals = vertex_normals(subject.vertices, subject.faces)[chosen]
@@ -349,7 +369,7 @@ def place_on_video(
         torch.as_tensor(a[level.arrived], dtype=torch.float32, device=apart.device)
         for a in (level.points, -level.normals)
     )
-    colors = apart.part_color(1, points, inwards).detach().cpu().numpy().astype(np.float64)
+    colors = apart.part_shown(1, points, inwards).detach().cpu().numpy().astype(np.float64)
     head = ColoredHead(chosen[level.arrived], level.points[level.arrived], colors)
     try:
         fit = refine_on_video(subject, head, capture.videos["body"], correction.transform, anchors)

@@ -78,11 +78,22 @@ def canonical_directions(
 
     `bones` are the unit quaternions (xyzw) of the four bones of each point, heaviest first.
     """
+    return _turned(directions, weights, bones, -1.0)
+
+
+def posed_directions(
+    directions: Float[Tensor, "n 3"], weights: Float[Tensor, "n 4"], bones: Float[Tensor, "n 4 4"]
+) -> Float[Tensor, "n 3"]:
+    """R d: `canonical_directions` backwards."""
+    return _turned(directions, weights, bones, 1.0)
+
+
+def _turned(directions: Tensor, weights: Tensor, bones: Tensor, sign: float) -> Tensor:
     q = bones
     side = torch.where((q * q[:, :1]).sum(-1) < 0, -1.0, 1.0)
     q = ((weights * side)[..., None] * q).sum(1)
     q = q / q.norm(dim=-1, keepdim=True).clamp_min(1e-12)
-    v, w = -q[:, :3], q[:, 3:]  # the conjugate turns back
+    v, w = sign * q[:, :3], q[:, 3:]  # the conjugate turns back
     t = 2 * torch.linalg.cross(v, directions)
     return directions + w * t + torch.linalg.cross(v, t)
 

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from train.light import LightTensors
 from train.networks import PartNetworks
 from train.pose_correction import PoseCorrection
 from train.template_grid import TemplateGrid
@@ -36,6 +37,8 @@ class PartField(nn.Module):
     reference: Float[Tensor, "l"]
     # learned with the field where poses are refined; None once they are known
     poses: PoseCorrection | None
+    # of the part's video, while it is learnt: F_c is albedo then; None: F_c is the colour as it is shown
+    light: LightTensors | None
 
     def __init__(
         self,
@@ -50,6 +53,7 @@ class PartField(nn.Module):
         self.register_buffer("high", high)
         self.geometry, self.appearance, self.color_network, self.displacement = networks
         self.poses = None
+        self.light = None
         self.register_buffer("reference", torch.zeros_like(self.appearance.weight[0]).detach())
 
     def unit(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

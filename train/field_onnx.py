@@ -31,8 +31,8 @@ STEP = 2e-5
 
 
 def is_exportable(field: Any) -> bool:
-    """Whether this is a fused field of tri-plane networks, the only ones known here."""
-    return isinstance(field, FusedField) and not field.switch and all(
+    """Whether this is a fused field of tri-plane networks, the only ones known here; its light no factor of its own."""
+    return isinstance(field, FusedField) and not field.switch and field.seen is None and all(
         isinstance(part, PartField)
         and isinstance(part.geometry, TriPlaneGeometry)
         and isinstance(part.color_network, TriPlaneColor)

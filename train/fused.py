@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from train.field import FieldSample, PartField, unit_normals
+from train.light import SeenTensors
 from train.parts import Part, eq9_shares
 
 
@@ -35,6 +36,8 @@ class FusedField(nn.Module):
         self.fields = nn.ModuleList(fields)
         self.parts = tuple(parts[: len(fields)])
         self.switch = switch
+        # of each part's video, where the parts' colours are albedo; None: they are what was shown
+        self.seen: tuple[SeenTensors, ...] | None = None
         self.register_buffer("head_from_canonical", head_from_canonical.float())
 
     def field(self, index: int) -> PartField:
@@ -83,8 +86,27 @@ class FusedField(nn.Module):
             out.append(unit_normals(total))
         return torch.cat(out) if out else torch.zeros_like(points)
 
+    def albedo(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Colour without its light, where that is a factor of its own, else `color`."""
+        seen, self.seen = self.seen, None
+        try:
+            return self.color(points, directions)
+        finally:
+            self.seen = seen
+
+    def seen_light(self, points: Float[Tensor, "n 3"], normals: Float[Tensor, "n 3"]) -> Float[Tensor, "n 2"]:
+        """Mean S and H that surface points with these normals were seen under; 1 and 0 where light is no factor."""
+        if self.seen is None:
+            return torch.tensor([1.0, 0.0], device=points.device).expand(len(points), 2)
+        shares = self.color_shares(points)
+        each = torch.stack([one.at(normals) for one in self.seen], 1)
+        return (shares[:, :, None] * each).sum(1)
+
     def color(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """sRGB in [0, 1] of canonical points seen along unit directions (from the camera to the point)."""
+        """sRGB in [0, 1] of canonical points seen along unit directions (from the camera to the point).
+
+        Where light is a factor of its own it is the mean of what the parts' videos saw (train/light.py).
+        """
         out = []
         for piece, seen in zip(points.split(32768), directions.split(32768)):
             shares = self.color_shares(piece)
@@ -92,7 +114,7 @@ class FusedField(nn.Module):
             for index in range(len(self.fields)):
                 chosen = shares[:, index] > 0
                 if chosen.any():
-                    color = self.part_color(index, piece[chosen], seen[chosen])
+                    color = self.part_shown(index, piece[chosen], seen[chosen])
                     total[chosen] += shares[chosen, index, None] * color
             out.append(total)
         return torch.cat(out) if out else torch.zeros_like(points)
@@ -113,6 +135,16 @@ class FusedField(nn.Module):
             return 1.0
         return torch.linalg.det(self.head_from_canonical[:3, :3]) ** (1 / 3)
 
+    def part_shown(
+        self, index: int, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]
+    ) -> Float[Tensor, "n 3"]:
+        """Colour of one part as its video showed it on average."""
+        if self.seen is None:
+            return self.part_color(index, points, directions)
+        sample, gradient = self.part_gradient(index, points)
+        albedo = self._asked(index, points, directions, self.field(index).reference, (sample, gradient))
+        return self.seen[index].shown(albedo, unit_normals(gradient))
+
     def part_color(
         self,
         index: int,
@@ -120,14 +152,20 @@ class FusedField(nn.Module):
         directions: Float[Tensor, "n 3"],
         code: Float[Tensor, "l"] | None = None,
     ) -> Float[Tensor, "n 3"]:
-        """Colour of one part; `code` replaces its reference code and may carry a gradient (Eq. 8)."""
-        field = self.field(index)
-        sample, gradient = self.part_gradient(index, points)
+        """F_c of one part (albedo, where light is a factor of its own); `code` replaces its reference code and may
+        carry a gradient (Eq. 8)."""
+        code = self.field(index).reference if code is None else code
+        return self._asked(index, points, directions, code, self.part_gradient(index, points))
+
+    def _asked(
+        self, index: int, points: Tensor, directions: Tensor, code: Tensor, surface: tuple[FieldSample, Tensor]
+    ) -> Tensor:
+        """F_c of one part, F_s and its gradient given."""
+        field, (sample, gradient) = self.field(index), surface
         local, R = self.local(index, points)
         normals = unit_normals(gradient)
         if R is not None:
             normals, directions = normals @ R.T, directions @ R.T
-        code = field.reference if code is None else code
         with torch.set_grad_enabled(code.requires_grad):
             return field.color(local, sample.feature, normals, directions, code.expand(len(points), -1))
 

@@ -11,8 +11,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from capture.template import SurfaceCloud
-from train.deform import canonical_directions
+from train.deform import canonical_directions, posed_directions
 from train.field import FieldSample, PartField, unit_normals
+from train.light import LightTensors
 from train.loss import (
     color_loss,
     color_norm_loss,
@@ -118,6 +119,24 @@ class Batch(NamedTuple):
     rho: float = 50.0
 
 
+def lit(
+    field: "FieldFunctions", rays: RayTensors, chosen: Int[Tensor, "b"], section: Int[Tensor, "b k"],
+    color: Float[Tensor, "b k 3"], gradient: Float[Tensor, "n 3"],
+) -> Float[Tensor, "b k 3"]:  # fmt: skip
+    """What sections show of F_c: F_c itself, or, where the light is a factor, albedo lit at the posed normal.
+
+    The normal is fixed here: how bright a pixel is moves no surface, which masks and texture place better.
+    """
+    if field.light is None:
+        return color
+    frame, normals = rays.frame[chosen], unit_normals(gradient.detach())
+    if rays.bones is not None:
+        row = rays.row[chosen].gather(1, section)
+        quaternions = rays.bones[frame[:, None, None], rays.joints[row]]
+        normals = posed_directions(normals, rays.weights[row].reshape(-1, 4), quaternions.reshape(-1, 4, 4))
+    return field.light.lit(color, normals.view(*section.shape, 3), -rays.direction[chosen], frame)
+
+
 class FieldFunctions(NamedTuple):
     """What volume rendering asks of a field, in the part's canonical frame; b rays or n points."""
 
@@ -133,6 +152,8 @@ class FieldFunctions(NamedTuple):
     posed: Callable[[Tensor, Tensor, Tensor, Tensor], Tensor] | None = None
     # width of VolSDF's density, metres, where the geometry learns it
     density_width: Callable[[], Tensor] | None = None
+    # what lights F_c, where it is albedo
+    light: LightTensors | None = None
 
 
 def functions_of(field: PartField) -> FieldFunctions:
@@ -148,6 +169,7 @@ def functions_of(field: PartField) -> FieldFunctions:
         color=color,
         posed=field.poses,
         density_width=field.geometry.density_width if isinstance(field.geometry, PaperGeometry) else None,
+        light=field.light,
     )
 
 
@@ -211,7 +233,7 @@ def render_rays(
     directions = directions_at(rays, chosen, rays.row[chosen].gather(1, section)).reshape(-1, 3)
     of_section = frame.repeat_interleave(section.shape[1])
     color = field.color(points, sample.feature, unit_normals(gradient), directions, of_section)
-    color = color.view(size, -1, 3)
+    color = lit(field, rays, chosen, section, color.view(size, -1, 3), gradient)
     share = top / (top.sum(1, keepdim=True) + 1e-8)
     shown = (share[..., None] * color).sum(1) * opacity[:, None]
     return Rendered(shown, rendered.log_transmittance, share, ends, distance, points, sample.distance, gradient,
@@ -233,6 +255,7 @@ def _render_density(
     directions = directions_at(rays, chosen, rays.row[chosen][:, :count]).reshape(-1, 3)
     of_section = rays.frame[chosen].repeat_interleave(count)
     color = field.color(flat, sample.feature, unit_normals(gradient), directions, of_section).view(size, count, 3)
+    color = lit(field, rays, chosen, torch.arange(count, device=points.device).expand(size, -1), color, gradient)
     shown = (rendered.weights[..., None] * color).sum(1)
     share = rendered.weights / (rendered.weights.sum(1, keepdim=True) + 1e-8)
     return Rendered(shown, rendered.log_transmittance, share, points, distance, flat, sample.distance, gradient,

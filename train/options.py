@@ -36,6 +36,11 @@ class TrainOptions:
         "move noisy poses onto the masks first, then learn what is left with the field; "
         "auto: videos whose outlines do not meet",
     ] = "auto"  # fmt: skip
+    light: Annotated[
+        Literal["auto", "off"],
+        "auto: where the preset does, tell the capture's light from the skin before training, and learn albedo; "
+        "none is told of an even light",
+    ] = "auto"
     single: Annotated[
         bool, "one network with the four parts' parameters, rays and steps, for comparison; its head lies where the "
         "parts' does: from --head-from, else body and head are trained and placed first",
@@ -55,4 +60,6 @@ class TrainOptions:
         preset = PRESETS[self.preset]
         if self.iterations is not None:
             preset = shortened(preset, self.iterations)
-        return replace(preset, single=self.single)
+        # a single network's rays are of four videos, its light nobody's
+        light = preset.light and self.light == "auto" and not self.single
+        return replace(preset, single=self.single, light=light)

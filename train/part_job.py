@@ -21,6 +21,7 @@ from train.checkpoint import Position
 from train.distributed import ONE_PROCESS, Ranks
 from train.eye_grid import with_open_eyes
 from train.field import PartField
+from train.light import VideoLight
 from train.log import TrainingLog
 from train.objective import RayTensors, StepReport, ray_tensors
 from train.parts import part_boxes
@@ -52,6 +53,8 @@ class PartJob:
     folder: str
     device: str
     threads: int
+    # of its video, where it is a factor of its own
+    light: VideoLight | None = None
     ranks: Ranks = ONE_PROCESS
     seed: int = 0
     resume: bool = False
@@ -150,6 +153,7 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
             f"{name}: poses learned with the field, {facts['poses_learned_deg']:.2f} degrees from the aligned ones"
         )
     if job.ranks.writes:
+        field.light = None
         run_folder.write_part(folder / f"{name}.pt", field.cpu())
         # from now on resuming passes this part by
         with whole_file(done, "w") as file:
@@ -186,6 +190,7 @@ def part_ready(job: PartJob, capture: Capture, prepared: Callable[[float], None]
     if name == "head" and preset.open_eyes:
         template = with_open_eyes(template, subject)
     field = run_folder.build_field(subject, job.index, settings, template, len(video.images)).to(device)
+    field.light = None if job.light is None else job.light.tensors(device)
     rays = part_rays(
         video, subject, cloud, part, settings.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame,
         canonical_from_head=canonical_from_head, rng=np.random.default_rng([job.seed, job.index]),

@@ -108,6 +108,8 @@ class Preset:
     surface_cells: tuple[float, float, float] = (0.006, 0.0035, 0.0025)  # metres: body, head, hands
     # clothes beyond the body's band are carved from the masks and joined to the template (train/clothes.py)
     clothes: bool = True
+    # the capture's light is fitted first and F_c learns albedo (capture/light, train/light.py)
+    light: bool = False
     # one network for everyone (train/single.py), instead of four parts
     single: bool = False
     hair: HairPreset = HairPreset()
@@ -153,7 +155,7 @@ _DEMO_HAND = PartPreset(
 
 _HAIR = HairPreset(consistency=True, hollows=True, layers=True, reach=0.06)
 
-DEMO = Preset(name="demo", parts=(_DEMO_BODY, _DEMO_HEAD, _DEMO_HAND, _DEMO_HAND), hair=_HAIR)
+DEMO = Preset(name="demo", parts=(_DEMO_BODY, _DEMO_HEAD, _DEMO_HAND, _DEMO_HAND), hair=_HAIR, light=True)
 
 # For one GPU: a hash grid instead of planes, more rays, finer in the end; bands and grids are the demo's
 FAST = Preset(
@@ -167,6 +169,7 @@ FAST = Preset(
             (0.002, 0.0007, 0.0007, 0.0007),
         )
     ),
+    light=True,
     rays=4096,
     rays_per_frame=20000,
     sections=16,

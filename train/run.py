@@ -21,6 +21,7 @@ from capture.folder import CaptureSubject, read_subject
 from capture.views import ViewStatistics
 from train.field import PartField
 from train.fused import FusedField
+from train.light import seen_lights_from_json, seen_tensors
 from train.networks import hash, paper, triplane
 from train.networks.hash import HashNetworks
 from train.networks.paper import PaperNetworks
@@ -48,6 +49,9 @@ class Run:
     provenance: dict  # all of run.json
     # of each video, by part; empty: the fields' colours hold the light
     lights: dict[str, CaptureLight] = dataclasses.field(default_factory=dict)
+
+    # the body video's, in the world of the poses
+    world_light: CaptureLight | None = None
 
     @property
     def light(self) -> CaptureLight | None:
@@ -222,8 +226,12 @@ def lights_of(path: Path, facts: dict) -> dict[str, CaptureLight]:
     if not isinstance(lights, dict) or set(lights) != set(PARTS):
         found = sorted(lights) if isinstance(lights, dict) else repr(lights)[:80]
         raise AssetError(f"{where} should hold {', '.join(PARTS)} or be null, is {found}")
+    return {part: _light(where, lights[part]) for part in PARTS}
+
+
+def _light(where: str, content: object) -> CaptureLight:
     try:
-        return {part: light_from_json(lights[part]) for part in PARTS}
+        return light_from_json(content)
     except ValueError as error:
         raise AssetError(f"{where}: {error}") from None
 
@@ -248,4 +256,9 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
     correction = matrix_of(path, facts, "canonical_from_head_field")
     inverse = torch.tensor(np.linalg.inv(correction), dtype=torch.float32)
     field = FusedField(fields, part_boxes(subject), inverse).to(device).eval().requires_grad_(False)
-    return Run(path, field, read_surface(path / "surface.npz"), subject, preset, facts, lights_of(path, facts))
+    lights = lights_of(path, facts)
+    world = None
+    if lights:
+        field.seen = seen_tensors(seen_lights_from_json(f"{path / 'run.json'}: light_seen", facts.get("light_seen")))
+        world = _light(f"{path / 'run.json'}: light_world", facts.get("light_world"))
+    return Run(path, field, read_surface(path / "surface.npz"), subject, preset, facts, lights, world)

@@ -7,7 +7,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,12 @@ import torch
 from avatar.errors import AssetError
 from avatar.files import whole_folder
 from avatar.interrupt import prompt_stop
+from avatar.light import CaptureLight
 from avatar.progress import Progress, ProgressBoard, Reporter
 from avatar.similarity import Registration, similarity_from_landmarks
+from avatar.skeleton import PARTS
 from capture.folder import Capture, read_capture, write_subject
+from capture.light.fit import fit_capture_light, light_line
 from capture.repair.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
 from train import run as run_folder
 from train.clothes import with_clothes
@@ -34,6 +37,7 @@ from train.compose import (
 from train.distributed import Ranks, join_ranks
 from train.field import PartField
 from train.hull import with_hair
+from train.light import VideoLight, video_light
 from train.log import tensorboard_installed
 from train.options import TrainOptions
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
@@ -64,6 +68,13 @@ class _Training:
     # where the head's video lies on the template before anything is learnt
     head: HeadPlacement
     say: Callable[[str], None]
+    # of each video; empty: light is no factor of its own
+    lights: dict[str, CaptureLight] = field(default_factory=dict)
+
+    def video_light(self, part: str, canonical_from_head: np.ndarray) -> VideoLight | None:
+        """A video's light as its part's rays meet it; None where light is no factor."""
+        light = self.lights.get(part)
+        return None if light is None else video_light(self.capture, part, light, canonical_from_head)
 
 
 def train(options: TrainOptions, preset: Preset | None = None) -> Path:
@@ -98,7 +109,7 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
         )
         say(f"logs, previews and checkpoints: {session.partial}")
         refined = _refine(training)
-        training = _with_own_template(_with_consistent_head(training))
+        training = _with_light(_with_own_template(_with_consistent_head(training)))
         head = _head_of_single(training) if preset.single else training.head
         facts = _train_parts(training, session.partial, head.canonical_from_head)
         if ranks.writes:
@@ -132,7 +143,11 @@ def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], r
     progress = Progress("body, stage 2", preset.union.iterations)
     with whole_folder(out) as folder:
         rays = None if preset.single else read_rays(partial / "body.rays", torch.device(device))
-        parts = TrainedParts(fields=fields, rays=rays, head=head, seed=training.options.seed, seconds=seconds)
+        lit = {part: training.video_light(part, head.canonical_from_head) for part in training.lights}
+        parts = TrainedParts(
+            fields=fields, rays=rays, head=head, seed=training.options.seed, seconds=seconds,
+            lights={part: light for part, light in lit.items() if light is not None},
+        )  # fmt: skip
         person = compose(
             capture, parts, preset, training.say, device=device,
             checkpoints=Checkpoints(path=partial / "union.ckpt", resume=training.session.resumed),
@@ -170,6 +185,7 @@ def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], r
                 | {"composition": megabytes(memory)},
                 "parts": facts,
                 "refined": refined,
+                "light": None,
                 **person.facts,
             },
         )
@@ -281,6 +297,19 @@ def _with_own_template(training: _Training) -> _Training:
     return replace(training, capture=replace(capture, subject=subject))
 
 
+def _with_light(training: _Training) -> _Training:
+    """The capture's light, told from albedo before training, where the preset asks for it and there is one."""
+    if not training.preset.light:
+        return training
+    lights = None
+    if training.ranks.writes:
+        began = time.process_time()
+        found = fit_capture_light(with_refined(training.capture, training.session.partial), seed=training.options.seed)
+        training.say(f"{light_line(found)}, {time.process_time() - began:.0f} s of processor time")
+        lights = found.lights
+    return replace(training, lights=training.ranks.broadcast(lights) or {})
+
+
 def _refine(training: _Training) -> dict:
     """Refined poses and masks into the session's folder, two videos at a time; what was found."""
     found = None
@@ -319,6 +348,7 @@ def _train_parts(
         part_names(preset)[index]: PartJob(
             capture=str(training.capture.path), index=index, preset=preset, canonical_from_head=canonical_from_head,
             folder=str(folder), device=training.device, threads=threads, ranks=ranks, seed=options.seed,
+            light=training.video_light(PARTS[index], canonical_from_head),
             resume=training.session.resumed, save_every=options.save_every, preview_every=options.preview,
         )
         for index in order

@@ -57,6 +57,24 @@ class LightFit:
         return len(set(self.lights.values())) <= 1
 
 
+def light_line(fit: LightFit) -> str:
+    """One line for people on what was found."""
+    if not fit.lights:
+        return f"light: even, nothing to tell from the skin (a colour a triangle is {fit.residual:.1f} of 255 off)"
+    body = fit.lights["body"]
+    lamps = " and ".join(
+        "a lamp {:.2f} times as strong from ({:.2f}, {:.2f}, {:.2f})".format(
+            lamp.strength / body.ambient, *lamp.direction
+        )
+        for lamp in body.lamps
+    )
+    apart = "" if fit.shared else ", another in each video"
+    return (
+        f"light: ambient and {lamps} ({body.frame}), highlight {body.gloss:.2f}, gamma {body.gamma:g}{apart}; a colour "
+        f"a triangle is {fit.residual_without:.1f} of 255 off without it, {fit.residual:.1f} with"
+    )
+
+
 def fit_capture_light(capture: Capture, *, seed: int = 0) -> LightFit:
     """The light of a capture from its four videos, its poses and its template."""
     frame = light_frame(capture)
