@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Float32, UInt8, UInt32
 
+from avatar.light import CaptureLight
 from avatar.skinning import SkinWeights
 
 VIEW_MODES = ("network", "linear", "off")
@@ -37,6 +38,8 @@ class Level:
     base_color: UInt8[np.ndarray, "height width 3"]  # sRGB
     # 4 or 8, linear, f = value / 255
     features: UInt8[np.ndarray, "feature_height feature_width planes"] | None
+    # mean S and H (avatar/light.py) that the base colour shows; None: they are not told from the albedo
+    light: Float32[np.ndarray, "vertices 2"] | None = None
 
     @property
     def skin(self) -> SkinWeights:
@@ -88,6 +91,9 @@ class Avatar:
     default_view: Literal["network", "linear", "off"]
     # preset, data, body licence, measured accuracy ...: anything JSON holds
     provenance: dict[str, Any]
+    # the capture's, in the world where the camera stands before the T-pose; levels say what of it is in their base
+    # colour. None: light is not told from albedo
+    light: CaptureLight | None = None
 
     def level(self, number: int) -> Level:
         """A level of detail, 0 the finest; the coarsest where there are fewer."""
@@ -121,6 +127,11 @@ def check_level(level: Mapping[str, Any], where: str) -> None:
         if name == "features" and level[name] is None:
             continue
         _check_array(level[name], f"{where}.{name}", dtype, shape)
+    light = level.get("light")
+    if light is not None:
+        _check_array(light, f"{where}.light", "float32", (len(level["positions"]), 2))
+        right = (light[:, 0] >= 0.009) & (light[:, 0] < 100) & (light[:, 1] >= 0) & (light[:, 1] < 100)
+        _check_rows(right, f"{where}.light", "S from .01 and H from 0, both below 100", light)
     features = level["features"]
     if features is not None and features.shape[2] not in FEATURES:
         raise ValueError(f"{where}.features should be 4 or 8 a texel, are {features.shape[2]}")
@@ -169,6 +180,11 @@ def check_avatar(avatar: Avatar) -> None:
         raise ValueError(f"joint_positions should have the pelvis at the origin, has it at {pelvis}")
     if np.abs(avatar.canonical_pose[0]).max() > 0:
         raise ValueError("canonical_pose should not turn the pelvis, does")
+    held = [level.light is not None for level in avatar.levels]
+    if any(held) != (avatar.light is not None) or any(held) != all(held):
+        raise ValueError("light should be in the avatar and all of its levels, or in none of them")
+    if avatar.light is not None and avatar.light.frame != "world":
+        raise ValueError(f"light should stand still in the world, does in the {avatar.light.frame}'s frame")
     if not avatar.levels:
         raise ValueError("levels should be one or more, are none")
     for i, level in enumerate(avatar.levels):

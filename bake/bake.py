@@ -13,6 +13,8 @@ from scipy.spatial import KDTree
 
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import Avatar, write_avatar
+from avatar.light import CaptureLight
+from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, PARTS
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from bake import measure
@@ -146,6 +148,7 @@ def bake_run(
         amplitude=AMPLITUDE,
         default_view=distilled.default_view,
         provenance={**run.provenance, "baked": facts},
+        light=avatar_light(run),
     )
     facts["missed"] = []
     # with the field's own textures, whatever the file will hold
@@ -188,6 +191,16 @@ def unseen_on_surface(surface: Any) -> tuple[UnseenPlace, ...]:
 def video_steps(levels: list[BakedLevel]) -> str:
     """The steps across chart edges of each level, as its facts have them."""
     return " / ".join(f"{level.facts['seam_step']['p99']:.1f}" for level in levels)
+
+
+def avatar_light(run: Any) -> CaptureLight | None:
+    """The capture's light in the avatar's world: the camera's heading is taken off, it stands before the T-pose."""
+    light: CaptureLight | None = getattr(run, "world_light", None)
+    if light is None:
+        return None
+    backwards = np.array(run.provenance.get("light_camera", [0.0, 0.0, 1.0]), np.float64)
+    heading = float(np.arctan2(backwards[0], backwards[2]))
+    return light.turned(matrix_from_axis_angle(np.array([0.0, -heading, 0.0])), "world")
 
 
 def chosen_view(avatar: Avatar, distilled: Distilled, true: TrueViews | None) -> tuple[Mode, dict[str, Any]]:

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Float, Float32, Integer
 
 from avatar.gltf.avatar_file import Level
 from avatar.skeleton import BIG_POSE, PARTS, joint_transforms
@@ -131,6 +131,7 @@ def bake_level(
         view_seen=cone.seen.astype(np.float32),
         base_color=base,
         features=None,
+        light=seen_light(field, charted),
     )
     facts = level_facts(level, surface, face_part, chart, edges)
     return BakedLevel(level, charted, edges, {**facts, "weights_filled": data.filled})
@@ -167,6 +168,13 @@ def texel_colors(field: NumpyField, charted: Charted, texels: TexelMap) -> Float
         return result
 
     return sample_texels(color_at, texels)
+
+
+def seen_light(field: NumpyField, charted: Charted) -> Float32[np.ndarray, "corners 2"] | None:
+    """Mean S and H that the base color shows, per vertex; None where light is no factor of its own."""
+    if field.seen_light is None:
+        return None
+    return field.seen_light(charted.points, charted.normals).astype(np.float32)
 
 
 def texel_lift(field: NumpyField, charted: Charted, texels: TexelMap) -> Float[np.ndarray, "texels"]:

@@ -1,5 +1,6 @@
 """What is evaluated, a run's field or a baked avatar, as a surface to pose and a picture to draw."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ from avatar.gltf.avatar_file import Avatar, Level, read_avatar
 from bench import metrics
 from bench.field_view import Directions, FieldView, MaskedPicture, PosableSurface, averaged
 from player.context import opened
+from player.passes.light import Light
 from player.raster import Rasteriser
 from player.renderer import Renderer
+from player.scenes.effects import PLAIN
 from train.run import Run, read_run
 
 
@@ -26,8 +29,12 @@ def level_surface(avatar: Avatar, level: Level) -> PosableSurface:
     )
 
 
+# paper mode, in the light of the videos where the file tells it from the albedo: so the truth was taken
+FILMED = replace(PLAIN, view="off", light=Light())
+
+
 class Drawer:
-    """Draws the field of a run (a folder) or a baked avatar (a file), and gives back what it made."""
+    """Draws the field of a run (a folder) or a baked avatar (a file) as filmed, and gives back what it made."""
 
     def __init__(self, source: Path | Run, directions: Directions = "global"):
         self.path = source.path if isinstance(source, Run) else Path(source)
@@ -65,7 +72,7 @@ class Drawer:
         assert self.avatar is not None
         size = (samples * camera.size[0], samples * camera.size[1])
         if size not in self.renderers:
-            self.renderers[size] = Renderer(self.context, [self.avatar], size, view="off")
+            self.renderers[size] = Renderer(self.context, [self.avatar], size, effects=FILMED)
         pixels = self.renderers[size].draw([(axis_angle, root)], camera).astype(np.float32) / 255
         return averaged(pixels[..., :3], pixels[..., 3] > 0.5, samples)
 

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 
 from avatar.camera import Camera, pixel_rays, project
+from avatar.light import CaptureLight
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, skin_points
 from bake.cone import clamped_tangent, cone_direction, interpolated, view_cone
@@ -78,7 +79,7 @@ class FieldView:
     @one_thread()
     def __init__(self, run: Run):
         s = run.surface
-        self.field = run.field
+        self.field, self.light = run.field, run.world_light
         self.surface = PosableSurface(
             on_zero_set(run.field, np.asarray(s.vertices, np.float64)),
             np.asarray(s.faces, np.int64),
@@ -107,7 +108,8 @@ class FieldView:
         where: Bool[np.ndarray, "height width"] | None = None,
     ) -> MaskedPicture:
         """One picture on black, silhouettes smoothed by `samples` squared a pixel. `surface` is the same mesh with
-        other skin weights; colors outside `where` stay black."""
+        other skin weights; colors outside `where` stay black. Where the run tells light from albedo, it is lit as the
+        body's video was."""
         own = surface is None
         surface = surface or self.surface
         posed = self.posed(axis_angle, root) if own else surface.posed(axis_angle, root)
@@ -123,15 +125,40 @@ class FieldView:
         points = (weight[:, :, None] * surface.vertices[corners]).sum(1)
         seen = interpolated(self.cone, corners, weight)
         direction = seen.direction
+        if directions == "global" and self.light is None:
+            return shaded(cover, chosen, self.color(points, direction), samples)
+        rotations = blended_rotations(surface.skin, surface.transforms(axis_angle, root))
+        rows, columns = chosen
+        rays = pixel_rays(camera, (np.stack([columns, rows], -1) + 0.5) / samples)[1]
+        rotations = rotations[corners[np.arange(len(corners)), weight.argmax(1)]]
         if directions != "global":
-            rotations = blended_rotations(surface.skin, surface.transforms(axis_angle, root))
-            rows, columns = chosen
-            rays = pixel_rays(camera, (np.stack([columns, rows], -1) + 0.5) / samples)[1]
-            strongest = corners[np.arange(len(corners)), weight.argmax(1)]
-            direction = np.einsum("nji,nj->ni", rotations[strongest], rays)
+            direction = np.einsum("nji,nj->ni", rotations, rays)
             if directions == "cone":
                 direction = cone_direction(clamped_tangent(direction, seen), seen)
-        return shaded(cover, chosen, self.color(points, direction), samples)
+        if self.light is None:
+            return shaded(cover, chosen, self.color(points, direction), samples)
+        return shaded(cover, chosen, self.lit(self.light, points, direction, (rotations, -rays)), samples)
+
+    def lit(
+        self,
+        light: CaptureLight,
+        points: Float[np.ndarray, "n 3"],
+        directions: Float[np.ndarray, "n 3"],
+        posed: tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3"]],
+    ) -> Float[np.ndarray, "n 3"]:
+        """Color of canonical points under a light of the world; `posed` is world_from_canonical and towards the eye."""
+        rotations, towards_eye = posed
+        out = np.empty((len(points), 3), np.float32)
+        for start in range(0, len(points), CHUNK):
+            own = slice(start, start + CHUNK)
+            x, d = (torch.as_tensor(a[own], dtype=torch.float32) for a in (points, directions))
+            with torch.no_grad():
+                albedo, normals = (
+                    a.numpy().astype(np.float64) for a in (self.field.albedo(x, d), self.field.normal(x))
+                )
+            normals = np.einsum("nij,nj->ni", rotations[own], normals)
+            out[own] = light.shown(albedo, light.shading(normals), light.highlight(normals, towards_eye[own]))
+        return out
 
     def posed(
         self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]

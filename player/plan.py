@@ -18,6 +18,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkab
 import moderngl
 
 from avatar.baked_avatar import Avatar, Level
+from avatar.light import CaptureLight
 from player.blocks import BINDING, FRAME, bind_block
 from player.drawing import Drawing, Layer, Warming
 from player.resources import KINDS, Handle, Image, PlanResources
@@ -174,6 +175,8 @@ class Draft:
         self.image: Image | None = None
         self.background: Image | None = None
         self.margin = MARGIN
+        # what lights an avatar anew, world; None: its colors are shown as they are
+        self.light_of: Callable[[Avatar], CaptureLight | None] = lambda avatar: None
         self.kept: dict[Hashable, Any] = {}
         self._kept_before = kept
         self.handles: dict[Handle[Any], None] = {}

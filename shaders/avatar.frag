@@ -6,6 +6,14 @@
 in vec3 tangent;
 #endif
 
+#if LIT != 0
+#include "light.glsl"
+
+in vec3 lit_normal;
+in vec3 lit_position;
+in vec2 lit_seen;
+#endif
+
 uniform sampler2D base_color;
 
 in vec2 surface_uv;
@@ -23,6 +31,9 @@ void main() {
 #endif
 #if VIEW_STAGE == 2
     base = clamp(base + view_residual_at(surface_uv, tangent), 0.0, 1.0);
+#endif
+#if LIT != 0
+    base = lit(base, lit_seen, normalize(lit_normal), normalize(-lit_position));
 #endif
     color = vec4(base, 1.0);
 }

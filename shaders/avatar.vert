@@ -1,6 +1,7 @@
 #version 330
 // A posed avatar. SKINNING: 0 linear blend, 1 dual quaternions.
 // VIEW_STAGE: 0 paper mode, 1 view dependence per vertex, 2 per pixel.
+// LIT: 0 the light of the videos is in the colours, 1 the surface is lit anew (light.glsl), 2 in a power of them.
 // VIEW_MODEL and VIEW_FEATURES: see view_model.glsl (asked only when VIEW_STAGE is not 0).
 #include "frame.glsl"
 #if SKINNING == 0
@@ -15,6 +16,17 @@ in uvec4 joints;    // heaviest first
 in vec4 weights;    // sum to 1
 
 out vec2 surface_uv;
+
+#if LIT != 0
+#include "directions.glsl"
+
+in vec3 normal;      // canonical, unit
+in vec2 seen_light;  // S and H that the base colour shows
+
+out vec3 lit_normal;    // view
+out vec3 lit_position;  // view, metres
+out vec2 lit_seen;
+#endif
 
 #if VIEW_STAGE != 0
 #include "directions.glsl"
@@ -45,6 +57,13 @@ void main() {
     vec3 position_view = skinned(position, joints, weights);
     gl_Position = clip_from_view * vec4(position_view, 1.0);
     surface_uv = uv;
+#if LIT != 0
+    // R(q) n: turned_back by the conjugate
+    vec4 turn = blended_turn(joints, weights);
+    lit_normal = turned_back(vec4(-turn.xyz, turn.w), normal);
+    lit_position = position_view;
+    lit_seen = seen_light;
+#endif
 #if VIEW_STAGE != 0
     vec3 direction_canonical = turned_back(blended_turn(joints, weights), unit(position_view));
 #endif

@@ -156,6 +156,8 @@ def light_facts(capture: Capture, lights: Mapping[str, VideoLight]) -> dict[str,
     return {
         "light": {part: one.light.json() for part, one in lights.items()},
         "light_world": world_light(capture, lights["body"].light).json(),
+        # from the person towards the body's camera
+        "light_camera": (-capture.videos["body"].cameras[0].camera_from_world[2, :3]).tolist(),
         "light_seen": {part: seen_light(capture, part, one).json() for part, one in lights.items()},
     }
 

@@ -35,6 +35,7 @@ from avatar.gltf.scene import (
     triangles,
     world_from_node,
 )
+from avatar.light import light_from_json
 from avatar.png import decode_png, png_pixels
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 
@@ -88,6 +89,7 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
             amplitude=float(amplitude),
             default_view=extension["defaultView"],
             provenance=extension["provenance"],
+            light=None if extension.get("light") is None else light_from_json(extension["light"]),
         )
         check_avatar(avatar)
     except (ValueError, OverflowError) as error:
@@ -216,6 +218,11 @@ def _read_surface(gltf: Gltf, mesh: int) -> dict[str, np.ndarray]:
     if q0.shape != q1.shape or q0.ndim != 2:
         raise gltf.error(f"{where}._VIEW_Q1", f"of the shape of _VIEW_Q0 {q0.shape}", q1.shape)
     arrays["view_q"] = np.concatenate([q0, q1], axis=1)
+    if "_LIGHT" in accessors:
+        light = gltf.accessor(accessors["_LIGHT"])
+        if light.ndim != 2 or light.shape[1] != 3 or light[:, 2].any():
+            raise gltf.error(f"{where}._LIGHT", "S, H, 0 for each vertex", light.shape)
+        arrays["light"] = np.ascontiguousarray(light[:, :2])
     arrays["faces"] = triangles(gltf, mesh, 0, len(arrays["positions"]))
     return arrays
 

@@ -98,6 +98,8 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         extension["network"] = {name: _flat(values) for name, values in arrays.items()}
     if avatar.linear is not None:
         extension["linear"] = _flat(avatar.linear)
+    if avatar.light is not None:
+        extension["light"] = avatar.light.json()
     return builder.to_bytes(
         {
             "asset": {"version": "2.0", "generator": "selfscan"},
@@ -123,6 +125,8 @@ def _add_surface(builder: GltfBuilder, level: Level) -> dict[str, Any]:
     # three numbers as the others: Blender up to 5.1 takes attributes of several types for one another (its #2658)
     seen = level.view_seen[:, None]
     arrays["_VIEW_SEEN"] = np.concatenate([seen, np.zeros((len(seen), 2), np.float32)], axis=1)
+    if level.light is not None:
+        arrays["_LIGHT"] = np.concatenate([level.light, np.zeros((len(seen), 1), np.float32)], axis=1)
     arrays["JOINTS_0"] = np.where(level.weights > 0, level.joints, 0).astype(np.uint8)
     attributes = {
         name: builder.add_accessor(values, VERTICES, normalised=name == "WEIGHTS_0", bounds=name == "POSITION")

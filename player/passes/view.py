@@ -10,6 +10,7 @@ from avatar.baked_avatar import Avatar
 from player.constants import avatar_constants
 from player.drawing import Drawing, Layer, Warming
 from player.mesh import VIEW_VERTEX, view_interleaved
+from player.passes.light import Lit, lit
 from player.plan import Absent, Decision, Draft, State
 from player.posed_mesh import PosedMesh, posed_mesh, vertex_order
 from player.resources import Handle, PlanResources
@@ -38,6 +39,8 @@ class ViewPass:
     # by unit: base color, features, more features
     textures: tuple[Handle[moderngl.Texture], ...]
     running: Decision
+    # the program that lights it anew, and by what
+    lighting: tuple[Handle[moderngl.Program], Lit] | None = None
 
     def decide(self, drawing: Drawing) -> Decision:
         if not drawing.visible[self.mesh.avatar]:
@@ -48,6 +51,9 @@ class ViewPass:
         drawing.enter(self.layer)
         self.mesh.pose(drawing)
         self._bind(drawing.resources)
+        if self.lighting is not None:
+            program, light = self.lighting
+            light.apply(drawing.resources[program], drawing.inputs.camera)
         drawing.resources[self.array].render()
 
     def warm(self, warming: Warming) -> None:
@@ -81,16 +87,19 @@ def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.
         f"{tag} view vertices", VIEW_VERTEX.itemsize * len(mesh.positions), avatar, draft.level,
         content=lambda made: view_interleaved(mesh)[vertex_order(made, mesh)[0]].tobytes(),
     )  # fmt: skip
-    features = _feature_textures(draft, avatar)
+    features, light = _feature_textures(draft, avatar), lit(draft, avatar)
     program = draft.program(
         "avatar.vert", "avatar.frag", samplers=SAMPLERS, avatar=avatar, constants=lambda: avatar_constants(who),
         SKINNING=int(draft.dual), VIEW_STAGE=STAGE[mode], VIEW_MODEL=int(network), VIEW_FEATURES=mesh.features.shape[2],
+        LIT=0 if light is None else light.variant,
     )  # fmt: skip
     textures = (base_color, *features)
-    array = posed.array(draft, program, (vertices, *ATTRIBUTES))
+    array = posed.array(draft, program, (vertices, *ATTRIBUTES), *(() if light is None else (light.buffer,)))
+    more = () if light is None else (light.vertices, program)
     return ViewPass(
-        f"{tag}: view {mode}", (*draft.drawn_on, *posed.handles, vertices, *textures, array), mode, posed, draft.layer,
-        array, textures, Decision(State.RUNS, why),
+        f"{tag}: view {mode}", (*draft.drawn_on, *posed.handles, vertices, *textures, array, *more), mode, posed,
+        draft.layer, array, textures, Decision(State.RUNS, why + ("" if light is None else light.note)),
+        None if light is None else (program, light),
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from avatar.settings import OneOf, Setting, check, rule_of, settings_of
 from player.passes.antialiasing import BestAntialiasing
 from player.passes.background import Background
 from player.passes.fxaa import Fxaa
+from player.passes.light import Light
 from player.passes.msaa import Msaa
 from player.passes.outline import Outline
 from player.passes.view import VIEWS
@@ -50,6 +51,9 @@ class Effects:
         "smooth outlines: fxaa filters them in the finished picture, msaa takes 4 samples a pixel; auto is msaa on a "
         "GPU and fxaa on a software rasteriser",
     ] = "auto"
+    light: Annotated[
+        Light | None, "avatars lit anew, not in the colors they were filmed in: by the capture's light, none, or lamps"
+    ] = None
     outline: Annotated[Outline | None, "a line round each avatar, and where its limbs pass before it"] = None
 
     def __post_init__(self):

@@ -1,0 +1,132 @@
+"""Avatars lit anew: read back and held against avatar/light.py, and nothing where it is not asked for."""
+
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+import pytest
+
+from avatar.camera import orbit_camera
+from avatar.gltf.avatar_file import read_avatar, write_avatar
+from avatar.light import CaptureLight, lamps_of
+from avatar.skeleton import skin_transforms
+from avatar.skinning import blended_rotations, skin_points
+from player.passes.light import Light
+from player.raster import Rasteriser
+from player.scenes.effects import PLAIN
+
+SIZE = (120, 140)
+CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)
+SIDE = lamps_of(np.array([[0.8, 0.5, 0.2], [-0.7, 0.1, -0.3]]), np.array([0.6, 0.3]))
+OFF = replace(PLAIN, view="off")
+
+
+def lit_avatar(avatar, gamma: float = 1.0, gloss: float = 0.1):
+    """The built-in body as if it had been filmed in a light; what it was seen under varies over it."""
+    level = avatar.levels[0]
+    seen = np.stack([0.9 + 0.2 * level.normals[:, 1], 0.02 + 0.01 * level.normals[:, 0]], 1).astype(np.float32)
+    light = CaptureLight(0.4, SIDE, gloss=gloss, gamma=gamma, frame="world")
+    return replace(avatar, levels=(replace(level, light=seen),), light=light)
+
+
+def expected(context, avatar, pose, base, light):
+    """The picture by NumPy, where a pixel shows one triangle in the middle of others."""
+    level = avatar.levels[0]
+    axis_angle, root = pose
+    transforms = skin_transforms(axis_angle, avatar.joint_positions, root, rest=avatar.canonical_pose)
+    posed = skin_points(level.positions, level.skin, transforms)
+    normals = np.einsum("vij,vj->vi", blended_rotations(level.skin, transforms), level.normals)
+    raster = Rasteriser(context)
+    try:
+        drawn = raster.draw(posed, level.faces.astype(np.int64), CAMERA)
+    finally:
+        raster.release()
+    hit = drawn.face >= 0
+    corners, weight = level.faces[drawn.face[hit]], drawn.barycentric[hit].astype(np.float64)
+    of = lambda values: (weight[:, :, None] * values[corners]).sum(1)
+    unit = lambda v: v / np.linalg.norm(v, axis=1, keepdims=True)
+    n, seen, eye = unit(of(normals)), of(level.light.astype(np.float64)), unit(CAMERA.eye - of(posed))
+    albedo = light.albedo(base[hit] / 255, seen[:, 0], seen[:, 1])
+    return hit, 255 * light.shown(albedo, light.shading(n), light.highlight(n, eye))
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+@pytest.mark.parametrize("skinning", ["lbs", "dual_quaternion"])
+def test_the_captures_light_is_what_numpy_says_and_stays_where_it_was(render, context, avatar, pose, gamma, skinning):
+    filmed = lit_avatar(avatar, gamma)
+    effects = replace(OFF, skinning=skinning)
+    base = render(filmed, SIZE, effects=effects).draw([pose], CAMERA)
+    shown = render(filmed, SIZE, effects=replace(effects, light=Light())).draw([pose], CAMERA)
+    if skinning == "dual_quaternion":
+        # its surface lies elsewhere; that it is lit is enough
+        assert np.abs(shown[..., :3].astype(int) - base[..., :3]).max() > 30
+        return
+    hit, truth = expected(context, filmed, pose, base[..., :3].astype(np.float64), filmed.light)
+    off = np.abs(shown[..., :3][hit] - truth).max(1)
+    assert np.quantile(off, 0.9) <= 1.5
+    assert off.mean() < 1.5
+
+
+def test_without_light_albedo_is_shown(render, context, avatar, pose):
+    filmed = lit_avatar(avatar)
+    base = render(filmed, SIZE, effects=OFF).draw([pose], CAMERA)
+    shown = render(filmed, SIZE, effects=replace(OFF, light=Light(by="albedo"))).draw([pose], CAMERA)
+    hit, truth = expected(context, filmed, pose, base[..., :3].astype(np.float64), CaptureLight(1.0))
+    assert np.quantile(np.abs(shown[..., :3][hit] - truth).max(1), 0.9) <= 1.5
+
+
+def test_lamps_that_a_scene_names_light_an_avatar_whose_file_tells_no_light(render, avatar, pose):
+    lamps = Light(by="lamps", ambient=0.0, strength=1.0, direction=(0.0, 0.0, 1.0))
+    base = render(avatar, SIZE, effects=OFF).draw([pose], CAMERA)
+    shown = render(avatar, SIZE, effects=replace(OFF, light=lamps)).draw([pose], CAMERA)
+    assert (shown <= base).all()
+    assert shown[..., :3].sum() < 0.95 * base[..., :3].sum()
+    even = Light(by="lamps", ambient=1.0, strength=0.0)
+    same = render(avatar, SIZE, effects=replace(OFF, light=even)).draw([pose], CAMERA)
+    assert np.abs(same.astype(int) - base).max() <= 1
+
+
+@pytest.mark.parametrize("view", ["off", "vertex", "network"])
+def test_not_asked_for_it_is_the_same_frame_program_and_objects(render, context, avatar, pose, view):
+    plain = render(avatar, SIZE, effects=replace(PLAIN, view=view))
+    before = plain.draw([pose], CAMERA).copy(), context.counts.objects(), plain.plan.bytes
+    plain.release()
+    filmed = render(lit_avatar(avatar), SIZE, effects=replace(PLAIN, view=view))
+    after = filmed.draw([pose], CAMERA), context.counts.objects(), filmed.plan.bytes
+    assert np.array_equal(before[0], after[0])
+    assert before[1:] == after[1:]
+    programs = [handle for handle in filmed.plan.handles if handle.kind is moderngl.Program]
+    assert programs
+    assert all(("LIT", 0) in program.depends_on for program in programs)
+
+
+def test_view_dependence_is_lit_too_and_explained(render, avatar, pose):
+    filmed = lit_avatar(avatar)
+    lit = render(filmed, SIZE, effects=replace(PLAIN, view="network", light=Light()))
+    dark = lit.draw([pose], CAMERA).copy()
+    assert any("lit by ambient 0.40 and 2 lamps" in one.decision.why for one in lit.drawn)
+    bright = render(filmed, SIZE, effects=replace(PLAIN, view="network")).draw([pose], CAMERA)
+    assert np.abs(dark.astype(int) - bright).max() > 30
+
+
+def test_the_file_gives_the_light_back(tmp_path, avatar):
+    filmed = lit_avatar(avatar, 2.2)
+    write_avatar(tmp_path / "lit.glb", filmed)
+    found = read_avatar(tmp_path / "lit.glb")
+    assert found.light == filmed.light
+    np.testing.assert_array_equal(found.levels[0].light, filmed.levels[0].light)
+    with pytest.raises(ValueError, match="light should be in the avatar and all of its levels"):
+        write_avatar(tmp_path / "half.glb", replace(filmed, light=None))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"by": "sun"}, "by"),
+        ({"by": "lamps", "direction": (0.0, 0.0, 0.0)}, "direction: expected a direction"),
+        ({"by": "lamps", "ambient": 0.0, "strength": 0.0}, "ambient: expected some light"),
+    ],
+)
+def test_what_lights_nothing_is_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        Light(**settings)
