@@ -1,0 +1,61 @@
+"""The light that a baked avatar's base colour shows, and where its lamps stand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import torch
+
+from avatar.light import CaptureLight, lamps_of
+from bake.bake import avatar_light
+from bake.field import numpy_field
+from bake.level import Charted, seen_light
+
+
+class Field:
+    """A field of a plane whose mean shading grows upwards."""
+
+    seen: tuple | None = ()
+
+    def distance(self, points):
+        return points[:, 1]
+
+    def normal(self, points):
+        return torch.tensor([0.0, 1.0, 0.0]).expand(len(points), 3)
+
+    def color(self, points, directions):
+        return 0.5 + 0 * points
+
+    def seen_light(self, points, normals):
+        return torch.stack([1 + 0.1 * normals[:, 1], 0.01 * points[:, 0]], 1)
+
+
+def charted() -> Charted:
+    points, up = np.random.default_rng(0).uniform(0, 1, (5, 3)), np.tile([0.0, 1.0, 0.0], (5, 1))
+    cone = SimpleNamespace()
+    return Charted(np.zeros((5, 2)), np.array([[0, 1, 2]]), points, up, cone)  # type: ignore[arg-type]
+
+
+def test_each_vertex_holds_the_light_of_its_place_and_normal():
+    found = seen_light(numpy_field(Field()), charted())
+    assert found is not None
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, np.stack([np.full(5, 1.1), 0.01 * charted().points[:, 0]], 1), rtol=1e-6)
+
+
+def test_a_field_whose_light_is_no_factor_has_none():
+    field = Field()
+    field.seen = None
+    assert seen_light(numpy_field(field), charted()) is None
+    assert avatar_light(SimpleNamespace(provenance={})) is None
+
+
+def test_the_avatars_lamps_lie_where_the_camera_stands_before_it():
+    light = CaptureLight(0.5, lamps_of(np.array([[1.0, 0.0, 0.0]]), np.array([0.4])), frame="world")
+    # the camera stood at +x: its lamp, straight behind it, comes to stand at +z
+    run = SimpleNamespace(world_light=light, provenance={"light_camera": [1.0, 0.0, 0.0]})
+    turned = avatar_light(run)
+    assert turned is not None
+    np.testing.assert_allclose(turned.directions, [[0.0, 0.0, 1.0]], atol=1e-12)
+    straight = avatar_light(SimpleNamespace(world_light=light, provenance={"light_camera": [0.0, 0.08, 1.0]}))
+    assert straight is not None
+    np.testing.assert_allclose(straight.directions, [[1.0, 0.0, 0.0]], atol=1e-12)

@@ -1,0 +1,108 @@
+"""Light as a factor while a part learns, and the mean of it that the finished person shows."""
+
+import numpy as np
+import pytest
+import torch
+from painted_capture import write_capture
+
+from avatar.light import CaptureLight, lamps_of
+from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
+from avatar.skeleton import PARTS
+from capture.folder import read_capture
+from train.deform import canonical_directions, posed_directions
+from train.light import harmonics, light_facts, seen_lights_from_json, seen_tensors, video_light, world_light
+from train.options import TrainOptions
+from train.preset import PRESETS
+
+LAMPS = lamps_of(np.array([[0.5, -0.6, -0.7], [-0.8, 0.0, -0.3]]), np.array([0.5, 0.3]))
+
+
+def unit(seed: int, *shape: int) -> np.ndarray:
+    found = np.random.default_rng(seed).standard_normal((*shape, 3))
+    return found / np.linalg.norm(found, axis=-1, keepdims=True)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    return read_capture(write_capture(tmp_path_factory.mktemp("lit") / "capture", size=24, frames=4))
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+def test_sections_are_lit_as_numpy_says_in_the_frame_of_each_ray(capture, gamma):
+    light = CaptureLight(0.4, LAMPS, gloss=0.1, gamma=gamma)
+    video = video_light(capture, "body", light, np.eye(4))
+    normals, eyes, frame = unit(0, 60, 3), unit(1, 60), np.arange(60) % 4
+    albedo = np.random.default_rng(2).uniform(0.05, 0.9, (60, 3, 3))
+    put = lambda array: torch.as_tensor(array, dtype=torch.float32)
+    found = video.tensors(torch.device("cpu")).lit(put(albedo), put(normals), put(eyes), torch.as_tensor(frame))
+    for ray in range(60):
+        R = video.light_from_ray[frame[ray]]
+        n, v = normals[ray] @ R.T, np.tile(R @ eyes[ray], (3, 1))
+        expected = light.shown(albedo[ray], light.shading(n), light.highlight(n, v))
+        np.testing.assert_allclose(found[ray].numpy(), expected, atol=2e-6)
+
+
+def test_black_skin_in_the_dark_has_a_finite_gradient(capture):
+    video = video_light(capture, "body", CaptureLight(0.0, LAMPS, gamma=2.2), np.eye(4))
+    albedo = torch.zeros(4, 2, 3, requires_grad=True)
+    normals, eyes = (torch.as_tensor(unit(3, *shape), dtype=torch.float32) for shape in ((4, 2), (4,)))
+    video.tensors(torch.device("cpu")).lit(albedo, normals, eyes, torch.arange(4)).sum().backward()
+    assert albedo.grad is not None
+    assert torch.isfinite(albedo.grad).all()
+
+
+def test_posed_directions_undo_canonical_ones():
+    rotations = matrix_from_axis_angle(np.random.default_rng(4).uniform(-2, 2, (50, 4, 3)))
+    bones = torch.as_tensor(quaternion_from_matrix(rotations)).float()
+    weights = torch.rand(50, 4, generator=torch.Generator().manual_seed(0)).sort(1, descending=True).values
+    directions = torch.as_tensor(unit(5, 50)).float()
+    back = posed_directions(canonical_directions(directions, weights, bones), weights, bones)
+    torch.testing.assert_close(back, directions, rtol=0, atol=1e-5)
+
+
+def test_the_seen_light_is_the_mean_over_the_frames_that_face_a_normal(capture):
+    """Of a head whose frames are rigid: by hand, at normals between those that it was fitted at."""
+    light = CaptureLight(0.5, LAMPS)
+    video = video_light(capture, "head", light, np.eye(4))
+    facts = light_facts(capture, {part: video_light(capture, part, light, np.eye(4)) for part in PARTS})
+    seen = seen_tensors(seen_lights_from_json("light_seen", facts["light_seen"]))[PARTS.index("head")]
+    normals = unit(6, 40)
+    sums = np.zeros((2, 40))
+    for R in video.light_from_ray:
+        weight = np.maximum(normals @ R.T @ [0, 0, -1.0], 0) + 1e-3
+        sums += weight * np.stack([np.ones(40), light.shading(normals @ R.T)])
+    found = seen.at(torch.as_tensor(normals).float())[:, 0].numpy()
+    # four frames and 25 numbers
+    assert np.abs(found - sums[1] / sums[0]).mean() < 0.03
+
+
+def test_an_even_light_is_seen_as_one_everywhere(capture):
+    videos = {part: video_light(capture, part, CaptureLight(1.0), np.eye(4)) for part in PARTS}
+    facts = light_facts(capture, videos)
+    for seen in seen_tensors(seen_lights_from_json("x", facts["light_seen"])):
+        albedo = torch.rand(20, 3, generator=torch.Generator().manual_seed(1))
+        torch.testing.assert_close(seen.shown(albedo, torch.as_tensor(unit(7, 20)).float()), albedo, rtol=0, atol=1e-5)
+
+
+def test_the_world_light_is_the_cameras_turned_by_the_camera(capture):
+    light = CaptureLight(0.4, LAMPS)
+    world = world_light(capture, light)
+    camera_from_world = capture.videos["body"].cameras[0].camera_from_world[:3, :3]
+    normals = unit(8, 30)
+    assert world.frame == "world"
+    np.testing.assert_allclose(world.shading(normals), light.shading(normals @ camera_from_world.T), atol=1e-12)
+
+
+def test_harmonics_are_orthogonal_over_the_sphere():
+    basis = harmonics(unit(9, 200_000))
+    gram = basis.T @ basis / len(basis)
+    scale = np.sqrt(np.diag(gram))
+    assert np.abs(gram / np.outer(scale, scale) - np.eye(25)).max() < 0.02
+
+
+def test_the_paper_has_no_light_factor_and_a_command_can_leave_it_out(tmp_path):
+    assert not PRESETS["paper"].light
+    options = lambda **changes: TrainOptions(capture=tmp_path, out=tmp_path / "run", **changes).chosen_preset()
+    assert options().light
+    assert not options(light="off").light
+    assert not options(single=True).light
