@@ -19,7 +19,7 @@ from bench.paper_tables import (
     REGIONS,
 )
 from experiments.quality_page import light_of_facts, lights_order
-from experiments.table_row import ROWS, SEAMS
+from experiments.table_row import ROWS, SEAMS, SINGLE
 
 # label, digits of ours, digits in the paper
 SHOWN = {"p2s_cm": ("P2S", 3, 2), "chamfer_cm": ("CD", 3, 2), "psnr_db": ("PSNR", 2, 2), "ssim": ("SSIM", 3, 3),
@@ -155,7 +155,7 @@ def title_of(name: str, results: list[dict[str, Any]], people: int) -> str:
     count = len({result["name"] for result in results})
     title = ROWS[name].title + (f" ({count} of {people} people)" if count < people else "")
     # measured before the single network had the parts' place of the head
-    earlier = ROWS[name].single and any(result.get("head") is None for result in results)
+    earlier = ROWS[name].training == SINGLE and any(result.get("head") is None for result in results)
     return title + (" (its head by landmarks only, Eq. 6)" if earlier else "")
 
 

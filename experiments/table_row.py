@@ -30,25 +30,39 @@ from bench.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import read_capture
 from capture.held_out import HeldOutView, read_capture_facts, read_held_out
 from experiments.row_sheet import write_sheet
-from experiments.variants import seam_steps, variant
+from experiments.variants import VARIANTS, seam_steps, variant
 from train.run import Run, read_run
 
 FORMAT = "selfscan-table-row"
 
 
 @dataclass(frozen=True)
+class Training:
+    """One training of a person, as `selfscan train` is asked for it."""
+
+    # behind the capture's name in the folder of runs
+    suffix: str = ""
+    words: tuple[str, ...] = ()
+
+
+PARTS_TRAINING = Training()
+SINGLE = Training("_single", ("--single",))
+LIGHT_OFF = Training("_light_off", ("--light", "off"))
+
+
+@dataclass(frozen=True)
 class Row:
     """A row: how it differs from ours, and the seams that show it where the paper only has pictures."""
 
-    # of the variant (experiments/variants.py), but for the last two
+    # of the variant (experiments/variants.py), where it is one
     name: str
     title: str
     # seams that should be worse than ours
     places: tuple[str, ...] = ()
     # by this number of them
     measure: str = ""
-    # another training: `selfscan train --single`
-    single: bool = False
+    # the training it is measured on
+    training: Training = PARTS_TRAINING
     directions: Directions = "global"
 
 
@@ -61,7 +75,9 @@ ROWS = {
         Row("no_L_g", "without L_g (Eq. 7)", SEAMS, "step_mm"),
         Row("no_codes_no_fusion", "without codes and fusion (Eq. 8, 9)", SEAMS, "shown_color_step"),
         Row("no_fusion", "without fusion (Eq. 9)", SEAMS, "shown_color_step"),
-        Row("single", "single network, as many parameters", single=True),
+        Row("one_surface", "hair and body as one surface"),
+        Row("light_off", "without light as its own factor", training=LIGHT_OFF),
+        Row("single", "single network, as many parameters", training=SINGLE),
         Row("no_ray_transform", "without ray transformation (Eq. 14)", directions="own"),
     )
 }
@@ -109,7 +125,7 @@ def measure_row(
     """Everything that a row says of one person; its picture is written to `folder`."""
     start, cpu_start = time.perf_counter(), time.process_time()
     trained = read_run(run_path)
-    changed = variant(trained, read_capture(capture), row.name) if row.places else trained
+    changed = variant(trained, read_capture(capture), row.name) if row.name in VARIANTS else trained
     steps = finite(seam_steps(changed)) if row.places or row.name == "ours" else None
     facts = read_capture_facts(capture)
     truth = read_true_mesh(capture)
@@ -125,7 +141,7 @@ def measure_row(
         try:
             if row.name != "ours":
                 perceive = read_perceptual(lpips).score if lpips else None
-                measured = row.single or not same_surface(changed, trained)
+                measured = row.training != PARTS_TRAINING or not same_surface(changed, trained)
                 result = measured_row(drawer, truth, some_poses(views, poses), measured, perceive)
             write_sheet(drawer, truth, capture, facts, views, row.title, folder / row.name, steps)
             measured_on = machine(drawer.context.renderer, drawer.context.kind)
@@ -139,7 +155,9 @@ def measure_row(
         "seed": trained.provenance.get("seed"),
         "preset": trained.provenance.get("preset"),
         # where its training got the head's place; rows measured before say nothing: Eq. 6 alone
-        "head": trained.provenance.get("registration", {}).get("from", "its own parts") if row.single else None,
+        "head": trained.provenance.get("registration", {}).get("from", "its own parts")
+        if row.training == SINGLE
+        else None,
         "parameters": sum(p.numel() for p in trained.field.parameters()),
         **result,
         "seams": steps,

@@ -21,7 +21,7 @@ from avatar.files import whole_file
 from bench.demo import command
 from capture.held_out import read_capture_facts
 from experiments.table_page import page
-from experiments.table_row import FORMAT, ROWS, Row, finished, stamp
+from experiments.table_row import FORMAT, PARTS_TRAINING, ROWS, SINGLE, Row, Training, finished, stamp
 from train.preset import PRESETS
 
 SAME = (
@@ -41,7 +41,7 @@ class Options:
 
     out: Path
     captures: tuple[Path, ...]
-    # trained runs: CAPTURE, CAPTURE_single, with _seedN for seeds other than 0
+    # trained runs: CAPTURE, CAPTURE_single, CAPTURE_light_off, with _seedN for seeds other than 0
     runs: Path
     rows: tuple[str, ...]
     seeds: tuple[int, ...]
@@ -58,19 +58,18 @@ def note(text: str) -> None:
     print(f"tables: {text}", file=sys.stderr, flush=True)
 
 
-def run_of(options: Options, capture: Path, seed: int, *, single: bool) -> Path:
-    name = capture.name + ("_single" if single else "") + (f"_seed{seed}" if seed else "")
+def run_of(options: Options, capture: Path, seed: int, training: Training) -> Path:
+    name = capture.name + training.suffix + (f"_seed{seed}" if seed else "")
     return options.runs / name
 
 
-def train(options: Options, capture: Path, seed: int, single: bool) -> Callable[[], int]:
+def train(options: Options, capture: Path, seed: int, training: Training) -> Callable[[], int]:
     """`selfscan train` of one run, going on where an interrupted one stopped."""
-    run = run_of(options, capture, seed, single=single)
+    run = run_of(options, capture, seed, training)
     words: list[str | Path] = ["selfscan", "train", capture, "-o", run, "--preset", options.preset]
-    words += ["--seed", str(seed)]
-    if single:
-        words.append("--single")
-        ours = run_of(options, capture, seed, single=False)
+    words += ["--seed", str(seed), *training.words]
+    if training == SINGLE:
+        ours = run_of(options, capture, seed, PARTS_TRAINING)
         if (ours / "run.json").exists():
             words += ["--head-from", ours]
     words += ["--iterations", str(options.iterations)] if options.iterations else []
@@ -79,7 +78,7 @@ def train(options: Options, capture: Path, seed: int, single: bool) -> Callable[
 
 
 def measure(options: Options, capture: Path, seed: int, row: Row) -> Callable[[], int]:
-    words: list[str | Path] = ["experiments.table_row", run_of(options, capture, seed, single=row.single), capture]
+    words: list[str | Path] = ["experiments.table_row", run_of(options, capture, seed, row.training), capture]
     words += [row.name, folder_of(options, capture, seed), "--poses", str(options.poses)]
     words += ["--our-poses", str(options.our_poses)] if options.our_poses else []
     words += ["--lpips", *options.lpips] if options.lpips else []
@@ -110,12 +109,12 @@ def check_run(run: Path, capture: Path, options: Options, seed: int) -> None:
             raise AssetError(f"{run}: {name} should be {value!r}, is {facts.get(name)!r}")
 
 
-def ensure_trained(options: Options, capture: Path, seed: int, single: bool) -> bool:
+def ensure_trained(options: Options, capture: Path, seed: int, training: Training) -> bool:
     """Whether the run is there, after training it where it was not."""
-    run = run_of(options, capture, seed, single=single)
+    run = run_of(options, capture, seed, training)
     if not (run / "run.json").exists():
         note(f"{run.name}: training, preset {options.preset}")
-        if train(options, capture, seed, single)() != 0:
+        if train(options, capture, seed, training)() != 0:
             return False
     check_run(run, capture, options, seed)
     return True
@@ -126,13 +125,13 @@ def person(options: Options, capture: Path, seed: int) -> list[str]:
     label = f"{capture.name}, seed {seed}"
     rows = [ROWS[name] for name in options.rows]
     trained = {}
-    for single in sorted({row.single for row in rows}):
-        trained[single] = ensure_trained(options, capture, seed, single)
-    absent = [f"{label}: {row.title} (training failed)" for row in rows if not trained[row.single]]
+    for training in dict.fromkeys(row.training for row in rows):
+        trained[training] = ensure_trained(options, capture, seed, training)
+    absent = [f"{label}: {row.title} (training failed)" for row in rows if not trained[row.training]]
 
     def one(row: Row) -> str | None:
         path = folder_of(options, capture, seed) / f"{row.name}.json"
-        run = run_of(options, capture, seed, single=row.single)
+        run = run_of(options, capture, seed, row.training)
         expected = stamp(run, capture, row, options.poses, options.our_poses, options.lpips)
         if finished(path, expected):
             note(f"{label}: {row.title}: kept")
@@ -141,7 +140,7 @@ def person(options: Options, capture: Path, seed: int) -> list[str]:
         code = measure(options, capture, seed, row)()
         return f"{label}: {row.title} (failed with status {code})" if code else None
 
-    ready = [row for row in rows if trained[row.single]]
+    ready = [row for row in rows if trained[row.training]]
     first = [row for row in ready if row.name == "ours"]  # its close-ups stand beside the other rows'
     with ThreadPoolExecutor(options.jobs) as pool:
         said = [one(row) for row in first] + list(pool.map(one, [row for row in ready if row not in first]))

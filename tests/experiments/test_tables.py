@@ -179,3 +179,20 @@ def test_what_cannot_be_measured_is_said_and_the_rest_goes_on(people, monkeypatc
     assert "without fusion (Eq. 9) (failed with status 3)" in capsys.readouterr().err
     assert "## Not measured" in (out / "tables.md").read_text()
     assert {r["row"] for r in collect(out)[0]} == set(ROWS)  # what was there stays
+
+
+def test_a_row_of_another_training_is_trained_apart_and_asked_for_it(people, monkeypatch, capsys):
+    arguments, out = people
+    asked = []
+
+    def fail(*words):
+        asked.append([str(word) for word in words])
+        return lambda: 1
+
+    monkeypatch.setattr(experiments.tables, "command", fail)
+    assert main([*arguments[:3], "--poses", "1", "--rows", "light_off"]) == 1
+    assert "without light as its own factor (training failed)" in (out / "tables.md").read_text()
+    (words,) = asked  # ours is not trained again, and no row is measured
+    assert words[:2] == ["selfscan", "train"] and words[4].endswith("striped_light_off")
+    assert words[-2:] == ["--light", "off"]
+    capsys.readouterr()
