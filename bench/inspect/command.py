@@ -19,6 +19,7 @@ from avatar.skeleton import JOINTS
 from bench.inspect import accuracy_sections as accuracy
 from bench.inspect import drawn_sections as drawn
 from bench.inspect import surface_sections as surface
+from bench.inspect.face_section import face
 from bench.inspect.inspection import Inspection, Inspector, Measured
 from bench.inspect.page import Section, page
 from bench.inspect.truth_distance import from_run, from_truth
@@ -28,6 +29,7 @@ EXAMPLES = f"""DIR gets inspect.html, one page with everything in it (mail it, o
 pictures as files, and inspect.json with the numbers. It needs no display. What the page shows, and what to look for:
 
   as drawn       six standard views, the paper's colors and with view dependence; strained poses; turntable
+  face           at 512 px; --capture: beside true pictures, with the error of the eye region
   parts          body, head and hands            weights      who moves what; --joint NAME: one joint alone
   texels         their size on the surface       seams        chart edges by the step of color across them
   cones          how far color may follow the eye, and what no camera ever saw
@@ -45,8 +47,8 @@ joints: {", ".join(JOINTS[:22])},
   and left_ right_ with index middle pinky ring thumb 1 2 3"""
 
 
-ORDER = ("look", "poses", "turntable", "parts", "weights", "texels", "seams", "cones", "triangles", "field", "truth",
-         "levels", "accuracy", "provenance")  # fmt: skip
+ORDER = ("look", "face", "poses", "turntable", "parts", "weights", "texels", "seams", "cones", "triangles", "field",
+         "truth", "levels", "accuracy", "provenance")  # fmt: skip
 
 
 def parse_joint(text: str) -> str:
@@ -117,6 +119,7 @@ def inspect(
         topics: list[Callable[[], Any]] = [
             *(partial(topic, inspector) for topic in (drawn.looks, drawn.posed, drawn.levels)),
             lambda: drawn.turntable(inspector, turns),
+            lambda: face(inspector, capture),
             # VTK makes contexts of its own: ours draws before, and is gone then
             context.release,
             lambda: surface.weights(inspector, joints or []),

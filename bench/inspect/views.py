@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, orbit_camera
@@ -27,16 +27,13 @@ def standard_views(avatar: Avatar, size: int) -> list[InspectView]:
     points = avatar.levels[0].positions.astype(np.float64)
     low, high = points.min(0), points.max(0)
     middle, across = (low + high) / 2, float((high - low)[:2].max())
-    joints = joint_transforms(avatar.canonical_pose, avatar.joint_positions.astype(np.float64))[:, :3, 3]
-    head = joints[JOINTS.index("head")]
-    above = points[(points[:, 1] > head[1]) & (np.abs(points[:, 0] - head[0]) < 0.2)]
-    top = above[:, 1].max() if len(above) else head[1] + 0.2
-    face = np.array([head[0], (head[1] - 0.06 + top) / 2, head[2]])
+    joints = _joints(avatar)
+    face, height = _face(avatar)
     views = [
         _view("front", middle, 0.0, 0.0, across, size),
         _view("back", middle, np.pi, 0.0, across, size),
-        _view("head", face, 0.35, 0.05, top - head[1] + 0.10, size // 2),
-        _view("head, side", face, 1.5, 0.05, top - head[1] + 0.10, size // 2),
+        _view("head", face, 0.35, 0.05, height, size // 2),
+        _view("head, side", face, 1.5, 0.05, height, size // 2),
     ]
     for side in ("left", "right"):
         wrist, tip = joints[JOINTS.index(f"{side}_wrist")], joints[JOINTS.index(f"{side}_middle3")]
@@ -44,6 +41,26 @@ def standard_views(avatar: Avatar, size: int) -> list[InspectView]:
         target = wrist + 0.6 * (tip - wrist)
         views.append(_view(f"{side} hand", target, 0.0, 1.15, 1.5 * length, size // 2))
     return views
+
+
+def face_views(avatar: Avatar, size: int) -> list[InspectView]:
+    """The face, filling the picture: from the front, and from a little to either side."""
+    face, height = _face(avatar)
+    turns = (("face", 0.0), ("face, from its left", 0.7), ("face, from its right", -0.7))
+    return [_view(name, face, azimuth, 0.0, height - 0.02, size) for name, azimuth in turns]
+
+
+def _joints(avatar: Avatar) -> Float[np.ndarray, "52 3"]:
+    return joint_transforms(avatar.canonical_pose, avatar.joint_positions.astype(np.float64))[:, :3, 3]
+
+
+def _face(avatar: Avatar) -> tuple[Float[np.ndarray, "3"], float]:
+    """Middle of the head and the height of a picture of it, metres."""
+    points = avatar.levels[0].positions.astype(np.float64)
+    head = _joints(avatar)[JOINTS.index("head")]
+    above = points[(points[:, 1] > head[1]) & (np.abs(points[:, 0] - head[0]) < 0.2)]
+    top = float(above[:, 1].max()) if len(above) else float(head[1]) + 0.2
+    return np.array([head[0], (head[1] - 0.06 + top) / 2, head[2]]), top - float(head[1]) + 0.10
 
 
 def _view(name: str, target: np.ndarray, azimuth: float, elevation: float, height: float, size: int) -> InspectView:

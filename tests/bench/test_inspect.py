@@ -10,14 +10,18 @@ from PIL import Image
 from tiny_avatar import tiny_avatar, tiny_level, unit
 
 from avatar.errors import AssetError
-from avatar.gltf.avatar_file import write_avatar
+from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
 from bench.inspect import mesh_facts
 from bench.inspect.colors import ABSENT, SEQUENTIAL, ramp, rgb
 from bench.inspect.command import inspect, inspect_main
+from bench.inspect.face_section import beside_truth, decibels
 from bench.inspect.page import Check, PagePicture, Section, flattened, page
 from bench.inspect.truth_distance import from_field, from_truth
+from bench.true_mesh import read_true_mesh
+from capture.held_out import read_held_out
+from player.context import open_context
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float) * 0.1
 SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -65,7 +69,7 @@ def test_holes_fins_and_loose_pieces_are_counted():
     doubled = {
         name: np.concatenate([value, getattr(far, name)])
         for name, value in vars(level).items()
-        if name not in ("base_color", "features")
+        if name not in ("base_color", "features", "light")
     }
     both = dataclasses.replace(level, **doubled)
     assert mesh_facts.closedness(mesh_facts.weld(both)) == (0, 0, 2)
@@ -234,6 +238,7 @@ def test_the_folder_holds_a_page_with_every_picture_and_the_numbers(person, tmp_
         "look_off",
         "look_network",
         "look_change",
+        "face",
         "turntable",
         "parts",
         "weights",
@@ -282,3 +287,26 @@ def test_wrong_usage_and_bad_input_are_told_and_leave_nothing(person, tmp_path, 
         with pytest.raises(AssetError, match="nowhere"):
             inspect_main([str(person), "-o", str(tmp_path / "out"), option, str(tmp_path / "nowhere")])
     assert not (tmp_path / "out").exists()
+
+
+def test_the_face_is_scored_beside_true_close_ups(oracle):
+    capture, avatar = oracle[0], read_avatar(oracle[1])
+    truth = read_true_mesh(capture)
+    points = truth.canonical()
+    # the front of the head stands for eyes: the striped body has none
+    front = (truth.part == 1) & (points[:, 2] > np.quantile(points[truth.part == 1, 2], 0.8))
+    truth = dataclasses.replace(truth, eye=front)
+    views = [view for view in read_held_out(capture, "novel_pose") if view.view == "head"]
+    context = open_context()
+    try:
+        close_ups = beside_truth(context, avatar, truth, views)
+    finally:
+        context.release()
+    assert len(close_ups) == len(views)
+    head, eyes = decibels(close_ups, "head"), decibels(close_ups, "eyes")
+    assert head is not None and head > 20  # the avatar is the truth itself
+    assert (eyes is not None) == any(one.eyes.any() for one in close_ups)
+    darker = [one._replace(drawn=one.truth - 0.1) for one in close_ups]
+    assert decibels(darker, "head") == pytest.approx(20.0, abs=0.01)
+    nothing = [one._replace(eyes=np.zeros_like(one.eyes)) for one in close_ups]
+    assert decibels(nothing, "eyes") is None

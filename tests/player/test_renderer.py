@@ -185,10 +185,10 @@ def test_explain_lists_every_pass_with_why_time_and_bytes(render, avatar, pose):
         renderer.explain()
     renderer.draw([pose], CAMERA)
     rows = renderer.explain(2)
-    names = ["background", "avatar: paper", "avatar: view linear", "outline", "antialiasing"]
+    names = ["background", "avatar: paper", "avatar: view linear", "light", "outline", "antialiasing"]
     assert [row["name"] for row in rows] == names
-    assert [row["state"] for row in rows] == ["not asked for", "skipped", "runs", "not asked for", "not asked for"]
-    assert [row["runs"] for row in rows] == [False, False, True, False, False]
+    assert [row["state"] for row in rows] == ["not asked for", "skipped", "runs", *["not asked for"] * 3]
+    assert [row["runs"] for row in rows] == [False, False, True, False, False, False]
     _, paper, view, *_ = rows
     assert view["ms"] > 0 and view["bytes"] > paper["bytes"] > 0 and view["why"] == "asked for"
 

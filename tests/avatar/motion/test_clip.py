@@ -169,7 +169,7 @@ def test_unknown_motions_are_refused_by_name(tmp_path):
     with pytest.raises(AssetError, match="no such file"):
         read_motion(tmp_path / "absent.npz")
     (tmp_path / "song.mp3").write_bytes(b"x")
-    with pytest.raises(AssetError, match=r"expected a motion \(\.npz AMASS, .* found '\.mp3'"):
+    with pytest.raises(AssetError, match=r"expected a motion \(\.npz AMASS or SAM 3D Body, .* found '\.mp3'"):
         read_motion(tmp_path / "song.mp3")
 
 
