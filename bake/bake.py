@@ -38,6 +38,7 @@ from bake.promises import missed_promises
 from bake.run_capture import RunVideos, run_videos
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
 from bake.video_texture import with_video_textures
+from bake.view_change import view_change
 from capture.check.unseen import UnseenPlace, unseen_places
 from geometry.isosurface import Extraction
 from geometry.mesh import TriangleMesh, enclosed_volume
@@ -155,7 +156,8 @@ def bake_run(
     facts["against_field"] = compared_with_field(avatar, extraction, fine, field, options, clock)
     facts["texture_from"] = "field" if videos is None else "videos"
     if videos is not None:
-        levels, facts["videos"] = with_video_textures(levels, joints, videos, clock.report)
+        change = None if distilled.default_view == "off" else view_change(field, levels[0].charted)
+        levels, facts["videos"] = with_video_textures(levels, joints, videos, clock.report, change)
         facts["levels"] = [baked.facts for baked in levels]
         avatar = replace(avatar, levels=tuple(baked.level for baked in levels))
         places = unseen_on_surface(run.surface)

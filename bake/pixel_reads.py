@@ -19,6 +19,7 @@ from avatar.light import CaptureLight
 from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
 from avatar.skinning import SkinWeights, blended_transforms, dense_weights
 from bake.texels import TexelMap, rasterise_charts
+from bake.view_change import ViewChange
 from capture.folder import PartVideo
 from geometry.cells import nearest_marked
 from player.raster import Fragments, Rasteriser
@@ -85,6 +86,8 @@ class PixelReads(NamedTuple):
     weight: Float[Array, "pixels"]
     # the same whatever the angle, as long as it is not grazing
     visible: Float[Array, "pixels"]
+    # pixels x corners: what lies at a pixel's first sample, from the mesh's corners
+    at_vertices: csr_matrix
 
 
 class PosedFrame(NamedTuple):
@@ -93,6 +96,7 @@ class PosedFrame(NamedTuple):
     vertices: Float[Array, "corners 3"]  # metres, the camera's world
     normals: Float[Array, "corners 3"]  # unit
     towards: Float[Array, "corners 3"]  # unit, to the camera
+    along: Float[Array, "corners 3"]  # unit, away from the camera, in the canonical frame
     camera: Camera
 
     @property
@@ -143,16 +147,19 @@ def posed_frames(mesh: AtlasMesh, video: PartVideo, head_from_canonical: Float[A
             view = camera.camera_from_world @ head_from_canonical
             view[:3] /= scale
             camera = Camera(camera.K, view, camera.size, camera.distortion)
-            vertices, normals = mesh.positions, mesh.normals
+            vertices, normals, turns = mesh.positions, mesh.normals, None
         else:
             transforms = skin_transforms(video.axis_angle[frame], mesh.joints, video.root[frame])
             M = blended_transforms(mesh.skin, transforms)
             vertices = np.einsum("vij,vj->vi", M[:, :3, :3], mesh.positions) + M[:, :3, 3]
             normals = np.einsum("vij,vj->vi", M[:, :3, :3], mesh.normals)
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+            turns = M[:, :3, :3]
         towards = camera.eye - vertices
         towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
-        yield PosedFrame(vertices, normals, towards, camera)
+        along = -towards if turns is None else -np.einsum("vji,vj->vi", turns, towards)
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+        yield PosedFrame(vertices, normals, towards, along, camera)
 
 
 def frame_light(
@@ -212,8 +219,12 @@ def video_reads(
     rasteriser: Rasteriser,
     samples: int,
     light: CaptureLight | None = None,
+    change: ViewChange | None = None,
 ) -> Iterator[PixelReads]:
-    """What the pixels of each frame read, `samples` x `samples` places a pixel; `light` is divided out of them."""
+    """What the pixels of each frame read, `samples` x `samples` places a pixel.
+
+    `light` is divided out of them, and what they show because of where they were seen from (`change`) taken off.
+    """
     importance = vertex_importance(mesh, video.part)
     turn = head_from_canonical[:3, :3] / np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
     world = turn if video.axis_angle is None else np.eye(3)
@@ -221,7 +232,11 @@ def video_reads(
         sure = video.masks[number] if video.unsure is None else video.masks[number] & ~video.unsure[number]
         drawn = drawn_finer(rasteriser, mesh, frame, samples)
         lit = frame_light(mesh, frame, light, world)
-        yield frame_reads(mesh, frame, drawn, video.images[number], sure, importance, COSINE_POWER[video.part], lit)
+        own = frame_reads(mesh, frame, drawn, video.images[number], sure, importance, COSINE_POWER[video.part], lit)
+        if change is not None:
+            change_seen = own.at_vertices @ change.seen_along(frame.along)
+            own = own._replace(color=np.clip(own.color - change_seen, 0, 1).astype(np.float32))
+        yield own
 
 
 def drawn_finer(rasteriser: Rasteriser, mesh: AtlasMesh, frame: PosedFrame, samples: int) -> Fragments:
@@ -285,7 +300,11 @@ def frame_reads(
     color = image[rows[used], columns[used]].astype(np.float32) / 255
     if lit is not None:
         color = as_base_color(color, lit, corners[:, 0], weight[:, 0]).astype(np.float32)
-    return PixelReads(reads, color, counts[used].astype(np.float32), visible[used].astype(np.float32))
+    pointers = 3 * np.arange(len(corners) + 1)
+    at_vertices = csr_matrix(
+        (weight[:, 0].ravel(), corners[:, 0].ravel(), pointers), (len(corners), len(mesh.positions))
+    )
+    return PixelReads(reads, color, counts[used].astype(np.float32), visible[used].astype(np.float32), at_vertices)
 
 
 def bilinear_reads(uv: Float[Array, "pixels samples 2"], mesh: AtlasMesh) -> csr_matrix:

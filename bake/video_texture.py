@@ -24,6 +24,7 @@ from bake.run_capture import RunVideos
 from bake.seams import edge_reads, solve_seams
 from bake.texels import barycentric, bytes_from_unit, spread
 from bake.texture_solve import Equations, Prior, neighbour_pairs, solve_change
+from bake.view_change import ViewChange
 from capture.folder import PartVideo
 from geometry.closest import match_surface
 from geometry.mesh import TriangleMesh, face_areas
@@ -56,10 +57,14 @@ def with_video_textures(
     joints: Float[Array, "52 3"],
     videos: RunVideos,
     report: Callable[[str], None] = lambda line: None,
+    change: ViewChange | None = None,
 ) -> tuple[list[BakedLevel], dict[str, Any]]:
-    """The levels with their base color solved against the videos, and what the file says of it."""
+    """The levels with their base color solved against the videos, and what the file says of it.
+
+    `change` is what the finest level shows beyond its base color, where a view network is to show it.
+    """
     finest = levels[0]
-    solved = solve_texture(finest, joints, videos, report)
+    solved = solve_texture(finest, joints, videos, report, change)
     images = [solved.image, *(carried_to(level, finest.level, solved.change) for level in levels[1:])]
     result = []
     for baked, image in zip(levels, images, strict=True):
@@ -73,7 +78,11 @@ def with_video_textures(
 
 
 def solve_texture(
-    baked: BakedLevel, joints: Float[Array, "52 3"], videos: RunVideos, report: Callable[[str], None]
+    baked: BakedLevel,
+    joints: Float[Array, "52 3"],
+    videos: RunVideos,
+    report: Callable[[str], None],
+    change: ViewChange | None = None,
 ) -> VideoTexture:
     """The atlas of a level solved against the videos; see the module."""
     level = baked.level
@@ -96,7 +105,7 @@ def solve_texture(
             video = averaged(video, averaging(seen_size, own))
             pixel[index] = pixel_size(video, mesh, videos.head_from_canonical)
             samples, light = samples_for(pixel[index], own), videos.lights.get(name)
-            reads = video_reads(mesh, video, videos.head_from_canonical, rasteriser, samples, light)
+            reads = video_reads(mesh, video, videos.head_from_canonical, rasteriser, samples, light, change)
             found = equations_of(reads, given)
             equations.append(found.equations)
             frames += np.square(pixel[index] / texel) * found.told
@@ -115,8 +124,8 @@ def solve_texture(
     seams = seam_equations(mesh, baked, given)
     share = texel / pixel[part]
     stay = STAY * share**STAY_POWER
-    change = solve_change([*equations, seams], Prior(stay, SMOOTH * stay), neighbour_pairs(mesh.texels))
-    solved = np.clip(given + change, 0, 1)
+    solution = solve_change([*equations, seams], Prior(stay, SMOOTH * stay), neighbour_pairs(mesh.texels))
+    solved = np.clip(given + solution, 0, 1)
     for name, own in zip(PARTS, equations, strict=True):
         left = own.wanted - own.matrix @ (solved - given)
         facts[name]["rms_after"] = rounded(255 * _rms(left, own.matrix))

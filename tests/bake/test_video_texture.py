@@ -16,6 +16,7 @@ from avatar.errors import AssetError
 from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
 from bake.cone import ViewCone
+from bake.field import NumpyField
 from bake.fill import NEAR, Surface, filled_colors
 from bake.level import BakedLevel, Charted
 from bake.pixel_reads import atlas_mesh, drawn_finer, frame_light, frame_reads, posed_frames
@@ -23,6 +24,7 @@ from bake.run_capture import RunVideos, run_videos
 from bake.seams import chart_edges
 from bake.texture_solve import Equations, Prior, neighbour_pairs, solve_change
 from bake.video_texture import averaged, averaging, carried_to, solve_texture
+from bake.view_change import ViewChange
 from capture.folder import PartVideo
 from geometry.mesh import TriangleMesh
 from player.context import open_context
@@ -123,6 +125,43 @@ def test_a_painted_texture_comes_back_from_its_pictures(painted, videos):
     own = atlas_mesh(small, painted.joint_positions)
     halved = level.base_color.reshape(128, 2, 128, 2, 3).mean((1, 3)).reshape(-1, 3)[own.texels.index] / 255
     assert np.median(np.abs(image.reshape(-1, 3)[own.texels.index] - halved)) < 0.45 * before
+
+
+def shining(level):
+    """What a level shows beyond its base for who looks along +x."""
+    charted = baked(level).charted
+    count = len(charted.points)
+    everywhere = ViewCone(-charted.normals, np.zeros((count, 6)), np.ones(count))
+    nothing = lambda *arrays: np.zeros(len(arrays[0]))
+    field = NumpyField(nothing, nothing, lambda points, directions: np.repeat(0.5 + 0.5 * directions[:, :1], 3, 1))
+    base = field.color(charted.points, everywhere.direction)
+    return ViewChange(field, charted.points, charted._replace(cone=everywhere), base)
+
+
+def test_what_follows_the_eye_stays_out_of_the_texture(context, painted, videos):
+    mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
+    rasteriser = Rasteriser(context)
+    level = painted.levels[0]
+    change, found = shining(level), {}
+    for part, video in videos.found.items():
+        images = video.images.astype(np.float64)
+        for image, frame in zip(images, posed_frames(mesh, video, videos.head_from_canonical)):
+            drawn = rasteriser.draw(frame.vertices, mesh.faces, frame.camera)
+            added = (drawn.barycentric[..., None] * change.seen_along(frame.along)[mesh.faces[drawn.face]]).sum(2)
+            image[drawn.face >= 0] += 255 * added[drawn.face >= 0]
+        found[part] = replace(video, images=np.uint8(np.clip(np.round(images), 0, 255)))
+    rasteriser.release()
+    filmed = replace(videos, found=found)
+    grey = baked(replace(level, base_color=np.full_like(level.base_color, 128)))
+    truth = level.base_color.reshape(-1, 3)[mesh.texels.index] / 255
+
+    def error(known):
+        solved = solve_texture(grey, painted.joint_positions, filmed, lambda line: None, known)
+        return np.median(np.abs(solved.image.reshape(-1, 3)[mesh.texels.index] - truth)), solved.facts["body"]
+
+    (without, known), (plain, unknown) = error(change), error(None)
+    assert without < 0.85 * plain
+    assert known["rms_after"] < 0.4 * unknown["rms_after"]
 
 
 def test_pixels_read_what_the_player_draws(context, painted, videos):
