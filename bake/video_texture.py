@@ -38,6 +38,8 @@ FINEST_PIXEL = 0.9
 # lambda of a texel as wide as a pixel and its growth with the texel's share of a pixel: many small texels under one
 # pixel divide what it tells. mu over lambda.
 STAY, STAY_POWER, SMOOTH = 0.06, 1.5, 4.0
+# mu over lambda where color follows the eye: frames then disagree, and the grids of their pixels would show as ribs
+SMOOTH_SHINY = 16.0
 # weight of a point on a chart edge looking the same from both sides
 AGREE = 1.0
 # frames that show a texel, away from outlines, up to which it counts as unseen, and from which as seen
@@ -124,7 +126,8 @@ def solve_texture(
     seams = seam_equations(mesh, baked, given)
     share = texel / pixel[part]
     stay = STAY * share**STAY_POWER
-    solution = solve_change([*equations, seams], Prior(stay, SMOOTH * stay), neighbour_pairs(mesh.texels))
+    smooth = SMOOTH if change is None else SMOOTH_SHINY
+    solution = solve_change([*equations, seams], Prior(stay, smooth * stay), neighbour_pairs(mesh.texels))
     solved = np.clip(given + solution, 0, 1)
     for name, own in zip(PARTS, equations, strict=True):
         left = own.wanted - own.matrix @ (solved - given)
