@@ -6,10 +6,10 @@ Beside them: nose, eyes, ears; `shoulders` and `hips`, the middles that some det
 `face_67`, the 68 points of a face in iBUG's order.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 Array = np.ndarray
 
@@ -44,6 +44,10 @@ class Keypoints:
             k = self.names.index(name)
             out[:, :2], out[:, 2] = self.pixels[:, k], self.confidence[:, k]
         return out
+
+    def of_frames(self, frames: Int[Array, "kept"]) -> "Keypoints":
+        """The record of some of the frames."""
+        return replace(self, pixels=self.pixels[frames], confidence=self.confidence[frames])
 
 
 def keypoints_of(
