@@ -86,8 +86,18 @@ class PixelReads(NamedTuple):
     weight: Float[Array, "pixels"]
     # the same whatever the angle, as long as it is not grazing
     visible: Float[Array, "pixels"]
-    # pixels x corners: what lies at a pixel's first sample, from the mesh's corners
-    at_vertices: csr_matrix
+    place: "Place"  # what lies at each pixel's first sample
+
+
+class Place(NamedTuple):
+    """Points of the mesh's surface."""
+
+    corners: Integer[Array, "points 3"]
+    weight: Float[Array, "points 3"]  # barycentric
+
+    def of(self, values: Float[Array, "corners channels"]) -> Float[Array, "points channels"]:
+        """Values of the mesh's corners at these points."""
+        return (self.weight[..., None] * values[self.corners]).sum(1)
 
 
 class PosedFrame(NamedTuple):
@@ -178,13 +188,10 @@ def frame_light(
 def as_base_color(
     color: Float[Array, "pixels 3"],
     lit: FrameLight,
-    corners: Integer[Array, "pixels 3"],
-    weight: Float[Array, "pixels 3"],
+    place: Place,
 ) -> Float[Array, "pixels 3"]:
     """Colors of pixels as the light of the base color would show them."""
-    (shading, highlight), (base, glow) = (
-        (weight[..., None] * values[corners]).sum(1).T for values in (lit.frame, lit.base)
-    )
+    (shading, highlight), (base, glow) = place.of(lit.frame).T, place.of(lit.base).T
     return lit.light.shown(lit.light.albedo(color, shading, highlight), base, glow)
 
 
@@ -234,8 +241,8 @@ def video_reads(
         lit = frame_light(mesh, frame, light, world)
         own = frame_reads(mesh, frame, drawn, video.images[number], sure, importance, COSINE_POWER[video.part], lit)
         if change is not None:
-            change_seen = own.at_vertices @ change.seen_along(frame.along)
-            own = own._replace(color=np.clip(own.color - change_seen, 0, 1).astype(np.float32))
+            shown = own.place.of(change.seen_along(frame.along))
+            own = own._replace(color=np.clip(own.color - shown, 0, 1).astype(np.float32))
         yield own
 
 
@@ -295,16 +302,13 @@ def frame_reads(
         counts = counts * known
     used = counts > TELLS
     corners, weight = corners[used], weight[used]
+    place = Place(corners[:, 0], weight[:, 0])
     uv = (weight[..., None] * mesh.uv.astype(np.float32)[corners]).sum(2)
     reads = bilinear_reads(uv, mesh)
     color = image[rows[used], columns[used]].astype(np.float32) / 255
     if lit is not None:
-        color = as_base_color(color, lit, corners[:, 0], weight[:, 0]).astype(np.float32)
-    pointers = 3 * np.arange(len(corners) + 1)
-    at_vertices = csr_matrix(
-        (weight[:, 0].ravel(), corners[:, 0].ravel(), pointers), (len(corners), len(mesh.positions))
-    )
-    return PixelReads(reads, color, counts[used].astype(np.float32), visible[used].astype(np.float32), at_vertices)
+        color = as_base_color(color, lit, place).astype(np.float32)
+    return PixelReads(reads, color, counts[used].astype(np.float32), visible[used].astype(np.float32), place)
 
 
 def bilinear_reads(uv: Float[Array, "pixels samples 2"], mesh: AtlasMesh) -> csr_matrix:

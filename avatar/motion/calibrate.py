@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.errors import AssetError
+from avatar.motion.directions import unit_or_zero
 from avatar.motion.rest_pose import Alignment, RestBones, axis_name, below_elbow, cosine, frame_of, snapped, unit
 from avatar.motion.rig import AnimatedRig, JointMap
 from avatar.rotation import axis_angle_from_matrix, matrix_from_quaternion, quaternion_from_matrix, slerp
@@ -161,9 +162,3 @@ def near_axes(R: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     """R, snapped to the axes where it lies near them."""
     axes = snapped(R)
     return axes if np.linalg.norm(axis_angle_from_matrix(axes.T @ R)) < NEAR_AXES else R
-
-
-def unit_or_zero(v: Array) -> Array:
-    """Unit vectors; those without length stay 0."""
-    length = np.linalg.norm(v, axis=-1, keepdims=True)
-    return v / np.where(length > 0, length, 1)

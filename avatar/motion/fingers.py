@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.body import builtin_body
+from avatar.motion.directions import unit_or_zero
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS
 
@@ -26,17 +27,13 @@ MIRROR = np.array([1.0, -1, -1])
 HAND_RELAXED = np.array([0.24, 0.29, 0.36, 0.33, 0.18, -0.06])
 
 
-def _unit(v: Array) -> Array:
-    return v / np.linalg.norm(v)
-
-
 @cache
 def finger_axes() -> tuple[Array, Array]:
     """Flexion axis of each left finger joint (5, 3, 3) and the palm's normal, from the built-in hand."""
     joints = builtin_body("male").joints
     along = joints[JOINTS.index("left_middle1")] - joints[JOINTS.index("left_wrist")]
     across = joints[JOINTS.index("left_index1")] - joints[JOINTS.index("left_pinky1")]
-    palm = -_unit(np.cross(across, along))
+    palm = -unit_or_zero(np.cross(across, along))
     if palm[1] > 0:
         palm = -palm
     axes = np.zeros((5, 3, 3))
@@ -45,12 +42,14 @@ def finger_axes() -> tuple[Array, Array]:
             start, end = (
                 (f"left_{finger}{n + 1}", f"left_{finger}{n + 2}") if n < 2 else (f"left_{finger}2", f"left_{finger}3")
             )
-            bone = _unit(joints[JOINTS.index(end)] - joints[JOINTS.index(start)])
+            bone = unit_or_zero(joints[JOINTS.index(end)] - joints[JOINTS.index(start)])
             inward = palm
             # the thumb closes over the palm towards the little finger
             if finger == "thumb":
-                inward = _unit(joints[JOINTS.index("left_pinky1")] + 0.045 * palm - joints[JOINTS.index("left_thumb2")])
-            axes[f, n] = _unit(np.cross(bone, inward - bone * (bone @ inward)))
+                inward = unit_or_zero(
+                    joints[JOINTS.index("left_pinky1")] + 0.045 * palm - joints[JOINTS.index("left_thumb2")]
+                )
+            axes[f, n] = unit_or_zero(np.cross(bone, inward - bone * (bone @ inward)))
     return axes, palm
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from avatar.limits import axis_angle_from_joint_angles, clamped_angles, joint_angles, limits
+from avatar.motion.directions import left_up_frame, palm_frame, unit_or_zero
 from avatar.motion.fingers import FINGERS
 from avatar.motion.mhr_rig import HINGES, twist_about
 from avatar.rotation import (
@@ -96,7 +97,7 @@ def curl_sign(hand: Float[Array, "frames 21 3"]) -> float:
     length = np.linalg.norm(hand[:, 9] - hand[:, 0], axis=-1, keepdims=True)
     tips = (hand[:, [8, 12, 16, 20]] - hand[:, [5, 9, 13, 17]]) / np.where(length > 0, length, 1)[:, None]
     # the fingers' mean, so that one that is bent aside does not decide
-    return float(np.mean(np.sum(tips * _unit(normal)[:, None], -1)))
+    return float(np.mean(np.sum(tips * unit_or_zero(normal)[:, None], -1)))
 
 
 def _body(P: Float[Array, "frames 33 3"], ours: Array, seen: Bool[Array, "33"]) -> Float[Array, "frames 52 3 3"]:
@@ -106,8 +107,8 @@ def _body(P: Float[Array, "frames 33 3"], ours: Array, seen: Bool[Array, "33"]) 
     up, rest_up = _middle(at["shoulder"]) - _middle(at["hip"]), _middle(rest["shoulder"]) - _middle(rest["hip"])
 
     def trunk(name: str) -> Array:
-        theirs = _frame(at[name][0] - at[name][1], up)
-        return theirs @ _frame(rest[name][0] - rest[name][1], rest_up).T
+        theirs = left_up_frame(at[name][0] - at[name][1], up)
+        return theirs @ left_up_frame(rest[name][0] - rest[name][1], rest_up).T
 
     R = np.tile(np.eye(3), (len(P), 52, 1, 1))
     bottom, top = trunk("hip"), trunk("shoulder")
@@ -131,7 +132,7 @@ def _body(P: Float[Array, "frames 33 3"], ours: Array, seen: Bool[Array, "33"]) 
         if seen[[PAIRS["heel"][n], PAIRS["toe"][n]]].all():
             way = at["toe"][n] - at["heel"][n]
             across = R[:, J[f"{side}_knee"], :, 0]
-            R[:, ankle] = _frame(across, way) @ _frame(np.array([1.0, 0, 0]), np.array([0, 0, 1.0])).T
+            R[:, ankle] = left_up_frame(across, way) @ left_up_frame(np.array([1.0, 0, 0]), np.array([0, 0, 1.0])).T
         R[:, foot] = R[:, ankle]
     return R
 
@@ -151,14 +152,14 @@ def _limb(
     """
     if not (have[0] and have[1]):
         return base, base
-    upper, lower = (_unit(way) for way in ways)
-    first = rotation_between(base @ _unit(bones[0]), upper) @ base
+    upper, lower = (unit_or_zero(way) for way in ways)
+    first = rotation_between(base @ unit_or_zero(bones[0]), upper) @ base
     if not have[2]:
         return first, first
     bend = np.cross(upper, lower)
     sine = np.linalg.norm(bend, axis=-1)
     swung = first @ hinge
-    swung = _unit(swung - upper * np.sum(swung * upper, -1, keepdims=True))
+    swung = unit_or_zero(swung - upper * np.sum(swung * upper, -1, keepdims=True))
     angle = np.arctan2(np.sum(np.cross(swung, bend) * upper, -1), np.sum(swung * bend, -1))
     weight = np.clip((sine - BENDS[0]) / (BENDS[1] - BENDS[0]), 0, 1)
     # a folded limb has a small sine as well
@@ -166,7 +167,7 @@ def _limb(
     if one_sided:
         weight = np.where(np.abs(angle) > np.pi / 2, 0.0, weight)
     first = matrix_from_axis_angle(upper * (weight * angle)[:, None]) @ first
-    return first, rotation_between(first @ _unit(bones[1]), lower) @ first
+    return first, rotation_between(first @ unit_or_zero(bones[1]), lower) @ first
 
 
 def _face(P: Float[Array, "frames 33 3"]) -> Float[Array, "frames 3 3"]:
@@ -187,10 +188,10 @@ def _hand(
     """
     wrist, elbow = J[f"{side}_wrist"], J[f"{side}_elbow"]
     starts = HAND_STARTS
-    palm = _palm(hand[:, starts["middle"]] - hand[:, 0], hand[:, starts["index"]] - hand[:, starts["pinky"]])
+    palm = palm_frame(hand[:, starts["middle"]] - hand[:, 0], hand[:, starts["index"]] - hand[:, starts["pinky"]])
     at = {name: ours[J[f"{side}_{name}"]] for name in ("wrist", "middle1", "index1", "pinky1")}
-    turned = palm @ _palm(at["middle1"] - at["wrist"], at["index1"] - at["pinky1"]).T
-    bone = _unit(ours[wrist] - ours[elbow])
+    turned = palm @ palm_frame(at["middle1"] - at["wrist"], at["index1"] - at["pinky1"]).T
+    bone = unit_or_zero(ours[wrist] - ours[elbow])
     relative = np.swapaxes(R[:, elbow], -1, -2) @ turned
     twist = twist_about(relative, bone) * carried
     R[:, elbow] = R[:, elbow] @ matrix_from_axis_angle(ELBOW_SHARE * twist[:, None] * bone)
@@ -204,9 +205,9 @@ def _hand(
         mine = R[:, wrist]
         for n in (1, 2, 3):
             joint = J[f"{side}_{finger}{n}"]
-            way = np.swapaxes(base, -1, -2) @ _unit(hand[:, start + n] - hand[:, start + n - 1])[..., None]
+            way = np.swapaxes(base, -1, -2) @ unit_or_zero(hand[:, start + n] - hand[:, start + n - 1])[..., None]
             begin = J[f"{side}_{finger}{min(n, 2)}"]
-            rest = np.broadcast_to(_unit(ours[begin + 1] - ours[begin]), (len(R), 3))
+            rest = np.broadcast_to(unit_or_zero(ours[begin + 1] - ours[begin]), (len(R), 3))
             angles = np.zeros((len(R), 52, 3))
             angles[:, joint] = _angles(rotation_between(rest, way[..., 0]), joint)
             angles[:, joint, 2] = 0
@@ -238,22 +239,3 @@ def _between(a: Float[Array, "frames 3 3"], b: Float[Array, "frames 3 3"], part:
 
 def _middle(pair: tuple[Array, Array]) -> Array:
     return (pair[0] + pair[1]) / 2
-
-
-def _frame(left: Float[Array, "*b 3"], up: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
-    """Rotations with columns left, up, forward; up is kept, left made square to it."""
-    up = _unit(up)
-    left = _unit(left - up * np.sum(left * up, -1, keepdims=True))
-    return np.stack([left, up, np.cross(left, up)], -1)
-
-
-def _palm(along: Float[Array, "*b 3"], across: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
-    """Frames of palms: x from the wrist to the middle finger, z towards the forefinger's side."""
-    x = _unit(along)
-    z = _unit(across - x * np.sum(x * across, -1, keepdims=True))
-    return np.stack([x, np.cross(z, x), z], -1)
-
-
-def _unit(v: Array) -> Array:
-    length = np.linalg.norm(v, axis=-1, keepdims=True)
-    return v / np.where(length > 0, length, 1)

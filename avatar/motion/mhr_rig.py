@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from avatar.motion.directions import palm_frame, unit_or_zero
 from avatar.motion.fingers import FINGERS, MIRROR, finger_axes
 from avatar.motion.rest_pose import Alignment, frame_of
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix, rotation_between
@@ -158,7 +159,7 @@ class MhrRig:
         elbow, wrist = NAMES.index(f"{side}_elbow"), NAMES.index(f"{side}_wrist")
         A = mhr_alignment(self.joints).limbs
         relative = np.swapaxes(G[:, elbow] @ A[f"{side}_elbow"], -1, -2) @ G[:, wrist] @ A[f"{side}_wrist"]
-        bone = _unit(self.joints[J[f"{side}_wrist"]] - self.joints[J[f"{side}_elbow"]])
+        bone = unit_or_zero(self.joints[J[f"{side}_wrist"]] - self.joints[J[f"{side}_elbow"]])
         angle = twist_about(relative, bone)
         along = np.array([sign(side), 0.0, 0.0])
         G[:, elbow] = G[:, elbow] @ matrix_from_axis_angle(ELBOW_SHARE * angle[:, None] * along)
@@ -205,13 +206,13 @@ def mirrored(left: Float[Array, "3 3"], side: str) -> Float[Array, "3 3"]:
 def palm_frames(at: Float[Array, "frames 127 3"], side: str) -> Float[Array, "frames 3 3"]:
     """Frame of the palm: x from the wrist to the middle finger, z towards the forefinger's side."""
     places = {name: at[:, NUMBERS[f"{side}_{name}"][1]] for name in ("wrist", "middle1", "index1", "pinky1")}
-    return _frame(places["middle1"] - places["wrist"], places["index1"] - places["pinky1"])
+    return palm_frame(places["middle1"] - places["wrist"], places["index1"] - places["pinky1"])
 
 
 def along_bone(G: Float[Array, "frames 3 3"], bone: Float[Array, "frames 3"], side: str) -> Float[Array, "frames 3 3"]:
     """The axes, turned by the least that lays x along the bone."""
     x = G[:, :, 0] * sign(side)
-    return rotation_between(_unit(x), _unit(bone)) @ G
+    return rotation_between(unit_or_zero(x), unit_or_zero(bone)) @ G
 
 
 def off_bones(
@@ -223,8 +224,8 @@ def off_bones(
         for a, b in BONES:
             if (a[-1] in "123") == fingers:
                 turn, place = NUMBERS[f"{side}_{a}"]
-                bone = _unit(at[:, _end(side, b)] - at[:, place])
-                cosine = np.sum(_unit(R[:, turn, :, 0]) * bone, -1) * sign(side)
+                bone = unit_or_zero(at[:, _end(side, b)] - at[:, place])
+                cosine = np.sum(unit_or_zero(R[:, turn, :, 0]) * bone, -1) * sign(side)
                 out.append(np.arccos(np.clip(cosine, -1, 1)))
     return np.stack(out, -1)
 
@@ -249,15 +250,4 @@ def _hinged(bone: Float[Array, "3"], hinge: Float[Array, "3"], side: str) -> Flo
 
 def _our_palm(ours: Float[Array, "52 3"], side: str) -> Float[Array, "3 3"]:
     at = {name: ours[None, J[f"{side}_{name}"]] for name in ("wrist", "middle1", "index1", "pinky1")}
-    return _frame(at["middle1"] - at["wrist"], at["index1"] - at["pinky1"])[0]
-
-
-def _frame(along: Float[Array, "frames 3"], across: Float[Array, "frames 3"]) -> Float[Array, "frames 3 3"]:
-    x = _unit(along)
-    z = _unit(across - x * np.sum(x * across, -1, keepdims=True))
-    return np.stack([x, np.cross(z, x), z], -1)
-
-
-def _unit(v: Array) -> Array:
-    length = np.linalg.norm(v, axis=-1, keepdims=True)
-    return v / np.where(length > 0, length, 1)
+    return palm_frame(at["middle1"] - at["wrist"], at["index1"] - at["pinky1"])[0]
