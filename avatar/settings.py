@@ -23,7 +23,7 @@ LARGEST_INTEGER = 2**53
 
 
 class OneOf(NamedTuple):
-    """The value is one of these words."""
+    """The value, or each of several, is one of these words."""
 
     values: tuple[str, ...]
 
@@ -132,9 +132,9 @@ def broken_rule(setting: Setting, value: Any) -> str | None:
         if isinstance(number, int) and abs(number) > LARGEST_INTEGER:
             return f"expected at most {LARGEST_INTEGER}, found a number of {len(str(abs(number)))} digits"
     for rule in setting.rules:
-        if isinstance(rule, OneOf) and value not in rule.values:
-            return f"expected one of {', '.join(rule.values)}, found {value!r}"
         for number in numbers:
+            if isinstance(rule, OneOf) and number not in rule.values:
+                return f"expected one of {', '.join(rule.values)}, found {number!r}"
             if isinstance(rule, Above) and not number > rule.least:
                 return f"expected more than {rule.least:g}, found {number:g}"
             if isinstance(rule, AtLeast) and not number >= rule.least:

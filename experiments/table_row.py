@@ -47,7 +47,7 @@ class Training:
 
 PARTS_TRAINING = Training()
 SINGLE = Training("_single", ("--single",))
-LIGHT_OFF = Training("_light_off", ("--light", "off"))
+LIGHT_OFF = Training("_light_off", ("--without", "light"))
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@
 
 AVATAR.glb is RUN baked with `--texture-from field`. Its atlas is solved against the videos of the run (or of CAPTURE,
 say of larger frames of the same person) and both avatars are drawn by the player, paper mode, beside the held-out
-pictures: PSNR inside the mask of the whole person, head and hands. Seconds are the processor's; memory is the process's
-highest.
+pictures: PSNR inside the mask of the whole person, head and hands; then how much of printed cloth is there
+(experiments/print_bands.py). Seconds are the processor's; memory is the process's highest.
 """
 
 import argparse
@@ -28,6 +28,7 @@ from bake.level import BakedLevel, Charted
 from bake.run_capture import run_videos
 from bake.seams import chart_edges
 from bake.truth import decibels_by_region, mode_errors, read_true_views
+from experiments.print_bands import print_bands
 from player.context import open_context
 from train.run import lights_of, read_facts
 
@@ -86,6 +87,10 @@ def main(argv: list[str] | None = None) -> int:
             gain = {key: _difference(scores["videos"][key], scores["field"][key]) for key in scores["field"]}
             found[name] = {**scores, "gain": gain}
             print(name, json.dumps(found[name]))
+        capture = options.truth or options.capture
+        found["print"] = {
+            label: print_bands(context, one, capture)._asdict() for label, one in (("field", avatar), ("videos", new))
+        }
     finally:
         context.release()
     print(json.dumps(found, indent=1))

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from avatar.settings import AtLeast, AtMost, OneOf, Option
 from capture.repair.refine import CHOICES
-from train.preset import PRESETS, Preset, shortened
+from train.preset import ITEMS, PRESETS, Preset, shortened, without
 
 MOST_STEPS = 100_000_000
 
@@ -36,11 +36,11 @@ class TrainOptions:
         "move noisy poses onto the masks first, then learn what is left with the field; "
         "auto: videos whose outlines do not meet",
     ] = "auto"  # fmt: skip
-    light: Annotated[
-        Literal["auto", "off"],
-        "auto: where the preset does, tell the capture's light from the skin before training, and learn albedo; "
-        "none is told of an even light",
-    ] = "auto"
+    without: Annotated[
+        tuple[str, ...], OneOf(tuple(ITEMS)), Option(several=True),
+        "leave out what the preset adds to the paper: light (told from the skin before training, where there is any; "
+        "albedo is learnt), hair (its placement, hollows and a layer of its own), clothes (that stand off the body)",
+    ] = ()  # fmt: skip
     single: Annotated[
         bool, "one network with the four parts' parameters, rays and steps, for comparison; its head lies where the "
         "parts' does: from --head-from, else body and head are trained and placed first",
@@ -61,5 +61,5 @@ class TrainOptions:
         if self.iterations is not None:
             preset = shortened(preset, self.iterations)
         # a single network's rays are of four videos, its light nobody's
-        light = preset.light and self.light == "auto" and not self.single
-        return replace(preset, single=self.single, light=light)
+        left_out = (*self.without, "light") if self.single else self.without
+        return replace(without(preset, left_out), single=self.single)

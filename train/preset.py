@@ -1,5 +1,6 @@
 """What a preset fixes: everything that a training run does not take from the capture."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -234,3 +235,18 @@ def shortened(preset: Preset, iterations: int) -> Preset:
         union=replace(preset.union, iterations=min(preset.union.iterations, iterations)),
         appearance_steps=min(preset.appearance_steps, iterations),
     )
+
+
+# what the presets add to the paper and a training can do without, by name: what it costs stands in docs/measured.md
+ITEMS: dict[str, Callable[[Preset], Preset]] = {
+    "light": lambda preset: replace(preset, light=False),
+    "hair": lambda preset: replace(preset, hair=HairPreset()),
+    "clothes": lambda preset: replace(preset, clothes=False),
+}
+
+
+def without(preset: Preset, items: Iterable[str]) -> Preset:
+    """The preset less some of its items; those that it has not change nothing."""
+    for item in items:
+        preset = ITEMS[item](preset)
+    return preset

@@ -5,8 +5,8 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -70,6 +70,15 @@ class _Training:
     say: Callable[[str], None]
     # of each video; empty: light is no factor of its own
     lights: dict[str, CaptureLight] = field(default_factory=dict)
+    # of what is done before the parts are trained, by name
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """Seconds of the block go to run.json under this name."""
+        began = time.monotonic()
+        yield
+        self.seconds[name] = time.monotonic() - began
 
     def video_light(self, part: str, canonical_from_head: np.ndarray) -> VideoLight | None:
         """A video's light as its part's rays meet it; None where light is no factor."""
@@ -108,7 +117,8 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
             f"preset {preset.name}"
         )
         say(f"logs, previews and checkpoints: {session.partial}")
-        refined = _refine(training)
+        with training.timed("poses and masks"):
+            refined = _refine(training)
         training = _with_light(_with_own_template(_with_consistent_head(training)))
         head = _head_of_single(training) if preset.single else training.head
         facts = _train_parts(training, session.partial, head.canonical_from_head)
@@ -136,7 +146,7 @@ def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], r
     """From trained parts to the run folder; under torchrun the work of one rank."""
     preset, device, out, partial = training.preset, training.device, training.session.out, training.session.partial
     capture = with_learned(with_refined(training.capture, partial), partial)
-    seconds = {name: fact["seconds"] for name, fact in facts.items()}
+    seconds = training.seconds | {name: fact["seconds"] for name, fact in facts.items()}
     names = part_names(preset)
     fields = _read_fields(training, partial, len(names))
     torch.set_num_threads(os.cpu_count() or 1)
@@ -264,7 +274,8 @@ def _with_consistent_head(training: _Training) -> _Training:
     head = None
     if training.ranks.writes:
         capture = with_refined(training.capture, training.session.partial)
-        head = consistent_placement(capture, training.head.landmarks, training.say)
+        with training.timed("head by its own video"):
+            head = consistent_placement(capture, training.head.landmarks, training.say)
     head = training.ranks.broadcast(head)
     assert head is not None
     return replace(training, head=head)
@@ -276,16 +287,18 @@ def _with_own_template(training: _Training) -> _Training:
     """
     capture, partial, hair = training.capture, training.session.partial, training.preset.hair
     refined = with_refined(capture, partial)
-    subject = with_hair(
-        with_rigid_head(capture.subject), refined, training.head.canonical_from_head,
-        hollows=hair.hollows, layers=hair.layers,
-    )  # fmt: skip
+    with training.timed("hair carved"):
+        subject = with_hair(
+            with_rigid_head(capture.subject), refined, training.head.canonical_from_head,
+            hollows=hair.hollows, layers=hair.layers,
+        )  # fmt: skip
     subject = replace(subject, head_reach=hair.reach)
     added = len(subject.rest) - len(capture.subject.rest)
     if added:
         training.say(f"hair stands off the template: {added} vertices carved from the masks join it")
     if training.preset.clothes:
-        dressed = with_clothes(subject, refined.videos["body"])
+        with training.timed("clothes carved"):
+            dressed = with_clothes(subject, refined.videos["body"])
         if dressed is not subject:
             added = len(dressed.rest) - len(subject.rest)
             training.say(f"clothes stand off the template: {added} vertices carved from the masks join it")
@@ -303,9 +316,10 @@ def _with_light(training: _Training) -> _Training:
         return training
     lights = None
     if training.ranks.writes:
-        began = time.process_time()
-        found = fit_capture_light(with_refined(training.capture, training.session.partial), seed=training.options.seed)
-        training.say(f"{light_line(found)}, {time.process_time() - began:.0f} s of processor time")
+        with training.timed("light"):
+            capture = with_refined(training.capture, training.session.partial)
+            found = fit_capture_light(capture, seed=training.options.seed)
+        training.say(f"{light_line(found)}, {training.seconds['light']:.0f} s")
         lights = found.lights
     return replace(training, lights=training.ranks.broadcast(lights) or {})
 

@@ -194,5 +194,5 @@ def test_a_row_of_another_training_is_trained_apart_and_asked_for_it(people, mon
     assert "without light as its own factor (training failed)" in (out / "tables.md").read_text()
     (words,) = asked  # ours is not trained again, and no row is measured
     assert words[:2] == ["selfscan", "train"] and words[4].endswith("striped_light_off")
-    assert words[-2:] == ["--light", "off"]
+    assert words[-2:] == ["--without", "light"]
     capsys.readouterr()

@@ -12,7 +12,7 @@ from capture.folder import read_capture
 from train.deform import canonical_directions, posed_directions
 from train.light import harmonics, light_facts, seen_lights_from_json, seen_tensors, video_light, world_light
 from train.options import TrainOptions
-from train.preset import PRESETS
+from train.preset import PRESETS, HairPreset
 
 LAMPS = lamps_of(np.array([[0.5, -0.6, -0.7], [-0.8, 0.0, -0.3]]), np.array([0.5, 0.3]))
 
@@ -104,5 +104,8 @@ def test_the_paper_has_no_light_factor_and_a_command_can_leave_it_out(tmp_path):
     assert not PRESETS["paper"].light
     options = lambda **changes: TrainOptions(capture=tmp_path, out=tmp_path / "run", **changes).chosen_preset()
     assert options().light
-    assert not options(light="off").light
+    assert not options(without=("light",)).light
     assert not options(single=True).light
+    bare = options(without=("light", "hair", "clothes"))
+    assert bare.hair == HairPreset() != options().hair and not bare.clothes and bare.parts == options().parts
+    assert options(preset="paper", without=("light", "hair", "clothes")) == options(preset="paper")
