@@ -26,6 +26,7 @@ make an avatar
 use it
   render  AVATAR --motion FILE -o OUT    a picture, frames or a film, with or without GPU and display
   play    AVATAR [--motion FILE]         a window: orbit, pause, step, scrub; --live vmc:39539: posed by a sender
+  web     AVATAR [--motion FILE] -o PAGE.html   one page that draws the avatar in any browser, offline
   stream  MOTION --to vmc:HOST:PORT      sends a motion as live poses (VMC, or JSON with udp:)
   export  AVATAR --motion FILE -o OUT    the motion as BVH, animated GLB or AMASS npz, for other programs
 
@@ -150,6 +151,8 @@ def _dispatch(name: str, rest: list[str]) -> int:
             from player.play_command import play_main as run
         elif name == "export":
             from player.export_command import export_main as run
+        elif name == "web":
+            from player.web_command import web_main as run
         elif name == "inspect":
             from bench.inspect.command import inspect_main as run
         elif name == "stream":

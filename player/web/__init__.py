@@ -1,0 +1,10 @@
+"""One HTML page that draws an avatar by itself, in WebGL2: offline, from anywhere, without asking anyone for anything.
+
+essl.py       shaders/ as GLSL ES 3.00, in the variant of each view mode
+packing.py    geometry, textures and motion as the bytes of a page
+page.py       all of it as text
+unpack.js     the bytes as arrays and images
+posing.js     bones of a pose before a camera, in double precision
+drawing.js    WebGL2: programs, meshes, textures, frames
+viewer.js     what the reader touches: camera, time, view modes, settings in the URL
+"""

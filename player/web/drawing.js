@@ -1,0 +1,296 @@
+// Draws one avatar in WebGL2, as player/renderer.py does: the same shaders, filters and order of triangles.
+
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+const BLOCKS = { Frame: 0, Bones: 1, Turns: 2 };
+// name, components, of which array; view_q0 and view_q1 lie in one
+const ATTRIBUTES = [
+  ["position", 3, "position"], ["uv", 2, "uv"], ["view_mean", 3, "view_mean"], ["view_seen", 1, "view_seen"],
+];
+
+// Mipmaps worth having: avatar/texture.py, mip_levels.
+function mipLevels(size) {
+  const bits = (n) => 32 - Math.clz32(n), largest = Math.max(...size);
+  return Math.min(bits(Math.max(2, largest >> 8)), bits(largest));
+}
+
+class Drawing {
+  // avatar: the page's facts; bytes: a function of a blob's name; programs: sources by view mode
+  constructor(canvas, avatar, programs, bytes) {
+    Object.assign(this, { canvas, avatar, sources: programs, bytes });
+    this.skeleton = {
+      parents: avatar.parents,
+      offsets: avatar.offsets,
+      jointFromCanonical: avatar.jointFromCanonical.map((row) => Float64Array.from(row)),
+    };
+    // unpacked, by level: they outlive the context
+    this.content = new Map();
+    this.timing = {};
+    const settings = { antialias: false, alpha: false, depth: false, stencil: false, powerPreference: "high-performance" };
+    this.gl = canvas.getContext("webgl2", settings);
+    if (!this.gl) throw new Error("This browser has no WebGL 2, or it is turned off.");
+    this.begin();
+  }
+
+  get views() {
+    return ["off", "vertex", "linear", "network"].filter((view) => view in this.sources);
+  }
+
+  // What belongs to a context, made anew when the browser has lost it.
+  begin() {
+    const gl = this.gl, info = gl.getExtension("WEBGL_debug_renderer_info");
+    this.renderer = gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+    this.software = SOFTWARE.test(this.renderer);
+    this.anisotropy = gl.getExtension("EXT_texture_filter_anisotropic");
+    this.samples = Math.min(4, gl.getParameter(gl.MAX_SAMPLES));
+    this.made = new Map();
+    this.images = new Map();
+    this.targets = new Map();
+    this.buffers = Object.entries(BLOCKS).map(([name, unit]) => {
+      const buffer = gl.createBuffer();
+      gl.bindBuffer(gl.UNIFORM_BUFFER, buffer);
+      gl.bufferData(gl.UNIFORM_BUFFER, { Frame: 80, Bones: 52 * 48, Turns: 52 * 16 }[name], gl.DYNAMIC_DRAW);
+      gl.bindBufferBase(gl.UNIFORM_BUFFER, unit, buffer);
+      return buffer;
+    });
+  }
+
+  // Unpack a level's mesh and textures.
+  async load(level) {
+    if (!this.content.has(level)) this.content.set(level, this.unpack(level));
+    return this.content.get(level);
+  }
+
+  async unpack(level) {
+    const facts = this.avatar.levels[level], name = `level${level}`;
+    const [mesh, color, features] = await Promise.all([
+      unpackedMesh(facts, this.bytes(`${name}.mesh`)),
+      unpackedColor(this.bytes(`${name}.color`)),
+      facts.features ? unpackedFeatures(facts.features, this.bytes(`${name}.features`)) : [],
+    ]);
+    this.content.set(level, { mesh, color, features });
+    return this.content.get(level);
+  }
+
+  loaded(level) {
+    return !(this.content.get(level) instanceof Promise) && this.content.has(level);
+  }
+
+  program(view) {
+    return this.kept(`program ${view}`, () => {
+      const gl = this.gl, began = performance.now(), program = gl.createProgram(), source = this.sources[view];
+      const bias = `#version 300 es\n#define MIP_BIAS ${this.software ? "-1.0" : "0.0"}\n`;
+      for (const [kind, text] of [[gl.VERTEX_SHADER, source.vertex], [gl.FRAGMENT_SHADER, source.fragment]]) {
+        const shader = gl.createShader(kind);
+        gl.shaderSource(shader, text.replace("#version 300 es\n", bias));
+        gl.compileShader(shader);
+        if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost())
+          throw new Error(`shader ${view}: ${gl.getShaderInfoLog(shader)}`);
+        gl.attachShader(program, shader);
+      }
+      gl.linkProgram(program);
+      if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost())
+        throw new Error(`shader ${view}: ${gl.getProgramInfoLog(program)}`);
+      for (const [name, unit] of Object.entries(BLOCKS)) {
+        const index = gl.getUniformBlockIndex(program, name);
+        if (index !== gl.INVALID_INDEX) gl.uniformBlockBinding(program, index, unit);
+      }
+      gl.useProgram(program);
+      ["base_color", "features", "more_features"].forEach((name, unit) => {
+        gl.uniform1i(gl.getUniformLocation(program, name), unit);
+      });
+      this.timing[`compile ${view}`] = performance.now() - began;
+      return program;
+    });
+  }
+
+  kept(key, make) {
+    if (!this.made.has(key)) this.made.set(key, make());
+    return this.made.get(key);
+  }
+
+  // The mesh of a level as a program reads it.
+  array(level, view) {
+    return this.kept(`array ${level} ${view}`, () => {
+      const gl = this.gl, { mesh } = this.content.get(level), program = this.program(view);
+      const array = gl.createVertexArray();
+      const buffer = (name) => this.kept(`buffer ${level} ${name}`, () => {
+        const made = gl.createBuffer(), target = name === "faces" ? gl.ELEMENT_ARRAY_BUFFER : gl.ARRAY_BUFFER;
+        gl.bindVertexArray(null);
+        gl.bindBuffer(target, made);
+        gl.bufferData(target, mesh[name], gl.STATIC_DRAW);
+        return made;
+      });
+      const point = (attribute, name, tell) => {
+        const place = gl.getAttribLocation(program, attribute);
+        if (place < 0) return;
+        const made = buffer(name);
+        gl.bindVertexArray(array);
+        gl.bindBuffer(gl.ARRAY_BUFFER, made);
+        gl.enableVertexAttribArray(place);
+        tell(place);
+      };
+      for (const [attribute, count, name] of ATTRIBUTES)
+        point(attribute, name, (place) => gl.vertexAttribPointer(place, count, gl.FLOAT, false, 0, 0));
+      point("view_q0", "view_q", (place) => gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 24, 0));
+      point("view_q1", "view_q", (place) => gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 24, 12));
+      point("joints", "joints", (place) => gl.vertexAttribIPointer(place, 4, gl.UNSIGNED_BYTE, 0, 0));
+      point("weights", "weights", (place) => gl.vertexAttribPointer(place, 4, gl.UNSIGNED_BYTE, true, 0, 0));
+      const faces = buffer("faces");
+      gl.bindVertexArray(array);
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, faces);
+      gl.bindVertexArray(null);
+      return array;
+    });
+  }
+
+  // A level's textures: base color, then features, four a texture.
+  textures(level, halvings) {
+    const { color, features } = this.content.get(level), facts = this.avatar.levels[level], gl = this.gl;
+    const found = this.kept(`textures ${level}`, () => [
+      this.texture(color, facts.color.size, false),
+      ...features.map((image) => this.texture(image, facts.features.size, true)),
+    ]);
+    for (const [unit, { texture, size }] of found.entries()) {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      if (this.images.get(texture) === halvings) continue;
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_BASE_LEVEL, halvings);
+      const last = halvings + mipLevels(size.map((side) => side >> halvings)) - 1;
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAX_LEVEL, last);
+      this.images.set(texture, halvings);
+    }
+  }
+
+  texture(image, size, coarse) {
+    const gl = this.gl, texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, texture);
+    gl.pixelStorei(gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL, false);
+    gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
+    gl.pixelStorei(gl.UNPACK_FLIP_Y_WEBGL, false);
+    const given = image instanceof Uint8Array ? [...size, 0, gl.RGBA, gl.UNSIGNED_BYTE, image]
+      : [gl.RGBA, gl.UNSIGNED_BYTE, image];
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, ...given);
+    gl.generateMipmap(gl.TEXTURE_2D);
+    // as player/texture.py: a nearest mip on software, where the finer one is read (MIP_BIAS)
+    const smaller = !this.software ? gl.LINEAR_MIPMAP_LINEAR : coarse ? gl.NEAREST_MIPMAP_NEAREST : gl.LINEAR_MIPMAP_NEAREST;
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, smaller);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);
+    if (!this.software && this.anisotropy)
+      gl.texParameterf(gl.TEXTURE_2D, this.anisotropy.TEXTURE_MAX_ANISOTROPY_EXT, 8);
+    return { texture, size };
+  }
+
+  // An image with depth, of several samples a pixel or one.
+  target(width, height, samples) {
+    const key = `${width} ${height} ${samples}`;
+    if (!this.targets.has(key)) {
+      // a window that is dragged larger leaves no pile of them
+      if (this.targets.size > 6) this.forget();
+      const gl = this.gl, framebuffer = gl.createFramebuffer(), attached = [];
+      gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+      for (const [point, format] of [[gl.COLOR_ATTACHMENT0, gl.RGBA8], [gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24]]) {
+        const buffer = gl.createRenderbuffer();
+        gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+        gl.renderbufferStorageMultisample(gl.RENDERBUFFER, samples, format, width, height);
+        gl.framebufferRenderbuffer(gl.FRAMEBUFFER, point, gl.RENDERBUFFER, buffer);
+        attached.push(buffer);
+      }
+      this.targets.set(key, { framebuffer, attached });
+    }
+    return this.targets.get(key).framebuffer;
+  }
+
+  forget() {
+    for (const { framebuffer, attached } of this.targets.values()) {
+      this.gl.deleteFramebuffer(framebuffer);
+      attached.forEach((buffer) => this.gl.deleteRenderbuffer(buffer));
+    }
+    this.targets.clear();
+  }
+
+  // One frame of width x height pixels into a framebuffer of its own, which is returned. rung: {view, level, halvings};
+  // camera: {target, distance, azimuth, elevation, fov}; background: three numbers of [0, 1]. The level is loaded.
+  frame(pose, camera, rung, width, height, background, samples = 0) {
+    const gl = this.gl, { view, level = 0, halvings = 0 } = rung;
+    const into = this.target(width, height, samples), array = this.array(level, view), program = this.program(view);
+    const bones = posedBones(this.skeleton, pose, viewFromWorld(camera));
+    const planes = clipPlanes(bones.centers, this.avatar.levels[level].radii);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, into);
+    gl.viewport(0, 0, width, height);
+    gl.clearColor(...background, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    if (!planes) return into;
+    const constants = new Float32Array(20);
+    constants.set(clipFromView(camera.fov, width, height, planes));
+    constants[16] = 1;
+    [constants, bones.palette, bones.turns].forEach((data, k) => {
+      gl.bindBuffer(gl.UNIFORM_BUFFER, this.buffers[k]);
+      gl.bufferSubData(gl.UNIFORM_BUFFER, 0, data);
+    });
+    gl.enable(gl.DEPTH_TEST);
+    gl.enable(gl.CULL_FACE);
+    this.textures(level, halvings);
+    gl.useProgram(program);
+    gl.bindVertexArray(array);
+    gl.drawElements(gl.TRIANGLES, 3 * this.avatar.levels[level].triangles, gl.UNSIGNED_INT, 0);
+    gl.bindVertexArray(null);
+    return into;
+  }
+
+  // A frame of one sample a pixel, from one of several.
+  resolved(framebuffer, width, height, samples) {
+    if (!samples) return framebuffer;
+    const into = this.target(width, height, 0);
+    this.copy(framebuffer, into, [width, height], [width, height], this.gl.NEAREST);
+    return into;
+  }
+
+  // A frame of one sample a pixel on the canvas, enlarged to it where it is smaller.
+  show(framebuffer, width, height) {
+    const gl = this.gl, { width: across, height: down } = this.canvas;
+    const filter = width === across && height === down ? gl.NEAREST : gl.LINEAR;
+    this.copy(framebuffer, null, [width, height], [across, down], filter);
+  }
+
+  copy(from, into, source, target, filter) {
+    const gl = this.gl;
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, from);
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, into);
+    gl.blitFramebuffer(0, 0, ...source, 0, 0, ...target, gl.COLOR_BUFFER_BIT, filter);
+  }
+
+  // RGBA of a frame without samples, rows from the bottom.
+  pixels(framebuffer, width, height) {
+    const gl = this.gl, out = new Uint8Array(4 * width * height);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, framebuffer);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, out);
+    return out;
+  }
+
+  // Until everything asked for is drawn: a pixel of the frame is read back. Browsers give no better clock.
+  finish(framebuffer) {
+    const gl = this.gl;
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, framebuffer);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  }
+
+  // Milliseconds of a frame: the median of groups of frames that each end when the last is drawn. poses turn by turn.
+  measure(poses, camera, rung, width, height, { groups = 5, atLeast = 30 } = {}) {
+    const background = [0, 0, 0], draw = (k) => this.frame(poses[k % poses.length], camera, rung, width, height, background);
+    this.finish(draw(0));
+    this.finish(draw(1));
+    let count = 1, times = [];
+    while (times.length < groups) {
+      const began = performance.now();
+      let into = null;
+      for (let k = 0; k < count; k++) into = draw(k);
+      this.finish(into);
+      const took = performance.now() - began;
+      // the clock of a browser is coarse: groups long enough to be told by it
+      if (took < atLeast && count < 512) count *= 2;
+      else times.push(took / count);
+    }
+    times.sort((a, b) => a - b);
+    return { ms: times[times.length >> 1], low: times[0], high: times[times.length - 1], frames: count };
+  }
+}

@@ -1,0 +1,177 @@
+"""An avatar and its motion as the bytes of a page: what unpack.js reads.
+
+Numbers become whole steps of their range: positions, texture coordinates and rotations 2^24, about what float32 holds
+of them (with 2^16 vertices move by some 20 micrometres, a hundredth of a pixel, and 65 pixels of an outline flip: 44 dB
+instead of 62 on the same rasteriser); directions and cones 2^16. Joints, skin weights and textures stay exact. Each
+component lies by itself as the differences of neighbours (vertices are in drawing order, so neighbours are near), all
+lowest bytes first, compressed by zlib.
+
+    value[i] = offset + scale (sum of differences up to i, modulo 2^bits)     difference z: (z >> 1) ^ -(z & 1)
+
+The base color is a lossless WebP: browsers decode it to these very bytes when told to leave its colors alone. Features
+are no image there: four values of which one would be an alpha channel, which decoders premultiply; they are planes of
+bytes, each the difference to Paeth's guess from its neighbours (as in PNG).
+"""
+
+import base64
+import io
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from PIL import Image
+
+from avatar.baked_avatar import Avatar
+from avatar.motion.clip import Clip
+from avatar.rotation import quaternion_from_axis_angle
+from avatar.skeleton import PARENTS, joint_transforms, rigid_inverse
+from avatar.texture import mip_levels
+from player.mesh import draw_order, interleaved
+from player.posing import Poser
+
+# bytes a number: of what moves pixels, and of directions
+FINE, COARSE = 3, 2
+# of a frame of motion before it is compressed
+MOTION_BYTES = FINE * (4 * 52 + 3)
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A part of a page: what unpack.js must know of it, and its bytes by name."""
+
+    facts: dict[str, Any]
+    blobs: dict[str, bytes]
+
+    @property
+    def bytes(self) -> int:
+        return sum(map(len, self.blobs.values()))
+
+
+def packed_avatar(avatar: Avatar) -> Packed:
+    """Skeleton and all levels of detail."""
+    joints = avatar.joint_positions.astype(np.float64)
+    inverse = rigid_inverse(joint_transforms(avatar.canonical_pose.astype(np.float64), joints))
+    levels = [packed_level(avatar, number) for number in range(len(avatar.levels))]
+    facts = {
+        "name": avatar.name,
+        "defaultView": avatar.default_view,
+        "parents": PARENTS.tolist(),
+        # of each joint from its parent, pose 0
+        "offsets": (joints - np.where(PARENTS[:, None] < 0, 0.0, joints[PARENTS])).round(7).tolist(),
+        "jointFromCanonical": inverse[:, :3].reshape(52, 12).round(9).tolist(),
+        "levels": [level.facts for level in levels],
+    }
+    return Packed(facts, {name: blob for level in levels for name, blob in level.blobs.items()})
+
+
+def packed_level(avatar: Avatar, number: int) -> Packed:
+    """Mesh and textures of one level of detail."""
+    level = avatar.levels[number]
+    order, faces = draw_order(level.positions, level.faces)
+    skin = interleaved(level)[order]
+    named = f"level{number}"
+    arrays: list[tuple[str, dict[str, Any], bytes]] = [
+        _range("position", level.positions[order], FINE),
+        _range("uv", level.uv[order], FINE),
+        _range("view_mean", level.view_dir[order], COARSE),
+        _halves("view_q", level.view_q[order]),
+        _range("view_seen", level.view_seen[order][:, None], COARSE),
+        _bytes("joints", skin["joints"]),
+        _bytes("weights", skin["weights"]),
+        _indices("faces", faces),
+    ]
+    blobs = {f"{named}.mesh": zlib.compress(b"".join(data for _, _, data in arrays), 9)}
+    blobs[f"{named}.color"] = lossless_webp(level.base_color)
+    facts: dict[str, Any] = {
+        "vertices": len(order),
+        "triangles": len(faces),
+        "arrays": [{"name": name, **how} for name, how, _ in arrays],
+        "radii": Poser(avatar, level).radii.round(6).tolist(),
+        "color": {"size": list(level.base_color.shape[1::-1]), "mips": mip_levels(level.base_color.shape)},
+        "features": None,
+    }
+    if level.features is not None:
+        blobs[f"{named}.features"] = zlib.compress(paeth(level.features), 9)
+        height, width, planes = level.features.shape
+        facts["features"] = {"size": [width, height], "planes": planes, "mips": mip_levels(level.features.shape)}
+    return Packed(facts, blobs)
+
+
+def packed_motion(clip: Clip) -> Packed:
+    """Rotations of the joints as unit quaternions xyzw, and the pelvis' place: by component, then by frame."""
+    q = quaternion_from_axis_angle(clip.axis_angle.astype(np.float64))
+    # neighbours in time on the same half of the sphere: small differences, and what lies between them is between
+    flips = np.where(np.einsum("fji,fji->fj", q[1:], q[:-1]) < 0, -1.0, 1.0)
+    q[1:] *= np.cumprod(flips, axis=0)[:, :, None]
+    turns, places = _range("turns", q.reshape(len(q), 208), FINE), _range("root", clip.root, FINE)
+    facts = {"frames": len(q), "rate": float(clip.rate), "turns": turns[1], "root": places[1]}
+    return Packed(facts, {"motion": zlib.compress(turns[2] + places[2], 9)})
+
+
+def lossless_webp(image: UInt8[np.ndarray, "height width 3"]) -> bytes:
+    out = io.BytesIO()
+    Image.fromarray(image).save(out, "WEBP", lossless=True, quality=60, method=4, exact=True)
+    return out.getvalue()
+
+
+def paeth(image: UInt8[np.ndarray, "height width planes"]) -> bytes:
+    """Planes, one after the other, as differences to Paeth's guess (PNG, section 9.4); zeros surround each."""
+    planes = np.pad(np.moveaxis(image, 2, 0).astype(np.int16), ((0, 0), (1, 0), (1, 0)))
+    left, above, corner = planes[:, 1:, :-1], planes[:, :-1, 1:], planes[:, :-1, :-1]
+    guess = left + above - corner
+    near = np.abs(guess - left), np.abs(guess - above), np.abs(guess - corner)
+    found = np.where(
+        (near[0] <= near[1]) & (near[0] <= near[2]), left, np.where(near[1] <= near[2], above, corner)
+    )  # fmt: skip
+    return (planes[:, 1:, 1:] - found).astype(np.uint8).tobytes()
+
+
+def _range(name: str, values: Float[np.ndarray, "n components"], width: int) -> tuple[str, dict[str, Any], bytes]:
+    """Steps of so many bytes over the range that the values take, a range for each component."""
+    low, high = values.min(0).astype(np.float64), values.max(0).astype(np.float64)
+    scale = (high - low) / (256**width - 1)
+    steps = np.round((values - low) / np.where(scale > 0, scale, 1.0)).astype(np.int64)
+    how = {"kind": "range", "bytes": width, "components": values.shape[1]}
+    return name, how | {"offset": low.tolist(), "scale": scale.tolist()}, _differences(steps, width)
+
+
+def _halves(name: str, values: Float[np.ndarray, "n components"]) -> tuple[str, dict[str, Any], bytes]:
+    """Half floats: for values whose sizes differ by more than a range of 16 bits tells apart. What is larger than
+    they hold is a cone too narrow to leave."""
+    bits = np.clip(values, -65504, 65504).astype(np.float16).view(np.uint16).astype(np.int64)
+    return name, {"kind": "half", "bytes": COARSE, "components": values.shape[1]}, _differences(bits, COARSE)
+
+
+def _bytes(name: str, values: UInt8[np.ndarray, "n components"]) -> tuple[str, dict[str, Any], bytes]:
+    return name, {"kind": "bytes", "components": values.shape[1]}, np.ascontiguousarray(values.T).tobytes()
+
+
+def _indices(name: str, faces: np.ndarray) -> tuple[str, dict[str, Any], bytes]:
+    """Differences of 32 bits, in the order of drawing."""
+    flat = faces.reshape(-1).astype(np.int64)
+    return name, {"kind": "indices", "components": 1, "count": len(flat)}, _planes(_zigzag(np.diff(flat, prepend=0)), 4)
+
+
+def _differences(steps: Int[np.ndarray, "n components"], width: int) -> bytes:
+    """Differences along the first axis, of so many bytes, component by component."""
+    whole = 256**width
+    # modulo the range, to the nearer side
+    change = (np.diff(steps, axis=0, prepend=0) + whole // 2) % whole - whole // 2
+    return _planes(_zigzag(change).T.reshape(-1), width)
+
+
+def _planes(values: Int[np.ndarray, "n"], width: int) -> bytes:
+    """All lowest bytes, then the next ones: what is small compresses."""
+    planes = np.ascontiguousarray(values.astype("<u4")).view(np.uint8).reshape(-1, 4).T[:width]
+    return np.ascontiguousarray(planes).tobytes()
+
+
+def _zigzag(change: Int[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
+    return (change << 1) ^ (change >> 63)
+
+
+def text_of(blob: bytes) -> str:
+    """Bytes as a page holds them."""
+    return base64.b64encode(blob).decode("ascii")

@@ -1,0 +1,331 @@
+// What the reader touches: the camera, time, view modes; settings stand in the URL, so a link shows the same.
+
+const VIEW_NAMES = { off: "paper", vertex: "per vertex", linear: "linear", network: "network" };
+const VIEW_HELP = {
+  off: "The paper's colors: they depend on the place on the skin alone",
+  vertex: "View dependence worked out at the vertices",
+  linear: "View dependence per pixel, a linear map",
+  network: "View dependence per pixel, a small network",
+};
+const BACKGROUND = [43 / 255, 45 / 255, 51 / 255];
+const STEEPEST = 1.5;
+const find = (id) => document.getElementById(id);
+const limited = (value, low, high) => Math.min(Math.max(value, low), high);
+
+// Settings that a URL can hold, short names for links: its default, as text.
+function readSettings(home, avatar) {
+  const given = new URLSearchParams(location.hash.slice(1));
+  const number = (name, usual) => {
+    const value = given.has(name) ? Number(given.get(name)) : usual;
+    return Number.isFinite(value) ? value : usual;
+  };
+  const size = /^(\d{1,4})x(\d{1,4})$/.exec(given.get("size") || "");
+  return {
+    view: given.get("view") in VIEW_NAMES ? given.get("view") : null,
+    level: limited(Math.round(number("level", 0)), 0, avatar.levels.length - 1),
+    share: limited(number("share", 1), 0.25, 1),
+    halvings: limited(Math.round(number("halvings", 0)), 0, 3),
+    edges: given.get("edges") !== "0",
+    play: given.get("play") !== "0",
+    frame: Math.max(number("frame", 0), 0),
+    speed: limited(number("speed", 1), 0.1, 4),
+    bar: given.get("bar") !== "0",
+    size: size && [Number(size[1]), Number(size[2])],
+    camera: {
+      target: ["x", "y", "z"].map((name, k) => number(name, home.target[k])),
+      distance: limited(number("distance", home.distance), 0.05, 1000),
+      azimuth: number("azimuth", home.azimuth),
+      elevation: limited(number("elevation", home.elevation), -STEEPEST, STEEPEST),
+      fov: home.fov,
+    },
+    fitted: !given.has("distance"),
+  };
+}
+
+class Viewer {
+  constructor(facts, programs, motion, bytes) {
+    this.began = performance.now();
+    this.canvas = find("canvas");
+    this.facts = facts;
+    this.settings = readSettings(facts.camera, facts.avatar);
+    this.drawing = new Drawing(this.canvas, facts.avatar, programs, bytes);
+    const { views } = this.drawing, settings = this.settings;
+    if (!views.includes(settings.view)) settings.view = views.includes(facts.view) ? facts.view : "off";
+    this.motionFacts = motion;
+    this.dirty = true;
+    this.last = null;
+    this.errors = [];
+  }
+
+  async start() {
+    const { drawing, settings } = this;
+    const [motion] = await Promise.all([
+      unpackedMotion(this.motionFacts, drawing.bytes("motion")), drawing.load(settings.level),
+    ]);
+    this.motion = motion;
+    drawing.timing.unpack = performance.now() - this.began;
+    settings.frame = Math.min(settings.frame, motion.frames - 1);
+    if (motion.frames === 1) settings.play = false;
+    this.controls();
+    this.resize();
+    this.draw();
+    this.drawing.finish(this.shown.into);
+    drawing.timing.first = performance.now() - this.began;
+    // since the page was asked for, reading it included
+    drawing.timing.page = performance.now();
+    document.body.classList.add("ready");
+    this.tell();
+    requestAnimationFrame((now) => this.tick(now));
+    setTimeout(() => this.price(), 400);
+  }
+
+  get rung() {
+    const { view, level, halvings } = this.settings;
+    return { view, level, halvings };
+  }
+
+  // Pixels of the canvas, and those drawn.
+  get pixels() {
+    const { share } = this.settings, { width, height } = this.canvas;
+    return [Math.max(1, Math.round(width * share)), Math.max(1, Math.round(height * share))];
+  }
+
+  // As far away as the narrower side of the window asks for, until the reader chooses.
+  get camera() {
+    const { camera, fitted } = this.settings, { width, height } = this.canvas;
+    return fitted ? { ...camera, distance: camera.distance * Math.max(1, height / width) } : camera;
+  }
+
+  resize() {
+    const { size } = this.settings, density = Math.min(window.devicePixelRatio || 1, 2);
+    const box = this.canvas.getBoundingClientRect();
+    const [width, height] = size || [Math.round(box.width * density), Math.round(box.height * density)];
+    this.canvas.classList.toggle("fixed", Boolean(size));
+    if (size) Object.assign(this.canvas.style, { width: `${width}px`, height: `${height}px` });
+    if (this.canvas.width !== width || this.canvas.height !== height) {
+      this.canvas.width = Math.max(width, 1);
+      this.canvas.height = Math.max(height, 1);
+      this.dirty = true;
+    }
+  }
+
+  draw() {
+    const { drawing, settings } = this, [width, height] = this.pixels;
+    if (drawing.gl.isContextLost() || !drawing.loaded(settings.level)) return;
+    const samples = settings.edges ? drawing.samples : 0, pose = poseAt(this.motion, settings.frame);
+    const drawn = drawing.frame(pose, this.camera, this.rung, width, height, BACKGROUND, samples);
+    this.shown = { into: drawing.resolved(drawn, width, height, samples), width, height };
+    drawing.show(this.shown.into, width, height);
+    this.dirty = false;
+  }
+
+  tick(now) {
+    const { settings, motion } = this;
+    if (settings.play && this.last !== null) {
+      const passed = Math.min((now - this.last) / 1000, 0.25) * motion.rate * settings.speed;
+      settings.frame = (settings.frame + passed) % motion.frames;
+      this.dirty = true;
+    }
+    this.last = now;
+    if (this.dirty) {
+      try {
+        this.draw();
+      } catch (error) {
+        return failed(error);
+      }
+      this.time();
+    }
+    requestAnimationFrame((next) => this.tick(next));
+  }
+
+  // Change settings; what was asked for is drawn when it is unpacked.
+  async set(changes) {
+    Object.assign(this.settings, changes);
+    await this.drawing.load(this.settings.level);
+    this.dirty = true;
+    this.tell();
+    this.remember();
+    clearTimeout(this.pricing);
+    this.pricing = setTimeout(() => this.price(), 300);
+  }
+
+  move(change) {
+    const { settings } = this;
+    settings.camera = { ...this.camera, ...change };
+    settings.fitted = false;
+    this.dirty = true;
+    this.remember();
+  }
+
+  turn(dx, dy) {
+    const { azimuth, elevation } = this.camera, step = Math.PI / 360;
+    this.move({ azimuth: azimuth - step * dx, elevation: limited(elevation + step * dy, -STEEPEST, STEEPEST) });
+  }
+
+  shift(dx, dy) {
+    const camera = this.camera, seen = viewFromWorld(camera);
+    const metres = (2 * camera.distance * Math.tan(camera.fov / 2)) / this.canvas.clientHeight;
+    this.move({ target: camera.target.map((value, k) => value - metres * (dx * seen[k] - dy * seen[4 + k])) });
+  }
+
+  approach(factor) {
+    this.move({ distance: limited(this.camera.distance * factor, 0.05, 1000) });
+  }
+
+  // One finger or button turns, two fingers or the right button shift, wheel and pinch go nearer.
+  controls() {
+    const { canvas } = this, held = new Map();
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      held.set(event.pointerId, [event.clientX, event.clientY]);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      const before = held.get(event.pointerId);
+      if (!before) return;
+      const now = [event.clientX, event.clientY], dx = now[0] - before[0], dy = now[1] - before[1];
+      if (held.size === 1) {
+        if (event.buttons & 6 || event.shiftKey) this.shift(dx, dy);
+        else this.turn(dx, dy);
+      } else {
+        const other = [...held].find(([id]) => id !== event.pointerId)[1];
+        const far = (point) => Math.hypot(point[0] - other[0], point[1] - other[1]);
+        if (far(now) > 1) this.approach(far(before) / far(now));
+        this.shift(dx / 2, dy / 2);
+      }
+      held.set(event.pointerId, now);
+    });
+    for (const end of ["pointerup", "pointercancel"])
+      canvas.addEventListener(end, (event) => held.delete(event.pointerId));
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.approach(0.999 ** -limited(event.deltaY * (event.deltaMode ? 30 : 1), -300, 300));
+    }, { passive: false });
+    canvas.addEventListener("dblclick", () => this.home());
+    canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.drawing.begin();
+      this.dirty = true;
+    });
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    window.addEventListener("keydown", (event) => this.key(event));
+    this.buttons();
+  }
+
+  home() {
+    this.settings.camera = { ...this.facts.camera };
+    this.settings.fitted = true;
+    this.dirty = true;
+    this.remember();
+  }
+
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, input[type=range]")) return;
+    const { settings, motion } = this, step = (by) =>
+      this.set({ play: false, frame: (Math.floor(settings.frame + 1e-6) + by + motion.frames) % motion.frames });
+    const does = {
+      " ": () => this.set({ play: !settings.play && motion.frames > 1 }),
+      ",": () => step(-1), ".": () => step(1), ArrowLeft: () => step(-1), ArrowRight: () => step(1),
+      Home: () => this.set({ frame: 0 }), r: () => this.home(),
+      v: () => this.nextView(), g: () => this.set({ bar: !settings.bar }),
+    }[event.key];
+    if (!does || event.target.tagName === "BUTTON" && event.key === " ") return;
+    event.preventDefault();
+    does();
+  }
+
+  nextView() {
+    const { views } = this.drawing;
+    this.set({ view: views[(views.indexOf(this.settings.view) + 1) % views.length] });
+  }
+
+  buttons() {
+    const { settings, drawing, motion, facts } = this;
+    find("views").append(...drawing.views.map((view) => {
+      const button = document.createElement("button");
+      Object.assign(button, { textContent: VIEW_NAMES[view], title: VIEW_HELP[view] });
+      button.dataset.view = view;
+      button.addEventListener("click", () => this.set({ view }));
+      return button;
+    }));
+    const select = find("level");
+    select.append(...facts.avatar.levels.map(({ triangles }, k) => new Option(`${triangles.toLocaleString("en")} triangles`, k)));
+    select.hidden = facts.avatar.levels.length < 2;
+    select.addEventListener("change", () => this.set({ level: Number(select.value) }));
+    find("edges").addEventListener("change", (event) => this.set({ edges: event.target.checked }));
+    find("play").addEventListener("click", () => this.set({ play: !settings.play }));
+    find("time").max = motion.frames - 1;
+    find("time").addEventListener("input", (event) => this.set({ play: false, frame: Number(event.target.value) }));
+    find("timeline").hidden = motion.frames < 2;
+    find("home").addEventListener("click", () => this.home());
+  }
+
+  tell() {
+    const { settings, drawing } = this;
+    for (const button of find("views").children)
+      button.setAttribute("aria-pressed", String(button.dataset.view === settings.view));
+    find("level").value = settings.level;
+    find("edges").checked = settings.edges;
+    find("play").textContent = settings.play ? "\u275a\u275a" : "\u25b6";
+    find("play").title = settings.play ? "pause (space)" : "play (space)";
+    document.body.classList.toggle("bare", !settings.bar);
+    find("facts").textContent = `first picture after ${Math.round(drawing.timing.page)} ms, drawn by ${drawing.renderer}`;
+    this.time();
+  }
+
+  time() {
+    const frame = Math.floor(this.settings.frame + 1e-6);
+    find("time").value = frame;
+    find("when").textContent = `${(frame / this.motion.rate).toFixed(1)} s`;
+  }
+
+  // What a frame of these settings costs on this device.
+  price() {
+    if (document.hidden || this.drawing.gl.isContextLost()) return;
+    const [width, height] = this.pixels, poses = [poseAt(this.motion, this.settings.frame)];
+    const { ms } = this.drawing.measure(poses, this.camera, this.rung, width, height, { groups: 3, atLeast: 10 });
+    this.drawing.timing.ms = ms;
+    find("price").textContent = `${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms a frame here`;
+    this.dirty = true;
+  }
+
+  // The URL of what is shown. A page from a file may not always change its own.
+  remember() {
+    clearTimeout(this.writing);
+    this.writing = setTimeout(() => {
+      const { settings } = this, { target, distance, azimuth, elevation } = settings.camera;
+      const words = { view: settings.view };
+      if (settings.level) words.level = settings.level;
+      if (settings.halvings) words.halvings = settings.halvings;
+      if (settings.share !== 1) words.share = settings.share;
+      if (!settings.edges) words.edges = 0;
+      if (!settings.bar) words.bar = 0;
+      if (settings.size) words.size = settings.size.join("x");
+      if (!settings.play) Object.assign(words, { play: 0, frame: Math.round(settings.frame * 100) / 100 });
+      if (!settings.fitted) {
+        const [x, y, z] = target, camera = { distance, azimuth, elevation, x, y, z };
+        for (const [name, value] of Object.entries(camera)) words[name] = Math.round(value * 1e4) / 1e4;
+      }
+      try {
+        history.replaceState(null, "", `#${new URLSearchParams(words)}`);
+      } catch {
+        this.link = words;
+      }
+    }, 300);
+  }
+}
+
+function failed(error) {
+  const text = error && error.message ? error.message : String(error);
+  find("failure").textContent = text;
+  document.body.classList.add("failed");
+}
+
+async function view() {
+  const facts = JSON.parse(find("page-facts").textContent);
+  const viewer = new Viewer(facts, facts.programs, facts.motion, pageBytes);
+  // for whoever embeds the page, and for tests
+  window.selfscan = viewer;
+  await viewer.start();
+  return viewer;
+}

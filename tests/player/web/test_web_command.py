@@ -1,0 +1,105 @@
+"""`selfscan web`: what it writes and refuses, and the rule that turns shaders/ into GLSL ES."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tiny_avatar import tiny_avatar, tiny_high_avatar
+
+from avatar.errors import AssetError
+from avatar.gltf.avatar_file import write_avatar
+from avatar.motion.clip import Clip
+from player.motions import motion_for
+from player.shader import ShaderError
+from player.web import packing, page
+from player.web.essl import essl, program, programs
+from player.web_command import write_page
+from selfscan.__main__ import main
+
+
+def test_the_rule_for_shaders():
+    source = "#version 330\n#define A 1\n// d̄ is a comment\n#line 3 1\nin vec2 uv; /* two\nlines */ out vec4 c;\n"
+    assert essl(source).splitlines() == [
+        "#version 300 es", "precision highp float;", "precision highp int;", "precision highp sampler2D;",
+        "#define A 1", "in vec2 uv;  out vec4 c;",
+    ]  # fmt: skip
+    with pytest.raises(ShaderError, match="'é' outside of a comment"):
+        essl("#version 330\nfloat é;\n")
+    with pytest.raises(ShaderError, match="expected '#version 330'"):
+        essl("#version 410\n")
+    with pytest.raises(ShaderError, match="given are"):
+        program({"SKINNING": 0}, {})
+
+
+def test_an_avatar_has_a_program_for_each_view_mode_it_holds():
+    assert list(programs(tiny_avatar())) == ["off", "vertex", "linear", "network"]
+    assert list(programs(tiny_avatar(network=None, default_view="linear"))) == ["off", "vertex", "linear"]
+    bare = tiny_avatar()
+    level = dataclasses.replace(bare.levels[0], features=None)
+    assert list(programs(dataclasses.replace(bare, levels=(level,), default_view="off"))) == ["off"]
+    assert "more_features" in programs(tiny_high_avatar())["network"]["fragment"]
+
+
+def test_numbers_come_back_within_a_step():
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(50, 3)).astype(np.float32)
+    for width in (2, 3):
+        _, how, data = packing._range("x", values, width)
+        planes = np.frombuffer(data, np.uint8).reshape(width, 150).astype(np.int64)
+        zigzag = sum(planes[k] << 8 * k for k in range(width))
+        change = (zigzag >> 1) ^ -(zigzag & 1)
+        steps = np.cumsum(change.reshape(3, 50), axis=1).T % 256**width
+        back = np.array(how["offset"]) + np.array(how["scale"]) * steps
+        assert np.abs(back - values).max() <= 0.51 * max(how["scale"])
+
+
+def test_features_are_told_by_their_neighbours():
+    image = np.random.default_rng(1).integers(0, 256, (3, 5, 4)).astype(np.uint8)
+    flat = np.full((3, 5, 4), 7, np.uint8)
+    assert len(packing.paeth(image)) == image.size
+    # one value, then nothing new in each plane
+    assert np.frombuffer(packing.paeth(flat), np.uint8).reshape(4, -1).tolist() == [[7] + 14 * [0]] * 4
+
+
+def test_a_turn_past_the_half_does_not_jump():
+    """Quaternions of neighbouring frames lie on one side: what is between them is between."""
+    axis_angle = np.zeros((20, 52, 3))
+    axis_angle[:, 0, 1] = np.linspace(3.0, 3.3, 20)
+    axis_angle[axis_angle > np.pi] -= 2 * np.pi
+    packed = packing.packed_motion(Clip(axis_angle, np.zeros((20, 3)), 30.0))
+    spread = np.array(packed.facts["turns"]["scale"]) * (256**packing.FINE - 1)
+    # y and w of the pelvis go a little way, none from one side of the sphere to the other
+    assert 0 < spread[1] < 0.05 and 0.1 < spread[3] < 0.2
+
+
+def test_a_template_takes_text_as_it_is():
+    assert page.filled("<@A@ at@home @B@>", {"A": "@B@", "B": "x"}) == "<@B@ at@home x>"
+    assert "</script" not in page.json_element({"name": "</script><b>"})
+
+
+def test_the_command(tmp_path, capsys):
+    write_avatar(tmp_path / "me.glb", tiny_avatar())
+    out = tmp_path / "me.html"
+    assert main(["web", str(tmp_path / "me.glb"), "--frames", "0:3", "-o", str(out)]) == 0
+    assert "MB, 3 frames; geometry" in capsys.readouterr().out
+    text = out.read_text("utf-8")
+    assert text.count('id="level') >= 3 and 'id="level1.mesh"' in text and "://" not in text
+    assert main(["web", str(tmp_path / "me.glb"), "--levels", "1", "-o", str(out)]) == 0
+    assert 'id="level1.mesh"' not in out.read_text("utf-8")
+    assert main(["web", str(tmp_path / "me.glb"), "--frames", "0:9999", "-o", str(out)]) == 1
+    assert "frames 0:9999 asked for, it has 300" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main(["web", str(tmp_path / "me.glb"), "-o", str(tmp_path / "me.glb")])
+    assert "expected a name that ends in .html" in capsys.readouterr().err
+
+
+def test_a_page_that_would_be_too_large_is_refused_by_its_parts(tmp_path, monkeypatch):
+    avatar = tiny_avatar()
+    motion = motion_for(avatar, "counting")
+    long = dataclasses.replace(motion, frames=100_000)
+    with pytest.raises(AssetError, match=r"expected at most \d+ frames on a page, found 100000; --frames A:B"):
+        write_page(tmp_path / "me.html", avatar, long, 0, 100_000, "me")
+    monkeypatch.setattr(page, "MOST_BYTES", 20_000)
+    with pytest.raises(AssetError, match=r"expected at most 0 MB, found 0.* \(geometry 0.00 MB, base color"):
+        write_page(tmp_path / "me.html", avatar, motion, 0, 10, "me")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,166 @@
+"""The page of `selfscan web` in a headless browser: the same picture as `selfscan render`, and nobody is asked."""
+
+import hashlib
+
+import numpy as np
+import pytest
+from browser_page import browser_page
+from chromium import chromium
+from interchange.test_three_js import bent, decibels, painted
+
+from avatar.camera import orbit_camera
+from avatar.motion.clip import Motion
+from player.context import open_context
+from player.renderer import Renderer
+from player.scenes.effects import STUDIO
+from player.web.page import MOST_BYTES
+from player.web_command import write_page
+
+SIZE = (640, 640)
+PLACE = np.array([0.0, -0.1, 0.0])
+FROM = {"distance": 2.6, "azimuth": 0.3, "elevation": 0.1}
+VIEWS = ["off", "vertex", "linear", "network"]
+
+
+def two_poses():
+    """T-pose, then bent."""
+    poses = [(np.zeros((52, 3)), np.zeros(3)), bent()]
+
+    def block(start, stop):
+        return np.stack([p for p, _ in poses[start:stop]]), np.stack([r for _, r in poses[start:stop]])
+
+    return poses, Motion("two poses", 2, 2.0, (), block)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """A page of the built-in body in soft stripes with a random network, and a browser."""
+    chromium()
+    folder = tmp_path_factory.mktemp("web")
+    avatar, (poses, motion) = painted(), two_poses()
+    write_page(folder / "me.html", avatar, motion, 0, 2, "A & B </script>")
+    (folder / "profile").mkdir()
+    with browser_page(folder / "profile") as tab:
+        yield tab, folder / "me.html", avatar, poses
+
+
+def settings(**more):
+    words = FROM | dict(zip("xyz", PLACE, strict=True)) | {"size": "640x640", "play": 0, "edges": 0} | more
+    return "&".join(f"{name}={value}" for name, value in words.items())
+
+
+def rendered(avatar, pose, view):
+    camera = orbit_camera(PLACE, *FROM.values(), SIZE, np.radians(35.0))
+    context = open_context()
+    try:
+        renderer = Renderer(context, [avatar], SIZE, view=view, background=STUDIO.color)
+        picture = renderer.draw([pose], camera)[..., :3].copy()
+        renderer.release()
+        return picture
+    finally:
+        context.release()
+
+
+def test_the_page_draws_the_frames_of_render_in_every_view_mode(page):
+    tab, path, avatar, poses = page
+    drawn = {}
+    for frame, view in [(1, view) for view in VIEWS] + [(0, "network")]:
+        tab.open(path, settings(view=view, frame=frame))
+        theirs, ours = tab.frame(), rendered(avatar, poses[frame], view)
+        everywhere = np.ones(SIZE, bool)
+        # what is left are outlines: this browser's rasteriser knows sixteenths of a pixel, ours 256ths
+        assert decibels(ours, theirs, everywhere) >= 45
+        assert (np.abs(ours.astype(int) - theirs).max(-1) > 2).mean() < 1e-3
+        drawn[frame, view] = theirs
+    # the measure tells modes apart, and poses
+    for view in ("off", "linear"):
+        assert decibels(drawn[1, "network"], drawn[1, view], everywhere) < 35
+    assert decibels(drawn[1, "network"], drawn[0, "network"], everywhere) < 20
+    assert tab.problems == []
+
+
+def test_nothing_is_asked_of_anyone(page):
+    tab, path, *_ = page
+    tab.open(path)
+    tab.wait("selfscan.settings.frame > 0")
+    assert tab.requests == [path.as_uri()]
+    # and nothing can be: the page's own policy forbids it
+    assert tab.ask("fetch('http://127.0.0.1:9/').then(() => 'asked', () => 'refused')") == "refused"
+    assert any("Content Security Policy" in problem for problem in tab.problems)
+    tab.problems.clear()
+
+
+def test_textures_arrive_to_the_byte(page):
+    tab, path, avatar, _ = page
+    tab.open(path, settings())
+    code = """(async () => {
+      const { color, features } = selfscan.drawing.content.get(0), gl = selfscan.drawing.gl;
+      const [texture] = selfscan.drawing.kept("textures 0"), into = gl.createFramebuffer();
+      gl.bindFramebuffer(gl.FRAMEBUFFER, into);
+      gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture.texture, 0);
+      const pixels = selfscan.drawing.pixels(into, ...texture.size);
+      const out = new Uint8Array(pixels.length + features[0].length);
+      out.set(pixels); out.set(features[0], pixels.length);
+      return out; })()"""
+    data, level = tab.bytes(code), avatar.levels[0]
+    height, width, _ = level.base_color.shape
+    pixels = np.frombuffer(data[: 4 * width * height], np.uint8).reshape(height, width, 4)
+    assert np.array_equal(pixels[..., :3], level.base_color)
+    assert hashlib.sha256(data[4 * width * height :]).digest() == hashlib.sha256(level.features.tobytes()).digest()
+
+
+def test_it_plays_and_the_url_holds_what_is_shown(page):
+    tab, path, *_ = page
+    tab.open(path)
+    assert tab.ask("selfscan.settings.play") is True
+    tab.wait("selfscan.settings.frame > 0.2")
+    tab.ask("selfscan.set({ play: false, frame: 1, view: 'linear', edges: false }).then(() => selfscan.turn(40, 10))")
+    tab.wait("location.hash.includes('view=linear') && location.hash.includes('azimuth')")
+    shown, link = tab.frame(), tab.ask("location.hash.slice(1)")
+    tab.open(path, link)
+    assert decibels(shown, tab.frame(), np.ones(shown.shape[:2], bool)) >= 50
+    assert tab.ask("[selfscan.settings.view, selfscan.settings.frame, selfscan.settings.play]") == ["linear", 1, False]
+
+
+def test_keys_and_fingers_move_it(page):
+    tab, path, *_ = page
+    tab.open(path, settings(frame=0))
+    for key, code in ((".", "Period"), ("v", "KeyV")):
+        for kind in ("keyDown", "keyUp"):
+            tab.call("Input.dispatchKeyEvent", type=kind, key=key, code=code)
+    assert tab.ask("[selfscan.settings.frame, selfscan.settings.view]") == [1, "off"]
+    before = tab.ask("selfscan.camera")
+    for kind, points in (
+        ("touchStart", [(200, 200), (300, 200)]), ("touchMove", [(150, 200), (350, 200)]), ("touchEnd", []),
+    ):  # fmt: skip
+        tab.call("Input.dispatchTouchEvent", type=kind,
+                 touchPoints=[{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(points)])  # fmt: skip
+    tab.wait(f"selfscan.camera.distance < {0.6 * before['distance']}")
+    assert tab.ask("selfscan.camera.azimuth") == pytest.approx(before["azimuth"])
+
+
+def test_a_lost_context_comes_back(page):
+    tab, path, *_ = page
+    tab.open(path, settings(view="network", frame=1))
+    shown = tab.frame()
+    tab.ask("(window.lost = selfscan.drawing.gl.getExtension('WEBGL_lose_context')).loseContext()")
+    tab.wait("selfscan.drawing.gl.isContextLost()")
+    tab.ask("lost.restoreContext()")
+    tab.wait("!selfscan.drawing.gl.isContextLost() && !selfscan.dirty && selfscan.drawing.made.size > 3")
+    assert np.array_equal(shown, tab.frame())
+
+
+def test_the_first_picture_is_timed_and_told(page):
+    tab, path, *_ = page
+    tab.open(path)
+    timing = tab.ask("selfscan.drawing.timing")
+    assert 0 < timing["first"] <= timing["page"]
+    assert f"first picture after {round(timing['page'])} ms" in tab.ask("document.getElementById('facts').textContent")
+    tab.wait("document.getElementById('price').textContent.includes('ms a frame here')")
+
+
+def test_title_and_bytes(page):
+    tab, path, *_ = page
+    tab.open(path)
+    assert tab.ask("document.title") == "A & B </script>"
+    assert path.stat().st_size < MOST_BYTES
