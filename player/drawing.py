@@ -54,6 +54,8 @@ class Layer:
     begin: Callable[["Drawing"], None] | None = None
     # row 0 is the top even where the picture's is not
     always_flipped: bool = False
+    # it begins with what is behind the avatars, and covers the picture
+    begins_with_picture: bool = False
 
 
 @dataclass

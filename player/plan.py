@@ -23,6 +23,7 @@ from player.blocks import BINDING, FRAME, bind_block
 from player.drawing import Drawing, Layer, Warming
 from player.resources import KINDS, Handle, Image, PlanResources
 from player.shader import compile_program
+from player.tiles import SurfacePatches
 
 T = TypeVar("T")
 # of MSAA: asked for as a number, never as the device's maximum, so that machines agree
@@ -35,10 +36,12 @@ class Stage(IntEnum):
     """Where in a frame an effect draws."""
 
     BACKGROUND = 0
+    # what avatars stand on
+    GROUND = 1
     # avatars, and what stands among them
-    AVATARS = 1
+    AVATARS = 2
     # the finished picture is filtered
-    PICTURE = 2
+    PICTURE = 3
 
 
 class State(StrEnum):
@@ -101,14 +104,15 @@ class Effect(Protocol):
 
 @dataclass(frozen=True)
 class Absent:
-    """A pass that is not in the plan, and why."""
+    """A pass that is not in the plan, and why; `state` of one whose work is done before anything is drawn."""
 
     name: str
     why: str = "not asked for"
     uses: tuple[Handle[Any], ...] = ()
+    state: State = State.NOT_ASKED
 
     def decide(self, drawing: Drawing) -> Decision:
-        return Decision(State.NOT_ASKED, self.why)
+        return Decision(self.state, self.why)
 
     def draw(self, drawing: Drawing) -> None:
         raise AssertionError("it never runs")
@@ -191,6 +195,10 @@ class Draft:
         if key not in self.kept:
             self.kept[key] = self._kept_before[key] if key in self._kept_before else make()
         return self.kept[key]
+
+    def patches(self) -> SurfacePatches:
+        """Pieces of the avatars' surface, for passes that draw where it can be; all share them."""
+        return self.keep((SurfacePatches, self.level), lambda: SurfacePatches(self.levels))
 
     def tag(self, avatar: int) -> str:
         """What people call an avatar of the scene."""

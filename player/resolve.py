@@ -32,7 +32,7 @@ def resolve(
         (Stage.AVATARS, Avatars(effects.view)),
     ]
     for fact, stage, effect in effects.effects():
-        wanted.append((stage, Absent(fact.name) if effect is None else effect))
+        wanted.append((stage, Absent(fact.name.replace("_", " ")) if effect is None else effect))
     wanted.sort(key=lambda one: one[0])
     stages: list[tuple[Stage, Sequence[Pass]]] = []
     try:

@@ -3,6 +3,8 @@
 In software a filter costs what it covers: on these tiles FXAA is about half as dear as on the whole image.
 """
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt16
 
@@ -44,21 +46,27 @@ class Patches:
         self.centers, self.radii = np.array(centers), np.array(radii)
         self.joints, self.first = np.array(joints, np.intp), np.array(first, np.intp)
 
-    def boxes(
-        self, view_from_canonical: Float[np.ndarray, "52 4 4"], camera: Camera, *, dual: bool
-    ) -> Float[np.ndarray, "patches 4"]:
-        """Left, top, right, bottom of each patch, pixels; infinite where a ball reaches behind the eye.
+    def balls(
+        self, view_from_canonical: Float[np.ndarray, "52 4 4"], *, dual: bool
+    ) -> tuple[Float[np.ndarray, "balls 3"], Float[np.ndarray, "balls"]]:
+        """Middle in view space and radius of the balls that hold the surface, metres.
 
         dual: the blend of screws bulges out of the hull by at most half of what the bones disagree.
         """
-        rows = view_from_canonical[self.joints, :3]
+        points = np.einsum("nij,nj->ni", view_from_canonical[self.joints, :3], self.centers)
+        if not dual:
+            return points, self.radii
+        spread = np.maximum.reduceat(points, self.first) - np.minimum.reduceat(points, self.first)
+        counts = np.diff(self.first, append=len(self.joints))
+        return points, self.radii + np.repeat(0.5 * np.linalg.norm(spread, axis=1), counts)
+
+    def boxes(
+        self, view_from_canonical: Float[np.ndarray, "52 4 4"], camera: Camera, *, dual: bool
+    ) -> Float[np.ndarray, "patches 4"]:
+        """Left, top, right, bottom of each patch, pixels; infinite where a ball reaches behind the eye."""
+        points, radii = self.balls(view_from_canonical, dual=dual)
         # x right, y down, depth
-        points = np.einsum("nij,nj->ni", rows, self.centers) * (1.0, -1.0, -1.0)
-        radii = self.radii
-        if dual:
-            spread = np.maximum.reduceat(points, self.first) - np.minimum.reduceat(points, self.first)
-            counts = np.diff(self.first, append=len(self.joints))
-            radii = radii + np.repeat(0.5 * np.linalg.norm(spread, axis=1), counts)
+        points = points * (1.0, -1.0, -1.0)
         near, far = points[:, 2] - radii, points[:, 2] + radii
         behind = near <= 1e-6
         ends = np.stack([np.where(behind, 1.0, near), np.where(behind, 1.0, far)])[:, :, None]
@@ -71,6 +79,18 @@ class Patches:
         boxes[behind] = [-np.inf, -np.inf, np.inf, np.inf]
         lower = np.minimum.reduceat(boxes[:, :2], self.first)
         return np.concatenate([lower, np.maximum.reduceat(boxes[:, 2:], self.first)], 1)
+
+
+class SurfacePatches:
+    """Patches of each avatar's surface, found when they are first asked for."""
+
+    def __init__(self, levels: Sequence[Level]):
+        self._levels, self._found = tuple(levels), list[Patches]()
+
+    def __iter__(self) -> Iterator[Patches]:
+        if not self._found:
+            self._found = [Patches(level) for level in self._levels]
+        return iter(self._found)
 
 
 def covered(

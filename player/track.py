@@ -10,6 +10,7 @@ from avatar.motion.clip import Clip
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from player.drawing import Pose
 from player.motions import BLOCK
+from player.passes.foot_lock import FootLock
 
 
 @dataclass
@@ -29,6 +30,11 @@ class Track:
     name: str = ""
     # what was assumed in reading it
     notes: tuple[str, ...] = ()
+    # of the avatar in pose 0, metres; with them its feet can be held
+    joints: Float[np.ndarray, "52 3"] | None = None
+    # whether they are
+    foot_lock: FootLock | None = None
+    _held: tuple[FootLock, Callable[[int, Pose], Pose]] | None = field(default=None, repr=False)
     _blocks: list[tuple[int, Clip]] = field(default_factory=list, repr=False)
 
     @property
@@ -50,7 +56,21 @@ class Track:
             # the one before stays, for stepping back
             self._blocks = [*self._blocks[-1:], (first, block)]
         i = frame - first
-        return self.placed((block.axis_angle[i], block.root[i]))
+        pose = block.axis_angle[i], block.root[i]
+        held = self._held_feet()
+        return self.placed(pose if held is None else held(frame, pose))
+
+    def _held_feet(self) -> Callable[[int, Pose], Pose] | None:
+        """What holds the feet, where that is asked for and there is something to hold."""
+        if self.foot_lock is None or self.joints is None or self.frames < 2:
+            return None
+        if self._held is None or self._held[0] != self.foot_lock:
+            # inverse kinematics only where they are asked for
+            from player.held_feet import HeldFeet
+
+            feet = HeldFeet(self.clip, self.frames, self.rate, self.joints, self.foot_lock)
+            self._held = self.foot_lock, feet.pose
+        return self._held[1]
 
     def placed(self, pose: Pose) -> Pose:
         """A pose turned about the world's y axis, then moved."""

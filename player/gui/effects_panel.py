@@ -2,7 +2,7 @@
 with the settings of what is ticked below it."""
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_origin
 
 from avatar.settings import Color, OneOf, Setting, broken_rule, rule_of, settings_of
 from player.gui.widgets import Widgets
@@ -34,7 +34,11 @@ def _changed(ui: Widgets, effect: Setting, value: Any) -> Any | None:
     for setting in settings_of(effect.table):
         chosen = _setting(ui, setting, getattr(value, setting.name), f"{effect.name} {setting.name}")
         if chosen is not None and broken_rule(setting, chosen) is None:
-            return replace(value, **{setting.name: chosen})
+            try:
+                return replace(value, **{setting.name: chosen})
+            # rules between settings, while a number is dragged past them
+            except ValueError:
+                return None
     return None
 
 
@@ -49,6 +53,9 @@ def _setting(ui: Widgets, setting: Setting, value: Any, name: str) -> Any | None
     if rule_of(setting, Color) is not None:
         color = ui.color(label, value[:3], tip)
         return None if color is None else (*color, 1.0)
+    if get_origin(setting.type) is tuple:
+        numbers = ui.numbers(label, value, tip, name=name)
+        return None if numbers is None else tuple(numbers)
     assert setting.type in (int, float), f"no widget for {name}"
     number = ui.number(label, value, tip, name=name)
     return None if number is None else setting.type(number)

@@ -15,7 +15,7 @@ from player.drawing import Drawing, Layer, Warming
 from player.plan import Decision, Draft, Pass, Stage, State
 from player.resources import Handle, Image, PlanResources
 from player.shader import uniform
-from player.tiles import TILE, Patches, covered, rectangles
+from player.tiles import TILE, SurfacePatches, covered, rectangles
 
 NOBODY = Decision(State.SKIPPED, "no avatar in view")
 RUNS = Decision(State.RUNS, "on the tiles that avatars reach")
@@ -40,20 +40,8 @@ class Fxaa:
         tiles = draft.buffer("fxaa tiles", 8 * -(-size[0] // TILE) * -(-size[1] // TILE), *size)
         program = draft.program("tiles.vert", "fxaa.frag", samplers=("picture", "depth"))
         array = draft.array(program, (tiles, *TILES))
-        patches = draft.keep((Fxaa, draft.level), lambda: SurfacePatches(draft))
+        patches = draft.patches()
         return (FxaaPass((*output, *image.handles, tiles, array), image, tiles, program, array, patches, draft.dual),)
-
-
-class SurfacePatches:
-    """Patches of each avatar's surface, found when a filter first runs."""
-
-    def __init__(self, draft: Draft):
-        self._levels, self._found = draft.levels, list[Patches]()
-
-    def __iter__(self):
-        if not self._found:
-            self._found = [Patches(level) for level in self._levels]
-        return iter(self._found)
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,9 @@ class Msaa:
         resolved = draft.own_image(depth=False)
         samples = draft.framebuffer("samples", canvas.size, depth=True, samples=SAMPLES)
         # a pixel's samples lie differently upside down: for a window the finished picture is turned instead
-        draft.layer = Layer(samples, lambda drawing: _over_background(drawing, samples), always_flipped=True)
+        draft.layer = Layer(
+            samples, lambda drawing: _over_background(drawing, samples), always_flipped=True, begins_with_picture=True
+        )
         return (MsaaPass((*resolved.handles, *samples.handles), samples, resolved),)
 
 

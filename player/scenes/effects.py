@@ -13,7 +13,10 @@ from typing import Annotated, NamedTuple
 from avatar.settings import OneOf, Setting, check, rule_of, settings_of
 from player.passes.antialiasing import BestAntialiasing
 from player.passes.background import Background
+from player.passes.foot_lock import FootLock
 from player.passes.fxaa import Fxaa
+from player.passes.grid import Grid
+from player.passes.ground import Ground
 from player.passes.light import Light
 from player.passes.msaa import Msaa
 from player.passes.outline import Outline
@@ -54,6 +57,9 @@ class Effects:
     light: Annotated[
         Light | None, "avatars lit anew, not in the colors they were filmed in: by the capture's light, none, or lamps"
     ] = None
+    ground: Annotated[Ground | None, "a floor to stand on, and the shadow on it"] = None
+    foot_lock: Annotated[FootLock | None, "feet of motions that slide are held where they stand"] = None
+    grid: Annotated[Grid | None, "lines on the ground, every metre, and the world's axes"] = None
     outline: Annotated[Outline | None, "a line round each avatar, and where its limbs pass before it"] = None
 
     def __post_init__(self):

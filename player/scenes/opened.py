@@ -40,10 +40,13 @@ def opened_tracks(
 ) -> list[Track]:
     """The motion of each avatar in its place, as it is seen through these cameras. One that is posed live stands; the
     first, where it has no motion, moves as in the video of the capture."""
-    return [
+    tracks = [
         _track(entry, avatar, ground_for(entry.ground, cameras), capture if index == 0 else None)
         for index, (entry, avatar) in enumerate(zip(scene.avatars, avatars, strict=True))
     ]
+    for track, avatar in zip(tracks, avatars, strict=True):
+        track.joints, track.foot_lock = avatar.joint_positions, scene.effects.foot_lock
+    return tracks
 
 
 def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView | None) -> Track:

@@ -149,6 +149,8 @@ class Window:
             return
         parts, last = self.parts, self.parts.state.last
         screen = self.screen.begin()
+        for track in parts.state.playback.tracks:
+            track.foot_lock = parts.look.effects.foot_lock
         last.poses = parts.posing.poses()
         self._draw_picture(screen)
         if parts.recorder.wants_picture:

@@ -1,7 +1,11 @@
 """The panels in the whole window program, on glfw's null platform with OSMesa; scripts press widgets by name."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+
+from avatar.settings import settings_of
 
 pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 
@@ -14,6 +18,7 @@ from player.gui.panels import Panels
 from player.passes.background import Background
 from player.passes.outline import Outline
 from player.play_command import PLAY, PlayCommand, scene_of
+from player.scenes.effects import PLAIN, Effects
 from player.scenes.opened import opened_avatars
 from player.window.show import opened_show
 from player.window.window import Window
@@ -178,6 +183,14 @@ def test_an_effect_is_ticked_and_set_up_in_the_panel(window):
     assert {"outline color", "outline width"} <= set(window.panels.places)
     run(window, "press:outline wait wait")
     assert window.parts.look.effects.outline is None and "outline" not in drawn()
+
+
+@pytest.mark.parametrize("setting", [s for s in settings_of(Effects) if s.table is not None], ids=lambda s: s.name)
+def test_each_effect_has_a_row_for_each_of_its_settings(window, setting):
+    window.parts.look.change(effects=replace(PLAIN, **{setting.name: setting.table()}))
+    run(window, "wait wait")
+    rows = {f"{setting.name} {inner.name}" for inner in settings_of(setting.table) if inner.type is not str}
+    assert rows <= set(window.panels.places)
 
 
 def test_a_film_has_the_picture_without_panels(window, tmp_path):
