@@ -3,7 +3,7 @@
 A toe is held from where it is slow *and* low until it is twice as fast or twice as high: one threshold would flicker.
 Its place is the median over that time, so that as little as can be is moved at both ends, and it comes there and is let
 go over the release time. The foot is moved as it is turned; hip and knee follow by two-bone inverse kinematics
-(player/pose/ik.py). Where a leg cannot reach, the pelvis is lowered: with u from the foot's place up to the hip and R
+(player/ik.py). Where a leg cannot reach, the pelvis is lowered: with u from the foot's place up to the hip and R
 the leg's length,
 
     drop = u_y - sqrt(R^2 - u_x^2 - u_z^2)
@@ -22,8 +22,8 @@ from jaxtyping import Float
 from avatar.motion.clip import Clip
 from avatar.skeleton import JOINTS, joint_transforms
 from player.drawing import Pose
+from player.ik import LIMBS, reach_for
 from player.passes.foot_lock import FootLock
-from player.pose.ik import LIMBS, reach_for
 
 Array = np.ndarray
 

@@ -8,8 +8,8 @@ from imgui_bundle import imgui
 from avatar.limits import joint_angles, limits
 from avatar.motion.fingers import FINGERS
 from player.gui.widgets import Widgets
+from player.ik import LIMBS
 from player.pose.fingers import CURL_RANGE, PRESETS, SPREAD_RANGE, Side, finger_name, hand_shape
-from player.pose.ik import LIMBS
 from player.pose.library import BUILTIN
 from player.pose.limbs import hand_joints, limb_of
 from player.pose.mirror import PARTNER

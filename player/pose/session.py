@@ -16,11 +16,11 @@ from avatar.limits import clamped, with_angle
 from avatar.motion.clip import Clip
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+from player.ik import LIMBS, reach_for
 from player.pose import pose_file
 from player.pose.fingers import HandShape, Side, with_curl, with_hand, with_spread
 from player.pose.gizmo import turned
 from player.pose.history import History, State
-from player.pose.ik import LIMBS, reach_for
 from player.pose.keyframes import Easing, Keys, Pose, clip_of, moved_key, pose_at, with_key, without_key
 from player.pose.mirror import PARTNER, mirrored_in_place, onto_other_side
 

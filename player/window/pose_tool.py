@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from avatar.camera import Camera, project
 from avatar.skeleton import joint_transforms
+from player.ik import LIMBS
 from player.pose.gizmo import (
     Frame,
     Gizmo,
@@ -24,7 +25,6 @@ from player.pose.gizmo import (
     picked_joint,
     picked_ring,
 )
-from player.pose.ik import LIMBS
 from player.pose.keyframes import Pose
 from player.pose.session import PoseSession
 from player.window.state import WindowState

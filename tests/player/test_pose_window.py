@@ -15,10 +15,10 @@ from avatar.settings import parse
 from avatar.skeleton import JOINTS, joint_transforms
 from player.framing import pelvis_height
 from player.gui.panels import Panels
+from player.ik import LIMBS
 from player.motions import motion_for
 from player.play_command import PLAY, PlayCommand, scene_of
 from player.pose.fingers import PRESETS, hand_shape
-from player.pose.ik import LIMBS
 from player.pose.mirror import mirrored_in_place
 from player.scenes.opened import opened_avatars
 from player.window.pose_tool import HANDLES

@@ -11,8 +11,8 @@ from avatar.limits import joint_angles, within
 from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS
+from player.ik import LIMBS
 from player.pose.fingers import PRESETS
-from player.pose.ik import LIMBS
 from player.pose.keyframes import Pose, clip_of, pose_at, with_key
 from player.pose.limbs import hand_joints, limb_of
 from player.pose.mirror import PARTNER
