@@ -2,7 +2,8 @@
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -14,7 +15,7 @@ from avatar.camera import write_cameras
 from avatar.errors import AssetError
 from avatar.files import check_folder, whole_file, whole_folder
 from avatar.progress import Progress
-from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, check, parse
+from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, check, parse, settings_json
 from avatar.skeleton import PARENTS, PARTS
 from player.context import open_context
 from player.raster import Rasteriser
@@ -23,6 +24,7 @@ from synth.film import Shots, disturbed, plan_videos
 from synth.head_frame import cameras_in_head_frame, landmarks, scale_of, seeded_similarity
 from synth.light import MODES, light_of
 from synth.photo import Studio
+from synth.raw.film import FILES, RawConfig, film_raw, write_truth
 from synth.subject import SynthSubject, read_subject
 from synth.template import Template, register
 from synth.truth import novel_poses, novel_views, take_set, write_photo, write_rest
@@ -36,14 +38,19 @@ RATE = 10.0
 class SynthConfig:
     """How a self-scan is filmed."""
 
-    size: Annotated[int, AtLeast(32), AtMost(4096), "pixels, both sides of every video"] = 256
+    size: Annotated[
+        int | None,
+        AtLeast(32),
+        AtMost(4096),
+        "pixels, both sides of every video (default: 256); with --raw the shorter side (1080)",
+    ] = None
     frames: Annotated[int, AtLeast(4), AtMost(100_000), "frames in each of the four videos"] = 40
     light: Annotated[
-        str,
+        str | None,
         OneOf(MODES),
         "even: base colour; soft: .75 ambient + .25 key; fixed: .45 + .55 and a highlight; varied: another light in "
-        "each video; room: a window, a lamp, shadows and a camera's exposure",
-    ] = "even"
+        "each video; room: a window, a lamp, shadows and a camera's exposure (default: even; with --raw room)",
+    ] = None
     sheen: Annotated[float, AtLeast(0), AtMost(1), Option(metavar="0..1"), "view-dependent shine"] = 0.0
     pose_noise: Annotated[
         float, AtLeast(0), AtMost(30), Option(metavar="DEG"), "noise on the poses as written, degrees"
@@ -70,12 +77,14 @@ class SynthCommand:
         "capture folder to write; replaced if synth wrote it before",
     ]
     config: Annotated[SynthConfig, "how it is filmed"]
+    raw: Annotated[RawConfig, "how a phone films it"]
 
 
 ABOUT = Help(
     "selfscan synth",
     """Film a self-scan of a person whose mesh is known: four videos (body turning in a T-pose, head, each hand) with
-masks, cameras and poses, the registered template, and held-out pictures to measure with.""",
+masks, cameras and poses, the registered template, and held-out pictures to measure with. With --raw four video files
+as a phone writes them, for `selfscan import video`: a room behind, noise, a person who sways.""",
     "example: selfscan synth builtin out/capture && selfscan train out/capture -o out/run",
 )
 
@@ -86,14 +95,11 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
     Raises:
         AssetError: the subject cannot be read, or the folder not be written.
     """
-    light_of(config.light, "body", config.seed)
+    config = with_defaults(config, size=256, light="even")
+    assert config.size is not None
     check_folder(out)
-    person = cut_out(load_subject(subject))
-    print(f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces; {'; '.join(person.notes)}")
-
-    context = open_context()
-    rasteriser = Rasteriser(context)
-    try:
+    person = _person(subject)
+    with _rasteriser() as rasteriser:
         studio = Studio(rasteriser, person)
         videos = plan_videos(studio, config.frames, config.size)
         visible = visible_faces(rasteriser, person.vertices, person.faces)
@@ -112,14 +118,57 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
                 _take_truth(folder / "truth", studio, visible, config)
             with whole_file(folder / "capture.json", "w") as file:
                 json.dump(facts, file, indent=1)
-    finally:
-        rasteriser.release()
-        context.release()
     for part, shots in videos.items():
         camera = shots.cameras[0]
         distance = np.linalg.norm(camera.eye - shots.root.mean(0)) if part == "body" else np.linalg.norm(camera.eye)
         print(f"{part}: {config.frames} frames of {config.size} px, {1000 * distance / camera.K[0, 0]:.2f} mm a pixel")
     return facts
+
+
+def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> dict:
+    """Write the four raw videos of a subject, with the truth in out/truth; returns its raw.json.
+
+    Raises:
+        AssetError: the subject cannot be read, or the folder not be written.
+    """
+    config = with_defaults(config, size=1080, light="room")
+    assert config.size is not None and config.light is not None
+    check_folder(out)
+    person = _person(subject)
+    facts = {"subject": person.name, "subject_licence": person.licence, **settings_json(config), **settings_json(raw)}
+    lights = {part: light_of(config.light, part, config.seed) for part in PARTS}
+    with _rasteriser() as rasteriser, whole_folder(out) as folder:
+        plan = film_raw(folder, Studio(rasteriser, person, 2), lights, config.size, raw, config.seed)
+        if config.truth:
+            visible = visible_faces(rasteriser, person.vertices, person.faces)
+            _take_truth(folder / "truth", Studio(rasteriser, person), visible, config)
+        write_truth(folder, plan, facts)
+    for part, shots in plan.items():
+        width, height = shots.camera.size
+        print(f"{FILES[part]}: {len(shots.root)} frames of {width} x {height} px")
+    return facts
+
+
+def with_defaults(config: SynthConfig, *, size: int, light: str) -> SynthConfig:
+    """The settings with what was left open filled in."""
+    return replace(config, size=config.size or size, light=config.light or light)
+
+
+def _person(name: str) -> SynthSubject:
+    person = cut_out(load_subject(name))
+    print(f"{person.name}: {len(person.vertices)} vertices, {len(person.faces)} faces; {'; '.join(person.notes)}")
+    return person
+
+
+@contextmanager
+def _rasteriser() -> Iterator[Rasteriser]:
+    context = open_context()
+    rasteriser = Rasteriser(context)
+    try:
+        yield rasteriser
+    finally:
+        rasteriser.release()
+        context.release()
 
 
 def load_subject(name: str) -> SynthSubject:
@@ -181,7 +230,7 @@ def _film(folder: Path, studio: Studio, template: Template, videos: dict[str, Sh
     """Take the four videos and write them with the cameras, poses and facts that training reads."""
     done, report = 0, Progress("filming", sum(len(shots.root) for shots in videos.values()))
     for part, shots in videos.items():
-        light = light_of(config.light, part, config.seed)
+        light = light_of(config.light or "even", part, config.seed)
         for kind in ("images", "masks"):
             (folder / part / kind).mkdir(parents=True)
         for i, camera in enumerate(shots.cameras):
@@ -214,7 +263,7 @@ def _film(folder: Path, studio: Studio, template: Template, videos: dict[str, Sh
 def _take_truth(folder: Path, studio: Studio, visible: np.ndarray, config: SynthConfig) -> None:
     """The subject's mesh and the held-out pictures, in the light of the body video."""
     write_rest(folder, studio.subject, visible)
-    light = light_of(config.light, "body", config.seed)
+    light = light_of(config.light or "even", "body", config.seed)
     sets = {"novel_pose": novel_poses(config.seed), "novel_view": novel_views(config.seed)}
     finer = Studio(studio.rasteriser, studio.subject, supersample=2)
     done, report = 0, Progress("held-out pictures", 4 * sum(len(stands) for stands in sets.values()))
@@ -230,6 +279,10 @@ def main(argv: Sequence[str]) -> int:
     """The command line; see `selfscan synth --help`."""
     command = parse(SynthCommand, argv, ABOUT)
     began = time.monotonic()
+    if command.raw.raw:
+        synth_raw(command.subject, command.out, command.config, command.raw)
+        print(f"{command.out}: four videos in {time.monotonic() - began:.0f} s")
+        return 0
     synth(command.subject, command.out, command.config)
     count = 4 * command.config.frames + (120 if command.config.truth else 0)
     print(f"{command.out}: {count} pictures in {time.monotonic() - began:.0f} s")

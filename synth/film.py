@@ -80,16 +80,10 @@ def _head_video(studio: Studio, frames: int, size: int) -> Shots:
     which nods 20 degrees up and down.
     """
     subject = studio.subject
-    head = subject.vertices[(subject.part == PARTS.index("head")) & ~_low_hair(subject)].astype(np.float64)
-    collar = head[head[:, 1] < np.quantile(head[:, 1], 0.2)] - [
-        0,
-        0.04,
-        0,
-    ]  # the neck is where parts are joined
-    head = np.concatenate([head, collar])
+    head = head_points(subject)
     middle = (head.min(0) + head.max(0)) / 2
     turn = 720 * np.arange(frames) / frames
-    nod = [_nod(t) for t in turn]
+    nod = [head_nod(t) for t in turn]
     turned = np.stack([rotation(x=n) @ rotation(y=float(t)) for n, t in zip(nod, turn, strict=True)])
     axis_angle = np.zeros((frames, 52, 3))
     axis_angle[:, 0] = axis_angle_from_matrix(turned)
@@ -99,7 +93,15 @@ def _head_video(studio: Studio, frames: int, size: int) -> Shots:
     return Shots("head", axis_angle, root, (camera,) * frames)
 
 
-def _nod(turn: float) -> float:
+def head_points(subject: SynthSubject) -> Float[np.ndarray, "points 3"]:
+    """What a close-up of the head holds, pose 0: the head without hair that hangs, and a collar below."""
+    head = subject.vertices[(subject.part == PARTS.index("head")) & ~_low_hair(subject)].astype(np.float64)
+    # the neck is where parts are joined
+    collar = head[head[:, 1] < np.quantile(head[:, 1], 0.2)] - [0, 0.04, 0]
+    return np.concatenate([head, collar])
+
+
+def head_nod(turn: float) -> float:
     """How far the head bows at a heading, degrees: the face is seen from below in the first turn and from above
     in the second; with an arm towards the camera it always bows, so that no hand passes before the face."""
     second = 0.5 - 0.5 * np.cos(np.radians(turn / 2))
@@ -131,12 +133,24 @@ def relaxed_fingers() -> Float[np.ndarray, "52 3"]:
 def _hand_video(studio: Studio, side: str, frames: int, size: int) -> Shots:
     """The arm raised at the side; the hand turned twice about its length, fingertips towards the camera and away."""
     subject = studio.subject
-    joints = subject.joints.astype(np.float64)
+    roll = 720 * np.arange(frames) / frames
+    axis_angle = hand_poses(subject.joints.astype(np.float64), side, roll)
+    root = hand_before_camera(axis_angle, subject.joints.astype(np.float64), side, roll)
+    members = subject.part == PARTS.index(f"hand_{side}")
+    every = np.concatenate([studio.posed(axis_angle[i], root[i])[members] for i in range(frames)])
+    camera = frame_points([0, 0, 0.8], np.zeros(3), every, size, FINEST_PIXEL)
+    return Shots(f"hand_{side}", axis_angle, root, (camera,) * frames)
+
+
+def hand_poses(
+    joints: Float[np.ndarray, "52 3"], side: str, roll: Float[np.ndarray, "frames"]
+) -> Float[np.ndarray, "frames 52 3"]:
+    """The arm raised at the side, the hand rolled about its length by so many degrees, the other arm hanging."""
     sign = 1.0 if side == "left" else -1.0
     fingers = relaxed_fingers()
-    number = {name: JOINTS.index(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist", "middle1", "middle3")}
+    number = {name: JOINTS.index(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist", "middle3")}
     other = "right" if side == "left" else "left"
-    fingers[JOINTS.index(f"{other}_shoulder")] = np.radians([0, 0, sign * 70])  # the other arm hangs
+    fingers[JOINTS.index(f"{other}_shoulder")] = np.radians([0, 0, sign * 70])
 
     length = joints[number["middle3"]] - joints[number["wrist"]]
     along = length / np.linalg.norm(length)  # fingers, in the rest frame
@@ -145,8 +159,7 @@ def _hand_video(studio: Studio, side: str, frames: int, size: int) -> Shots:
     palm /= np.linalg.norm(palm)
     across = np.cross(along, palm)
 
-    axis_angle = np.tile(fingers, (frames, 1, 1))
-    roll = 720 * np.arange(frames) / frames
+    axis_angle = np.tile(fingers, (len(roll), 1, 1))
     for i, angle in enumerate(roll):
         # the camera as the hand sees it: round its length, 15 degrees up the fingers, +-35 to and fro
         lift = np.radians(15 + 35 * np.sin(np.radians(0.75 * angle + 30)))
@@ -159,17 +172,20 @@ def _hand_video(studio: Studio, side: str, frames: int, size: int) -> Shots:
         axis_angle[i, number["shoulder"]] = axis_angle_from_matrix(upper)
         axis_angle[i, number["elbow"]] = axis_angle_from_matrix(upper.T @ forearm)
         axis_angle[i, number["wrist"]] = axis_angle_from_matrix(wrist)
+    return axis_angle
 
-    # the person steps along so that the hand stays before the camera, within 1.5 cm
-    at = joint_transforms(axis_angle, joints, np.zeros((frames, 3)))[:, number["middle1"], :3, 3]
-    drift = 0.015 * np.stack(
-        [np.sin(np.radians(roll)), np.cos(np.radians(1.5 * roll)), np.sin(np.radians(0.5 * roll))], 1
-    )
-    root = drift - at
-    members = subject.part == PARTS.index(f"hand_{side}")
-    every = np.concatenate([studio.posed(axis_angle[i], root[i])[members] for i in range(frames)])
-    camera = frame_points([0, 0, 0.8], np.zeros(3), every, size, FINEST_PIXEL)
-    return Shots(f"hand_{side}", axis_angle, root, (camera,) * frames)
+
+def hand_before_camera(
+    axis_angle: Float[np.ndarray, "frames 52 3"],
+    joints: Float[np.ndarray, "52 3"],
+    side: str,
+    roll: Float[np.ndarray, "frames"],
+) -> Float[np.ndarray, "frames 3"]:
+    """Where the pelvis is when the person steps along so that the hand stays at the origin, within 1.5 cm."""
+    middle = JOINTS.index(f"{side}_middle1")
+    at = joint_transforms(axis_angle, joints, np.zeros((len(roll), 3)))[:, middle, :3, 3]
+    drift = [np.sin(np.radians(roll)), np.cos(np.radians(1.5 * roll)), np.sin(np.radians(0.5 * roll))]
+    return 0.015 * np.stack(drift, 1) - at
 
 
 def _turn_to(to_camera, along, up) -> Float[np.ndarray, "3 3"]:

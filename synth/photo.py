@@ -6,7 +6,7 @@ Samples are averaged as sRGB values, as most renderers of training data do; the 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from avatar.camera import Camera
 from avatar.skeleton import PARTS, skin_transforms
@@ -15,7 +15,7 @@ from avatar.texture import sample_texture
 from geometry.mesh import vertex_normals, weld
 from player.raster import Rasteriser
 from synth.light import Light, shade, sheen_of
-from synth.room import Room, RoomLighting, shade_in_room
+from synth.room import Room, RoomLighting, VertexLight, shade_in_room
 from synth.subject import SynthSubject
 
 
@@ -28,6 +28,13 @@ class Photo(NamedTuple):
     parts: UInt8[
         np.ndarray, "height width"
     ]  # 1 + part (index in PARTS) that covers most of the pixel, 0 outside the mask
+
+
+class Exposure(NamedTuple):
+    """A picture to lay over another one: color + (1 - coverage) * what lies behind."""
+
+    color: Float[np.ndarray, "height width 3"]  # sRGB 0 to 255, times coverage
+    coverage: Float[np.ndarray, "height width"]  # share of the pixel that shows the person
 
 
 class Studio:
@@ -51,6 +58,39 @@ class Studio:
         self, vertices: Float[np.ndarray, "vertices 3"], camera: Camera, light: Light | Room, sheen: float
     ) -> Photo:
         """A picture of posed vertices."""
+        n = self.supersample
+        samples, hit, face = self._samples(vertices, camera, light, sheen, None)
+        image = np.round(_block_sum(samples, n) / n**2).astype(np.uint8)
+        covered = 2 * _block_sum(hit.astype(np.uint8), n) >= n**2
+        labels = np.zeros(hit.shape, np.uint8)
+        labels[hit] = 1 + self.face_part[face]
+        counts = np.stack([_block_sum((labels == 1 + part).astype(np.uint8), n) for part in range(len(PARTS))])
+        parts = np.where(covered, 1 + counts.argmax(0), 0).astype(np.uint8)
+        return Photo(image, np.where(covered, 255, 0).astype(np.uint8), parts)
+
+    def expose(
+        self,
+        vertices: Float[np.ndarray, "vertices 3"],
+        camera: Camera,
+        light: Light | Room,
+        sheen: float,
+        lit: VertexLight | None = None,
+    ) -> Exposure:
+        """A picture to lay over another one; `lit`: light in a room that was found before."""
+        n = self.supersample
+        samples, hit, _ = self._samples(vertices, camera, light, sheen, lit)
+        coverage = _block_sum(hit.astype(np.float32), n) / n**2
+        return Exposure(_block_sum(samples, n) / n**2, coverage)
+
+    def _samples(
+        self,
+        vertices: Float[np.ndarray, "vertices 3"],
+        camera: Camera,
+        light: Light | Room,
+        sheen: float,
+        lit: VertexLight | None,
+    ) -> tuple[Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"], Int[np.ndarray, "hits"]]:
+        """Colours of all samples, 0 where nothing is; where something is; and the faces there."""
         width, height = camera.size
         n = self.supersample
         fragments = self.rasteriser.draw(vertices, self.subject.faces, camera.resized((n * width, n * height)))
@@ -65,21 +105,16 @@ class Studio:
             towards_eye /= np.linalg.norm(towards_eye, axis=1, keepdims=True)
             if isinstance(light, Room):
                 facing = (normals * towards_eye).sum(1)
-                lit = self.lighting.on(vertices, light).at(corners, weights, behind=facing < 0)
+                lit = self.lighting.on(vertices, light) if lit is None else lit
+                arriving = lit.at(corners, weights, behind=facing < 0)
                 normals = np.where(facing[:, None] < 0, -normals, normals)
-                color = shade_in_room(color, normals, towards_eye, lit, light)
+                color = shade_in_room(color, normals, towards_eye, arriving, light)
                 color += 255 * sheen_of(np.abs(facing), sheen)[:, None]
             else:
                 color = shade(color, normals, towards_eye, light, sheen)
         samples = np.zeros((*hit.shape, 3), np.float32)
         samples[hit] = np.clip(color, 0, 255)
-        image = np.round(_block_sum(samples, n) / n**2).astype(np.uint8)
-        covered = 2 * _block_sum(hit.astype(np.uint8), n) >= n**2
-        labels = np.zeros(hit.shape, np.uint8)
-        labels[hit] = 1 + self.face_part[face]
-        counts = np.stack([_block_sum((labels == 1 + part).astype(np.uint8), n) for part in range(len(PARTS))])
-        parts = np.where(covered, 1 + counts.argmax(0), 0).astype(np.uint8)
-        return Photo(image, np.where(covered, 255, 0).astype(np.uint8), parts)
+        return samples, hit, face
 
     def _color(self, face: Int[np.ndarray, "n"], weights: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         subject = self.subject
