@@ -28,6 +28,8 @@ class FrameInputs:
     # row 0 of the framebuffer is the top
     flipped: bool
     seconds: float
+    # frames whose mean the picture is
+    exposures: int = 1
 
 
 class Look(NamedTuple):

@@ -15,6 +15,7 @@ from avatar.errors import AssetError
 from player.context import Context
 from player.drawing import Drawing, FrameInputs, Look, Pose, Warming
 from player.passes.background import Background
+from player.passes.lens import LensPass
 from player.passes.view import ViewPass
 from player.plan import Canvas, Decision, Pass, Plan, close_all
 from player.posing import PosedBones, Poser, screen_bounds
@@ -152,15 +153,36 @@ class Renderer:
         Raises:
             ValueError: not one pose per avatar, or a pose with a number that is not finite.
         """
+        return self.expose([(poses, camera)], out, seconds=seconds)
+
+    def expose(
+        self,
+        views: Sequence[tuple[Sequence[Pose], Camera]],
+        out: UInt8[np.ndarray, "height width 4"] | None = None,
+        *,
+        seconds: float = 0.0,
+    ) -> UInt8[np.ndarray, "height width 4"]:
+        """The mean of several frames, as a shutter and a lens make it (player/filming/exposure.py); of one, the frame.
+
+        Raises:
+            ValueError: as `draw`.
+        """
         target = self.target
         assert target is not None, "made without an image: use draw_into"
         self.context.make_current()
         width, height = target.size
-        if camera.size != (width, height):
-            camera = camera.resized((width, height))
-        self._frame(FrameInputs(target, tuple(poses), camera, True, seconds))
         image = np.empty((height, width, 4), np.uint8) if out is None else out
-        target.read_into(image, components=4)
+        # at most 256 bytes: whole numbers below 65536
+        total = np.zeros((height, width, 4), np.uint16) if len(views) > 1 else None
+        for poses, camera in views:
+            if camera.size != (width, height):
+                camera = camera.resized((width, height))
+            self._frame(FrameInputs(target, tuple(poses), camera, True, seconds, len(views)))
+            target.read_into(image, components=4)
+            if total is not None:
+                total += image
+        if total is not None:
+            image[:] = (total + len(views) // 2) // len(views)
         return image
 
     def draw_into(
@@ -206,6 +228,8 @@ class Renderer:
                 self._frame(self.last, only=item)
                 self.context.gl.finish()
                 times.append(1e3 * (time.perf_counter() - start))
+            if isinstance(item, LensPass) and decision.runs:
+                times = [(self.last.exposures - 1) * self._frame_ms()]
             out.append(
                 {
                     "name": item.name,
@@ -225,6 +249,18 @@ class Renderer:
         close_all(self.plan.kept.values())
 
     # -- one frame
+
+    def _frame_ms(self, repeats: int = 3) -> float:
+        """Of a whole frame like the last one, the median."""
+        assert self.last is not None
+        times = []
+        for _ in range(repeats):
+            self.context.gl.finish()
+            start = time.perf_counter()
+            self._frame(self.last)
+            self.context.gl.finish()
+            times.append(1e3 * (time.perf_counter() - start))
+        return float(np.median(times))
 
     def _frame(self, inputs: FrameInputs, *, only: Pass | None = None) -> None:
         """Execute the plan, or one pass of it (explain)."""

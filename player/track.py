@@ -7,10 +7,19 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.motion.clip import Clip
-from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from avatar.rotation import (
+    axis_angle_from_matrix,
+    axis_angle_from_quaternion,
+    matrix_from_axis_angle,
+    quaternion_from_axis_angle,
+    slerp,
+)
 from player.drawing import Pose
 from player.motions import BLOCK
 from player.passes.foot_lock import FootLock
+
+# metres a second of the root, and radians from one frame to the next: beyond them it is a jump
+FASTEST, TURNED = 15.0, np.radians(60.0)
 
 
 @dataclass
@@ -48,7 +57,37 @@ class Track:
 
     def pose(self, seconds: float | int) -> Pose:
         """The pose at a moment, in its place."""
-        frame = self.frame(seconds)
+        return self.placed(self._own(self.frame(seconds)))
+
+    def pose_beside(self, seconds: float, away: float) -> Pose:
+        """The pose `away` seconds from a moment, between two frames of the motion; where it jumps between them (faster
+        than FASTEST, or turned by more than TURNED), the pose on this moment's side of the jump."""
+        here = self.frame(seconds)
+        # a moment shows the frame that began last; times beside it are counted from there
+        at = min(max(here + away * self.rate, 0.0), self.frames - 1.0)
+        while here + 1 <= at and not self._jumps(here):
+            here += 1
+        while here - 1 >= at and not self._jumps(here - 1):
+            here -= 1
+        part = at - here
+        low = here if part > 0 else here - 1
+        if part == 0 or abs(part) >= 1 or self._jumps(low):
+            return self.placed(self._own(here))
+        part = at - low
+        (before, root_before), (after, root_after) = self._own(low), self._own(low + 1)
+        q = slerp(quaternion_from_axis_angle(before), quaternion_from_axis_angle(after), np.full(52, part))
+        return self.placed((axis_angle_from_quaternion(q), root_before + part * (root_after - root_before)))
+
+    def _jumps(self, frame: int) -> bool:
+        """Whether the motion jumps between this frame and the next."""
+        (before, root_before), (after, root_after) = self._own(frame), self._own(frame + 1)
+        if np.linalg.norm(root_after - root_before) * self.rate > FASTEST:
+            return True
+        q_before, q_after = quaternion_from_axis_angle(before[0]), quaternion_from_axis_angle(after[0])
+        return bool(2 * np.arccos(min(abs(float(q_before @ q_after)), 1.0)) > TURNED)
+
+    def _own(self, frame: int) -> Pose:
+        """The motion's own frame, its feet held where that is asked for."""
         first = frame - frame % BLOCK
         block = next((clip for start, clip in self._blocks if start == first), None)
         if block is None:
@@ -58,7 +97,7 @@ class Track:
         i = frame - first
         pose = block.axis_angle[i], block.root[i]
         held = self._held_feet()
-        return self.placed(pose if held is None else held(frame, pose))
+        return pose if held is None else held(frame, pose)
 
     def _held_feet(self) -> Callable[[int, Pose], Pose] | None:
         """What holds the feet, where that is asked for and there is something to hold."""

@@ -12,10 +12,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
+from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.interrupt import deferred_stop
 from avatar.motion.read import BUILTIN_MOTIONS
 from player.context import Context, opened
+from player.drawing import Pose
+from player.filming.exposure import exposures
 from player.filming.film import Film, Frame
 from player.filming.stage import Fit, Stage
 from player.renderer import Renderer
@@ -120,9 +123,16 @@ class ShotRenderer:
         Raises:
             AssetError: its pose holds a number that is not finite.
         """
-        poses = self.stage.poses(frame)
-        camera = self.camera_at(frame, poses[0][1])
-        return self.renderer.draw(poses, camera, out, seconds=frame / self.shot.rate)
+        effects, seconds = self.shot.scene.effects, frame / self.shot.rate
+        if effects.motion_blur is None and effects.depth_of_field is None:
+            poses = self.stage.poses(frame)
+            return self.renderer.draw(poses, self.camera_at(frame, poses[0][1]), out, seconds=seconds)
+
+        def view_at(share: float) -> tuple[list[Pose], Camera]:
+            poses = self.stage.poses_beside(frame, share) if share else self.stage.poses(frame)
+            return poses, self.camera_at(frame + share if share else frame, poses[0][1])
+
+        return self.renderer.expose(exposures(effects, view_at, self.renderer.posers), out, seconds=seconds)
 
     def film(self, path: Path, frames: Iterable[int], pieces: Sequence[tuple[Path, int]] = ()) -> Film:
         """Draw these frames into a film, or into pieces of one; the film, written."""

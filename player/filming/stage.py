@@ -21,7 +21,8 @@ from player.renderer import Pose
 from player.scenes.opened import notes_of, opened_avatars, opened_camera, opened_tracks
 from player.scenes.scene import Scene, SceneCamera
 
-CameraAt = Callable[[int, Float[np.ndarray, "3"]], Camera]  # of the frame number and the first avatar's pelvis
+# of the frame number, which may lie between two frames, and the first avatar's pelvis
+CameraAt = Callable[[float, Float[np.ndarray, "3"]], Camera]
 FITTED = ("front", "orbit", "turntable")
 SIZE = (640, 640)
 # frames of each block of a film that fitted cameras look at
@@ -100,6 +101,12 @@ class Stage:
         seconds = (frame if self.still is None else self.still) / self.rate
         return [track.pose(seconds) for track in self.tracks]
 
+    def poses_beside(self, frame: int, share: float) -> list[Pose]:
+        """The poses so many frames (-1 to 1) from a frame, between those of the motions."""
+        if self.still is not None:
+            return self.poses(frame)
+        return [track.pose_beside(frame / self.rate, share / self.rate) for track in self.tracks]
+
     def fit(self, start: int, stop: int) -> Fit | None:
         """What the fitted cameras of a film of these frames look at; None for cameras from files."""
         if self.camera.kind not in FITTED:
@@ -145,7 +152,7 @@ class Stage:
             return lambda frame, _root: kept.camera(frame / self.rate, size)
         assert kept is not None
         cameras = [camera.resized(size) if camera.size != size else camera for camera in kept]
-        return lambda frame, _root: cameras[min(frame, len(cameras) - 1)]
+        return lambda frame, _root: cameras[min(int(frame + 0.5), len(cameras) - 1)]
 
 
 def camera_from_option(text: str) -> SceneCamera:

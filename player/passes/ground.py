@@ -104,7 +104,8 @@ class Ground:
         return passes
 
     def _shadow(self, draft: Draft, drawn_on: tuple[Handle[Any], ...]) -> Sequence[Pass]:
-        side = SOFTWARE_TEXELS if draft.canvas.software else TEXELS
+        # avatars stand apart
+        side = (SOFTWARE_TEXELS if draft.canvas.software else TEXELS) * (1 if len(draft.avatars) == 1 else 2)
         size = sum(4 * (side >> i) ** 2 for i in range(side.bit_length()))
         mask = draft.texture("shadow mask", size, side, make=lambda made: _mask_texture(made, side))
         target = draft.need(

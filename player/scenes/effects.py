@@ -13,11 +13,13 @@ from typing import Annotated, NamedTuple
 from avatar.settings import OneOf, Setting, check, rule_of, settings_of
 from player.passes.antialiasing import BestAntialiasing
 from player.passes.background import Background
+from player.passes.depth_of_field import DepthOfField
 from player.passes.foot_lock import FootLock
 from player.passes.fxaa import Fxaa
 from player.passes.grid import Grid
 from player.passes.ground import Ground
 from player.passes.light import Light
+from player.passes.motion_blur import MotionBlur
 from player.passes.msaa import Msaa
 from player.passes.outline import Outline
 from player.passes.view import VIEWS
@@ -61,6 +63,10 @@ class Effects:
     foot_lock: Annotated[FootLock | None, "feet of motions that slide are held where they stand"] = None
     grid: Annotated[Grid | None, "lines on the ground, every metre, and the world's axes"] = None
     outline: Annotated[Outline | None, "a line round each avatar, and where its limbs pass before it"] = None
+    motion_blur: Annotated[MotionBlur | None, "what moves is blurred, in films"] = None
+    depth_of_field: Annotated[DepthOfField | None, "what is nearer or farther than the focus is blurred, in films"] = (
+        None
+    )
 
     def __post_init__(self):
         check(self)
