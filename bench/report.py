@@ -1,48 +1,35 @@
-"""Accuracy against time of one avatar on this machine (`selfscan bench`): table, JSON, plot.
+"""Accuracy against time of one avatar on this machine (`selfscan bench`): a page that plays, table, JSON, plot.
 
 Every rung of the player's ladder, and the field it was baked from when the run is given, is timed on a few
 frames by alternating rounds and compared with the best rung, and with the truth when the capture is given.
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from jaxtyping import Float
-from PIL import Image
+from jaxtyping import Bool, Float
 
-from avatar.camera import Camera, orbit_camera
-from avatar.errors import AssetError
 from avatar.files import check_folder, whole_file, whole_folder
 from avatar.gltf.avatar_file import Avatar, read_avatar
-from avatar.motion.clip import fitted
-from avatar.motion.read import builtin_motion
 from avatar.settings import AtLeast, AtMost, Help, Option, parse
-from avatar.skeleton import skin_transforms
-from avatar.skinning import skin_points
-from bench.contact import save_sheet, spread_poses
+from bench.contact import save_sheet
+from bench.frontier.page import PagePictures, frontier_page
 from bench.machine import machine
+from bench.part_boxes import part_boxes
 from bench.quiet import Quiet, warning
 from bench.rung_page import markdown, plot, rung_sheet
-from bench.rung_scores import compared, crop_of, mark_dominated, row_of
-from capture.held_out import HeldOutView, read_held_out
+from bench.rung_pictures import FRAMES, flicker_frames, held_out_frames, motion_frames, rung_pictures
+from bench.rung_scores import compared, crop_of, flicker, mark_dominated, row_of
+from player.arguments import parse_size
 from player.context import Context, opened
-from player.ladder import Rung, rungs_of, time_rungs
-from player.renderer import Pose
+from player.ladder import Rung, Timing, rungs_of, time_rungs
 
-FRAMES = 4
-SIZE = (512, 512)
-
-
-@dataclass(frozen=True)
-class ComparedFrame:
-    """A pose under a camera, with the true picture when there is one."""
-
-    pose: Pose
-    camera: Camera
-    truth: HeldOutView | None
+Pictures = dict[str, list[Float[np.ndarray, "height width 3"]]]
+Boxes = list[tuple[slice, slice]]
 
 
 def bench(
@@ -53,26 +40,28 @@ def bench(
     capture: Path | None = None,
     rounds: int = 20,
     count: int = FRAMES,
+    size: tuple[int, int] | None = None,
 ) -> dict[str, Any]:
-    """Measure the ladder, write bench.json, bench.md, pareto.png and rungs.png into folder `out`."""
+    """Measure the ladder, write bench.html, bench.json, bench.md, pareto.png and rungs.png into folder `out`."""
     avatar = read_avatar(avatar_path)
-    frames = held_out_frames(capture, count) if capture is not None else motion_frames(avatar, count)
+    sized = {} if size is None else {"size": size}
+    frames = held_out_frames(capture, count) if capture is not None else motion_frames(avatar, count, **sized)
     context = opened("auto", None)
     try:
-        rungs = rungs_of(avatar)
-        full = frames[0].camera.size
+        rungs, full = rungs_of(avatar), frames[0].camera.size
         with Quiet() as quiet:
             timings = time_rungs(context, avatar, rungs, [(f.pose, f.camera) for f in frames], full, rounds=rounds)
+        rows = [timed_row(rung, timing, timings[0]) for rung, timing in zip(rungs, timings, strict=True)]
         pictures = {rung.name: rung_pictures(context, avatar, rung, frames) for rung in rungs}
-        rows = [row_of(rung.name, t.ms, t.bytes) for rung, t in zip(rungs, timings, strict=True)]
-        for row, timing in zip(rows, timings, strict=True):
-            row["times_faster"] = round(float(np.median(timings[0].ms / timing.ms)), 3)
+        score_flicker(context, avatar, rungs, rows, full)
+        times = [timing.ms for timing in timings]
         if run is not None:
             from bench.field_rungs import field_rungs  # it brings torch
 
-            for name, ms, size, drawn in field_rungs(context, run, frames):
+            for name, ms, bytes_, drawn in field_rungs(context, run, frames):
                 faster = float(np.median(timings[0].ms) / np.median(ms))
-                rows.insert(0, row_of(name, ms, size) | {"times_faster": round(faster, 5)})
+                rows.insert(0, row_of(name, ms, bytes_) | {"times_faster": round(faster, 5)})
+                times.insert(0, ms)
                 pictures = {name: drawn} | pictures
         facts = machine(context.renderer, context.kind)
     finally:
@@ -84,15 +73,17 @@ def bench(
         for frame, picture in zip(frames, pictures[best], strict=True)
     ]
     crops = [crop_of(mask) for mask in masks]
+    parts = [part_boxes(avatar, *frame.pose, frame.camera) for frame in frames]
     truths = [f.truth.image() if f.truth is not None else None for f in frames]
     for row in rows:
         drawn = pictures[row["name"]]
-        row |= compared(pictures[best], drawn, crops)
+        row |= compared(pictures[best], drawn, crops, masks)
+        row["parts"] = part_scores(pictures[best], drawn, parts)
         if best != baked:
-            row["against_baked"] = compared(pictures[baked], drawn, crops)
+            row["against_baked"] = compared(pictures[baked], drawn, crops, masks)
         if capture is not None:
-            row["against_truth"] = compared(truths, drawn, crops)
-    mark_dominated(rows)
+            row["against_truth"] = compared(truths, drawn, crops, masks)
+    mark_dominated(rows, times)
     result = {
         "format": "selfscan-bench",
         "machine": facts | {"others_cpu_share": quiet.others},
@@ -105,61 +96,47 @@ def bench(
         "best_baked_rung": baked,
         "rungs": rows,
     }
+    first = PagePictures({name: drawn[0] for name, drawn in pictures.items()}, truths[0], crops[0], parts[0])
     with whole_folder(out) as folder:
         with whole_file(folder / "bench.json", "w") as file:
             json.dump(result, file, indent=1)
         with whole_file(folder / "bench.md", "w") as file:
             file.write(markdown(result))
+        with whole_file(folder / "bench.html", "w") as file:
+            file.write(frontier_page(result, first, avatar, rungs))
         plot(result, folder / "pareto.png")
         save_sheet(folder / "rungs.png", rung_sheet(result, pictures, crops, truths))
     return result
 
 
-# what is drawn
+def timed_row(rung: Rung, timing: Timing, best: Timing) -> dict[str, Any]:
+    return row_of(rung.name, timing.ms, timing.bytes) | {
+        "start_ms": round(timing.start_ms, 1),
+        "times_faster": round(float(np.median(best.ms / timing.ms)), 3),
+    }
 
 
-def held_out_frames(capture: Path, count: int = FRAMES) -> list[ComparedFrame]:
-    """Body views of novel poses."""
-    views = spread_poses(read_held_out(capture, "novel_pose"), "body", count)
-    if not views:
-        raise AssetError(f"{capture}: truth/novel_pose holds no body views")
-    return [ComparedFrame((v.axis_angle, v.root), v.camera, v) for v in views]
+def score_flicker(
+    context: Context, avatar: Avatar, rungs: Sequence[Rung], rows: Sequence[dict[str, Any]], size: tuple[int, int]
+) -> None:
+    """Add to each row how much its clip flickers beside that of the first rung."""
+    frames = flicker_frames(avatar, size)
+    references = rung_pictures(context, avatar, rungs[0], frames)
+    masks: list[Bool[np.ndarray, "height width"]] = [picture.max(-1) > 0 for picture in references]
+    for rung, row in zip(rungs, rows, strict=True):
+        drawn = references if rung is rungs[0] else rung_pictures(context, avatar, rung, frames)
+        row["flicker"] = flicker(references, drawn, masks)
 
 
-def motion_frames(avatar: Avatar, count: int = FRAMES) -> list[ComparedFrame]:
-    """Frames of the built-in counting clip from the front."""
-    level = avatar.levels[0]
-    rest = skin_transforms(np.zeros((52, 3)), avatar.joint_positions, rest=avatar.canonical_pose)
-    standing = skin_points(level.positions, level.skin, rest)
-    height = float(np.ptp(standing[:, 1]))
-    clip = fitted(builtin_motion("counting"), -float(standing[:, 1].min())).read()
-    chosen = np.linspace(0.15, 0.85, count) * (len(clip.root) - 1)
-    frames = []
-    for i in chosen.round().astype(int):
-        target = clip.root[i] + [0, 0.5 * height + standing[:, 1].min(), 0]
-        camera = orbit_camera(target, 1.9 * height, 0.25, 0.05, SIZE)
-        frames.append(
-            ComparedFrame((clip.axis_angle[i].astype(np.float64), clip.root[i].astype(np.float64)), camera, None)
-        )
-    return frames
-
-
-def rung_pictures(
-    context: Context, avatar: Avatar, rung: Rung, frames: list[ComparedFrame]
-) -> list[Float[np.ndarray, "height width 3"]]:
-    """The frames as this rung shows them, brought to full resolution."""
-    full = frames[0].camera.size
-    renderer = rung.renderer(context, avatar, full)
-    try:
-        drawn = []
-        for frame in frames:
-            pixels = Image.fromarray(np.ascontiguousarray(renderer.draw([frame.pose], frame.camera)[..., :3]))
-            if pixels.size != full:
-                pixels = pixels.resize(full, Image.Resampling.BILINEAR)
-            drawn.append(np.asarray(pixels, np.float32) / 255)
-        return drawn
-    finally:
-        renderer.release()
+def part_scores(references: list, drawn: list, boxes: list[dict[str, tuple[slice, slice]]]) -> dict[str, Any]:
+    """FLIP and PSNR of head and hands, over their rectangles in the pictures that show them."""
+    out = {}
+    for name, kinds in (("head", ("head",)), ("hands", ("hand_left", "hand_right"))):
+        seen = [(a, b, box[kind]) for a, b, box in zip(references, drawn, boxes) for kind in kinds if kind in box]
+        if seen:
+            scores = compared(*map(list, zip(*seen)))
+            out[name] = {key: scores[key] for key in ("psnr_db", "ssim", "flip")}
+    return out
 
 
 @dataclass(frozen=True)
@@ -174,6 +151,13 @@ class BenchCommand:
     ] = None
     rounds: Annotated[int, AtLeast(1), AtMost(100_000), "timed frames for each rung"] = 20
     frames: Annotated[int, AtLeast(1), AtMost(10_000), "pictures compared"] = FRAMES
+    size: Annotated[
+        tuple[int, int] | None, AtLeast(1), Option(metavar="WxH", parse=parse_size), "pixels (default: 640x640)"
+    ] = None
+
+    def __post_init__(self):
+        if self.size is not None and self.capture is not None:
+            raise ValueError("--size: the true pictures of --capture have their own")
 
 
 BENCH = Help(
@@ -195,11 +179,12 @@ def bench_main(argv: list[str]) -> int:
         capture=command.capture,
         rounds=command.rounds,
         count=command.frames,
+        size=command.size,
     )
     for row in result["rungs"]:
-        psnr = "same" if row["psnr_db"] is None else f"{row['psnr_db']:.2f} dB"
-        print(f"{row['name']:36}{row['ms_median']:10.2f} ms{psnr:>12}" + ("  dominated" if row["dominated"] else ""))
+        flip = "the best" if row["name"] == result["best_rung"] else f"FLIP {row['flip']:.4f}"
+        print(f"{row['name']:36}{row['ms_median']:10.2f} ms{flip:>14}" + ("  dominated" if row["dominated"] else ""))
     if result["warning"]:
         print(result["warning"])
-    print(f"wrote {command.out}/bench.md")
+    print(f"wrote {command.out}/bench.html, to open in a browser, and bench.md")
     return 0

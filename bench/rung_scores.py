@@ -1,4 +1,4 @@
-"""How exact the rungs of accuracy against time are: scores over the person's rectangle, and which are dominated."""
+"""How exact the rungs of accuracy against time are: scores over the person, head and hands, and which are dominated."""
 
 from typing import Any
 
@@ -23,17 +23,44 @@ def crop_of(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice]:
     )
 
 
-def compared(references: list, drawn: list, crops: list[tuple[slice, slice]]) -> dict[str, Any]:
-    """PSNR of the pooled error, SSIM and FLIP over the rectangles; null with the reason for equal pictures."""
-    error, ssim, flip = metrics.PooledError(), [], []
-    for reference, picture, where in zip(references, drawn, crops, strict=True):
+def compared(
+    references: list,
+    drawn: list,
+    crops: list[tuple[slice, slice]],
+    masks: list[Bool[np.ndarray, "height width"]] | None = None,
+) -> dict[str, Any]:
+    """FLIP of each picture over its rectangle and their mean, SSIM, PSNR of the pooled error over the rectangles and,
+    with masks, over those; null with the reason for equal pictures."""
+    error, inside, ssim, flip = metrics.PooledError(), metrics.PooledError(), [], []
+    for k, (reference, picture, where) in enumerate(zip(references, drawn, crops, strict=True)):
         error.add(reference[where], picture[where])
+        if masks is not None:
+            inside.add(reference, picture, masks[k])
         ssim.append(metrics.ssim(reference[where], picture[where]))
         flip.append(metrics.flip(reference[where], picture[where]))
     scores = {"psnr_db": error.psnr(), "ssim": metrics.mean_score(ssim), "flip": metrics.mean_score(flip)}
+    if masks is not None:
+        scores["psnr_mask_db"] = inside.psnr()
     out: dict[str, Any] = {n: None if s.value is None else round(s.value, 4) for n, s in scores.items()}
+    out["flip_each"] = [None if s.value is None else round(s.value, 5) for s in flip]
     reasons = {n: s.reason for n, s in scores.items() if s.value is None}
     return out | ({"reasons": reasons} if reasons else {})
+
+
+def flicker(
+    references: list[Float[np.ndarray, "height width 3"]],
+    drawn: list[Float[np.ndarray, "height width 3"]],
+    masks: list[Bool[np.ndarray, "height width"]],
+) -> float:
+    """How much a picture in motion changes otherwise than the reference: mean |change - reference's change| from frame
+    to frame where either shows the person, of 255."""
+    total, count = 0.0, 0
+    for k in range(1, len(references)):
+        change = (drawn[k] - drawn[k - 1]) - (references[k] - references[k - 1])
+        where = masks[k] | masks[k - 1]
+        total += float(np.abs(change[where]).sum())
+        count += 3 * int(where.sum())
+    return round(255 * total / max(count, 1), 4)
 
 
 def row_of(name: str, ms: Float[np.ndarray, "n"], size: int) -> dict[str, Any]:
@@ -56,16 +83,31 @@ def median_interval(values: Float[np.ndarray, "n"]) -> tuple[float, float]:
     return float(ordered[outside - 1]), float(ordered[len(ordered) - outside])
 
 
-def mark_dominated(rows: list[dict[str, Any]]) -> None:
-    """A rung is dominated when another is no slower and no less exact, and better in one of the two."""
+def mark_dominated(rows: list[dict[str, Any]], times: list[Float[np.ndarray, "rounds"]] | None = None) -> None:
+    """A rung is dominated when another is surely faster and no less exact in any picture.
 
-    def exactness(row: dict[str, Any]) -> float:
-        return float("inf") if row["psnr_db"] is None else float(row["psnr_db"])
+    Surely faster: of `times` (measured in alternating rounds) the interval of the ratios lies below 1, or the intervals
+    of the two medians do not overlap. `dominated_by` names the most exact that does.
+    """
+    for k, row in enumerate(rows):
+        better = [
+            other
+            for i, other in enumerate(rows)
+            if i != k
+            and no_less_exact(other, row)
+            and surely_faster(other, row, None if times is None else (times[i], times[k]))
+        ]
+        row["dominated"] = bool(better)
+        row["dominated_by"] = min(better, key=lambda other: other["flip"])["name"] if better else None
 
-    for row in rows:
-        row["dominated"] = any(
-            other["ms_median"] <= row["ms_median"]
-            and exactness(other) >= exactness(row)
-            and (other["ms_median"], -exactness(other)) != (row["ms_median"], -exactness(row))
-            for other in rows
-        )
+
+def no_less_exact(a: dict[str, Any], b: dict[str, Any]) -> bool:
+    """Whether a's FLIP is nowhere above b's."""
+    return all((x or 0.0) <= (y or 0.0) for x, y in zip(a["flip_each"], b["flip_each"], strict=True))
+
+
+def surely_faster(a: dict[str, Any], b: dict[str, Any], times: tuple[np.ndarray, np.ndarray] | None = None) -> bool:
+    """Whether a's time lies below b's beyond what the measurement leaves open."""
+    if times is not None and len(times[0]) == len(times[1]):
+        return median_interval(times[0] / times[1])[1] < 1
+    return a["ms_interval"][1] < b["ms_interval"][0]

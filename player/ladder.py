@@ -49,6 +49,7 @@ class Rung:
 class Timing(NamedTuple):
     ms: Float[np.ndarray, "rounds"]  # one frame each, milliseconds
     bytes: int  # GL memory of the rung's plan, target included
+    start_ms: float  # until the first frame is drawn: programs, textures, meshes
 
 
 def views_of(avatar: Avatar) -> list[str]:
@@ -59,17 +60,22 @@ def views_of(avatar: Avatar) -> list[str]:
 
 
 def rungs_of(avatar: Avatar) -> list[Rung]:
-    """View modes on the finest level; the dearest mode and paper mode with coarser levels, smaller textures and fewer
-    pixels; last the coarsest level at half resolution."""
+    """View modes on every level; the dearest mode and paper mode with smaller textures and fewer pixels; last the
+    coarsest level at half resolution."""
     views = views_of(avatar)
     named = partial(rung_name, avatar)
     rungs = [Rung(named(view), view) for view in views]
     ends = list(dict.fromkeys((views[0], "off")))
     coarser = range(1, len(avatar.levels))
-    rungs += [Rung(named(view, level), view, level) for view in ends for level in coarser]
+    rungs += [
+        Rung(named(view, level), view, level)
+        for view in views
+        for level in coarser
+        if view == "off" or avatar.levels[level].features is not None
+    ]
     largest = min(avatar.levels[0].base_color.shape[:2])
     for view in ends:
-        for halvings in (1, 2):
+        for halvings in (1, 2, 3):
             if largest >> halvings >= SMALLEST_TEXTURE:
                 name = f"{named(view)}, texture {largest >> halvings}"
                 rungs.append(Rung(name, view, halvings=halvings))
@@ -119,8 +125,16 @@ def time_rungs(
     """
     if not frames or rounds < 1:
         raise ValueError(f"{len(frames)} frames and {rounds} rounds give nothing to time")
-    renderers = [rung.renderer(context, avatar, full) for rung in rungs]
+    renderers, starts = [], []
     try:
+        for rung in rungs:
+            start = time.perf_counter()
+            renderer = rung.renderer(context, avatar, full)
+            renderers.append(renderer)
+            assert renderer.target is not None
+            renderer.draw_into(renderer.target, [frames[0][0]], frames[0][1])
+            context.gl.finish()
+            starts.append(1e3 * (time.perf_counter() - start))
         ms = np.zeros((len(rungs), rounds))
         for number in range(rounds):
             pose, camera = frames[number % len(frames)]
@@ -133,7 +147,7 @@ def time_rungs(
                     context.gl.finish()
                     ms[row, number] = 1e3 * (time.perf_counter() - start)
         sizes = [renderer.plan.bytes for renderer in renderers]
-        return [Timing(row, size) for row, size in zip(ms, sizes, strict=True)]
+        return [Timing(*row) for row in zip(ms, sizes, starts, strict=True)]
     finally:
         for renderer in renderers:
             renderer.release()

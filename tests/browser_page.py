@@ -45,7 +45,9 @@ class BrowserPage:
     def _note(self, event: dict[str, Any]) -> None:
         match event.get("method"):
             case "Network.requestWillBeSent":
-                self.requests.append(event["params"]["request"]["url"])
+                url = event["params"]["request"]["url"]
+                # what the page itself holds is asked of nobody
+                self.requests += [url] * (not url.startswith("data:"))
             case "Log.entryAdded" if event["params"]["entry"]["level"] == "error":
                 self.problems.append(event["params"]["entry"]["text"])
             case "Runtime.exceptionThrown":

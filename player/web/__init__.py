@@ -6,5 +6,5 @@ page.py       all of it as text
 unpack.js     the bytes as arrays and images
 posing.js     bones of a pose before a camera, in double precision
 drawing.js    WebGL2: programs, meshes, textures, frames
-viewer.js     what the reader touches: camera, time, view modes, settings in the URL
+viewer.js     what the reader touches: time, view modes, settings in the URL
 """

@@ -211,7 +211,9 @@ class Drawing {
   // One frame of width x height pixels into a framebuffer of its own, which is returned. rung: {view, level, halvings};
   // camera: {target, distance, azimuth, elevation, fov}; background: three numbers of [0, 1]. The level is loaded.
   frame(pose, camera, rung, width, height, background, samples = 0) {
-    const gl = this.gl, { view, level = 0, halvings = 0 } = rung;
+    const gl = this.gl, { level = 0, halvings = 0 } = rung;
+    // a level without features has the paper's colors
+    const view = this.avatar.levels[level].features ? rung.view : "off";
     const into = this.target(width, height, samples), array = this.array(level, view), program = this.program(view);
     const bones = posedBones(this.skeleton, pose, viewFromWorld(camera));
     const planes = clipPlanes(bones.centers, this.avatar.levels[level].radii);

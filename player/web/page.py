@@ -20,7 +20,7 @@ POLICY = (
     "base-uri 'none'; form-action 'none'"
 )
 # in this order, one script
-DRAWING = ("unpack.js", "posing.js", "drawing.js")
+DRAWING = ("unpack.js", "posing.js", "drawing.js", "orbit.js")
 # a page for everyone's mail and phone
 MOST_BYTES = 12_000_000
 
@@ -63,12 +63,12 @@ def filled(template: str, parts: Mapping[str, str]) -> str:
 
 
 def first_camera(avatar: Avatar, clip: Clip) -> dict[str, Any]:
-    """The camera of `selfscan render --camera front` on a square picture."""
-    azimuth = facing(clip.axis_angle[0], avatar.joint_positions.astype(np.float64))
-    view = fitted(extent(avatar, clip), azimuth, (640, 640))
+    """The camera of `selfscan render --camera front` on a square picture, and how far away one twice as high is."""
+    azimuth, points = facing(clip.axis_angle[0], avatar.joint_positions.astype(np.float64)), extent(avatar, clip)
+    view, narrow = fitted(points, azimuth, (640, 640)), fitted(points, azimuth, (320, 640))
     return {
-        "target": view.target.tolist(), "distance": view.distance, "azimuth": azimuth, "elevation": ELEVATION,
-        "fov": float(FOV),
+        "target": view.target.tolist(), "distance": view.distance, "narrow": narrow.distance, "azimuth": azimuth,
+        "elevation": ELEVATION, "fov": float(FOV),
     }  # fmt: skip
 
 

@@ -8,9 +8,7 @@ const VIEW_HELP = {
   network: "View dependence per pixel, a small network",
 };
 const BACKGROUND = [43 / 255, 45 / 255, 51 / 255];
-const STEEPEST = 1.5;
 const find = (id) => document.getElementById(id);
-const limited = (value, low, high) => Math.min(Math.max(value, low), high);
 
 // Settings that a URL can hold, short names for links: its default, as text.
 function readSettings(home, avatar) {
@@ -37,6 +35,7 @@ function readSettings(home, avatar) {
       azimuth: number("azimuth", home.azimuth),
       elevation: limited(number("elevation", home.elevation), -STEEPEST, STEEPEST),
       fov: home.fov,
+      narrow: home.narrow,
     },
     fitted: !given.has("distance"),
   };
@@ -49,6 +48,11 @@ class Viewer {
     this.facts = facts;
     this.settings = readSettings(facts.camera, facts.avatar);
     this.drawing = new Drawing(this.canvas, facts.avatar, programs, bytes);
+    this.orbit = new Orbit(this.canvas, facts.camera, () => {
+      this.dirty = true;
+      this.remember();
+    });
+    Object.assign(this.orbit, { own: this.settings.camera, fitted: this.settings.fitted });
     const { views } = this.drawing, settings = this.settings;
     if (!views.includes(settings.view)) settings.view = views.includes(facts.view) ? facts.view : "off";
     this.motionFacts = motion;
@@ -90,10 +94,8 @@ class Viewer {
     return [Math.max(1, Math.round(width * share)), Math.max(1, Math.round(height * share))];
   }
 
-  // As far away as the narrower side of the window asks for, until the reader chooses.
   get camera() {
-    const { camera, fitted } = this.settings, { width, height } = this.canvas;
-    return fitted ? { ...camera, distance: camera.distance * Math.max(1, height / width) } : camera;
+    return this.orbit.camera;
   }
 
   resize() {
@@ -149,59 +151,8 @@ class Viewer {
     this.pricing = setTimeout(() => this.price(), 300);
   }
 
-  move(change) {
-    const { settings } = this;
-    settings.camera = { ...this.camera, ...change };
-    settings.fitted = false;
-    this.dirty = true;
-    this.remember();
-  }
-
-  turn(dx, dy) {
-    const { azimuth, elevation } = this.camera, step = Math.PI / 360;
-    this.move({ azimuth: azimuth - step * dx, elevation: limited(elevation + step * dy, -STEEPEST, STEEPEST) });
-  }
-
-  shift(dx, dy) {
-    const camera = this.camera, seen = viewFromWorld(camera);
-    const metres = (2 * camera.distance * Math.tan(camera.fov / 2)) / this.canvas.clientHeight;
-    this.move({ target: camera.target.map((value, k) => value - metres * (dx * seen[k] - dy * seen[4 + k])) });
-  }
-
-  approach(factor) {
-    this.move({ distance: limited(this.camera.distance * factor, 0.05, 1000) });
-  }
-
-  // One finger or button turns, two fingers or the right button shift, wheel and pinch go nearer.
   controls() {
-    const { canvas } = this, held = new Map();
-    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
-    canvas.addEventListener("pointerdown", (event) => {
-      canvas.setPointerCapture(event.pointerId);
-      held.set(event.pointerId, [event.clientX, event.clientY]);
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      const before = held.get(event.pointerId);
-      if (!before) return;
-      const now = [event.clientX, event.clientY], dx = now[0] - before[0], dy = now[1] - before[1];
-      if (held.size === 1) {
-        if (event.buttons & 6 || event.shiftKey) this.shift(dx, dy);
-        else this.turn(dx, dy);
-      } else {
-        const other = [...held].find(([id]) => id !== event.pointerId)[1];
-        const far = (point) => Math.hypot(point[0] - other[0], point[1] - other[1]);
-        if (far(now) > 1) this.approach(far(before) / far(now));
-        this.shift(dx / 2, dy / 2);
-      }
-      held.set(event.pointerId, now);
-    });
-    for (const end of ["pointerup", "pointercancel"])
-      canvas.addEventListener(end, (event) => held.delete(event.pointerId));
-    canvas.addEventListener("wheel", (event) => {
-      event.preventDefault();
-      this.approach(0.999 ** -limited(event.deltaY * (event.deltaMode ? 30 : 1), -300, 300));
-    }, { passive: false });
-    canvas.addEventListener("dblclick", () => this.home());
+    const { canvas } = this;
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => {
       this.drawing.begin();
@@ -212,13 +163,6 @@ class Viewer {
     this.buttons();
   }
 
-  home() {
-    this.settings.camera = { ...this.facts.camera };
-    this.settings.fitted = true;
-    this.dirty = true;
-    this.remember();
-  }
-
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, input[type=range]")) return;
     const { settings, motion } = this, step = (by) =>
@@ -226,7 +170,7 @@ class Viewer {
     const does = {
       " ": () => this.set({ play: !settings.play && motion.frames > 1 }),
       ",": () => step(-1), ".": () => step(1), ArrowLeft: () => step(-1), ArrowRight: () => step(1),
-      Home: () => this.set({ frame: 0 }), r: () => this.home(),
+      Home: () => this.set({ frame: 0 }), r: () => this.orbit.reset(),
       v: () => this.nextView(), g: () => this.set({ bar: !settings.bar }),
     }[event.key];
     if (!does || event.target.tagName === "BUTTON" && event.key === " ") return;
@@ -257,7 +201,7 @@ class Viewer {
     find("time").max = motion.frames - 1;
     find("time").addEventListener("input", (event) => this.set({ play: false, frame: Number(event.target.value) }));
     find("timeline").hidden = motion.frames < 2;
-    find("home").addEventListener("click", () => this.home());
+    find("home").addEventListener("click", () => this.orbit.reset());
   }
 
   tell() {
@@ -293,7 +237,7 @@ class Viewer {
   remember() {
     clearTimeout(this.writing);
     this.writing = setTimeout(() => {
-      const { settings } = this, { target, distance, azimuth, elevation } = settings.camera;
+      const { settings, orbit } = this, { target, distance, azimuth, elevation } = orbit.own;
       const words = { view: settings.view };
       if (settings.level) words.level = settings.level;
       if (settings.halvings) words.halvings = settings.halvings;
@@ -302,7 +246,7 @@ class Viewer {
       if (!settings.bar) words.bar = 0;
       if (settings.size) words.size = settings.size.join("x");
       if (!settings.play) Object.assign(words, { play: 0, frame: Math.round(settings.frame * 100) / 100 });
-      if (!settings.fitted) {
+      if (!orbit.fitted) {
         const [x, y, z] = target, camera = { distance, azimuth, elevation, x, y, z };
         for (const [name, value] of Object.entries(camera)) words[name] = Math.round(value * 1e4) / 1e4;
       }

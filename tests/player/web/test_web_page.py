@@ -114,7 +114,8 @@ def test_it_plays_and_the_url_holds_what_is_shown(page):
     tab.open(path)
     assert tab.ask("selfscan.settings.play") is True
     tab.wait("selfscan.settings.frame > 0.2")
-    tab.ask("selfscan.set({ play: false, frame: 1, view: 'linear', edges: false }).then(() => selfscan.turn(40, 10))")
+    tab.ask("selfscan.set({ play: false, frame: 1, view: 'linear', edges: false })")
+    tab.ask("selfscan.orbit.turn(40, 10)")
     tab.wait("location.hash.includes('view=linear') && location.hash.includes('azimuth')")
     shown, link = tab.frame(), tab.ask("location.hash.slice(1)")
     tab.open(path, link)

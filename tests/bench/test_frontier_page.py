@@ -1,0 +1,141 @@
+"""bench.html in a headless browser: what a budget buys, the same frame in each rung, the reader's own milliseconds."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from browser_page import browser_page
+from chromium import chromium
+
+from bench.frontier import page as frontier
+from bench.frontier.page import PagePictures, frontier_page
+from bench.part_boxes import part_boxes
+from bench.rung_pictures import motion_frames, rung_pictures
+from bench.rung_scores import compared, crop_of, mark_dominated, row_of
+from player.context import open_context
+from player.ladder import Rung
+from player.mannequin import mannequin
+from player.web.page import MOST_BYTES
+
+SIZE = (240, 240)
+RUNGS = [Rung("network, 27k", "network"), Rung("paper, 27k", "off"), Rung("paper, half", "off", share=0.5)]
+# made up: which rung fits a budget must not depend on how busy this machine is
+TIMES = [12.0, 5.0, 2.0]
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """A ladder of three rungs and a field that nothing here can draw."""
+    avatar = dataclasses.replace(mannequin(), amplitude=0.2)
+    frame = motion_frames(avatar, 1, SIZE)[0]
+    context = open_context()
+    try:
+        drawn = {rung.name: rung_pictures(context, avatar, rung, [frame])[0] for rung in RUNGS}
+    finally:
+        context.release()
+    drawn = {"field": drawn["network, 27k"] * np.float32(0.99)} | drawn
+    times = {"field": 400.0} | {rung.name: ms for rung, ms in zip(RUNGS, TIMES, strict=True)}
+    crop = crop_of(drawn["field"].max(-1) > 0)
+    boxes = part_boxes(avatar, *frame.pose, frame.camera)
+    rows = []
+    for name, picture in drawn.items():
+        scores = compared([drawn["field"]], [picture], [crop], [picture.max(-1) > 0])
+        ms = np.linspace(0.98, 1.02, 9) * times[name]
+        rows.append(row_of(name, ms, 1_000_000) | scores | {"parts": {"head": {"flip": 0.01}}, "flicker": 0.1})
+    mark_dominated(rows)
+    result = {"avatar": "A & B", "best_rung": "field", "best_baked_rung": RUNGS[0].name, "size": list(SIZE)}
+    return result | {"rungs": rows}, PagePictures(drawn, None, crop, boxes), avatar
+
+
+@pytest.fixture(scope="module")
+def tab(measured, tmp_path_factory):
+    chromium()
+    folder = tmp_path_factory.mktemp("frontier")
+    (folder / "bench.html").write_text(frontier_page(*measured, RUNGS), "utf-8")
+    (folder / "profile").mkdir()
+    with browser_page(folder / "profile") as opened:
+        yield opened, folder / "bench.html"
+
+
+def answer(tab):
+    return tab.ask("document.getElementById('answer').textContent")
+
+
+def test_a_budget_buys_the_most_exact_rung_that_fits(tab, measured):
+    page, path = tab
+    page.size(1100, 900)
+    page.open(path, "budget=6")
+    flip = next(row["flip"] for row in measured[0]["rungs"] if row["name"] == "paper, 27k")
+    said = answer(page)
+    assert "You get paper, 27k (5.0 ms on the machine of the bench)." in said
+    assert f"You lose FLIP {flip:.3f} beside field (400 ms)" in said
+    assert "The next better one, network, 27k, costs 7.0 ms more." in said
+    for budget, name in ((3, "paper, half"), (20, "network, 27k"), (500, "field"), (1, "Nothing is that fast")):
+        page.ask(f"selfscan.setBudget({budget})")
+        assert name in answer(page)
+    # and by hand
+    page.ask("""(() => { const box = document.getElementById("spent"); box.focus(); box.value = 4;
+      box.dispatchEvent(new Event("input")); })()""")
+    assert "paper, half" in answer(page)
+    page.wait("location.hash.includes('budget=4.00')")
+
+
+def test_the_same_frame_is_shown_in_the_rung_and_its_difference(tab):
+    page, path = tab
+    page.open(path, "budget=6")
+    shown = [page.ask(f"document.getElementById('{name}').src") for name in ("best", "rung", "difference")]
+    assert len(set(shown)) == 3 and all(source.startswith("data:image/webp;base64,") for source in shown)
+    page.ask("selfscan.setBudget(3)")
+    assert page.ask("document.getElementById('rung').src") != shown[1]
+    assert page.ask("document.getElementById('best').src") == shown[0]
+    page.ask("document.querySelector('[data-part=head]').click()")
+    assert "scale" in page.ask("document.getElementById('rung').style.transform")
+
+
+def test_rungs_are_timed_on_the_readers_device_and_the_frontier_redrawn(tab):
+    page, path = tab
+    page.open(path, "budget=6")
+    before = page.ask("document.querySelector('.front').getAttribute('points')")
+    page.wait("!document.getElementById('here').disabled", 120)
+    assert page.ask("[...selfscan.here.keys()]") == [rung.name for rung in RUNGS]
+    times = page.ask("[...selfscan.here.values()].map(({ ms }) => ms)")
+    assert all(ms > 0 for ms in times)
+    assert page.ask("document.querySelector('.front').getAttribute('points')") != before
+    assert "on your device" in answer(page) or "on the machine" not in answer(page)
+    # the field cannot be drawn here
+    assert "field" not in page.ask("selfscan.chart.rows.map((row) => row.name)")
+    page.ask("document.getElementById('there').click()")
+    assert "field" in page.ask("selfscan.chart.rows.map((row) => row.name)")
+
+
+def test_the_avatar_is_drawn_in_the_rung_of_the_budget(tab):
+    page, path = tab
+    page.open(path, "budget=6")
+    assert page.ask("selfscan.player.rung.view") == "off"
+    page.ask("selfscan.setBudget(3)")
+    page.wait("selfscan.player.rung.share === 0.5")
+    page.ask("selfscan.setBudget(20)")
+    page.wait("selfscan.player.rung.view === 'network'")
+    assert page.requests == [path.as_uri()] and page.problems == []
+
+
+def test_wheel_and_double_click_zoom_the_chart(tab):
+    page, path = tab
+    page.open(path, "budget=6")
+    page.ask("document.getElementById('chart').scrollIntoView()")
+    across = "selfscan.chart.view.x1 - selfscan.chart.view.x0"
+    before = page.ask(across)
+    page.ask("""document.querySelector("#chart svg").dispatchEvent(
+      new WheelEvent("wheel", { deltaY: -300, clientX: 300, clientY: 200 }))""")
+    assert page.ask(across) < 0.7 * before
+    page.ask('document.querySelector("#chart svg").dispatchEvent(new MouseEvent("dblclick"))')
+    assert page.ask(across) == pytest.approx(before)
+
+
+def test_a_page_that_would_be_too_large_leaves_the_avatar_out_and_says_so(measured, monkeypatch):
+    whole = frontier_page(*measured, RUNGS)
+    assert len(whole) < MOST_BYTES and 'id="level0.mesh"' in whole
+    monkeypatch.setattr(frontier, "MOST_BYTES", 300_000)
+    small = frontier_page(*measured, RUNGS)
+    assert 'id="level0.mesh"' not in small and len(small) < len(whole)
+    assert '"player":null' in small and "larger than 12 MB" in small
