@@ -179,8 +179,13 @@ class Draft:
         self.image: Image | None = None
         self.background: Image | None = None
         self.margin = MARGIN
-        # what lights an avatar anew, world; None: its colors are shown as they are
-        self.light_of: Callable[[Avatar], CaptureLight | None] = lambda avatar: None
+        # what is behind the avatars, as the scene says it
+        self.behind: Effect | None = None
+        # what lights an avatar anew, world, None: its colors are shown as they are; None: nothing lights any
+        self.light_of: Callable[[Avatar], CaptureLight | None] | None = None
+        # of what is lit anew: what its display values are multiplied by at last, and why
+        self.gains: tuple[float, float, float] = (1.0, 1.0, 1.0)
+        self.light_note = ""
         self.kept: dict[Hashable, Any] = {}
         self._kept_before = kept
         self.handles: dict[Handle[Any], None] = {}

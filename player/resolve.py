@@ -27,6 +27,7 @@ def resolve(
     """
     kept = kept or {}
     draft = Draft(avatars, canvas, level=level, dual=effects.skinning == "dual_quaternion", kept=kept)
+    draft.behind = background
     wanted: list[tuple[Stage, Effect | Absent]] = [
         (Stage.BACKGROUND, background),
         (Stage.AVATARS, Avatars(effects.view)),

@@ -8,6 +8,7 @@
 uniform vec4 lamps[4];  // towards the lamp, unit; its strength
 uniform vec4 shares;    // of the highlight
 uniform vec3 ambience;  // ambient, gloss, exponent
+uniform vec3 gains;     // of display values, at last
 #if LIT == 2
 uniform float gamma;
 #endif
@@ -29,5 +30,5 @@ vec3 lit(vec3 base, vec2 seen, vec3 n, vec3 v) {
 #if LIT == 2
     shown = pow(clamp(shown, 1e-6, 1.0), vec3(1.0 / gamma));
 #endif
-    return clamp(shown, 0.0, 1.0);
+    return clamp(shown * gains, 0.0, 1.0);
 }

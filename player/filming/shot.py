@@ -4,7 +4,7 @@ Every machine that opens a shot draws the same frames: cameras fitted to the who
 """
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,12 +16,14 @@ from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.interrupt import deferred_stop
 from avatar.motion.read import BUILTIN_MOTIONS
+from avatar.settings import Place, rule_of, settings_of
 from player.context import Context, opened
 from player.drawing import Pose
 from player.filming.exposure import exposures
 from player.filming.film import Film, Frame
 from player.filming.stage import Fit, Stage
 from player.renderer import Renderer
+from player.scenes.effects import Effects
 from player.scenes.scene import MANNEQUINS, Scene
 
 
@@ -53,6 +55,7 @@ class Shot:
         for actor in scene.avatars:
             names |= {actor.path, actor.motion, actor.body}
         names |= {scene.cameras[0].path if scene.cameras else None, scene.background.path}
+        names |= {getattr(effect, key) for _, effect, key in _effect_paths(scene.effects)}
         return sorted(name for name in names if name and Path(name).exists())
 
     def identity(self) -> dict[str, Any]:
@@ -87,7 +90,22 @@ def with_whole_paths(scene: Scene) -> Scene:
     )
     cameras = tuple(replace(camera, path=whole(camera.path)) for camera in scene.cameras)
     background = replace(scene.background, path=whole(scene.background.path))
-    return replace(scene, avatars=avatars, cameras=cameras, background=background)
+    changed = {
+        name: replace(effect, **{key: whole(getattr(effect, key))})
+        for name, effect, key in _effect_paths(scene.effects)
+    }
+    effects = replace(scene.effects, **changed)
+    return replace(scene, avatars=avatars, cameras=cameras, background=background, effects=effects)
+
+
+def _effect_paths(effects: Effects) -> Iterator[tuple[str, Any, str]]:
+    """Effects that are asked for and name a file: the field, its settings and their key."""
+    for setting in settings_of(Effects):
+        effect = getattr(effects, setting.name)
+        if setting.table is not None and effect is not None:
+            for inner in settings_of(setting.table):
+                if rule_of(inner, Place) is not None:
+                    yield setting.name, effect, inner.name
 
 
 class ShotRenderer:

@@ -53,6 +53,10 @@ def _setting(ui: Widgets, setting: Setting, value: Any, name: str) -> Any | None
     if rule_of(setting, Color) is not None:
         color = ui.color(label, value[:3], tip)
         return None if color is None else (*color, 1.0)
+    if setting.type is str:
+        # files are named in the scene
+        ui.path(label, value or "")
+        return None
     if get_origin(setting.type) is tuple:
         numbers = ui.numbers(label, value, tip, name=name)
         return None if numbers is None else tuple(numbers)

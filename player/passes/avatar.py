@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import moderngl
 
 from player.drawing import Drawing, Layer, Warming
-from player.passes.light import Lit, lit
+from player.passes.light import Lit, light_note, lit
 from player.passes.view import ViewPass, view_pass
 from player.plan import Decision, Draft, Pass, Stage, State
 from player.posed_mesh import PosedMesh, posed_mesh
@@ -87,7 +87,7 @@ def paper_pass(draft: Draft, avatar: int, base_color: Handle[moderngl.Texture], 
         f"{draft.tag(avatar)}: paper",
         (*draft.drawn_on, *mesh.handles, base_color, array, *(() if light is None else (light.vertices, program))),
         mesh, draft.layer, array, base_color, view if isinstance(view, ViewPass) else None,
-        Decision(State.RUNS, what + draft.dual * ", dual quaternions" + ("" if light is None else light.note)),
+        Decision(State.RUNS, what + draft.dual * ", dual quaternions" + light_note(draft, avatar, light)),
         lighting,
     )  # fmt: skip
 

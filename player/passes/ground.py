@@ -383,7 +383,7 @@ def _lamp_of(draft: Draft, direction: tuple[float, float, float]) -> Float[np.nd
     """Towards the brightest lamp that lights an avatar of the plan; of none, `direction`. Raised to LOWEST."""
     found = np.array(direction, np.float64)
     for avatar in draft.avatars:
-        light = draft.light_of(avatar)
+        light = None if draft.light_of is None else draft.light_of(avatar)
         if light is not None and light.lamps:
             found = light.directions[light.strengths.argmax()]
             break

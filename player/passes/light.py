@@ -1,4 +1,5 @@
-"""Avatars lit anew: by the light they were filmed in, which stays where it was as they turn, by none, or by lamps.
+"""Avatars lit anew: by the light they were filmed in, which stays where it was as they turn, by none, by lamps, or by a
+panorama.
 
 What an avatar's file tells apart (avatar/light.py): its base color shows albedo in the light it was seen in on
 average. This draws no pass of its own; the passes that draw avatars take that light out and put this one in
@@ -11,21 +12,28 @@ from typing import Annotated, Any, ClassVar
 
 import moderngl
 import numpy as np
+from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera
 from avatar.light import CaptureLight, lamps_of
-from avatar.settings import AtLeast, AtMost, OneOf, check
+from avatar.settings import AtLeast, AtMost, OneOf, Place, check
+from player.passes.background import Background, opened_source
 from player.plan import Draft, Pass, Stage
 from player.posed_mesh import vertex_order
 from player.resources import Handle
+from player.scenes.background import read_panorama
+from player.scenes.panorama_light import fitted_light, gains_of, irradiance, linear_mean, sphere
 from player.shader import uniform
 
 # at most; shaders/light.glsl
 LAMPS = 4
-KINDS = ("capture", "albedo", "lamps")
+KINDS = ("capture", "albedo", "lamps", "panorama")
+FITS = ("none", "background")
 ATTRIBUTES = ("3f4 2f4", "normal", "seen_light")
 VERTEX = np.dtype([("normal", "f4", 3), ("seen_light", "f4", 2)])
+# pixels to which a picture behind is brought before its mean is taken
+FITTED_TO = (64, 64)
 # OpenGL looks down -z with +y up
 VIEW_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
 
@@ -42,8 +50,17 @@ class Light:
 
     by: Annotated[
         str, OneOf(KINDS),
-        "capture: the light of the videos, which stays where it was; albedo: none; lamps: the numbers below",
+        "capture: the light of the videos, which stays where it was; albedo: none; lamps: the numbers below; panorama: "
+        "that of `path`, or of a background of kind hdr",
     ] = "capture"  # fmt: skip
+    path: Annotated[str | None, Place(), "of panorama (Radiance .hdr, twice as wide as high); none: the background"] = (
+        None
+    )
+    fit: Annotated[
+        str,
+        OneOf(FITS),
+        "background: brightness and tint of the picture, film or panorama that is behind; none: their own",
+    ] = "none"
     ambient: Annotated[float, AtLeast(0), AtMost(10), "of lamps: light from everywhere"] = 0.5
     direction: Annotated[tuple[float, float, float], "of lamps: towards the first, world, any length"] = (
         0.45,
@@ -60,28 +77,91 @@ class Light:
         for name in ("direction", "second_direction"):
             if not np.linalg.norm(getattr(self, name)) > 1e-6:
                 raise ValueError(f"{name}: expected a direction, found {getattr(self, name)}")
+        if self.path is not None and self.by != "panorama":
+            raise ValueError(f"path: of panorama, not of {self.by}")
         if self.by == "lamps" and self.ambient + self.strength + self.second_strength == 0:
             raise ValueError("ambient: expected some light, found none")
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
-        draft.light_of = self.on
+        draft.light_of = lambda avatar: self.on(avatar, draft)
+        if self.fit == "background":
+            draft.gains, draft.light_note = self._gains(draft)
         return ()
 
-    def on(self, avatar: Avatar) -> CaptureLight | None:
+    def on(self, avatar: Avatar, draft: Draft) -> CaptureLight | None:
         """The light on an avatar, world; None: as its colors are, because its file tells no light."""
-        if self.by != "lamps" and avatar.light is None:
-            return None
+        if self.by in ("capture", "albedo") and avatar.light is None:
+            # even light of 1 changes nothing but what is fitted
+            return None if self.fit == "none" else CaptureLight(1.0, frame="world")
         gamma = 1.0 if avatar.light is None else avatar.light.gamma
         if self.by == "albedo":
             return CaptureLight(1.0, gamma=gamma, frame="world")
         if self.by == "capture":
             return avatar.light
+        if self.by == "panorama":
+            panorama, turn = self._panorama(draft)
+            fitted = draft.keep(
+                ("light of a panorama", panorama.path, turn, gamma),
+                lambda: fitted_light(panorama.light(), turn, gamma=gamma, most=LAMPS),
+            )
+            return fitted.light
         lamps = lamps_of(
             np.array([self.direction, self.second_direction], np.float64),
             np.array([self.strength, self.second_strength]),
         )
         there = tuple(lamp for lamp in lamps if lamp.strength > 0)
+        if avatar.light is None and not there and self.ambient == 1:
+            return None
         return CaptureLight(self.ambient, there, self.highlight, gamma=gamma, frame="world")
+
+    def _panorama(self, draft: Draft) -> tuple["ReadPanorama", float]:
+        """The panorama, read when it is first needed, and how it is turned, radians.
+
+        Raises:
+            ValueError: none is named, here or as the background.
+            AssetError: it cannot be read.
+        """
+        behind, path, turn = draft.behind, self.path, 0.0
+        if path is None and isinstance(behind, Background) and behind.kind == "hdr":
+            path, turn = behind.path, float(np.radians(behind.turn_deg))
+        if path is None:
+            raise ValueError("light by panorama: expected its path, or a background of kind hdr, found neither")
+        return draft.keep(("panorama that lights", path), lambda: ReadPanorama(path)), turn
+
+    def _gains(self, draft: Draft) -> tuple[tuple[float, float, float], str]:
+        """What avatars' colors are multiplied by, and why."""
+        behind = draft.behind
+        if not isinstance(behind, Background) or behind.path is None:
+            return (1.0, 1.0, 1.0), "; nothing behind to fit to"
+        gains = draft.keep(("gains", behind), lambda: background_gains(behind))
+        return gains, "; fitted to what is behind: times " + " ".join(f"{gain:.2f}" for gain in gains)
+
+
+class ReadPanorama:
+    """A panorama that lights, its pixels only while they are needed."""
+
+    def __init__(self, path: str):
+        self.path = path
+        # a file that cannot be read is said at once
+        self._light: Float[np.ndarray, "height width 3"] | None = read_panorama(path)
+
+    def light(self) -> Float[np.ndarray, "height width 3"]:
+        light, self._light = self._light, None
+        return read_panorama(self.path) if light is None else light
+
+
+def background_gains(behind: Background) -> tuple[float, float, float]:
+    """Of a picture, of the first frame of a film, or of a panorama as bright as it is shown; once for all frames."""
+    assert behind.path is not None
+    if behind.kind == "hdr":
+        mean = irradiance(read_panorama(behind.path), 0.0, sphere(64)).mean(0) * 2.0**behind.exposure
+        return gains_of(mean)
+    source = opened_source(behind)
+    try:
+        pixels = source.pixels(0.0, FITTED_TO)[..., :3]
+    finally:
+        source.close()
+    return gains_of(linear_mean(pixels / 255.0))
 
 
 @dataclass(frozen=True)
@@ -90,6 +170,10 @@ class Lit:
 
     light: CaptureLight
     vertices: Handle[moderngl.Buffer]
+    # what display values are multiplied by at last
+    gains: tuple[float, float, float]
+    # what there is to say of it
+    remark: str
 
     @property
     def variant(self) -> int:
@@ -99,7 +183,7 @@ class Lit:
     @property
     def note(self) -> str:
         """For people: the end of a pass's reason."""
-        return f", lit by ambient {self.light.ambient:.2f} and {len(self.light.lamps)} lamps"
+        return f", lit by ambient {self.light.ambient:.2f} and {len(self.light.lamps)} lamps{self.remark}"
 
     @property
     def buffer(self) -> tuple[Any, ...]:
@@ -117,6 +201,7 @@ class Lit:
         lamps[:count, 3], shares[:count] = light.strengths[:count], light.shares[:count]
         uniform(program, "lamps").write(lamps.tobytes())
         uniform(program, "shares").value = tuple(shares.tolist())
+        uniform(program, "gains").value = self.gains
         uniform(program, "ambience").value = (light.ambient, light.gloss, light.exponent)
         if self.variant == 2:
             uniform(program, "gamma").value = light.gamma
@@ -124,14 +209,26 @@ class Lit:
 
 def lit(draft: Draft, avatar: int) -> Lit | None:
     """What lights an avatar of the plan anew; None: nothing does."""
-    light, level = draft.light_of(draft.avatars[avatar]), draft.levels[avatar]
+    level = draft.levels[avatar]
+    light = None if draft.light_of is None else draft.light_of(draft.avatars[avatar])
     if light is None:
         return None
     vertices = draft.buffer(
         f"{draft.tag(avatar)} light", VERTEX.itemsize * len(level.positions), avatar, draft.level,
         content=lambda made: lit_interleaved(level)[vertex_order(made, level)[0]].tobytes(),
     )  # fmt: skip
-    return Lit(light, vertices)
+    told = (
+        "" if draft.avatars[avatar].light is not None else "; its file tells no light, its colors are taken for albedo"
+    )
+    return Lit(light, vertices, draft.gains, draft.light_note + told)
+
+
+def light_note(draft: Draft, avatar: int, light: Lit | None) -> str:
+    """For people: the end of a pass's reason."""
+    if light is not None:
+        return light.note
+    asked = draft.light_of is not None and draft.avatars[avatar].light is None
+    return ", not lit anew: its file tells no light" if asked else ""
 
 
 def lit_interleaved(level: Level) -> np.ndarray:

@@ -10,7 +10,7 @@ from avatar.baked_avatar import Avatar
 from player.constants import avatar_constants
 from player.drawing import Drawing, Layer, Warming
 from player.mesh import VIEW_VERTEX, view_interleaved
-from player.passes.light import Lit, lit
+from player.passes.light import Lit, light_note, lit
 from player.plan import Absent, Decision, Draft, State
 from player.posed_mesh import PosedMesh, posed_mesh, vertex_order
 from player.resources import Handle, PlanResources
@@ -98,7 +98,7 @@ def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.
     more = () if light is None else (light.vertices, program)
     return ViewPass(
         f"{tag}: view {mode}", (*draft.drawn_on, *posed.handles, vertices, *textures, array, *more), mode, posed,
-        draft.layer, array, textures, Decision(State.RUNS, why + ("" if light is None else light.note)),
+        draft.layer, array, textures, Decision(State.RUNS, why + light_note(draft, avatar, light)),
         None if light is None else (program, light),
     )  # fmt: skip
 

@@ -5,15 +5,22 @@ from dataclasses import replace
 import moderngl
 import numpy as np
 import pytest
+from PIL import Image
+from radiance_writer import radiance_bytes, sky
 
 from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.light import CaptureLight, lamps_of
 from avatar.skeleton import skin_transforms
 from avatar.skinning import blended_rotations, skin_points
-from player.passes.light import Light
+from player.filming.shot import Shot, with_whole_paths
+from player.passes.background import Background
+from player.passes.light import Light, background_gains
 from player.raster import Rasteriser
+from player.scenes.background import read_panorama
 from player.scenes.effects import PLAIN
+from player.scenes.panorama_light import fitted_light
+from player.scenes.scene import Scene, SceneAvatar
 
 SIZE = (120, 140)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)
@@ -130,3 +137,72 @@ def test_the_file_gives_the_light_back(tmp_path, avatar):
 def test_what_lights_nothing_is_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         Light(**settings)
+
+
+# -- panoramas, and what is behind
+
+
+@pytest.fixture(scope="module")
+def behind(tmp_path_factory):
+    """A panorama, and a warm dark picture."""
+    folder = tmp_path_factory.mktemp("behind")
+    (folder / "sky.hdr").write_bytes(radiance_bytes(sky(64)))
+    Image.fromarray(np.full((8, 12, 3), (120, 70, 40), np.uint8)).save(folder / "warm.png")
+    return {
+        "hdr": Background("hdr", path=str(folder / "sky.hdr"), turn_deg=40.0),
+        "image": Background("image", path=str(folder / "warm.png")),
+    }
+
+
+def test_a_panorama_lights_avatars_as_its_lamps_would(render, avatar, pose, behind):
+    path = behind["hdr"].path
+    own = render(avatar, SIZE, effects=replace(OFF, light=Light("panorama")), background=behind["hdr"])
+    light = fitted_light(read_panorama(path), np.radians(40.0), gamma=1.0, most=4).light
+    (drawn,) = [item for item in own.plan.passes if item.name == "avatar: paper"]
+    assert drawn.lighting[1].light == light and 1 <= len(light.lamps) <= 4
+    named = render(avatar, SIZE, effects=replace(OFF, light=Light("panorama", path)), background=behind["image"])
+    lit, turned_back = own.draw([pose], CAMERA), named.draw([pose], CAMERA)
+    body = render(avatar, SIZE, effects=OFF).draw([pose], CAMERA)[..., 3] > 0
+    assert np.abs(lit[body].astype(int) - turned_back[body]).max() > 20, "the background's own turn counts"
+    said = next(one.decision.why for one in own.drawn if one.item.name == "avatar: paper")
+    assert "its file tells no light, its colors are taken for albedo" in said
+
+
+def test_a_panorama_that_is_nowhere_is_said(render, avatar, behind):
+    with pytest.raises(ValueError, match="light by panorama: expected its path, or a background of kind hdr"):
+        render(avatar, SIZE, effects=replace(OFF, light=Light("panorama")), background=behind["image"])
+    with pytest.raises(ValueError, match="path: of panorama, not of lamps"):
+        Light("lamps", path=behind["hdr"].path)
+
+
+@pytest.mark.parametrize("kind", ["image", "hdr"])
+def test_avatars_are_fitted_to_what_is_behind(render, avatar, pose, behind, kind):
+    """Every color times the same gains, which the reason says."""
+    plain = render(avatar, SIZE, effects=OFF).draw([pose], CAMERA)
+    fitted = render(avatar, SIZE, effects=replace(OFF, light=Light(fit="background")), background=behind[kind])
+    image, body = fitted.draw([pose], CAMERA), plain[..., 3] > 0
+    gains = np.array(background_gains(behind[kind]))
+    assert (gains != 1).all() and ((gains >= 0.5) & (gains <= 2)).all()
+    expected = np.clip(plain[body][:, :3] * gains, 0, 255)
+    assert np.abs(image[body][:, :3] - expected).max() <= 1.01
+    said = next(one.decision.why for one in fitted.drawn if one.item.name == "avatar: paper")
+    assert " ".join(f"{gain:.2f}" for gain in gains) in said
+    if kind == "image":
+        assert gains[0] > gains[1] > gains[2], "warm behind, warm before"
+
+
+def test_light_that_changes_nothing_is_the_plan_without_it(render, context, avatar, pose):
+    """Even light of 1 on an avatar whose file tells none, and the capture's where there is none."""
+    for light in (Light("lamps", ambient=1.0, strength=0.0), Light("capture"), Light("albedo")):
+        asked, plain = (render(avatar, SIZE, effects=replace(OFF, light=one)) for one in (light, None))
+        assert set(asked.plan.handles) == set(plain.plan.handles)
+        assert np.array_equal(asked.draw([pose], CAMERA), plain.draw([pose], CAMERA))
+    why = next(one.decision.why for one in asked.drawn if one.item.name == "avatar: paper")
+    assert "not lit anew: its file tells no light" in why
+
+
+def test_a_panorama_is_one_of_the_files_of_a_film(behind):
+    scene = Scene((SceneAvatar("mannequin"),), effects=replace(OFF, light=Light("panorama", behind["hdr"].path)))
+    shot = Shot(scene, 0, 1, SIZE, 30.0, None)
+    assert behind["hdr"].path in shot.files()
+    assert with_whole_paths(scene).effects.light.path == behind["hdr"].path
