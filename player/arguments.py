@@ -13,6 +13,7 @@ from player.scenes.effects import Effects
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
 MOST_WORKERS = 256
+QUALITIES = ("draft", "good", "best")
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -62,6 +63,17 @@ def parse_background(text: str) -> Background:
         message = f"expected #rrggbb, transparent or a file that is there, found {text!r}"
         raise argparse.ArgumentTypeError(message) from None
     return Background("transparent" if color[3] == 0 else "color", color)
+
+
+def parse_quality(text: str) -> str:
+    """One of the words, or a number from 0 to 1, as text."""
+    try:
+        good = text in QUALITIES or 0 <= float(text) <= 1
+    except ValueError:
+        good = False
+    if not good:
+        raise argparse.ArgumentTypeError(f"expected {', '.join(QUALITIES)} or a number from 0 to 1, found {text!r}")
+    return text
 
 
 def parse_gpu(text: str) -> int | str:

@@ -16,6 +16,7 @@ from avatar.settings import AtLeast, Help, OneOf, Option, parse
 from avatar.skeleton import PARTS
 from player.address import Address, parse_address
 from player.arguments import EFFECTS, GROUND_HELP, HANDS_HELP, parse_background, parse_size, with_effects
+from player.budget.rungs import parse_budget
 from player.context import NoContextError
 from player.live.command import LiveCommand
 from player.motions import beside
@@ -33,6 +34,7 @@ EXAMPLES = """examples
   selfscan play me.glb --capture my_capture                 against the video it was made from
   selfscan play me.glb --live vmc:39539                     posed by a sender
   selfscan play --scene two.toml                            as a scene file says
+  selfscan play me.glb --budget 8ms                         the best that takes 8 ms a frame
 """
 
 
@@ -99,6 +101,11 @@ class PlayCommand:
         Background | None,
         Option(metavar="#rrggbb|FILE", parse=parse_background),
         "colour (default #2b2d33), a picture, film or panorama (.hdr)",
+    ] = None
+    budget: Annotated[
+        float | None,
+        Option(metavar="8ms", parse=parse_budget),
+        "view mode and level are the most exact whose frames take no longer on this machine, and follow how busy it is",
     ] = None
     gui: Annotated[bool, Option(("--no-gui",)), "no panels, only keys and a line of text (as without imgui-bundle)"] = (
         True
@@ -212,6 +219,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             panels=panels,
             script=None if command.script is None else command.script.split(),
             screenshot=command.screenshot,
+            budget=None if command.budget is None else (command.budget, [entry.path for entry in scene.avatars]),
         )
 
 

@@ -10,13 +10,16 @@ from player.arguments import (
     EFFECTS,
     GROUND_HELP,
     HANDS_HELP,
+    QUALITIES,
     parse_background,
     parse_frames,
     parse_gpu,
+    parse_quality,
     parse_share,
     parse_size,
     parse_workers,
 )
+from player.budget.rungs import parse_budget
 from player.filming.film import film_kind
 from player.passes.background import Background
 from player.scenes.scene import FILM_RATES, GROUNDS, TURNS
@@ -28,6 +31,7 @@ EXAMPLES = """examples
   selfscan render me.glb --motion walk.npz --frame 12 --explain -o frame.png
   selfscan render me.glb --camera turntable --seconds 4 -o me.gif
   selfscan render --scene two.toml -o two.mp4
+  selfscan render me.glb --motion counting --budget 8ms -o fast.mp4     the best that takes 8 ms a frame here
   selfscan render me.glb --motion long.npz -o long.mp4 --resume         goes on after a stop
   selfscan render me.glb --motion long.npz -o long.mp4 --workers 4      or tcp://SCHEDULER:8786
 
@@ -101,10 +105,17 @@ class RenderCommand:
     )
     quality: Annotated[
         str,
-        OneOf(("draft", "good", "best")),
+        Option(metavar="draft|good|best|0..1", parse=parse_quality),
         "draft: coarsest mesh, paper colours, jagged edges, small file; best: the avatar's own view model per pixel, "
-        "MSAA, large file; single options go before it",
+        "MSAA, large file; a number: view mode and mesh from the fastest (0) to the most exact (1), by what they cost "
+        "on this machine; single options go before it",
     ] = "good"
+    budget: Annotated[
+        float | None,
+        Option(metavar="8ms", parse=parse_budget),
+        "view mode and mesh are the most exact whose frames take no longer (p95), as measured on this machine once and "
+        "kept; or 120fps",
+    ] = None
     level: Annotated[int | None, AtLeast(0), AtMost(99), "level of detail, 0 the finest"] = None
     body: Annotated[
         str | None, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
@@ -136,8 +147,23 @@ class RenderCommand:
     explain: Annotated[bool, "print which passes ran, why, and what each costs"] = False
     json: Annotated[str | None, Option(metavar="FILE"), "write what --explain prints to a file"] = None
 
+    @property
+    def share(self) -> float | None:
+        """A quality that is a number."""
+        return None if self.quality in QUALITIES else float(self.quality)
+
+    @property
+    def measured(self) -> bool:
+        """Whether view mode and level are chosen by what they cost on this machine."""
+        return self.budget is not None or self.share is not None
+
     def __post_init__(self):
+        parse_quality(self.quality)
         kind = film_kind(self.output)
+        if self.budget is not None and self.quality != "good":
+            raise ValueError("give --budget or --quality")
+        if self.measured and (self.part or self.workers):
+            raise ValueError("--budget and --quality 0..1 ask this machine: for several, give --view and --level")
         if self.json and not self.explain:
             raise ValueError("--json writes what --explain finds: give both")
         if kind == ".png" and self.frames:

@@ -10,16 +10,21 @@ from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
+
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError, missing_package
 from avatar.files import check_file, check_folder, whole_file
 from avatar.progress import Progress, counted, progress
 from player.arguments import with_effects
+from player.budget.measure import BudgetScene
+from player.budget.rungs import choice_words
+from player.budget.table import bought_rung
 from player.context import Context, opened
 from player.filming.film import VIDEO, film_kind, join_pieces
 from player.filming.parts import LENGTH, Parts
 from player.filming.shot import Shot, ShotRenderer, with_whole_paths
-from player.filming.stage import Stage, camera_from_option
+from player.filming.stage import Fit, Stage, camera_from_option
 from player.motions import beside, frame_range
 from player.render_command import RenderCommand
 from player.renderer import Renderer
@@ -27,6 +32,8 @@ from player.scenes.effects import Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 DRAFT_LEVEL = 99  # the coarsest there is
+# of a film that a budget is measured on
+BUDGET_FRAMES = 4
 FASTEST = 60.0  # frames a second of a film, unless more are asked for
 
 
@@ -42,7 +49,8 @@ def render(command: RenderCommand) -> None:
     scene = scene_of(command)
     # while files are read and unpacked, the driver wakes up; both are work outside of Python
     with ThreadPoolExecutor(1) as pool:
-        reading = pool.submit(Stage, scene, level_of(command) + 1)
+        # what a budget buys may be any of them
+        reading = pool.submit(Stage, scene, None if command.measured else level_of(command) + 1)
         context = None if command.workers else opened(command.context, command.gpu)
         try:
             try:
@@ -71,16 +79,43 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
             print(f"{stage.name}: frame {start} of {counted(stage.frames, 'frame')}{other}")
     else:
         start, stop = at_rate(command, stage, start, stop)
-    level = level_of(command)
+    level, fit = level_of(command), stage.fit(start, stop)
+    if command.measured:
+        assert context is not None, "workers are refused with a budget"
+        level = buy_rung(command, stage, context, fit, start, stop)
     shot = Shot(
-        stage.scene, start, stop, stage.size(), stage.rate, stage.fit(start, stop), stage.still, level,
-        command.encoder, command.quality, command.context, command.gpu,
+        stage.scene, start, stop, stage.size(), stage.rate, fit, stage.still, level,
+        command.encoder, "good" if command.share is not None else command.quality, command.context, command.gpu,
     )  # fmt: skip
     shared = bool(command.resume or command.part or command.workers)
     if kind == ".png" or not (shared or (stop - start > LENGTH and kind in ("", *VIDEO))):
         film_at_once(command, shot, stage, context)
     else:
         film_in_parts(command, shot, stage, context)
+
+
+def buy_rung(
+    command: RenderCommand, stage: Stage, context: Context, fit: Fit | None, start: int, stop: int
+) -> int:
+    """The level of detail, chosen with the view mode by what they cost on this machine; the view mode is put into the
+    scene. A film keeps both from its first frame to its last."""
+    size, scene = stage.size(), stage.scene
+    camera_at = stage.camera_at(fit, start, stop, size)
+    frames = []
+    for frame in np.unique(np.linspace(start, stop - 1, BUDGET_FRAMES).round().astype(int)).tolist():
+        poses = stage.poses(frame)
+        frames.append((poses, camera_at(frame, poses[0][1])))
+    drawn = BudgetScene(stage.avatars, frames, size, scene.effects, scene.background, reads_back=True)
+    try:
+        priced, chosen = bought_rung(
+            context, drawn, [entry.path for entry in scene.avatars], level=command.level, budget=command.budget,
+            quality=1.0 if command.share is None else command.share,
+        )  # fmt: skip
+    except ValueError as error:
+        raise AssetError(str(error)) from None
+    stage.notes.append(choice_words(chosen, priced, command.budget))
+    stage.scene = replace(scene, effects=replace(scene.effects, view=chosen.rung.view))
+    return chosen.rung.level
 
 
 def at_rate(command: RenderCommand, stage: Stage, start: int, stop: int) -> tuple[int, int]:

@@ -23,6 +23,8 @@ def hud_panel(parts: Parts) -> None:
     lines = []
     if len(times):
         lines.append(f"{state.last.rate:.0f} fps   {np.median(times):.1f} ms, p95 {np.percentile(times, 95):.1f}")
+    if parts.budget is not None:
+        lines.append(parts.budget.words)
     for live, _ in state.playback.live:
         spans = live.latency.percentiles()
         if spans:

@@ -24,7 +24,7 @@ class Look:
         over_video: bool,
         messages: Messages,
     ):
-        self._context, self._avatars, self._messages = context, avatars, messages
+        self._context, self.avatars, self._messages = context, avatars, messages
         self.effects, self.background, self.level = effects, background, 0
         self._over_video = over_video
         self.renderer = self._new_renderer(effects, background, 0)
@@ -59,7 +59,7 @@ class Look:
 
     def _new_renderer(self, effects: Effects, background: Background, level: int) -> Renderer:
         background = self._drawn_first(background)
-        return Renderer(self._context, self._avatars, None, effects=effects, background=background, level=level)
+        return Renderer(self._context, self.avatars, None, effects=effects, background=background, level=level)
 
     def _drawn_first(self, background: Background) -> Background:
         return Background("transparent") if self._over_video else background

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from player.window.budgeted import Budgeted
 from player.window.look import Look
 from player.window.posing import Posing
 from player.window.recorder import Recorder
@@ -12,7 +13,7 @@ from player.window.wipe import Wipe
 
 @dataclass
 class Parts:
-    """What can be changed in the window. `wipe` is there with a source video."""
+    """What can be changed in the window. `wipe` is there with a source video, `budget` where one was asked for."""
 
     state: WindowState
     viewpoint: Viewpoint
@@ -20,6 +21,7 @@ class Parts:
     posing: Posing
     recorder: Recorder
     wipe: Wipe | None
+    budget: Budgeted | None = None
     # asked to close
     closing: bool = False
 

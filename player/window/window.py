@@ -17,6 +17,7 @@ import moderngl
 from avatar.interrupt import deferred_stop
 from player.cameras import moved_into
 from player.window.actions import GROUPS
+from player.window.budgeted import Budgeted
 from player.window.keyboard import Keyboard
 from player.window.look import Look
 from player.window.parts import Parts
@@ -72,7 +73,9 @@ class Window:
         null: bool = False,
         panels: Callable[[Parts], PanelLayer] | None = None,
         clock: Clock = time.perf_counter,
+        budget: tuple[float, Sequence[str]] | None = None,
     ):
+        """budget: milliseconds of a frame's own work, and the files of the avatars, by which its prices are kept."""
         self.clock, self.screen = clock, Screen(size, null=null)
         self.parts = _parts(show, self.screen, clock)
         self.keyboard, self.pointer = Keyboard(self.parts), Pointer(self.parts)
@@ -80,8 +83,19 @@ class Window:
         self.status_line, self.key_list, self.backdrop = TextPlate(context), TextPlate(context), PictureLayer(context)
         self.panels = panels(self.parts) if panels is not None else None
         show.fit_orbit(self.parts.state.layout.area[2:])
+        if budget is not None:
+            self.parts.budget = self._budgeted(*budget)
         self._last_tick = clock()
         self._connect()
+
+    def _budgeted(self, budget: float, files: Sequence[str]) -> Budgeted:
+        """What this window draws within a budget: a few moments of its motion are timed as the orbit sees them."""
+        parts, size = self.parts, self.screen.size
+        camera = parts.viewpoint.cameras.orbit.camera(size)
+        tracks = parts.state.playback.tracks
+        moments = [share * max(track.end for track in tracks) for share in (0.1, 0.35, 0.6, 0.85)]
+        frames = [([track.pose(seconds) for track in tracks], camera) for seconds in moments]
+        return Budgeted(self.screen.context, parts.look, files, frames, size, budget, parts.state.messages)
 
     def _connect(self) -> None:
         """glfw calls what a script calls."""
@@ -172,7 +186,12 @@ class Window:
         parts, size = self.parts, self.screen.size
         area, viewpoint, look = parts.state.layout.area, parts.viewpoint, parts.look
         camera = parts.state.last.camera = moved_into(viewpoint.camera(), area, size)
+        began = self.clock()
         look.renderer.draw_into(screen, parts.state.last.poses, camera, seconds=parts.state.timeline.seconds)
+        if parts.budget is not None:
+            # the work itself, whatever the screen waits for
+            self.screen.context.gl.finish()
+            parts.budget.frame(1e3 * (self.clock() - began), filming=parts.recorder.film is not None)
         if parts.wipe is not None:
             screen.use()
             around = look.background.color[:3]
@@ -194,6 +213,8 @@ class Window:
         if state.messages.shown:
             return state.messages.shown
         words = [f"{state.last.rate:.0f} fps", state.playback.status(), parts.look.status]
+        if parts.budget is not None:
+            words.append(parts.budget.words)
         if parts.viewpoint.cameras.kind != "orbit":
             words.append(parts.viewpoint.cameras.kind)
         if parts.recorder.film is not None:
@@ -274,13 +295,14 @@ def play(
     panels: Callable[[Parts], PanelLayer] | None,
     script: Sequence[str] | None,
     screenshot: str | None,
+    budget: tuple[float, Sequence[str]] | None = None,
 ) -> int:
     """Open the window and run it. A script closes it at its end; a screenshot keeps the last frame shown."""
     if script is not None:
         steps(script)
     try:
         with deferred_stop(patience=0) as stop:
-            window = Window(show, size=size, null=null, panels=panels)
+            window = Window(show, size=size, null=null, panels=panels, budget=budget)
     except BaseException:
         show.playback.close()
         # with the window, where there is one already

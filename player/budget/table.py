@@ -1,0 +1,124 @@
+"""Prices of rungs, kept in the user's cache folder: one file for each machine, avatar, size and what else is drawn.
+
+A table is measured anew when it is older than a month, or when the rung it chooses takes another time than it says.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from avatar.errors import AssetError
+from avatar.files import whole_file
+from avatar.progress import progress
+from player.budget.measure import BudgetScene, check, price
+from player.budget.rungs import PricedRung, SceneRung, at_quality, frontier, scene_rungs, within
+from player.context import Context
+
+FORMAT = 1
+OLDEST = 30 * 86400.0  # seconds
+# the chosen rung takes so many times as long, or as short, as its table says: it is measured anew
+STALE = 1.35
+
+
+def cache_folder() -> Path:
+    """The user's own: $XDG_CACHE_HOME/selfscan, else ~/.cache/selfscan."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "selfscan"
+
+
+def bought_rung(
+    context: Context,
+    scene: BudgetScene,
+    files: Sequence[str],
+    *,
+    level: int | None = None,
+    budget: float | None = None,
+    quality: float = 1.0,
+) -> tuple[list[PricedRung], PricedRung]:
+    """The prices of a scene's rungs, and the one that a budget buys, ms, or where there is none a place on the
+    frontier. A view mode of the effects that is not auto, and a level that is given, are kept.
+
+    Raises:
+        ValueError: a view mode that an avatar does not hold.
+    """
+    if scene.effects.motion_blur is not None or scene.effects.depth_of_field is not None:
+        raise ValueError("motion blur and depth of field draw a frame many times: expected none of them with a budget")
+    rungs = scene_rungs(scene.avatars, view=scene.effects.view, level=level)
+
+    def choose(priced: Sequence[PricedRung]) -> PricedRung:
+        if budget is None:
+            return at_quality(priced, quality)
+        # where nothing holds it, the fastest
+        return within(priced, budget) or frontier(priced)[0]
+
+    return priced_rungs(context, scene, files, rungs, choose)
+
+
+def priced_rungs(
+    context: Context,
+    scene: BudgetScene,
+    files: Sequence[str],
+    rungs: Sequence[SceneRung],
+    choose: Callable[[Sequence[PricedRung]], PricedRung],
+) -> tuple[list[PricedRung], PricedRung]:
+    """The table of these rungs, from the cache where it still holds, and what `choose` takes from it. `files` are those
+    of the avatars."""
+    path = cache_folder() / "budget" / f"{key_of(context, scene, files, rungs)}.json"
+    kept = read_table(path, rungs)
+    if kept is not None:
+        chosen = choose(kept)
+        now = check(context, scene, chosen.rung)
+        if 1 / STALE <= now / max(chosen.ms_median, 1e-6) <= STALE:
+            return kept, chosen
+    priced = price(context, scene, rungs, report=lambda rounds: progress(rounds, "timing what fits the budget"))
+    write_table(path, priced)
+    return priced, choose(priced)
+
+
+def key_of(context: Context, scene: BudgetScene, files: Sequence[str], rungs: Sequence[SceneRung]) -> str:
+    """What tells this table from any other, as a file name."""
+    said = {
+        "format": FORMAT,
+        "machine": [platform.node(), platform.machine(), os.cpu_count(), context.renderer, context.kind],
+        "avatars": [digest(file) for file in files],
+        "rungs": [asdict(rung) for rung in rungs],
+        "size": scene.size,
+        "effects": repr(replace(scene.effects, view="auto")),
+        "background": repr(scene.background),
+        "reads_back": scene.reads_back,
+    }
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def digest(file: str) -> str:
+    """Of a file's content; a built-in body is its name."""
+    path = Path(file)
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else file
+
+
+def read_table(path: Path, rungs: Sequence[SceneRung]) -> list[PricedRung] | None:
+    """A table that was kept and is not too old; None where there is none, or it cannot be read."""
+    try:
+        content = json.loads(path.read_text("utf-8"))
+        if not 0 <= time.time() - content["measured"] <= OLDEST:
+            return None
+        rows = [(float(row["ms_median"]), float(row["ms_p95"]), float(row["error"])) for row in content["rungs"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    if len(rows) != len(rungs) or not all(0 < median <= tail for median, tail, _ in rows):
+        return None
+    return [PricedRung(rung, *row) for rung, row in zip(rungs, rows, strict=True)]
+
+
+def write_table(path: Path, priced: Sequence[PricedRung]) -> None:
+    """Keep a table; where nothing can be kept, it is measured again next time."""
+    rows = [{"name": one.rung.name} | {k: v for k, v in asdict(one).items() if k != "rung"} for one in priced]
+    with contextlib.suppress(OSError, AssetError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path, "w") as file:
+            json.dump({"measured": time.time(), "rungs": rows}, file, indent=1)

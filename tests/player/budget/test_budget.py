@@ -1,0 +1,217 @@
+"""Budgets of films and of the window: prices measured here, kept, and measured anew when they no longer hold."""
+
+import dataclasses
+import json
+from functools import partial
+
+import numpy as np
+import pytest
+from tiny_avatar import tiny_avatar
+
+from avatar.camera import orbit_camera
+from avatar.gltf.avatar_file import write_avatar
+from avatar.motion.read import builtin_motion
+from player.budget import measure, table
+from player.budget.measure import BudgetScene
+from player.budget.rungs import PricedRung, scene_rungs
+from player.budget.table import bought_rung, cache_folder
+from player.context import open_context
+from player.mannequin import mannequin
+from player.passes.background import Background
+from player.render_command import RenderCommand
+from player.scenes.effects import PLAIN
+from player.scenes.scene import Scene, SceneAvatar
+from player.window.show import opened_show
+from player.window.window import Window
+from selfscan.__main__ import main
+
+# milliseconds that each view mode is said to take, whatever it takes
+SAID = {"network": 20.0, "linear": 12.0, "vertex": 8.0, "off": 4.0}
+
+
+@pytest.fixture
+def context():
+    made = open_context()
+    yield made
+    made.release()
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def said(monkeypatch):
+    """Frames that take what SAID says; counts the tables that are measured."""
+    measured = []
+
+    def seconds(context, renderer, poses, camera, reads_back):
+        renderer.draw(poses, camera)
+        return SAID[renderer.effects.view] / 1e3 / 1.5**renderer.level * seconds.load
+
+    def price(*given, **more):
+        measured.append(1)
+        return measure.price(*given, rounds=6, **more)
+
+    seconds.load = 1.0
+    monkeypatch.setattr(measure, "_seconds", seconds)
+    monkeypatch.setattr(table, "price", price)
+    return measured, seconds
+
+
+def scene_of(avatar, effects=PLAIN):
+    clip = builtin_motion("counting").read(0, 50)
+    camera = orbit_camera(np.zeros(3), 2.6, 0.3, 0.1, (96, 96))
+    frames = [([(clip.axis_angle[k].astype(np.float64), np.zeros(3))], camera) for k in (10, 40)]
+    return BudgetScene([avatar], frames, (96, 96), effects, Background(), reads_back=True)
+
+
+def test_prices_are_measured_and_errors_are_from_the_best_rung(context):
+    avatar = mannequin()
+    priced = measure.price(context, scene_of(avatar), scene_rungs([avatar]), rounds=4)
+    assert [one.rung.view for one in priced] == ["network", "linear", "vertex", "off"]
+    assert priced[0].error == 0 and all(one.error > 0 for one in priced[1:])
+    assert all(0 < one.ms_median <= one.ms_p95 for one in priced)
+
+
+def test_a_budget_is_answered_from_the_cache_until_it_no_longer_holds(context, said):
+    measured, seconds = said
+    avatar = mannequin()
+    buy = partial(bought_rung, context, scene_of(avatar), ["mannequin"])
+    assert buy(budget=13.0)[1].rung.view == "vertex"  # closer to the network than the linear map is
+    assert buy(budget=25.0)[1].rung.view == "network"
+    assert buy(budget=5.0)[1].rung.view == "off"
+    assert buy(budget=1.0)[1].rung.view == "off"
+    assert buy(quality=0.0)[1].rung.view == "off" and buy(quality=1.0)[1].rung.view == "network"
+    assert len(measured) == 1
+    # the machine has become half as fast
+    seconds.load = 2.0
+    assert buy(budget=13.0)[1].rung.view == "off" and len(measured) == 2
+    assert buy(budget=13.0)[1].rung.view == "off" and len(measured) == 2
+    # another size is another table
+    wider = scene_of(avatar)._replace(size=(128, 96))
+    bought_rung(context, wider, ["mannequin"], budget=13.0)
+    assert len(measured) == 3
+
+
+def test_a_table_that_is_old_or_broken_is_measured_anew(context, said):
+    measured, _ = said
+    buy = partial(bought_rung, context, scene_of(mannequin()), ["mannequin"], budget=5.0)
+    buy()
+    (path,) = (cache_folder() / "budget").glob("*.json")
+    content = json.loads(path.read_text())
+    for spoilt in (json.dumps(content | {"measured": 0}), "{", json.dumps({"measured": content["measured"]}), "[]"):
+        path.write_text(spoilt)
+        assert buy()[1].rung.view == "off"
+    assert len(measured) == 5
+    buy()
+    assert len(measured) == 5
+
+
+def test_what_is_asked_for_by_name_is_kept(context, said):
+    avatar = mannequin()
+    effects = dataclasses.replace(PLAIN, view="linear")
+    _, chosen = bought_rung(context, scene_of(avatar, effects), ["mannequin"], budget=1.0)
+    assert chosen.rung.view == "linear"
+
+
+def test_render_buys_with_a_budget_and_says_what_it_bought(tmp_path, capsys, said):
+    write_avatar(tmp_path / "me.glb", tiny_avatar())
+    out = str(tmp_path / "me.png")
+    assert main(["render", str(tmp_path / "me.glb"), "--size", "64x64", "--budget", "9ms", "-o", out]) == 0
+    text = capsys.readouterr().out
+    assert "budget 9 ms: " in text and "ms a frame here, p95" in text
+    assert main(["render", str(tmp_path / "me.glb"), "--size", "64x64", "--quality", "0", "-o", out]) == 0
+    assert "paper mode" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said_so"),
+    [
+        (["--budget", "8ms", "--quality", "draft"], "give --budget or --quality"),
+        (["--budget", "8ms", "--workers", "2"], "ask this machine"),
+        (["--quality", "0.5", "--part", "1/2"], "ask this machine"),
+        (["--budget", "fast"], "expected milliseconds or frames a second, as 8ms or 120fps, found 'fast'"),
+        (["--quality", "1.5"], "expected draft, good, best or a number from 0 to 1, found '1.5'"),
+    ],
+)
+def test_budgets_that_cannot_be(tmp_path, capsys, words, said_so):
+    with pytest.raises(SystemExit) as stop:
+        main(["render", "mannequin", *words, "-o", str(tmp_path / "film.mp4")])
+    assert stop.value.code == 2 and said_so in capsys.readouterr().err
+
+
+def test_words_of_quality_mean_what_they_meant():
+    assert not RenderCommand("x.png", ("me.glb",), quality="draft").measured
+    assert RenderCommand("x.png", ("me.glb",), quality="0.25").share == 0.25
+
+
+def test_the_window_goes_down_under_load_and_up_again(said, monkeypatch):
+    """Its own clock says how long drawing took: 1 ms of the scene's time, times the load."""
+    scene = Scene((SceneAvatar("mannequin", "counting"),))
+    avatar = mannequin()
+    now = [0.0]
+
+    class Clock:
+        load = 1.0
+
+        def __call__(self):
+            # two readings a frame lie round the drawing
+            now[0] += SAID[window.parts.look.effects.view] / 1e3 * self.load if window is not None else 0.0
+            return now[0]
+
+    window, clock = None, Clock()
+    window = Window(opened_show(scene, [avatar]), size=(96, 96), null=True, clock=clock, budget=(13.0, ["mannequin"]))
+    try:
+        budget, seen = window.parts.budget, []
+
+        def frames(count):
+            for _ in range(count):
+                window.draw()
+                seen.append(window.parts.look.effects.view)
+
+        assert window.parts.look.effects.view == "vertex"
+        frames(30)
+        clock.load = 2.0
+        frames(30)
+        assert seen[29] == "vertex" and seen[-1] == "off" and "paper mode" in budget.words
+        assert "network" not in seen
+        clock.load = 1.0
+        frames(110)
+        assert seen[-1] == "vertex" and sum(a != b for a, b in zip(seen, seen[1:])) == 2
+        assert "budget 13 ms: per vertex, 27k; network per pixel, 27k 12.0 ms more" in budget.words
+        assert budget.words in window.status()
+        # by hand it ends
+        window.parts.look.change(effects=dataclasses.replace(window.parts.look.effects, view="network"))
+        frames(2)
+        assert budget.words == "budget off" and seen[-1] == "network"
+    finally:
+        window.close()
+
+
+def test_a_film_of_the_window_keeps_what_it_began_with(said):
+    window = Window(
+        opened_show(Scene((SceneAvatar("mannequin", "counting"),)), [mannequin()]), size=(64, 64), null=True,
+        budget=(13.0, ["mannequin"]),
+    )  # fmt: skip
+    try:
+        budget = window.parts.budget
+        for _ in range(100):
+            budget.frame(100.0, filming=True)
+        assert window.parts.look.effects.view == "vertex"
+        for _ in range(20):
+            budget.frame(100.0, filming=False)
+        assert window.parts.look.effects.view == "off"
+    finally:
+        window.close()
+
+
+def test_the_table_names_what_was_measured(context, said):
+    _, chosen = bought_rung(context, scene_of(mannequin()), ["mannequin"], budget=5.0)
+    assert isinstance(chosen, PricedRung)
+    (path,) = (cache_folder() / "budget").glob("*.json")
+    rows = json.loads(path.read_text())["rungs"]
+    assert [row["name"] for row in rows] == [
+        "network per pixel, 27k", "linear, 27k", "per vertex, 27k", "paper mode, 27k",
+    ]  # fmt: skip
