@@ -25,6 +25,8 @@ SUBJECT = ("v_template", "faces", "joints", "skin_joints", "skin_weights", "part
 HEIGHT = (0.4, 2.7)
 # metres between camera and person; beyond it the unit is in doubt
 FARTHEST = 60.0
+# values of a mask between which a pixel shows the person and what lies behind: neither colour is learnt there
+MIXED = (12, 243)
 
 
 @dataclass(frozen=True)
@@ -194,6 +196,8 @@ def _read_video(path: Path, part: str, vertex_count: int) -> PartVideo:
     image_names, images = _read_frames(path / "images", "RGB")
     mask_names, grey = _read_frames(path / "masks", "L")
     masks = grey > 127
+    # mixtures of the person and what lies behind
+    mixed = (grey > MIXED[0]) & (grey < MIXED[1])
     if image_names != mask_names:
         name = sorted(set(image_names) ^ set(mask_names))[0]
         place = "images" if name in image_names else "masks"
@@ -216,11 +220,12 @@ def _read_video(path: Path, part: str, vertex_count: int) -> PartVideo:
     if not masks.any():
         raise AssetError(f"{path / 'masks'}: no pixel of any frame shows the person")
 
+    unsure = mixed if mixed.any() else None
     if part == "head":
         points, vertices = _read_landmarks(path / "landmarks.json", vertex_count)
-        return PartVideo(part, images, masks, cameras, None, None, points, vertices)
+        return PartVideo(part, images, masks, cameras, None, None, points, vertices, unsure)
     axis_angle, root = _read_poses(path / "poses.npz", frames)
-    return PartVideo(part, images, masks, cameras, axis_angle, root, None, None)
+    return PartVideo(part, images, masks, cameras, axis_angle, root, None, None, unsure)
 
 
 def _read_poses(path: Path, frames: int) -> tuple[Float[Array, "frames 52 3"], Float[Array, "frames 3"]]:

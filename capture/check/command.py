@@ -10,11 +10,13 @@ from avatar.errors import AssetError
 from avatar.files import check_file, check_folder, whole_file
 from avatar.settings import Help, Option, parse
 from capture.check.keypoints import Followed, compare_keypoints, keypoint_findings, keypoint_lines
+from capture.check.raw_videos import examine_videos, usable, verdict_line, video_lines
 from capture.check.report import CaptureReport, PartReport, examine, report_facts
 from capture.check.sheet import contact_sheet, overlay
 from capture.check.silhouette import even
 from capture.check.verdict import Verdict, verdict
 from capture.folder import Capture, read_capture
+from capture.raw.four_videos import holds_videos
 
 
 @dataclass(frozen=True)
@@ -22,16 +24,20 @@ class CheckCommand:
     """`selfscan check`."""
 
     capture: Annotated[
-        Path,
-        Option(positional=True, metavar="CAPTURE"),
-        "folder made by `selfscan synth` or `selfscan import`",
+        tuple[Path, ...],
+        Option(positional=True, metavar="CAPTURE", several=True),
+        "folder made by `selfscan synth` or `selfscan import`; or videos as filmed: a folder with body.mp4, head.mp4, "
+        "left.mp4 and right.mp4, or the four files in that order",
     ]
-    out: Annotated[Path | None, Option(("-o", "--out"), "DIR"), "write DIR/overlays.png and DIR/check.json"] = None
+    out: Annotated[
+        Path | None, Option(("-o", "--out"), "DIR"), "write DIR/check.json and, of a capture, DIR/overlays.png"
+    ] = None
     keypoints: Annotated[
         Path | None,
         Option(metavar="DIR"),
         "keypoints of the videos in DIR/body, DIR/hand_left, DIR/hand_right (OpenPose, COCO-WholeBody, MediaPipe), one "
-        "for each frame of the capture: do the poses follow them?",
+        "for each frame of the capture: do the poses follow them? Of videos as filmed DIR/head too (default: keypoints "
+        "in the folder beside them)",
     ] = None
     json: Annotated[Path | None, Option(metavar="FILE"), "write everything measured and the verdict to FILE"] = None
 
@@ -40,7 +46,8 @@ ABOUT = Help(
     "selfscan check",
     """Look at a capture before training: does the posed template lie on the person in the video, are masks, units,
 frames, sharpness and view directions sound? Ends in a verdict: usable; usable, but ...; not usable because ...
-(exit code 1), each with what to do.""",
+(exit code 1), each with what to do. Videos as filmed are looked at before any fit: is the person whole, alone and sharp
+in them, does the camera stand still, is there an empty second?""",
     "example: selfscan check out/capture -o out/check, then look at out/check/overlays.png",
 )
 
@@ -52,7 +59,10 @@ def main(argv: list[str]) -> int:
         check_file(arguments.json)
     if arguments.out and not arguments.out.is_dir():
         check_folder(arguments.out)
-    capture = read_capture(arguments.capture)
+    first, *more = arguments.capture
+    if more or holds_videos(first):
+        return _check_videos(arguments)
+    capture = read_capture(first)
     try:
         report = examine(capture)
     except ValueError as error:  # the landmarks determine nothing
@@ -75,6 +85,22 @@ def main(argv: list[str]) -> int:
         with whole_file(path, "w") as file:
             json.dump(facts, file, indent=1)
     return 0 if judged.usable else 1
+
+
+def _check_videos(arguments: CheckCommand) -> int:
+    """Judge videos as filmed."""
+    judged = examine_videos(arguments.capture, arguments.keypoints)
+    print("\n".join(video_lines(judged)))
+    facts = {"videos": {part: at.facts() for part, at in judged.items()}, "usable": usable(judged),
+             "verdict": verdict_line(judged)}  # fmt: skip
+    files = [arguments.json] if arguments.json else []
+    if arguments.out:
+        arguments.out.mkdir(exist_ok=True)
+        files.append(arguments.out / "check.json")
+    for path in files:
+        with whole_file(path, "w") as file:
+            json.dump(facts, file, indent=1)
+    return 0 if usable(judged) else 1
 
 
 def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...] = ()) -> list[str]:

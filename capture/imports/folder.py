@@ -40,6 +40,8 @@ class Video:
     root: Float[Array, "frames 3"] | None = None  # pelvis joint in the world
     # file and field that the cameras' translations were read from
     place: str = ""
+    # masks hold shares of the pixel, kept as they are
+    soft: bool = False
 
 
 def write_capture(out: Path, template: Template, videos: dict[str, Video], landmarks: dict, facts: dict) -> None:
@@ -62,8 +64,12 @@ def write_capture(out: Path, template: Template, videos: dict[str, Video], landm
                 name = f"{i:06d}.png"
                 picture = read_frame(image, camera.size)
                 Image.fromarray(picture).save(folder / part / "images" / name, compress_level=1)
-                person = read_mask(mask, camera.size, any_value=video.any_value)
-                Image.fromarray(np.where(person, 255, 0).astype(np.uint8)).save(folder / part / "masks" / name)
+                if video.soft:
+                    share = read_picture(mask, "L")
+                else:
+                    person = read_mask(mask, camera.size, any_value=video.any_value)
+                    share = np.where(person, 255, 0).astype(np.uint8)
+                Image.fromarray(share).save(folder / part / "masks" / name)
                 done += 1
                 report.update(done, part)
             write_cameras(folder / part / "cameras.npz", video.cameras)

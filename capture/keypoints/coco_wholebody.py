@@ -50,14 +50,15 @@ def wholebody_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Key
     if not 0 < len(pictures) <= MOST_FRAMES or not any(pictures):
         raise AssetError(f"{frames[0][0]}: nobody in any of {len(pictures)} frames")
     rows = np.zeros((len(pictures), len(NAMES), 3))
+    others = np.zeros(len(rows))
     for k, people in enumerate(pictures):
         if people:
-            rows[k] = largest(people, notes)
+            rows[k], others[k] = largest(people, notes)
     empty = sum(not people for people in pictures)
     if empty:
         notes.append(f"nobody in {empty} of {len(pictures)} frames")
     rows[:, :, :2] += 0.5
-    return keypoints_of(NAMES, rows, None, notes)
+    return keypoints_of(NAMES, rows, None, notes, others)
 
 
 def _pictures(path: Path, content: Any, *, one: bool) -> list[list[Float[Array, "133 3"]]]:

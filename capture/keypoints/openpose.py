@@ -37,13 +37,14 @@ def openpose_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Keyp
         AssetError: no frame of OpenPose, lists of other lengths, numbers that are not finite, nobody in any frame.
     """
     rows = np.zeros((len(frames), len(NAMES), 3))
+    others = np.zeros(len(rows))
     empty = 0
     for k, (path, content) in enumerate(frames):
         if not is_openpose(content):
             raise AssetError(f"{path}: expected a frame of OpenPose, an object with people")
         people = [_person(f"{path}: people[{n}]", person) for n, person in enumerate(content["people"])]
         if people:
-            rows[k] = largest(people, notes)
+            rows[k], others[k] = largest(people, notes)
         empty += not people
     if empty == len(frames):
         raise AssetError(f"{frames[0][0].parent}: nobody in any of {len(frames)} frames")
@@ -52,7 +53,7 @@ def openpose_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Keyp
     if rows[:, :, :2].max() <= 1:
         raise AssetError(f"{frames[0][0]}: expected pixels, found parts of the picture (OpenPose's keypoint_scale 3)")
     rows[:, :, :2] += 0.5
-    return keypoints_of(NAMES, rows, None, notes)
+    return keypoints_of(NAMES, rows, None, notes, others)
 
 
 def _person(place: str, person: Any) -> Float[Array, "points 3"]:

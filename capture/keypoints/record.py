@@ -35,6 +35,8 @@ class Keypoints:
     confidence: Float[Array, "frames points"]  # 0 to 1
     size: tuple[int, int] | None  # of the pictures, where the files tell it
     notes: tuple[str, ...] = ()  # what was assumed
+    # size of the second largest person, of the largest one's; 0: alone. None: the files hold one person at most
+    others: Float[Array, "frames"] | None = None
 
     def seen(self, name: str) -> Float[Array, "frames 3"]:
         """x, y and confidence of one point; confidence 0 throughout where the detector has no such point."""
@@ -47,7 +49,8 @@ class Keypoints:
 
     def of_frames(self, frames: Int[Array, "kept"]) -> "Keypoints":
         """The record of some of the frames."""
-        return replace(self, pixels=self.pixels[frames], confidence=self.confidence[frames])
+        others = None if self.others is None else self.others[frames]
+        return replace(self, pixels=self.pixels[frames], confidence=self.confidence[frames], others=others)
 
 
 def keypoints_of(
@@ -55,21 +58,26 @@ def keypoints_of(
     rows: Float[Array, "frames points 3"],
     size: tuple[int, int] | None,
     notes: list[str],
+    others: Float[Array, "frames"] | None = None,
 ) -> Keypoints:
     """The record of rows of x, y and confidence; what has confidence 0 loses its pixel, confidences are cut at 1."""
     confidence = np.clip(rows[:, :, 2], 0, 1)
     pixels = np.where(confidence[:, :, None] > 0, rows[:, :, :2], np.nan)
-    return Keypoints(names, pixels, confidence, size, tuple(dict.fromkeys(notes)))
+    return Keypoints(names, pixels, confidence, size, tuple(dict.fromkeys(notes)), others)
 
 
-def largest(people: list[Float[Array, "points 3"]], notes: list[str]) -> Float[Array, "points 3"]:
-    """The person whose seen points span most of the picture; says where there are several."""
+def largest(people: list[Float[Array, "points 3"]], notes: list[str]) -> tuple[Float[Array, "points 3"], float]:
+    """The person whose seen points span most of the picture, and the next one's height as a share of this one's.
+
+    Says where there are several.
+    """
     if len(people) == 1:
-        return people[0]
+        return people[0], 0.0
     notes.append("people: several in a frame, the largest is taken")
-
-    def span(rows: Array) -> float:
+    extents = []
+    for rows in people:
         seen = rows[rows[:, 2] > 0, :2]
-        return float(np.prod(np.ptp(seen, axis=0))) if len(seen) else 0.0
-
-    return max(people, key=span)
+        extents.append(np.ptp(seen, axis=0) if len(seen) else np.zeros(2))
+    order = sorted(range(len(people)), key=lambda k: float(np.prod(extents[k])), reverse=True)
+    first, second = (float(np.linalg.norm(extents[k])) for k in order[:2])
+    return people[order[0]], second / first if first > 0 else 0.0

@@ -225,3 +225,15 @@ def test_masks_of_a_pixel_or_two_give_finite_rays_or_none(folder, pixels):
     rays = part_rays(replace(video, masks=masks), capture.subject, cloud, part, DEMO.parts[2].band, ends=8,
                      per_frame=200, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
     assert np.isfinite(rays.ends).all() and rays.mask.sum() <= 3 * pixels
+
+
+def test_mixed_pixels_of_soft_masks_supervise_nothing(tmp_path):
+    folder = write_capture(tmp_path / "anna", size=32, frames=3)
+    assert read_capture(folder).videos["body"].unsure is None
+    path = folder / "body" / "masks" / "000001.png"
+    mask = np.asarray(Image.open(path)).copy()
+    mask[4, :3] = (100, 200, 12)
+    Image.fromarray(mask).save(path)
+    video = read_capture(folder).videos["body"]
+    assert video.unsure is not None and video.unsure.sum() == 2 and video.unsure[1, 4, :2].all()
+    assert video.masks[1, 4, :3].tolist() == [False, True, False]

@@ -1,0 +1,300 @@
+"""Can these videos become a person? What is found is said so that it can be acted on: what, when, what to do."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from capture.keypoints.record import SIDES, hand_points
+from capture.raw.glance import SURE, Glance
+
+Array = np.ndarray
+
+# share of the frames with somebody in them from which something is said, and from which the video is refused
+SOME, MOST = 0.05, 0.35
+# share of the picture's shorter side: a point nearer to the border is cut off
+BORDER = 0.012
+# times that much is near it
+NEAR = 6.0
+# pixels of 1080 that the camera may move
+STILL = 3.0
+# seconds that the empty beginning or end has at least, and that are left out beside the person
+EMPTY, BESIDE = 0.3, 0.35
+# grey levels between frames of an empty room: noise of the sensor and of the encoder, averaged
+SAME = 6.0
+# frames that the camera's stand is looked at in
+STANDS = 24
+# of a video's usual sharpness: a frame below is blurred
+BLURRED = 0.55
+# of the points, how many lie where the picture changed, or they belong to another video
+ON_PERSON = 0.5
+LIMBS = {
+    "body": ("nose", "left_wrist", "right_wrist", "left_ankle", "right_ankle", "left_heel", "right_heel"),
+    "head": ("nose", "left_eye", "right_eye", "left_ear", "right_ear"),
+    "hand_left": hand_points("left"),
+    "hand_right": hand_points("right"),
+}  # fmt: skip
+CALLED = {"body": "the body", "head": "the head", "hand_left": "the left hand", "hand_right": "the right hand"}
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something about a video."""
+
+    part: str
+    fatal: bool
+    what: str
+    advice: str
+
+    def line(self, name: str) -> str:
+        """The remark as a sentence about a file."""
+        return f"{name}: {self.what}; {self.advice}"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One video, judged."""
+
+    glance: Glance
+    # frames of the empty room; empty where there is none
+    empty: Bool[Array, "frames"]
+    # frames that can be fitted: somebody is there, whole, and not alone in being so
+    usable: Bool[Array, "frames"]
+    remarks: tuple[Remark, ...]
+
+    def facts(self) -> dict:
+        """For check.json."""
+        video = self.glance.video
+        return {
+            "file": str(video.path), "size": list(video.size), "rate": round(video.rate, 3),
+            "frames": len(self.glance.times), "seconds": round(float(self.glance.times[-1]), 2),
+            "with_person": int(self.glance.found.sum()), "empty": int(self.empty.sum()),
+            "usable": int(self.usable.sum()),
+            "remarks": [vars(remark) for remark in self.remarks],
+        }  # fmt: skip
+
+
+def judge(at: Glance) -> Judged:
+    """Everything that can be said of one video before it is fitted."""
+    remarks: list[Remark] = []
+
+    def remark(fatal: bool, what: str, advice: str) -> None:
+        remarks.append(Remark(at.part, fatal, what, advice))
+
+    part, found = at.part, at.found
+    empty = empty_frames(at)
+    own = _own_points(at)
+    whole = found & (own.sum(1) >= 3)
+    if not found.any():
+        remark(True, "nobody is found in any frame", "are these keypoints of this video?")
+        return Judged(at, empty, found, tuple(remarks))
+    if part in ("body", "head") and _upside_down(at):
+        remark(True, "the person stands on the head", "turn the video by half a turn and detect keypoints again")
+    if whole.sum() < 0.2 * found.sum() or whole.sum() < 8:
+        other = _other_hand(at, whole)
+        advice = (
+            "is it the other hand's video? exchange LEFT and RIGHT" if other else "film again with it in the middle"
+        )
+        remark(True, f"{CALLED[part]} is confidently found in {int(whole.sum())} of {int(found.sum())} frames", advice)
+    several = _several_people(at)
+    if several.mean() > MOST:
+        remark(True, f"two people are in view {_when(at, several)}", "film one person alone")
+    elif several.any() and several.mean() > SOME:
+        remark(False, f"somebody else seems to be in view {_when(at, several)}", "those frames are left out")
+    cut = _cut_off(at, own)
+    share = float(cut[int(whole.argmax()) :].mean())
+    if share > SOME:
+        what = f"{CALLED[part]} leaves the picture at the {_side_of_cut(at, cut)} {_when(at, cut)}"
+        remark(share > MOST, what, "film again with it in the middle and more room round it")
+    moved = camera_moves(at, empty)
+    limit = STILL * min(at.video.size) / 1080
+    if moved is not None and moved.max() > limit:
+        first = float(at.times[_stands(at)[int(np.argmax(moved > limit))]])
+        remark(
+            True, f"the camera moves, by {moved.max():.0f} pixels from {first:.1f} s on", "put the phone on a tripod"
+        )
+    if not empty.any():
+        advice = "masks then come from keypoints and colors; better: film one second of it before you step in"
+        remark(False, "the empty room is in no frame", advice)
+    else:
+        on = _on_changed(at, empty)
+        if on is not None and on < ON_PERSON:
+            remark(
+                True, f"only {on:.0%} of the keypoints lie where the picture differs from the empty room",
+                "are these keypoints of this video, frame by frame?",
+            )  # fmt: skip
+    blurred = whole & (at.sharpness < BLURRED * np.median(at.sharpness[whole])) if whole.any() else whole
+    if blurred.sum() > 0.3 * whole.sum():
+        remark(False, f"{blurred.sum() / whole.sum():.0%} of the frames are blurred", "turn slower, or with more light")
+    return Judged(at, empty, whole & ~several & ~cut & ~blurred, tuple(remarks))
+
+
+def empty_frames(at: Glance) -> Bool[Array, "frames"]:
+    """The longest still run of frames without anybody, at the beginning or the end; none where it is too short."""
+    seen = np.asarray((at.keypoints.confidence > SURE / 2).any(1))
+    out = np.zeros(len(seen), bool)
+    if not seen.any():
+        return out
+    first, last = int(seen.argmax()), len(seen) - 1 - int(seen[::-1].argmax())
+    beside = round(BESIDE * at.video.rate)
+    begin, end = slice(0, max(0, first - beside)), slice(min(len(seen), last + 1 + beside), len(seen))
+    run = begin if begin.stop >= end.stop - end.start else end
+    if run.stop - run.start < EMPTY * at.video.rate:
+        return out
+    frames = at.small[run].astype(np.float32)
+    # somebody whom the detector does not see yet changes a part of the picture
+    room = np.median(frames[:: max(1, len(frames) // 15)], axis=0)
+    changed = np.abs(frames - room)
+    changed -= np.median(changed, axis=(1, 2), keepdims=True)
+    still = (changed > SAME).mean((1, 2)) < 0.004
+    out[run] = still
+    return out if still.sum() >= EMPTY * at.video.rate else np.zeros(len(seen), bool)
+
+
+def camera_moves(at: Glance, empty: Bool[Array, "frames"]) -> Float[Array, "stands"] | None:
+    """How far the room has shifted at some frames through the video, pixels; None: it shows too little to tell.
+
+    Least squares on brightness (Lucas and Kanade 1981), away from the person, with a gain for the exposure.
+    """
+    stands = _stands(at)
+    first = at.small[empty][:15] if empty.any() else at.small[stands[:1]]
+    room = np.median(first, axis=0).astype(np.float32)
+    gx, gy = (ndimage.sobel(ndimage.gaussian_filter(room, 1.0), axis) / 8 for axis in (1, 0))
+    boxes = at.boxes / at.scale
+    shifts = np.zeros((len(stands), 2))
+    reference = None if empty.any() else boxes[stands[0]]
+    for n, i in enumerate(stands):
+        free = np.ones(room.shape, bool)
+        for box in (boxes[i], reference):
+            if box is not None and np.isfinite(box).all():
+                reach = 0.15 * float(max(box[2] - box[0], box[3] - box[1])) + 4
+                left, top, right, bottom = np.clip([*(box[:2] - reach), *(box[2:] + reach)], 0, None).astype(int)
+                free[top:bottom, left:right] = False
+        free[:2], free[-2:], free[:, :2], free[:, -2:] = False, False, False, False
+        if free.sum() < 800:
+            continue
+        a = np.stack([gx[free], gy[free], room[free], np.ones(int(free.sum()))], 1)
+        # along a direction without detail nothing is told
+        if np.linalg.eigvalsh(a[:, :2].T @ a[:, :2] / len(a)).min() < 0.3:
+            continue
+        b = ndimage.gaussian_filter(at.small[i].astype(np.float32), 0.5)[free]
+        weight = np.ones(len(a))
+        solution = np.zeros(4)
+        for _ in range(4):
+            solution = np.linalg.lstsq(a * weight[:, None], b * weight, rcond=None)[0]
+            off = np.abs(b - a @ solution)
+            weight = 1 / (1 + (off / (2 * np.median(off) + 1e-3)) ** 2)
+        shifts[n] = solution[:2]
+    if not shifts.any():
+        return None
+    return np.linalg.norm(shifts, axis=1) * at.scale
+
+
+def _stands(at: Glance) -> Array:
+    return np.unique(np.linspace(0, len(at.times) - 1, STANDS).astype(int))
+
+
+def _own_points(at: Glance) -> Bool[Array, "frames points"]:
+    """Which points of the video's own part are sure."""
+    names = [name for name in LIMBS[at.part] if name in at.keypoints.names]
+    columns = [at.keypoints.names.index(name) for name in names]
+    return at.keypoints.confidence[:, columns] > SURE
+
+
+def _upside_down(at: Glance) -> bool:
+    def height(*names: str) -> Array:
+        seen = np.stack([at.keypoints.seen(name) for name in names])
+        return np.where(seen[..., 2] > SURE, seen[..., 1], np.nan)
+
+    above = np.concatenate([height("nose", "left_ear", "right_ear"), height("left_shoulder", "right_shoulder")[:1]])
+    below = height("left_hip", "right_hip") if at.part == "body" else height("left_shoulder", "right_shoulder")
+    if not (np.isfinite(above).any() and np.isfinite(below).any()):
+        return False
+    return bool(np.nanmedian(above) > np.nanmedian(below))
+
+
+def _other_hand(at: Glance, whole: Bool[Array, "frames"]) -> bool:
+    """Whether a hand's video shows the other hand."""
+    if not at.part.startswith("hand"):
+        return False
+    other = SIDES[at.part.endswith("left")]
+    names = [name for name in hand_points(other) if name in at.keypoints.names]
+    sure = at.keypoints.confidence[:, [at.keypoints.names.index(name) for name in names]] > SURE
+    return bool((sure.sum(1) >= 3).sum() > 2 * whole.sum() + 8)
+
+
+def _several_people(at: Glance) -> Bool[Array, "frames"]:
+    others = at.keypoints.others
+    return np.zeros(len(at.times), bool) if others is None else others > 0.3
+
+
+def _cut_off(at: Glance, own: Bool[Array, "frames points"]) -> Bool[Array, "frames"]:
+    """Frames in which a sure point of the part lies at the picture's border or beyond it, or where most points are lost
+    after they came near it."""
+    names = [name for name in LIMBS[at.part] if name in at.keypoints.names]
+    columns = [at.keypoints.names.index(name) for name in names]
+    pixels, sure = at.keypoints.pixels[:, columns], at.keypoints.confidence[:, columns] > SURE
+    room = BORDER * min(at.video.size)
+    with np.errstate(invalid="ignore"):
+        out = (pixels < room).any(-1) | (pixels > np.array(at.video.size) - room).any(-1)
+        near = (pixels < NEAR * room).any(-1) | (pixels > np.array(at.video.size) - NEAR * room).any(-1)
+    at_border, close = np.asarray((out & sure).any(1)), np.asarray((near & sure).any(1))
+    count = own.sum(1)
+    lost = count < 0.34 * np.median(count[count >= 3]) if (count >= 3).any() else np.zeros(len(count), bool)
+    # of every frame, the last one in which the part was found
+    last = np.maximum.accumulate(np.where(lost, -1, np.arange(len(count))))
+    return at_border | (lost & (last >= 0) & close[last])
+
+
+def _side_of_cut(at: Glance, frames: Bool[Array, "frames"]) -> str:
+    """Where the person is nearest to the border in these frames."""
+    names = [name for name in LIMBS[at.part] if name in at.keypoints.names]
+    columns = [at.keypoints.names.index(name) for name in names]
+    # a little longer: where nothing is found any more, the frames before tell
+    rows = np.asarray(ndimage.binary_dilation(frames, iterations=6), bool)
+    sure = at.keypoints.confidence[rows][:, columns] > SURE
+    x, y = at.keypoints.pixels[rows][:, columns][sure].T
+    width, height = at.video.size
+    room = {"left": x, "top": y, "right": width - x, "bottom": height - y}
+    return min(room, key=lambda side: float(np.quantile(room[side], 0.02)))
+
+
+def _on_changed(at: Glance, empty: Bool[Array, "frames"]) -> float | None:
+    """The share of sure points that lie where the picture differs from the empty room."""
+    frames = at.small[empty].astype(np.float32)
+    room, noise = np.median(frames, axis=0), frames.std(0).mean() + 1
+    hits, points = 0, 0
+    rows = np.flatnonzero(at.found)
+    for i in rows[np.linspace(0, len(rows) - 1, min(len(rows), 40)).astype(int)]:
+        changed = np.abs(at.small[i] - room)
+        changed = np.asarray(ndimage.binary_dilation(changed - np.median(changed) > 3 * noise, iterations=2), bool)
+        x, y = (at.keypoints.pixels[i][at.keypoints.confidence[i] > SURE] / at.scale).T
+        height, width = at.small.shape[1:]
+        inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        hits += int(changed[y[inside].astype(int), x[inside].astype(int)].sum())
+        points += int(inside.sum())
+    return hits / points if points else None
+
+
+def _when(at: Glance, frames: Bool[Array, "frames"]) -> str:
+    """The longest stretch of such frames, in words; gaps of a fifth of a second count as part of it."""
+    joined = ndimage.binary_closing(frames, iterations=max(1, round(0.1 * at.video.rate))) | frames
+    # where stretches begin and end
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], joined.astype(int), [0]])))
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    rows = np.arange(edges[2 * longest], edges[2 * longest + 1])
+    begin, end = at.times[rows[0]], at.times[rows[-1]]
+    if rows[-1] >= len(at.times) - 3:
+        return f"from {begin:.1f} s on"
+    return f"from {begin:.1f} to {end:.1f} s" if end - begin > 0.15 else f"at {begin:.1f} s"
+
+
+def refusal(judged: Mapping[str, Judged]) -> str | None:
+    """The first reason, as one line, why videos cannot be fitted; None: they can."""
+    for at in judged.values():
+        for remark in at.remarks:
+            if remark.fatal:
+                return remark.line(str(at.glance.video.path))
+    return None

@@ -1,0 +1,81 @@
+"""Where keypoints say that the person is: thin lines that surely are, and a wide hull outside of which nobody is."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy import ndimage
+
+from capture.keypoints.record import SIDES, Keypoints
+from capture.raw.glance import SURE
+
+Array = np.ndarray
+
+# of the length of the trunk: the hull round limbs, and round a head; a line of limbs, of fingers
+HULL, HEAD_HULL, CORE, FINGER_CORE = 0.42, 0.75, 0.05, 0.006
+# pixels of the pictures that lines are drawn in
+DRAWN = 240
+
+
+def limbs() -> list[tuple[str, str]]:
+    """Pairs of points with body between them."""
+    out = [("left_shoulder", "right_shoulder"), ("left_hip", "right_hip"), ("nose", "left_ear"), ("nose", "right_ear")]
+    for side in SIDES:
+        chain = [f"{side}_{name}" for name in ("shoulder", "elbow", "wrist")]
+        leg = [f"{side}_{name}" for name in ("shoulder", "hip", "knee", "ankle", "big_toe")]
+        out += [*zip(chain, chain[1:]), *zip(leg, leg[1:]), (f"{side}_shoulder", "nose")]
+        for finger in ("thumb", "index", "middle", "ring", "pinky"):
+            knuckles = [f"{side}_hand", *(f"{side}_{finger}{n}" for n in (1, 2, 3, "_tip"))]
+            out += zip(knuckles, knuckles[1:])
+    return out
+
+
+LIMBS = limbs()
+FINGERS = ("thumb", "index", "middle", "ring", "pinky")
+
+
+def trunk_length(keypoints: Keypoints, frame: int, size: tuple[int, int]) -> float:
+    """Pixels that half a metre of the person takes, from what is seen: trunk, else shoulders, forearm or hand."""
+    for a, b, share in (
+        ("left_shoulder", "left_hip", 1.0), ("right_shoulder", "right_hip", 1.0), ("left_elbow", "left_wrist", 2.0),
+        ("right_elbow", "right_wrist", 2.0), ("left_hand", "left_middle1", 5.5), ("right_hand", "right_middle1", 5.5),
+        ("left_shoulder", "right_shoulder", 1.4),
+    ):  # fmt: skip
+        p, q = keypoints.seen(a)[frame], keypoints.seen(b)[frame]
+        if min(p[2], q[2]) > SURE:
+            length = share * float(np.hypot(*(p[:2] - q[:2])))
+            if length > 0.05 * min(size):
+                return length
+    return 0.5 * min(size)
+
+
+def lines(keypoints: Keypoints, frame: int, shape: tuple[int, int]) -> Bool[Array, "height width"]:
+    """Pixels on the lines between sure points, for pictures of `shape`: height, width."""
+    return _within(keypoints, frame, shape, lambda name: FINGER_CORE if any(f in name for f in FINGERS) else CORE)
+
+
+def hull(keypoints: Keypoints, frame: int, shape: tuple[int, int]) -> Bool[Array, "height width"]:
+    """Pixels that may show the person; everywhere, where too little is seen."""
+    return _within(keypoints, frame, shape, lambda name: HEAD_HULL if "nose" in name or "ear" in name else HULL)
+
+
+def _within(keypoints: Keypoints, frame: int, shape: tuple[int, int], reach) -> Bool[Array, "height width"]:
+    scale = DRAWN / shape[0]
+    small = (DRAWN, round(shape[1] * scale))
+    trunk = trunk_length(keypoints, frame, (shape[1], shape[0])) * scale
+    out = np.zeros(small, bool)
+    y, x = np.mgrid[: small[0], : small[1]] + 0.5
+    for a, b in LIMBS:
+        p, q = keypoints.seen(a)[frame], keypoints.seen(b)[frame]
+        if min(p[2], q[2]) <= SURE:
+            continue
+        p, q = scale * p[:2], scale * q[:2]
+        out |= _distance_to_line(x, y, p, q) < max(reach(a), reach(b)) * trunk + 0.5
+    if not out.any():
+        return ~out if reach("left_knee") == HULL else np.zeros(shape, bool)
+    zoomed = ndimage.zoom(out.astype(np.float32), (shape[0] / small[0], shape[1] / small[1]), order=1)
+    return np.asarray(zoomed > 0.5)
+
+
+def _distance_to_line(x: Array, y: Array, p: Float[Array, "2"], q: Float[Array, "2"]) -> Array:
+    along = q - p
+    t = np.clip(((x - p[0]) * along[0] + (y - p[1]) * along[1]) / max(along @ along, 1e-9), 0, 1)
+    return np.hypot(x - p[0] - t * along[0], y - p[1] - t * along[1])

@@ -1,0 +1,253 @@
+"""The person told from the room behind: a soft mask for every frame.
+
+Where the plate (the room without anybody) is known, a pixel is the person's as far as it differs from it, exposure and
+shadows allowed for. What that leaves open, a random walk that does not like to cross edges of colour decides
+(Grady 2006). At the rim a pixel is a mixture of the person beside it and of the plate, and its share follows from
+the three colours (Smith and Blinn, Blue Screen Matting, 1996):
+
+    I = a F + (1 - a) B      a = (I - B).(F - B) / |F - B|^2
+"""
+
+import warnings
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy import ndimage
+from skimage.segmentation import random_walker
+
+from capture.keypoints.record import SIDES, Keypoints
+from capture.raw.glance import SURE
+from capture.raw.limbs import hull, lines
+from capture.raw.plate import Plate
+from geometry.cells import distance_to, nearest_marked
+
+Array = np.ndarray
+
+# pixels: height of the pictures that the walk goes through
+WALKED = 300
+# deviations at which a pixel is as likely the person's as not, and how sharply that turns
+EVEN, SHARP = 4.0, 1.0
+# probabilities beyond which a pixel needs no walk
+CERTAIN = 0.96
+# the darkest shadow that the floor may get, and the walls, as a share of their light
+DARKEST, WALL_DARKEST = 0.5, 0.92
+# beta of the walk, as in capture/repair/masks.py
+CONTRAST = 130.0
+# pixels of 1080 on either side of the edge in which pixels are mixtures
+RIM = 3.5
+# deviations between person and room from which the mixture can be read off
+APART = 7.0
+# of the person: smaller pieces are none of it, smaller holes are none
+PIECE, HOLE = 0.01, 0.0006
+
+
+def soft_mask(
+    picture: UInt8[Array, "height width 3"], plate: Plate, keypoints: Keypoints, frame: int
+) -> UInt8[Array, "height width"]:
+    """Share of every pixel that is the person, 0 to 255."""
+    image = picture.astype(np.float32)
+    unit = max(1.0, min(image.shape[:2]) / 1080)
+    core = lines(keypoints, frame, image.shape[:2])
+    room = plate.color * _gain(image, plate, keypoints, frame)
+    floor = _floor(keypoints, frame, image.shape[0])
+    person = _differs(image, room, plate, unit, floor)
+    if not plate.known.all():
+        may = hull(keypoints, frame, image.shape[:2])
+        by_color = _by_color(image, core, may, room, plate.known)
+        person = np.where(plate.known, person, by_color)
+        person[~may] = 0
+    share = _walked(image, person, core, plate.known)
+    inside = _whole(share > 0.5, keypoints, frame)
+    return _rim(image, room, plate, inside, max(3.0, RIM * min(image.shape[:2]) / 1080))
+
+
+def _gain(image: Float[Array, "height width 3"], plate: Plate, keypoints: Keypoints, frame: int) -> Float[Array, "3"]:
+    """How much brighter each channel is than in the plate, by the pixels that agree with most."""
+    step = max(1, min(image.shape[:2]) // 200)
+    a, b = image[::step, ::step], plate.color[::step, ::step]
+    good = plate.known[::step, ::step] & (b.min(-1) > 25) & (b.max(-1) < 245) & (a.max(-1) < 250)
+    sure = keypoints.confidence[frame] > SURE
+    if sure.any():
+        low, high = (f(keypoints.pixels[frame][sure], axis=0) / step for f in (np.min, np.max))
+        (left, top), (right, bottom) = np.clip(low - 3, 0, None).astype(int), np.clip(high + 3, 0, None).astype(int)
+        outside = good.copy()
+        outside[top:bottom, left:right] = False
+        good = outside if outside.sum() > 500 else good
+    if good.sum() < 100:
+        return np.ones(3, np.float32)
+    ratio = a[good] / b[good]
+    middle = np.median(ratio, axis=0)
+    for width in (0.08, 0.04):
+        near = (np.abs(ratio - middle) < width).all(1)
+        middle = np.median(ratio[near], axis=0) if near.sum() > 50 else middle
+    return middle.astype(np.float32)
+
+
+def _floor(keypoints: Keypoints, frame: int, height: int) -> int:
+    """The row from which on the floor may show the person's shadow: the higher knee's; none where no knee is seen."""
+    knees = [keypoints.seen(f"{side}_knee")[frame] for side in SIDES]
+    return int(max(0.0, min((y for _, y, sure in knees if sure > SURE), default=height)))
+
+
+def _differs(
+    image: Float[Array, "height width 3"], room: Float[Array, "height width 3"], plate: Plate, unit: float, floor: int
+) -> Float[Array, "height width"]:
+    """Probability that a pixel does not show the room, nor the room in shadow."""
+    smooth = lambda values: ndimage.gaussian_filter(values, (0.8 * unit, 0.8 * unit, 0))
+    shown, behind = smooth(image), smooth(room)
+    # encoders blur and shift detail: where the room has edges more difference means nothing
+    detail = np.abs(room - ndimage.gaussian_filter(room, (1.5, 1.5, 0))).max(-1)
+    deviation = np.sqrt((0.8 * plate.noise) ** 2 + (0.012 * room.mean(-1)) ** 2 + (0.6 * detail) ** 2)
+    off = shown - behind
+    apart = np.sqrt((off**2).mean(-1)) / deviation
+    # the room in shadow: the same colour, darker
+    ratio = (shown * behind).sum(-1) / np.maximum((behind**2).sum(-1), 1)
+    darkest = np.full((len(image), 1), WALL_DARKEST)
+    darkest[floor:] = DARKEST
+    rest = np.sqrt(((shown - np.clip(ratio, darkest, 1.0)[..., None] * behind) ** 2).mean(-1))
+    shaded = rest / (deviation + 0.05 * (1 - np.clip(ratio, 0, 1)) * behind.mean(-1))
+    apart = np.where((ratio < 1) & (ratio > darkest), np.minimum(apart, 1.6 * shaded), apart)
+    return 1 / (1 + np.exp(-np.clip((apart - EVEN) / SHARP, -30, 30)))
+
+
+def _by_color(
+    image: Float[Array, "height width 3"],
+    core: Bool[Array, "height width"],
+    may: Bool[Array, "height width"],
+    room: Float[Array, "height width 3"],
+    known: Bool[Array, "height width"],
+) -> Float[Array, "height width"]:
+    """Probability by colour alone: those on the lines of limbs against those of the room."""
+    bins = 16
+
+    def histogram(colors: Float[Array, "n 3"]) -> Float[Array, "16 16 16"]:
+        index = np.clip(colors / (256 / bins), 0, bins - 1).astype(int)
+        counts = np.bincount(np.ravel_multi_index(index.T, (bins,) * 3), minlength=bins**3).astype(float)
+        smooth = ndimage.gaussian_filter(counts.reshape(bins, bins, bins), 0.7)
+        return smooth / max(smooth.sum(), 1e-9) + 1e-6
+
+    person = histogram(image[core])
+    beside = histogram(np.concatenate([image[~may][::7], room[known][::7]]))
+    at = tuple(np.clip(image / (256 / bins), 0, bins - 1).astype(int).transpose(2, 0, 1))
+    return np.clip(person[at] / (person[at] + beside[at]), 0.1, 0.9)
+
+
+def _walked(
+    image: Float[Array, "height width 3"],
+    person: Float[Array, "height width"],
+    core: Bool[Array, "height width"],
+    known: Bool[Array, "height width"],
+) -> Float[Array, "height width"]:
+    """Share of the person at every pixel; a walk through smaller pictures decides what is open."""
+    scale = min(1.0, WALKED / image.shape[0])
+
+    def shrink(values: Float[Array, "height width"]) -> Array:
+        return np.asarray(ndimage.zoom(ndimage.uniform_filter(values, round(1 / scale)), scale, order=1))
+
+    small = shrink(person)
+    colors = np.dstack([shrink(image[..., c]) for c in range(3)]) / 255
+    line = shrink(core.astype(np.float32)) > 0.5
+    given = shrink(known.astype(np.float32)) > 0.5
+    surely = np.where(given, small > CERTAIN, small > 0.88) | (line & (small > 0.3))
+    beside = np.where(given, small < 1 - CERTAIN, small <= 0.0) & ~line
+    # lone pixels in a shirt of the wall's colour are no room
+    beside = np.asarray(ndimage.binary_opening(beside, iterations=2), bool) & ~line
+    labels = np.where(surely, 1, np.where(beside, 2, 0))
+    if not surely.any() or not beside.any():
+        return person
+    if (labels == 0).any():
+        beta = CONTRAST / max(float(colors.std()) / 0.2, 1e-3)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            walked = random_walker(
+                colors, labels, beta=beta, mode="cg_j", tol=1e-3, return_full_prob=True, channel_axis=-1
+            )[0]
+    else:
+        walked = (labels == 1).astype(float)
+    zoom = (image.shape[0] / walked.shape[0], image.shape[1] / walked.shape[1])
+    wide = np.clip(np.asarray(ndimage.zoom(walked.astype(np.float32), zoom, order=1)), 0, 1)
+    # near the edge the full picture knows better, where it knows at all
+    near = ndimage.gaussian_filter(np.abs(wide - 0.5), 1) < 0.48
+    sharp = near & known & ((person > CERTAIN) | (person < 1 - CERTAIN))
+    return np.where(sharp, person, wide)
+
+
+def _whole(inside: Bool[Array, "height width"], keypoints: Keypoints, frame: int) -> Bool[Array, "height width"]:
+    """Without specks in the room and pinholes in the person; pieces with sure points stay."""
+    labels, count = _pieces(inside)
+    if not count:
+        return inside
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    sizes[0] = 0
+    keep = sizes >= PIECE * sizes.max()
+    x, y = keypoints.pixels[frame][keypoints.confidence[frame] > 0.5].T
+    ok = (x >= 0) & (y >= 0) & (x < inside.shape[1]) & (y < inside.shape[0])
+    points = labels[y[ok].astype(int), x[ok].astype(int)]
+    keep |= (np.bincount(points, minlength=count + 1) >= 2) & (sizes > 0)
+    keep[0] = False
+    inside = keep[labels]
+    holes, count = _pieces(~inside)
+    sizes = np.bincount(holes.ravel(), minlength=count + 1)
+    sizes[0] = inside.size
+    return inside | (sizes < HOLE * inside.sum())[holes]
+
+
+def _rim(
+    image: Float[Array, "height width 3"],
+    room: Float[Array, "height width 3"],
+    plate: Plate,
+    inside: Bool[Array, "height width"],
+    rim: float,
+) -> UInt8[Array, "height width"]:
+    """Mixtures along the edge, read off the colours on either side; the edge itself moves to where they are even."""
+    out = np.where(inside, 255, 0).astype(np.uint8)
+    if inside.all() or not inside.any():
+        return out
+    to_edge = np.where(inside, distance_to(~inside) - 0.5, 0.5 - distance_to(inside))
+    person = to_edge > rim
+    if not person.any():
+        return out
+    away, nearest = distance_to(person), nearest_marked(person)
+    # the person's colour beside the rim, a little averaged
+    weight = ndimage.gaussian_filter(person.astype(np.float32), 1.0)
+    front = np.stack([ndimage.gaussian_filter(image[..., c] * person, 1.0) for c in range(3)], -1)
+    front /= np.maximum(weight, 1e-3)[..., None]
+    # thin limbs have no inside of their own: they stay as they are
+    band = (np.abs(to_edge) <= rim) & (away < 3 * rim)
+    y, x = np.nonzero(band)
+    F = front[nearest[0][y, x], nearest[1][y, x]]
+    # the room beside it, with the person's shadow
+    free = (to_edge < -rim) & plate.known
+    ratio = np.where(free, image.mean(-1) / np.maximum(room.mean(-1), 1), 0)
+    sigma = 2.5 * rim
+    beside = np.maximum(ndimage.gaussian_filter(free.astype(np.float32), sigma), 1e-3)
+    shade = ndimage.gaussian_filter(ratio, sigma) / beside
+    B = room[y, x] * np.clip(shade[y, x], DARKEST, 1.1)[:, None]
+    between = F - B
+    length = (between**2).sum(1)
+    share = np.clip(((image[y, x] - B) * between).sum(1) / np.maximum(length, 1e-6), 0, 1)
+    clear = plate.known[y, x] & (np.sqrt(length / 3) > APART * plate.noise)
+    # where colours say nothing the edge stays where it is, half a pixel soft
+    mixed = inside.astype(np.float32)
+    mixed[y, x] = np.where(clear, share, np.clip(to_edge[y, x] / 1.5 + 0.5, 0, 1))
+    # a stripe of the wall's colour inside the rim is no room, nor a speck beside it the person
+    hard = mixed > 0.5
+    lone = (~hard & ~_joined(~hard, ~band & ~inside)) | (hard & ~_joined(hard, person | (inside & ~band)))
+    mixed[lone] = ~hard[lone]
+    return np.round(255 * mixed).astype(np.uint8)
+
+
+def _pieces(pixels: Bool[Array, "height width"]) -> tuple[Int[Array, "height width"], int]:
+    """Connected pieces, numbered from 1, and how many there are."""
+    found: Any = ndimage.label(pixels)
+    return found[0], found[1]
+
+
+def _joined(pixels: Bool[Array, "height width"], seeds: Bool[Array, "height width"]) -> Bool[Array, "height width"]:
+    """Those of the pixels that are connected with one of the seeds."""
+    labels, count = _pieces(pixels)
+    keep = np.zeros(count + 1, bool)
+    keep[np.unique(labels[seeds & pixels])] = True
+    keep[0] = False
+    return keep[labels]

@@ -1,0 +1,126 @@
+"""Which frames of a video are fitted: evenly over the movement, the sharpest near each, none that would harm."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from capture.raw.glance import SURE, Glance
+from capture.raw.judge import BLURRED, Judged
+
+Array = np.ndarray
+
+# seconds over which keypoints are averaged before their way is measured: detectors tremble
+STEADY = 0.4
+# a frame's points off their own track, in units of what is usual, beyond which the frame is an outlier
+OUTLIER = 6.0
+# of the eyes' usual opening: below it they blink
+BLINK = 0.55
+# points of the eyes: corner, two above, corner, two below
+EYES = tuple(tuple(f"face_{k}" for k in range(first, first + 6)) for first in (36, 42))
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The frames of one video that are fitted."""
+
+    frames: Int[Array, "kept"]
+    # how many frames were passed over, by reason
+    left_out: dict[str, int]
+
+    def line(self, name: str) -> str:
+        """What was chosen, in words."""
+        out = ", ".join(f"{count} {reason}" for reason, count in self.left_out.items() if count)
+        return f"{name}: {len(self.frames)} frames kept" + (f"; left out: {out}" if out else "")
+
+
+def select(judged: Judged, most: int) -> Selection:
+    """At most `most` frames, evenly over the movement of what is filmed."""
+    at = judged.glance
+    found = at.found
+    usual = np.median(at.sharpness[found]) if found.any() else 0.0
+    blurred = found & (at.sharpness < BLURRED * usual)
+    astray, blinking = _astray(at) & found, _blinks(at)
+    left_out = {
+        "blurred": int(blurred.sum()), "with closed eyes": int((blinking & ~blurred).sum()),
+        "whose keypoints jump": int((astray & ~blurred).sum()),
+        "cut off or with somebody else": int((found & ~judged.usable & ~blurred).sum()),
+    }  # fmt: skip
+    good = judged.usable & ~blurred & ~astray & ~blinking
+    # where all would go, harm is taken over nothing
+    if good.sum() < min(most, 0.3 * judged.usable.sum()):
+        good = judged.usable
+    rows = np.flatnonzero(good)
+    way = movement(at)
+    goals = np.linspace(way[rows[0]], way[rows[-1]], min(most, len(rows)) + 1)
+    kept = []
+    for low, high in zip(goals[:-1], goals[1:]):
+        near = rows[(way[rows] >= low) & (way[rows] <= high)]
+        if len(near):
+            # nearer to the middle of the stretch where two are as sharp
+            middle = np.abs(way[near] - (low + high) / 2) / max(high - low, 1e-9)
+            kept.append(near[np.argmax(at.sharpness[near] * (1 - 0.3 * middle))])
+    return Selection(np.unique(kept), left_out)
+
+
+def movement(at: Glance) -> Float[Array, "frames"]:
+    """How far the keypoints have moved up to each frame: their summed way, trembling averaged out.
+
+    Over it a turn is even whatever its speed, and who pauses is not seen more often.
+    """
+    steady = _track(at, STEADY)
+    with np.errstate(invalid="ignore"):
+        step = np.linalg.norm(np.diff(steady, axis=0), axis=2)
+    known = np.isfinite(step)
+    way = np.where(known, step, 0).sum(1) / np.maximum(known.sum(1), 1)
+    # what trembling is left is no way
+    moving = way[at.found[1:]]
+    floor = 0.3 * float(np.median(moving)) if len(moving) else 0.0
+    return np.concatenate([[0.0], np.cumsum(np.maximum(way - floor, 1e-6))])
+
+
+def _track(at: Glance, seconds: float) -> Float[Array, "frames points 2"]:
+    """Points averaged over some time, by confidence; NaN where a point is not seen about then."""
+    sure = np.where(at.keypoints.confidence > SURE, at.keypoints.confidence, 0.0)
+    pixels = np.nan_to_num(at.keypoints.pixels)
+    sigma = seconds * at.video.rate / 2
+    weight = ndimage.gaussian_filter1d(sure, sigma, axis=0, mode="constant")
+    total = ndimage.gaussian_filter1d(pixels * sure[..., None], sigma, axis=0, mode="constant")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(weight[..., None] > 0.05, total / weight[..., None], np.nan)
+
+
+def _astray(at: Glance) -> Bool[Array, "frames"]:
+    """Frames in which half of the sure points lie far off their own track."""
+    off = np.linalg.norm(at.keypoints.pixels - _track(at, STEADY), axis=2)
+    off = np.where(at.keypoints.confidence > SURE, off, np.nan)
+    rows = np.isfinite(off).sum(1) >= 3
+    middle = np.full(len(off), 0.0)
+    middle[rows] = np.nanmedian(off[rows], axis=1)
+    if not rows.any():
+        return rows
+    return rows & (middle > OUTLIER * np.median(middle[rows]) + 1)
+
+
+def _blinks(at: Glance) -> Bool[Array, "frames"]:
+    """Frames of the head video whose eyes are less open than usual, where both are seen."""
+    out = np.zeros(len(at.times), bool)
+    if at.part != "head":
+        return out
+    openings = []
+    for eye in EYES:
+        points = np.stack([at.keypoints.seen(name) for name in eye], 1)
+        sure = (points[..., 2] > 0.5).all(1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            high = np.linalg.norm(points[:, [1, 2], :2] - points[:, [5, 4], :2], axis=2).mean(1)
+            wide = np.linalg.norm(points[:, 0, :2] - points[:, 3, :2], axis=1)
+            openings.append(np.where(sure, high / wide, np.nan))
+    both = np.isfinite(openings).all(0)
+    if both.sum() < 8:
+        return out
+    opening = np.mean(np.array(openings)[:, both], axis=0)
+    # three frames' median: a blink lasts a tenth of a second, a detector's slip one frame
+    steady = ndimage.median_filter(opening, 3)
+    out[both] = steady < BLINK * np.median(opening)
+    return out

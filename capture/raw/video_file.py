@@ -1,0 +1,113 @@
+"""Reading a video file: what it is, and its frames one after the other, upright, in constant memory."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8
+
+from avatar.errors import AssetError
+from avatar.input_file import open_input
+from avatar.picture import MAX_PIXELS
+
+Array = np.ndarray
+
+WHAT = "a video (H.264 or H.265 in .mp4 or .mov, as a phone writes it)"
+# an hour at 60 frames a second: as many are counted
+MOST_FRAMES = 216_000
+
+
+@dataclass(frozen=True)
+class VideoFile:
+    """A video as it is meant to be seen: phones held upright write it lying, with a note to turn it."""
+
+    path: Path
+    size: tuple[int, int]  # width, height, upright
+    quarter_turns: int  # counterclockwise, that make a stored frame upright
+    rate: float  # frames per second, on average
+
+    @property
+    def name(self) -> str:
+        return self.path.name
+
+
+class VideoFrame(NamedTuple):
+    """One frame; `number` counts from 0, `time` is in seconds from the first."""
+
+    number: int
+    time: float
+    picture: Array
+
+
+def open_video(path: Path | str) -> VideoFile:
+    """What a video file says of itself, and its first frame.
+
+    Raises:
+        AssetError: absent, no video, too large a picture, or no frame in it.
+    """
+    import av
+    from av.error import FFmpegError
+
+    path = Path(path)
+    with open_input(path, WHAT):
+        pass
+    try:
+        with av.open(str(path), metadata_errors="ignore") as container:
+            if not container.streams.video:
+                raise AssetError(f"{path}: expected {WHAT}, found a file without pictures")
+            stream = container.streams.video[0]
+            if stream.codec_context.width * stream.codec_context.height > MAX_PIXELS:
+                raise AssetError(f"{path}: expected frames of at most {MAX_PIXELS} pixels")
+            rate = float(stream.average_rate or stream.guessed_rate or 0)
+            first = next(container.decode(stream), None)
+    except (FFmpegError, ValueError, OSError) as error:
+        raise AssetError(f"{path}: expected {WHAT}: {getattr(error, 'strerror', None) or error}") from None
+    if first is None:
+        raise AssetError(f"{path}: expected {WHAT}, found no frame")
+    if not 1 <= rate <= 1000:
+        raise AssetError(f"{path}: expected 1 to 1000 frames a second, found {rate:g}")
+    turns = round(first.rotation / 90) % 4
+    size = (first.width, first.height) if turns % 2 == 0 else (first.height, first.width)
+    return VideoFile(path, size, turns, rate)
+
+
+def read_frames(
+    video: VideoFile, height: int | None = None, *, grey: bool = False, only: frozenset[int] | None = None
+) -> Iterator[VideoFrame]:
+    """The frames of a video, RGB or `grey`, `height` pixels high (None: as they are); of `only` these numbers.
+
+    Raises:
+        AssetError: the file breaks off in the middle.
+    """
+    import av
+    from av.error import FFmpegError
+
+    scale = 1.0 if height is None else height / video.size[1]
+    size = tuple(max(2, round(side * scale)) for side in video.size)
+    stored = size if video.quarter_turns % 2 == 0 else size[::-1]
+    last = max(only) if only else MOST_FRAMES
+    try:
+        with av.open(str(video.path), metadata_errors="ignore") as container:
+            stream = container.streams.video[0]
+            stream.thread_type = "AUTO"
+            begin = None
+            for number, frame in enumerate(container.decode(stream)):
+                begin = frame.time if begin is None else begin
+                if number > last:
+                    break
+                if only is not None and number not in only:
+                    continue
+                picture = frame.to_ndarray(format="gray" if grey else "rgb24", width=stored[0], height=stored[1])
+                time = number / video.rate if frame.time is None or begin is None else frame.time - begin
+                yield VideoFrame(number, time, np.ascontiguousarray(np.rot90(picture, video.quarter_turns)))
+    except (FFmpegError, ValueError, OSError) as error:
+        raise AssetError(f"{video.path}: breaks off: {getattr(error, 'strerror', None) or error}") from None
+
+
+def saved(picture: UInt8[Array, "height width 3"], path: Path) -> None:
+    """Write one frame as PNG; the folder it is in is finished or thrown away as a whole."""
+    from PIL import Image
+
+    Image.fromarray(picture).save(path, compress_level=1)

@@ -1,0 +1,179 @@
+"""Videos of a painted figure: read, judged, frames chosen, masks against the truth."""
+
+import av
+import numpy as np
+import pytest
+from filmed_figure import ABSENT, FRAMES, SIZE, film, wall
+
+from avatar.errors import AssetError
+from avatar.progress import Progress
+from capture.raw.four_videos import part_keypoints
+from capture.raw.glance import glance
+from capture.raw.judge import judge
+from capture.raw.masks import soft_mask
+from capture.raw.plate import plate_of_empty, plate_of_free
+from capture.raw.selection import movement, select
+from capture.raw.video_file import open_video, read_frames
+
+
+def judged(folder, part="body", name="body", keypoints_of=None):
+    video = open_video(folder / f"{name}.mp4")
+    points = part_keypoints(folder / "keypoints", keypoints_of or part, video)
+    return judge(glance(video, part, points, Progress("looking", 9)))
+
+
+@pytest.fixture(scope="module")
+def body(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("body")
+    masks = film(folder, "body", "body", blurred=(40, 41))
+    return folder, masks, judged(folder)
+
+
+def test_frames_come_with_their_numbers_and_only_those_asked_for(body):
+    video = open_video(body[0] / "body.mp4")
+    assert (video.size, round(video.rate)) == (SIZE, 30)
+    every = list(read_frames(video, 90, grey=True))
+    assert len(every) == FRAMES and every[0].picture.shape == (90, 120)
+    assert every[-1].time == pytest.approx((FRAMES - 1) / 30, abs=1e-3)
+    few = list(read_frames(video, only=frozenset((3, 50))))
+    assert [frame.number for frame in few] == [3, 50]
+    assert few[0].picture.shape == (180, 240, 3)
+
+
+def test_a_video_held_upright_is_turned_as_its_file_says(tmp_path):
+    """A display matrix in the track's header, as phones write it."""
+    path = tmp_path / "upright.mp4"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        picture = np.zeros((48, 64, 3), np.uint8)
+        picture[:24, :32] = 255
+        for _ in range(3):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode(None))
+    data = bytearray(path.read_bytes())
+    fixed = lambda *numbers: b"".join(int(n).to_bytes(4, "big", signed=True) for n in numbers)
+    plain = fixed(65536, 0, 0, 0, 65536, 0, 0, 0, 1 << 30)
+    place = data.index(plain, data.index(b"tkhd"))
+    # a quarter turn clockwise when shown
+    data[place : place + 36] = fixed(0, 65536, 0, -65536, 0, 0, 48 << 16, 0, 1 << 30)
+    path.write_bytes(bytes(data))
+    video = open_video(path)
+    assert video.size == (48, 64)
+    (frame, *_) = read_frames(video)
+    assert frame.picture.shape == (64, 48, 3)
+    # what was above on the left is above on the right
+    assert frame.picture[:30, 26:].mean() > 240 and frame.picture[:30, :22].mean() < 15
+
+
+@pytest.mark.parametrize(
+    ("content", "said"), [(b"", "expected a video"), (b"no video" * 99, "expected a video"), (None, "body.mp4")]
+)
+def test_what_is_no_video_is_refused_by_name(tmp_path, content, said):
+    path = tmp_path / "body.mp4"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(AssetError, match=said):
+        open_video(path)
+
+
+def test_the_empty_second_is_found_and_nothing_is_wrong(body):
+    at = body[2]
+    assert at.empty[: ABSENT - 12].all() and not at.empty[ABSENT - 5 :].any()
+    assert not [remark for remark in at.remarks if remark.fatal], at.remarks
+
+
+def test_chosen_frames_are_even_over_the_turn_and_sharp(body):
+    at = body[2]
+    chosen = select(at, 20)
+    assert 15 <= len(chosen.frames) <= 20
+    assert chosen.frames.min() >= ABSENT and not {40, 41} & set(chosen.frames.tolist())
+    assert chosen.left_out["blurred"] == 2 and "2 blurred" in chosen.line("body.mp4")
+    steps = np.diff(movement(at.glance)[chosen.frames])
+    assert steps.max() < 3.5 * np.median(steps)
+
+
+@pytest.mark.parametrize("plate", ["empty", "free"])
+def test_masks_are_those_of_the_figure(body, plate):
+    folder, masks, at = body
+    video = at.glance.video
+    numbers = [30, 45, 60, 75]
+    pictures = {frame.number: frame.picture for frame in read_frames(video)}
+    if plate == "empty":
+        room = plate_of_empty(video, np.flatnonzero(at.empty))
+        assert np.abs(room.color - wall()).mean() < 4
+    else:
+        spread = np.arange(ABSENT, FRAMES, 3)
+        room = plate_of_free([pictures[i] for i in spread], at.glance.keypoints.of_frames(spread))
+        assert 0.4 < room.known.mean() < 1
+    for number in numbers:
+        mask = soft_mask(pictures[number], room, at.glance.keypoints, number)
+        found, true = mask > 127, masks[number]
+        iou = (found & true).sum() / (found | true).sum()
+        assert iou > (0.93 if plate == "empty" else 0.8), (number, iou)
+        # soft at the rim and nowhere else
+        soft = (mask > 12) & (mask < 243)
+        assert 0 < soft.sum() < 0.35 * true.sum()
+
+
+def said(at):
+    (remark, *_) = [remark for remark in at.remarks if remark.fatal]
+    return remark.line("body.mp4")
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({"shift": (90, 0)}, r"body\.mp4: the body leaves the picture at the right from .* s on; film again with it"),
+        ({"second": True}, r"two people are in view from .* s on; film one person alone"),
+        ({"still": False}, r"the camera moves, by [3-7] pixels from .* s on; put the phone on a tripod"),
+        ({"upside_down": True}, r"the person stands on the head; turn the video"),
+    ],
+)  # fmt: skip
+def test_what_spoils_a_video_is_said_with_what_to_do(tmp_path, changed, expected):
+    film(tmp_path, "body", "body", **changed)
+    at = judged(tmp_path)
+    with pytest.raises(AssetError, match=expected):
+        raise AssetError(said(at))
+
+
+def test_a_part_that_is_lost_beyond_the_border_counts_as_cut_off(body):
+    """Detectors find nothing there; before that, points came near the border."""
+    from dataclasses import replace
+
+    at = body[2].glance
+    points = at.keypoints
+    pixels, confidence = points.pixels.copy(), points.confidence.copy()
+    pixels[60:, :, 0] += np.linspace(0, 200, 30)[:, None]
+    confidence[60:][pixels[60:, :, 0] > SIZE[0] - 4] = 0
+    judged = judge(replace(at, keypoints=replace(points, pixels=pixels, confidence=confidence)))
+    (remark,) = [remark for remark in judged.remarks if "leaves" in remark.what]
+    assert "at the right from 2." in remark.what, remark.what
+    assert remark.what.endswith("s on")
+
+
+def test_without_an_empty_second_there_is_advice_and_no_refusal(tmp_path):
+    film(tmp_path, "body", "body", empty=False)
+    at = judged(tmp_path)
+    assert not at.empty.any()
+    assert [(remark.fatal, remark.what) for remark in at.remarks] == [(False, "the empty room is in no frame")]
+
+
+def test_the_other_hand_is_told(tmp_path):
+    film(tmp_path, "hand_right", "left")
+    at = judged(tmp_path, "hand_left", "left", keypoints_of="hand_right")
+    assert "the left hand is confidently found in 0 of" in said(at) and "exchange LEFT and RIGHT" in said(at)
+
+
+def test_keypoints_of_another_video_do_not_lie_on_the_person(tmp_path):
+    film(tmp_path, "body", "body")
+    film(tmp_path, "body", "other", shift=(-95, 0))
+    at = judged(tmp_path)
+    assert "of the keypoints lie where the picture differs" in said(at) or "leaves the picture" in said(at)
+
+
+def test_keypoints_of_another_length_are_refused(body, tmp_path):
+    folder, _, at = body
+    points = at.glance.keypoints.of_frames(np.arange(50))
+    with pytest.raises(AssetError, match="the video has 90 frames, its keypoints 50"):
+        glance(at.glance.video, "body", points, Progress("looking", 9))
