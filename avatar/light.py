@@ -20,6 +20,8 @@ from jaxtyping import Float
 
 Array = np.ndarray
 Frame = Literal["camera", "world"]
+# at most; as many as shaders/light.glsl has room for
+LAMPS = 4
 EXPONENT = 20.0
 GAMMA = (1.0, 4.0)
 STRONGEST = 100.0
@@ -57,6 +59,8 @@ class CaptureLight:
         _check_number("gloss", self.gloss, 0.0, STRONGEST)
         _check_number("exponent", self.exponent, 1.0, 1000.0)
         _check_number("gamma", self.gamma, *GAMMA)
+        if len(self.lamps) > LAMPS:
+            raise ValueError(f"lamps should be at most {LAMPS}, are {len(self.lamps)}")
         if self.ambient + sum(lamp.strength for lamp in self.lamps) <= 0:
             raise ValueError("ambient and the lamps together should be brighter than 0")
 
@@ -146,8 +150,8 @@ def light_from_json(content: Any) -> CaptureLight:
     names = ("ambient", "lamps", "gloss", "exponent", "gamma", "frame")
     _check_keys("light", content, names)
     lamps = content["lamps"]
-    if not isinstance(lamps, list) or len(lamps) > 8:
-        raise ValueError(f"lamps should be a list of at most 8, is {_short(lamps)}")
+    if not isinstance(lamps, list):
+        raise ValueError(f"lamps should be a list, is {_short(lamps)}")
     if content["frame"] not in get_args(Frame):
         raise ValueError(f"frame should be one of {get_args(Frame)}, is {_short(content['frame'])}")
     return CaptureLight(
@@ -175,7 +179,10 @@ def _check_keys(what: str, content: Any, names: Sequence[str]) -> None:
 def _number(name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name} should be a number, is {_short(value)}")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise ValueError(f"{name} should be a number that a float holds, is {_short(value)}") from None
 
 
 def _check_number(name: str, value: float, least: float, most: float) -> None:

@@ -25,6 +25,8 @@ class NumpyField(NamedTuple):
     color: Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
     # mean S and H in that colour, of points with their normals; None: the field's light is no factor of its own
     seen_light: Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 2"]] | None = None
+    # the normals that it fell on; None as well
+    light_normal: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]] | None = None
 
 
 def numpy_field(field: Field, *, piece: int = 1 << 16) -> NumpyField:
@@ -37,10 +39,12 @@ def numpy_field(field: Field, *, piece: int = 1 << 16) -> NumpyField:
             pieces.append(function(*tensors).detach().cpu().numpy().astype(np.float64))
         return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
-    seen = getattr(field, "seen_light", None) if getattr(field, "seen", None) is not None else None
+    factor = getattr(field, "seen", None) is not None
+    seen, lit = ((getattr(field, name) if factor else None) for name in ("seen_light", "light_normal"))
     return NumpyField(
         lambda points: ask(field.distance, points).reshape(-1),
         lambda points: ask(field.normal, points),
         lambda points, directions: ask(field.color, points, directions),
         None if seen is None else lambda points, normals: ask(seen, points, normals),
+        None if lit is None else lambda points: ask(lit, points),
     )

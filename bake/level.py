@@ -119,9 +119,10 @@ def bake_level(
     image = spread(texel_colors(field, charted, texels), texels)
     closed = solve_seams(image, texels, chart.uv, edges, mip_levels(image.shape), goal=SEAM_STEP)
     base = bytes_from_unit(closed)
+    facing, light = light_at(field, charted)
     level = Level(
         positions=charted.points.astype(np.float32),
-        normals=charted.normals.astype(np.float32),
+        normals=facing.astype(np.float32),
         uv=chart.uv.astype(np.float32),
         faces=chart.faces.astype(np.uint32),
         joints=joints,
@@ -131,7 +132,7 @@ def bake_level(
         view_seen=cone.seen.astype(np.float32),
         base_color=base,
         features=None,
-        light=seen_light(field, charted),
+        light=light,
     )
     facts = level_facts(level, surface, face_part, chart, edges)
     return BakedLevel(level, charted, edges, {**facts, "weights_filled": data.filled})
@@ -170,11 +171,20 @@ def texel_colors(field: NumpyField, charted: Charted, texels: TexelMap) -> Float
     return sample_texels(color_at, texels)
 
 
-def seen_light(field: NumpyField, charted: Charted) -> Float32[np.ndarray, "corners 2"] | None:
-    """Mean S and H that the base color shows, per vertex; None where light is no factor of its own."""
-    if field.seen_light is None:
-        return None
-    return field.seen_light(charted.points, charted.normals).astype(np.float32)
+def light_at(
+    field: NumpyField, charted: Charted
+) -> tuple[Float[np.ndarray, "corners 3"], Float32[np.ndarray, "corners 2"] | None]:
+    """Normals of the vertices that light falls on, and mean S and H that the base color shows there.
+
+    Where light is no factor of its own they are the surface's, and no S and H. They also are where a surface was cut
+    (hair): the field goes on behind it.
+    """
+    if field.seen_light is None or field.light_normal is None:
+        return charted.normals, None
+    smooth = field.light_normal(charted.points)
+    along = (smooth * charted.normals).sum(1, keepdims=True) > 0.5
+    normals = np.where(along, smooth, charted.normals)
+    return normals, field.seen_light(charted.points, normals).astype(np.float32)
 
 
 def texel_lift(field: NumpyField, charted: Charted, texels: TexelMap) -> Float[np.ndarray, "texels"]:

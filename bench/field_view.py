@@ -154,7 +154,7 @@ class FieldView:
             x, d = (torch.as_tensor(a[own], dtype=torch.float32) for a in (points, directions))
             with torch.no_grad():
                 albedo, normals = (
-                    a.numpy().astype(np.float64) for a in (self.field.albedo(x, d), self.field.normal(x))
+                    a.numpy().astype(np.float64) for a in (self.field.albedo(x, d), self.field.light_normal(x))
                 )
             normals = np.einsum("nij,nj->ni", rotations[own], normals)
             out[own] = light.shown(albedo, light.shading(normals), light.highlight(normals, towards_eye[own]))

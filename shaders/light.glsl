@@ -4,7 +4,7 @@
 //     H(n, v) = gloss sum_k share_k max(n . h_k, 0)^exponent,  h_k = |l_k + v|            Blinn (1977)
 //     albedo^gamma = (base^gamma - seen H) / seen S,  shown = (albedo^gamma S + H)^(1 / gamma)
 //
-// View space. LIT 1: gamma is 1. Lamps that are not there have strength and share 0.
+// View space. LIT 1: gamma is 1. Lamps that are not there have strength and share 0; room for LAMPS of avatar/light.py.
 uniform vec4 lamps[4];  // towards the lamp, unit; its strength
 uniform vec4 shares;    // of the highlight
 uniform vec3 ambience;  // ambient, gloss, exponent

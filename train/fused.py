@@ -86,6 +86,28 @@ class FusedField(nn.Module):
             out.append(unit_normals(total))
         return torch.cat(out) if out else torch.zeros_like(points)
 
+    def light_normal(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Unit normals that light falls on (PartField.light_normal), blended with Eq. 9's weights."""
+        out = []
+        for piece in points.split(32768):
+            shares = self.shares(piece)
+            total = torch.zeros_like(piece)
+            for index in range(len(self.fields)):
+                chosen = shares[:, index] > 0
+                if chosen.any():
+                    _, gradient = self.part_gradient(index, piece[chosen])
+                    total[chosen] += shares[chosen, index, None] * self._lit_at(index, piece[chosen], gradient)
+            out.append(unit_normals(total))
+        return torch.cat(out) if out else torch.zeros_like(points)
+
+    def _lit_at(self, index: int, points: Tensor, gradient: Tensor) -> Tensor:
+        """PartField.light_normal of one part, the gradient of its F_s given; canonical."""
+        with torch.no_grad():
+            local, R = self.local(index, points)
+            if R is None:
+                return self.field(index).light_normal(local, gradient)
+            return self.field(index).light_normal(local, gradient @ R.T) @ R
+
     def albedo(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Colour without its light, where that is a factor of its own, else `color`."""
         seen, self.seen = self.seen, None
@@ -143,7 +165,7 @@ class FusedField(nn.Module):
             return self.part_color(index, points, directions)
         sample, gradient = self.part_gradient(index, points)
         albedo = self._asked(index, points, directions, self.field(index).reference, (sample, gradient))
-        return self.seen[index].shown(albedo, unit_normals(gradient))
+        return self.seen[index].shown(albedo, self._lit_at(index, points, gradient))
 
     def part_color(
         self,

@@ -62,9 +62,12 @@ def place_by_consistency(
     Raises:
         ValueError: hardly any skin is seen twice, or the answer is no better, or lies farther than MOST away.
     """
+    skin = (subject.part == PARTS.index("head")) & ~subject.hair
+    if not skin.any():
+        raise ValueError("the template has no bare skin on its head")
     chosen = np.zeros(len(subject.vertices), bool)
     chosen[np.unique(subject.faces[visible_faces(subject)])] = True
-    chosen &= (subject.part == PARTS.index("head")) & ~subject.hair & (subject.vertices[:, 1] > neck_height(subject))
+    chosen &= skin & (subject.vertices[:, 1] > neck_height(subject))
     vertex = np.flatnonzero(chosen)
     normals = vertex_normals(subject.vertices, subject.faces)[vertex]
     # the template moves under cameras that stay: S

@@ -121,15 +121,15 @@ class Batch(NamedTuple):
 
 def lit(
     field: "FieldFunctions", rays: RayTensors, chosen: Int[Tensor, "b"], section: Int[Tensor, "b k"],
-    color: Float[Tensor, "b k 3"], gradient: Float[Tensor, "n 3"],
+    color: Float[Tensor, "b k 3"], points: Float[Tensor, "n 3"], gradient: Float[Tensor, "n 3"],
 ) -> Float[Tensor, "b k 3"]:  # fmt: skip
     """What sections show of F_c: F_c itself, or, where the light is a factor, albedo lit at the posed normal.
 
     The normal is fixed here: how bright a pixel is moves no surface, which masks and texture place better.
     """
-    if field.light is None:
+    if field.light is None or field.light_normal is None:
         return color
-    frame, normals = rays.frame[chosen], unit_normals(gradient.detach())
+    frame, normals = rays.frame[chosen], field.light_normal(points, gradient)
     if rays.bones is not None:
         row = rays.row[chosen].gather(1, section)
         quaternions = rays.bones[frame[:, None, None], rays.joints[row]]
@@ -152,8 +152,9 @@ class FieldFunctions(NamedTuple):
     posed: Callable[[Tensor, Tensor, Tensor, Tensor], Tensor] | None = None
     # width of VolSDF's density, metres, where the geometry learns it
     density_width: Callable[[], Tensor] | None = None
-    # what lights F_c, where it is albedo
+    # what lights F_c, where it is albedo, and the normals it falls on (points, grad F_s)
     light: LightTensors | None = None
+    light_normal: Callable[[Tensor, Tensor], Tensor] | None = None
 
 
 def functions_of(field: PartField) -> FieldFunctions:
@@ -170,6 +171,7 @@ def functions_of(field: PartField) -> FieldFunctions:
         posed=field.poses,
         density_width=field.geometry.density_width if isinstance(field.geometry, PaperGeometry) else None,
         light=field.light,
+        light_normal=field.light_normal,
     )
 
 
@@ -233,7 +235,7 @@ def render_rays(
     directions = directions_at(rays, chosen, rays.row[chosen].gather(1, section)).reshape(-1, 3)
     of_section = frame.repeat_interleave(section.shape[1])
     color = field.color(points, sample.feature, unit_normals(gradient), directions, of_section)
-    color = lit(field, rays, chosen, section, color.view(size, -1, 3), gradient)
+    color = lit(field, rays, chosen, section, color.view(size, -1, 3), points, gradient)
     share = top / (top.sum(1, keepdim=True) + 1e-8)
     shown = (share[..., None] * color).sum(1) * opacity[:, None]
     return Rendered(shown, rendered.log_transmittance, share, ends, distance, points, sample.distance, gradient,
@@ -255,7 +257,8 @@ def _render_density(
     directions = directions_at(rays, chosen, rays.row[chosen][:, :count]).reshape(-1, 3)
     of_section = rays.frame[chosen].repeat_interleave(count)
     color = field.color(flat, sample.feature, unit_normals(gradient), directions, of_section).view(size, count, 3)
-    color = lit(field, rays, chosen, torch.arange(count, device=points.device).expand(size, -1), color, gradient)
+    sections = torch.arange(count, device=points.device).expand(size, -1)
+    color = lit(field, rays, chosen, sections, color, flat, gradient)
     shown = (rendered.weights[..., None] * color).sum(1)
     share = rendered.weights / (rendered.weights.sum(1, keepdim=True) + 1e-8)
     return Rendered(shown, rendered.log_transmittance, share, points, distance, flat, sample.distance, gradient,

@@ -55,6 +55,8 @@ class TemplateGrid(torch.nn.Module):
         self.register_buffer("fine_values", None if fine is None else fine.values)
         self.register_buffer("fine_low", None if fine is None else fine.low)
         self.register_buffer("eyes", None if fine is None else fine.eyes)
+        # central differences at the coarse grid's nodes, made when they are first asked for
+        self.slopes: Float[Tensor, "1 3 x y z"] | None = None
         self.fine_cell = 0.0 if fine is None else fine.cell
 
     @property
@@ -88,6 +90,18 @@ class TemplateGrid(torch.nn.Module):
             if (fine := self.fine) is not None and len(rows := self.in_fine(points, fine)):
                 distance[rows], gradient[rows] = _sampled(*fine[:3], points[rows])
             return distance, gradient
+
+    def smooth_gradient(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Gradient by differences over two cells of the coarse grid, trilinear between its nodes; no graph.
+
+        Unlike the interpolant's own it does not jump from cell to cell.
+        """
+        if self.slopes is None or self.slopes.device != points.device:
+            self.slopes = torch.stack(torch.gradient(self.values, spacing=self.cell))[None].to(points.device)
+        shape = torch.tensor(self.values.shape, dtype=points.dtype, device=points.device)
+        unit = ((points.detach() - self.low) / self.cell / (shape - 1) * 2 - 1).clamp(-1, 1)
+        at = unit.flip(-1)[None, :, None, None]
+        return F.grid_sample(self.slopes, at, align_corners=True)[0, :, :, 0, 0].T
 
     def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
         """The value, differentiable once: torch's own interpolation, eight times as fast as `sample`."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from avatar.light import EXPONENT, CaptureLight, Frame, lamps_of
+from avatar.light import EXPONENT, STRONGEST, CaptureLight, Frame, lamps_of
 from avatar.skeleton import PARTS
 from capture.folder import Capture
 from capture.light.frames import light_frame
@@ -36,6 +36,10 @@ FAINT = 0.04
 DIRECTIONS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]) / 3**0.5
 # fewer pixels say nothing
 LEAST = 1000
+# of what is shown, robust: eight bits' own, in which no light is told
+ROUNDING = 0.3 / 255
+# of a highlight: display values of a lamp seen in glass
+MIRROR = 10.0
 # pixels a video for choosing, all of them for the last fit
 FEW = 6_000
 
@@ -59,19 +63,19 @@ class LightFit:
 
 def light_line(fit: LightFit) -> str:
     """One line for people on what was found."""
+    if fit.pixels < LEAST:
+        return f"light: taken as even, {fit.pixels} pixels show the template well where {LEAST} are needed to tell"
     if not fit.lights:
         return f"light: even, nothing to tell from the skin (a colour a triangle is {fit.residual:.1f} of 255 off)"
     body = fit.lights["body"]
     lamps = " and ".join(
-        "a lamp {:.2f} times as strong from ({:.2f}, {:.2f}, {:.2f})".format(
-            lamp.strength / body.ambient, *lamp.direction
-        )
-        for lamp in body.lamps
+        "a lamp of {:.2f} from ({:.2f}, {:.2f}, {:.2f})".format(lamp.strength, *lamp.direction) for lamp in body.lamps
     )
     apart = "" if fit.shared else ", another in each video"
     return (
-        f"light: ambient and {lamps} ({body.frame}), highlight {body.gloss:.2f}, gamma {body.gamma:g}{apart}; a colour "
-        f"a triangle is {fit.residual_without:.1f} of 255 off without it, {fit.residual:.1f} with"
+        f"light: ambient {body.ambient:.2f} and {lamps} ({body.frame}), highlight {body.gloss:.2f}, gamma "
+        f"{body.gamma:g}{apart}; a colour a triangle is {fit.residual_without:.1f} of 255 off without it, "
+        f"{fit.residual:.1f} with"
     )
 
 
@@ -85,7 +89,8 @@ def fit_light(pixels: LitPixels, frame: Frame = "camera") -> LightFit:
     """The light in which pixels were seen: one for all videos unless one each explains clearly more.
 
     First one lamp, then a second; display values or powers of them (gamma); each step only if the residual drops by
-    CLEAR. Where not even one lamp does, no light is found.
+    CLEAR. Two lamps on opposite sides explain much where one explains nothing. Where neither does, and where fewer
+    than LEAST pixels can be read, no light is found.
     """
     few = pixels.chosen(_few_of_each(pixels.video))
     together = np.zeros(len(PARTS), np.int64)
@@ -93,15 +98,16 @@ def fit_light(pixels: LitPixels, frame: Frame = "camera") -> LightFit:
         return LightFit({}, np.nan, np.nan, len(few.face))
 
     problems = {gamma: _Problem(few, together, gamma) for gamma in GAMMAS}
-    found = {gamma: _fit_one_lamp(problem) for gamma, problem in problems.items()}
-    left = {gamma: problem.shown_residual(found[gamma].lights) for gamma, problem in problems.items()}
-    gamma = min(left, key=lambda g: left[g] * (1 if g == 1 else 1 + CLEAR))
-    best, without = found[gamma], problems[gamma].shown_residual(problems[gamma].solve([UNLIT]).lights)
-    if left[gamma] > (1 - CLEAR) * without or best.lights[0].strongest < FAINT:
-        return LightFit({}, 255 * without, 255 * without, len(few.face))
+    gamma, best, left = _best_gamma(problems, {gamma: _fit_one_lamp(problem) for gamma, problem in problems.items()})
+    without = problems[gamma].shown_residual(problems[gamma].solve([UNLIT]).lights)
+    none = LightFit({}, 255 * without, 255 * without, len(few.face))
+    clear = left < (1 - CLEAR) * without and best.lights[0].strongest > FAINT
     more, groups = _add_lamp(problems[gamma], best), together
     if more.residual < (1 - CLEAR) * best.residual and more.lights[0].weakest > FAINT:
-        best = more
+        gamma, best, left = _best_gamma(problems, {g: one.solve(more.lights) for g, one in problems.items()})
+        clear = clear or left < (1 - 2 * CLEAR) * without
+    if not clear or without < ROUNDING:
+        return none
     apart = _Problem(few, np.arange(len(PARTS)), gamma).solve(best.lights * len(PARTS), rounds=2 * ROUNDS)
     if apart.residual < (1 - CLEAR) * best.residual:
         best, groups = apart, np.arange(len(PARTS))
@@ -109,6 +115,9 @@ def fit_light(pixels: LitPixels, frame: Frame = "camera") -> LightFit:
     whole = _Problem(pixels, groups, gamma)
     best = whole.solve(best.lights)
     scale = whole.mean_shading(best.lights)
+    if not max(one.brightest for one in best.lights) < STRONGEST * scale:
+        # nearly nothing of what is seen stands in it
+        return none
     lights = [_light_of(one, gamma, frame).scaled(1 / scale) for one in best.lights]
     per_part = {part: lights[groups[index]] for index, part in enumerate(PARTS)}
     return LightFit(per_part, 255 * without, 255 * best.residual, len(pixels.face))
@@ -132,6 +141,11 @@ class _Parameters:
     sheen: tuple[float, float] = (0.0, 0.0)
 
     @property
+    def brightest(self) -> float:
+        """S of a surface that faced all lamps, no less than that of any."""
+        return self.ambient + float(np.linalg.norm(self.lamps, axis=1).sum())
+
+    @property
     def strongest(self) -> float:
         """Strength of the strongest lamp against the ambient light."""
         return float(np.linalg.norm(self.lamps, axis=1).max(initial=0) / self.ambient)
@@ -144,11 +158,15 @@ class _Parameters:
         return np.r_[self.ambient, self.lamps.ravel(), self.gloss, self.sheen]
 
     def moved(self, step: Float[Array, "p"]) -> "_Parameters":
-        """Ambient light stays above 0, the highlight at or above it."""
+        """Ambient light stays above 0, the highlight at or above it and no more than a mirror's."""
         ambient = max(self.ambient + float(step[0]), 0.1 * self.ambient)
         gloss, middle, rim = np.r_[self.gloss, self.sheen] + step[-3:]
         lamps = self.lamps + step[1:-3].reshape(-1, 3)
-        return _Parameters(ambient, lamps, max(float(gloss), 0.0), (float(middle), float(rim)))
+        return _Parameters(ambient, lamps, float(np.clip(gloss, 0, MIRROR)), (float(middle), float(rim)))
+
+    def scaled(self, factor: float) -> "_Parameters":
+        """S times a factor."""
+        return replace(self, ambient=self.ambient * factor, lamps=self.lamps * factor)
 
 
 UNLIT = _Parameters(1.0, np.zeros((0, 3)))
@@ -173,6 +191,10 @@ class _Problem:
         self.linear = pixels.color**gamma
         # display values a step of the linear one is worth; dark pixels would count without end
         self.slope = np.clip(pixels.color, 0.05, 1) ** (1 - gamma) / gamma
+        # (pixel, channel) by which residuals are judged: light on a black suit is not seen; some tell as much as all
+        bright = np.argwhere(pixels.color > np.median(pixels.color))
+        bright = bright if len(bright) else np.argwhere(pixels.color >= 0)
+        self.judged = tuple(bright[:: max(len(bright) // 60_000, 1)].T)
 
     def factors(self, lights: Sequence[_Parameters]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
         """S of every pixel, and H with the sheen."""
@@ -205,8 +227,7 @@ class _Problem:
     def weighed(self, difference: Float[Array, "n 3"]) -> tuple[Float[Array, "n 3"], float]:
         """Cauchy's weights of differences (to first order display values), and their robust deviation."""
         r = difference * self.slope
-        # the median of some tells as much
-        spread = 1.4826 * max(float(np.median(np.abs(r[:: max(len(r) // 20_000, 1)]))), 1e-4)
+        spread = 1.4826 * max(float(np.median(np.abs(r[self.judged]))), 1e-4)
         return self.slope**2 / (1 + (r / (2.385 * spread)) ** 2), spread
 
     def shown_residual(self, lights: Sequence[_Parameters]) -> float:
@@ -217,10 +238,10 @@ class _Problem:
             at = self.eliminated(lights, weight)
             weight, _ = self.weighed(at.left)
         shown = np.maximum(self.linear - at.left, 0) ** (1 / self.gamma)
-        return 1.4826 * float(np.median(np.abs(self.shown - shown)))
+        return 1.4826 * float(np.median(np.abs(self.shown - shown)[self.judged]))
 
     def solve(self, lights: Sequence[_Parameters], rounds: int = ROUNDS) -> _Solved:
-        """Gauss-Newton from these lights; the first one's ambient light stays, it is the unit."""
+        """Gauss-Newton from these lights; the brightest is the unit, as albedos take up any other."""
         lights, weight = list(lights), self.slope**2
         # the weights settle first
         for _ in range(2):
@@ -229,6 +250,8 @@ class _Problem:
         for _ in range(rounds):
             step = self.step(lights, self.eliminated(lights, weight), weight)
             lights = [one.moved(s) for one, s in zip(lights, step, strict=True)]
+            unit = max(one.brightest for one in lights)
+            lights = [one.scaled(1 / unit) for one in lights]
             weight, residual = self.weighed(self.eliminated(lights, weight).left)
             still = abs(best.residual - residual) < 1e-4 * best.residual
             if residual < best.residual:
@@ -252,14 +275,13 @@ class _Problem:
             for index, (rows, dS, dH) in enumerate(slopes):
                 for k in range(width):
                     columns[index * width + k, rows] = tint[rows] * dS[:, k] + dH[:, k]
-            for column in columns[1:]:
+            for column in columns:
                 column -= (self.per_face(pull * column) / at.squares[:, c])[self.face] * at.shading
             H += (columns * w) @ columns.T
             b += columns @ (w * at.left[:, c])
-        # the first light's ambient stays
-        damping = 1e-6 * np.trace(H[1:, 1:]) / size
-        found = np.linalg.solve(H[1:, 1:] + damping * np.eye(size - 1), b[1:])
-        return list(np.r_[0.0, found].reshape(len(lights), width))
+        # all lights brighter and all albedos darker is no step, and black pixels ask for none
+        damping = 1e-6 * np.trace(H) / size + 1e-12
+        return list(np.linalg.solve(H + damping * np.eye(size), b).reshape(len(lights), width))
 
     def slopes(self, index: int, one: _Parameters) -> tuple[Array, Float[Array, "m p"], Float[Array, "m p"]]:
         """Rows of a light's pixels, and how S and H there change with its numbers (H's lamp is taken as standing)."""
@@ -284,6 +306,14 @@ class _Eliminated(NamedTuple):
     squares: Float[Array, "faces 3"]  # weighted sums of S^2
     # seen less shown, in the space of gamma
     left: Float[Array, "n 3"]
+
+
+def _best_gamma(problems: dict[float, "_Problem"], found: dict[float, _Solved]) -> tuple[float, _Solved, float]:
+    """The gamma whose light leaves least of what is shown, that light and what it leaves; 1 unless another does so
+    clearly."""
+    left = {gamma: problem.shown_residual(found[gamma].lights) for gamma, problem in problems.items()}
+    gamma = min(left, key=lambda g: left[g] * (1 if g == 1 else 1 + CLEAR))
+    return gamma, found[gamma], left[gamma]
 
 
 def _fit_one_lamp(problem: _Problem) -> _Solved:

@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera
-from avatar.light import CaptureLight, lamps_of
+from avatar.light import LAMPS, CaptureLight, lamps_of
 from avatar.settings import AtLeast, AtMost, OneOf, Place, check
 from player.passes.background import Background, opened_source
 from player.plan import Draft, Pass, Stage
@@ -26,8 +26,6 @@ from player.scenes.background import read_panorama
 from player.scenes.panorama_light import fitted_light, gains_of, irradiance, linear_mean, sphere
 from player.shader import uniform
 
-# at most; shaders/light.glsl
-LAMPS = 4
 KINDS = ("capture", "albedo", "lamps", "panorama")
 FITS = ("none", "background")
 ATTRIBUTES = ("3f4 2f4", "normal", "seen_light")
@@ -193,11 +191,11 @@ class Lit:
     def apply(self, program: moderngl.Program, camera: Camera) -> None:
         """Put the light, which stands still in the world, before this camera."""
         light, lamps, shares = self.light, np.zeros((LAMPS, 4), np.float32), np.zeros(LAMPS)
-        count = min(len(light.lamps), LAMPS)
+        count = len(light.lamps)
         view_from_world = VIEW_FROM_CAMERA @ camera.camera_from_world[:3, :3]
         # a lamp that is not there still needs a direction
         lamps[:, 2] = 1
-        lamps[:count, :3] = (light.directions @ view_from_world.T)[:count]
+        lamps[:count, :3] = light.directions @ view_from_world.T
         lamps[:count, 3], shares[:count] = light.strengths[:count], light.shares[:count]
         uniform(program, "lamps").write(lamps.tobytes())
         uniform(program, "shares").value = tuple(shares.tolist())

@@ -8,7 +8,7 @@ import torch
 from avatar.light import CaptureLight, lamps_of
 from bake.bake import avatar_light
 from bake.field import numpy_field
-from bake.level import Charted, seen_light
+from bake.level import Charted, light_at
 
 
 class Field:
@@ -25,6 +25,9 @@ class Field:
     def color(self, points, directions):
         return 0.5 + 0 * points
 
+    def light_normal(self, points):
+        return torch.nn.functional.normalize(torch.tensor([0.6, 0.8, 0.0]), dim=0).expand(len(points), 3)
+
     def seen_light(self, points, normals):
         return torch.stack([1 + 0.1 * normals[:, 1], 0.01 * points[:, 0]], 1)
 
@@ -36,16 +39,28 @@ def charted() -> Charted:
 
 
 def test_each_vertex_holds_the_light_of_its_place_and_normal():
-    found = seen_light(numpy_field(Field()), charted())
+    normals, found = light_at(numpy_field(Field()), charted())
     assert found is not None
     assert found.dtype == np.float32
-    np.testing.assert_allclose(found, np.stack([np.full(5, 1.1), 0.01 * charted().points[:, 0]], 1), rtol=1e-6)
+    np.testing.assert_allclose(normals, np.tile([0.6, 0.8, 0.0], (5, 1)), rtol=1e-6)
+    np.testing.assert_allclose(found, np.stack([np.full(5, 1.08), 0.01 * charted().points[:, 0]], 1), rtol=1e-6)
+
+
+def test_where_a_surface_was_cut_light_falls_on_its_own_normals():
+    """The field goes on behind the cut; its normals there are another surface's."""
+    cut = charted()._replace(normals=np.tile([0.0, 0.0, 1.0], (5, 1)))
+    normals, found = light_at(numpy_field(Field()), cut)
+    np.testing.assert_array_equal(normals, cut.normals)
+    assert found is not None
+    np.testing.assert_allclose(found[:, 0], 1.0, rtol=1e-6)
 
 
 def test_a_field_whose_light_is_no_factor_has_none():
     field = Field()
     field.seen = None
-    assert seen_light(numpy_field(field), charted()) is None
+    normals, found = light_at(numpy_field(field), charted())
+    assert found is None
+    np.testing.assert_array_equal(normals, charted().normals)
     assert avatar_light(SimpleNamespace(provenance={})) is None
 
 

@@ -1,0 +1,251 @@
+"""What light in a capture costs: a person filmed under even, soft, fixed and room light, trained alike, compared.
+
+    python -m experiments.light PERSON.glb builtin -o out/light --steps 400
+
+PERSON is what `selfscan synth` takes. For each person and light OUT/PERSON/LIGHT gets the capture (the same seed), the
+run and scores.json (experiments/light_scores.py); what exists is not made again. Then OUT/light.json and OUT/light.md
+are written from all scores in OUT, whatever call made them: dB lost against the same person under even light, beside
+what is allowed.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+# before any GL context: it loads an LLVM that crashes when Mesa's came first
+import torch._dynamo  # noqa: F401
+
+from avatar.errors import AssetError
+from avatar.files import whole_file
+from bench.demo import command
+from experiments.light_scores import FORMAT, REGIONS, measured, stamp
+from synth.light import MODES
+from train.preset import PRESETS, shortened
+
+# dB that a light may cost on held-out pictures, total, head and hands
+ALLOWED = {"fixed": (0.8, 0.5, 1.0), "soft": (0.2, 0.2, 0.2), "room": (1.0, 1.5, 3.5)}
+LIGHTS = ("even", "soft", "fixed", "room")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the command was asked for."""
+
+    people: tuple[str, ...]
+    out: Path
+    lights: tuple[str, ...]
+    preset: str
+    # of every part; None: the preset's
+    steps: int | None
+    size: int
+    frames: int
+    seed: int
+    poses: int  # of each held-out set
+    # also train with light as no factor of its own
+    without: bool
+
+
+def note(text: str) -> None:
+    print(f"light: {text}", file=sys.stderr, flush=True)
+
+
+def folder_name(person: str) -> str:
+    return person.replace(":", "_") if person.startswith("builtin") else Path(person).stem
+
+
+def filmed(options: Options, person: str, light: str) -> Path | None:
+    """The capture of a person under a light; the held-out poses of all of them are in the even one."""
+    capture = options.out / folder_name(person) / light / "capture"
+    if not (capture / "capture.json").exists():
+        note(f"{folder_name(person)}, {light}: filming")
+        words = ["--light", light, "--size", options.size, "--frames", options.frames, "--seed", options.seed]
+        words += [] if light == "even" else ["--no-truth"]
+        capture.parent.mkdir(parents=True, exist_ok=True)
+        if command("selfscan", "synth", person, capture, *map(str, words))() != 0:
+            return None
+    return capture
+
+
+def trained(options: Options, capture: Path, light_factor: bool) -> Path | None:
+    """The run of a capture, going on where an interrupted training stopped."""
+    run = capture.with_name("run" if light_factor else "run_light_off")
+    if not (run / "run.json").exists():
+        note(f"{run}: training, {share(options)}")
+        words: list[str | Path] = ["selfscan", "train", capture, "-o", run, "--preset", options.preset]
+        words += ["--iterations", str(options.steps)] if options.steps else []
+        words += [] if light_factor else ["--light", "off"]
+        words += ["--resume"] if run.with_name(run.name + ".partial").exists() else []
+        if command(*words)() != 0:
+            return None
+    return run
+
+
+def share(options: Options) -> str:
+    """What part of the preset's steps is taken, in words."""
+    whole = PRESETS[options.preset]
+    if options.steps is None:
+        return f"all steps of preset {options.preset}"
+    taken = sum(part.iterations for part in shortened(whole, options.steps).parts)
+    share = taken / sum(part.iterations for part in whole.parts)
+    return f"{options.steps} steps a part, {share:.0%} of those of preset {options.preset}"
+
+
+def person_scores(options: Options, person: str) -> list[str]:
+    """All lights of one person; what could not be measured, in words."""
+    absent = []
+    for light in options.lights:
+        label = f"{folder_name(person)}, {light}"
+        capture = filmed(options, person, light)
+        if capture is None:
+            absent.append(f"{label}: filming failed")
+            continue
+        for factor in (True, False)[: 1 + options.without]:
+            run = trained(options, capture, factor)
+            if run is None:
+                absent.append(f"{label}: training failed")
+                continue
+            path = capture.with_name("scores.json" if factor else "scores_light_off.json")
+            expected = stamp(run, options.poses)
+            if kept(path, expected):
+                note(f"{label}: kept")
+                continue
+            note(f"{label}: measuring")
+            even = options.out / folder_name(person) / "even" / "capture"
+            found = measured(run, person, even, light, options.seed, options.poses)
+            facts = {"format": FORMAT, "person": folder_name(person), "light": light, "light_factor": factor}
+            with whole_file(path, "w") as file:
+                json.dump(facts | {"share": share(options), "stamp": expected} | found, file, indent=1)
+    return absent
+
+
+def kept(path: Path, expected: dict[str, Any]) -> bool:
+    """Whether a file holds scores of exactly this."""
+    try:
+        found = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and found.get("format") == FORMAT and found.get("stamp") == expected
+
+
+def collect(out: Path) -> list[dict[str, Any]]:
+    """All scores in OUT."""
+    found = []
+    for path in sorted(out.glob("*/*/scores*.json")):
+        try:
+            scores = json.loads(path.read_text("utf-8"))
+        except (OSError, ValueError) as error:
+            raise AssetError(f"{path}: expected scores, found: {error}") from None
+        if scores.get("format") == FORMAT:
+            found.append(scores)
+    order = {light: number for number, light in enumerate(MODES)}
+    return sorted(found, key=lambda one: (one["person"], order[one["light"]], not one["light_factor"]))
+
+
+def three(scores: dict[str, Any], digits: int = 1) -> str:
+    """Total / head / hands."""
+    shown = [scores.get(region) for region in REGIONS]
+    return " / ".join("-" if value is None else f"{value:.{digits}f}" for value in shown)
+
+
+def lost(scores: dict[str, Any], even: dict[str, Any]) -> dict[str, float]:
+    """dB lost against the even light, by region."""
+    both = [region for region in REGIONS if scores.get(region) is not None and even.get(region) is not None]
+    return {region: even[region] - scores[region] for region in both}
+
+
+def page(found: Sequence[dict[str, Any]]) -> str:
+    """The table in Markdown."""
+    lines = [
+        "# Light as a factor of its own",
+        "",
+        "Written by `python -m experiments.light`. Inside the true mask, total / head / hands, the field on pictures",
+        "that nothing was trained on. *lost*: dB against the same person under even light; *allowed*: the bar. *key*:",
+        "all lit by a lamp that no video had, beside the truth so lit. *albedo*: of 255, beside the true texture; both",
+        "after one gain, which nobody can know. *turned away*: pixels whose normals face no video's camera (their",
+        "share), where the light was never seen. *mean light*: shown as the paper does, in the mean of what was seen.",
+        "",
+        "| person, light | steps | novel poses, dB | lost | allowed | turned away (share) | lost there | mean light |"
+        " novel views, lost | key, lost | albedo rms | light found |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    even = {one["person"]: one for one in found if one["light"] == "even" and one["light_factor"]}
+    for one in found:
+        lost_to = lambda *keys, one=one: _lost_to(one, even.get(one["person"]), keys)
+        allowed = ALLOWED.get(one["light"])
+        away = one["novel_pose"]["turned_away"]
+        shares = " / ".join(f"{away['share'][region]:.0%}" for region in REGIONS)
+        lines.append(
+            f"| {one['person']}, {one['light']}{'' if one['light_factor'] else ', no factor'} | {one['share']} "
+            f"| {three(one['novel_pose']['captured'])} | {lost_to('novel_pose', 'captured')} "
+            f"| {' / '.join(f'{value:g}' for value in allowed) if allowed else '-'} "
+            f"| {three(away['captured'])} ({shares}) | {lost_to('novel_pose', 'turned_away', 'captured')} "
+            f"| {three(one['novel_pose']['mean_light'])} "
+            f"| {lost_to('novel_view', 'captured')} | {lost_to('novel_pose', 'key')} "
+            f"| {three(one['novel_pose']['albedo_rms'])} | {one['found']} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _lost_to(one: dict[str, Any], even: dict[str, Any] | None, keys: Sequence[str]) -> str:
+    return "-" if even is None else three(lost(_at(one, keys), _at(even, keys)))
+
+
+def _at(scores: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+    for key in keys:
+        scores = scores[key]
+    return scores
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.light",
+        description="What light in a capture costs, against the same person under even light.",
+        epilog="example: python -m experiments.light builtin White_M.glb -o out/light --steps 400 --poses 2",
+    )
+    parser.add_argument("people", metavar="PERSON", nargs="+", help="builtin, builtin:female or a rigged .glb")
+    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="gets light.md and light.json")
+    parser.add_argument("--lights", nargs="+", choices=MODES, default=list(LIGHTS),
+                        help=f"default: {', '.join(LIGHTS)}; even is what the others are compared with")  # fmt: skip
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="demo")
+    parser.add_argument("--steps", type=int, metavar="N", help="of every part, instead of the preset's")
+    parser.add_argument("--size", type=int, default=256, help="pixels of the videos (default: 256)")
+    parser.add_argument("--frames", type=int, default=40, help="of each video (default: 40)")
+    parser.add_argument("--seed", type=int, default=0, help="of the captures and trainings (default: 0)")
+    parser.add_argument("--poses", type=int, default=3, help="of each held-out set (default: 3)")
+    parser.add_argument("--without", action="store_true", help="also train with light as no factor of its own")
+    given = parser.parse_args(argv)
+    for name in ("steps", "poses"):
+        value = getattr(given, name)
+        if value is not None and value < 1:
+            parser.error(f"--{name} should be at least 1, is {value}")
+    names = [folder_name(person) for person in given.people]
+    if len(set(names)) < len(names):
+        parser.error(f"people are told apart by their files' names, which are {', '.join(names)}")
+    # even first: the held-out poses are there
+    lights = ("even", *(light for light in MODES if light in given.lights and light != "even"))
+    options = Options(
+        tuple(given.people), given.out, lights, given.preset, given.steps, given.size, given.frames, given.seed,
+        given.poses, given.without,
+    )  # fmt: skip
+    options.out.mkdir(parents=True, exist_ok=True)
+    absent = [line for person in options.people for line in person_scores(options, person)]
+    found = collect(options.out)
+    with whole_file(options.out / "light.json", "w") as file:
+        json.dump({"format": "selfscan-light", "scores": found, "absent": absent}, file, indent=1)
+    with whole_file(options.out / "light.md", "w") as file:
+        file.write(page(found))
+    for line in absent:
+        note(f"not measured: {line}")
+    print(options.out / "light.md")
+    return 1 if absent else 0
+
+
+if __name__ == "__main__":
+    try:
+        raise SystemExit(main())
+    except AssetError as error:
+        raise SystemExit(f"light: {error}") from None

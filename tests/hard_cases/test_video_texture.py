@@ -1,0 +1,187 @@
+"""Textures solved against videos that show nothing, once, a thousand times and never the same."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from capsules import ball_mesh
+from scipy.sparse import coo_matrix, csr_matrix, identity
+
+from avatar.camera import orbit_camera
+from avatar.light import CaptureLight, Lamp
+from avatar.skeleton import PARTS
+from avatar.texture import mipmaps
+from bake.atlas import unwrap
+from bake.cone import ViewCone
+from bake.level import BakedLevel, Charted
+from bake.pixel_reads import atlas_mesh
+from bake.run_capture import RunVideos
+from bake.seams import chart_edges, edge_reads, solve_seams
+from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, spread
+from bake.texture_solve import Equations, Prior, neighbour_pairs, solve_change
+from bake.video_texture import solve_texture
+from capture.folder import PartVideo
+from geometry.decimate import decimate
+from player.mannequin import mannequin
+
+STAY, MIX = 0.06, 0.24
+
+
+def line(count: int) -> TexelMap:
+    return TexelMap(np.arange(count), np.zeros(count, int), np.ones(count, bool), count)
+
+
+def solved(matrix: csr_matrix, wanted: np.ndarray, *, smooth: float = 0.0, rounds: int = 40) -> np.ndarray:
+    count = matrix.shape[1]
+    prior = Prior(np.full(count, STAY), np.full(count, smooth))
+    equations = [Equations(matrix.astype(np.float32), wanted.astype(np.float32))]
+    return solve_change(equations, prior, neighbour_pairs(line(count)), rounds=rounds)
+
+
+@pytest.mark.parametrize("smooth", [0.0, MIX])
+def test_no_pixels_change_nothing(smooth, within):
+    within(solved(csr_matrix((0, 20)), np.zeros((0, 3)), smooth=smooth), 0.0)
+
+
+@pytest.mark.parametrize("views", [1, 2, 1000])
+@pytest.mark.parametrize("apart", [0.0, 0.6])
+def test_a_texel_ends_at_the_mean_of_all_views_and_its_neighbours_stay(views, apart, within):
+    """Views that disagree by `apart`; the closed form of one texel: sum w r / (sum w + lambda)."""
+    rows = csr_matrix((np.ones(views), (np.arange(views), np.full(views, 7))), (views, 20))
+    wanted = np.full((views, 3), 0.3) + apart * (np.arange(views)[:, None] % 2 - 0.5)
+    found = solved(rows, wanted)
+    within(found[7] - wanted.sum(0) / (views + STAY), 1e-5)
+    within(np.delete(found, 7, 0), 0.0, "beside it")
+
+
+@pytest.mark.parametrize("rounds", [12, 60])
+@pytest.mark.parametrize("width", [1, 2, 4])
+def test_frames_that_contradict_each_other_end_between_them(width, rounds, within):
+    """Two frames whose pixels are `width` texels wide, one dark, one bright, half a pixel apart: from grey. Wide pixels
+    are sharpened, which goes a little beyond at the line's two ends."""
+    count, rows, wanted = 240, [], []
+    for color, offset in ((-0.3, 0.0), (0.3, 0.5 * width)):
+        for first in np.arange(offset, count - width, width):
+            row = np.clip(np.minimum(np.arange(count) + 1, first + width) - np.maximum(np.arange(count), first), 0, 1)
+            rows.append(row / row.sum())
+            wanted.append([color])
+    found = solved(csr_matrix(np.array(rows)), np.array(wanted), smooth=STAY * 4, rounds=rounds)
+    within(np.maximum(np.abs(found) - 0.3, 0).max(), 0.04, "beyond both")
+    within(np.median(found[4:-4]), 0.01, "median")
+
+
+@dataclass(frozen=True)
+class Filmed(RunVideos):
+    """Videos that lie in no folder."""
+
+    found: dict[str, PartVideo]
+
+    def video(self, part: str) -> PartVideo:
+        return self.found[part]
+
+
+@pytest.fixture(scope="module")
+def grey() -> tuple[BakedLevel, np.ndarray, Filmed]:
+    """A grey mannequin, and four frames of each part that show a grey square."""
+    avatar = mannequin()
+    level = avatar.levels[0]
+    level = replace(level, base_color=np.full((128, 128, 3), 128, np.uint8))
+    uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
+    cone = ViewCone(*(a.astype(np.float64) for a in (level.view_dir, level.view_q, level.view_seen)))
+    charted = Charted(uv, faces, level.positions.astype(np.float64), level.normals.astype(np.float64), cone)
+    _, source = np.unique(level.positions, axis=0, return_inverse=True)
+    size, videos = (48, 48), {}
+    for part in PARTS:
+        middle, far = ((0, 0.6, 0), 0.8) if part == "head" else ((0, -0.1, 0), 3.2)
+        cameras = tuple(orbit_camera(middle, far, turn, 0.05, size) for turn in np.pi / 2 * np.arange(4))
+        posed = part != "head"
+        videos[part] = PartVideo(
+            part, np.full((4, 48, 48, 3), 128, np.uint8), np.ones((4, 48, 48), bool), cameras,
+            np.tile(np.asarray(avatar.canonical_pose, np.float64), (4, 1, 1)) if posed else None,
+            np.zeros((4, 3)) if posed else None, None, None,
+        )  # fmt: skip
+    baked = BakedLevel(level, charted, chart_edges(uv, faces, source.reshape(-1)), {})
+    return baked, np.asarray(avatar.joint_positions), Filmed(Path(), None, np.eye(4), {}, videos)
+
+
+def textured(grey, lights: dict[str, CaptureLight] | None = None, **changes) -> tuple[np.ndarray, dict]:
+    """Texels of the mannequin from videos with some fields changed."""
+    baked, joints, videos = grey
+    found = {
+        part: replace(one, **{name: change(one) for name, change in changes.items()})
+        for part, one in videos.found.items()
+    }
+    if lights is not None:
+        light = np.tile(np.float32([1, 0]), (len(baked.level.positions), 1))
+        baked = baked._replace(level=replace(baked.level, light=light))
+    result = solve_texture(baked, joints, replace(videos, found=found, lights=lights or {}), lambda line: None)
+    assert np.isfinite(result.image).all()
+    assert result.image.min() >= 0 and result.image.max() <= 1
+    return result.image.reshape(-1, 3)[atlas_mesh(baked.level, joints).texels.index], result.facts
+
+
+def test_videos_that_show_nobody_leave_the_texture_as_it_was(grey, within):
+    found, facts = textured(grey, masks=lambda video: np.zeros_like(video.masks))
+    within(found - 128 / 255, 1e-6)
+    assert facts["unseen_share"] == 1
+    assert all(facts[part]["pixels"] == 0 for part in PARTS)
+
+
+def test_a_light_that_reached_nothing_leaves_the_texture_as_it_was(grey, within):
+    """A lamp behind the person in the dark: no pixel tells a color."""
+    dark = CaptureLight(0.1, (Lamp((0.0, 1.0, 0.0), 1e-6),), frame="world")
+    found, facts = textured(grey, dict.fromkeys(PARTS, dark))
+    within(found - 128 / 255, 1e-6)
+    assert facts["unseen_share"] == 1
+
+
+@pytest.mark.parametrize("value", [0, 255])
+def test_black_and_saturated_videos_darken_and_brighten_alone(grey, value, within):
+    found, _ = textured(grey, images=lambda video: np.full_like(video.images, value))
+    wrong_way = found - 128 / 255 if value == 0 else 128 / 255 - found
+    within(np.maximum(wrong_way, 0).max(), 0.002, "the other way")
+    seen = np.abs(found - value / 255) < 0.25
+    assert seen.mean() > 0.5
+
+
+def test_frames_of_two_colors_give_texels_between_them(grey, within):
+    """Every second frame red, the others blue, from grey between them: sharpening goes a little beyond."""
+
+    def contrary(video: PartVideo) -> np.ndarray:
+        colors = np.array([[200, 60, 60], [60, 60, 200]], np.uint8)
+        return np.broadcast_to(colors[np.arange(4) % 2][:, None, None], video.images.shape).copy()
+
+    found, _ = textured(grey, images=contrary)
+    within(np.quantile(np.maximum(60 / 255 - found, found - 200 / 255), 0.999), 0.03, "beyond both, of 999 in 1000")
+
+
+@pytest.mark.parametrize("pattern", ["stripes", "checkerboard"])
+def test_contrasts_of_one_texel_across_chart_edges_stay_within_what_was_seen(pattern, within):
+    """Every texel of a ball is told its own color, edges that they agree, then mips are closed: nowhere beyond."""
+    size, levels = 256, 4
+    mesh = decimate(ball_mesh(step=0.008), 600)
+    chart = unwrap(mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), np.ones(1), size=size, padding=8)
+    texels = rasterise_charts(chart.uv, chart.faces, size)
+    edges = chart_edges(chart.uv, chart.faces, chart.source)
+    weight = barycentric(chart.uv, chart.faces, texels, np.zeros(2))
+    points = (weight[:, :, None] * mesh.vertices[chart.source][chart.faces[texels.face]]).sum(1)
+    cells = np.floor(points / 0.0016).astype(int)
+    on = (cells[:, 0] if pattern == "stripes" else cells.sum(1)) % 2
+    low, high = np.array([0.2, 0.35, 0.3]), np.array([0.8, 0.4, 0.7])
+    seen = np.where(on[:, None] == 1, high, low)
+    given = np.full_like(seen, 0.4)
+    row_of = np.zeros(size * size, int)
+    row_of[texels.index] = np.arange(len(texels.index))
+    rows, columns, values, count = edge_reads(chart.uv, edges, size)
+    agree = coo_matrix((values, (rows, row_of[columns])), (count, len(seen))).tocsr().astype(np.float32)
+    own = csr_matrix(identity(len(seen), np.float32))
+    equations = [Equations(own, (seen - given).astype(np.float32)), Equations(agree, -(agree @ given))]
+    prior = Prior(np.full(len(seen), STAY), np.full(len(seen), MIX))
+    found = given + solve_change(equations, prior, neighbour_pairs(texels))
+    within(np.maximum(low - found, found - high).max(), 0.02, "beyond both, solved")
+    image = spread(np.clip(found, 0, 1), texels)
+    closed = solve_seams(image, texels, chart.uv, edges, levels)
+    within(np.maximum(image.min((0, 1)) - closed, closed - image.max((0, 1))).max(), 1e-6, "beyond the solved")
+    for mip in mipmaps(bytes_from_unit(closed), levels):
+        within(np.maximum(255 * low - mip, mip - 255 * high).max(), 6.0, "of 255, in a mip")
