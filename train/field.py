@@ -91,9 +91,7 @@ class PartField(nn.Module):
             distance, gradient = template + distance, slope + gradient
         return FieldSample(distance, feature), gradient
 
-    def light_normal(
-        self, points: Float[Tensor, "n 3"], gradient: Float[Tensor, "n 3"]
-    ) -> Float[Tensor, "n 3"]:
+    def light_normal(self, points: Float[Tensor, "n 3"], gradient: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Unit normals that light falls on, where F_s has this gradient; no graph.
 
         F_s follows the colours and wrinkles by 5 to 7 degrees; on such normals a lamp's shading and highlight show
