@@ -206,7 +206,8 @@ def found_light(found: CaptureLight | None, true: Light | Room) -> str:
     if isinstance(true, Light) and true.key:
         strength = found.strengths.max()
         words.append(f"ambient / key {found.ambient / strength:.2f} for {true.ambient / true.key:.2f}")
-    return f"{len(found.lamps)} lamps, gamma {found.gamma:g}: " + ", ".join(words)
+    lamps = "a lamp" if len(found.lamps) == 1 else f"{len(found.lamps)} lamps"
+    return f"{lamps}, gamma {found.gamma:g}: " + ", ".join(words)
 
 
 def _degrees(found: CaptureLight, direction: Float[Array, "3"]) -> float:

@@ -10,9 +10,19 @@ from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import PARTS
 from capture.folder import read_capture
 from train.deform import canonical_directions, posed_directions
+from train.field import TEMPLATE_SHARE, PartField
+from train.fused import FusedField
 from train.light import harmonics, light_facts, seen_lights_from_json, seen_tensors, video_light, world_light
+from train.networks import triplane
+from train.networks.triplane import TriPlaneNetworks
 from train.options import TrainOptions
+<<<<<<< HEAD
 from train.preset import PRESETS, HairPreset
+=======
+from train.parts import Box, Part
+from train.preset import PRESETS
+from train.template_grid import TemplateGrid
+>>>>>>> dfad2ff (Light: hard cases measured, normals that light falls on tested, what was decided)
 
 LAMPS = lamps_of(np.array([[0.5, -0.6, -0.7], [-0.8, 0.0, -0.3]]), np.array([0.5, 0.3]))
 
@@ -58,6 +68,55 @@ def test_posed_directions_undo_canonical_ones():
     directions = torch.as_tensor(unit(5, 50)).float()
     back = posed_directions(canonical_directions(directions, weights, bones), weights, bones)
     torch.testing.assert_close(back, directions, rtol=0, atol=1e-5)
+
+
+def ball_field() -> PartField:
+    """A field whose template is a ball of 10 cm, cells of 1 cm."""
+    axis = torch.arange(-0.2, 0.2001, 0.01)
+    grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1)
+    half = torch.full((3,), 0.2)
+    small = TriPlaneNetworks(plane_size=16, color_size=16, width=32)
+    template = TemplateGrid(grid.norm(dim=-1) - 0.1, -half, 0.01)
+    return PartField(template, -half, half, triplane.build(small, 3, half, 0.03)).requires_grad_(False)
+
+
+def degrees(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    return torch.rad2deg(torch.atan2(torch.linalg.cross(a, b).norm(dim=1), (a * b).sum(1)))
+
+
+def test_light_falls_on_normals_that_do_not_jump_from_cell_to_cell():
+    template, d = ball_field().template, torch.as_tensor(unit(10, 4000)).float()
+    smooth = torch.nn.functional.normalize(template.smooth_gradient(0.1 * d), dim=1)
+    own = torch.nn.functional.normalize(template.sample(0.1 * d)[1], dim=1)
+    assert degrees(smooth, d).max() < 1.0
+    assert degrees(own, d).max() > 2.0
+
+
+@pytest.mark.parametrize("tilt", [0.0, 10.0, 40.0])
+def test_a_wrinkle_of_the_field_turns_the_normal_by_its_share(tilt):
+    field, d = ball_field(), torch.as_tensor(unit(11, 500)).float()
+    aside = torch.nn.functional.normalize(torch.linalg.cross(d, torch.as_tensor(unit(12, 500)).float()), dim=1)
+    angle = torch.deg2rad(torch.tensor(tilt))
+    # of any length, as gradients are
+    found = field.light_normal(0.1 * d, 1.3 * (angle.cos() * d + angle.sin() * aside))
+    k = 1 - TEMPLATE_SHARE
+    expected = torch.rad2deg(torch.atan2(k * angle.sin(), 1 - k + k * angle.cos()))
+    torch.testing.assert_close(found.norm(dim=1), torch.ones(500), rtol=0, atol=1e-5)
+    assert (degrees(found, d) - expected).abs().max() < 1.0
+
+
+def test_the_normals_that_light_falls_on_are_canonical_also_where_the_head_was_turned():
+    """Eq. 5 turns the head's field by 37 degrees; a ball's normals still point away from its middle."""
+    c, s = 0.8, 0.6
+    turned = torch.eye(4)
+    turned[:3, :3] = 1.02 * torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    wide = Box(np.full(3, -0.2), np.full(3, 0.2))
+    parts = (Part("body", wide, None, 0.0), Part("head", wide, wide, 0.1))
+    fused = FusedField([ball_field(), ball_field()], parts, turned).eval().requires_grad_(False)
+    d = torch.as_tensor(unit(13, 500)).float()
+    # the untrained networks add wrinkles, of which a third is left
+    assert degrees(fused.light_normal(0.1 * d), d).max() < 2.0
+    assert fused.light_normal(torch.zeros(0, 3)).shape == (0, 3)
 
 
 def test_the_seen_light_is_the_mean_over_the_frames_that_face_a_normal(capture):

@@ -1,0 +1,123 @@
+"""The experiment on light: what it makes, keeps and resumes, and the numbers and page it makes of pictures."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import experiments.light
+from avatar.light import CaptureLight, lamps_of
+from experiments.light import main
+from experiments.light_scores import Compared, common_gain, found_light, scores
+from synth.light import light_of
+
+
+def compared(region: str, *, albedo: float, captured: float, gain: float = 1.0) -> Compared:
+    """A picture of a hundred grey pixels, ten of them turned away; ours is off by what is said."""
+    true = np.full((100, 3), 0.4)
+    away = np.arange(100) < 10
+    pairs = {
+        "captured": (true, true + np.where(away, 3 * captured, captured)[:, None]),
+        "mean_light": (true, true + 0.2),
+        "albedo": (true, (true + albedo * np.where(away, -9, 1)[:, None]) / gain),
+    }
+    return Compared(region, away, pairs, lambda gain: true + 0.01 * gain, true)
+
+
+def test_scores_are_those_of_all_pixels_and_of_the_ones_turned_away():
+    found = scores([compared("total", albedo=0.0, captured=0.1, gain=0.5)])
+    # mean of 90 pixels off by .1 and 10 by .3
+    assert found["captured"]["total"] == pytest.approx(-10 * np.log10(0.9 * 0.01 + 0.1 * 0.09), abs=0.006)
+    assert found["turned_away"]["captured"]["total"] == pytest.approx(-10 * np.log10(0.09), abs=0.006)
+    assert found["mean_light"]["total"] == pytest.approx(-20 * np.log10(0.2), abs=0.006)
+    assert found["turned_away"]["share"]["total"] == 0.1
+    assert found["captured"]["head"] is None
+
+
+def test_one_gain_stands_between_albedo_and_texture():
+    pictures = [
+        compared("total", albedo=0.0, captured=0.1, gain=0.5),
+        compared("hands", albedo=0, captured=0, gain=0.5),
+    ]
+    assert common_gain(pictures) == pytest.approx(0.5)
+    found = scores(pictures)
+    assert found["gain"] == 0.5
+    assert found["albedo_rms"]["hands"] == pytest.approx(0, abs=1e-6)
+    # the key light is asked for with that gain
+    assert found["key"]["total"] == pytest.approx(-20 * np.log10(0.005), abs=0.006)
+
+
+def test_the_light_found_is_said_beside_the_light_there_was():
+    fixed, even = light_of("fixed", "body", 0), light_of("even", "body", 0)
+    found = CaptureLight(0.41, lamps_of(np.array([fixed.direction]), np.array([0.5])), frame="world")
+    assert found_light(found, fixed) == "a lamp, gamma 1: key 0.0 degrees off, ambient / key 0.82 for 0.82"
+    assert found_light(None, fixed) == "none, there were key"
+    assert found_light(None, even) == "none"
+    room = light_of("room", "body", 0)
+    assert "source 1 " in found_light(found, room) and "source 2 " in found_light(found, room)
+
+
+@pytest.fixture
+def made(monkeypatch, tmp_path):
+    """Commands that the experiment runs, which leave empty captures and runs; scores by light."""
+    calls: list[tuple[str, ...]] = []
+
+    def command(*words):
+        def run() -> int:
+            calls.append(tuple(map(str, words)))
+            place = Path(words[words.index("-o") + 1]) if "-o" in words else Path(words[3])
+            place.mkdir(parents=True)
+            (place / ("run.json" if "-o" in words else "capture.json")).write_text("{}")
+            return 0
+
+        return run
+
+    def measured(run, person, even, light, seed, poses):
+        off = {"even": 0.05, "fixed": 0.1}[light]
+        each = scores([compared(region, albedo=0.0, captured=off) for region in ("total", "head", "hands")])
+        return {"found": "none", "novel_pose": each, "novel_view": each}
+
+    monkeypatch.setattr(experiments.light, "command", command)
+    monkeypatch.setattr(experiments.light, "measured", measured)
+    return calls, tmp_path / "out"
+
+
+def test_every_light_is_filmed_trained_and_measured_once(made, capsys):
+    calls, out = made
+    words = ["some/Person.glb", "-o", str(out), "--lights", "fixed", "--steps", "450"]
+    assert main(words) == 0
+    kinds = [call[1] for call in calls]
+    assert kinds == ["synth", "train", "synth", "train"]
+    # the even capture holds the truth of all of them, and the lights share a seed
+    assert "--no-truth" not in calls[0] and "--no-truth" in calls[2]
+    assert all(call[call.index("--seed") + 1] == "0" for call in (calls[0], calls[2]))
+    assert all(call[call.index("--iterations") + 1] == "450" for call in (calls[1], calls[3]))
+    page = (out / "light.md").read_text()
+    # twice as far off: 6 dB, of the key light none
+    assert "| Person, fixed | 450 steps a part, 37% of those of preset demo |" in page
+    assert "| 6.0 / 6.0 / 6.0 | 0.8 / 0.5 / 1 |" in page
+    assert main(words) == 0
+    assert len(calls) == 4
+    assert "Person, fixed: kept" in capsys.readouterr().err
+    # another run asks for new scores
+    (out / "Person" / "fixed" / "run" / "run.json").write_text('{"other": 1}')
+    assert main(words) == 0
+    assert "Person, fixed: measuring" in capsys.readouterr().err
+
+
+def test_what_fails_is_said_and_the_rest_is_made(made, monkeypatch, capsys):
+    calls, out = made
+    whole = experiments.light.command
+    monkeypatch.setattr(
+        experiments.light, "command", lambda *words: whole(*words) if "fixed" not in words else lambda: 1
+    )
+    assert main(["builtin:female", "-o", str(out), "--lights", "fixed"]) == 1
+    assert "not measured: builtin_female, fixed: filming failed" in capsys.readouterr().err
+    assert [row["light"] for row in json.loads((out / "light.json").read_text())["scores"]] == ["even"]
+
+
+def test_people_of_one_name_are_refused(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        main(["a/x.glb", "b/x.glb", "-o", str(tmp_path)])
+    assert "people are told apart by their files' names, which are x, x" in capsys.readouterr().err
