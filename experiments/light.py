@@ -77,7 +77,7 @@ def trained(options: Options, capture: Path, light_factor: bool) -> Path | None:
         note(f"{run}: training, {share(options)}")
         words: list[str | Path] = ["selfscan", "train", capture, "-o", run, "--preset", options.preset]
         words += ["--iterations", str(options.steps)] if options.steps else []
-        words += [] if light_factor else ["--light", "off"]
+        words += [] if light_factor else ["--without", "light"]
         words += ["--resume"] if run.with_name(run.name + ".partial").exists() else []
         if command(*words)() != 0:
             return None

@@ -106,6 +106,15 @@ def test_every_light_is_filmed_trained_and_measured_once(made, capsys):
     assert "Person, fixed: measuring" in capsys.readouterr().err
 
 
+def test_a_training_without_the_factor_is_asked_for_beside_it(made):
+    calls, out = made
+    assert main(["builtin", "-o", str(out), "--lights", "even", "--without"]) == 0
+    trainings = [call for call in calls if call[1] == "train"]
+    assert ["--without" in call for call in trainings] == [False, True]
+    assert trainings[1][trainings[1].index("--without") + 1] == "light"
+    assert "| builtin, even, no factor |" in (out / "light.md").read_text()
+
+
 def test_what_fails_is_said_and_the_rest_is_made(made, monkeypatch, capsys):
     calls, out = made
     whole = experiments.light.command

@@ -16,13 +16,9 @@ from train.light import harmonics, light_facts, seen_lights_from_json, seen_tens
 from train.networks import triplane
 from train.networks.triplane import TriPlaneNetworks
 from train.options import TrainOptions
-<<<<<<< HEAD
-from train.preset import PRESETS, HairPreset
-=======
 from train.parts import Box, Part
-from train.preset import PRESETS
+from train.preset import PRESETS, HairPreset
 from train.template_grid import TemplateGrid
->>>>>>> dfad2ff (Light: hard cases measured, normals that light falls on tested, what was decided)
 
 LAMPS = lamps_of(np.array([[0.5, -0.6, -0.7], [-0.8, 0.0, -0.3]]), np.array([0.5, 0.3]))
 
