@@ -54,14 +54,15 @@ def bench(
         rows = [timed_row(rung, timing, timings[0]) for rung, timing in zip(rungs, timings, strict=True)]
         pictures = {rung.name: rung_pictures(context, avatar, rung, frames) for rung in rungs}
         score_flicker(context, avatar, rungs, rows, full)
-        times = [timing.ms for timing in timings]
+        times: list[np.ndarray | None] = [timing.ms for timing in timings]
         if run is not None:
             from bench.field_rungs import field_rungs  # it brings torch
 
             for name, ms, bytes_, drawn in field_rungs(context, run, frames):
                 faster = float(np.median(timings[0].ms) / np.median(ms))
                 rows.insert(0, row_of(name, ms, bytes_) | {"times_faster": round(faster, 5)})
-                times.insert(0, ms)
+                # it took no turns with the others
+                times.insert(0, None)
                 pictures = {name: drawn} | pictures
         facts = machine(context.renderer, context.kind)
     finally:

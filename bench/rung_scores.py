@@ -1,5 +1,6 @@
 """How exact the rungs of accuracy against time are: scores over the person, head and hands, and which are dominated."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -83,11 +84,13 @@ def median_interval(values: Float[np.ndarray, "n"]) -> tuple[float, float]:
     return float(ordered[outside - 1]), float(ordered[len(ordered) - outside])
 
 
-def mark_dominated(rows: list[dict[str, Any]], times: list[Float[np.ndarray, "rounds"]] | None = None) -> None:
+def mark_dominated(
+    rows: list[dict[str, Any]], times: Sequence[Float[np.ndarray, "rounds"] | None] | None = None
+) -> None:
     """A rung is dominated when another is surely faster and no less exact in any picture.
 
-    Surely faster: of `times` (measured in alternating rounds) the interval of the ratios lies below 1, or the intervals
-    of the two medians do not overlap. `dominated_by` names the most exact that does.
+    Surely faster: of `times` (of those measured in alternating rounds) the interval of the ratios lies below 1, or the
+    intervals of the two medians do not overlap. `dominated_by` names the most exact that does.
     """
     for k, row in enumerate(rows):
         better = [
@@ -95,7 +98,7 @@ def mark_dominated(rows: list[dict[str, Any]], times: list[Float[np.ndarray, "ro
             for i, other in enumerate(rows)
             if i != k
             and no_less_exact(other, row)
-            and surely_faster(other, row, None if times is None else (times[i], times[k]))
+            and surely_faster(other, row, None if times is None else times[i], None if times is None else times[k])
         ]
         row["dominated"] = bool(better)
         row["dominated_by"] = min(better, key=lambda other: other["flip"])["name"] if better else None
@@ -106,8 +109,13 @@ def no_less_exact(a: dict[str, Any], b: dict[str, Any]) -> bool:
     return all((x or 0.0) <= (y or 0.0) for x, y in zip(a["flip_each"], b["flip_each"], strict=True))
 
 
-def surely_faster(a: dict[str, Any], b: dict[str, Any], times: tuple[np.ndarray, np.ndarray] | None = None) -> bool:
-    """Whether a's time lies below b's beyond what the measurement leaves open."""
-    if times is not None and len(times[0]) == len(times[1]):
-        return median_interval(times[0] / times[1])[1] < 1
+def surely_faster(
+    a: dict[str, Any],
+    b: dict[str, Any],
+    times_a: Float[np.ndarray, "rounds"] | None = None,
+    times_b: Float[np.ndarray, "rounds"] | None = None,
+) -> bool:
+    """Whether a's time lies below b's beyond what the measurement leaves open; times of those that took turns."""
+    if times_a is not None and times_b is not None:
+        return median_interval(times_a / times_b)[1] < 1
     return a["ms_interval"][1] < b["ms_interval"][0]

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy import ndimage
+from scipy.spatial import KDTree
 
 from avatar.body import builtin_body
 from avatar.camera import orbit_camera, pixel_rays
@@ -12,6 +14,7 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import skin_points
 from bench.field_view import FieldView
+from bench.field_volume import draw_volume
 from capture.folder import CaptureSubject
 from player.context import open_context
 from player.raster import Rasteriser
@@ -37,8 +40,8 @@ class DirectionField(FusedField):
         return 0.5 + 0.5 * directions
 
 
-@pytest.fixture(scope="module")
-def view():
+def view_of(make_field):
+    """The built-in body as a run's surface, over a field made for its canonical vertices."""
     body = builtin_body("male")
     transforms = skin_transforms(BIG_POSE, body.joints, body.joints[0], rest=np.zeros((52, 3)))
     count = len(body.vertices)
@@ -56,7 +59,60 @@ def view():
         layer=np.zeros(count, np.int64),
     )
     subject = CaptureSubject("body", body.vertices, canonical, body.faces, body.skin, body.joints, part, hair)
-    return FieldView(Run(Path("run"), DirectionField(), surface, subject, DEMO, {}))
+    return FieldView(Run(Path("run"), make_field(canonical, body.faces), surface, subject, DEMO, {}))
+
+
+@pytest.fixture(scope="module")
+def view():
+    return view_of(lambda vertices, faces: DirectionField())
+
+
+class NearField(FusedField):
+    """The signed distance to the tangent plane of the nearest vertex, in smooth stripes."""
+
+    def __init__(self, vertices, faces):
+        torch.nn.Module.__init__(self)
+        corners = vertices[faces]
+        normals = np.zeros_like(vertices)
+        np.add.at(normals, faces, np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, None])
+        self.tree, self.at = KDTree(vertices), vertices
+        self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+    def distance(self, points, *, grad=False):
+        points = points.double().numpy()
+        near = self.tree.query(points)[1]
+        return torch.as_tensor(((points - self.at[near]) * self.normals[near]).sum(1)).float()
+
+    def normal(self, points):
+        return torch.as_tensor(self.normals[self.tree.query(points.double().numpy())[1]]).float()
+
+    def color(self, points, directions):
+        return 0.5 + 0.3 * torch.sin(20 * points)
+
+
+def test_volume_rendering_shows_the_surface_and_converges():
+    """Many thin sections of a thin surface show its color where the rays hit it; few are near, in this order."""
+    view = view_of(NearField)
+    pose = np.zeros((52, 3))
+    pose[0], pose[18, 1] = TURN, -1.0
+    camera = orbit_camera((0, 0, 0), 3.2, 0.4, 0.1, SIZE)
+    context = open_context()
+    raster = Rasteriser(context)
+    try:
+        surface = view.draw(raster, pose, np.zeros(3), camera, directions="cone")
+        pictures = [
+            draw_volume(view, raster, pose, np.zeros(3), camera, beta=0.0008, sections=count)
+            for count in (2, 8, 32, 64)
+        ]
+    finally:
+        raster.release()
+        context.release()
+    best = pictures[-1]
+    assert (best.mask & surface.mask).sum() > 0.9 * surface.mask.sum()
+    inside = ndimage.binary_erosion(surface.mask & best.mask, iterations=2)
+    assert np.abs(best.color - surface.color)[inside].mean() < 0.01
+    errors = [np.square(picture.color - best.color).mean() for picture in pictures[:-1]]
+    assert errors[0] > errors[1] > errors[2] and errors[2] < 1e-5
 
 
 @pytest.fixture(scope="module")
