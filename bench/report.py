@@ -75,16 +75,17 @@ def bench(
     ]
     crops = [crop_of(mask) for mask in masks]
     parts = [part_boxes(avatar, *frame.pose, frame.camera) for frame in frames]
-    truths = [f.truth.image() if f.truth is not None else None for f in frames]
+    truths = [f.truth.image() for f in frames if f.truth is not None]
+    others: Pictures = {} if best == baked else {"against_baked": pictures[baked]}
+    others |= {} if capture is None else {"against_truth": truths}
     for row in rows:
         drawn = pictures[row["name"]]
         row |= compared(pictures[best], drawn, crops, masks)
         row["parts"] = part_scores(pictures[best], drawn, parts)
-        if best != baked:
-            row["against_baked"] = compared(pictures[baked], drawn, crops, masks)
-        if capture is not None:
-            row["against_truth"] = compared(truths, drawn, crops, masks)
-    mark_dominated(rows, times)
+        for against, shown in others.items():
+            row[against] = compared(shown, drawn, crops, masks) | {"parts": part_scores(shown, drawn, parts)}
+    for against in (None, *others):
+        mark_dominated(rows, times, against)
     result = {
         "format": "selfscan-bench",
         "machine": facts | {"others_cpu_share": quiet.others},
@@ -97,7 +98,9 @@ def bench(
         "best_baked_rung": baked,
         "rungs": rows,
     }
-    first = PagePictures({name: drawn[0] for name, drawn in pictures.items()}, truths[0], crops[0], parts[0])
+    first = PagePictures(
+        {name: drawn[0] for name, drawn in pictures.items()}, truths[0] if truths else None, crops[0], parts[0]
+    )
     with whole_folder(out) as folder:
         with whole_file(folder / "bench.json", "w") as file:
             json.dump(result, file, indent=1)

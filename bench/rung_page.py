@@ -138,7 +138,7 @@ def label_offsets(points: Float[np.ndarray, "n 2"]) -> list[tuple[float, float]]
 def rung_sheet(result: dict[str, Any], pictures: dict, crops: list, truths: list) -> Image.Image:
     """The first frame of every rung side by side."""
     tiles, titles = [], []
-    if truths[0] is not None:
+    if truths:
         tiles.append([bytes_of(truths[0][crops[0]])])
         titles.append(["truth"])
     for row in result["rungs"]:

@@ -85,23 +85,27 @@ def median_interval(values: Float[np.ndarray, "n"]) -> tuple[float, float]:
 
 
 def mark_dominated(
-    rows: list[dict[str, Any]], times: Sequence[Float[np.ndarray, "rounds"] | None] | None = None
+    rows: list[dict[str, Any]],
+    times: Sequence[Float[np.ndarray, "rounds"] | None] | None = None,
+    against: str | None = None,
 ) -> None:
     """A rung is dominated when another is surely faster and no less exact in any picture.
 
     Surely faster: of `times` (of those measured in alternating rounds) the interval of the ratios lies below 1, or the
-    intervals of the two medians do not overlap. `dominated_by` names the most exact that does.
+    intervals of the two medians do not overlap. `dominated_by` names the most exact that does. `against` names
+    other scores of each row to judge by.
     """
+    scores = [row if against is None else row[against] for row in rows]
     for k, row in enumerate(rows):
         better = [
-            other
+            i
             for i, other in enumerate(rows)
             if i != k
-            and no_less_exact(other, row)
+            and no_less_exact(scores[i], scores[k])
             and surely_faster(other, row, None if times is None else times[i], None if times is None else times[k])
         ]
-        row["dominated"] = bool(better)
-        row["dominated_by"] = min(better, key=lambda other: other["flip"])["name"] if better else None
+        scores[k]["dominated"] = bool(better)
+        scores[k]["dominated_by"] = rows[min(better, key=lambda i: scores[i]["flip"])]["name"] if better else None
 
 
 def no_less_exact(a: dict[str, Any], b: dict[str, Any]) -> bool:

@@ -47,6 +47,7 @@ def frontier_page(result: dict[str, Any], pictures: PagePictures, avatar: Avatar
     facts: dict[str, Any] = {
         "result": {**result, "rungs": [{**row, "draw": drawn_by(draws.get(row["name"]))} for row in result["rungs"]]},
         "picture": picture_facts(pictures),
+        "references": references(result, pictures),
         "enlarged": ENLARGED,
         "player": None,
     }
@@ -87,6 +88,22 @@ def drawn_by(rung: Rung | None) -> dict[str, Any] | None:
     return {"view": rung.view, "level": rung.level, "share": rung.share, "halvings": rung.halvings}
 
 
+def references(result: dict[str, Any], pictures: PagePictures) -> list[dict[str, Any]]:
+    """What rungs are compared with, first what the page begins with: the best that the player draws, since an avatar's
+    textures may be better than its field's; the field; true pictures. `scores`: where a row holds them, or itself."""
+    names = [row["name"] for row in result["rungs"]]
+    best, baked = result["best_rung"], result["best_baked_rung"]
+    found: list[dict[str, Any]] = []
+    if best != baked:
+        found.append(
+            {"key": "baked", "scores": "against_baked", "name": baked, "picture": f"picture{names.index(baked)}"}
+        )
+    found.append({"key": "best", "scores": None, "name": best, "picture": f"picture{names.index(best)}"})
+    if pictures.truth is not None:
+        found.append({"key": "truth", "scores": "against_truth", "name": "true picture", "picture": "truth"})
+    return found
+
+
 def picture_facts(pictures: PagePictures) -> dict[str, Any]:
     """Size of the cropped pictures, and where head and hands are in them: left, top, width, height."""
     rows, columns = pictures.crop
@@ -95,17 +112,25 @@ def picture_facts(pictures: PagePictures) -> dict[str, Any]:
         boxes[name] = [across.start - columns.start, down.start - rows.start,
                        across.stop - across.start, down.stop - down.start]  # fmt: skip
     size = [columns.stop - columns.start, rows.stop - rows.start]
-    return {"size": size, "boxes": boxes, "truth": pictures.truth is not None}
+    return {"size": size, "boxes": boxes}
 
 
 def picture_blobs(result: dict[str, Any], pictures: PagePictures) -> dict[str, bytes]:
-    """The frame in each rung, and how it differs from the best, as WebP: to look at, nothing is measured on them."""
-    best = pictures.by_rung[result["best_rung"]][pictures.crop]
-    blobs = {}
+    """The frame in each rung, and how it differs from what it is compared with, as WebP: to look at, nothing is
+    measured on them."""
+    crop, blobs = pictures.crop, {}
+    compared_with = {
+        "baked": pictures.by_rung[result["best_baked_rung"]],
+        "best": pictures.by_rung[result["best_rung"]],
+    }
+    if pictures.truth is not None:
+        compared_with["truth"] = pictures.truth
     for number, row in enumerate(result["rungs"]):
-        shown = pictures.by_rung[row["name"]][pictures.crop]
+        shown = pictures.by_rung[row["name"]][crop]
         blobs[f"picture{number}"] = webp(shown)
-        blobs[f"difference{number}"] = webp(ENLARGED * np.abs(shown - best))
+        for reference in references(result, pictures):
+            other = compared_with[reference["key"]][crop]
+            blobs[f"difference-{reference['key']}-{number}"] = webp(ENLARGED * np.abs(shown - other))
     if pictures.truth is not None:
         blobs["truth"] = webp(pictures.truth[pictures.crop])
     return blobs

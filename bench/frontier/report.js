@@ -20,22 +20,33 @@ function marked(rows) {
 class Report {
   constructor(facts) {
     this.facts = facts;
-    const { result } = facts, words = new URLSearchParams(location.hash.slice(1));
-    this.all = result.rungs.map((row, k) => ({
-      ...row, number: k, ms: row.ms_median, low: row.ms_interval[0], high: row.ms_interval[1], flip: row.flip || 0,
-    }));
-    this.best = this.all.find((row) => row.name === result.best_rung);
+    const words = new URLSearchParams(location.hash.slice(1));
+    this.reference = facts.references.find(({ key }) => key === words.get("with")) || facts.references[0];
+    this.refer();
     // by name: {ms, low, high} on this device
     this.here = new Map();
     this.times = "there";
     this.part = words.get("part") in PARTS ? words.get("part") : "whole";
     this.chart = new Chart(find("chart"), (row) => this.setBudget(row.ms, row), (row, event) => this.tooltip(row, event));
+    this.chart.reference = this.reference.name;
     this.images = new Map();
     this.controls();
     // whether the reader chose the budget
     this.asked = Number(words.get("budget")) > 0;
     this.choices(Number(words.get("budget")) || null);
     this.table();
+  }
+
+  // Rows with their scores against what they are compared with. Beside the best that the player draws stand only those
+  // that it can draw.
+  refer() {
+    const { key, scores, name } = this.reference;
+    this.all = this.facts.result.rungs.map((row, k) => ({ ...row, ...(scores ? row[scores] : {}), number: k })).map((row) => ({
+      ...row, ms: row.ms_median, low: row.ms_interval[0], high: row.ms_interval[1], flip: row.flip || 0,
+    })).filter((row) => key !== "baked" || row.draw);
+    // none where it is a true picture
+    this.best = this.all.find((row) => row.name === name) || null;
+    this.chart && (this.chart.reference = name);
   }
 
   // Rows as timed by the bench machine or here, with where the other had them.
@@ -56,8 +67,9 @@ class Report {
 
   // In the middle of the frontier.
   usual(rows) {
-    const front = rows.filter((row) => !row.dominated && row.draw).sort((a, b) => a.ms - b.ms);
-    return front[Math.floor(front.length / 2)].ms * 1.02;
+    const drawn = rows.filter((row) => row.draw), front = drawn.filter((row) => !row.dominated);
+    const chosen = (front.length ? front : drawn.length ? drawn : rows).sort((a, b) => a.ms - b.ms);
+    return chosen[Math.floor(chosen.length / 2)].ms * 1.02;
   }
 
   setBudget(budget, asked = null) {
@@ -76,7 +88,7 @@ class Report {
 
   // What the budget buys, in a sentence or two.
   answer(fits) {
-    const { row, budget, best } = this, rows = this.chart.rows, own = rows.find((other) => other.name === best.name);
+    const { row, budget, reference } = this, rows = this.chart.rows, own = rows.find((other) => other.name === reference.name);
     const where = this.times === "here" ? "on your device" : "on the machine of the bench";
     if (document.activeElement !== find("spent")) find("spent").value = milliseconds(budget).replace(",", "");
     find("rate").textContent = `${Math.round(1000 / budget).toLocaleString("en")} frames a second`;
@@ -84,15 +96,15 @@ class Report {
     if (!fits) parts.push(`Nothing is that fast ${where}. The fastest is `);
     else parts.push("You get ");
     parts.push(["strong", row.name], ` (${milliseconds(row.ms)} ms ${where}). `);
-    if (row.name === best.name) parts.push("It is the best rung: what the others are measured by. ");
+    if (row.name === reference.name) parts.push("It is what the others are compared with. ");
     else {
-      const word = WORDS.find(([most]) => row.flip <= most)[1], ms = own ? own.ms : best.ms_median;
+      const word = WORDS.find(([most]) => row.flip <= most)[1], ms = own || this.best;
       const regions = Object.entries(row.parts || {}).map(([name, { flip }]) => `${name} ${flip.toFixed(3)}`).join(", ");
-      parts.push("You lose ", ["strong", `FLIP ${row.flip.toFixed(3)}`], ` beside ${best.name} (${milliseconds(ms)} ms)`,
+      parts.push("You lose ", ["strong", `FLIP ${row.flip.toFixed(3)}`], ` beside ${reference.name}${ms ? ` (${milliseconds(ms.ms)} ms)` : ""}`,
         regions ? `; ${regions}` : "", `: ${word}. `);
     }
-    if (row.against_truth && best.against_truth)
-      parts.push(`From a true picture it is FLIP ${row.against_truth.flip.toFixed(3)} away, the best rung ${best.against_truth.flip.toFixed(3)}. `);
+    if (reference.key !== "truth" && row.against_truth && this.best)
+      parts.push(`From true pictures it is FLIP ${row.against_truth.flip.toFixed(3)} away, ${reference.name} ${this.best.against_truth.flip.toFixed(3)}. `);
     const next = rows.filter((other) => other.flip < row.flip && !other.dominated && other.ms > row.ms).sort((a, b) => a.ms - b.ms)[0];
     if (next) parts.push(`The next better one, ${next.name}, costs ${milliseconds(next.ms - row.ms)} ms more.`);
     find("answer").replaceChildren(...parts.map((part) => {
@@ -110,11 +122,10 @@ class Report {
   }
 
   compare() {
-    const { row, best, facts } = this;
-    const shown = { best: `picture${best.number}`, rung: `picture${row.number}`, difference: `difference${row.number}` };
-    if (facts.picture.truth) shown.truth = "truth";
+    const { row, reference } = this;
+    const shown = { best: reference.picture, rung: `picture${row.number}`, difference: `difference-${reference.key}-${row.number}` };
     for (const [place, name] of Object.entries(shown)) find(place).src = this.source(name);
-    find("best-name").textContent = `best: ${best.name}`;
+    find("best-name").textContent = `compared with: ${reference.name}`;
     find("rung-name").textContent = row.name;
     this.zoom();
   }
@@ -130,6 +141,8 @@ class Report {
       image.style.transform = `scale(${scale}) translate(${(-100 * x) / width}%, ${(-100 * y) / height}%)`;
       image.classList.toggle("near", Boolean(named));
     }
+    for (const button of find("references").children)
+      button.setAttribute("aria-pressed", String(button.dataset.key === this.reference.key));
     for (const button of find("parts").children) button.setAttribute("aria-pressed", String(button.dataset.part === this.part));
   }
 
@@ -141,7 +154,7 @@ class Report {
     tip.style.left = `${limited(event.clientX - box.left + 14, 0, box.width - 240)}px`;
     tip.style.top = `${event.clientY - box.top + 16}px`;
     const lines = [row.name, `${milliseconds(row.ms)} ms (${milliseconds(row.low)} to ${milliseconds(row.high)})`,
-      row.name === this.best.name ? "the best rung" : `FLIP ${row.flip.toFixed(4)}, PSNR ${row.psnr_db ? row.psnr_db.toFixed(1) : "-"} dB`];
+      row.name === this.reference.name ? "what the others are compared with" : `FLIP ${row.flip.toFixed(4)}, PSNR ${row.psnr_db ? row.psnr_db.toFixed(1) : "-"} dB`];
     if (row.flicker) lines.push(`flicker ${row.flicker.toFixed(2)} of 255`);
     lines.push(`${(row.bytes / 1e6).toFixed(0)} MB of graphics memory`);
     if (row.ghost) lines.push(`${milliseconds(row.ghost)} ms on the machine of the bench`);
@@ -166,11 +179,24 @@ class Report {
       button.addEventListener("click", () => { this.part = part; this.zoom(); this.remember(); });
       return button;
     }));
-    const { size: [width, height], truth } = this.facts.picture;
+    find("references").hidden = this.facts.references.length < 2;
+    find("references").append(...this.facts.references.map((reference) => {
+      const button = Object.assign(document.createElement("button"), { textContent: `compared with ${reference.name}` });
+      button.dataset.key = reference.key;
+      button.addEventListener("click", () => this.compareWith(reference));
+      return button;
+    }));
+    const { size: [width, height] } = this.facts.picture;
     for (const box of document.querySelectorAll(".picture")) box.style.aspectRatio = `${width} / ${height}`;
-    find("truth-figure").hidden = !truth;
     find("difference-name").textContent = `difference, ${this.facts.enlarged} times enlarged`;
     for (const name of ["there", "here"]) find(name).addEventListener("click", () => this.show(name));
+  }
+
+  compareWith(reference) {
+    this.reference = reference;
+    this.refer();
+    this.show(this.times);
+    this.remember();
   }
 
   has(part) {
@@ -213,7 +239,7 @@ class Report {
   remember() {
     clearTimeout(this.writing);
     this.writing = setTimeout(() => {
-      const words = new URLSearchParams({ budget: this.budget.toPrecision(3), part: this.part });
+      const words = new URLSearchParams({ budget: this.budget.toPrecision(3), part: this.part, with: this.reference.key });
       try {
         history.replaceState(null, "", `#${words}`);
       } catch {
@@ -268,7 +294,7 @@ class Player {
 
   // Time every baked rung on this device, a slice between frames at a time, in alternating rounds.
   async measure(rounds = 5) {
-    const { report, drawing, facts, motion } = this, rows = report.all.filter((row) => row.draw), times = new Map();
+    const { report, drawing, facts, motion } = this, rows = report.facts.result.rungs.filter((row) => row.draw), times = new Map();
     const [width, height] = report.facts.result.size, pause = () => new Promise((done) => setTimeout(done, 20));
     const poses = [0.2, 0.4, 0.6, 0.8].map((share) => poseAt(motion, Math.floor(share * (motion.frames - 1))));
     let done = 0;
