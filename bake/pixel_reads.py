@@ -87,6 +87,7 @@ class PixelReads(NamedTuple):
     # the same whatever the angle, as long as it is not grazing
     visible: Float[Array, "pixels"]
     place: "Place"  # what lies at each pixel's first sample
+    index: Integer[Array, "pixels"]  # of each pixel in its frame, row after row
 
 
 class Place(NamedTuple):
@@ -308,7 +309,10 @@ def frame_reads(
     color = image[rows[used], columns[used]].astype(np.float32) / 255
     if lit is not None:
         color = as_base_color(color, lit, place).astype(np.float32)
-    return PixelReads(reads, color, counts[used].astype(np.float32), visible[used].astype(np.float32), place)
+    return PixelReads(
+        reads, color, counts[used].astype(np.float32), visible[used].astype(np.float32), place,
+        rows[used] * width + columns[used],
+    )  # fmt: skip
 
 
 def bilinear_reads(uv: Float[Array, "pixels samples 2"], mesh: AtlasMesh) -> csr_matrix:

@@ -29,6 +29,8 @@ class RunVideos:
     head_from_canonical: Float[Array, "4 4"]
     # of each video, by part; empty: what is seen holds the light
     lights: dict[str, CaptureLight]
+    # poses were estimated, not made: frames may show things beside their places
+    estimated: bool = False
 
     def video(self, part: str) -> PartVideo:
         """One video, in the poses that training ended with; one at a time, for they are large."""
@@ -64,8 +66,9 @@ def run_videos(run: Any, given: Path | None) -> RunVideos:
     # older runs say nothing of their capture: what is given is theirs when it says the same of itself
     own = same or (digest is None and facts.get("capture") == read_capture(folder, parts=()).facts)
     videos = RunVideos(
-        folder, path if own else None, matrix_of(path, facts, "head_from_canonical"), dict(getattr(run, "lights", {}))
-    )
+        folder, path if own else None, matrix_of(path, facts, "head_from_canonical"), dict(getattr(run, "lights", {})),
+        estimated=read_capture(folder, parts=()).facts.get("pose_noise_deg") != 0,
+    )  # fmt: skip
     if not own:
         _check_head(videos, path)
     return videos

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer
 from scipy.sparse import csr_matrix
 
 from avatar.camera import Camera
@@ -18,6 +18,7 @@ from avatar.gltf.avatar_file import Level
 from avatar.skeleton import PARTS
 from avatar.texture import mip_levels, sample_texture
 from bake.fill import Surface, filled_colors
+from bake.frame_alignment import ShownVideo, align_frames
 from bake.level import BakedLevel, rounded, seam_facts, surface_at
 from bake.pixel_reads import AtlasMesh, atlas_mesh, part_of_corners, pixel_size, samples_for, video_reads
 from bake.run_capture import RunVideos
@@ -95,6 +96,7 @@ def solve_texture(
     frames = np.zeros(len(given))
     pixel = np.full(len(PARTS), np.inf)
     equations: list[Equations] = []
+    shown: list[ShownVideo] = []
     facts: dict[str, Any] = {}
     context = open_context()
     try:
@@ -110,6 +112,7 @@ def solve_texture(
             reads = video_reads(mesh, video, videos.head_from_canonical, rasteriser, samples, light, change)
             found = equations_of(reads, given)
             equations.append(found.equations)
+            shown.append(ShownVideo(found.frames, video.cameras[0].size, pixel[index]))
             frames += np.square(pixel[index] / texel) * found.told
             facts[name] = {
                 "pixel_mm": rounded(seen_size * 1e3),
@@ -127,7 +130,14 @@ def solve_texture(
     share = texel / pixel[part]
     stay = STAY * share**STAY_POWER
     smooth = SMOOTH if change is None else SMOOTH_SHINY
-    solution = solve_change([*equations, seams], Prior(stay, smooth * stay), neighbour_pairs(mesh.texels))
+    prior, pairs = Prior(stay, smooth * stay), neighbour_pairs(mesh.texels)
+    solution = solve_change([*equations, seams], prior, pairs)
+    if videos.estimated:
+        for name, own, video in zip(PARTS, equations, shown, strict=True):
+            facts[name]["moved_mm"] = rounded(align_frames(own, video, given, solution) * 1e3)
+        moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
+        report(f"frames moved onto the texture they agree on, mm: {moved}")
+        solution = solve_change([*equations, seams], prior, pairs)
     solved = np.clip(given + solution, 0, 1)
     for name, own in zip(PARTS, equations, strict=True):
         left = own.wanted - own.matrix @ (solved - given)
@@ -147,6 +157,7 @@ class VideoEquations(NamedTuple):
     """What one video says of the atlas."""
 
     equations: Equations
+    frames: list[Integer[Array, "pixels"]]  # each frame's pixels, in the order of the rows
     # sum over visible pixels of the share of the texel in the pixel
     told: Float[Array, "texels"]
     rms: float  # of what pixels show beside the given atlas, weighted
@@ -154,7 +165,7 @@ class VideoEquations(NamedTuple):
 
 def equations_of(reads: Any, given: Float[Array, "texels 3"]) -> VideoEquations:
     """The equations of a video's frames, one matrix, weights multiplied in."""
-    data, indices, lengths, wanted = [], [], [], []
+    data, indices, lengths, wanted, frames = [], [], [], [], []
     told = np.zeros(len(given))
     for own in reads:
         matrix, root = own.reads, np.sqrt(own.weight)
@@ -164,13 +175,14 @@ def equations_of(reads: Any, given: Float[Array, "texels 3"]) -> VideoEquations:
         data.append(matrix.data * np.repeat(root, each))
         indices.append(matrix.indices)
         lengths.append(each)
+        frames.append(own.index.astype(np.int32))
     pointers = np.r_[0, np.cumsum(_joined(lengths), dtype=np.int64)]
     if pointers[-1] < 2**31:
         pointers = pointers.astype(np.int32)
     shape = (len(pointers) - 1, len(given))
     matrix = csr_matrix((_joined(data), _joined(indices), pointers), shape)
     equations = Equations(matrix, _joined(wanted))
-    return VideoEquations(equations, told, _rms(equations.wanted, matrix))
+    return VideoEquations(equations, frames, told, _rms(equations.wanted, matrix))
 
 
 def _joined(pieces: list[Array]) -> Array:

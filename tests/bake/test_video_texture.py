@@ -102,7 +102,7 @@ def videos(context, painted):
             np.tile(pose, (8, 1, 1)) if posed else None, np.zeros((8, 3)) if posed else None, None, None,
         )  # fmt: skip
     renderer.release()
-    return Filmed(Path(), None, head_from_canonical, {}, found)
+    return Filmed(Path(), None, head_from_canonical, {}, False, found)
 
 
 def test_a_painted_texture_comes_back_from_its_pictures(painted, videos):
