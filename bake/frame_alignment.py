@@ -20,14 +20,16 @@ WINDOW, FARTHEST = 0.025, 0.02
 # of the window's own pixels, that a shift of none counts as much as: where there is no print nothing is moved
 STAY = 1e-4
 # blur of both pictures in turn, pixels, and steps at each
-BLURS, STEPS = (3.0, 1.5, 0.75), 3
+BLURS, STEPS = (3.0, 1.0), 2
+# of a window's tails, in standard deviations
+TAIL = 2.5
 
 
 class ShownVideo(NamedTuple):
     """Where the rows of a video's equations come from."""
 
     frames: list[Integer[Array, "pixels"]]  # of each frame, the pixels whose rows follow each other
-    size: tuple[int, int]  # width, height
+    width: int  # of its pictures, pixels
     pixel: float  # metres on the person
 
 
@@ -36,7 +38,7 @@ def align_frames(
 ) -> float:
     """Move what the pixels show, in place, onto the atlas `given + change` as each frame sees it; the shifts' mean
     length, metres."""
-    width, height = video.size
+    width = video.width
     root = np.asarray(equations.matrix.sum(1)).ravel()
     start, total, count = 0, 0.0, 0
     for pixels in video.frames:
@@ -46,14 +48,17 @@ def align_frames(
             continue
         matrix, weight = equations.matrix[rows], root[rows, None]
         before = (matrix @ given) / weight
-        known = np.zeros((height, width), bool)
-        known.reshape(-1)[pixels] = True
-        drawn, frame = np.zeros((2, height, width, 3))
-        drawn[known] = before + (matrix @ change) / weight
-        frame[known] = before + equations.wanted[rows] / weight
+        # the part of the picture that holds them
+        row, column = np.divmod(pixels, width)
+        row, column = row - row.min(), column - column.min()
+        known = np.zeros((row.max() + 1, column.max() + 1), bool)
+        known[row, column] = True
+        drawn, frame = np.zeros((2, *known.shape, 3))
+        drawn[row, column] = before + (matrix @ change) / weight
+        frame[row, column] = before + equations.wanted[rows] / weight
         shift = frame_shift(drawn, frame, known, video.pixel)
         moved, whole = moved_colors(frame, known, shift)
-        colors = np.where(whole[..., None], moved, frame)[known]
+        colors = np.where(whole[..., None], moved, frame)[row, column]
         equations.wanted[rows] = (colors - before) * weight
         total += float(np.linalg.norm(shift[known], axis=1).sum())
         count += len(pixels)
@@ -84,7 +89,7 @@ def frame_shift(
             left = theirs - there[..., :3]
             gy, gx, weight = there[..., 3:6], there[..., 6:9], there[..., 9] * sure
             sums = [(a * b).sum(-1) * weight for a, b in ((gy, gy), (gy, gx), (gx, gx), (gy, left), (gx, left))]
-            yy, yx, xx, yl, xl = (gaussian_filter(one, window) for one in sums)
+            yy, yx, xx, yl, xl = (gaussian_filter(one, window, truncate=TAIL) for one in sums)
             yy, xx = yy + STAY, xx + STAY
             determinant = yy * xx - yx * yx
             shift += np.stack([(xx * yl - yx * xl) / determinant, (yy * xl - yx * yl) / determinant], -1)

@@ -112,7 +112,7 @@ def solve_texture(
             reads = video_reads(mesh, video, videos.head_from_canonical, rasteriser, samples, light, change)
             found = equations_of(reads, given)
             equations.append(found.equations)
-            shown.append(ShownVideo(found.frames, video.cameras[0].size, pixel[index]))
+            shown.append(ShownVideo(found.frames, video.cameras[0].size[0], pixel[index]))
             frames += np.square(pixel[index] / texel) * found.told
             facts[name] = {
                 "pixel_mm": rounded(seen_size * 1e3),

@@ -76,7 +76,7 @@ def test_equations_are_moved_onto_the_atlas_frame_by_frame():
     wanted = np.concatenate([frame[known] - 0.5 for frame in frames]) * weight[:, None]
     equations = Equations(matrix, wanted.astype(np.float32))
     before = wanted.copy()
-    moved = align_frames(equations, ShownVideo([pixels, pixels, pixels[:0]], (SIZE, SIZE), PIXEL), given, true - given)
+    moved = align_frames(equations, ShownVideo([pixels, pixels, pixels[:0]], SIZE, PIXEL), given, true - given)
     assert moved == pytest.approx(0.5 * 2 * PIXEL, rel=0.1)  # half of the frames, by two pixels
     right = matrix @ (true - given)
     first = slice(0, len(pixels))
