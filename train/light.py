@@ -142,7 +142,7 @@ def seen_lights_from_json(place: str, content: Any) -> list[SeenLight]:
         try:
             shading, highlight = (np.array(one[key], np.float64) for key in ("shading", "highlight"))
             gamma = float(one["gamma"])
-        except (KeyError, TypeError, ValueError):
+        except (KeyError, TypeError, ValueError, OverflowError):
             raise AssetError(f"{place}: {part} should hold shading, highlight and gamma, is {one!r:.80}") from None
         fits = shading.shape == highlight.shape == (HARMONICS,)
         if not fits or not np.isfinite(np.r_[shading, highlight, gamma]).all() or not 1 <= gamma <= 4:

@@ -5,6 +5,7 @@ import pytest
 import torch
 from painted_capture import write_capture
 
+from avatar.errors import AssetError
 from avatar.light import CaptureLight, lamps_of
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import PARTS
@@ -137,6 +138,23 @@ def test_an_even_light_is_seen_as_one_everywhere(capture):
     for seen in seen_tensors(seen_lights_from_json("x", facts["light_seen"])):
         albedo = torch.rand(20, 3, generator=torch.Generator().manual_seed(1))
         torch.testing.assert_close(seen.shown(albedo, torch.as_tensor(unit(7, 20)).float()), albedo, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"gamma": 10**400}, "head should hold shading, highlight and gamma"),
+        ({"shading": [10**400] * 25}, "head should hold shading, highlight and gamma"),
+        ({"shading": [1.0] * 24}, "head should hold 25 finite numbers each and a gamma from 1 to 4"),
+        ({"highlight": [float("nan")] * 25}, "head should hold 25 finite numbers each"),
+        ({"gamma": 0.5}, "head should hold 25 finite numbers each and a gamma from 1 to 4"),
+    ],
+)
+def test_seen_lights_that_are_none_are_refused(change, message):
+    whole = {"shading": [1.0] * 25, "highlight": [0.0] * 25, "gamma": 1.0}
+    content = {part: whole | (change if part == "head" else {}) for part in PARTS}
+    with pytest.raises(AssetError, match=f"run.json: {message}"):
+        seen_lights_from_json("run.json", content)
 
 
 def test_the_world_light_is_the_cameras_turned_by_the_camera(capture):
