@@ -102,6 +102,13 @@ class Effect(Protocol):
         ...
 
 
+@runtime_checkable
+class Prepares(Protocol):
+    """An effect that others have to know of before any is asked for its passes."""
+
+    def prepare(self, draft: "Draft") -> None: ...
+
+
 @dataclass(frozen=True)
 class Absent:
     """A pass that is not in the plan, and why; `state` of one whose work is done before anything is drawn."""
@@ -181,6 +188,8 @@ class Draft:
         self.margin = MARGIN
         # what is behind the avatars, as the scene says it
         self.behind: Effect | None = None
+        # share of the light that is lost where the sky is hidden; None: nothing is darkened
+        self.contact: float | None = None
         # what lights an avatar anew, world, None: its colors are shown as they are; None: nothing lights any
         self.light_of: Callable[[Avatar], CaptureLight | None] | None = None
         # of what is lit anew: what its display values are multiplied by at last, and why
@@ -214,6 +223,10 @@ class Draft:
         """What every pass on the avatars' layer writes and reads."""
         image = self.layer.image or self.image
         return (*(() if image is None else image.handles), self.frame)
+
+    def lights(self, avatar: int) -> bool:
+        """Whether an avatar is lit anew."""
+        return self.light_of is not None and self.light_of(self.avatars[avatar]) is not None
 
     def widen(self, pixels: int) -> None:
         """An effect draws so far round an avatar's surface."""

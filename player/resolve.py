@@ -6,7 +6,7 @@ from typing import Any
 from avatar.baked_avatar import Avatar
 from player.passes.avatar import Avatars
 from player.passes.background import Background
-from player.plan import Absent, Canvas, Draft, Effect, Pass, Plan, Stage, close_all
+from player.plan import Absent, Canvas, Draft, Effect, Pass, Plan, Prepares, Stage, close_all
 from player.scenes.effects import Effects
 
 
@@ -33,6 +33,8 @@ def resolve(
         (Stage.AVATARS, Avatars(effects.view)),
     ]
     for fact, stage, effect in effects.effects():
+        if isinstance(effect, Prepares):
+            effect.prepare(draft)
         wanted.append((stage, Absent(fact.name.replace("_", " ")) if effect is None else effect))
     wanted.sort(key=lambda one: one[0])
     stages: list[tuple[Stage, Sequence[Pass]]] = []

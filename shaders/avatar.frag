@@ -14,6 +14,10 @@ in vec3 lit_position;
 in vec2 lit_seen;
 #endif
 
+#if CONTACT != 0
+in float openness;
+#endif
+
 uniform sampler2D base_color;
 
 in vec2 surface_uv;
@@ -34,6 +38,9 @@ void main() {
 #endif
 #if LIT != 0
     base = lit(base, lit_seen, normalize(lit_normal), normalize(-lit_position));
+#endif
+#if CONTACT != 0
+    base *= openness;
 #endif
     color = vec4(base, 1.0);
 }

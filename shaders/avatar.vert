@@ -2,6 +2,7 @@
 // A posed avatar. SKINNING: 0 linear blend, 1 dual quaternions.
 // VIEW_STAGE: 0 paper mode, 1 view dependence per vertex, 2 per pixel.
 // LIT: 0 the light of the videos is in the colours, 1 the surface is lit anew (light.glsl), 2 in a power of them.
+// CONTACT: 1 limbs that come near darken the surface (contact.glsl).
 // VIEW_MODEL and VIEW_FEATURES: see view_model.glsl (asked only when VIEW_STAGE is not 0).
 #include "frame.glsl"
 #if SKINNING == 0
@@ -26,6 +27,20 @@ in vec2 seen_light;  // S and H that the base colour shows
 out vec3 lit_normal;    // view
 out vec3 lit_position;  // view, metres
 out vec2 lit_seen;
+#endif
+
+#if CONTACT != 0
+#include "contact.glsl"
+
+#if LIT == 0
+in vec3 normal;    // canonical, unit
+#endif
+in uint spared;    // bits of the capsules that do not darken it
+in float rest;     // openness in the pose it rests in
+
+uniform float darkening;
+
+out float openness;
 #endif
 
 #if VIEW_STAGE != 0
@@ -57,6 +72,12 @@ void main() {
     vec3 position_view = skinned(position, joints, weights);
     gl_Position = clip_from_view * vec4(position_view, 1.0);
     surface_uv = uv;
+#if CONTACT != 0
+    vec3 normal_view = skinned(position + normal, joints, weights) - position_view;
+    normal_view *= inversesqrt(max(dot(normal_view, normal_view), 1e-12));
+    float open = open_sky(position_view, normal_view, spared, 1.0) / max(rest, 1e-3);
+    openness = 1.0 - darkening * (1.0 - clamp(open, 0.0, 1.0));
+#endif
 #if LIT != 0
     // R(q) n: turned_back by the conjugate
     vec4 turn = blended_turn(joints, weights);

@@ -61,7 +61,7 @@ def _setting(ui: Widgets, setting: Setting, value: Any, name: str) -> Any | None
         numbers = ui.numbers(label, value, tip, name=name)
         return None if numbers is None else tuple(numbers)
     assert setting.type in (int, float), f"no widget for {name}"
-    number = ui.number(label, value, tip, name=name)
+    number = ui.number(label, float(value), tip, name=name)
     return None if number is None else setting.type(number)
 
 

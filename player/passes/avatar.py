@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import moderngl
 
 from player.drawing import Drawing, Layer, Warming
-from player.passes.light import Lit, light_note, lit
+from player.passes.shaded import Shaded, shaded
 from player.passes.view import ViewPass, view_pass
 from player.plan import Decision, Draft, Pass, Stage, State
 from player.posed_mesh import PosedMesh, posed_mesh
@@ -44,13 +44,11 @@ class PaperPass:
     uses: tuple[Handle[Any], ...]
     mesh: PosedMesh
     layer: Layer
-    array: Handle[moderngl.VertexArray]
+    shading: Shaded
     base_color: Handle[moderngl.Texture]
     # draws the avatar instead, where it can show
     view: ViewPass | None
     running: Decision
-    # the program that lights it anew, and by what
-    lighting: tuple[Handle[moderngl.Program], Lit] | None = None
 
     def decide(self, drawing: Drawing) -> Decision:
         if not drawing.visible[self.mesh.avatar]:
@@ -63,32 +61,25 @@ class PaperPass:
         drawing.enter(self.layer)
         self.mesh.pose(drawing)
         drawing.resources[self.base_color].use(0)
-        if self.lighting is not None:
-            program, light = self.lighting
-            light.apply(drawing.resources[program], drawing.inputs.camera)
-        drawing.resources[self.array].render()
+        variant = self.shading.variant(drawing)
+        variant.apply(drawing)
+        drawing.resources[variant.array].render()
 
     def warm(self, warming: Warming) -> None:
         if warming.enter(self.layer):
             self.mesh.warm(warming.resources)
             warming.resources[self.base_color].use(0)
-            warming.resources[self.array].render(vertices=3)
+            self.shading.warm(warming.resources)
 
 
 def paper_pass(draft: Draft, avatar: int, base_color: Handle[moderngl.Texture], view: Pass) -> PaperPass:
-    light = lit(draft, avatar)
-    mesh = posed_mesh(draft, avatar, directions=light is not None)
-    program = draft.program("avatar.vert", "avatar.frag", samplers=("base_color",), SKINNING=int(draft.dual),
-                            VIEW_STAGE=0, LIT=0 if light is None else light.variant)  # fmt: skip
-    array = mesh.array(draft, program, *(() if light is None else (light.buffer,)))
-    lighting = None if light is None else (program, light)
+    mesh = posed_mesh(draft, avatar, directions=draft.lights(avatar))
+    shading = shaded(draft, avatar, mesh, samplers=("base_color",), VIEW_STAGE=0)
     what = f"{draft.avatars[avatar].name}, {len(draft.levels[avatar].faces)} triangles"
     return PaperPass(
-        f"{draft.tag(avatar)}: paper",
-        (*draft.drawn_on, *mesh.handles, base_color, array, *(() if light is None else (light.vertices, program))),
-        mesh, draft.layer, array, base_color, view if isinstance(view, ViewPass) else None,
-        Decision(State.RUNS, what + draft.dual * ", dual quaternions" + light_note(draft, avatar, light)),
-        lighting,
+        f"{draft.tag(avatar)}: paper", (*draft.drawn_on, *mesh.handles, base_color, *shading.handles),
+        mesh, draft.layer, shading, base_color, view if isinstance(view, ViewPass) else None,
+        Decision(State.RUNS, what + draft.dual * ", dual quaternions" + shading.note),
     )  # fmt: skip
 
 

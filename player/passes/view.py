@@ -10,7 +10,7 @@ from avatar.baked_avatar import Avatar
 from player.constants import avatar_constants
 from player.drawing import Drawing, Layer, Warming
 from player.mesh import VIEW_VERTEX, view_interleaved
-from player.passes.light import Lit, light_note, lit
+from player.passes.shaded import Shaded, shaded
 from player.plan import Absent, Decision, Draft, State
 from player.posed_mesh import PosedMesh, posed_mesh, vertex_order
 from player.resources import Handle, PlanResources
@@ -35,12 +35,10 @@ class ViewPass:
     mode: str
     mesh: PosedMesh
     layer: Layer
-    array: Handle[moderngl.VertexArray]
+    shading: Shaded
     # by unit: base color, features, more features
     textures: tuple[Handle[moderngl.Texture], ...]
     running: Decision
-    # the program that lights it anew, and by what
-    lighting: tuple[Handle[moderngl.Program], Lit] | None = None
 
     def decide(self, drawing: Drawing) -> Decision:
         if not drawing.visible[self.mesh.avatar]:
@@ -51,16 +49,15 @@ class ViewPass:
         drawing.enter(self.layer)
         self.mesh.pose(drawing)
         self._bind(drawing.resources)
-        if self.lighting is not None:
-            program, light = self.lighting
-            light.apply(drawing.resources[program], drawing.inputs.camera)
-        drawing.resources[self.array].render()
+        variant = self.shading.variant(drawing)
+        variant.apply(drawing)
+        drawing.resources[variant.array].render()
 
     def warm(self, warming: Warming) -> None:
         if warming.enter(self.layer):
             self.mesh.warm(warming.resources)
             self._bind(warming.resources)
-            warming.resources[self.array].render(vertices=3)
+            self.shading.warm(warming.resources)
 
     def _bind(self, resources: PlanResources) -> None:
         for unit, texture in enumerate(self.textures):
@@ -87,19 +84,16 @@ def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.
         f"{tag} view vertices", VIEW_VERTEX.itemsize * len(mesh.positions), avatar, draft.level,
         content=lambda made: view_interleaved(mesh)[vertex_order(made, mesh)[0]].tobytes(),
     )  # fmt: skip
-    features, light = _feature_textures(draft, avatar), lit(draft, avatar)
-    program = draft.program(
-        "avatar.vert", "avatar.frag", samplers=SAMPLERS, avatar=avatar, constants=lambda: avatar_constants(who),
-        SKINNING=int(draft.dual), VIEW_STAGE=STAGE[mode], VIEW_MODEL=int(network), VIEW_FEATURES=mesh.features.shape[2],
-        LIT=0 if light is None else light.variant,
+    features = _feature_textures(draft, avatar)
+    shading = shaded(
+        draft, avatar, posed, (vertices, *ATTRIBUTES), samplers=SAMPLERS, avatar=avatar,
+        constants=lambda: avatar_constants(who), VIEW_STAGE=STAGE[mode], VIEW_MODEL=int(network),
+        VIEW_FEATURES=mesh.features.shape[2],
     )  # fmt: skip
     textures = (base_color, *features)
-    array = posed.array(draft, program, (vertices, *ATTRIBUTES), *(() if light is None else (light.buffer,)))
-    more = () if light is None else (light.vertices, program)
     return ViewPass(
-        f"{tag}: view {mode}", (*draft.drawn_on, *posed.handles, vertices, *textures, array, *more), mode, posed,
-        draft.layer, array, textures, Decision(State.RUNS, why + light_note(draft, avatar, light)),
-        None if light is None else (program, light),
+        f"{tag}: view {mode}", (*draft.drawn_on, *posed.handles, vertices, *textures, *shading.handles), mode, posed,
+        draft.layer, shading, textures, Decision(State.RUNS, why + shading.note),
     )  # fmt: skip
 
 

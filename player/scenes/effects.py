@@ -13,6 +13,7 @@ from typing import Annotated, NamedTuple
 from avatar.settings import OneOf, Setting, check, rule_of, settings_of
 from player.passes.antialiasing import BestAntialiasing
 from player.passes.background import Background
+from player.passes.contact import Contact
 from player.passes.depth_of_field import DepthOfField
 from player.passes.foot_lock import FootLock
 from player.passes.fxaa import Fxaa
@@ -60,6 +61,7 @@ class Effects:
         Light | None, "avatars lit anew, not in the colors they were filmed in: by the capture's light, none, or lamps"
     ] = None
     ground: Annotated[Ground | None, "a floor to stand on, and the shadow on it"] = None
+    contact: Annotated[Contact | None, "dark where feet touch the ground and limbs come near the body"] = None
     foot_lock: Annotated[FootLock | None, "feet of motions that slide are held where they stand"] = None
     grid: Annotated[Grid | None, "lines on the ground, every metre, and the world's axes"] = None
     outline: Annotated[Outline | None, "a line round each avatar, and where its limbs pass before it"] = None
