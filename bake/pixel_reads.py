@@ -98,7 +98,17 @@ class Place(NamedTuple):
 
     def of(self, values: Float[Array, "corners channels"]) -> Float[Array, "points channels"]:
         """Values of the mesh's corners at these points."""
-        return (self.weight[..., None] * values[self.corners]).sum(1)
+        return blended(values, self.corners, self.weight)
+
+
+def blended(
+    values: Float[Array, "vertices channels"], corners: Integer[Array, "*n 3"], weight: Float[Array, "*n 3"]
+) -> Float[Array, "*n channels"]:
+    """Barycentric interpolation. Term by term: a sum over an axis of three takes several times as long."""
+    result = weight[..., 0, None] * values[corners[..., 0]]
+    for i in (1, 2):
+        result += weight[..., i, None] * values[corners[..., i]]
+    return result
 
 
 class PosedFrame(NamedTuple):
@@ -292,19 +302,17 @@ def frame_reads(
     weight = drawn.barycentric.reshape(-1, 3)[place]
     corners = mesh.faces[face]
     values = np.stack([frame.cosine, importance], 1).astype(np.float32)
-    cosine, important = (weight[..., None] * values[corners]).sum(2).mean(1).T
+    cosine, important = blended(values, corners, weight).mean(1).T
     visible = important * (cosine > GRAZING) * np.where(_near_rim(frame, drawn, hit, sure)[whole], RIM, 1.0)
     counts = visible * cosine**power
     if lit is not None:
         # nobody knows how bright a burnt pixel was, nor the color of what no light reached
-        known = (image[rows, columns].max(1) < BURNT) & (
-            (weight[..., None] * lit.frame[corners]).sum(2).mean(1)[:, 0] > DARK
-        )
+        known = (image[rows, columns].max(1) < BURNT) & (blended(lit.frame, corners, weight).mean(1)[:, 0] > DARK)
         counts = counts * known
     used = counts > TELLS
     corners, weight = corners[used], weight[used]
     place = Place(corners[:, 0], weight[:, 0])
-    uv = (weight[..., None] * mesh.uv.astype(np.float32)[corners]).sum(2)
+    uv = blended(mesh.uv.astype(np.float32), corners, weight)
     reads = bilinear_reads(uv, mesh)
     color = image[rows[used], columns[used]].astype(np.float32) / 255
     if lit is not None:

@@ -30,7 +30,7 @@ class RunVideos:
     # of each video, by part; empty: what is seen holds the light
     lights: dict[str, CaptureLight]
     # poses were estimated, not made: frames may show things beside their places
-    estimated: bool = False
+    estimated: bool
 
     def video(self, part: str) -> PartVideo:
         """One video, in the poses that training ended with; one at a time, for they are large."""
