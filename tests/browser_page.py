@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.request import ProxyHandler, build_opener
 
 import numpy as np
 from chromium import chromium
@@ -122,13 +123,12 @@ def browser_page(profile: Path) -> Iterator[BrowserPage]:
 
 def _address(browser: subprocess.Popen, profile: Path, log: str) -> str:
     """Where the first tab listens."""
-    from urllib.request import urlopen
-
     place, end = profile / "DevToolsActivePort", time.monotonic() + 60
     while not (place.exists() and place.read_text().count("\n")):
         assert browser.poll() is None and time.monotonic() < end, f"Chromium: {Path(log).read_text()[-2000:]}"
         time.sleep(0.05)
     port = int(place.read_text().split()[0])
-    with urlopen(f"http://127.0.0.1:{port}/json/list", timeout=30) as answer:
+    # whatever proxy this machine uses, a tab of its own is not behind it
+    with build_opener(ProxyHandler({})).open(f"http://127.0.0.1:{port}/json/list", timeout=30) as answer:
         tabs = json.load(answer)
     return next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")

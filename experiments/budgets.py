@@ -1,0 +1,91 @@
+"""Do budgets hold? Random budgets, what each buys, and what a hundred frames of it then take.
+
+    python -m experiments.budgets AVATAR [--count 5] [--frames 100] [--size 640x640] [--json FILE]
+
+A budget holds when p95 of the frames lies within it. It is wasted when a rung two or more steps better would have held.
+On a machine that others use, neither means much: the share they used is told.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from avatar.files import whole_file
+from avatar.gltf.avatar_file import read_avatar
+from bench.machine import machine
+from bench.quiet import Quiet, warning
+from bench.rung_pictures import motion_frames
+from player.arguments import parse_size
+from player.budget.measure import BudgetScene, price
+from player.budget.rungs import PricedRung, frontier, scene_rungs, within
+from player.context import Context, opened
+from player.passes.background import Background
+from player.scenes.effects import PLAIN
+
+
+def tried_budgets(
+    context: Context, scene: BudgetScene, *, count: int = 5, frames: int = 100, seed: int = 0
+) -> list[dict[str, Any]]:
+    """Budgets between the cheapest and the dearest rung, at random on a logarithmic scale, each asked of one table."""
+    bought_from = price(context, scene, scene_rungs(scene.avatars))
+    front = frontier(bought_from)
+    ends = np.log([1.05 * front[0].ms_p95, 1.1 * front[-1].ms_p95])
+    budgets = np.exp(np.random.default_rng(seed).uniform(*ends, count)).tolist()
+    return [tried(context, scene, bought_from, budget, frames) for budget in budgets]
+
+
+def tried(
+    context: Context, scene: BudgetScene, bought_from: list[PricedRung], budget: float, frames: int
+) -> dict[str, Any]:
+    """What a budget buys from a table, and what every rung of the frontier takes now."""
+    front = frontier(bought_from)
+    chosen = within(bought_from, budget)
+    assert chosen is not None, "budgets begin above the cheapest rung"
+    now = price(context, scene, [one.rung for one in front], rounds=frames)
+    taken = {one.rung: one.ms_p95 for one in now}
+    place = front.index(chosen)
+    held = [k for k, one in enumerate(front) if taken[one.rung] <= budget]
+    return {
+        "budget_ms": round(budget, 3),
+        "rung": chosen.rung.name,
+        "table_p95_ms": round(chosen.ms_p95, 3),
+        "p95_ms": round(taken[chosen.rung], 3),
+        "holds": taken[chosen.rung] <= budget,
+        "steps_wasted": max(max(held, default=0) - place, 0),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("avatar", type=Path)
+    parser.add_argument("--count", type=int, default=5, help="budgets")
+    parser.add_argument("--frames", type=int, default=100, help="of each rung, for each budget")
+    parser.add_argument("--size", type=parse_size, default=(640, 640), help="pixels")
+    parser.add_argument("--json", type=Path)
+    asked = parser.parse_args()
+    avatar = read_avatar(asked.avatar)
+    seen = [([frame.pose], frame.camera) for frame in motion_frames(avatar, 4, asked.size)]
+    scene = BudgetScene([avatar], seen, asked.size, PLAIN, Background(), reads_back=False)
+    context = opened("auto", None)
+    try:
+        with Quiet() as quiet:
+            rows = tried_budgets(context, scene, count=asked.count, frames=asked.frames)
+        facts = machine(context.renderer, context.kind) | {"others_cpu_share": quiet.others}
+    finally:
+        context.release()
+    for row in rows:
+        print(f"{row['budget_ms']:8.2f} ms: {row['rung']:28} p95 {row['p95_ms']:7.2f}  "
+              + ("holds" if row["holds"] else "FAILS") + f", {row['steps_wasted']} steps wasted")  # fmt: skip
+    said = warning(quiet.others, facts["load_average"])
+    if said:
+        print(said)
+    if asked.json:
+        with whole_file(asked.json, "w") as file:
+            json.dump({"machine": facts, "budgets": rows}, file, indent=1)
+
+
+if __name__ == "__main__":
+    main()

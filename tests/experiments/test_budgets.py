@@ -1,0 +1,44 @@
+"""Whether budgets hold is judged by what is drawn afterwards."""
+
+import numpy as np
+
+from avatar.camera import orbit_camera
+from experiments import budgets
+from player.budget.measure import BudgetScene
+from player.budget.rungs import PricedRung, SceneRung
+from player.context import open_context
+from player.passes.background import Background
+from player.scenes.effects import PLAIN
+
+LADDER = [SceneRung(name, "off", level) for level, name in enumerate(("fine", "middle", "coarse"))]
+SCENE = BudgetScene([], [([], orbit_camera(np.zeros(3), 2.0, 0.0, 0.0, (8, 8)))], (8, 8), PLAIN, Background(), False)
+
+
+def priced(times):
+    return [PricedRung(rung, ms, ms, float(k)) for k, (rung, ms) in enumerate(zip(LADDER, times, strict=True))]
+
+
+def tried(monkeypatch, table, now, budget):
+    drawn = dict(zip(LADDER, now, strict=True))
+
+    def price(context, scene, rungs, rounds):
+        return [PricedRung(one, drawn[one], drawn[one], 0.0) for one in rungs]
+
+    monkeypatch.setattr(budgets, "price", price)
+    context = open_context()
+    try:
+        return budgets.tried(context, SCENE, priced(table), budget, 10)
+    finally:
+        context.release()
+
+
+def test_a_budget_holds_or_fails_by_what_is_drawn(monkeypatch):
+    row = tried(monkeypatch, (9.0, 5.0, 2.0), (9.0, 5.5, 2.0), 6.0)
+    assert (row["rung"], row["holds"], row["steps_wasted"]) == ("middle", True, 0)
+    row = tried(monkeypatch, (9.0, 5.0, 2.0), (9.0, 6.5, 2.0), 6.0)
+    assert (row["rung"], row["holds"]) == ("middle", False)
+
+
+def test_a_budget_is_wasted_by_the_steps_that_would_have_held(monkeypatch):
+    row = tried(monkeypatch, (9.0, 7.0, 2.0), (5.0, 4.0, 2.0), 6.0)
+    assert (row["rung"], row["holds"], row["steps_wasted"]) == ("coarse", True, 2)
