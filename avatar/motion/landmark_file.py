@@ -6,6 +6,7 @@ A frame is an object with some of these, under these names, the same in camelCas
     pose_landmarks             x, y in parts of the picture's width and height, z as x
     left_hand_landmarks, left_hand_world_landmarks, right_hand_...
     hand_landmarks             with handedness
+    face_landmarks             468 or 478, x and y as of the pose (for keypoints alone: no motion comes of them)
     landmarks                  33 or 21, these with classifications
 
 A landmark is {"x", "y", "z", "visibility"} or a row of numbers; a list of them may stand in {"landmark": [...]}, be
@@ -36,12 +37,15 @@ TEXT = (".pbtxt", ".prototxt", ".textproto")
 MOST_FRAMES = 1_000_000
 # of lists in lists: a list of people, each a list of landmarks
 MAX_DEPTH = 4
+# of a face, without and with irises
+FACE_POINTS = (468, 478)
 LARGEST = 1e5  # of a coordinate: pixels, parts of the picture, metres
 # of curl_sign, beyond which it is certain which hand it is
 CERTAIN = 0.1
 # what people call the same thing, once letters are small and "landmarks" is left out
 POSE, POSE_WORLD = ("pose", "body"), ("poseworld", "bodyworld", "pose3d")
 HANDS = {"left": (("lefthand",), ("lefthandworld",)), "right": (("righthand",), ("righthandworld",))}
+FACES = ("face", "multiface", "facemesh")
 SEVERAL = (("hand", "multihand", "hands"), ("handworld", "multihandworld"))
 ANY, ANY_WORLD = ("",), ("world",)
 SIDES_OF = ("handedness", "handednesses", "multihandedness", "classifications")
@@ -63,6 +67,7 @@ class Frame:
     pose_world: Float[Array, "33 4"] | None = None
     # points, and whether they are metres rather than parts of the picture
     hands: dict[str, tuple[Float[Array, "21 4"], bool]] = field(default_factory=dict)
+    face: Float[Array, "points 4"] | None = None
 
 
 def is_mediapipe(content: Any) -> bool:
@@ -211,6 +216,11 @@ def _frame(place: str, content: Any, notes: list[str]) -> Frame:
         notes.append(f"people: {len(pose)} in a frame, the largest is read")
     out.pose = pose[best] if pose else None
     out.pose_world = world[min(best, len(world) - 1)] if world else None
+    faces = people(FACES)
+    for points in faces:
+        if len(points) not in FACE_POINTS:
+            raise AssetError(f"{place}: face_landmarks should be 468 or 478 landmarks, are {len(points)}")
+    out.face = max(faces, key=lambda points: np.prod(np.ptp(points[:, :2], axis=0)), default=None)
     for side, (names, in_metres) in HANDS.items():
         for points, metric in [(p, False) for p in people(names)] + [(p, True) for p in people(in_metres)]:
             out.hands[side] = (_checked_hand(f"{place}: {side}_hand_landmarks", points), metric)

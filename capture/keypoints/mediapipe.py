@@ -1,7 +1,8 @@
-"""MediaPipe's landmarks in the picture (avatar/motion/landmark_file.py has the files): pose of 33 points, hands of 21.
+"""MediaPipe's landmarks in the picture (avatar/motion/landmark_file.py has the files): body of 33 points, hands, face.
 
 Its coordinates are parts of the picture, so the size has to be known: from the file, or given. A point of the body has
-its visibility for confidence; one of a hand has 1, since MediaPipe gives it none. The face's mesh is left out.
+its visibility for confidence; one of a hand or the face has 1, since MediaPipe gives it none. Of the face's mesh those
+of its points are taken that lie where iBUG's 68 do.
 """
 
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 
 from avatar.errors import AssetError
 from avatar.motion.landmark_file import Frame, Told
-from capture.keypoints.record import SIDES, Keypoints, hand_points, keypoints_of
+from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of
 
 Array = np.ndarray
 
@@ -22,7 +23,16 @@ POSE: tuple[str | None, ...] = (
     "left_heel", "right_heel", "left_big_toe", "right_big_toe",
 )  # fmt: skip
 USED = [k for k, name in enumerate(POSE) if name]
-NAMES = (*(name for name in POSE if name), *hand_points("left"), *hand_points("right"))
+NAMES = (*(name for name in POSE if name), *hand_points("left"), *hand_points("right"), *FACE)
+# points of the mesh: jaw, brows, nose, eyes, lips outside and inside, from the person's right to the left
+MESH = (
+    162, 234, 93, 58, 172, 136, 149, 148, 152, 377, 378, 365, 397, 288, 323, 454, 389,
+    71, 63, 105, 66, 107, 336, 296, 334, 293, 301,
+    168, 197, 5, 4, 75, 97, 2, 326, 305,
+    33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380,
+    61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181,
+    78, 82, 13, 312, 308, 317, 14, 87,
+)  # fmt: skip
 
 
 def mediapipe_keypoints(
@@ -50,7 +60,10 @@ def mediapipe_keypoints(
                 first = len(USED) + 21 * n
                 rows[k, first : first + 21, :2] = frame.hands[side][0][:, :2] * size
                 rows[k, first : first + 21, 2] = 1.0
+        if frame.face is not None:
+            rows[k, -len(FACE) :, :2] = frame.face[list(MESH), :2] * size
+            rows[k, -len(FACE) :, 2] = 1.0
     if not rows[:, :, 2].any():
         raise AssetError(f"{path}: no pose_landmarks or hand landmarks in the picture in {len(frames)} frames")
-    notes.append("confidence of hands' points: 1 where the hand was found")
+    notes.append("confidence of points of hands and face: 1 where they were found")
     return keypoints_of(NAMES, rows, size, notes)

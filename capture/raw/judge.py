@@ -86,18 +86,20 @@ def judge(at: Glance) -> Judged:
     part, found = at.part, at.found
     empty = empty_frames(at)
     own = _own_points(at)
-    whole = found & (own.sum(1) >= 3)
+    clear = found & (own.sum(1) >= 3)
+    # from behind a head shows no face, but its outline
+    whole = found if part == "head" else clear
     if not found.any():
         remark(True, "nobody is found in any frame", "are these keypoints of this video?")
         return Judged(at, empty, found, tuple(remarks))
     if part in ("body", "head") and _upside_down(at):
         remark(True, "the person stands on the head", "turn the video by half a turn and detect keypoints again")
-    if whole.sum() < 0.2 * found.sum() or whole.sum() < 8:
-        other = _other_hand(at, whole)
+    if clear.sum() < 0.2 * found.sum() or clear.sum() < 8:
+        other = _other_hand(at, clear)
         advice = (
             "is it the other hand's video? exchange LEFT and RIGHT" if other else "film again with it in the middle"
         )
-        remark(True, f"{CALLED[part]} is confidently found in {int(whole.sum())} of {int(found.sum())} frames", advice)
+        remark(True, f"{CALLED[part]} is confidently found in {int(clear.sum())} of {int(found.sum())} frames", advice)
     several = _several_people(at)
     if several.mean() > MOST:
         remark(True, f"two people are in view {_when(at, several)}", "film one person alone")
@@ -116,7 +118,7 @@ def judge(at: Glance) -> Judged:
             True, f"the camera moves, by {moved.max():.0f} pixels from {first:.1f} s on", "put the phone on a tripod"
         )
     if not empty.any():
-        advice = "masks then come from keypoints and colors; better: film one second of it before you step in"
+        advice = "masks without it are rough: film a second of it before you step in, or bring masks of another tool"
         remark(False, "the empty room is in no frame", advice)
     else:
         on = _on_changed(at, empty)

@@ -70,7 +70,7 @@ def _within(keypoints: Keypoints, frame: int, shape: tuple[int, int], reach) -> 
         p, q = scale * p[:2], scale * q[:2]
         out |= _distance_to_line(x, y, p, q) < max(reach(a), reach(b)) * trunk + 0.5
     if not out.any():
-        return ~out if reach("left_knee") == HULL else np.zeros(shape, bool)
+        return np.full(shape, reach("left_knee") == HULL)
     zoomed = ndimage.zoom(out.astype(np.float32), (shape[0] / small[0], shape[1] / small[1]), order=1)
     return np.asarray(zoomed > 0.5)
 

@@ -19,7 +19,7 @@ from skimage.segmentation import random_walker
 from capture.keypoints.record import SIDES, Keypoints
 from capture.raw.glance import SURE
 from capture.raw.limbs import hull, lines
-from capture.raw.plate import Plate
+from capture.raw.plate import Plate, smoothed
 from geometry.cells import distance_to, nearest_marked
 
 Array = np.ndarray
@@ -47,11 +47,11 @@ def soft_mask(
 ) -> UInt8[Array, "height width"]:
     """Share of every pixel that is the person, 0 to 255."""
     image = picture.astype(np.float32)
-    unit = max(1.0, min(image.shape[:2]) / 1080)
     core = lines(keypoints, frame, image.shape[:2])
-    room = plate.color * _gain(image, plate, keypoints, frame)
+    gain = _gain(image, plate, keypoints, frame)
+    room = plate.color * gain
     floor = _floor(keypoints, frame, image.shape[0])
-    person = _differs(image, room, plate, unit, floor)
+    person = _differs(image, plate, gain, floor)
     if not plate.known.all():
         may = hull(keypoints, frame, image.shape[:2])
         by_color = _by_color(image, core, may, room, plate.known)
@@ -59,7 +59,20 @@ def soft_mask(
         person[~may] = 0
     share = _walked(image, person, core, plate.known)
     inside = _whole(share > 0.5, keypoints, frame)
-    return _rim(image, room, plate, inside, max(3.0, RIM * min(image.shape[:2]) / 1080))
+    rim = max(3.0, RIM * min(image.shape[:2]) / 1080)
+    window = _window(inside, round(8 * rim))
+    out = np.zeros(inside.shape, np.uint8)
+    out[window] = _rim(image[window], room[window], plate.known[window], inside[window], rim, APART * plate.noise)
+    return out
+
+
+def _window(area: Bool[Array, "height width"], margin: int) -> tuple[slice, slice]:
+    """Rows and columns that hold an area and some pixels round it."""
+    rows, columns = (np.flatnonzero(area.any(axis)) for axis in (1, 0))
+    if not len(rows):
+        return slice(0, 1), slice(0, 1)
+    cut = lambda at, most: slice(max(0, int(at[0]) - margin), min(most, int(at[-1]) + 1 + margin))
+    return cut(rows, area.shape[0]), cut(columns, area.shape[1])
 
 
 def _gain(image: Float[Array, "height width 3"], plate: Plate, keypoints: Keypoints, frame: int) -> Float[Array, "3"]:
@@ -91,14 +104,13 @@ def _floor(keypoints: Keypoints, frame: int, height: int) -> int:
 
 
 def _differs(
-    image: Float[Array, "height width 3"], room: Float[Array, "height width 3"], plate: Plate, unit: float, floor: int
+    image: Float[Array, "height width 3"], plate: Plate, gain: Float[Array, "3"], floor: int
 ) -> Float[Array, "height width"]:
     """Probability that a pixel does not show the room, nor the room in shadow."""
-    smooth = lambda values: ndimage.gaussian_filter(values, (0.8 * unit, 0.8 * unit, 0))
-    shown, behind = smooth(image), smooth(room)
-    # encoders blur and shift detail: where the room has edges more difference means nothing
-    detail = np.abs(room - ndimage.gaussian_filter(room, (1.5, 1.5, 0))).max(-1)
-    deviation = np.sqrt((0.8 * plate.noise) ** 2 + (0.012 * room.mean(-1)) ** 2 + (0.6 * detail) ** 2)
+    shown, behind = smoothed(image), plate.smooth * gain
+    # where the room has edges more difference means nothing
+    bright = behind.mean(-1)
+    deviation = np.sqrt((0.8 * plate.noise) ** 2 + (0.012 * bright) ** 2 + (0.6 * plate.detail) ** 2)
     off = shown - behind
     apart = np.sqrt((off**2).mean(-1)) / deviation
     # the room in shadow: the same colour, darker
@@ -106,7 +118,7 @@ def _differs(
     darkest = np.full((len(image), 1), WALL_DARKEST)
     darkest[floor:] = DARKEST
     rest = np.sqrt(((shown - np.clip(ratio, darkest, 1.0)[..., None] * behind) ** 2).mean(-1))
-    shaded = rest / (deviation + 0.05 * (1 - np.clip(ratio, 0, 1)) * behind.mean(-1))
+    shaded = rest / (deviation + 0.05 * (1 - np.clip(ratio, 0, 1)) * bright)
     apart = np.where((ratio < 1) & (ratio > darkest), np.minimum(apart, 1.6 * shaded), apart)
     return 1 / (1 + np.exp(-np.clip((apart - EVEN) / SHARP, -30, 30)))
 
@@ -196,11 +208,13 @@ def _whole(inside: Bool[Array, "height width"], keypoints: Keypoints, frame: int
 def _rim(
     image: Float[Array, "height width 3"],
     room: Float[Array, "height width 3"],
-    plate: Plate,
+    known: Bool[Array, "height width"],
     inside: Bool[Array, "height width"],
     rim: float,
+    apart: float,
 ) -> UInt8[Array, "height width"]:
-    """Mixtures along the edge, read off the colours on either side; the edge itself moves to where they are even."""
+    """Mixtures along the edge, read off the colours on either side where those are more than `apart` grey levels apart;
+    the edge itself moves to where they are even."""
     out = np.where(inside, 255, 0).astype(np.uint8)
     if inside.all() or not inside.any():
         return out
@@ -218,7 +232,7 @@ def _rim(
     y, x = np.nonzero(band)
     F = front[nearest[0][y, x], nearest[1][y, x]]
     # the room beside it, with the person's shadow
-    free = (to_edge < -rim) & plate.known
+    free = (to_edge < -rim) & known
     ratio = np.where(free, image.mean(-1) / np.maximum(room.mean(-1), 1), 0)
     sigma = 2.5 * rim
     beside = np.maximum(ndimage.gaussian_filter(free.astype(np.float32), sigma), 1e-3)
@@ -227,7 +241,7 @@ def _rim(
     between = F - B
     length = (between**2).sum(1)
     share = np.clip(((image[y, x] - B) * between).sum(1) / np.maximum(length, 1e-6), 0, 1)
-    clear = plate.known[y, x] & (np.sqrt(length / 3) > APART * plate.noise)
+    clear = known[y, x] & (np.sqrt(length / 3) > apart)
     # where colours say nothing the edge stays where it is, half a pixel soft
     mixed = inside.astype(np.float32)
     mixed[y, x] = np.where(clear, share, np.clip(to_edge[y, x] / 1.5 + 0.5, 0, 1))

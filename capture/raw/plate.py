@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from scipy import ndimage
 
 from capture.keypoints.record import Keypoints
 from capture.raw.limbs import hull
@@ -25,6 +27,23 @@ class Plate:
     color: Float[Array, "height width 3"]  # float32, sRGB 0 to 255
     known: Bool[Array, "height width"]
     noise: float  # deviation of a pixel, grey levels
+
+    # for every frame the same: found once
+    @cached_property
+    def smooth(self) -> Float[Array, "height width 3"]:
+        """The room as blurred as pictures are before they are compared with it."""
+        return smoothed(self.color)
+
+    @cached_property
+    def detail(self) -> Float[Array, "height width"]:
+        """How far the room departs from itself blurred, grey levels: edges that encoders shift."""
+        return np.abs(self.color - ndimage.gaussian_filter(self.color, (1.5, 1.5, 0))).max(-1)
+
+
+def smoothed(picture: Float[Array, "height width 3"]) -> Float[Array, "height width 3"]:
+    """A picture without the noise of single pixels."""
+    sigma = 0.8 * max(1.0, min(picture.shape[:2]) / 1080)
+    return np.asarray(ndimage.gaussian_filter(picture, (sigma, sigma, 0), truncate=3.0))
 
 
 def plate_of_empty(video: VideoFile, frames: Int[Array, "empty"]) -> Plate:

@@ -27,6 +27,7 @@ class VideoFile:
     size: tuple[int, int]  # width, height, upright
     quarter_turns: int  # counterclockwise, that make a stored frame upright
     rate: float  # frames per second, on average
+    frames: int  # as the file tells, or by its length; what is decoded counts
 
     @property
     def name(self) -> str:
@@ -61,6 +62,7 @@ def open_video(path: Path | str) -> VideoFile:
             if stream.codec_context.width * stream.codec_context.height > MAX_PIXELS:
                 raise AssetError(f"{path}: expected frames of at most {MAX_PIXELS} pixels")
             rate = float(stream.average_rate or stream.guessed_rate or 0)
+            count = stream.frames or round(rate * float(container.duration or 0) / 1e6)
             first = next(container.decode(stream), None)
     except (FFmpegError, ValueError, OSError) as error:
         raise AssetError(f"{path}: expected {WHAT}: {getattr(error, 'strerror', None) or error}") from None
@@ -70,7 +72,7 @@ def open_video(path: Path | str) -> VideoFile:
         raise AssetError(f"{path}: expected 1 to 1000 frames a second, found {rate:g}")
     turns = round(first.rotation / 90) % 4
     size = (first.width, first.height) if turns % 2 == 0 else (first.height, first.width)
-    return VideoFile(path, size, turns, rate)
+    return VideoFile(path, size, turns, rate, max(count, 1))
 
 
 def read_frames(

@@ -1,6 +1,7 @@
 """Keypoints of three detectors: written as they write them, read back as one record; what is wrong is named."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -87,6 +88,10 @@ def write_mediapipe(path, points, unseen, told=True):
         named = lambda side: np.array([[*(points[name][frame] / SIZE), 0.0] for name in hand_points(side)])
         one = {"pose_landmarks": [dict(zip(("x", "y", "z", "visibility"), row, strict=True)) for row in pose.tolist()]}
         one |= {f"{side}_hand_landmarks": named(side).tolist() for side in ("left", "right")}
+        face = np.zeros((478, 3))
+        for k, name in zip(mediapipe.MESH, FACE, strict=True):
+            face[k, :2] = points[name][frame] / SIZE
+        one["face_landmarks"] = face.tolist()
         frames.append(one)
     size = {"image_width": SIZE[0], "image_height": SIZE[1]} if told else {}
     path.write_text(json.dumps({**size, "frames": frames}))
@@ -115,7 +120,7 @@ def test_what_a_detector_wrote_is_read_back(tmp_path, kind, within):
                 assert seen[frame, 2] == 0 and np.isnan(seen[frame, :2]).all()
             elif (name, frame) not in unseen:
                 within(seen[frame, :2] - points[name][frame], 1e-3, "px")
-                assert seen[frame, 2] == pytest.approx(1 if kind == "mediapipe" and name[-1] in "123pd" and name not in
+                assert seen[frame, 2] == pytest.approx(1 if kind == "mediapipe" and name not in
                                                        mediapipe.POSE else 0.8)  # fmt: skip
     assert (found.seen("third_eye")[:, 2] == 0).all()
 
@@ -224,3 +229,32 @@ def test_the_real_holistic_result_has_its_points_where_the_photo_has_them(data):
     for side in ("left", "right"):
         apart = found.seen(f"{side}_wrist")[0, :2] - found.seen(f"{side}_hand")[0, :2]
         assert np.linalg.norm(apart) < 10
+
+
+def test_a_face_of_mediapipe_gives_the_68_points(data, tmp_path):
+    """A stored result of its own: a portrait seen from the front."""
+    text = (data / "estimators" / "mediapipe_portrait_expected_face_landmarks.pbtxt").read_text()
+    points = [tuple(map(float, pair)) for pair in re.findall(r"x: (\S+)\s+y: (\S+)", text)]
+    assert len(points) in (468, 478)
+    path = tmp_path / "a.json"
+    pose = [[0.5, 0.5, 0, 1]] * 33
+    frame = {"pose_landmarks": pose, "face_landmarks": [[x, y, 0] for x, y in points]}
+    path.write_text(json.dumps({"image_width": 1000, "image_height": 1200, "frames": [frame, {}]}))
+    found = read_keypoints(path)
+    face = np.stack([found.seen(f"face_{k:02d}")[0] for k in range(68)])
+    assert (face[:, 2] == 1).all() and found.seen("face_08")[1, 2] == 0
+    x, y = face[:, 0], face[:, 1]
+    # the chin is lowest, jaw from the person's right ear to the left, brows above eyes above nose above mouth
+    assert y.argmax() == 8 and (np.diff(x[2:15]) > 0).all()
+    assert y[17:27].max() < y[36:48].min() and y[36:48].max() < y[30] < y[33] < y[48:].min()
+    # eyes and lips go round: outer corners, and upper before lower
+    assert x[36] < x[39] < x[42] < x[45] and y[37] < y[41] and y[43] < y[47]
+    assert x[48] == x[48:].min() and x[54] == x[48:].max() and y[51] < y[62] < y[66] < y[57]
+
+
+def test_a_mesh_of_another_size_is_refused(tmp_path):
+    path = tmp_path / "a.json"
+    frame = {"pose_landmarks": [[0.5, 0.5, 0, 1]] * 33, "face_landmarks": [[0.5, 0.5, 0]] * 100}
+    path.write_text(json.dumps({"image_width": 10, "image_height": 10, "frames": [frame]}))
+    with pytest.raises(AssetError, match="face_landmarks should be 468 or 478 landmarks, are 100"):
+        read_keypoints(path)

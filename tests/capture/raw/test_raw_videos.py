@@ -10,6 +10,7 @@ from avatar.progress import Progress
 from capture.raw.four_videos import part_keypoints
 from capture.raw.glance import glance
 from capture.raw.judge import judge
+from capture.raw.limbs import hull, lines
 from capture.raw.masks import soft_mask
 from capture.raw.plate import plate_of_empty, plate_of_free
 from capture.raw.selection import movement, select
@@ -177,3 +178,9 @@ def test_keypoints_of_another_length_are_refused(body, tmp_path):
     points = at.glance.keypoints.of_frames(np.arange(50))
     with pytest.raises(AssetError, match="the video has 90 frames, its keypoints 50"):
         glance(at.glance.video, "body", points, Progress("looking", 9))
+
+
+def test_a_frame_without_points_may_show_the_person_anywhere(body):
+    points = body[2].glance.keypoints.of_frames(np.arange(2))
+    assert hull(points, 0, (90, 120)).all() and hull(points, 0, (90, 120)).shape == (90, 120)
+    assert not lines(points, 0, (90, 120)).any()
