@@ -45,16 +45,17 @@ def essl(source: str) -> str:
 
 
 def program(defines: Mapping[str, int], generated: Mapping[str, str]) -> dict[str, str]:
-    """Both stages of an avatar's program in a variant.
+    """Both stages of an avatar's program in a variant. Names that are tested and not given are effects that a page does
+    not have: 0, off.
 
     Raises:
-        ShaderError: a define that no `#if` tests, or a tested name that is not given.
+        ShaderError: a define that no `#if` tests.
     """
-    sources = [assembled(name, defines, generated)[0] for name in STAGES]
-    asked = set().union(*map(names_in_conditions, sources))
-    if asked != set(defines):
-        raise ShaderError(f"{' + '.join(STAGES)} ask for {sorted(asked)}, given are {sorted(defines)}")
-    vertex, fragment = map(essl, sources)
+    asked = set().union(*(names_in_conditions(assembled(name, defines, generated)[0]) for name in STAGES))
+    if not set(defines) <= asked:
+        raise ShaderError(f"{' + '.join(STAGES)}: no #if tests {sorted(set(defines) - asked)}")
+    whole = dict.fromkeys(sorted(asked), 0) | dict(defines)
+    vertex, fragment = (essl(assembled(name, whole, generated)[0]) for name in STAGES)
     if fragment.count("MIP_BIAS") != 1:
         raise ShaderError(f"avatar.frag: expected `{BIASED}` once, found it {fragment.count('MIP_BIAS')} times")
     return {"vertex": vertex, "fragment": fragment}
@@ -62,10 +63,9 @@ def program(defines: Mapping[str, int], generated: Mapping[str, str]) -> dict[st
 
 def programs(avatar: Avatar) -> dict[str, dict[str, str]]:
     """A program for each view mode that the avatar's file holds, by its name (player/passes/view.py)."""
-    usual = {"SKINNING": 0, "LIT": 0}
     has = {"network": avatar.network is not None, "linear": avatar.linear is not None}
     features = avatar.levels[0].features
-    found = {"off": program(usual | {"VIEW_STAGE": 0}, {})}
+    found = {"off": program({"VIEW_STAGE": 0}, {})}
     if features is None:
         return found
     constants = avatar_constants(avatar)
@@ -74,5 +74,5 @@ def programs(avatar: Avatar) -> dict[str, dict[str, str]]:
             continue
         network = has["network"] if mode == "vertex" else mode == "network"
         more = {"VIEW_STAGE": STAGE[mode], "VIEW_MODEL": int(network), "VIEW_FEATURES": features.shape[2]}
-        found[mode] = program(usual | more, constants)
+        found[mode] = program(more, constants)
     return found

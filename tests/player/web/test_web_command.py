@@ -27,8 +27,14 @@ def test_the_rule_for_shaders():
         essl("#version 330\nfloat é;\n")
     with pytest.raises(ShaderError, match="expected '#version 330'"):
         essl("#version 410\n")
-    with pytest.raises(ShaderError, match="given are"):
-        program({"SKINNING": 0}, {})
+    with pytest.raises(ShaderError, match=r"no #if tests \['NONSENSE'\]"):
+        program({"VIEW_STAGE": 0, "NONSENSE": 1}, {})
+
+
+def test_effects_that_a_page_does_not_have_are_off():
+    """A new effect of the shaders leaves the page as it is."""
+    vertex = program({"VIEW_STAGE": 0}, {})["vertex"]
+    assert {"#define LIT 0", "#define SKINNING 0", "#define VIEW_STAGE 0"} <= set(vertex.splitlines())
 
 
 def test_an_avatar_has_a_program_for_each_view_mode_it_holds():
