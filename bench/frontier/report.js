@@ -29,12 +29,22 @@ class Report {
     this.part = words.get("part") in PARTS ? words.get("part") : "whole";
     this.chart = new Chart(find("chart"), (row) => this.setBudget(row.ms, row), (row, event) => this.tooltip(row, event));
     this.chart.reference = this.reference.name;
+    this.provenance();
     this.images = new Map();
     this.controls();
     // whether the reader chose the budget
     this.asked = Number(words.get("budget")) > 0;
     this.choices(Number(words.get("budget")) || null);
     this.table();
+  }
+
+  // Where it was measured, and what a reader must know when that machine was not idle.
+  provenance() {
+    const { machine, size, frames, rounds, warning } = this.facts.result;
+    find("warning").textContent = warning || "";
+    find("warning").hidden = !warning;
+    find("machine").textContent = `The machine of the bench: ${machine.cpu}, ${machine.cores} cores, ${machine.renderer} `
+      + `(${machine.context}), commit ${machine.commit}; ${size.join(" x ")} pixels, ${frames} frames, ${rounds} rounds.`;
   }
 
   // Rows with their scores against what they are compared with. Beside the best that the player draws stand only those

@@ -45,7 +45,9 @@ def measured():
         rows[-1]["against_baked"] = compared([drawn[RUNGS[0].name]], [picture], [crop], [picture.max(-1) > 0])
     mark_dominated(rows)
     mark_dominated(rows, None, "against_baked")
-    result = {"avatar": "A & B", "best_rung": "field", "best_baked_rung": RUNGS[0].name, "size": list(SIZE)}
+    machine = {"cpu": "Some CPU", "cores": 2, "renderer": "llvmpipe", "context": "egl", "commit": "abc"}
+    told = {"machine": machine, "warning": "NOT QUIET: others", "frames": 1, "rounds": 9}
+    result = told | {"avatar": "A & B", "best_rung": "field", "best_baked_rung": RUNGS[0].name, "size": list(SIZE)}
     return result | {"rungs": rows}, PagePictures(drawn, None, crop, boxes), avatar
 
 
@@ -126,6 +128,8 @@ def test_the_avatar_is_drawn_in_the_rung_of_the_budget(tab):
     page, path = tab
     page.open(path, "budget=6")
     assert page.ask("selfscan.player.rung.view") == "off"
+    assert page.ask("document.getElementById('warning').textContent") == "NOT QUIET: others"
+    assert "Some CPU, 2 cores, llvmpipe" in page.ask("document.getElementById('machine').textContent")
     page.ask("selfscan.setBudget(3)")
     page.wait("selfscan.player.rung.share === 0.5")
     page.ask("selfscan.setBudget(20)")
