@@ -111,6 +111,7 @@ def bake_run(
         origin.part != PARTS.index("body"),
         coarse_step=options.body_step,
         fine_step=options.fine_step,
+        details=field.details,
     )
     check_complete(extraction.mesh, origin.vertices, origin.part)
     clock(
@@ -267,7 +268,7 @@ def bake_levels(
     clock: "_Clock",
 ) -> tuple[list[BakedLevel], Distilled]:
     """All levels, finest first: the view network is distilled on the finest and gives each its features."""
-    parts = enlargements(joints, options)
+    parts = enlargements(joints, options, field.details)
     plan = [(options.faces, options.texture)]
     for count, share in ((10_000, 2), (3_000, 4)):
         if count < options.faces:

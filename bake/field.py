@@ -7,6 +7,8 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from geometry.isosurface import Detail
+
 
 @runtime_checkable
 class Field(Protocol):
@@ -27,6 +29,8 @@ class NumpyField(NamedTuple):
     seen_light: Callable[[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 2"]] | None = None
     # the normals that it fell on; None as well
     light_normal: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]] | None = None
+    # where its surface is finer than the grids it is taken from: the eyes
+    details: tuple[Detail, ...] = ()
 
 
 def numpy_field(field: Field, *, piece: int = 1 << 16) -> NumpyField:
@@ -47,4 +51,5 @@ def numpy_field(field: Field, *, piece: int = 1 << 16) -> NumpyField:
         lambda points, directions: ask(field.color, points, directions),
         None if seen is None else lambda points, normals: ask(seen, points, normals),
         None if lit is None else lambda points: ask(lit, points),
+        tuple(field.details()) if hasattr(field, "details") else (),
     )

@@ -3,6 +3,7 @@
 A person without hanging hair has one layer, which is the field as it is.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +13,8 @@ from bake.cone import ViewCone
 from bake.field import NumpyField
 from bake.level import LayeredMesh, SourceSurface, TransferredData, transferred_data
 from capture.solid import solid_inside
-from geometry.decimate import Enlargement, balanced, decimate, enlarged
-from geometry.isosurface import Extraction, PointFunction, extract
+from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged
+from geometry.isosurface import Detail, Extraction, PointFunction, extract
 from geometry.mesh import TriangleMesh, compact, component_labels, concatenated, face_areas
 from train.layers import BODY, HAIR, LEAST_HAIR, hair_layers
 
@@ -44,16 +45,17 @@ def layers_of(field: NumpyField, subject: Any, origin: SourceSurface) -> list[La
 
 
 def extract_layers(
-    layers: list[Layer], origin: SourceSurface, fine: Any, *, coarse_step: float, fine_step: float
-) -> Extraction:
-    """The zero sets of all layers as one mesh; vertices know their layer."""
+    layers: list[Layer], origin: SourceSurface, fine: Any, *, coarse_step: float, fine_step: float,
+    details: Sequence[Detail] = (),
+) -> Extraction:  # fmt: skip
+    """The zero sets of all layers as one mesh; vertices know their layer. Details are the body's."""
     found = []
     for k, layer in enumerate(layers):
         own = origin.layer == k
         found.append(
             extract(
                 layer.solid, layer.normal, origin.vertices[own], fine[own], coarse_step=coarse_step,
-                fine_step=fine_step, least=LEAST_HAIR if k == HAIR else None,
+                fine_step=fine_step, least=LEAST_HAIR if k == HAIR else None, details=details if k == BODY else (),
             )
         )  # fmt: skip
     if len(found) == 1:
@@ -70,7 +72,9 @@ def extract_layers(
     )
 
 
-def collapsed(extraction: Extraction, layers: list[Layer], count: int, parts: list[Enlargement]) -> LayeredMesh:
+def collapsed(
+    extraction: Extraction, layers: list[Layer], count: int, parts: Sequence[Enlargement | Magnifier]
+) -> LayeredMesh:
     """Each connected piece collapsed to its share of `count` triangles and balanced on its own layer's surface."""
     pieces = pieces_of(extraction)
     areas = np.array([face_areas(enlarged(mesh.vertices, parts), mesh.faces).sum() for mesh, _ in pieces])

@@ -1,5 +1,6 @@
 """One level of detail: its mesh, charts, vertex data and base color from the fine surface and the field."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -20,8 +21,8 @@ from bake.seams import ChartEdges, chart_edges, seam_steps, solve_seams
 from bake.skin import quantised, transferred_weights
 from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from geometry.closest import match_surface
-from geometry.decimate import Enlargement
-from geometry.isosurface import PointFunction, project_to_zero
+from geometry.decimate import Enlargement, Magnifier, magnified
+from geometry.isosurface import Detail, PointFunction, project_to_zero
 from geometry.mesh import TriangleMesh, face_areas
 from geometry.repair import find_faults
 from geometry.sample import stratified_samples
@@ -86,10 +87,21 @@ def transferred_data(origin: SourceSurface, mesh: TriangleMesh, normals: Float[n
     return TransferredData(weights, interpolated(origin.cone, corners, match.barycentric), origin.part[nearest], filled)
 
 
-def enlargements(joints: Float[np.ndarray, "52 3"], options: BakeOptions) -> list[Enlargement]:
-    """Head and hands of the canonical pose, to keep more triangles than their size asks for."""
+def magnifiers(details: Sequence[Detail], options: BakeOptions) -> list[Magnifier]:
+    """The eyes of the canonical pose, to get more triangles and texels than their size asks for."""
+    return [
+        Magnifier(0.5 * (one.low + one.high), 0.5 * float((one.high - one.low).max()), options.eye_scale)
+        for one in details
+    ]
+
+
+def enlargements(
+    joints: Float[np.ndarray, "52 3"], options: BakeOptions, details: Sequence[Detail] = ()
+) -> list[Enlargement | Magnifier]:
+    """Head, hands and eyes of the canonical pose, to keep more triangles than their size asks for."""
     canonical = joint_transforms(np.asarray(BIG_POSE, np.float64), joints, np.zeros(3))[:, :3, 3]
-    result = [Enlargement(canonical[15], np.array([0.0, 1.0, 0.0]), 0.25, options.head_scale)]
+    result: list[Enlargement | Magnifier] = [*magnifiers(details, options)]
+    result += [Enlargement(canonical[15], np.array([0.0, 1.0, 0.0]), 0.25, options.head_scale)]
     for elbow, wrist in ((18, 20), (19, 21)):
         axis = canonical[wrist] - canonical[elbow]
         length = float(np.linalg.norm(axis))
@@ -109,7 +121,9 @@ def bake_level(
     density = np.array([1.0, options.head_density, options.hand_density, options.hand_density])
     # a gutter of 8 texels at 2048 keeps three mips clean; one of 2 at 512 left none for the charts' skirts
     padding = max(4, size // 256)
-    chart = unwrap(mesh.vertices, mesh.faces, face_part, density, size=size, padding=padding)
+    # larger charts for the eyes, without a seam round them
+    grown = magnified(mesh.vertices, magnifiers(field.details, options))
+    chart = unwrap(grown, mesh.faces, face_part, density, size=size, padding=padding)
     cone = ViewCone(*(value[chart.source] for value in data.cone))
     joints, weights = quantised(data.weights[chart.source])
     charted = Charted(chart.uv, chart.faces, mesh.vertices[chart.source], normals[chart.source], cone)

@@ -27,6 +27,7 @@ class BakeOptions:
     hand_density: Annotated[float, Hidden(), "texels per metre, relative to the body's"] = 2.5
     head_scale: Annotated[float, Hidden(), "blown up so much while triangles are collapsed"] = 1.8
     hand_scale: Annotated[float, Hidden(), "blown up so much while triangles are collapsed"] = 2.4
+    eye_scale: Annotated[float, Hidden(), "the same, and texels per metre relative to the head's"] = 2.2
     samples: Annotated[int, Hidden(), "surface points for the network"] = 160_000
     steps: Annotated[int, Hidden(), "steps of the network's training"] = 1200
     image: Annotated[int, Hidden(), "pixels per side of the pictures that are compared"] = 512

@@ -28,6 +28,8 @@ UNDER_LIDS = 0.0004
 LID_REACH = 0.012
 # directions tried on each ball: .6 mm apart on it
 DIRECTIONS = 6000
+# radii behind an eyeball's middle from where what lids hide is found, and directions all round: .7 mm apart at lids
+BEHIND, BEHIND_DIRECTIONS = 2.0, 40_000
 
 
 class EyeSpheres(NamedTuple):
@@ -129,6 +131,39 @@ def eye_covers(subject: CaptureSubject, spheres: EyeSpheres) -> list[EyeCover]:
         length = _first_hits(centre, directions, subject.vertices[subject.faces[near]])
         covers.append(EyeCover(directions, np.where(length < radius + LID_REACH, length, np.inf)))
     return covers
+
+
+class HiddenLengths(NamedTuple):
+    """What lies in front of one eyeball, from far behind it: nearly as a camera in front of the face sees it."""
+
+    origin: Float[Array, "3"]
+    directions: Float[Array, "n 3"]  # unit, to what lies round the ball
+    # how far off the template is first met in front of the ball's middle; inf: nowhere near the ball
+    length: Float[Array, "n"]
+    spacing: float  # between directions, at most
+
+
+def hidden_lengths(subject: CaptureSubject, spheres: EyeSpheres) -> list[HiddenLengths]:
+    """Lids before each ball, for filling what they hide.
+
+    From the ball's middle itself the fill behind a lid that stands off the ball would narrow the opening: a slope of
+    2 mm where the built-in man's lids stand 3 mm off.
+    """
+    forward = _forward(subject)
+    middles = subject.vertices[subject.faces].mean(1)
+    around = sphere_directions(BEHIND_DIRECTIONS)
+    found = []
+    for centre, radius in zip(spheres.centres, spheres.radii):
+        origin, reach = centre - BEHIND * radius * forward, radius + LID_REACH
+        away = np.linalg.norm(middles - centre, axis=1)
+        corners = subject.vertices[subject.faces[(away < reach + 0.01) & ((middles - centre) @ forward > 0)]]
+        directions = around[around @ forward > np.cos(np.arctan2(reach, BEHIND * radius))]
+        length = _first_hits(origin, directions, corners)
+        hit = origin + np.where(np.isfinite(length), length, 0.0)[:, None] * directions
+        held = np.isfinite(length) & (np.linalg.norm(hit - centre, axis=1) < reach)
+        found.append(HiddenLengths(origin, directions, np.where(held, length, np.inf),
+                                   2 * np.sqrt(4 * np.pi / BEHIND_DIRECTIONS)))  # fmt: skip
+    return found
 
 
 def eye_openings(subject: CaptureSubject) -> Float[Array, "n 3"]:

@@ -1,5 +1,6 @@
 """Fewer triangles for the same surface: quadric collapse, denser on face and hands, closed and manifold."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import fast_simplification
@@ -23,10 +24,36 @@ class Enlargement(NamedTuple):
     scale: float
 
 
-def enlarged(vertices: Float[np.ndarray, "vertices 3"], parts: list[Enlargement], ramp: float = 0.06) -> np.ndarray:
-    """Vertices with each part grown away from its anchor; the growth fades in over `ramp` metres."""
+class Magnifier(NamedTuple):
+    """A ball that is blown up before collapsing; what lies farther off is pushed outwards, not pressed together."""
+
+    centre: Float[np.ndarray, "3"]  # canonical, metres
+    radius: float  # metres
+    scale: float
+
+
+def magnified(points: Float[np.ndarray, "n 3"], balls: Sequence[Magnifier]) -> Float[np.ndarray, "n 3"]:
+    """Points with each ball grown about its centre.
+
+    x + (scale - 1) min(r, radius) (x - centre) / r, a sum of gradients of convex functions: one to one for any balls.
+    """
+    result = points.copy()
+    for ball in balls:
+        offset = points - ball.centre
+        r = np.linalg.norm(offset, axis=1)
+        result += ((ball.scale - 1) * np.minimum(1, ball.radius / np.maximum(r, 1e-12)))[:, None] * offset
+    return result
+
+
+def enlarged(
+    vertices: Float[np.ndarray, "vertices 3"], parts: Sequence[Enlargement | Magnifier], ramp: float = 0.06
+) -> np.ndarray:
+    """Vertices with balls magnified, then parts grown away from their anchors; growth fades in over `ramp` metres."""
+    vertices = magnified(vertices, [part for part in parts if isinstance(part, Magnifier)])
     result = vertices.copy()
     for part in parts:
+        if isinstance(part, Magnifier):
+            continue
         offset = vertices - part.anchor
         along = offset @ part.axis
         across = np.linalg.norm(offset - along[:, None] * part.axis, axis=1)
@@ -36,7 +63,7 @@ def enlarged(vertices: Float[np.ndarray, "vertices 3"], parts: list[Enlargement]
     return result
 
 
-def decimate(mesh: TriangleMesh, target: int, parts: list[Enlargement] | None = None) -> TriangleMesh:
+def decimate(mesh: TriangleMesh, target: int, parts: Sequence[Enlargement | Magnifier] | None = None) -> TriangleMesh:
     """Closed manifold mesh of about `target` triangles (Garland and Heckbert 1997, quadric collapse).
 
     Collapsed in gentle passes: the library's own default raises its threshold so fast that it takes twice the
@@ -125,8 +152,8 @@ def shrunk(
     points: Float[np.ndarray, "n 3"],
     grown: Float[np.ndarray, "vertices 3"],
     original: Float[np.ndarray, "vertices 3"],
-    parts: list[Enlargement],
-    steps: int = 30,
+    parts: Sequence[Enlargement | Magnifier],
+    steps: int = 60,
 ) -> Float[np.ndarray, "n 3"]:
     """Inverse of `enlarged`: start at the displacement of the nearest vertex, then x <- x - J^-1 (f(x) - y)
     with J approximated by the local scale, which converges because the growth is monotone along the axis."""
@@ -134,7 +161,8 @@ def shrunk(
     guess = original[nearest] + (points - grown[nearest])
     moved = np.linalg.norm(grown[nearest] - original[nearest], axis=1) > 1e-9
     target, x = points[moved], guess[moved]
-    top = max(part.scale for part in parts)
+    top = max((part.scale for part in parts if isinstance(part, Enlargement)), default=1.0)
+    top *= 1 + sum(part.scale - 1 for part in parts if isinstance(part, Magnifier))
     for _ in range(steps):
         error = enlarged(x, parts) - target
         x = x - error / top

@@ -29,6 +29,14 @@ from geometry.mesh import (
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
 
+class Detail(NamedTuple):
+    """A box whose surface has smaller features than the grid would otherwise hold."""
+
+    low: Float[np.ndarray, "3"]  # metres
+    high: Float[np.ndarray, "3"]
+    step: float  # metres
+
+
 class Extraction(NamedTuple):
     """The zero set of a field, and how well it was found."""
 
@@ -53,8 +61,11 @@ def graded_axis(
     coarse: float,
     fine: float,
     block: int = 8,
+    details: Sequence[tuple[float, float, float]] = (),
 ) -> Float[np.ndarray, "samples"]:
     """Grid coordinates from low to at least high: step `fine` inside the spans, `coarse` elsewhere.
+
+    `details` are spans with a step of their own; the finest counts.
 
     A rectilinear grid with graded axes keeps marching cubes free of cracks, which two grids would have
     where they meet. The number of samples is a multiple of `block`.
@@ -65,7 +76,8 @@ def graded_axis(
     while samples[-1] < high or len(samples) % block:
         here = samples[-1]
         inside = any(a - coarse <= here < b for a, b in fine_spans)
-        samples.append(here + (fine if inside else coarse))
+        own = [step for a, b, step in details if a - fine <= here < b]
+        samples.append(here + min([fine if inside else coarse, *own]))
     return np.array(samples)
 
 
@@ -234,12 +246,13 @@ def extract(
     fine_step: float = 0.002,
     margin: float = 0.03,
     least: float | None = None,
+    details: Sequence[Detail] = (),
 ) -> Extraction:
     """The field's zero set as one closed mesh, its vertices on the surface to under 0.1 mm where it is smooth.
 
     hints are points near the surface (metres, canonical); those marked fine (head, hands) get `fine_step`
-    along every axis they span. The largest connected piece is kept, or with `least` all pieces of so much area
-    (square metres).
+    along every axis they span, `details` their own step. The largest connected piece is kept, or with `least` all
+    pieces of so much area (square metres).
 
     Raises:
         AssetError: the field is not finite, never changes sign, or leaves the hints' box.
@@ -252,7 +265,13 @@ def extract(
             for axis in range(3):
                 spans[axis].append((own[:, axis].min() - 0.01, own[:, axis].max() + 0.01))
     low, high = hints.min(0) - margin, hints.max(0) + margin
-    axes = tuple(graded_axis(low[i], high[i], spans[i], coarse_step, fine_step) for i in range(3))
+    axes = tuple(
+        graded_axis(
+            low[i], high[i], spans[i], coarse_step, fine_step,
+            details=[(float(one.low[i]), float(one.high[i]), one.step) for one in details],
+        )
+        for i in range(3)
+    )  # fmt: skip
     volume, queries = sample_near_surface(distance, axes, hints)
     if not np.isfinite(volume).all():
         raise AssetError(f"fused field: distance should be finite, {int((~np.isfinite(volume)).sum())} samples are not")

@@ -23,6 +23,7 @@ from capture.views import ViewStatistics, ViewSums, fused_statistics, part_views
 from geometry.icp import Anchors, refine_by_surfaces
 from geometry.mesh import vertex_normals
 from train.appearance import CodeSteps, match_appearance, overlap_rays
+from train.eye_grid import OpenEyes, open_eyes
 from train.field import PartField
 from train.fused import FusedField
 from train.head_consistency import place_by_consistency
@@ -83,6 +84,8 @@ class Composition:
 
     # with its fused statistics
     surface: Surface
+    # that the surface shows; None: the head's field as it was learnt
+    eyes: OpenEyes | None
     # each part's own statistics
     tables: list[ViewStatistics]
     # what run.json says of it
@@ -110,6 +113,8 @@ def compose(
         parts.fields, part_boxes(subject), torch.tensor(np.linalg.inv(head_from_field), dtype=torch.float32)
     )
     fused.seen = seen
+    if preset.open_eyes and rays is not None:
+        fused.eyes = open_eyes(subject, fused.field(PARTS.index("head")).template.cpu())
     fused.to(device).eval().requires_grad_(False)
     seconds["registration"] = time.monotonic() - began
 
@@ -148,7 +153,7 @@ def compose(
         )
         seconds["appearance"] = time.monotonic() - began
     fused.cpu()
-    return Composition(surface, tables, facts)
+    return Composition(surface, fused.eyes, tables, facts)
 
 
 def placement_facts(head: HeadPlacement, canonical_from_head_field: Float[Array, "4 4"]) -> dict[str, Any]:

@@ -27,8 +27,7 @@ class PartField(nn.Module):
     """F_s, F_c and T_nr of one part: three networks (train/networks) in the part's box.
 
     Where the geometry network works `over_template`, F_s is the registered body's distance plus the network's, so
-    an untrained part is that body and the first rendered frame already shows a person. Where the template has eyes
-    the network's share fades on them.
+    an untrained part is that body and the first rendered frame already shows a person.
 
     Frame: canonical, metres. The head's is canonical too: its video is moved there by Eq. 6 before training.
     """
@@ -67,7 +66,7 @@ class PartField(nn.Module):
         """F_s, Eq. 1."""
         distance, feature = self.geometry(self.unit(points))
         if self.geometry.over_template:
-            distance = self.template(points) + self.template.freedom(points) * distance
+            distance = self.template(points) + distance
         return FieldSample(distance, feature)
 
     def with_gradient(
@@ -83,8 +82,6 @@ class PartField(nn.Module):
             if not (attached and points.requires_grad):
                 points = points.detach().requires_grad_()
             distance, feature = self.geometry(self.unit(points))
-            if self.geometry.over_template:
-                distance = self.template.freedom(points) * distance
             (gradient,) = torch.autograd.grad(distance.sum(), points, create_graph=create_graph)
         if self.geometry.over_template:
             template, slope = self.template.sample(points.detach())

@@ -9,7 +9,7 @@ zero only the distance is worked out: normal and colour stay zero. bench/onnx_fi
 tri-plane networks of the `demo` preset are known here.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,11 @@ import numpy as np
 import torch
 
 from avatar.files import whole_file
+from train.eye_grid import OpenEyes
 from train.field import PartField
 from train.fused import FusedField
 from train.networks.triplane import TriPlaneColor, TriPlaneGeometry
 from train.parts import Part
-from train.template_grid import HELD, LEAST
 
 # the first with look-ups on a volume
 OPSET = 20
@@ -139,20 +139,37 @@ class FieldGraph:
 
     def distance(self, fused: FusedField, index: int, points: str) -> str:
         """Signed distance of one part at its own points, canonical metres."""
-        points, _, scale = self.local(fused, index, points)
-        return self("Div", self.geometry(fused.field(index), points)[0], self.constant(scale))
+        own, _, scale = self.local(fused, index, points)
+        distance = self("Div", self.geometry(fused.field(index), own)[0], self.constant(scale))
+        if fused.eyes is not None and fused.parts[index].name == "head":
+            share, eyes = self.share_and_eyes(fused.eyes, points)
+            distance = self("Add", distance, self("Mul", share, self("Sub", eyes, distance)))
+        return distance
 
     def appearance(self, fused: FusedField, index: int, points: str, directions: str) -> tuple[str, str]:
         """The canonical gradient of one part's distance and its colour, at its own points."""
         field = fused.field(index)
-        points, turn, _ = self.local(fused, index, points)
-        gradient = self.gradient(field, points)
+        own, turn, scale = self.local(fused, index, points)
+        (gradient,) = self.gradients(lambda around: self.geometry(field, around)[:1], own)
+        if turn is not None:
+            gradient = self("MatMul", gradient, self.constant(turn))
+        if fused.eyes is not None and fused.parts[index].name == "head":
+            distance = self("Div", self.geometry(field, own)[0], self.constant(scale))
+            gradient = self.eyes_gradient(fused.eyes, points, distance, gradient)
         normals = self.unit_normals(gradient)
         if turn is not None:
-            directions = self("MatMul", directions, self.constant(turn.T))
-            gradient = self("MatMul", gradient, self.constant(turn))
-        _, feature = self.geometry(field, points)
-        return gradient, self.color(field, self.unit(field, points), feature, normals, directions)
+            directions, normals = (self("MatMul", x, self.constant(turn.T)) for x in (directions, normals))
+        _, feature = self.geometry(field, own)
+        return gradient, self.color(field, self.unit(field, own), feature, normals, directions)
+
+    def eyes_gradient(self, eyes: OpenEyes, points: str, distance: str, gradient: str) -> str:
+        """The canonical gradient with the open eyes blended in, as OpenEyes.gradient."""
+        share, values = self.share_and_eyes(eyes, points)
+        rise, own = self.gradients(lambda around: self.share_and_eyes(eyes, around), points)
+        column = lambda x: self("Unsqueeze", x, self.constant([1], np.int64))
+        turned = self("Mul", column(share), self("Sub", own, gradient))
+        risen = self("Mul", column(self("Sub", values, distance)), rise)
+        return self("Add", gradient, self("Add", turned, risen))
 
     def unit(self, field: PartField, points: str) -> str:
         """The part's box scaled to [-1, 1]."""
@@ -170,36 +187,17 @@ class FieldGraph:
             hidden = self("Mul", self("Softplus", scaled), self.constant(0.01))
         correction = self("Tanh", self.linear(network.correction, hidden))
         correction = self("Mul", self.flat(correction), self.constant(network.reach))
-        correction = self("Mul", self.freedom(field, points), correction)
-        return self("Add", self.template(field, points), correction), self.linear(network.feature, hidden)
+        template = self.grid(array(field.template.values), array(field.template.low), field.template.cell, points)
+        return self("Add", template, correction), self.linear(network.feature, hidden)
 
-    def template(self, field: PartField, points: str) -> str:
-        """TemplateGrid: its box, and in the smaller box of a fine grid that one."""
-        grid = field.template
-        distance = self.grid(array(grid.values), array(grid.low), grid.cell, points)
-        if (fine := grid.fine) is None:
-            return distance
-        values, low = array(fine.values), array(fine.low)
-        high = low + np.float32(fine.cell) * (np.asarray(values.shape, np.float32) - 1)
-        # Clip takes scalars only
-        within = self("Min", self("Max", points, self.constant(low)), self.constant(high))
-        outside = self("ReduceSum", self("Abs", self("Sub", points, within)), self.constant([1], np.int64), keepdims=0)
-        return self("Where", self("Greater", outside, self.constant(0.0)), distance,
-                    self.grid(values, low, fine.cell, points))  # fmt: skip
-
-    def freedom(self, field: PartField, points: str) -> str:
-        """The share of the correction that TemplateGrid leaves, least on the eyeballs."""
-        if field.template.eyes is None:
-            return self.like(points, 1, 1.0)
-        shares = []
-        for *centre, radius in array(field.template.eyes):
-            away = self("ReduceSumSquare", self("Sub", points, self.constant(np.array(centre, np.float32))),
-                        self.constant([1], np.int64), keepdims=0)  # fmt: skip
-            away = self("Sub", self("Sqrt", self("Add", away, self.constant(1e-12))), self.constant(radius))
-            shares.append(self("Clip", self("Mul", away, self.constant(1 / HELD)), self.constant(0.0),
-                               self.constant(1.0)))  # fmt: skip
-        share = self("Mul", self("Min", *shares), self.constant(1 - LEAST))
-        return self("Add", share, self.constant(LEAST))
+    def share_and_eyes(self, eyes: OpenEyes, points: str) -> tuple[str, str]:
+        """The share of the open eyes' distance, 0 outside of their box, and that distance."""
+        last = np.asarray(eyes.values.shape, np.float32) - 1
+        unit = self("Mul", self("Sub", points, self.constant(array(eyes.low))), self.constant(2 / (eyes.cell * last)))
+        unit = self("Sub", unit, self.constant(1.0))
+        both = self.volume(np.stack([array(eyes.share), array(eyes.values)]), unit)
+        share, values = self("Split", both, results=2, axis=1, num_outputs=2)
+        return self.flat(share), self.flat(values)
 
     def grid(self, values: np.ndarray, low: np.ndarray, cell: float, points: str) -> str:
         """Trilinear distance inside a box, outside it the border's plus the way there."""
@@ -212,13 +210,15 @@ class FieldGraph:
         away = self("Sub", self("Sqrt", self("Add", away, self.constant(1e-10))), self.constant(1e-5))
         return self("Add", self.flat(self.volume(values[None], inside)), away)
 
-    def gradient(self, field: PartField, points: str) -> str:
-        """dF_s / dx by central differences, in the part's own frame."""
+    def gradients(self, functions: Callable[[str], Sequence[str]], points: str) -> list[str]:
+        """Gradients of functions of points by central differences, in the frame of the points."""
         steps = STEP * np.concatenate([np.eye(3), -np.eye(3)]).reshape(1, 6, 3)
         around = self("Add", self("Unsqueeze", points, self.constant([1], np.int64)), self.constant(steps))
-        distance, _ = self.geometry(field, self("Reshape", around, self.constant([-1, 3], np.int64)))
-        ahead, behind = self("Split", self.shaped(distance, -1, 6), results=2, axis=1, num_outputs=2)
-        return self("Div", self("Sub", ahead, behind), self.constant(2 * STEP))
+        found = []
+        for value in functions(self("Reshape", around, self.constant([-1, 3], np.int64))):
+            ahead, behind = self("Split", self.shaped(value, -1, 6), results=2, axis=1, num_outputs=2)
+            found.append(self("Div", self("Sub", ahead, behind), self.constant(2 * STEP)))
+        return found
 
     def color(self, field: PartField, unit: str, feature: str, normals: str, directions: str) -> str:
         """F_c, Eq. 2, with the part's reference code."""

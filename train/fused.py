@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from geometry.isosurface import Detail
+from train.eye_grid import OpenEyes
 from train.field import FieldSample, PartField, unit_normals
 from train.light import SeenTensors
 from train.parts import Part, eq9_shares
@@ -18,6 +20,8 @@ class FusedField(nn.Module):
     head field lives where the landmarks (Eq. 6) put it; points, directions, normals and distances are moved there
     and back inside.
     Colours use each part's reference code. A person of one field (a single network) has weight 1 everywhere.
+
+    Round the eyes the head's distance may be the template's (`eyes`, train/eye_grid.py).
 
     With `switch` the colour does not blend: the part of the largest weight gives all of it (ablation of Eq. 9).
     """
@@ -36,6 +40,8 @@ class FusedField(nn.Module):
         self.fields = nn.ModuleList(fields)
         self.parts = tuple(parts[: len(fields)])
         self.switch = switch
+        # None: the field's own distance everywhere
+        self.eyes: OpenEyes | None = None
         # of each part's video, where the parts' colours are albedo; None: they are what was shown
         self.seen: tuple[SeenTensors, ...] | None = None
         self.register_buffer("head_from_canonical", head_from_canonical.float())
@@ -144,7 +150,16 @@ class FusedField(nn.Module):
     def part_distance(self, index: int, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
         """Signed distance of one part, without the others, metres, at canonical points."""
         local, _ = self.local(index, points)
-        return self.field(index)(local).distance / self.scale(index)
+        distance = self.field(index)(local).distance / self.scale(index)
+        if self.eyes is not None and self.parts[index].name == "head":
+            distance = self.eyes.distance(points, distance)
+        return distance
+
+    def details(self) -> list[Detail]:
+        """Where the surface has smaller features than the parts' cells, canonical."""
+        if self.eyes is None:
+            return []
+        return [Detail(box.low, box.high, self.eyes.cell) for box in self.eyes.details()]
 
     @property
     def device(self) -> torch.device:
@@ -209,6 +224,8 @@ class FusedField(nn.Module):
         with torch.no_grad():
             local, R = self.local(index, points)
         sample, gradient = self.field(index).with_gradient(local, create_graph=False)
-        sample = FieldSample(sample.distance.detach() / self.scale(index), sample.feature.detach())
-        gradient = gradient.detach()
-        return sample, gradient if R is None else gradient @ R
+        distance, gradient = sample.distance.detach() / self.scale(index), gradient.detach()
+        gradient = gradient if R is None else gradient @ R
+        if self.eyes is not None and self.parts[index].name == "head":
+            distance, gradient = self.eyes.gradient(points, distance, gradient)
+        return FieldSample(distance, sample.feature.detach()), gradient

@@ -19,7 +19,6 @@ from capture.template import SurfaceCloud, neck_height, surface_cloud, visible_f
 from train import run as run_folder
 from train.checkpoint import Position
 from train.distributed import ONE_PROCESS, Ranks
-from train.eye_grid import with_open_eyes
 from train.field import PartField
 from train.light import VideoLight
 from train.log import TrainingLog
@@ -187,8 +186,6 @@ def part_ready(job: PartJob, capture: Capture, prepared: Callable[[float], None]
     cloud = surface_cloud(subject, job.index, visible_faces(subject), settings.spacing)
     template = template_grid(cloud, part.extent.low, part.extent.high, settings.cell,
                              (subject, neck_height(subject)) if name == "head" else None)  # fmt: skip
-    if name == "head" and preset.open_eyes:
-        template = with_open_eyes(template, subject)
     field = run_folder.build_field(subject, job.index, settings, template, len(video.images)).to(device)
     field.light = None if job.light is None else job.light.tensors(device)
     rays = part_rays(

@@ -91,8 +91,8 @@ class Preset:
     # share of the steps before they move: first the field shows somebody
     pose_begin: float = 0.15
     pose_weight: float = 0.1  # of their prior
-    # the template has open eyes with eyeballs, to which F_s keeps (train/eye_grid.py); else closed sockets
-    open_eyes: bool = False
+    # round the opening between the lids the surface is the template's, with its eyeballs (train/eye_grid.py)
+    open_eyes: bool = True
     # photometric gradients move the surface within a section
     attached: bool = False
     warm_up: int = 100  # steps
@@ -217,6 +217,7 @@ PAPER = Preset(
     adam=(0.9, 0.999, 1e-8),
     prefit=2000,
     clothes=False,
+    open_eyes=False,
     union=UnionPreset(iterations=100_000, rate=1.0, last_rate=0.1, warm_up=0, consistency=1.0, surface=1.0),
     appearance_steps=15_000,
     appearance_rate=5e-4,

@@ -19,6 +19,7 @@ from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject, read_subject
 from capture.views import ViewStatistics
+from train.eye_grid import OpenEyes
 from train.field import PartField
 from train.fused import FusedField
 from train.light import seen_lights_from_json, seen_tensors
@@ -31,7 +32,7 @@ from train.preset import PartPreset, Preset
 from train.single import part_names, part_presets
 from train.stored_preset import preset_from_json
 from train.surface import Surface
-from train.template_grid import FineGrid, TemplateGrid
+from train.template_grid import TemplateGrid
 
 FORMAT, VERSION = "selfscan-run", 1
 
@@ -82,7 +83,6 @@ def write_part(path: Path, field: PartField) -> None:
         {
             "state": field.state_dict(),
             "cell": field.template.cell,
-            "fine_cell": field.template.fine_cell,
             "frames": len(field.appearance.weight),
         },
         path,
@@ -98,7 +98,7 @@ def read_part(path: Path, subject: CaptureSubject, index: int, preset: PartPrese
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
         state = content["state"]
-        template = _stored_template(content)
+        template = TemplateGrid(state["template.values"], state["template.low"], content["cell"])
         field = build_field(subject, index, preset, template, content["frames"])
         field.load_state_dict(state)
     except FileNotFoundError:
@@ -108,13 +108,29 @@ def read_part(path: Path, subject: CaptureSubject, index: int, preset: PartPrese
     return field
 
 
-def _stored_template(content: dict) -> TemplateGrid:
-    """The template's distance of a part's file; runs of earlier versions have no fine grid."""
-    state, fine = content["state"], None
-    if "template.fine_values" in state:
-        fine = FineGrid(state["template.fine_values"], state["template.fine_low"], content["fine_cell"],
-                        state["template.eyes"])  # fmt: skip
-    return TemplateGrid(state["template.values"], state["template.low"], content["cell"], fine)
+def write_eyes(path: Path, eyes: OpenEyes) -> None:
+    """eyes.npz: the open eyes that the surface shows."""
+    arrays = {name: getattr(eyes, name).cpu().numpy() for name in ("values", "share", "low")}
+    with open(path, "wb") as file:
+        np.savez(file, cell=np.float64(eyes.cell), **arrays)
+
+
+def read_eyes(path: Path) -> OpenEyes | None:
+    """Read eyes.npz; None where a run has none.
+
+    Raises:
+        AssetError: a field is absent or misshapen.
+    """
+    if not path.exists():
+        return None
+    fields = read_npz(path, "open eyes", ("values", "share", "low", "cell"))
+    values = field_of(path, fields, "values", (None, None, None))
+    share = field_of(path, fields, "share", values.shape)
+    low, cell = field_of(path, fields, "low", (3,)), field_of(path, fields, "cell", ())
+    if not float(cell) > 0:
+        raise AssetError(f"{path}: cell should be a length in metres, is {float(cell)}")
+    values, share, low = (torch.tensor(array, dtype=torch.float32) for array in (values, share, low))
+    return OpenEyes(values, share, low, float(cell))
 
 
 def write_codes(path: Path, fields: dict[str, PartField]) -> None:
@@ -256,6 +272,7 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
     correction = matrix_of(path, facts, "canonical_from_head_field")
     inverse = torch.tensor(np.linalg.inv(correction), dtype=torch.float32)
     field = FusedField(fields, part_boxes(subject), inverse).to(device).eval().requires_grad_(False)
+    field.eyes = read_eyes(path / "eyes.npz")
     lights = lights_of(path, facts)
     world = None
     if lights:

@@ -173,6 +173,8 @@ def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], r
             if (partial / name).is_dir():
                 shutil.copytree(partial / name, folder / name)
         run_folder.write_surface(folder / "surface.npz", person.surface, person.tables)
+        if person.eyes is not None:
+            run_folder.write_eyes(folder / "eyes.npz", person.eyes)
         shutil.copyfile(partial / "subject.npz", folder / "subject.npz")
         seconds["all"] = time.monotonic() - began
         memory = peak_memory(device)

@@ -1,5 +1,6 @@
 """The zero level of the fused field as one mesh: coarse on the body, fine on head and hands, no seam."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy import sparse
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
 from capture.solid import solid_inside
-from geometry.isosurface import zero_set_mesh
+from geometry.isosurface import Detail, zero_set_mesh
 from geometry.mesh import TriangleMesh, concatenated, half_edges, largest_component, separate_pieces
 from train.fused import FusedField
 from train.layers import HAIR, LEAST_HAIR, hair_layers
@@ -38,10 +39,12 @@ class Surface:
     layer: Int[Array, "vertices"]
 
 
-def grid_axes(parts: tuple[Part, ...], body_cell: float, head_cell: float, hand_cell: float) -> list[Array]:
-    """Lines of a rectilinear grid that are close where a fine part lies and far elsewhere.
+def grid_axes(
+    parts: tuple[Part, ...], body_cell: float, head_cell: float, hand_cell: float, details: Sequence[Detail] = ()
+) -> list[Array]:
+    """Lines of a rectilinear grid that are close where a fine part or a detail lies and far elsewhere.
 
-    One grid means one watertight mesh. Each axis takes the finest cell that any part asks for at that coordinate.
+    One grid means one watertight mesh. Each axis takes the finest cell that anything asks for at that coordinate.
     """
     cells = {"head": head_cell, "hand_left": hand_cell, "hand_right": hand_cell}
     axes = []
@@ -51,7 +54,8 @@ def grid_axes(parts: tuple[Part, ...], body_cell: float, head_cell: float, hand_
         while at < whole.high[axis]:
             lines.append(at)
             near = [p for p in parts[1:] if p.extent.low[axis] - 0.01 <= at <= p.extent.high[axis] + 0.01]
-            at += min([body_cell, *(cells[p.name] for p in near)])
+            own = [d.step for d in details if d.low[axis] - head_cell <= at <= d.high[axis]]
+            at += min([body_cell, *(cells[p.name] for p in near), *own])
         axes.append(np.array([*lines, at]))
     return axes
 
@@ -77,7 +81,7 @@ def extract_surface(
         ValueError: the field has no zero crossing in the box.
     """
     distance = solid_inside(lambda points: _ask(field, points), subject)
-    axes = grid_axes(parts, body_cell, head_cell, hand_cell)
+    axes = grid_axes(parts, body_cell, head_cell, hand_cell, field.details())
     thin = [np.unique(np.r_[axis[::4], axis[-1]]) for axis in axes]
     coarse = distance(np.stack(np.meshgrid(*thin, indexing="ij"), -1).reshape(-1, 3))
     coarse = coarse.reshape([len(axis) for axis in thin])

@@ -1,11 +1,9 @@
 """The canonical template as a signed distance grid: where a part field starts."""
 
-from typing import NamedTuple
-
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy import ndimage
 from torch import Tensor
 
@@ -17,82 +15,30 @@ from geometry.sample import lattice_samples
 Array = np.ndarray
 
 
-# of its correction a field may make so much on an eyeball, and all of it so many metres off
-LEAST = 0.05
-HELD = 0.008
-
-
-class FineGrid(NamedTuple):
-    """Distances in a smaller box with smaller cells, whose faces lie on planes of the coarse grid's nodes."""
-
-    values: Float[Tensor, "x y z"]  # signed distance, metres; on the box's faces the coarse grid's
-    low: Float[Tensor, "3"]  # place of values[0, 0, 0], canonical
-    cell: float
-    # centre and radius of the eyeballs that it was made for
-    eyes: Float[Tensor, "2 4"]
-
-
 class TemplateGrid(torch.nn.Module):
     """Trilinear signed distance of the template in a box; outside it, the distance at the border plus the way there.
 
-    In the box of `fine`, where there is one, the fine grid counts. Value and gradient come from the same interpolant.
-    The gradient is a constant of the training.
+    Value and gradient come from the same interpolant. The gradient is a constant of the training.
     """
 
     values: Float[Tensor, "x y z"]  # signed distance, metres
     low: Float[Tensor, "3"]  # place of values[0, 0, 0], canonical
-    fine_values: Float[Tensor, "u v w"] | None
-    fine_low: Float[Tensor, "3"] | None
-    eyes: Float[Tensor, "2 4"] | None
 
-    def __init__(
-        self, values: Float[Tensor, "x y z"], low: Float[Tensor, "3"], cell: float, fine: FineGrid | None = None
-    ):
+    def __init__(self, values: Float[Tensor, "x y z"], low: Float[Tensor, "3"], cell: float):
         super().__init__()
         self.register_buffer("values", values)
         self.register_buffer("low", low)
         self.cell = cell
-        self.register_buffer("fine_values", None if fine is None else fine.values)
-        self.register_buffer("fine_low", None if fine is None else fine.low)
-        self.register_buffer("eyes", None if fine is None else fine.eyes)
-        # central differences at the coarse grid's nodes, made when they are first asked for
+        # central differences at the nodes, made when they are first asked for
         self.slopes: Float[Tensor, "1 3 x y z"] | None = None
-        self.fine_cell = 0.0 if fine is None else fine.cell
-
-    @property
-    def fine(self) -> FineGrid | None:
-        """The fine grid, where there is one."""
-        if self.fine_values is None or self.fine_low is None or self.eyes is None:
-            return None
-        return FineGrid(self.fine_values, self.fine_low, self.fine_cell, self.eyes)
-
-    def freedom(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
-        """The share of its correction that a field may make at points: least on the eyeballs, 1 from HELD off them on.
-
-        Colour says little of depth in the recess between the lids, and a field fills it: 3 to 5 mm in front of the
-        eyeballs. They were fitted as spheres; a field moves them by T_nr, not by F_s.
-        """
-        if self.eyes is None:
-            return torch.ones(len(points), dtype=points.dtype, device=points.device)
-        offset = points[:, None] - self.eyes[:, :3]
-        away = ((offset.square().sum(2) + 1e-12).sqrt() - self.eyes[:, 3]).amin(1)
-        return LEAST + (1 - LEAST) * (away / HELD).clamp(0, 1)
-
-    def in_fine(self, points: Float[Tensor, "n 3"], fine: FineGrid) -> Int[Tensor, "k"]:
-        """Rows of the points in the fine grid's box."""
-        size = fine.cell * (torch.tensor(fine.values.shape, device=points.device) - 1)
-        return ((points >= fine.low) & (points <= fine.low + size)).all(1).nonzero()[:, 0]
 
     def sample(self, points: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n"], Float[Tensor, "n 3"]]:
         """Distance and its gradient; no graph."""
         with torch.no_grad():
-            distance, gradient = _sampled(self.values, self.low, self.cell, points)
-            if (fine := self.fine) is not None and len(rows := self.in_fine(points, fine)):
-                distance[rows], gradient[rows] = _sampled(*fine[:3], points[rows])
-            return distance, gradient
+            return sampled(self.values, self.low, self.cell, points)
 
     def smooth_gradient(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """Gradient by differences over two cells of the coarse grid, trilinear between its nodes; no graph.
+        """Gradient by differences over two cells, trilinear between its nodes; no graph.
 
         Unlike the interpolant's own it does not jump from cell to cell.
         """
@@ -105,15 +51,13 @@ class TemplateGrid(torch.nn.Module):
 
     def forward(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
         """The value, differentiable once: torch's own interpolation, eight times as fast as `sample`."""
-        distance = _interpolated(self.values, self.low, self.cell, points)
-        if (fine := self.fine) is not None and len(rows := self.in_fine(points, fine)):
-            distance = distance.index_put((rows,), _interpolated(*fine[:3], points[rows]))
-        return distance
+        return interpolated(self.values, self.low, self.cell, points)
 
 
-def _sampled(
+def sampled(
     values: Float[Tensor, "x y z"], low: Float[Tensor, "3"], cell: float, points: Float[Tensor, "n 3"]
 ) -> tuple[Float[Tensor, "n"], Float[Tensor, "n 3"]]:
+    """Trilinear values of a grid and their gradient; outside its box the border's plus the way there."""
     shape = torch.tensor(values.shape, device=points.device)
     at = (points - low) / cell
     inside = torch.minimum(at.clamp_min(0), (shape - 1 - 1e-4).to(at.dtype))
@@ -141,9 +85,10 @@ def _sampled(
     return y0 + fx * gx + away, gradient
 
 
-def _interpolated(
+def interpolated(
     values: Float[Tensor, "x y z"], low: Float[Tensor, "3"], cell: float, points: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "n"]:
+    """The values of `sampled`, differentiable once."""
     shape = torch.tensor(values.shape, dtype=points.dtype, device=points.device)
     unit = (points - low) / cell / (shape - 1) * 2 - 1
     inside = unit.clamp(-1, 1)

@@ -5,20 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import KDTree
 
 from avatar.body import builtin_body
+from avatar.errors import AssetError
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import skin_points
-from capture.eyes import body_sockets, eye_covers, eye_openings, eye_spheres
+from capture.eyes import body_sockets, eye_openings, eye_spheres, hidden_lengths
 from capture.folder import CaptureSubject
 from capture.imports.template import part_of
 from capture.template import neck_height, surface_cloud, visible_faces
 from train import run as run_folder
-from train.eye_grid import FINER, with_open_eyes
+from train.eye_grid import FINER, LIDS, OTHER, OpenEyes, open_eyes
+from train.fused import FusedField
 from train.networks.triplane import TriPlaneNetworks
 from train.parts import part_boxes
-from train.preset import DEMO
-from train.template_grid import HELD, LEAST, FineGrid, TemplateGrid, template_grid
+from train.preset import DEMO, FAST, PAPER
+from train.template_grid import template_grid
 
 
 @pytest.fixture(scope="module")
@@ -38,22 +41,27 @@ def closed(subject):
 
 
 @pytest.fixture(scope="module")
-def opened(subject, closed):
-    return with_open_eyes(closed, subject)
+def eyes(subject, closed):
+    found = open_eyes(subject, closed)
+    assert found is not None
+    return found
 
 
-def asked(grid, points):
-    return grid(torch.as_tensor(points, dtype=torch.float32)).numpy()
+def asked(eyes, points, field=None):
+    """The open template's distance, as a field that is far from everything lets it be seen."""
+    points = torch.as_tensor(points, dtype=torch.float32)
+    alone = OpenEyes(eyes.values, torch.ones_like(eyes.share), eyes.low, eyes.cell)
+    return alone.distance(points, torch.full((len(points),), 1.0)).numpy()
 
 
-def first_crossing(grid, points, direction, far=0.03):
+def first_crossing(eyes, points, direction, far=0.03):
     """How far in front of `points`, going back against `direction`, the distance first falls under zero."""
     steps = np.linspace(far, -far, 601)
-    along = asked(grid, (points[:, None] + steps[:, None] * direction).reshape(-1, 3)).reshape(len(points), -1)
+    along = asked(eyes, (points[:, None] + steps[:, None] * direction).reshape(-1, 3)).reshape(len(points), -1)
     return steps[(along <= 0).argmax(1)]
 
 
-def test_what_is_seen_between_the_lids_is_the_eyeball(subject, opened):
+def test_what_is_seen_between_the_lids_is_the_eyeball(subject, eyes):
     points = eye_openings(subject)
     spheres = eye_spheres(subject)
     assert spheres is not None
@@ -61,12 +69,12 @@ def test_what_is_seen_between_the_lids_is_the_eyeball(subject, opened):
     middle = points[np.abs(points[:, None, :2] - spheres.centres[:, :2]).max(2).min(1) < 0.002]
     assert len(middle) > 4
     forward = np.array([0, 0, 1.0])
-    off = np.abs(first_crossing(opened, middle, forward))
+    off = np.abs(first_crossing(eyes, middle, forward))
     # beside a lid's edge the lid may be met first
     assert np.quantile(off, 0.8) < 0.0003 and off.max() < 0.002
 
 
-def test_lids_stay_where_the_template_has_them(subject, closed, opened):
+def test_lids_stay_where_the_template_has_them(subject, closed, eyes):
     spheres = eye_spheres(subject)
     assert spheres is not None
     sockets = body_sockets()
@@ -74,95 +82,154 @@ def test_lids_stay_where_the_template_has_them(subject, closed, opened):
     ball = spheres.distance(subject.vertices[skin])
     lids = subject.vertices[skin[(ball > 0.0015) & (ball < 0.0045)]]
     assert len(lids) > 50
-    off = np.abs(asked(opened, lids))
+    off = np.abs(asked(eyes, lids))
     assert off.mean() < 0.0005 and np.quantile(off, 0.9) < 0.001
-    assert off.mean() < 0.6 * np.abs(asked(closed, lids)).mean()
+    before = closed(torch.as_tensor(lids, dtype=torch.float32)).numpy()
+    assert off.mean() < 0.6 * np.abs(before).mean()
 
 
-def test_nothing_is_hollow_behind_the_lids(subject, opened):
+def test_nothing_is_hollow_behind_the_lids(subject, eyes):
     spheres = eye_spheres(subject)
     assert spheres is not None
-    for centre, radius, cover in zip(spheres.centres, spheres.radii, eye_covers(subject, spheres)):
-        held = np.isfinite(cover.length)
+    for centre, radius, hidden in zip(spheres.centres, spheres.radii, hidden_lengths(subject, spheres)):
+        held = np.isfinite(hidden.length)
         shares = np.linspace(0, 1, 30)[:, None]
-        reach = np.minimum(cover.length[held], radius + 0.004)[:, None, None] - 0.0005
-        inside = asked(opened, (centre + reach * shares * cover.directions[held][:, None]).reshape(-1, 3))
+        ends = hidden.origin + (hidden.length[held, None] - 0.0005) * hidden.directions[held]
+        ends = ends[np.linalg.norm(ends - centre, axis=1) < radius + LIDS - 0.001]
+        assert len(ends) > 500
+        # from the plane through the ball's middle
+        begin = ends - ((ends - centre) @ [0, 0, 1.0])[:, None] * [0, 0, 1.0]
+        near = np.linalg.norm(begin - centre, axis=1) < radius
+        points = begin[near] + shares[:, None] * (ends - begin)[near]
+        inside = asked(eyes, points.reshape(-1, 3))
         # rays that pass a lid's edge within a cell may see past it
         assert (inside > 0.0005).mean() < 0.01
 
 
-def test_the_fine_box_joins_the_coarse_grid_without_a_step(opened):
-    fine = opened.fine
-    assert fine is not None and fine.cell == pytest.approx(opened.cell / FINER) and fine.cell <= 0.0015
+def test_the_opening_is_as_wide_as_between_the_template_s_lids(subject, eyes):
+    spheres = eye_spheres(subject)
+    assert spheres is not None
+    centre, radius = spheres.centres[0], spheres.radii[0]
+    # up and down from the ball's middle, seen from the front
+    y = np.arange(-0.006, 0.006, 0.0002)
+    front = centre + np.stack([0 * y, y, np.sqrt(radius**2 - y**2)], 1)
+    shown = np.abs(first_crossing(eyes, front, np.array([0, 0, 1.0]))) < 0.0004
+    rim = subject.vertices[body_sockets()[0].rim]
+    middle = rim[np.abs(rim[:, 0] - centre[0]) < 0.003]
+    assert len(middle) >= 2
+    apart = np.ptp(middle[:, 1])
+    assert 0.0002 * shown.sum() > apart - 0.0015
+
+
+def test_the_share_is_whole_on_the_opening_and_nothing_beyond(subject, eyes, closed):
+    opening = eye_openings(subject)
+    points = torch.as_tensor(opening, dtype=torch.float32)
+    field = closed(points)
+    np.testing.assert_allclose(eyes.distance(points, field), asked(eyes, opening), atol=1e-6)
+    assert (field - eyes.distance(points, field)).abs().max() > 0.001  # closed sockets are another surface
+    away = np.random.default_rng(0).uniform(opening.min(0) - 0.03, opening.max(0) + 0.03, (20000, 3))
+    away = away[KDTree(opening).query(away)[0] > OTHER + 2 * eyes.cell]
+    away = torch.as_tensor(away, dtype=torch.float32)
+    assert len(away) > 1000 and torch.equal(eyes.distance(away, closed(away)), closed(away))
+
+
+def test_the_field_has_no_step_at_the_box(eyes, closed):
     rng = np.random.default_rng(0)
-    low = fine.low.numpy().astype(np.float64)
-    size = fine.cell * (np.array(fine.values.shape) - 1)
+    low = eyes.low.numpy().astype(np.float64)
+    size = eyes.cell * (np.array(eyes.values.shape) - 1)
+    assert eyes.cell == pytest.approx(closed.cell / FINER) and eyes.cell <= 0.0015
     for axis in range(3):
         for side in (0.0, 1.0):
             place = rng.random((200, 3))
             place[:, axis] = side
             step = np.zeros(3)
             step[axis] = 1e-6 if side else -1e-6
-            face = low + size * place
+            ends = [torch.as_tensor(low + size * place + s, dtype=torch.float32) for s in (step, -step)]
+            outside, inside = (eyes.distance(points, closed(points)) for points in ends)
             # micrometres of slope over 2e-6 m, and float32
-            assert np.abs(asked(opened, face + step) - asked(opened, face - step)).max() < 2e-5
+            assert (outside - inside).abs().max() < 2e-5
 
 
-def test_value_and_gradient_are_of_one_interpolant_inside_the_fine_box(opened):
-    fine = opened.fine
-    assert fine is not None
-    size = fine.cell * (torch.tensor(fine.values.shape) - 1)
-    points = (fine.low + size * torch.rand(500, 3, generator=torch.Generator().manual_seed(0))).requires_grad_()
-    value, slope = opened.sample(points.detach())
-    same = opened(points)
-    torch.testing.assert_close(value, same.detach(), rtol=0, atol=1e-6)
-    (gradient,) = torch.autograd.grad(same.sum(), points)
-    assert (slope - gradient).abs().quantile(0.99) < 1e-2  # beside a plane of nodes either side's is right
+def test_details_lie_round_each_opening(subject, eyes):
+    opening = eye_openings(subject)
+    boxes = sorted(eyes.details(), key=lambda box: -box.low[0])  # left first
+    assert len(boxes) == 2
+    for box, side in zip(boxes, (1, -1)):
+        own = opening[side * opening[:, 0] > 0]
+        assert (own > box.low).all() and (own < box.high).all()
+        assert (box.high - box.low).max() < 0.05
 
 
-def test_a_field_may_change_little_on_the_eyeballs_and_all_beside_them(subject, closed, opened):
-    spheres = eye_spheres(subject)
-    assert spheres is not None
-    off = np.array([-0.002, 0.0, 0.5 * HELD, HELD, 0.05])
-    points = spheres.centres[0] + (spheres.radii[0] + off)[:, None] * [0, 0, 1]
-    points = torch.tensor(points, dtype=torch.float32)
-    expected = torch.tensor([LEAST, LEAST, 0.5 + 0.5 * LEAST, 1, 1])
-    torch.testing.assert_close(opened.freedom(points), expected, rtol=0, atol=1e-3)
-    assert (closed.freedom(points) == 1).all()
-
-
-def test_value_and_gradient_of_a_field_agree_where_its_correction_fades(subject, opened):
+@pytest.fixture(scope="module")
+def fused(subject, closed, eyes):
     settings = replace(DEMO.parts[1], networks=TriPlaneNetworks(plane_size=8, color_size=8))
     torch.manual_seed(0)
-    field = run_folder.build_field(subject, 1, settings, opened, 3)
-    for parameter in field.geometry.parameters():
-        parameter.data += 0.3 * torch.randn_like(parameter)
-    spheres = eye_spheres(subject)
-    assert spheres is not None
-    about = torch.tensor(spheres.centres[0], dtype=torch.float32)
-    points = about + 0.02 * torch.randn(200, 3, generator=torch.Generator().manual_seed(1))
-    sample, gradient = field.with_gradient(points, create_graph=False)
+    fields = []
+    for index in (0, 1):
+        field = run_folder.build_field(subject, index, settings, closed, 3)
+        for parameter in field.geometry.parameters():
+            parameter.data += 0.3 * torch.randn_like(parameter)
+        fields.append(field)
+    # Eq. 5 moves the head's field; the eyes stay where the template has them, on which its video was placed
+    place = torch.eye(4)
+    place[:3, :3] *= 1.01
+    place[:3, 3] = torch.tensor([0.002, -0.001, 0.001])
+    person = FusedField(fields, part_boxes(subject), place).eval().requires_grad_(False)
+    person.eyes = eyes
+    return person
+
+
+def test_the_fused_field_shows_the_eyes_where_the_template_has_them(subject, fused, eyes):
+    opening = eye_openings(subject)
+    points = torch.as_tensor(opening, dtype=torch.float32)
+    np.testing.assert_allclose(fused.distance(points), asked(eyes, opening), atol=2e-6)
+    (left, right) = fused.details()
+    assert left.step == eyes.cell
+    inside = [((opening > box.low) & (opening < box.high)).all(1) for box in (left, right)]
+    assert (inside[0] | inside[1]).all()
+    shown, fused.eyes = fused.eyes, None
+    try:
+        assert np.abs(fused.distance(points).numpy() - asked(eyes, opening)).mean() > 0.001
+        assert fused.details() == []
+    finally:
+        fused.eyes = shown
+
+
+def test_value_and_gradient_of_the_fused_field_agree_round_the_eyes(subject, fused):
+    opening = torch.as_tensor(eye_openings(subject)[::7], dtype=torch.float32)
+    points = opening + 0.006 * torch.randn(len(opening), 3, generator=torch.Generator().manual_seed(1))
+    sample, gradient = fused.part_gradient(1, points)
+    torch.testing.assert_close(sample.distance, fused.part_distance(1, points), rtol=0, atol=2e-6)
     at = points.clone().requires_grad_()
-    distance = field(at).distance
-    torch.testing.assert_close(sample.distance.detach(), distance.detach(), rtol=0, atol=1e-5)
-    (expected,) = torch.autograd.grad(distance.sum(), at)
+    (expected,) = torch.autograd.grad(fused.part_distance(1, at).sum(), at)
     assert (gradient - expected).abs().quantile(0.95) < 2e-2  # beside a plane of nodes either side's is right
 
 
-def test_a_body_without_known_eyes_keeps_its_grid(subject, closed):
-    assert with_open_eyes(closed, replace(subject, faces=subject.faces[:, [1, 2, 0]])) is closed
+def test_a_body_without_known_eyes_has_none(subject, closed):
+    assert open_eyes(replace(subject, faces=subject.faces[:, [1, 2, 0]]), closed) is None
 
 
-def test_a_part_is_read_back_with_its_fine_grid_and_one_without_has_none(tmp_path, subject, opened):
-    settings = replace(DEMO.parts[1], networks=TriPlaneNetworks(plane_size=8, color_size=8))
-    coarse = TemplateGrid(opened.values, opened.low, opened.cell)
-    for template in (opened, coarse):
-        field = run_folder.build_field(subject, 1, settings, template, 3)
-        run_folder.write_part(tmp_path / "head.pt", field)
-        found = run_folder.read_part(tmp_path / "head.pt", subject, 1, settings).template
-        if template.fine is None:
-            assert found.fine is None
-        else:
-            assert isinstance(found.fine, FineGrid)
-            assert torch.equal(found.fine.eyes, template.fine.eyes)
-            assert torch.equal(found.fine.values, template.fine.values) and found.fine.cell == template.fine.cell
+def test_eyes_are_read_back_from_a_run_and_older_runs_have_none(tmp_path, eyes):
+    path = tmp_path / "eyes.npz"
+    assert run_folder.read_eyes(path) is None
+    run_folder.write_eyes(path, eyes)
+    again = run_folder.read_eyes(path)
+    assert again is not None and again.cell == eyes.cell
+    for name in ("values", "share", "low"):
+        assert torch.equal(getattr(again, name), getattr(eyes, name))
+
+
+def test_broken_eyes_are_refused_by_name(tmp_path, eyes):
+    path = tmp_path / "eyes.npz"
+    run_folder.write_eyes(path, eyes)
+    arrays = dict(np.load(path))
+    np.savez(path, **{**arrays, "share": arrays["share"][1:]})
+    with pytest.raises(AssetError, match=r"eyes.npz: share should be \("):
+        run_folder.read_eyes(path)
+    np.savez(path, **{**arrays, "cell": np.float64(0)})
+    with pytest.raises(AssetError, match="cell should be a length"):
+        run_folder.read_eyes(path)
+
+
+def test_the_paper_s_preset_shows_the_field_as_it_was_learnt():
+    assert DEMO.open_eyes and FAST.open_eyes and not PAPER.open_eyes

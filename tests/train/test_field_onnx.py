@@ -17,13 +17,14 @@ from bake.bake import write_field_beside
 from bake.field import numpy_field
 from bake.measure import ScoredView
 from bench.onnx_field import OnnxField, drawn_field, field_surface
+from train.eye_grid import OpenEyes
 from train.field import PartField
 from train.field_onnx import is_exportable, write_field
 from train.fused import FusedField
 from train.networks import triplane
 from train.networks.triplane import TriPlaneNetworks
 from train.parts import Box, Part
-from train.template_grid import FineGrid, TemplateGrid
+from train.template_grid import TemplateGrid
 
 SIZES = TriPlaneNetworks(plane_size=12, plane_channels=4, color_size=20, color_channels=4, width=24, feature=7)
 
@@ -45,17 +46,7 @@ def random_field(seed: int = 0) -> FusedField:
     for part in parts:
         low, high = (torch.tensor(edge, dtype=torch.float32) for edge in (part.extent.low, part.extent.high))
         networks = triplane.build(SIZES, frames=3, half=0.5 * (high - low), displacement_reach=0.01)
-        # a bump in the middle of a smaller box with smaller cells
-        bump = torch.zeros(9, 9, 9)
-        bump[2:7, 2:7, 2:7] = 0.02
-        template = TemplateGrid(
-            ball,
-            torch.full((3,), -0.6),
-            0.05,
-            FineGrid(
-                bump, torch.full((3,), 0.1), 0.025, torch.tensor([[0.1, 0.2, 0.25, 0.02], [-0.1, 0.2, 0.25, 0.02]])
-            ),
-        )
+        template = TemplateGrid(ball, torch.full((3,), -0.6), 0.05)
         field = PartField(template, low, high, networks)
         for name, weight in field.named_parameters():
             strong = 1.5 if name.startswith("color_network") else 0.2
@@ -66,7 +57,13 @@ def random_field(seed: int = 0) -> FusedField:
     head = torch.eye(4)
     head[:3, :3] = torch.tensor(1.04 * matrix_from_axis_angle(np.array([0.1, -0.4, 0.2])))
     head[:3, 3] = torch.tensor([0.01, -0.02, 0.015])
-    return FusedField(fields, parts, head).eval().requires_grad_(False)
+    person = FusedField(fields, parts, head)
+    # another surface in a smaller box with smaller cells
+    share = torch.zeros(13, 13, 13)
+    share[3:10, 3:10, 3:10] = 1
+    values = ball[:13, :13, :13] + 0.02 * torch.randn(13, 13, 13)
+    person.eyes = OpenEyes(values, share, torch.tensor([-0.15, 0.1, -0.15]), 0.025)
+    return person.eval().requires_grad_(False)
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +95,17 @@ def torch_answers(field, points, directions):
 def test_distance_equals_the_torch_field(field, path, asked):
     expected, _, _ = torch_answers(field, *asked)
     np.testing.assert_allclose(OnnxField(path).distance(asked[0]), expected, atol=2e-6)
+
+
+def test_distance_shows_the_eyes(field, path):
+    rng = np.random.default_rng(2)
+    points = rng.uniform([-0.1, 0.15, -0.1], [0.1, 0.4, 0.1], (500, 3))
+    eyes, field.eyes = field.eyes, None
+    try:
+        without = torch_answers(field, points, points)[0]
+    finally:
+        field.eyes = eyes
+    assert np.abs(OnnxField(path).distance(points) - without).mean() > 0.01
 
 
 def test_normals_by_central_differences_equal_autograd(field, path, asked):

@@ -117,7 +117,7 @@ def test_a_bad_normal_loses_rays_that_the_closed_distance_keeps(capture, cloud, 
 
 def test_the_papers_rays_are_even_its_sockets_closed_its_crossings_fixed():
     assert all(part.focus == 0 for part in PAPER.parts)
-    assert not PAPER.open_eyes and not PAPER.attached
+    assert not PAPER.attached
 
 
 @pytest.mark.parametrize("attached", [False, True])
