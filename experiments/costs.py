@@ -39,6 +39,7 @@ ITEMS = (
     Item("head", ("head",), "fewer --iterations"),
     Item("hands", ("hand_left", "hand_right"), "fewer --iterations"),
     Item("head on body (Eq. 5)", ("registration",)),
+    Item("open eyes", ("eyes",), "--without eyes"),
     Item("body meets parts, stage 2 (Eq. 7, 13)", ("union",)),
     Item("surface, with hair's own layer", ("surface",)),
     Item("view directions (Eq. 14)", ("views",)),

@@ -75,6 +75,7 @@ ROWS = {
         Row("no_L_g", "without L_g (Eq. 7)", SEAMS, "step_mm"),
         Row("no_codes_no_fusion", "without codes and fusion (Eq. 8, 9)", SEAMS, "shown_color_step"),
         Row("no_fusion", "without fusion (Eq. 9)", SEAMS, "shown_color_step"),
+        Row("filled_eyes", "eyes as the field filled them"),
         Row("one_surface", "hair and body as one surface"),
         Row("light_off", "without light as its own factor", training=LIGHT_OFF),
         Row("single", "single network, as many parameters", training=SINGLE),

@@ -5,6 +5,7 @@
     no_L_g               the body as stage 1 left it (Eq. 7 and 13 undone); head's place and codes are ours
     no_codes_no_fusion   every part with the mean of its own codes (no Eq. 8), colour switched, not blended (no Eq. 9)
     no_fusion            matched codes, colour switched
+    filled_eyes          round the eyes the surface as the head's field learnt it, without train/eye_grid.py
     one_surface          hair and body as one surface, without train/layers.py (ours where no hair hangs)
 
 Switched: the part of the largest weight gives all of the colour, so the border lies in the middle of the overlap,
@@ -34,7 +35,7 @@ from train.parts import eq9_shares, part_boxes
 from train.run import Run, read_part
 from train.union import in_overlap
 
-VARIANTS = ("ours", "landmarks_only", "no_L_g", "no_codes_no_fusion", "no_fusion", "one_surface")
+VARIANTS = ("ours", "landmarks_only", "no_L_g", "no_codes_no_fusion", "no_fusion", "filled_eyes", "one_surface")
 SEAMS = ("neck", "wrist_left", "wrist_right")  # between the body and PARTS[1:]
 
 
@@ -76,6 +77,8 @@ def variant(run: Run, capture: Capture, name: str) -> Run:
     elif name == "no_L_g":
         fields[0] = read_part(run.path / "body_stage1.pt", run.subject, 0, run.preset.parts[0])
     field = _fused(run, fields, head_from_canonical)
+    if name == "filled_eyes":
+        field.eyes = None
     shown = displayed_surface(field, run.subject, run.preset.surface_cells)
     shares = eq9_shares(torch.as_tensor(shown.vertices, dtype=torch.float32), part_boxes(run.subject)).numpy()
     sums = view_sums(capture, shown, shares, canonical_from_head)
@@ -87,7 +90,7 @@ def _fused(
     run: Run, fields: list[PartField], head_from_canonical: Float[Tensor, "4 4"], *, switch: bool = False
 ) -> FusedField:
     field = FusedField(fields, part_boxes(run.subject), head_from_canonical, switch=switch)
-    field.seen = run.field.seen
+    field.seen, field.eyes = run.field.seen, run.field.eyes
     return field.to(run.field.head_from_canonical.device).eval().requires_grad_(False)
 
 

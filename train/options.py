@@ -39,7 +39,8 @@ class TrainOptions:
     without: Annotated[
         tuple[str, ...], OneOf(tuple(ITEMS)), Option(several=True),
         "leave out what the preset adds to the paper: light (told from the skin before training, where there is any; "
-        "albedo is learnt), hair (its placement, hollows and a layer of its own), clothes (that stand off the body)",
+        "albedo is learnt), hair (its placement, hollows and a layer of its own), clothes (that stand off the body), "
+        "eyes (open, with eyeballs, as the template has them)",
     ] = ()  # fmt: skip
     single: Annotated[
         bool, "one network with the four parts' parameters, rays and steps, for comparison; its head lies where the "

@@ -243,6 +243,7 @@ ITEMS: dict[str, Callable[[Preset], Preset]] = {
     "light": lambda preset: replace(preset, light=False),
     "hair": lambda preset: replace(preset, hair=HairPreset()),
     "clothes": lambda preset: replace(preset, clothes=False),
+    "eyes": lambda preset: replace(preset, open_eyes=False),
 }
 
 

@@ -6,9 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from PIL import Image
+
 from avatar.errors import AssetError
 from avatar.files import check_file, check_folder, whole_file
 from avatar.settings import Help, Option, parse
+from capture.check.face import FaceReport, close_ups, face_line
 from capture.check.keypoints import Followed, compare_keypoints, keypoint_findings, keypoint_lines
 from capture.check.raw_videos import examine_videos, usable, verdict_line, video_lines
 from capture.check.report import CaptureReport, PartReport, examine, report_facts
@@ -30,7 +33,9 @@ class CheckCommand:
         "left.mp4 and right.mp4, or the four files in that order",
     ]
     out: Annotated[
-        Path | None, Option(("-o", "--out"), "DIR"), "write DIR/check.json and, of a capture, DIR/overlays.png"
+        Path | None,
+        Option(("-o", "--out"), "DIR"),
+        "write DIR/check.json and, of a capture, DIR/overlays.png and DIR/face.png",
     ] = None
     keypoints: Annotated[
         Path | None,
@@ -48,7 +53,7 @@ ABOUT = Help(
 frames, sharpness and view directions sound? Ends in a verdict: usable; usable, but ...; not usable because ...
 (exit code 1), each with what to do. Videos as filmed are looked at before any fit: is the person whole, alone and sharp
 in them, does the camera stand still, is there an empty second?""",
-    "example: selfscan check out/capture -o out/check, then look at out/check/overlays.png",
+    "example: selfscan check out/capture -o out/check, then look at out/check/overlays.png and face.png",
 )
 
 
@@ -81,6 +86,9 @@ def main(argv: list[str]) -> int:
         files.append(out / "check.json")
         write_overlays(out / "overlays.png", capture, report)
         print(f"{out / 'overlays.png'}: outline of the mask red, of the template's parts in other colours")
+        if report.face is not None and report.face.shown:
+            write_face(out / "face.png", capture, report.face)
+            print(f"{out / 'face.png'}: the face at 512 pixels, as the head's video shows it")
     for path in files:
         with whole_file(path, "w") as file:
             json.dump(facts, file, indent=1)
@@ -122,6 +130,8 @@ def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...]
         )
     out += ["", "frames by direction of the camera, turning to the right, from above to below:"]
     out += _histograms(list(report.parts.values()))
+    if report.face is not None:
+        out += ["", face_line(report.face)]
     if followed:
         out += ["", *keypoint_lines(followed)]
     if report.unseen:
@@ -139,6 +149,14 @@ def _histograms(parts: list[PartReport]) -> list[str]:
     tables = [["".join(sign(n) for n in row) for row in part.coverage.histogram.tolist()] for part in parts]
     out = ["  " + "  ".join(f"{part.part:<12}" for part in parts)]
     return out + ["  " + "  ".join(rows) for rows in zip(*tables)]
+
+
+def write_face(path: Path, capture: Capture, face: FaceReport) -> None:
+    """The face from the front and from either side."""
+    picture = io.BytesIO()
+    Image.fromarray(close_ups(capture, face)).save(picture, format="PNG")
+    with whole_file(path) as file:
+        file.write(picture.getvalue())
 
 
 def write_overlays(path: Path, capture: Capture, report: CaptureReport) -> None:

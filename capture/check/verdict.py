@@ -23,6 +23,7 @@ LEFT_OUT = 0.05
 RESIDUAL = (0.006, 0.02)
 # share of a part's surface seen in a few frames: holes, a side never filmed
 SEEN = (0.8, 0.6)
+IRIS_PIXELS = 6.0  # pixels across an iris under which iris, pupil and white run together
 GAP = 60.0  # degrees of the turn without a frame
 FEW = 16  # frames of a video
 # of the frames: so many bad ones are no accident
@@ -73,7 +74,23 @@ def verdict(report: CaptureReport) -> Verdict:
                              f"landmarks are {mm:.0f} mm off the template (Eq. 6)", advice))  # fmt: skip
     for part in report.parts.values():
         found += _of_frames(part) + _of_masks(part) + _of_poses(part) + _of_views(part)
+    found += _of_face(report)
     return Verdict(tuple(sorted(found, key=lambda finding: not finding.fatal)))
+
+
+def _of_face(report: CaptureReport) -> list[Finding]:
+    face, found = report.face, []
+    if face is None:
+        return []
+    if face.frames == 0:
+        return [Finding("head", False, "no frame shows the eyes from the front", "film the face as well")]
+    if face.iris < IRIS_PIXELS:
+        found.append(Finding("head", False, f"an iris is {face.iris:.0f} pixels wide",
+                             "film the head closer, or give larger images: iris and white run together"))  # fmt: skip
+    if face.closed:
+        found.append(Finding("head", False, f"lids look closed in frames {listed(face.closed)}",
+                             "leave these frames out: half-closed lids end up in the texture of the eyes"))  # fmt: skip
+    return found
 
 
 def _of_frames(part: PartReport) -> list[Finding]:

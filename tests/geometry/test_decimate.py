@@ -5,7 +5,7 @@ from capsules import ball_mesh, sphere
 
 from avatar.errors import AssetError
 from bake.measure import field_to_mesh
-from geometry.decimate import Enlargement, balanced, decimate, enlarged, shrunk
+from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged, magnified, shrunk
 from geometry.mesh import TriangleMesh, enclosed_volume
 from geometry.repair import find_faults, repair, split_nonmanifold
 
@@ -40,6 +40,46 @@ def test_shrinking_undoes_the_enlargement():
     chosen = points[rng.integers(0, 4000, 300)] + rng.normal(size=(300, 3)) * 0.002
     back = shrunk(enlarged(chosen, part), enlarged(points, part), points, part)
     np.testing.assert_allclose(back, chosen, atol=1e-4)
+
+
+EYES = [Magnifier(np.array([x, 0.05, 0.08]), 0.015, 2.2) for x in (-0.03, 0.03)]
+
+
+def test_magnifying_enlarges_its_balls_and_presses_nothing_together():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.15, 0.15, (3000, 3))
+    points[:100] = EYES[0].centre + rng.uniform(-0.007, 0.007, (100, 3))
+    near = points + 1e-4 * rng.normal(size=points.shape)
+    growth = np.linalg.norm(magnified(near, EYES) - magnified(points, EYES), axis=1) / np.linalg.norm(
+        near - points, axis=1
+    )
+    away = np.min([np.linalg.norm(points - eye.centre, axis=1) for eye in EYES], axis=0)
+    assert growth.min() > 1 - 1e-6
+    assert growth[away < 0.014].min() > 2.19 and growth[away < 0.014].size >= 100
+    np.testing.assert_array_equal(magnified(points, []), points)
+
+
+def test_shrinking_undoes_magnifiers_under_an_enlargement():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.15, 0.15, (4000, 3))
+    parts = [*EYES, Enlargement(np.array([0, -0.1, 0.0]), np.array([0, 1.0, 0]), 0.5, 1.8)]
+    chosen = points[rng.integers(0, 4000, 300)] + rng.normal(size=(300, 3)) * 0.002
+    back = shrunk(enlarged(chosen, parts), enlarged(points, parts), points, parts)
+    np.testing.assert_allclose(back, chosen, atol=1e-4)
+
+
+def test_a_magnified_place_keeps_more_triangles_in_every_level():
+    eye = Magnifier(np.array([0, 0, 0.1]), 0.02, 2.2)
+    ball = ball_mesh(step=0.004)
+
+    def there(mesh):
+        middle = mesh.vertices[mesh.faces].mean(1)
+        return (np.linalg.norm(middle - eye.centre, axis=1) < eye.radius).sum()
+
+    for target in (2000, 600):
+        plain, dense = decimate(ball, target), decimate(ball, target, [eye])
+        assert not find_faults(dense.faces, len(dense.vertices))
+        assert there(dense) > 1.7 * there(plain)
 
 
 def test_balanced_ball_is_nearer_to_the_sphere_than_one_with_its_vertices_on_it():

@@ -3,7 +3,7 @@ import pytest
 import torch
 from capsules import sphere
 
-from geometry.isosurface import extract, graded_axis, project_to_zero, sample_near_surface
+from geometry.isosurface import Detail, extract, graded_axis, project_to_zero, sample_near_surface
 from geometry.mesh import enclosed_volume
 from geometry.repair import find_faults
 
@@ -14,6 +14,38 @@ def test_graded_axis_is_fine_inside_its_spans_only():
     assert len(axis) % 8 == 0 and axis[-1] >= 1.0
     assert (steps[(middle > 0.2) & (middle < 0.4)] < 0.011).all()
     assert (steps[(middle < 0.1) | (middle > 0.5)] > 0.049).all()
+
+
+def test_graded_axis_takes_the_finest_step_of_its_details():
+    axis = graded_axis(-1.0, 1.0, [(0.2, 0.6)], 0.05, 0.02, details=[(0.3, 0.4, 0.005), (-0.5, -0.4, 0.03)])
+    steps, middle = np.diff(axis), 0.5 * (axis[1:] + axis[:-1])
+    assert (steps[(middle > 0.3) & (middle < 0.4)] < 0.0051).all()
+    assert (steps[(middle > 0.45) & (middle < 0.6)] > 0.0199).all()
+    assert (steps[(middle > -0.45) & (middle < -0.4)] < 0.031).all()
+    assert (steps[(middle < -0.6) | (middle > 0.7)] > 0.049).all()
+
+
+def test_a_detail_keeps_what_the_grid_would_lose():
+    """A ridge of 2 mm on a ball, in cells of 8 mm and of 1 mm."""
+    ball, _ = sphere(0.1)
+
+    def distance(points):
+        ridge = np.maximum(np.abs(points[:, 0]) - 0.001, np.linalg.norm(points, axis=1) - 0.104)
+        ridge = np.maximum(ridge, 0.06 - points[:, 2])
+        return np.minimum(ball(points), ridge)
+
+    normal = lambda points: points / np.linalg.norm(points, axis=1, keepdims=True)
+    hints = 0.1 * np.random.default_rng(0).normal(size=(400, 3))
+    hints = 0.1 * hints / np.linalg.norm(hints, axis=1, keepdims=True)
+    detail = Detail(np.array([-0.01, -0.02, 0.09]), np.array([0.01, 0.02, 0.11]), 0.001)
+    coarse, fine = (
+        extract(distance, normal, hints, np.zeros(400, bool), coarse_step=0.008, fine_step=0.004, details=given)
+        for given in ((), (detail,))
+    )
+    for found, top in ((coarse, False), (fine, True)):
+        assert not find_faults(found.mesh.faces, len(found.mesh.vertices))
+        across = (np.abs(found.mesh.vertices[:, 1]) < 0.015) & (found.mesh.vertices[:, 2] > 0.09)
+        assert (np.linalg.norm(found.mesh.vertices[across], axis=1).max() > 0.1035) == top
 
 
 def test_sparse_samples_have_the_sign_of_dense_ones_and_are_exact_at_the_surface():
