@@ -89,7 +89,7 @@ def test_the_end_says_times_and_what_the_avatar_missed(tmp_path):
     write_avatar(tmp_path / "avatar.glb", avatar)
     text = "\n".join(summary(tmp_path, {"train": 61.2, "bake": 12.0}))
     assert "train" in text and "61 s" in text and "73 s" in text
-    assert "missed: 34.7 dB" in text and "bench.md" in text and "film.toml" in text
+    assert "missed: 34.7 dB" in text and "bench.html" in text and "film.toml" in text
 
 
 def test_stages_say_their_names_and_what_is_left(tmp_path, capsys):
