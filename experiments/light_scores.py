@@ -19,6 +19,7 @@ from bench.drawer import Drawer
 from bench.field_view import one_thread
 from bench.machine import machine
 from bench.picture_scores import SAMPLES, VIEW_REGION, region_of
+from capture.folder import read_capture
 from capture.held_out import SETS, HeldOutView, read_held_out
 from experiments.table_row import digest
 from geometry.mesh import vertex_normals
@@ -92,23 +93,21 @@ def measured(run: Path, person: str, even: Path, light: str, seed: int, poses: i
     studio = Studio(raster, subject, supersample=2)
     camera_axis = -np.asarray(_body_axis(even))
     try:
-        result: dict[str, Any] = {"found": found_light(source.world_light, true_light), "machine": None}
+        result: dict[str, Any] = {"found": found_light(source.world_light, true_light)}
         with one_thread():
             for name in SETS:
                 views = some_poses(read_held_out(even, name), poses)
                 compared = [compare(drawer, studio, view, true_light, camera_axis) for view in views]
                 result[name] = scores(compared)
-        result["machine"] = machine(drawer.context.renderer, drawer.context.kind)
+        measured_on = machine(drawer.context.renderer, drawer.context.kind)
     finally:
         raster.release()
         drawer.release()
-    return result | {"cpu_seconds": round(time.process_time() - began, 1)}
+    return result | {"machine": measured_on, "cpu_seconds": round(time.process_time() - began, 1)}
 
 
 def _body_axis(capture: Path) -> Float[Array, "3"]:
     """The way the body's camera looks, world."""
-    from capture.folder import read_capture
-
     return read_capture(capture, parts=("body",)).videos["body"].cameras[0].camera_from_world[2, :3]
 
 
