@@ -49,6 +49,8 @@ class CaptureSubject:
     carved: tuple[int, int] = (0, 0)
     # metres under the lowest skin of the head that the head's field takes from the body's (train/parts.py)
     head_reach: float = 0.0
+    # vertices that carved clothes hide from every side (train/clothes.py): their inside, and the body there; None: none
+    behind_cloth: Bool[Array, "vertices"] | None = None
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
     Raises:
         AssetError: a field is absent, misshapen or not finite; file and field are named.
     """
-    fields = read_npz(path, "a subject", SUBJECT, ("eyes", "under_hair", "carved", "head_reach"))
+    fields = read_npz(path, "a subject", SUBJECT, ("eyes", "under_hair", "carved", "head_reach", "behind_cloth"))
     rest = field(path, fields, "v_template", (None, 3)).astype(np.float64)
     count = len(rest)
     height = float(np.ptp(rest[:, 1])) if count else 0.0
@@ -154,8 +156,9 @@ def read_subject(path: Path, name: str = "") -> CaptureSubject:
     if not 0 <= reach <= 0.3:
         raise AssetError(f"{path}: head_reach should be 0 to 0.3 metres, is {reach:g}")
     canonical = skin_points(rest, skin, skin_transforms(BIG_POSE, joints, rest=np.zeros((52, 3))))
+    behind = field(path, fields, "behind_cloth", (count,)).astype(bool) if "behind_cloth" in fields else None
     return CaptureSubject(
-        name, rest, canonical, faces, skin, joints, part, hair, eyes, under_hair, (first, last), reach
+        name, rest, canonical, faces, skin, joints, part, hair, eyes, under_hair, (first, last), reach, behind
     )
 
 
@@ -188,6 +191,8 @@ def write_subject(path: Path, subject: CaptureSubject) -> None:
         fields |= {"under_hair": subject.under_hair, "carved": np.array(subject.carved)}
     if subject.head_reach:
         fields["head_reach"] = np.float64(subject.head_reach)
+    if subject.behind_cloth is not None:
+        fields["behind_cloth"] = subject.behind_cloth
     with whole_file(path) as file:
         np.savez(file, **fields)
 

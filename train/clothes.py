@@ -2,11 +2,16 @@
 
 A surface is looked for within a band of centimetres round the template. A skirt, wide trousers or a coat lie beyond it.
 As hair is (train/hull.py), they are carved: what nearly all masks hold is the person, and what of that stands farther
-off the template than the band reaches, a litre or more of it, is cloth. Cloth is thin and open below, so of what is
-carved only a shell stays: what lies within THICK of the air beside it, level by level, which leaves the way in from
-below and the legs inside as they are. Joined to the template it is marched to, learnt, skinned and baked like skin; the
-band then follows the cloth. It moves as the nearest bones do, smoothed over a hand's breadth of cloth, so that the
-middle of a skirt moves half with each leg.
+off the template than the band reaches, two litres or more of it, is cloth. Cloth is thin and open below, so of what is
+carved only a shell stays, as thick as a grid can hold: with D the signed distance to the air beside what is held, level
+by level, and d that to the template,
+
+    max(D, min(-D - THICK, d - D - THICK - GAP), -d - UNDER)
+
+so that the way in from below and the legs inside stay as they are; where less than GAP of air is left between shell and
+body, at the waist, the shell is filled down to the skin. Joined to the template it is marched to, learnt, skinned and
+baked like skin; the band then follows the cloth. It moves as the nearest bones do, smoothed over a hand's breadth of
+cloth, so that the middle of a skirt moves half with each leg.
 
 All is carved in the pose that the video holds, where the person is rigid, and taken to the canonical frame by the
 weights.
@@ -17,6 +22,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int
 from scipy import ndimage, sparse
 
@@ -32,7 +38,8 @@ from train.template_grid import TemplateGrid, template_grid
 
 Array = np.ndarray
 
-CELL = 0.01  # metres, of the carved grid
+CELL = 0.01  # metres, of the template's distance
+FINE = 0.007  # of the grid on which cloth is carved
 # metres off the template: nearer is left to the band, farther no cloth stands
 STANDS_OFF, FARTHEST = 0.03, 0.28
 # a piece of less is a fold, a pocket, or what masks of two legs cannot tell; cubic metres, and metres at its farthest
@@ -45,27 +52,36 @@ AROUND = 0.12
 # directions round the middle of a level; cloth reaches as far as it does at its widest, or nearly, in as many as at
 # the best level, or nearly: less is below the hem
 SECTORS, HEM_REACH, ALL_ROUND = 24, 0.6, 0.8
-THICK = 0.022  # metres, of the shell: two cells, or the grid loses it
+# metres, of the shell: a fine cell and a half, or the grid loses it; half of it is the widest cell of the distance that
+# the field begins with
+THICK = 0.011
+# metres of air between shell and skin that are filled, and how deep under the skin the shell ends
+GAP, UNDER = 0.02, 0.015
 # metres of cloth over which skin weights are smoothed
-BLEND = 0.12
+BLEND = 0.1
 
 
 class Cloth(NamedTuple):
-    """A closed volume of cloth on a grid of the pose that it was carved in: 1 inside, 0 outside, smooth between."""
+    """A shell of cloth on a grid of the pose that it was carved in."""
 
-    share: Float[Array, "x y z"]
-    low: Float[Array, "3"]  # place of share[0, 0, 0], metres
+    distance: Float[Array, "x y z"]  # signed, metres; right near the shell
+    # how deep under the outside of person and cloth together, level by level; metres; 0 farther off than cloth reaches
+    depth: Float[Array, "x y z"]
+    low: Float[Array, "3"]  # place of distance[0, 0, 0], metres
 
-    def at(self, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
-        """The share at points, trilinear; 0 outside the grid."""
-        places = ((points - self.low) / CELL).T
-        return ndimage.map_coordinates(self.share, places, order=1, mode="constant", cval=0.0)
+    def at(self, values: Float[Array, "x y z"], points: Float[Array, "n 3"], outside: float) -> Float[Array, "n"]:
+        """One of its grids at points, trilinear; `outside` of the grid's box."""
+        places = ((points - self.low) / FINE).T
+        return ndimage.map_coordinates(values, places, order=1, mode="constant", cval=outside)
 
 
 def with_clothes(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
     """The subject with loose clothes joined to its template; the subject itself, bit by bit, where there are none.
 
     Template faces inside the cloth are dropped; vertices keep their numbers. Clothes belong to the body part.
+
+    Raises:
+        ValueError: there are clothes, and the pose that the video holds does not lead to the canonical one.
     """
     pose, views = held_pose(body, subject)
     canonical_to_pose = skin_transforms(pose, subject.joints, np.zeros(3))
@@ -82,14 +98,15 @@ def with_clothes(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
     cloth = carve(views, template, coarse, loose)
     vertices, faces = cloth_mesh(cloth)
     # what of the cloth lies under the skin is no surface, and what of the skin lies in the cloth neither
-    distance = template.values.numpy()
-    under = ndimage.map_coordinates(distance, ((vertices[faces].mean(1) - cloth.low) / CELL).T, order=1, mode="nearest")
+    under = _distance_at(template, vertices[faces].mean(1))
     faces = faces[under > -0.003]
     used, faces = np.unique(faces, return_inverse=True)
     mesh = TriangleMesh(vertices[used], faces.reshape(-1, 3))
-    covered = cloth.at(posed.vertices[subject.faces].mean(1)) > 0.75
+    covered = cloth.at(cloth.distance, posed.vertices[subject.faces].mean(1), 1.0) < -0.25 * FINE
+    behind = [cloth.at(cloth.depth, posed.vertices, 0.0) > THICK, cloth.at(cloth.depth, mesh[0], 0.0) > 0.5 * THICK]
     skin = cloth_weights(mesh, cloud)
-    return _joined(subject, subject.faces[~covered], mesh, skin, canonical_to_pose)
+    joined = _joined(subject, subject.faces[~covered], mesh, skin, canonical_to_pose)
+    return replace(joined, behind_cloth=np.concatenate(behind))
 
 
 def held_pose(body: PartVideo, subject: CaptureSubject) -> tuple[Float[Array, "52 3"], list[MaskView]]:
@@ -131,17 +148,25 @@ def carve(
     views: Sequence[MaskView], template: TemplateGrid, coarse: TemplateGrid, loose: Bool[Array, "x y z"]
 ) -> Cloth:
     """What the views hold within AROUND of the `loose` cells of the coarse grid, down to its hem, as a shell."""
-    distance, low = template.values.numpy().astype(np.float64), template.low.numpy().astype(np.float64)
     near = distance_to(loose) * coarse.cell < AROUND
+    index = np.argwhere(near)
+    low = coarse.low.numpy() + coarse.cell * (index.min(0) - 1.0)
+    shape = tuple(np.ceil(coarse.cell * (np.ptp(index, axis=0) + 2) / FINE).astype(int) + 1)
+    cells = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), -1).reshape(-1, 3)
+    distance = _distance_at(template, low + FINE * cells).reshape(shape)
     hem = coarse.low.numpy()[1] + coarse.cell * (hem_level(loose) - 0.5)
-    above = low[1] + template.cell * np.arange(distance.shape[1]) > hem
+    above = low[1] + FINE * np.arange(shape[1]) > hem
     asked = np.argwhere((distance > 0) & (distance < FARTHEST) & above[:, None])
-    places = low + template.cell * asked
+    places = low + FINE * asked
     nearest = np.round((places - coarse.low.numpy()) / coarse.cell).astype(np.int64)
     chosen = near[tuple(np.minimum(nearest, np.array(near.shape) - 1).T)]
-    cloth = np.zeros(distance.shape, bool)
+    cloth = np.zeros(shape, bool)
     cloth[tuple(asked[chosen].T)] = _held(places[chosen], views)
-    return Cloth(shell(cloth, distance), low)
+    return shell(cloth, distance, low.astype(np.float64))
+
+
+def _distance_at(template: TemplateGrid, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    return template.sample(torch.as_tensor(points, dtype=torch.float32))[0].numpy().astype(np.float64)
 
 
 def hem_level(loose: Bool[Array, "x y z"]) -> int:
@@ -167,34 +192,36 @@ def _held(places: Float[Array, "n 3"], views: Sequence[MaskView]) -> Bool[Array,
     return (against <= AGAINST) & (seen >= SEEN_BY)
 
 
-def shell(cloth: Bool[Array, "x y z"], distance: Float[Array, "x y z"]) -> Float[Array, "x y z"]:
+def shell(cloth: Bool[Array, "x y z"], distance: Float[Array, "x y z"], low: Float[Array, "3"]) -> Cloth:
     """Of what is held beyond the template only what lies near the air beside it, joined to the template where they
-    meet; smooth.
+    meet; `distance` is the template's.
     """
     person = cloth | (distance <= 0)
     # a step up or down is made so long that every level is on its own
-    depth = ndimage.distance_transform_edt(person, sampling=(1.0, 1e6, 1.0), return_distances=True)
-    depth = np.asarray(depth, np.float64) * CELL
-    thin = cloth & (depth <= THICK + 1e-6)
-    # gaps of a cell or two between shell and body are filled, and the shell reaches into the skin
-    ball = ndimage.generate_binary_structure(3, 1)
-    body = (distance <= 0) & (distance > -2 * CELL)
-    closed = np.asarray(ndimage.binary_closing(thin | (distance <= 0), ball, iterations=2), bool) & cloth
-    beside = distance_to(thin) <= 2
-    solid = thin | closed & beside | body & beside
-    label = np.empty(solid.shape, np.int32)
-    ndimage.label(solid, output=label)
-    large = np.bincount(label.ravel()) * CELL**3 > LEAST_SHELL
+    level = (1.0, 1e6, 1.0)
+    inside, outside = (
+        np.asarray(ndimage.distance_transform_edt(cells, sampling=level, return_distances=True), np.float64) * FINE
+        for cells in (person, ~person)
+    )
+    depth = np.clip(inside, 0, 1) - np.clip(outside, 0, 4 * THICK) + np.where(person, -0.5, 0.5) * FINE
+    depth = ndimage.gaussian_filter(depth, 0.8)
+    wall = np.minimum(depth - THICK, depth + distance - THICK - GAP)
+    beside = (distance_to(cloth & (depth <= THICK)) - 2) * FINE
+    out = np.maximum.reduce([-depth, wall, -distance - UNDER, beside])
+    label = np.empty(out.shape, np.int32)
+    ndimage.label(out < 0, output=label)
+    large = np.bincount(label.ravel()) * FINE**3 > LEAST_SHELL
     large[0] = False
-    solid = large[label]
-    return ndimage.gaussian_filter(solid.astype(np.float64), 0.6)
+    keep = np.asarray(ndimage.binary_dilation(large[label], ndimage.generate_binary_structure(3, 3)), bool)
+    touched = np.asarray(ndimage.binary_dilation(cloth, iterations=2), bool)
+    return Cloth(np.where(keep, out, np.maximum(out, 0.5 * FINE)), np.where(touched, depth, 0), low)
 
 
 def cloth_mesh(cloth: Cloth) -> TriangleMesh:
-    """The closed surface of a volume of cloth, faces outwards."""
-    density = np.pad(cloth.share, 1)
-    axes = [low + CELL * (np.arange(count) - 1) for low, count in zip(cloth.low, density.shape)]
-    return zero_set_mesh(0.5 - density, axes)
+    """The closed surface of a shell of cloth, faces outwards."""
+    distance = np.pad(cloth.distance, 1, constant_values=FINE)
+    axes = [low + FINE * (np.arange(count) - 1) for low, count in zip(cloth.low, distance.shape)]
+    return zero_set_mesh(distance, axes)
 
 
 def cloth_weights(mesh: TriangleMesh, cloud: SurfaceCloud) -> SkinWeights:
@@ -226,12 +253,15 @@ def _joined(
     pose_from_canonical: Float[Array, "52 4 4"],
 ) -> CaptureSubject:
     """The subject with the `kept` of its own faces and a mesh of cloth, given in another pose, behind them."""
-    canonical, fine = unskin_points(cloth.vertices, skin, pose_from_canonical)
-    assert fine.all(), "bones of the held pose are far from opposite"
+    canonical, settled = unskin_points(cloth.vertices, skin, pose_from_canonical)
     # what the big pose's blend takes to there; other bones' blend, it is not where pose 0 shows it
     canonical_from_rest = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))
     rest, fine = unskin_points(canonical, skin, canonical_from_rest)
-    assert fine.all(), "bones of the big pose are far from opposite"
+    if not (settled & fine).all():
+        raise ValueError(
+            f"in the pose that the body's video holds {(~(settled & fine)).mean():.0%} of them lie between bones that "
+            "point opposite ways; poses as filmed have no such place"
+        )
     count = len(cloth.vertices)
     return replace(
         subject,

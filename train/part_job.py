@@ -18,6 +18,7 @@ from capture.repair.refine import poses_refined, with_refined, write_learned
 from capture.template import SurfaceCloud, neck_height, surface_cloud, visible_faces
 from train import run as run_folder
 from train.checkpoint import Position
+from train.clothes import THICK
 from train.distributed import ONE_PROCESS, Ranks
 from train.field import PartField
 from train.light import VideoLight
@@ -183,9 +184,17 @@ def part_ready(job: PartJob, capture: Capture, prepared: Callable[[float], None]
     subject, part = capture.subject, part_boxes(capture.subject)[job.index]
     canonical_from_head = job.canonical_from_head if name == "head" else None
     video = capture.videos[name]
-    cloud = surface_cloud(subject, job.index, visible_faces(subject), settings.spacing)
-    template = template_grid(cloud, part.extent.low, part.extent.high, settings.cell,
+    visible, cell = visible_faces(subject), settings.cell
+    cloud = surface_cloud(subject, job.index, visible, settings.spacing)
+    if name == "body" and subject.behind_cloth is not None:
+        cell = min(cell, 0.5 * THICK)
+    template = template_grid(cloud, part.extent.low, part.extent.high, cell,
                              (subject, neck_height(subject)) if name == "head" else None)  # fmt: skip
+    if subject.behind_cloth is not None:
+        # or rays would look for surfaces behind the cloth, with a fourth of their sections on it
+        cloud = surface_cloud(
+            subject, job.index, visible & ~subject.behind_cloth[subject.faces].all(1), settings.spacing
+        )
     field = run_folder.build_field(subject, job.index, settings, template, len(video.images)).to(device)
     field.light = None if job.light is None else job.light.tensors(device)
     rays = part_rays(

@@ -21,7 +21,7 @@ from avatar.light import CaptureLight
 from avatar.progress import Progress, ProgressBoard, Reporter
 from avatar.similarity import Registration, similarity_from_landmarks
 from avatar.skeleton import PARTS
-from capture.folder import Capture, read_capture, write_subject
+from capture.folder import Capture, CaptureSubject, read_capture, write_subject
 from capture.light.fit import fit_capture_light, light_line
 from capture.repair.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
 from train import run as run_folder
@@ -300,7 +300,7 @@ def _with_own_template(training: _Training) -> _Training:
         training.say(f"hair stands off the template: {added} vertices carved from the masks join it")
     if training.preset.clothes:
         with training.timed("clothes carved"):
-            dressed = with_clothes(subject, refined.videos["body"])
+            dressed = _dressed(subject, refined, training.say)
         if dressed is not subject:
             added = len(dressed.rest) - len(subject.rest)
             training.say(f"clothes stand off the template: {added} vertices carved from the masks join it")
@@ -310,6 +310,15 @@ def _with_own_template(training: _Training) -> _Training:
     # no rank reads it before it is written
     training.ranks.broadcast(None)
     return replace(training, capture=replace(capture, subject=subject))
+
+
+def _dressed(subject: CaptureSubject, capture: Capture, say: Callable[[str], None]) -> CaptureSubject:
+    """The subject with loose clothes joined to it; where they cannot be joined it stays as it is, and that is said."""
+    try:
+        return with_clothes(subject, capture.videos["body"])
+    except ValueError as error:
+        say(f"clothes stand off the template and are left out: {error}")
+        return subject
 
 
 def _with_light(training: _Training) -> _Training:
@@ -342,7 +351,7 @@ def _refine(training: _Training) -> dict:
         partial, choice, capture = training.session.partial, training.options.refine_poses, training.capture
         if training.preset.clothes and choice != "off":
             # or the outline of a skirt would be taken for that of legs that stand elsewhere
-            capture = replace(capture, subject=with_clothes(capture.subject, capture.videos["body"]))
+            capture = replace(capture, subject=_dressed(capture.subject, capture, training.say))
         found = refine_capture(capture, partial, choice, training.say, run)
     return training.ranks.broadcast(found) or {}
 
