@@ -27,7 +27,7 @@ from train.eye_grid import OpenEyes, open_eyes
 from train.field import PartField
 from train.fused import FusedField
 from train.head_consistency import place_by_consistency
-from train.layers import BODY, rigid_weights, without_hanging_hair
+from train.layers import BODY, rigid_weights, without_hair
 from train.light import SeenTensors, VideoLight, light_facts, seen_lights_from_json, seen_tensors
 from train.objective import RayTensors
 from train.parts import eq9_shares, part_boxes, part_weight
@@ -251,13 +251,11 @@ def layered_skin(
     subject: CaptureSubject, vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"],
     normals: Float[Array, "vertices 3"], layer: Int[Array, "vertices"],
 ) -> SkinWeights:  # fmt: skip
-    """Weights of a surface of two layers: the body's from the template without hanging hair, the hair's the head's."""
+    """Weights of a surface of two layers: the body's from the template without hair, the hair's the head's."""
     skin = rigid_weights(len(vertices))
     body = layer == BODY
     index = np.cumsum(body) - 1
-    own = CanonicalSkin(without_hanging_hair(subject)).of_mesh(
-        vertices[body], index[faces[body[faces[:, 0]]]], normals[body]
-    )
+    own = CanonicalSkin(without_hair(subject)).of_mesh(vertices[body], index[faces[body[faces[:, 0]]]], normals[body])
     skin.joints[body], skin.weights[body] = own.joints, own.weights
     return skin
 

@@ -1,16 +1,18 @@
 """Hair that hangs below the head as a surface of its own: two closed layers in place of one.
 
 Training learns one signed distance s of everything. Where hair hangs down to neck and shoulders, one closed surface
-joins what moves with the head to what does not, and skinning draws it out into sheets. So space is divided there:
+joins what moves with the head to what does not, and skinning draws it out into sheets; at cheek, ear and forehead it
+paints hair on a lid over the skin. So space is divided there:
 
-    h(x) = max(GAP - d(x), z(x), y - y_top)      h < 0: this place is hair's
-    body  = max(s, -h)                           skin goes on under the hair
-    hair  = max(s + taper, max(ROOT - d(x), z(x), y - y_top - PLUG))
+    h(x) = max(g(z) - d(x), z(x))            h < 0: this place is hair's
+    body = max(s, -h)                        skin goes on under the hair
+    hair = max(s, g(z) - OVERLAP - d(x), z(x))
+    g(z) = GAP (1 - min(-z / MARGIN, 1))     where d is as good as learnt, beside hair, its noise is no hair
 
 with d the signed distance of the skin (the template without its hair, moved to where s has the skin beside the hair
-and harmonically in between under it), z the distance to the carved hair grown by MARGIN. Above y_top, where skin and
-hair both follow the head alone (train/rigid.py), nothing is divided; the hair's upper end is a plug inside that.
-Hair follows the head's bone alone, the body has the weights of the skin.
+and harmonically in between under it), z the distance to the hair grown by MARGIN. Hair is what was carved and, joined
+to it above the height where all skin follows the head alone (train/rigid.py), what s has farther than THIN off the
+skin. Hair follows the head's bone alone, the body has the weights of the skin.
 
 Canonical frame, metres.
 """
@@ -39,16 +41,16 @@ BODY, HAIR = 0, 1
 HEAD = JOINTS.index("head")
 
 CELL = 0.006  # of the grids
-GAP = 0.002  # the body ends so far off its skin under hair
-ROOT = 0.001  # hair begins so far off it
-MARGIN = 0.012  # learnt hair lies so far beyond the carved one at most
+GAP = 0.002  # at the edge of the hair's zone the body ends so far off its skin, under hair on it
+OVERLAP = 0.001  # hair begins so much deeper
+MARGIN = 0.015  # learnt hair lies so far beyond the carved one at most
 KEPT = 0.003  # beside and under hair the body reaches to its skin less so much
 SOLID = 0.008  # deeper under the outer surface all is solid
-THIN = 0.006  # what stands less off the skin than this is no carved hair
-# the hair's upper end: so long, and in its upper part so much thinner
-PLUG, TAPER = 0.012, 0.004
+THIN = 0.006  # what stands less off the skin than this is no hair
 # square metres: a smaller piece of hair is dropped
 LEAST_HAIR = 0.001
+# of the head: farther off the template is no skin
+SKIN = 0.003
 # cloth stands no farther off the template where its offset is measured
 OFFSETS = np.linspace(-0.012, 0.03, 22)
 
@@ -60,7 +62,6 @@ class HairLayers:
     skin: TemplateGrid  # d
     zone: TemplateGrid  # z
     depth: TemplateGrid  # under the outer surface of the whole, 0 outside of it
-    top: float  # y_top
 
     def box(self) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
         """The corners of the box outside of which there is only the body's layer."""
@@ -76,15 +77,13 @@ class HairLayers:
         near = np.flatnonzero(((points > low) & (points < high)).all(1))
         at = torch.as_tensor(points[near], dtype=torch.float32)
         d, z, deep = (grid.sample(at)[0].numpy().astype(np.float64) for grid in (self.skin, self.zone, self.depth))
-        up = points[near, 1] - self.top
-        own = np.maximum(np.maximum(GAP - d, z), up)
+        gap = GAP * (1 - np.clip(-z / MARGIN, 0, 1))
+        own = np.maximum(gap - d, z)
         # skin under hair was never seen, deep inside there are sheets that nobody learnt: a division would open them
-        kept = (z < 0) & (up < PLUG)
-        whole = np.where(kept, np.minimum(distance[near], d + KEPT), distance[near])
+        whole = np.where(z < 0, np.minimum(distance[near], d + KEPT), distance[near])
         whole = np.where((deep > SOLID) | (d < -SOLID), np.minimum(whole, -0.5 * SOLID), whole)
         body[near] = np.maximum(whole, -own)
-        thinner = TAPER * np.clip(up / (0.5 * PLUG), 0, 1)
-        hair[near] = np.maximum(np.maximum(whole + thinner, ROOT - d), np.maximum(z, up - PLUG))
+        hair[near] = np.maximum.reduce([whole, gap - OVERLAP - d, z])
         return body, hair
 
     def distance(self, layer: int, whole: PointFunction) -> PointFunction:
@@ -116,25 +115,37 @@ def hair_layers(subject: CaptureSubject, distance: PointFunction) -> HairLayers 
     """
     if len(subject.under_hair) == 0:
         return None
-    own = carved_faces(subject)
-    skin_faces = np.concatenate([subject.faces[~own], subject.under_hair])
-    top = rigid_height(subject, skin_faces)
+    skin = without_hair(subject)
+    top = rigid_height(subject, skin.faces)
     carved = subject.vertices[slice(*subject.carved)]
-    hanging = carved[carved[:, 1] < top]
-    if len(hanging) == 0:
+    if not (carved[:, 1] < top).any():
         return None
-    low, high = hanging.min(0) - 0.06, hanging.max(0) + 0.06
-    high[1] = top + 0.06
-    skin = replace(subject, faces=skin_faces)
-    bare, whole = (signed_grid(person, low, high) for person in (skin, subject))
-    hair = (whole.values.numpy() < 0.5 * CELL) & (bare.values.numpy() > THIN)
-    hair = np.asarray(ndimage.binary_opening(hair), bool)
+    places = np.concatenate([carved, subject.vertices[subject.part == PARTS.index("head")]])
+    low, high = places.min(0) - 0.06, places.max(0) + 0.06
+    bare, drawn = (signed_grid(person, low, high) for person in (skin, subject))
+    cells = low + CELL * np.argwhere(np.ones(bare.values.shape, bool))
+    learnt = distance(cells).reshape(bare.values.shape)
+    hair = hair_cells(bare, drawn, learnt, low[1] + CELL * np.arange(learnt.shape[1]) > top)
     if not hair.any():
         return None
     zone = (distance_to(hair) - distance_to(~hair)) * CELL - MARGIN
     zone = TemplateGrid(torch.tensor(ndimage.gaussian_filter(zone, 0.7), dtype=torch.float32), bare.low, CELL)
     moved = replace(skin, vertices=skin_moved(skin, zone, low, high, distance))
-    return HairLayers(signed_grid(moved, low, high), zone, outer_depth(distance, bare, zone), top)
+    return HairLayers(signed_grid(moved, low, high), zone, outer_depth(learnt, bare, zone))
+
+
+def hair_cells(
+    bare: TemplateGrid, drawn: TemplateGrid, learnt: Float[Array, "x y z"], above: Bool[Array, "y"]
+) -> Bool[Array, "x y z"]:
+    """Cells of hair, given the template's distance without and with its hair, the learnt one, and the rigid levels."""
+    off = bare.values.numpy() > THIN
+    carved = np.asarray(ndimage.binary_opening(off & (drawn.values.numpy() < 0.5 * CELL)), bool)
+    # a cell thick, it is opened by nothing; nor does it hang together but at corners
+    standing = off & (learnt < 0.5 * CELL) & above[:, None]
+    label = np.empty(off.shape, np.int32)
+    ndimage.label(carved | standing, ndimage.generate_binary_structure(3, 3), output=label)
+    joined = np.setdiff1d(np.unique(label[carved]), [0])
+    return np.isin(label, joined)
 
 
 def carved_faces(subject: CaptureSubject) -> Bool[Array, "faces"]:
@@ -143,12 +154,10 @@ def carved_faces(subject: CaptureSubject) -> Bool[Array, "faces"]:
     return np.asarray(((subject.faces >= first) & (subject.faces < last)).all(1), bool)
 
 
-def outer_depth(distance: PointFunction, bare: TemplateGrid, zone: TemplateGrid) -> TemplateGrid:
+def outer_depth(learnt: Float[Array, "x y z"], bare: TemplateGrid, zone: TemplateGrid) -> TemplateGrid:
     """How deep the cells of a grid lie under the outer surface of the whole: the air that is reached from outside
     skin and hair ends there."""
-    values = bare.values.numpy()
-    cells = np.argwhere(np.ones(values.shape, bool))
-    air = (distance(bare.low.numpy() + bare.cell * cells) > 0).reshape(values.shape)
+    values, air = bare.values.numpy(), learnt > 0
     # a pinhole leads nowhere
     wide = np.asarray(ndimage.binary_erosion(air, border_value=1), bool)
     label = np.empty(air.shape, np.int32)
@@ -190,14 +199,19 @@ def signed_grid(person: CaptureSubject, low: Float[Array, "3"], high: Float[Arra
 def skin_moved(
     skin: CaptureSubject, zone: TemplateGrid, low: Float[Array, "3"], high: Float[Array, "3"], distance: PointFunction
 ) -> Float[Array, "vertices 3"]:
-    """The template's skin where the learnt surface has it beside the hair, and harmonically in between under it."""
+    """The template's skin where the learnt surface has it beside the hair, and harmonically in between under it.
+
+    Above the rigid height there is no cloth: what lies farther than SKIN off the template there is hair too thin to
+    be told from it, and the template counts.
+    """
     used = np.zeros(len(skin.vertices), bool)
     used[np.unique(skin.faces)] = True
     used &= ((skin.vertices > low - 0.05) & (skin.vertices < high + 0.05)).all(1)
     index = np.flatnonzero(used)
     points, normals = skin.vertices[index], vertex_normals(skin.vertices, skin.faces)[index]
     away = zone.sample(torch.as_tensor(points, dtype=torch.float32))[0].numpy()
-    open_ = np.flatnonzero(away > 0)
+    # as far again from hair: next to it the learnt surface bends up to it
+    open_ = np.flatnonzero(away > MARGIN)
     line = points[open_, None] + OFFSETS[:, None] * normals[open_, None]
     values = distance(line.reshape(-1, 3)).reshape(len(open_), -1)
     crosses = (values[:, :-1] < 0) & (values[:, 1:] >= 0)
@@ -206,6 +220,8 @@ def skin_moved(
     step = np.where(crosses, np.abs(OFFSETS[:-1])[None], np.inf).argmin(1)
     a, b = values[np.arange(len(open_)), step], values[np.arange(len(open_)), step + 1]
     offset = OFFSETS[step] + (OFFSETS[1] - OFFSETS[0]) * np.clip(-a / np.maximum(b - a, 1e-9), 0, 1)
+    above = points[open_, 1] > rigid_height(skin, skin.faces)
+    found &= ~above | (np.abs(offset) < SKIN)
     known = np.zeros(len(skin.vertices), bool)
     values_all = np.zeros((len(skin.vertices), 1))
     known[index[open_[found]]] = True
@@ -219,12 +235,9 @@ def skin_moved(
     return out
 
 
-def without_hanging_hair(subject: CaptureSubject) -> CaptureSubject:
-    """The template that the body's layer takes its weights from: its skin, and its hair above y_top."""
-    own = carved_faces(subject)
-    top = rigid_height(subject, np.concatenate([subject.faces[~own], subject.under_hair]))
-    above = subject.vertices[subject.faces, 1].min(1) > top - 0.003
-    return replace(subject, faces=np.concatenate([subject.faces[~own | above], subject.under_hair]))
+def without_hair(subject: CaptureSubject) -> CaptureSubject:
+    """The template without its carved hair, that the body's layer takes its weights from."""
+    return replace(subject, faces=np.concatenate([subject.faces[~carved_faces(subject)], subject.under_hair]))
 
 
 def rigid_weights(count: int) -> SkinWeights:

@@ -171,7 +171,7 @@ def test_the_canonical_cloth_comes_back_to_where_it_was_carved(subject, dressed)
     length = [
         np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) for points in (posed, in_pose_0(dressed))
     ]
-    assert (length[0] < 2 * length[1] + 0.002).mean() > 0.995
+    assert (length[0] < 2 * length[1] + 0.002).mean() > 0.99
 
 
 def test_what_is_kept_of_the_template_is_untouched(subject, dressed):
