@@ -12,7 +12,7 @@ from jaxtyping import Float, Integer
 from bake.cone import ViewCone
 from bake.field import NumpyField
 from bake.level import LayeredMesh, SourceSurface, TransferredData, transferred_data
-from capture.solid import solid_inside
+from capture.solid import solid_inside, template_behind_cloth
 from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged
 from geometry.isosurface import Detail, Extraction, PointFunction, extract
 from geometry.mesh import TriangleMesh, compact, component_labels, concatenated, face_areas
@@ -31,15 +31,12 @@ class Layer(NamedTuple):
 def layers_of(field: NumpyField, subject: Any, origin: SourceSurface) -> list[Layer]:
     """The layers of a run's surface, the body first."""
     whole = solid_inside(field.distance, subject)
+    distance = template_behind_cloth(field.distance, subject)
     divided = hair_layers(subject, whole) if origin.layer.any() else None
     if divided is None:
-        return [Layer(whole, field.distance, field.normal)]
+        return [Layer(whole, distance, field.normal)]
     return [
-        Layer(
-            divided.distance(k, whole),
-            divided.distance(k, field.distance),
-            divided.normal(k, field.distance, field.normal),
-        )
+        Layer(divided.distance(k, whole), divided.distance(k, distance), divided.normal(k, distance, field.normal))
         for k in (BODY, HAIR)
     ]
 

@@ -1,4 +1,6 @@
-"""A field made solid deep inside the person, so that its zero level is nothing but the skin."""
+"""A field made solid deep inside the person, so that its zero level is nothing but the skin, and the template's own
+behind loose clothes, where no camera ever looked.
+"""
 
 from collections.abc import Callable
 
@@ -8,7 +10,7 @@ from scipy.spatial import KDTree
 
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject
-from capture.template import visible_faces
+from capture.template import surface_cloud, visible_faces
 from geometry.mesh import vertex_normals
 
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
@@ -17,6 +19,36 @@ PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 INSIDE = np.array([0.02, 0.015, 0.004, 0.004])
 # metres, under hair: a hull (train/hull.py) spans hollows; the head's band ends at 2 cm
 HAIR_INSIDE = 0.025
+
+
+# metres between samples of the template behind cloth
+SPACING = 0.008
+
+
+def template_behind_cloth(distance: PointFunction, subject: CaptureSubject) -> PointFunction:
+    """The distance, replaced by the template's where what loose clothes hide is nearer than what is seen.
+
+    No ray goes behind cloth (train/clothes.py): a field drifts there, and its sheets show from below.
+    """
+    if subject.behind_cloth is None:
+        return distance
+    body, hidden = PARTS.index("body"), subject.behind_cloth[subject.faces].all(1)
+    visible = visible_faces(subject)
+    behind, seen = (surface_cloud(subject, body, visible & chosen, SPACING, SPACING) for chosen in (hidden, ~hidden))
+    low, high = behind.points.min(0) - 0.02, behind.points.max(0) + 0.02
+
+    def replaced(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        value = distance(points)
+        near = np.flatnonzero(((points > low) & (points < high)).all(1))
+        if len(near):
+            own, row = behind.distance(points[near])
+            # not by |own|, which is that to a plane: under a hem it goes on
+            away = np.linalg.norm(points[near] - behind.points[row], axis=1)
+            nearer = away < seen.tree.query(points[near])[0]
+            value[near[nearer]] = own[nearer]
+        return value
+
+    return replaced
 
 
 def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunction:
@@ -38,6 +70,8 @@ def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunct
     # the hands' fields have weights up to 10 cm beyond the wrist, where the part is body
     if len(hands):
         limit = np.where(KDTree(hands).query(places)[0] < 0.12, np.minimum(limit, 0.006), limit)
+
+    distance = template_behind_cloth(distance, subject)
 
     def solid(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         value = distance(points)

@@ -51,7 +51,7 @@ class HairPreset:
     consistency: bool = False
     # hollows between hair and neck carved by colours (train/hollows.py)
     hollows: bool = False
-    # hair that hangs below the rigid head is a surface of its own, with its own skin weights (train/layers.py)
+    # where hair hangs below the rigid head, hair is a surface of its own, with its own skin weights (train/layers.py)
     layers: bool = False
     # metres under the lowest skin of the head: so much lower the head's field ends, whose video holds neck and collar
     # as still as the head and shows them several times finer than the body's

@@ -317,7 +317,7 @@ def _dressed(subject: CaptureSubject, capture: Capture, say: Callable[[str], Non
     try:
         return with_clothes(subject, capture.videos["body"])
     except ValueError as error:
-        say(f"clothes stand off the template and are left out: {error}")
+        say(f"clothes stand off the template and are left out (as by --without clothes): {error}")
         return subject
 
 

@@ -13,7 +13,8 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import dense_weights, skin_points
 from capture.folder import CaptureSubject, PartVideo, read_subject, write_subject
-from geometry.mesh import half_edges
+from capture.solid import template_behind_cloth
+from geometry.mesh import half_edges, vertex_normals
 from geometry.rasterise import rasterise
 from train.clothes import THICK, with_clothes
 
@@ -125,6 +126,21 @@ def test_what_cloth_hides_is_marked_and_what_is_seen_is_not(subject, dressed):
     true = np.interp(added[:, 1], [hem, CONE[0][0]], [CONE[1][1], CONE[0][1]])
     outside = true - np.hypot(added[:, 0], added[:, 2]) < 0.5 * THICK
     assert (own == ~outside)[hangs].mean() > 0.95
+
+
+def test_behind_cloth_the_surface_is_the_templates_whatever_a_field_says(subject, dressed):
+    """Just off the cloth's inside it is air, just in the cloth it is not; outside the field has the word."""
+    count = len(subject.rest)
+    junk = template_behind_cloth(lambda points: np.full(len(points), 7.0), dressed)
+    normals = vertex_normals(dressed.vertices, dressed.faces)
+    height = in_pose_0(dressed)[:, 1]
+    hangs = np.arange(len(height)) >= count
+    hangs &= (height < -0.15) & (height > CONE[1][0] + 0.03)
+    inside, outside = (np.flatnonzero(hangs & chosen)[::50] for chosen in (dressed.behind_cloth, ~dressed.behind_cloth))
+    for step, sign in ((0.003, 1), (-0.002, -1)):
+        values = junk(dressed.vertices[inside] + step * normals[inside])
+        assert (np.sign(values) == sign).mean() > 0.97 and np.abs(values).max() < 0.02
+    assert (junk(dressed.vertices[outside] + 0.003 * normals[outside]) == 7).mean() > 0.97
 
 
 def test_poses_with_legs_turned_right_round_are_an_error_that_says_so(subject):
