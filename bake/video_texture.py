@@ -34,8 +34,8 @@ from player.raster import Rasteriser
 
 Array = np.ndarray
 
-# frames are averaged over k x k pixels before they are read, while a pixel stays within this share of a texel
-FINEST_PIXEL = 0.9
+# frames are averaged over k x k pixels before they are read, while a pixel stays within so many texels
+FINEST_PIXEL = 1.3
 # lambda of a texel as wide as a pixel and its growth with the texel's share of a pixel: many small texels under one
 # pixel divide what it tells. mu over lambda.
 STAY, STAY_POWER, SMOOTH = 0.06, 1.5, 4.0

@@ -274,7 +274,7 @@ def test_unseen_skin_becomes_skin_and_cloth_stays_cloth():
 
 
 def test_frames_finer_than_texels_are_averaged(videos):
-    assert averaging(0.002, 0.001) == 1 and averaging(0.0006, 0.0009) == 1 and averaging(0.0002, 0.0009) == 4
+    assert averaging(0.002, 0.001) == 1 and averaging(0.0006, 0.0009) == 1 and averaging(0.0002, 0.0009) == 5
     video = videos.video("body")
     small = averaged(video, 3)
     assert small.images.shape == (8, 32, 32, 3) and small.cameras[0].size == (32, 32)
