@@ -1,0 +1,122 @@
+"""Outlines: of masks to a fraction of a pixel, and of the posed template as vertices on its silhouette."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from avatar.camera import Camera
+from capture.fit.kinematics import Lens, seen_at
+from geometry.mesh import vertex_normals
+from geometry.rasterise import rasterise
+
+Array = np.ndarray
+
+# the drawn template is this many pixels high; its own outline is exact, only what hides what is told by it
+DRAWN = 360
+# samples of one frame
+SAMPLES = 300
+
+
+class Contour(NamedTuple):
+    """Places where a mask passes one half, with outward normals."""
+
+    at: Float[Array, "n 2"]  # pixels
+    normals: Float[Array, "n 2"]  # unit
+    tree: KDTree
+
+    def nearest(
+        self, at: Float[Array, "k 2"], normals: Float[Array, "k 2"], bend: float
+    ) -> tuple[Int[Array, "k"], Float[Array, "k"]]:
+        """For each place the nearest of the contour that faces the same way, and how far it is, pixels.
+
+        A normal turned by one radian counts as `bend` pixels.
+        """
+        index = np.asarray(self.tree.query(np.c_[at / bend, normals] + OFF_ZERO)[1])
+        return index, np.linalg.norm(self.at[index] - at, axis=1)
+
+
+# a k-d tree splits beside equal points at the next float: keep away from 0, where that is a denormal
+OFF_ZERO = 1e3
+
+
+def mask_contour(mask: UInt8[Array, "height width"] | Float[Array, "height width"], bend: float) -> Contour:
+    """Where the smoothed mask crosses one half between neighbouring pixels (the corners of marching squares).
+
+    Pixels at the border of the picture are no outline: the person goes on beyond it. Large masks are halved until their
+    shorter side is below 960 pixels.
+    """
+    height, width = mask.shape
+    half = 1
+    while min(mask.shape) >= 960:
+        even = mask[: mask.shape[0] // 2 * 2, : mask.shape[1] // 2 * 2].astype(np.float32)
+        mask, half = 0.25 * (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]), 2 * half
+    soft = ndimage.gaussian_filter(mask.astype(np.float32) / 255, 0.8, mode="nearest")
+    down, right = np.gradient(ndimage.gaussian_filter(soft, 1.0, mode="nearest"))
+    at, normals = [], []
+    for axis in (0, 1):
+        one = soft[:-1] if axis == 0 else soft[:, :-1]
+        two = soft[1:] if axis == 0 else soft[:, 1:]
+        row, column = np.nonzero((one > 0.5) != (two > 0.5))
+        a, b = one[row, column], two[row, column]
+        t = (0.5 - a) / (b - a)
+        place = np.stack([column + 0.5 + t * (axis == 1), row + 0.5 + t * (axis == 0)], 1)
+        at.append(place)
+        where = (place[:, ::-1] - 0.5).T
+        normals.append(-np.stack([ndimage.map_coordinates(slope, where, order=1) for slope in (right, down)], 1))
+    place, normal = half * np.concatenate(at), np.concatenate(normals)
+    inside = ((place > 2) & (place < [width - 2, height - 2])).all(1)
+    place, normal = place[inside], normal[inside]
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    if len(place) == 0:
+        # far away from everything: matches nothing
+        place, normal = np.full((1, 2), -1e6), np.array([[1.0, 0.0]])
+    return Contour(place, normal, KDTree(np.c_[place / bend, normal] + OFF_ZERO))
+
+
+class Silhouette(NamedTuple):
+    """Vertices of the posed template that lie on its outline."""
+
+    vertices: Int[Array, "n"]
+    at: Float[Array, "n 2"]
+    normals: Float[Array, "n 2"]  # outward, unit
+
+
+def silhouette(
+    x: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], lens: Lens, size: tuple[int, int],
+    chosen: Bool[Array, "vertices"], count: int = SAMPLES,
+) -> Silhouette:  # fmt: skip
+    """Some of the `chosen` vertices on the outline, spread evenly.
+
+    They lie between a face that is seen and one that is not, with nothing drawn just outside them.
+    """
+    a, b, c = (x[faces[:, k]] for k in range(3))
+    front = ((a * np.cross(b - a, c - a)).sum(1)) < 0
+    seen, hidden = np.zeros((2, len(x)), bool)
+    seen[faces[front]] = True
+    hidden[faces[~front]] = True
+    rim = np.flatnonzero(seen & hidden & chosen & (x[:, 2] < -0.05))
+    at = seen_at(lens, x)
+    # perspective hardly matters for which way is out
+    normals = vertex_normals(x, faces)[rim]
+    flat = np.stack([normals[:, 0], -normals[:, 1]], 1)
+    flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
+    scale = min(1.0, DRAWN / max(float(np.ptp(at[:, 1].clip(0, size[1]))), 1.0))
+    small = (max(int(scale * size[0]), 1), max(int(scale * size[1]), 1))
+    K = np.array([[lens.focal * scale, 0, lens.centre[0] * scale], [0, lens.focal * scale, lens.centre[1] * scale],
+                  [0, 0, 1.0]])  # fmt: skip
+    drawn = rasterise(x, faces[front], Camera(K, np.diag([1.0, -1, -1, 1]), small)).face >= 0
+    outside = (scale * at[rim] + 2.0 * flat).astype(int)
+    inside = ((at[rim] > 1) & (at[rim] < np.array(size) - 1)).all(1)
+    outside = np.clip(outside, 0, np.array(small) - 1)
+    free = inside & ~drawn[outside[:, 1], outside[:, 0]]
+    rim, flat = rim[free], flat[free]
+    if len(rim) > count:
+        # neighbours on the outline have neighbouring angles round its middle
+        middle = at[rim].mean(0)
+        order = np.argsort(np.arctan2(*(at[rim] - middle).T), kind="stable")
+        keep = order[np.linspace(0, len(rim) - 1, count).astype(int)]
+        rim, flat = rim[keep], flat[keep]
+    return Silhouette(rim, at[rim], flat)

@@ -1,0 +1,149 @@
+"""Which way a rigid set of points faces in every frame: a first guess from pictures alone.
+
+Each of many rotations is tried: points turned by it, drawn without perspective, are scaled and shifted onto the
+keypoints (robust least squares). Of what fits in single frames, the path of smallest cost and smallest turns from frame
+to frame is taken (Viterbi 1967). What a mirror image in depth would fit as well (nothing but a plane of points seen
+without perspective), points off the plane decide: nose, toes, thumb.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from avatar.rotation import matrix_from_axis_angle
+
+Array = np.ndarray
+
+# metres by which a body in a T-pose may be off its points
+SLACK = 0.05
+# degrees from frame to frame
+TURN = 25.0
+# what exchanged sides cost: less than half a turn there and back
+EXCHANGE = 8.0
+ROUNDS = 4
+
+
+class Directions(NamedTuple):
+    """The guess of every frame."""
+
+    rotation: Float[Array, "frames 3 3"]  # world_from_points
+    scale: Float[Array, "frames"]  # pixels of a metre at the points
+    origin: Float[Array, "frames 2"]  # pixels of the points' origin
+    misfit: Float[Array, "frames"]  # metres, root of the robust mean square
+    exchanged: Bool[Array, "frames"]  # fits better with left and right exchanged
+
+
+def turns_about_y(step: int = 5, leans: tuple[int, ...] = (-12, 0, 12)) -> Float[Array, "n 3 3"]:
+    """Headings of somebody who stands, degrees apart, leaning to and from the camera."""
+    turn = np.radians(np.arange(0, 360, step))
+    about_y = matrix_from_axis_angle(turn[:, None] * np.array([0, 1.0, 0]))
+    lean = matrix_from_axis_angle(np.radians(np.array(leans, float))[:, None] * np.array([1.0, 0, 0]))
+    return np.concatenate([one @ about_y for one in lean])
+
+
+def all_turns(count: int = 1200) -> Float[Array, "count 3 3"]:
+    """Rotations spread evenly (super-Fibonacci spirals, Alexa 2022)."""
+    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    s = np.arange(count) + 0.5
+    r, R = np.sqrt(s / count), np.sqrt(1 - s / count)
+    a, b = 2 * np.pi * s / phi, 2 * np.pi * s / psi
+    x, y, z, w = r * np.sin(a), r * np.cos(a), R * np.sin(b), R * np.cos(b)
+    half = np.arctan2(np.sqrt(x * x + y * y + z * z), w)
+    axis = np.stack([x, y, z], 1) / np.maximum(np.sin(half), 1e-12)[:, None]
+    return matrix_from_axis_angle(2 * half[:, None] * axis)
+
+
+def find_directions(
+    points: Float[Array, "points 3"], pixels: Float[Array, "frames points 2"], seen: Bool[Array, "frames points"],
+    candidates: Float[Array, "n 3 3"], mirrored: Int[Array, "points"] | None = None, slack: float = SLACK,
+) -> Directions:  # fmt: skip
+    """The guess for points about their own origin; `mirrored`: for each point the one of the other side.
+
+    `slack`: metres by which a rigid guess may be off its points.
+    """
+    flat = np.einsum("nij,pj->npi", candidates[:, :2], points) * [1.0, -1.0]
+    cost, scale, origin = _fits(flat, pixels, seen, slack)
+    total = cost * seen.sum(1)[:, None] / slack**2
+    exchanged = np.zeros(total.shape, bool)
+    if mirrored is not None:
+        other_cost, other_scale, other_origin = _fits(flat, pixels[:, mirrored], seen[:, mirrored], slack)
+        other_total = other_cost * seen.sum(1)[:, None] / slack**2 + EXCHANGE
+        exchanged = other_total < total
+        total = np.minimum(total, other_total)
+        cost, scale = np.where(exchanged, other_cost, cost), np.where(exchanged, other_scale, scale)
+        origin = np.where(exchanged[:, :, None], other_origin, origin)
+    path = _smooth_path(total, candidates)
+    frame = np.arange(len(path))
+    return Directions(candidates[path], scale[frame, path], origin[frame, path], np.sqrt(cost[frame, path]),
+                      exchanged[frame, path])  # fmt: skip
+
+
+def _fits(
+    flat: Float[Array, "n points 2"], pixels: Float[Array, "frames points 2"], seen: Bool[Array, "frames points"],
+    slack: float,
+) -> tuple[Float[Array, "frames n"], Float[Array, "frames n"], Float[Array, "frames n 2"]]:  # fmt: skip
+    """Robust mean square misfit (square metres), scale and origin of each rotation in each frame."""
+    cost, scale = np.zeros((2, len(pixels), len(flat)))
+    origin = np.zeros((len(pixels), len(flat), 2))
+    for f, (q, here) in enumerate(zip(pixels, seen)):
+        if here.sum() < 3:
+            cost[f] = slack**2
+            scale[f] = np.nan
+            continue
+        p, q = flat[:, here], q[here]
+        weight = np.ones(p.shape[:2])
+        for _ in range(ROUNDS):
+            total = weight.sum(1)[:, None]
+            middle_p = (weight[:, :, None] * p).sum(1) / total
+            middle_q = weight @ q / total
+            a, b = p - middle_p[:, None], q - middle_q[:, None]
+            s = (weight * (a * b).sum(2)).sum(1) / np.maximum((weight * (a * a).sum(2)).sum(1), 1e-9)
+            s = np.maximum(s, 1.0)
+            e: Array = ((b / s[:, None, None] - a) ** 2).sum(2)
+            weight = 1 / (1 + e / (2 * slack) ** 2) ** 2
+        cost[f] = (4 * slack**2 * e / (4 * slack**2 + e)).mean(1)
+        scale[f] = s
+        origin[f] = middle_q - s[:, None] * middle_p
+    return cost, scale, origin
+
+
+def _smooth_path(cost: Float[Array, "frames n"], candidates: Float[Array, "n 3 3"]) -> Int[Array, "frames"]:
+    """The cheapest path through the candidates, turns between neighbouring frames included."""
+    flat = candidates.reshape(len(candidates), 9)
+    angle = np.arccos(np.clip((flat @ flat.T - 1) / 2, -1, 1))
+    turn = (angle / np.radians(TURN)) ** 2
+    # a jump costs no more than that: somebody may have turned quickly
+    turn = 16 * turn / (16 + turn)
+    total, back = cost[0].copy(), []
+    for row in cost[1:]:
+        through = total[:, None] + turn
+        back.append(through.argmin(0))
+        total = through.min(0) + row
+    path = [int(total.argmin())]
+    for previous in reversed(back):
+        path.append(int(previous[path[-1]]))
+    return np.array(path[::-1])
+
+
+def place_of(found: Directions, focal: float, centre: Float[Array, "2"]) -> Float[Array, "frames 3"]:
+    """Where the origin of a rigid guess is: depth from its scale; frames without one take their neighbours'."""
+    frame = np.arange(len(found.scale))
+    good = np.isfinite(found.scale)
+    scale = np.interp(frame, frame[good], found.scale[good])
+    origin = np.stack([np.interp(frame, frame[good], found.origin[good, k]) for k in range(2)], 1)
+    # people do not jump to and fro: one distance, by the median
+    depth = focal / np.where(np.abs(scale / np.median(scale) - 1) < 0.2, scale, np.median(scale))
+    across = (origin - centre) / focal * depth[:, None]
+    return np.stack([across[:, 0], -across[:, 1], -depth], 1)
+
+
+def opposite(names: tuple[str, ...]) -> Int[Array, "points"]:
+    """For each named point the one of the other side; itself where there is none."""
+    index = {name: k for k, name in enumerate(names)}
+    out = []
+    for k, name in enumerate(names):
+        side, _, rest = name.partition("_")
+        other = {"left": "right", "right": "left"}.get(side)
+        out.append(index.get(f"{other}_{rest}", k))
+    return np.array(out)

@@ -1,0 +1,105 @@
+"""What one video gives to the fit, and what the fit makes of it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from capture.fit.kinematics import Lens, Skeleton, SkinnedPoints
+from capture.fit.person import Person
+from capture.fit.points import BodyPoint, body_points
+from capture.keypoints.record import Keypoints
+
+Array = np.ndarray
+
+# pixels of a picture 1080 high: standard deviation of a detector's sure point
+SIGMA = 4.0
+# confidence under which a point is not used, and from which on it is sure
+LEAST, SURE = 0.1, 0.8
+# standard deviations that a point of no confidence has more
+DOUBT = 2.5
+
+
+@dataclass(frozen=True)
+class Footage:
+    """Points and masks of the frames of one video."""
+
+    names: tuple[str, ...]
+    pixels: Float[Array, "frames points 2"]  # 0 where not seen
+    # one over the standard deviation, 1 / pixels; 0: not seen
+    sure: Float[Array, "frames points"]
+    masks: UInt8[Array, "frames height width"]
+    focal: float  # pixels, the first guess
+    # relative standard deviation of the guess
+    focal_doubt: float
+    moving: Int[Array, "m"]  # joints that turn, the pelvis left out
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the pictures."""
+        return self.masks.shape[2], self.masks.shape[1]
+
+    @property
+    def centre(self) -> Float[Array, "2"]:
+        return 0.5 * np.array(self.size)
+
+    @property
+    def points(self) -> list[BodyPoint]:
+        table = body_points()
+        return [table[name] for name in self.names]
+
+    def rows(self, chosen: Int[Array, "n"]) -> "Footage":
+        """Some of the frames."""
+        return replace(self, pixels=self.pixels[chosen], sure=self.sure[chosen], masks=self.masks[chosen])
+
+
+def footage_of(
+    keypoints: Keypoints, masks: UInt8[Array, "frames height width"], names: tuple[str, ...], moving: Int[Array, "m"],
+    *, focal: float, focal_doubt: float,
+) -> Footage:  # fmt: skip
+    """The points of `names` that the detector has, and how sure they are."""
+    table = body_points()
+    chosen = [k for k, name in enumerate(keypoints.names) if name in names and name in table]
+    confidence = keypoints.confidence[:, chosen]
+    pixels = np.nan_to_num(keypoints.pixels[:, chosen])
+    sigma = SIGMA * min(masks.shape[1:]) / 1080
+    doubt = 1 + (DOUBT - 1) * np.clip((SURE - confidence) / (SURE - LEAST), 0, 1)
+    sure = np.where(confidence >= LEAST, 1 / (sigma * doubt), 0.0)
+    named = tuple(keypoints.names[k] for k in chosen)
+    return Footage(named, pixels, sure, masks, focal, focal_doubt, moving)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Shape and poses as they stand. World: the camera at the origin, looking along -z, +y up, metres."""
+
+    person: Person
+    g: Float[Array, "g"]
+    # of each point from its place on the body, in the frame of its bone: what the detector does differently
+    bias: Float[Array, "points 3"]
+    log_focal: float  # of the focal length over the guess
+    mean: Float[Array, "52 3"]  # joint angles
+    root: Float[Array, "frames 3"]
+    heading: Float[Array, "frames 3 3"]  # of the pelvis
+    angles: Float[Array, "frames 52 3"]  # of the joints (avatar/limits.py)
+
+    def skeleton(self) -> Skeleton:
+        return Skeleton(self.person.joints(self.g), self.person.joint_directions)
+
+    def lens(self, footage: Footage) -> Lens:
+        return Lens(footage.focal * float(np.exp(self.log_focal)), footage.centre)
+
+    def markers(self, footage: Footage) -> SkinnedPoints:
+        """The named points, moved by their bias."""
+        person, points = self.person, footage.points
+        vertices, joints = person.vertices(self.g), person.joints(self.g)
+        rest = np.stack([p.place(vertices, joints) for p in points]) + self.bias
+        directions = np.stack([p.place(person.vertex_directions, person.joint_directions) for p in points])
+        bones = np.array([[p.joint] for p in points])
+        return SkinnedPoints(rest, directions, bones, np.ones((len(points), 1)))
+
+    def skin(self, vertices: Int[Array, "n"] | slice = slice(None)) -> SkinnedPoints:
+        """Vertices of the surface."""
+        person, skin = self.person, self.person.body.skin
+        rest = person.vertices(self.g)[vertices]
+        return SkinnedPoints(rest, person.vertex_directions[vertices], skin.joints[vertices], skin.weights[vertices])

@@ -1,0 +1,101 @@
+"""A hand's video: where the hand is in every frame, and its fingers, from 21 points; its outline, and its own shape.
+
+The person keeps the body's size, so a hand has one size; lengths of fingers and what stands off the template are the
+hand's own. The arm is stretched out from the shoulder and carries the person along: nothing beyond the forearm is known
+in a close-up, and nothing is trained there.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from avatar.skeleton import JOINTS
+from capture.fit.body import CUTS, Report, hand_vertices, rigid
+from capture.fit.directions import all_turns, find_directions, place_of
+from capture.fit.footage import Estimate, Footage
+from capture.fit.offsets import STIFFNESS, fit_offsets
+from capture.fit.outline_term import Outlines
+from capture.fit.person import Person
+from capture.fit.priors import FROZEN, Priors, bias_of
+from capture.fit.solve import solve
+from capture.keypoints.record import hand_points
+
+Array = np.ndarray
+
+# metres by which a flat, stiff hand may be off its points
+SLACK = 0.025
+# Geman and McClure's c of a first guess that is far off
+FIRST = 60.0
+# metres: standard deviation of a finger's bone, after the body's video
+BONE = 0.004
+# degrees: a finger's curl, sideways, twist; of the mean pose, of single frames
+CURL, MEAN_FINGER, OWN_FINGER = 10.0, (20.0, 7.0, 4.0), (5.0, 2.0, 1.0)
+MEAN_WRIST, OWN_WRIST = (15.0, 10.0, 5.0), (12.0, 8.0, 4.0)
+WEIGHTS = (0.02, 0.05, 0.05)
+ROUNDS = 2
+
+
+def hand_names(side: str) -> tuple[str, ...]:
+    """Named points that a hand's video is fitted to."""
+    return (*hand_points(side), f"{side}_wrist", f"{side}_elbow")
+
+
+def hand_joints(side: str) -> np.ndarray:
+    """Joints that turn: the wrist and the fingers'."""
+    return np.array([JOINTS.index(f"{side}_wrist")] + [k for k in range(22, 52) if JOINTS[k].startswith(side)])
+
+
+def first_guess(person: Person, g: Array, footage: Footage, side: str) -> Estimate:
+    """A flat hand turned every way in every frame; the best path."""
+    wrist = JOINTS.index(f"{side}_wrist")
+    joints, vertices = person.joints(g), person.vertices(g)
+    points = footage.points
+    rest = np.stack([p.place(vertices, joints) for p in points]) - joints[wrist]
+    # the elbow is far, and the wrist between them bends
+    of_hand = np.array([p.joint != JOINTS.index(f"{side}_elbow") for p in points])
+    found = find_directions(rest, footage.pixels, (footage.sure > 0) & of_hand, all_turns(), slack=SLACK)
+    place = place_of(found, footage.focal, footage.centre)
+    root = place - found.rotation @ joints[wrist]
+    angles = np.zeros((52, 3))
+    return Estimate(person, g, np.zeros((len(points), 3)), 0.0, angles, root, found.rotation,
+                    np.tile(angles, (len(root), 1, 1)))  # fmt: skip
+
+
+def holding(estimate: Estimate, footage: Footage, side: str) -> Priors:
+    """Of a hand that is held up, slightly bent, and turned."""
+    centre, mean, own = np.zeros((3, 52, 3))
+    wrist, *fingers = hand_joints(side)
+    mean[wrist], own[wrist] = np.radians(MEAN_WRIST), np.radians(OWN_WRIST)
+    centre[fingers, 0] = np.radians(CURL)
+    mean[fingers], own[fingers] = np.radians(MEAN_FINGER), np.radians(OWN_FINGER)
+    person = estimate.person
+    g_sigma = np.where(person.fingers, BONE, FROZEN * person.sigma)
+    # the pelvis swings about the hand: its path is not smooth
+    return Priors(centre, mean, own, estimate.g, g_sigma, footage.focal_doubt, bias_of(footage.names),
+                  smooth=np.radians(3.0), smooth_heading=np.radians(15.0), smooth_root=1.0)  # fmt: skip
+
+
+def fit_hand(person: Person, g: Array, footage: Footage, side: str, report: Report) -> Estimate:
+    """The whole video; the person comes back with the hand's own fingers and offsets."""
+    estimate = first_guess(person, g, footage, side)
+    report("first guess")
+    priors = holding(estimate, footage, side)
+    estimate = solve(estimate, footage, rigid(priors), cut=FIRST, rounds=10)
+    for cut in (FIRST, *CUTS):
+        estimate = solve(estimate, footage, priors, cut=cut, rounds=12)
+    report("keypoints")
+    outlines, hand = Outlines(footage), hand_vertices(person, (side,))
+    for weight in WEIGHTS:
+        term = outlines.term(outlines.pairs(estimate, footage, hand), weight)
+        estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
+        report("outlines")
+    for number in range(ROUNDS):
+        if number:
+            term = outlines.term(outlines.pairs(estimate, footage, hand), WEIGHTS[-1])
+            estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
+        offsets = fit_offsets(
+            estimate, footage, outlines, outlines.pairs(estimate, footage, hand), ~hand, STIFFNESS[2 * (number > 0) :]
+        )
+        estimate = replace(estimate, person=estimate.person.with_offsets(offsets))
+        report("offsets")
+    return estimate

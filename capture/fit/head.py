@@ -1,0 +1,97 @@
+"""The head's video: where the head is in every frame, from the face's points and its outline.
+
+The head is rigid; what lies below the neck moves otherwise and is not looked at. Where no point of the face is seen,
+the turn goes on evenly and the outline decides. What hair adds to the template is found between.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from avatar.skeleton import JOINTS, PARTS
+from capture.fit.body import CUTS, Report
+from capture.fit.directions import find_directions, opposite, place_of, turns_about_y
+from capture.fit.footage import Estimate, Footage
+from capture.fit.offsets import STIFFNESS, fit_offsets
+from capture.fit.outline_term import Outlines
+from capture.fit.person import Person
+from capture.fit.priors import FROZEN, Priors, bias_of
+from capture.fit.solve import solve
+from capture.imports.template import part_of
+from capture.keypoints.record import FACE
+
+Array = np.ndarray
+
+HEAD = JOINTS.index("head")
+SLACK = 0.02
+FIRST = 40.0
+WEIGHTS = (0.05, 0.1, 0.1)
+ROUNDS = 4
+# the jaw's points slide along the outline; the chin stays
+NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "face_08", *FACE[17:])
+
+
+def first_guess(person: Person, g: Array, footage: Footage) -> Estimate:
+    """The head's heading and place; where no point is seen, in between."""
+    joints, vertices = person.joints(g), person.vertices(g)
+    points = footage.points
+    rest = np.stack([p.place(vertices, joints) for p in points]) - joints[HEAD]
+    candidates = turns_about_y(6, (-32, -16, 0, 16, 32))
+    seen = footage.sure > 0
+    # two ears alone say nothing
+    seen &= (seen.sum(1) >= 4)[:, None]
+    found = find_directions(rest, footage.pixels, seen, candidates, opposite(footage.names), slack=SLACK)
+    root = place_of(found, footage.focal, footage.centre) - found.rotation @ joints[HEAD]
+    angles = np.zeros((len(root), 52, 3))
+    return Estimate(person, g, np.zeros((len(points), 3)), 0.0, angles[0], root, found.rotation, angles)
+
+
+def turning(estimate: Estimate, footage: Footage) -> Priors:
+    """Of a head that turns evenly."""
+    still = np.full((52, 3), FROZEN)
+    return Priors(np.zeros((52, 3)), still, still, estimate.g, FROZEN * estimate.person.sigma, footage.focal_doubt,
+                  bias_of(footage.names), smooth_heading=np.radians(5.0), smooth_root=0.1)  # fmt: skip
+
+
+def head_vertices(person: Person) -> Bool[Array, "vertices"]:
+    """Vertices that move with the head alone."""
+    return part_of(person.body.skin) == PARTS.index("head")
+
+
+def fit_head(person: Person, g: Array, footage: Footage, report: Report) -> Estimate:
+    """The whole video; the person comes back with the head's own offsets."""
+    estimate = first_guess(person, g, footage)
+    report("first guess")
+    priors = turning(estimate, footage)
+    for cut in (FIRST, *CUTS):
+        estimate = solve(estimate, footage, priors, cut=cut, rounds=10)
+    report("keypoints")
+    outlines, head = Outlines(footage), head_vertices(person)
+    for number in range(len(WEIGHTS) + ROUNDS):
+        weight = WEIGHTS[min(number, len(WEIGHTS) - 1)]
+        term = outlines.term(outlines.pairs(estimate, footage, head), weight)
+        estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
+        if number >= len(WEIGHTS) - 1:
+            offsets = fit_offsets(
+                estimate,
+                footage,
+                outlines,
+                outlines.pairs(estimate, footage, head),
+                ~head,
+                STIFFNESS[2 * (number > len(WEIGHTS)) :],
+            )
+            estimate = replace(estimate, person=estimate.person.with_offsets(offsets))
+        report("outlines")
+    return estimate
+
+
+def camera_from_head(estimate: Estimate) -> Float[Array, "frames 4 4"]:
+    """OpenCV cameras round the head, whose frame is pose 0's: metres, and its axes."""
+    joints = estimate.person.joints(estimate.g)
+    flip = np.diag([1.0, -1.0, -1.0])
+    out = np.tile(np.eye(4), (len(estimate.root), 1, 1))
+    out[:, :3, :3] = flip @ estimate.heading
+    # a stiff body: every point goes with the pelvis
+    out[:, :3, 3] = (estimate.root - estimate.heading @ joints[0]) @ flip
+    return out

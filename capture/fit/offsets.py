@@ -1,0 +1,83 @@
+"""How far clothes, hair and the person's own shape stand off the template, along its normals, from all outlines.
+
+    min over d  sum over pairs  rho((r - c . (M n) d)^2 / s^2) + lambda integral (Laplacian d)^2
+
+r the distance of the outline from the template without offsets along the outline's normal, M n the posed normal of the
+vertex. The bilaplacian L^T A^-1 L of the graph is sparse; one solve takes a fraction of a second.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from capture.fit.footage import Estimate, Footage
+from capture.fit.kinematics import carried, pixel_rows, seen_at, skinned
+from capture.fit.outline_term import SIGMA, Outlines, Pairs
+from capture.fit.solve import posed_frames
+from geometry.mesh import face_areas, neighbour_matrix, vertex_normals
+
+Array = np.ndarray
+
+# of the integral, from stiff to soft; once offsets are there, the softest is enough
+STIFFNESS = (1000.0, 100.0, 30.0)
+# standard deviations beyond which a pair says little
+CUT = 8.0
+# one over square metres: what keeps an offset that nothing is known of from growing without end
+BARELY = 0.04
+
+
+def bilaplacian(vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"]) -> sparse.csc_matrix:
+    """Q with d^T Q d the integral of the squared Laplacian of d over the surface.
+
+    The Laplacian of a vertex is the mean over its neighbours of (d_j - d_i) / |x_j - x_i|^2, times 4.
+    """
+    count = len(vertices)
+    near = neighbour_matrix(faces, count).tocoo()
+    length = np.linalg.norm(vertices[near.row] - vertices[near.col], axis=1)
+    weight = 4 / np.maximum(length, 1e-4) ** 2
+    degree = np.bincount(near.row, minlength=count)
+    weight = weight / np.maximum(degree[near.row], 1)
+    L = sparse.coo_matrix((weight, (near.row, near.col)), shape=(count, count)).tocsr()
+    L = L - sparse.diags(np.asarray(L.sum(1)).ravel())
+    area = np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces) / 3, 3), minlength=count)
+    return (L.T @ sparse.diags(area) @ L).tocsc()
+
+
+def fit_offsets(
+    estimate: Estimate, footage: Footage, outlines: Outlines, pairs: list[Pairs], held: Bool[Array, "vertices"],
+    stiffness: tuple[float, ...] = STIFFNESS,
+) -> Float[Array, "vertices 3"]:  # fmt: skip
+    """Offsets in pose 0 for which the outlines agree best; vertices `held` keep those that they have."""
+    person = estimate.person
+    bare = person.vertices(estimate.g) - person.offsets
+    normals = vertex_normals(bare, person.body.faces)
+    start = (person.offsets * normals).sum(1)
+    rows, columns, values = [], [], []
+    lens = estimate.lens(footage)
+    for frame, pair in zip(posed_frames(estimate), pairs):
+        points = estimate.skin(pair.vertices)
+        x = skinned(points, carried(frame, points))
+        c = np.einsum("ni,nij->nj", pair.normals, pixel_rows(lens, x))
+        n = normals[pair.vertices]
+        out = np.einsum("nsij,nj,ns->ni", frame.R[points.joints], n, points.weights)
+        slope = (c * out).sum(1)
+        rows.append(((pair.at - seen_at(lens, x)) * pair.normals).sum(1) + slope * start[pair.vertices])
+        columns.append(pair.vertices)
+        values.append(slope)
+    r, vertex, slope = np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+    Q = bilaplacian(bare, person.body.faces)
+    sigma = SIGMA * outlines.scale
+    d = start.copy()
+    free, fixed = np.flatnonzero(~held), np.flatnonzero(held)
+    among, across = Q[free][:, free], Q[free][:, fixed] @ start[fixed]
+    for stiff in stiffness:
+        e = (r - slope * d[vertex]) ** 2 / sigma**2
+        weight = 1 / sigma**2 / (1 + e / CUT**2) ** 2
+        H = np.bincount(vertex, weight * slope**2, minlength=len(d))
+        b = np.bincount(vertex, weight * slope * r, minlength=len(d))
+        A = (stiff * among + sparse.diags(H[free] + BARELY)).tocsc()
+        # symmetric and positive: no pivoting
+        factors = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        d[free] = factors.solve(b[free] - stiff * across)
+    return d[:, None] * normals

@@ -1,0 +1,176 @@
+"""What is believed before a picture is seen: joint angles near those of the video's posture, and smooth in time.
+
+Angles are flexion, abduction and twist (avatar/limits.py). Twists are seen worst and may vary least; that also shares a
+straight arm's turn out over shoulder, elbow and wrist in fixed proportions, which its outline and its joints cannot.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from avatar.limits import limits
+from avatar.rotation import axis_angle_from_matrix
+from avatar.skeleton import JOINTS
+from capture.fit.equations import Equations
+from capture.fit.footage import Estimate, Footage
+
+Array = np.ndarray
+
+SPINE = [JOINTS.index(name) for name in ("spine1", "spine2", "spine3")]
+# standard deviations in degrees
+MEAN, MEAN_SPINE = 8.0, 2.0
+OWN, OWN_SPINE = 4.5, 1.5
+OWN_LEGS = 6.0
+LEGS = [JOINTS.index(f"{side}_{name}") for side in ("left", "right") for name in ("hip", "knee")]
+SMOOTH = 1.5
+# metres; ears, heels and toes are places of a few centimetres, a face's points are not
+BIAS = (("ear", 0.025), ("heel", 0.025), ("toe", 0.025), ("face", 0.007), ("nose", 0.007), ("eye", 0.007),
+        *((finger, 0.004) for finger in ("thumb", "index", "middle", "ring", "pinky", "hand")))  # fmt: skip
+BIAS_JOINT = 0.01
+# of a degree beyond a joint's range
+BEYOND = 1.0
+FROZEN = 1e-3
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Standard deviations, radians and metres."""
+
+    centre: Float[Array, "52 3"]  # of the mean pose
+    mean: Float[Array, "52 3"]  # of the mean pose round it
+    own: Float[Array, "52 3"]  # of each frame's pose round the mean
+    g: Float[Array, "g"]  # the shape that is expected
+    g_sigma: Float[Array, "g"]
+    focal: float  # relative
+    bias: Float[Array, "points"]
+    stature: float = 0.001
+    # second differences from frame to frame
+    smooth: float = np.radians(SMOOTH)
+    smooth_heading: float = np.radians(8.0)
+    smooth_root: float = 0.02
+
+
+def standing(estimate: Estimate, footage: Footage) -> Priors:
+    """Of somebody who stands in the T-pose, arms a little low, and turns."""
+    centre = np.zeros((52, 3))
+    mean, own = np.full((52, 3), np.radians(MEAN)), np.full((52, 3), np.radians(OWN))
+    mean[SPINE], own[SPINE] = np.radians(MEAN_SPINE), np.radians(OWN_SPINE)
+    # knees lift and hips follow when somebody steps round
+    own[LEGS] = np.radians(OWN_LEGS)
+    mean[:, 2] *= 0.5
+    own[:, 2] *= 0.5
+    expected = np.zeros_like(estimate.g)
+    return Priors(centre, mean, own, expected, estimate.person.sigma, footage.focal_doubt, bias_of(footage.names))
+
+
+def bias_of(names: tuple[str, ...]) -> Float[Array, "points"]:
+    """How far from its place on our body a detector may see a point, metres."""
+    return np.array([next((sigma for part, sigma in BIAS if part in name), BIAS_JOINT) for name in names])
+
+
+class Shared(NamedTuple):
+    """Where the shared unknowns stand."""
+
+    g: slice
+    bias: slice
+    focal: int
+    mean: slice
+    count: int
+
+
+def shared_layout(estimate: Estimate, footage: Footage) -> Shared:
+    """The unknowns that all frames share."""
+    g, points = len(estimate.g), 3 * len(footage.names)
+    mean = g + points + 1
+    return Shared(slice(0, g), slice(g, g + points), g + points, slice(mean, mean + 3 * len(footage.moving)),
+                  mean + 3 * len(footage.moving))  # fmt: skip
+
+
+def add_priors(equations: Equations, estimate: Estimate, footage: Footage, priors: Priors) -> float:
+    """Add all terms of this file; returns their cost."""
+    shared, moving = shared_layout(estimate, footage), footage.moving
+    cost = _add_shared(equations, estimate, footage, priors, shared)
+    # of the frame: root 3, pelvis 3, angles
+    count = 3 * len(moving)
+    own = priors.own[moving].ravel()
+    away = estimate.angles[:, moving].reshape(len(estimate.root), count) - estimate.mean[moving].ravel()
+    at, rows = np.arange(count), 6 + np.arange(count)
+    equations.near[0][:, rows, rows] += 1 / own**2
+    equations.border[:, rows, shared.mean.start + at] -= 1 / own**2
+    equations.shared[shared.mean.start + at, shared.mean.start + at] += len(away) / own**2
+    equations.b[:, rows] -= away / own**2
+    equations.b_shared[shared.mean] += (away / own**2).sum(0)
+    cost += float(((away / own) ** 2).sum())
+    cost += _add_limits(equations, estimate, moving, rows)
+    return cost + _add_smoothness(equations, estimate, footage, priors)
+
+
+def _add_shared(equations: Equations, estimate: Estimate, footage: Footage, priors: Priors, shared: Shared) -> float:
+    H, b = equations.shared, equations.b_shared
+    cost = 0.0
+
+    def hold(where: Array, away: Array, sigma: Array | float) -> float:
+        H[where, where] += 1 / np.square(sigma)
+        b[where] -= away / np.square(sigma)
+        return float(np.square(away / sigma).sum())
+
+    index = np.arange(shared.count)
+    cost += hold(index[shared.g], estimate.g - priors.g, priors.g_sigma)
+    cost += hold(index[shared.bias], estimate.bias.ravel(), np.repeat(priors.bias, 3))
+    cost += hold(index[shared.focal : shared.focal + 1], np.array([estimate.log_focal]), priors.focal)
+    mean = (estimate.mean - priors.centre)[footage.moving].ravel()
+    cost += hold(index[shared.mean], mean, priors.mean[footage.moving].ravel())
+    height, row = estimate.person.height()
+    away = height + row @ estimate.g - estimate.person.stature
+    H[shared.g, shared.g] += np.outer(row, row) / priors.stature**2
+    b[shared.g] -= row * away / priors.stature**2
+    return cost + float((away / priors.stature) ** 2)
+
+
+def _add_limits(equations: Equations, estimate: Estimate, moving: Int[Array, "m"], rows: Int[Array, "k"]) -> float:
+    """Angles beyond a joint's range are pulled back."""
+    table = limits()
+    angles = estimate.angles[:, moving]
+    beyond = angles - np.clip(angles, table.low[moving], table.high[moving])
+    beyond = beyond.reshape(len(angles), -1)
+    weight = np.where(beyond != 0, 1 / np.radians(BEYOND) ** 2, 0.0)
+    equations.near[0][:, rows, rows] += weight
+    equations.b[:, rows] -= weight * beyond
+    return float((weight * beyond**2).sum())
+
+
+def _add_smoothness(equations: Equations, estimate: Estimate, footage: Footage, priors: Priors) -> float:
+    """Second differences of root, heading and angles are small.
+
+    Of the heading a_f = v_f - v_(f-1), v_f = log(R_f^T R_(f+1)): an increment d_f turns v_f by -R_(f,f+1)^T d_f and
+    v_(f-1) by d_f.
+    """
+    frames, moving = len(estimate.root), footage.moving
+    if frames < 3:
+        return 0.0
+    count = 3 * len(moving)
+    values = np.concatenate([estimate.root, estimate.angles[:, moving].reshape(frames, count)], 1)
+    sigma = np.r_[np.full(3, priors.smooth_root), np.full(count, priors.smooth)]
+    place = np.r_[0:3, 6 : 6 + count]
+    second = values[:-2] - 2 * values[1:-1] + values[2:]
+    steps = (1.0, -2.0, 1.0)
+    for i in range(3):
+        equations.b[i : frames - 2 + i, place] -= steps[i] * second / sigma**2
+        for j in range(i, 3):
+            block = equations.near[j - i][i : frames - 2 + i]
+            block[:, place, place] += steps[i] * steps[j] / sigma**2
+    between = np.swapaxes(estimate.heading[:-1], 1, 2) @ estimate.heading[1:]
+    v = axis_angle_from_matrix(between)
+    a = v[1:] - v[:-1]
+    eye = np.broadcast_to(np.eye(3), (frames - 2, 3, 3))
+    parts = [np.swapaxes(between[:-1], 1, 2), -np.swapaxes(between[1:], 1, 2) - eye, eye]
+    # turns are quick at times: a jump counts less
+    weight = 1 / (1 + (a**2).sum(1) / np.radians(30.0) ** 2) ** 2 / priors.smooth_heading**2
+    for i in range(3):
+        equations.b[i : frames - 2 + i, 3:6] -= np.einsum("fji,fj->fi", parts[i], a) * weight[:, None]
+        for j in range(i, 3):
+            product = np.einsum("fki,fkj->fij", parts[i], parts[j]) * weight[:, None, None]
+            equations.near[j - i][i : frames - 2 + i, 3:6, 3:6] += product
+    return float((second**2 / sigma**2).sum() + ((a**2).sum(1) * weight).sum())

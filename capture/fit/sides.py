@@ -1,0 +1,64 @@
+"""Left and right that a detector exchanged, put back where the fit says so."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from capture.fit.directions import opposite
+from capture.fit.footage import Estimate, Footage
+from capture.fit.keypoint_term import projected
+from capture.fit.solve import posed_frames
+
+Array = np.ndarray
+
+# standard deviations beyond which a point says no more
+FAR = 10.0
+# by how much of that, for each exchanged pair, the exchange has to be better
+MARGIN = 4.0
+GROUPS = {
+    "arms": ("shoulder", "elbow", "wrist", "hand", "thumb", "index", "middle", "ring", "pinky"),
+    "legs": ("hip", "knee", "ankle", "heel", "big", "small"),
+    "head": ("eye", "ear"),
+}
+
+
+def group_of(name: str) -> str:
+    """Points that a detector exchanges together; "" where there is but one side."""
+    side, _, rest = name.partition("_")
+    if side not in ("left", "right"):
+        return ""
+    part = rest.split("_")[0].rstrip("123")
+    return next((group for group, parts in GROUPS.items() if part in parts), "")
+
+
+def exchanged_back(footage: Footage, frames: Bool[Array, "frames"]) -> Footage:
+    """The footage with left and right of all points exchanged in some frames."""
+    other = opposite(footage.names)
+    pixels, sure = footage.pixels.copy(), footage.sure.copy()
+    pixels[frames], sure[frames] = pixels[frames][:, other], sure[frames][:, other]
+    return replace(footage, pixels=pixels, sure=sure)
+
+
+def sides_restored(estimate: Estimate, footage: Footage) -> Footage:
+    """The footage with points of arms, legs or head exchanged in frames where they lie nearer to the other side."""
+    other = opposite(footage.names)
+    groups = np.array([group_of(name) for name in footage.names])
+    pixels, sure = footage.pixels.copy(), footage.sure.copy()
+    for f, frame in enumerate(posed_frames(estimate)):
+        at = projected(estimate, footage, frame)
+        as_named, exchanged = (
+            _misfit(at, footage.pixels[f, order], footage.sure[f, order]) for order in (np.arange(len(other)), other)
+        )
+        for group in GROUPS:
+            mine = np.flatnonzero(groups == group)
+            pairs = (mine[:, None] == other[mine]).any() and (footage.sure[f, mine] > 0).sum() / 2
+            if pairs and exchanged[mine].sum() + MARGIN * pairs < as_named[mine].sum():
+                pixels[f, mine], sure[f, mine] = footage.pixels[f, other[mine]], footage.sure[f, other[mine]]
+    return replace(footage, pixels=pixels, sure=sure)
+
+
+def _misfit(
+    at: Float[Array, "points 2"], pixels: Float[Array, "points 2"], sure: Float[Array, "points"]
+) -> Float[Array, "points"]:
+    return np.minimum(((at - pixels) ** 2).sum(1) * sure**2, FAR**2)

@@ -1,0 +1,42 @@
+"""Estimates of finished steps in files, so that a fit goes on where it was interrupted."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+
+from avatar.files import whole_file
+from avatar.npz import read_npz
+from capture.fit.footage import Estimate, Footage
+from capture.fit.person import Person
+
+Array = np.ndarray
+
+ARRAYS = ("g", "bias", "mean", "root", "heading", "angles")
+FIELDS = (*ARRAYS, "offsets", "log_focal", "inputs")
+
+
+def fingerprint(footage: Footage, *numbers: Array | float | str) -> str:
+    """What a step was made from: its points, a few rows of its masks, and what came before."""
+    digest = hashlib.sha256()
+    for value in (footage.pixels, footage.sure, footage.masks[:, ::8, ::8], np.float64(footage.focal), *numbers):
+        digest.update(np.ascontiguousarray(value).tobytes() if not isinstance(value, str) else value.encode())
+    return digest.hexdigest()
+
+
+def write_estimate(path: Path, estimate: Estimate, inputs: str) -> None:
+    """Keep a finished step."""
+    fields = {name: getattr(estimate, name) for name in ARRAYS}
+    with whole_file(path) as file:
+        np.savez(file, offsets=estimate.person.offsets, log_focal=estimate.log_focal, inputs=inputs, **fields)
+
+
+def read_estimate(path: Path, person: Person, inputs: str) -> Estimate | None:
+    """The finished step, if it is there and was made from the same."""
+    if not path.is_file():
+        return None
+    fields = read_npz(path, "a step of a fit", FIELDS)
+    if str(fields["inputs"]) != inputs:
+        return None
+    arrays = {name: fields[name] for name in ARRAYS}
+    return Estimate(person.with_offsets(fields["offsets"]), log_focal=float(fields["log_focal"]), **arrays)

@@ -1,0 +1,144 @@
+"""A known person is found again: heading, sides, focal length, poses and shape."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from avatar.errors import AssetError
+from avatar.rotation import axis_angle_from_matrix
+from capture.fit import body
+from capture.fit.body import first_guess, fit_keypoints, fit_outlines
+from capture.fit.directions import opposite
+from capture.fit.offsets import bilaplacian, fit_offsets
+from capture.fit.outline_term import Outlines
+from capture.fit.person import person_of
+from capture.fit.points import body_points
+from capture.fit.refusals import check_fit, check_footage, check_upright
+from capture.fit.sides import sides_restored
+from geometry.mesh import vertex_normals
+from tests.turning_twin import limb_error, mask_of, surface_error, turning_twin
+
+QUIET = lambda note: None
+
+
+def degrees_off(truth, found):
+    return np.degrees(np.linalg.norm(axis_angle_from_matrix(np.swapaxes(truth.heading, 1, 2) @ found.heading), axis=1))
+
+
+@pytest.fixture(scope="module")
+def twin():
+    return turning_twin()
+
+
+def test_first_guess_faces_the_right_way_in_every_frame(twin):
+    guess, _ = first_guess(person_of("male", 1.8), twin.footage)
+    assert degrees_off(twin.truth, guess).max() < 25
+    assert np.abs(guess.root - twin.truth.root).max() < 0.25
+
+
+def test_keypoints_alone_find_the_limbs(twin):
+    found, _ = fit_keypoints(person_of("male", 1.8), twin.footage, QUIET)
+    assert limb_error(twin.truth, found) < 0.02
+    assert np.median(degrees_off(twin.truth, found)) < 2.5
+
+
+def test_sides_exchanged_in_all_points_and_in_the_arms_alone_are_put_back(twin):
+    footage = twin.footage
+    pixels, other = footage.pixels.copy(), opposite(footage.names)
+    pixels[5] = pixels[5, other]
+    arms = [k for k, name in enumerate(footage.names) if name.split("_")[-1] in ("shoulder", "elbow", "wrist")]
+    pixels[9, arms] = footage.pixels[9, other[arms]]
+    found, restored = fit_keypoints(person_of("male", 1.8), replace(footage, pixels=pixels), QUIET)
+    np.testing.assert_array_equal(restored.pixels[9], footage.pixels[9])
+    np.testing.assert_array_equal(restored.pixels[5], footage.pixels[5])
+    assert limb_error(twin.truth, found) < 0.02
+
+
+def test_sides_that_are_right_stay(twin):
+    np.testing.assert_array_equal(sides_restored(twin.truth, twin.footage).pixels, twin.footage.pixels)
+
+
+@pytest.mark.parametrize("error", [0.1, -0.1])
+def test_of_a_focal_length_told_wrong_by_a_tenth_half_or_more_is_found(error):
+    _, footage = turning_twin(24, focal_error=error, noise=0.3)
+    found, _ = fit_keypoints(person_of("male", 1.8), footage, QUIET)
+    true = footage.focal / (1 + error)
+    assert abs(np.log(found.lens(footage).focal / true)) < 0.055
+
+
+def test_outlines_and_offsets_bring_the_surface_nearer(monkeypatch):
+    monkeypatch.setattr(body, "WEIGHTS", (0.01, 0.02))
+    monkeypatch.setattr(body, "ROUNDS", 1)
+    truth, footage = turning_twin(7, 140, masks=True)
+    found, restored = fit_keypoints(person_of("male", 1.8), footage, QUIET)
+    before = surface_error(truth, found)
+    after = surface_error(truth, fit_outlines(found, restored, QUIET))
+    assert after < 0.85 * before and after < 0.01
+
+
+def test_offsets_add_what_clothes_do():
+    """A person who wears 1 cm everywhere, poses known: offsets of 1 cm where outlines look."""
+    truth, footage = turning_twin(6, 200)
+
+    normals = vertex_normals(truth.person.vertices(truth.g), truth.person.body.faces)
+    dressed = replace(truth, person=truth.person.with_offsets(0.01 * normals))
+    masks = np.stack([mask_of(dressed, footage, i) for i in range(6)])
+    footage = replace(footage, masks=masks)
+    outlines = Outlines(footage)
+    every = np.ones(len(normals), bool)
+    offsets = fit_offsets(truth, footage, outlines, outlines.pairs(truth, footage, every), ~every)
+    height = truth.person.vertices(truth.g)[:, 1]
+    trunk = (height > 0.05) & (height < 0.35)
+    found = (offsets * normals).sum(1)[trunk]
+    assert np.median(found) == pytest.approx(0.01, abs=0.002)
+    assert np.mean(np.abs(found - 0.01) < 0.004) > 0.7
+
+
+def test_bilaplacian_is_nothing_for_what_is_constant():
+    free = person_of("male").body
+    Q = bilaplacian(free.vertices, free.faces)
+    assert abs(np.ones(len(free.vertices)) @ Q @ np.ones(len(free.vertices))) < 1e-6
+    rng = np.random.default_rng(0)
+    rough, smooth = rng.standard_normal(len(free.vertices)), free.vertices[:, 1]
+    assert rough @ Q @ rough > 1e3 * (smooth @ Q @ smooth) > 0
+
+
+def test_points_of_the_face_lie_where_they_belong():
+    points, free = body_points(), person_of("female").body
+    place = lambda name: points[name].place(free.vertices, free.joints)
+    assert place("face_45")[0] > place("face_42")[0] > 0 > place("face_39")[0] > place("face_36")[0]
+    assert place("face_30")[2] > place("face_27")[2] and place("face_08")[1] < place("face_57")[1]
+    for name in ("left_ear", "left_heel", "left_big_toe", "left_index_tip", "left_eye"):
+        np.testing.assert_allclose(place(name), place(name.replace("left", "right")) * [-1, 1, 1], atol=0.012)
+    assert place("left_heel")[2] < place("left_ankle")[2] < place("left_big_toe")[2]
+
+
+def test_no_confident_point_is_refused(twin):
+    blind = replace(twin.footage, sure=np.zeros_like(twin.footage.sure))
+    with pytest.raises(AssetError, match="hand_left video: keypoints should show 6 points of the hand left"):
+        check_footage("hand_left", blind)
+
+
+def test_keypoints_beside_the_person_are_refused():
+    _, footage = turning_twin(4, 200, masks=True)
+    check_footage("body", footage)
+    with pytest.raises(AssetError, match="body video: keypoints should lie on the person of the masks"):
+        check_footage("body", replace(footage, masks=np.roll(footage.masks, 80, axis=2)))
+
+
+def test_pictures_upside_down_are_refused(twin):
+    check_upright(twin.footage)
+    height = twin.footage.size[1]
+    turned = replace(twin.footage, pixels=height - twin.footage.pixels)
+    with pytest.raises(AssetError, match="upside down"):
+        check_upright(turned)
+
+
+def test_a_fit_that_explains_nothing_is_refused_and_a_bad_frame_left_out(twin):
+    pixels = twin.footage.pixels.copy()
+    pixels[3] += 25
+    usable = check_fit("body", twin.truth, replace(twin.footage, pixels=pixels))
+    assert not usable[3] and usable.sum() == len(usable) - 1
+    with pytest.raises(AssetError, match="body video: keypoints should lie within 6 cm of a person's"):
+        check_fit("body", twin.truth, replace(twin.footage, pixels=twin.footage.pixels + 30))

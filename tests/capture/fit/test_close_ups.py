@@ -1,0 +1,122 @@
+"""A hand and a head that turn before a camera, and a pose in one picture, are found again from their points."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from avatar.skeleton import JOINTS, joint_transforms
+from capture.fit import hand, head
+from capture.fit.body import CUTS, MOVING, body_names
+from capture.fit.footage import Estimate, Footage
+from capture.fit.keypoint_term import projected
+from capture.fit.person import person_of
+from capture.fit.picture import fit_pose
+from capture.fit.scan import template_of
+from capture.fit.solve import posed_frames, solve
+from capture.fit.stored import fingerprint, read_estimate, write_estimate
+from capture.keypoints.record import Keypoints
+from tests.turning_twin import mask_of
+
+FRAMES, SIZE = 16, 400
+
+
+def shown(truth, names, moving, *, focal=700.0, noise=0.5):
+    """Footage of an estimate that is the truth."""
+    rng = np.random.default_rng(0)
+    count = len(names)
+    blank = np.zeros((len(truth.root), SIZE, SIZE), np.uint8)
+    sure = np.full((len(truth.root), count), 1 / noise)
+    footage = Footage(names, np.zeros((len(truth.root), count, 2)), sure, blank, focal, 1e-3, moving)
+    truth = replace(truth, bias=np.zeros((count, 3)))
+    pixels = np.stack([projected(truth, footage, frame) for frame in posed_frames(truth)])
+    return truth, replace(footage, pixels=pixels + noise * rng.standard_normal(pixels.shape))
+
+
+def degrees(a, b):
+    return np.degrees(np.linalg.norm(axis_angle_from_matrix(np.swapaxes(a, -1, -2) @ b), axis=-1))
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_hand_that_turns_twice_is_found(side):
+    person = person_of("male")
+    g = np.zeros(len(person.sigma))
+    wrist = JOINTS.index(f"{side}_wrist")
+    roll = 2 * np.pi * np.arange(FRAMES) / FRAMES
+    sign = 1 if side == "left" else -1
+    up = matrix_from_axis_angle(np.array([0, 0, sign * np.pi / 2]))
+    heading = matrix_from_axis_angle(roll[:, None] * [0, 1.0, 0]) @ up
+    angles = np.zeros((FRAMES, 52, 3))
+    angles[:, hand.hand_joints(side)[1:], 0] = np.radians(12)
+    root = np.array([0, 0, -0.5]) - heading @ person.joints(g)[wrist]
+    truth = Estimate(person, g, np.zeros((1, 3)), 0.0, angles[0], root, heading, angles)
+    names = hand.hand_names(side)[:-1]
+    truth, footage = shown(truth, names, hand.hand_joints(side))
+    found = hand.first_guess(person, g, footage, side)
+    assert np.median(degrees(heading, found.heading)) < 25
+    priors = hand.holding(found, footage, side)
+    for cut in (hand.FIRST, *CUTS):
+        found = solve(found, footage, priors, cut=cut, rounds=12)
+    own = hand.hand_joints(side)
+    away = [np.linalg.norm(a.place[own] - b.place[own], axis=1).mean()
+            for a, b in zip(posed_frames(truth), posed_frames(found))]  # fmt: skip
+    assert max(away) < 0.008
+
+
+def test_head_is_followed_through_frames_that_show_no_face():
+    person = person_of("female")
+    g = np.zeros(len(person.sigma))
+    turn = 2 * np.pi * np.arange(FRAMES) / FRAMES
+    heading = matrix_from_axis_angle(turn[:, None] * [0, 1.0, 0])
+    neck = person.joints(g)[head.HEAD]
+    root = np.array([0, 0, -0.7]) - heading @ neck
+    angles = np.zeros((FRAMES, 52, 3))
+    truth = Estimate(person, g, np.zeros((1, 3)), 0.0, angles[0], root, heading, angles)
+    truth, footage = shown(truth, head.NAMES, np.zeros(0, np.int64))
+    behind = np.cos(turn) < -0.3
+    footage = replace(footage, sure=np.where(behind[:, None], 0.0, footage.sure))
+    found = head.first_guess(person, g, footage)
+    priors = head.turning(found, footage)
+    for cut in (head.FIRST, *CUTS):
+        found = solve(found, footage, priors, cut=cut, rounds=10)
+    off = degrees(heading, found.heading)
+    assert off[~behind].max() < 1.5 and off[behind].max() < 8
+    cameras = head.camera_from_head(found)
+    # a point of the head lands where the person has it
+    x = cameras[0, :3, :3] @ neck + cameras[0, :3, 3]
+    np.testing.assert_allclose(x, [0, 0, 0.7], atol=0.01)
+
+
+def test_pose_of_a_known_person_in_one_picture():
+    person = person_of("male")
+    g = np.zeros(len(person.sigma))
+    angles = np.zeros((1, 52, 3))
+    for side, forwards in (("left", 50), ("right", -10)):
+        angles[0, JOINTS.index(f"{side}_shoulder"), :2] = np.radians([-45, forwards])
+        angles[0, JOINTS.index(f"{side}_elbow"), 0] = np.radians(70)
+    angles[0, JOINTS.index("left_hip"), 0] = angles[0, JOINTS.index("left_knee"), 0] = np.radians(60)
+    heading = matrix_from_axis_angle(np.array([[0, np.radians(30), 0]]))
+    truth = Estimate(person, g, np.zeros((1, 3)), 0.0, angles[0], np.array([[0.1, 0.1, -3.5]]), heading, angles)
+    truth, footage = shown(truth, body_names(), MOVING)
+    mask = mask_of(truth, footage, 0)
+    seen = Keypoints(footage.names, footage.pixels, np.ones_like(footage.sure), footage.size)
+    camera, axis_angle, root = fit_pose(template_of(truth), seen, mask, focal=footage.focal)
+    ours = joint_transforms(axis_angle, person.joints(g), root)[:22, :3, 3]
+    ours = ours @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+    theirs = posed_frames(truth)[0].place[:22] * [1, -1, -1]
+    assert np.linalg.norm(ours - ours.mean(0) - theirs + theirs.mean(0), axis=1).mean() < 0.03
+
+
+def test_a_finished_step_is_read_back_for_the_same_video_alone(tmp_path):
+    person = person_of("male")
+    truth = Estimate(person, np.zeros(len(person.sigma)), np.zeros((1, 3)), 0.1, np.zeros((52, 3)), np.zeros((2, 3)),
+                     np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 52, 3)))  # fmt: skip
+    truth, footage = shown(replace(truth, root=truth.root - [0, 0, 3]), body_names(), MOVING)
+    inputs = fingerprint(footage, "male")
+    write_estimate(tmp_path / "body.npz", truth, inputs)
+    again = read_estimate(tmp_path / "body.npz", person, inputs)
+    assert again is not None and again.log_focal == 0.1
+    np.testing.assert_array_equal(again.root, truth.root)
+    assert read_estimate(tmp_path / "body.npz", person, fingerprint(footage, "female")) is None
+    assert read_estimate(tmp_path / "head.npz", person, inputs) is None

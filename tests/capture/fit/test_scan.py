@@ -1,0 +1,101 @@
+"""Four small videos of a known person become a person: the whole path, and again from its stored steps."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from avatar.errors import AssetError
+from avatar.rotation import matrix_from_axis_angle
+from avatar.skeleton import JOINTS, PARTS, joint_transforms
+from capture.fit import body, hand, head
+from capture.fit.footage import Estimate, Footage
+from capture.fit.keypoint_term import projected
+from capture.fit.scan import fit_scan
+from capture.fit.solve import posed_frames
+from capture.keypoints.record import Keypoints
+from capture.raw_scan import RawScan, RawVideo
+from tests.turning_twin import mask_of, turning_twin
+
+FRAMES, SIZE = 7, 128
+# metres from the camera, and what turns before it
+NEAR = {"head": 0.9, "hand_left": 0.6, "hand_right": 0.6}
+
+
+def close_up(truth, part):
+    """Head or hand that turns before the camera, the person in the T-pose."""
+    turn = 2 * np.pi * np.arange(FRAMES) / FRAMES
+    side = part.removeprefix("hand_")
+    joint = JOINTS.index("head" if part == "head" else f"{side}_middle1")
+    up = np.zeros(3) if part == "head" else np.array([0, 0, np.pi / 2 * (1 if side == "left" else -1)])
+    heading = matrix_from_axis_angle(turn[:, None] * [0, 1.0, 0]) @ matrix_from_axis_angle(up)
+    root = np.array([0, 0, -NEAR[part]]) - heading @ truth.person.joints(truth.g)[joint]
+    angles = np.zeros((FRAMES, 52, 3))
+    return replace(truth, mean=angles[0], angles=angles, root=root, heading=heading)
+
+
+def video_of(truth, names, part, focal):
+    """What a detector and a mask tool make of an estimate."""
+    rng = np.random.default_rng(PARTS.index(part))
+    blank = np.zeros((FRAMES, SIZE, SIZE), np.uint8)
+    seen = np.ones((FRAMES, len(names)))
+    footage = Footage(names, np.zeros((FRAMES, len(names), 2)), seen, blank, focal, 1e-3, np.zeros(0, np.int64))
+    truth = replace(truth, bias=np.zeros((len(names), 3)), log_focal=0.0)
+    pixels = np.stack([projected(truth, footage, frame) for frame in posed_frames(truth)])
+    if part == "head":
+        # no face from behind
+        seen = np.where((truth.heading[:, 2, 2] < -0.3)[:, None], 0.0, seen)
+    masks = np.stack([mask_of(truth, footage, i) for i in range(FRAMES)])
+    inside = ((pixels > 0) & (pixels < SIZE)).all(2)
+    keypoints = Keypoints(names, pixels + 0.2 * rng.standard_normal(pixels.shape), seen * inside, (SIZE, SIZE))
+    pictures = (Path("none"),) * FRAMES
+    return RawVideo(part, (SIZE, SIZE), 30.0, 10 * np.arange(FRAMES), pictures, masks, keypoints, focal)
+
+
+@pytest.fixture(scope="module")
+def filmed() -> tuple[Estimate, RawScan]:
+    twin = turning_twin(FRAMES, SIZE)
+    truth, focal = twin.truth, twin.footage.focal
+    videos = {"body": video_of(truth, body.body_names(), "body", focal)}
+    for part in ("head", "hand_left", "hand_right"):
+        names = head.NAMES if part == "head" else hand.hand_names(part.removeprefix("hand_"))
+        videos[part] = video_of(close_up(truth, part), names, part, focal)
+    return truth, RawScan(videos)
+
+
+def test_scan_becomes_a_person_and_is_read_back_from_its_steps(filmed, tmp_path, monkeypatch):
+    truth, scan = filmed
+    fitted = fit_scan(scan, sex="male", stature=1.8, work=tmp_path)
+    video = fitted.videos["body"]
+    assert video.axis_angle is not None and video.root is not None and video.usable.all()
+    limbs = [JOINTS.index(f"left_{name}") for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")]
+    for i, frame in enumerate(posed_frames(truth)):
+        M = video.cameras[i].camera_from_world
+        ours = (M @ joint_transforms(video.axis_angle[i], fitted.template.joints, video.root[i]))[limbs, :3, 3]
+        assert np.linalg.norm(ours - frame.place[limbs] * [1, -1, -1], axis=1).mean() < 0.03
+    # stands upright, with its pelvis where the skeleton begins
+    assert video.root.mean(0) == pytest.approx(np.zeros(3), abs=1e-9)
+    np.testing.assert_allclose(fitted.template.joints[0], 0, atol=1e-12)
+    # head and hands lie where their cameras see them
+    wrist = JOINTS.index("left_wrist")
+    close = fitted.videos["hand_left"]
+    assert close.axis_angle is not None and close.root is not None
+    there = [frame.place[wrist] * [1, -1, -1] for frame in posed_frames(close_up(truth, "hand_left"))]
+    here = [camera.camera_from_world @ joint_transforms(pose, fitted.template.joints, root)[wrist]
+            for camera, pose, root in zip(close.cameras, close.axis_angle, close.root)]  # fmt: skip
+    assert np.median(np.linalg.norm(np.array(here)[:, :3, 3] - there, axis=1)) < 0.03
+    assert len(fitted.landmarks) >= 6
+    nose, vertex = fitted.landmarks["nose_tip"]
+    np.testing.assert_array_equal(nose, fitted.template.vertices[vertex])
+    monkeypatch.setattr(body, "fit_body", lambda *_: pytest.fail("the body was fitted again"))
+    again = fit_scan(scan, sex="male", stature=1.8, work=tmp_path)
+    np.testing.assert_array_equal(again.template.vertices, fitted.template.vertices)
+
+
+def test_video_without_confident_hand_points_is_refused(filmed):
+    _, scan = filmed
+    one = scan.videos["body"]
+    blind = replace(one.keypoints, confidence=np.zeros_like(one.keypoints.confidence))
+    with pytest.raises(AssetError, match="body video: keypoints should show 6 points"):
+        fit_scan(RawScan({**scan.videos, "body": replace(one, keypoints=blind)}))
