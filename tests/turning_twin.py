@@ -13,7 +13,6 @@ from capture.fit.keypoint_term import projected
 from capture.fit.kinematics import carried, skinned
 from capture.fit.person import person_of
 from capture.fit.solve import posed_frames
-from geometry.closest import closest_points, triangle_index
 from geometry.rasterise import rasterise
 
 Array = np.ndarray
@@ -82,10 +81,3 @@ def limb_error(truth: Estimate, found: Estimate) -> float:
              for n in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")]  # fmt: skip
     places = [np.stack([frame.place[limbs] for frame in posed_frames(e)]) for e in (truth, found)]
     return float(np.linalg.norm(places[0] - places[1], axis=2).mean())
-
-
-def surface_error(truth: Estimate, found: Estimate) -> float:
-    """Mean distance of the true surface from the one found, first frame, their middles on each other, metres."""
-    ours, theirs = (skinned(e.skin(), carried(posed_frames(e)[0], e.skin())) for e in (found, truth))
-    index = triangle_index(ours - ours.mean(0), found.person.body.faces)
-    return float(closest_points((theirs - theirs.mean(0))[::20], index).distance.mean())

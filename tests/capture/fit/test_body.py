@@ -7,8 +7,7 @@ import pytest
 
 from avatar.errors import AssetError
 from avatar.rotation import axis_angle_from_matrix
-from capture.fit import body
-from capture.fit.body import first_guess, fit_keypoints, fit_outlines
+from capture.fit.body import first_guess, fit_keypoints
 from capture.fit.directions import opposite
 from capture.fit.offsets import bilaplacian, fit_offsets
 from capture.fit.outline_term import Outlines
@@ -17,7 +16,7 @@ from capture.fit.points import body_points
 from capture.fit.refusals import check_fit, check_footage, check_upright
 from capture.fit.sides import sides_restored
 from geometry.mesh import vertex_normals
-from tests.turning_twin import limb_error, mask_of, surface_error, turning_twin
+from tests.turning_twin import limb_error, mask_of, turning_twin
 
 QUIET = lambda note: None
 
@@ -65,16 +64,6 @@ def test_of_a_focal_length_told_wrong_by_a_tenth_half_or_more_is_found(error):
     found, _ = fit_keypoints(person_of("male", 1.8), footage, QUIET)
     true = footage.focal / (1 + error)
     assert abs(np.log(found.lens(footage).focal / true)) < 0.055
-
-
-def test_outlines_and_offsets_bring_the_surface_nearer(monkeypatch):
-    monkeypatch.setattr(body, "WEIGHTS", (0.01, 0.02))
-    monkeypatch.setattr(body, "ROUNDS", 1)
-    truth, footage = turning_twin(7, 140, masks=True)
-    found, restored = fit_keypoints(person_of("male", 1.8), footage, QUIET)
-    before = surface_error(truth, found)
-    after = surface_error(truth, fit_outlines(found, restored, QUIET))
-    assert after < 0.85 * before and after < 0.01
 
 
 def test_offsets_add_what_clothes_do():
