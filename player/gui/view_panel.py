@@ -1,4 +1,4 @@
-"""The panel of how it is drawn: effects (effects_panel.py), level of detail, background; screenshot and film."""
+"""The panel of how it is drawn: screenshot and film; effects (effects_panel.py), level of detail, background."""
 
 from dataclasses import replace
 
@@ -14,6 +14,13 @@ from player.window.parts import Parts
 def view_panel(ui: Widgets, parts: Parts) -> None:
     """Choices that change the plan make a new renderer, so nothing that is not chosen is ever run."""
     look = parts.look
+    # above the effects, of which there are more than a small window shows
+    film = parts.recorder.film
+    ui.action("Screenshot", SCREENSHOT, parts)
+    ui.action("Stop film" if film else "Film", FILM, parts, name="film", beside=True)
+    if film is not None:
+        imgui.same_line()
+        imgui.text(counted(film.frames, "frame"))
     effects_panel(ui, parts)
     if look.renderer.has_view:
         tip = "How much of the view dependence is shown. 0 is the paper."
@@ -31,9 +38,3 @@ def view_panel(ui: Widgets, parts: Parts) -> None:
         if color is not None:
             red, green, blue = color
             look.change(background=replace(look.background, color=(red, green, blue, 1.0)))
-    film = parts.recorder.film
-    ui.action("Screenshot", SCREENSHOT, parts)
-    ui.action("Stop film" if film else "Film", FILM, parts, name="film", beside=True)
-    if film is not None:
-        imgui.same_line()
-        imgui.text(counted(film.frames, "frame"))
