@@ -18,7 +18,7 @@ Turn four phone videos of a person into an avatar to pose, watch and film in rea
 
 make an avatar
   synth   SUBJECT OUT          four self-scan videos of a built-in or rigged person, with ground truth
-  import  KIND SRC OUT         your own videos (easymocap) or the authors' data (totalselfscan) as a capture
+  import  KIND ...             your own videos (video, easymocap) or the authors' data (totalselfscan) as a capture
   check   CAPTURE_OR_VIDEOS      is this usable? overlays, numbers, a verdict with what to do
   train   CAPTURE -o RUN       part fields (signed distance and colour) from a capture
   bake    RUN -o NAME.glb      one mesh, one atlas, skin weights and a tiny view network in one file

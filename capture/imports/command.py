@@ -7,11 +7,17 @@ from pathlib import Path
 from typing import Annotated
 
 from avatar.body import read_body
+from avatar.errors import AssetError
 from avatar.files import check_folder
-from avatar.settings import AtLeast, AtMost, Help, Option, parse
+from avatar.progress import progress
+from avatar.settings import Above, AtLeast, AtMost, Help, OneOf, Option, parse
 from avatar.skeleton import PARTS
 from capture.imports.easymocap import MOST_FRAMES, import_easymocap
 from capture.imports.totalselfscan import import_totalselfscan
+from capture.imports.video import VideoImport, import_video
+from capture.keypoints.detect import MODELS, detect, model_files
+from capture.raw.four_videos import KEYPOINTS, find_videos
+from capture.raw.video_file import open_video, read_frames
 
 
 def parse_selection(text: str) -> tuple[str, tuple[int, int, int]]:
@@ -64,16 +70,59 @@ class EasyMocapCommand:
     frames: Annotated[Frames, "which frames are taken"]
 
 
+@dataclass(frozen=True)
+class VideoCommand:
+    """`selfscan import video`."""
+
+    videos: Annotated[
+        tuple[Path, ...],
+        Option(positional=True, metavar="BODY HEAD LEFT RIGHT", several=True),
+        "the four videos, or a folder with body.mp4, head.mp4, left.mp4 and right.mp4",
+    ]
+    out: Annotated[Path, Option(("-o", "--out"), "OUT"), "capture folder to write"]
+    keypoints: Annotated[
+        str,
+        Option(metavar="auto|DIR"),
+        "folder with keypoints of body, head, hand_left and hand_right (OpenPose, COCO-WholeBody, MediaPipe), for each "
+        "frame of the video; auto: the folder keypoints beside the videos, else found by MediaPipe with --models, and "
+        "kept in OUT.keypoints",
+    ] = "auto"
+    masks: Annotated[
+        str, Option(metavar="auto|DIR"), "folder with masks of the videos, one for each frame; auto: from the videos"
+    ] = "auto"
+    models: Annotated[
+        Path | None,
+        Option(metavar="DIR"),
+        f"MediaPipe's model files, for --keypoints auto: {', '.join(MODELS.values())}",
+    ] = None
+    sex: Annotated[str, OneOf(("male", "female")), "the free body that the fit begins with"] = "male"
+    stature: Annotated[
+        float | None, AtLeast(0.8), AtMost(2.5), Option(metavar="METRES"), "your height; all lengths follow from it"
+    ] = None
+    focal: Annotated[
+        float | None, Above(0), Option(metavar="PX"), "focal length of the phone, pixels of the videos (default: found)"
+    ] = None
+    frames: Annotated[int, AtLeast(8), AtMost(1000), "most frames of a video that are used"] = 60
+
+
 KINDS = """usage: selfscan import KIND ...
 
 Turn real self-scan videos, with the poses, masks and cameras that other tools made of them, into a capture folder.
 docs/capture.md says how to film and which tools to run.
 
+  video BODY HEAD LEFT RIGHT -o OUT   your own four videos as filmed: nothing else is needed but keypoints
   totalselfscan SRC OUT   one subject of the paper's released data
   easymocap SRC OUT       your own videos, fitted with EasyMocap
 
 `selfscan import KIND --help` explains each; then: selfscan check OUT && selfscan train OUT -o RUN
 """
+FILMED = Help(
+    "selfscan import video",
+    """Four videos of one person, as filmed, to a capture folder: frames are chosen, the person is told from the room,
+body, hands, head and cameras are fitted. Look at the videos first with `selfscan check`. Stopped, it goes on where it
+was.""",
+    "example: selfscan import video me/body.mp4 me/head.mp4 me/left.mp4 me/right.mp4 --stature 1.78 -o capture",
+)
 RELEASED = Help(
     "selfscan import totalselfscan",
     """One subject of the data that TotalSelfScan's authors released: annots.npy, params, lbs, face, hand/handl,
@@ -84,6 +133,41 @@ OWN = Help(
     """Your own four videos: SMPL+H fits of body and hands by EasyMocap, head cameras by COLMAP, landmarks that you
 marked, masks. Folders: docs/capture.md.""",
 )
+
+
+def _detect(folder: Path, files: dict[str, Path], models: dict[str, Path]) -> None:
+    """Keypoints of the videos by MediaPipe, a file each; those that are there are not found again."""
+    videos = {part: open_video(path) for part, path in files.items()}
+    folder.mkdir(exist_ok=True)
+    for part, video in videos.items():
+        path = folder / f"{part}.json"
+        if not path.exists():
+            frames = ((frame.time, frame.picture) for frame in read_frames(video))
+            detect(path, progress(frames, f"keypoints of {video.name}", video.frames), models)
+
+
+def _import_video(command: VideoCommand) -> list[str]:
+    from capture.fit.scan import fit_scan
+
+    check_folder(command.out)
+    files = find_videos(command.videos)
+    beside = files["body"].parent / "keypoints"
+    if command.keypoints != "auto":
+        keypoints = Path(command.keypoints)
+    elif beside.is_dir():
+        keypoints = beside
+    else:
+        try:
+            models = model_files(command.models)
+        except AssetError as error:
+            raise AssetError(f"{beside}: expected {KEYPOINTS}, found no such folder; {error}") from None
+        keypoints = command.out.with_name(command.out.name + ".keypoints")
+        _detect(keypoints, files, models)
+    masks = None if command.masks == "auto" else Path(command.masks)
+    given = VideoImport(files, keypoints, masks, command.frames, command.focal)
+    return import_video(
+        given, command.out, lambda scan, work: fit_scan(scan, sex=command.sex, stature=command.stature, work=work)
+    )
 
 
 def main(argv: Sequence[str]) -> int:
@@ -112,9 +196,12 @@ def main(argv: Sequence[str]) -> int:
             most=command.frames.frames,
             select=dict(command.frames.select),
         )
+    elif kind == "video":
+        command = parse(VideoCommand, rest, FILMED)
+        notes = _import_video(command)
     else:
         parser = argparse.ArgumentParser(prog="selfscan import", usage="selfscan import KIND ...")
-        parser.error(f"KIND: expected totalselfscan or easymocap, found {kind or 'nothing'}")
+        parser.error(f"KIND: expected video, totalselfscan or easymocap, found {kind or 'nothing'}")
     for note in notes:
         print(note)
     print(f"{command.out}: imported; `selfscan check {command.out}` says whether it can be used")

@@ -1,13 +1,16 @@
 """Keypoints of three detectors: written as they write them, read back as one record; what is wrong is named."""
 
+import importlib.util
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from avatar.errors import AssetError
 from capture.keypoints import coco_wholebody, mediapipe, openpose
+from capture.keypoints.detect import frame_json, model_files
 from capture.keypoints.read import read_keypoints
 from capture.keypoints.record import FACE, hand_points
 
@@ -258,3 +261,31 @@ def test_a_mesh_of_another_size_is_refused(tmp_path):
     path.write_text(json.dumps({"image_width": 10, "image_height": 10, "frames": [frame]}))
     with pytest.raises(AssetError, match="face_landmarks should be 468 or 478 landmarks, are 100"):
         read_keypoints(path)
+
+
+def test_results_of_mediapipes_tasks_are_written_as_its_files_and_read_back(tmp_path):
+    point = lambda x, y: SimpleNamespace(x=x, y=y, z=0.0, visibility=0.7)
+    pose = [point(0.1 + k / 100, 0.5) for k in range(33)]
+    # near the right wrist (16), whatever its label says
+    hand = [point(0.1 + 16 / 100 + k / 1000, 0.5) for k in range(21)]
+    frames = [frame_json([pose], [hand], ["Right"], []), frame_json([], [], [], [])]
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"image_width": 200, "image_height": 100, "frames": frames}))
+    found = read_keypoints(path)
+    assert found.seen("right_wrist")[0] == pytest.approx([52, 50, 0.7])
+    assert found.seen("right_hand")[0] == pytest.approx([52, 50, 1]) and found.seen("left_hand")[0, 2] == 0
+    assert not found.confidence[1].any()
+    # alone, a label is that of a mirrored picture
+    assert "left_hand_landmarks" in frame_json([], [hand], ["Right"], [])
+
+
+def test_detecting_says_what_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(AssetError, match=r"MediaPipe, which is not installed; pip install mediapipe"):
+        model_files(tmp_path)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: name)
+    with pytest.raises(AssetError, match="--models DIR should hold"):
+        model_files(None)
+    (tmp_path / "hand_landmarker.task").touch()
+    with pytest.raises(AssetError, match=r"found no pose_landmarker\*\.task, face_landmarker\*\.task"):
+        model_files(tmp_path)
