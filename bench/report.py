@@ -17,6 +17,8 @@ from avatar.files import check_folder, whole_file, whole_folder
 from avatar.gltf.avatar_file import Avatar, read_avatar
 from avatar.settings import AtLeast, AtMost, Help, Option, parse
 from bench.contact import save_sheet
+from bench.effects import SIZE as EFFECTS_SIZE
+from bench.effects import bench_effects
 from bench.frontier.page import PagePictures, frontier_page
 from bench.machine import machine
 from bench.part_boxes import part_boxes
@@ -27,6 +29,7 @@ from bench.rung_scores import compared, crop_of, flicker, mark_dominated, row_of
 from player.arguments import parse_size
 from player.context import Context, opened
 from player.ladder import Rung, Timing, rungs_of, time_rungs
+from player.mannequin import mannequin
 
 Pictures = dict[str, list[Float[np.ndarray, "height width 3"]]]
 Boxes = list[tuple[slice, slice]]
@@ -147,8 +150,13 @@ def part_scores(references: list, drawn: list, boxes: list[dict[str, tuple[slice
 class BenchCommand:
     """`selfscan bench`."""
 
-    avatar: Annotated[Path, Option(positional=True, metavar="AVATAR"), "avatar file (.glb)"]
     out: Annotated[Path, Option(("-o",), "DIR"), "folder to write"]
+    avatar: Annotated[
+        Path | None,
+        Option(positional=True, metavar="AVATAR"),
+        "avatar file (.glb); of --effects none: the built-in body",
+    ] = None
+    effects: Annotated[bool, "instead: what each effect of a scene costs, alone and all together"] = False
     run: Annotated[Path | None, Option(metavar="RUN"), "run folder it was baked from: adds the field as a rung"] = None
     capture: Annotated[
         Path | None, Option(metavar="CAPTURE"), "capture folder with truth/: held-out poses and true pictures"
@@ -160,6 +168,10 @@ class BenchCommand:
     ] = None
 
     def __post_init__(self):
+        if self.avatar is None and not self.effects:
+            raise ValueError("give AVATAR, or --effects")
+        if self.effects and (self.run or self.capture):
+            raise ValueError("--run and --capture are of the ladder of an avatar: leave --effects out")
         if self.size is not None and self.capture is not None:
             raise ValueError("--size: the true pictures of --capture have their own")
 
@@ -168,14 +180,19 @@ BENCH = Help(
     "selfscan bench",
     """What accuracy costs in time on this machine: every way the player can draw an avatar, timed and compared with the
 best one, with the field it came from (--run) and with the truth (--capture).""",
-    "example: selfscan bench avatar.glb --run out/run --capture out/capture -o out/bench",
+    """examples
+  selfscan bench avatar.glb --run out/run --capture out/capture -o out/bench
+  selfscan bench --effects -o out/effects       or of an avatar: selfscan bench avatar.glb --effects -o out/effects""",
 )
 
 
 def bench_main(argv: list[str]) -> int:
-    """`selfscan bench AVATAR [--run RUN] [--capture CAPTURE] -o DIR`."""
+    """`selfscan bench AVATAR [--run RUN] [--capture CAPTURE] -o DIR`, or `selfscan bench [AVATAR] --effects -o DIR`."""
     command = parse(BenchCommand, argv, BENCH)
     check_folder(command.out)
+    if command.effects:
+        return _effects(command)
+    assert command.avatar is not None
     result = bench(
         command.avatar,
         command.out,
@@ -191,4 +208,16 @@ def bench_main(argv: list[str]) -> int:
     if result["warning"]:
         print(result["warning"])
     print(f"wrote {command.out}/bench.html, to open in a browser, and bench.md")
+    return 0
+
+
+def _effects(command: BenchCommand) -> int:
+    """The table of effects."""
+    avatar = mannequin() if command.avatar is None else read_avatar(command.avatar)
+    result = bench_effects(avatar, command.out, rounds=command.rounds, size=command.size or EFFECTS_SIZE)
+    for row in result["effects"]:
+        print(f"{row['name']:36}{row['ms']:10.2f} ms{row['times_bare']:10.2f} x{row['bytes'] / 1e6:10.2f} MB")
+    if result["warning"]:
+        print(result["warning"])
+    print(f"wrote {command.out}/effects.md")
     return 0

@@ -126,7 +126,7 @@ class Ground:
         lamp = Lamp((-x / y, -z / y), edge, self.height, side, draft.patches(), draft.dual)
         holds = draft.keep((Ground, "mask"), MaskState)
         uses = tuple(handle for mesh, own in meshes for handle in (*mesh.handles, own))
-        shadow = ShadowPass((*drawn_on, mask, array), self, lamp, draft.layer, mask, program, array)
+        shadow = ShadowPass((*drawn_on, mask, array), self, lamp, draft.layer, mask, program, array, holds)
         return (
             MaskPass((*uses, mask, target, thrown), lamp, tuple(meshes), thrown, target, mask, shadow, holds),
             shadow,
@@ -160,10 +160,18 @@ class Footprint(NamedTuple):
 
 
 class MaskState:
-    """What the mask's texture holds."""
+    """What the mask's texture holds, and where the shadow lies in the frame that is being drawn."""
 
     def __init__(self):
         self.key: tuple[Any, ...] | None = None
+        self._drawing: Drawing | None = None
+        self._here: Footprint | None = None
+
+    def footprint(self, drawing: Drawing, lamp: Lamp) -> Footprint | None:
+        """Where this frame's shadow lies, worked out once a frame."""
+        if self._drawing is not drawing:
+            self._drawing, self._here = drawing, footprint(drawing, lamp)
+        return self._here
 
 
 def footprint(drawing: Drawing, lamp: Lamp) -> Footprint | None:
@@ -255,10 +263,11 @@ class ShadowPass:
     mask: Handle[moderngl.Texture]
     program: Handle[moderngl.Program]
     array: Handle[moderngl.VertexArray]
+    holds: MaskState
     name: str = "ground: shadow"
 
     def decide(self, drawing: Drawing) -> Decision:
-        here = footprint(drawing, self.lamp)
+        here = self.holds.footprint(drawing, self.lamp)
         box = None if here is None else here.sheet.box(drawing.inputs.camera)
         if here is None or box is None:
             return SHADOW_AWAY
@@ -267,7 +276,7 @@ class ShadowPass:
         return Decision(State.RUNS, f"{here.texel * 1e3:.0f} mm a texel")
 
     def draw(self, drawing: Drawing) -> None:
-        here, resources = footprint(drawing, self.lamp), drawing.resources
+        here, resources = self.holds.footprint(drawing, self.lamp), drawing.resources
         assert here is not None
         program = resources[self.program]
         across = self.lamp.side * here.texel
@@ -316,7 +325,7 @@ class MaskPass:
         return STILL if self.holds.key == self._wanted(drawing) else MOVED
 
     def draw(self, drawing: Drawing) -> None:
-        here, resources, gl = footprint(drawing, self.lamp), drawing.resources, drawing.gl
+        here, resources, gl = self.holds.footprint(drawing, self.lamp), drawing.resources, drawing.gl
         assert here is not None
         program = resources[self.program]
         rows = self._rows(drawing, here)

@@ -202,7 +202,7 @@ def test_examples_are_scenes():
     assert {"color", "image", "hdr", "transparent"} <= kinds
 
 
-@pytest.mark.parametrize("name", ["studio", "evening", "cutout", "picture"])
+@pytest.mark.parametrize("name", ["studio", "evening", "cutout", "picture", "nothing", "everything"])
 def test_examples_can_be_filmed(tmp_path, name):
     out = tmp_path / "frame.png"
     scene = DOCS / "scenes" / f"{name}.toml"

@@ -1,0 +1,43 @@
+"""What each effect costs: every one is timed, with its passes and bytes, and there is a page to look at."""
+
+import json
+from pathlib import Path
+
+import pytest
+from tiny_avatar import tiny_avatar
+
+from avatar.settings import parse, settings_of
+from bench import effects
+from bench.report import BENCH, BenchCommand
+from player.scenes.effects import Effects
+
+
+def test_every_effect_is_timed_alone_and_together():
+    names = {case.name for case in effects.cases()}
+    assert {s.name.replace("_", " ") for s in settings_of(Effects) if s.table is not None} <= names
+    everything = effects.cases()[-1].effects
+    assert all(getattr(everything, s.name) is not None for s in settings_of(Effects) if s.table is not None)
+
+
+def test_the_table_has_what_ran_and_what_it_holds(tmp_path, monkeypatch):
+    chosen = [case for case in effects.cases() if case.name in ("ground", "motion blur")]
+    monkeypatch.setattr(effects, "cases", lambda: chosen)
+    result = effects.bench_effects(tiny_avatar(), tmp_path / "out", rounds=1, size=(64, 64))
+    written = json.loads((tmp_path / "out" / "effects.json").read_text())
+    assert written["effects"] == result["effects"] and (tmp_path / "out" / "effects.png").stat().st_size > 1000
+    rows = {row["name"]: row for row in written["effects"]}
+    assert all(row["ms"] > 0 and row["times_bare"] > 0 and row["cpu_times_bare"] > 0 for row in rows.values())
+    assert (
+        rows["ground"]["ran"] == ["ground: floor", "ground: mask", "ground: shadow"] and rows["ground"]["passes"] == 3
+    )
+    assert rows["motion blur"]["bytes"] == 0 < rows["ground"]["bytes"]
+    page = (tmp_path / "out" / "effects.md").read_text()
+    assert all(f"| {name} |" in page for name in rows)
+
+
+def test_the_command_needs_an_avatar_or_effects():
+    assert parse(BenchCommand, ["--effects", "-o", "x"], BENCH).avatar is None
+    with pytest.raises(ValueError, match="give AVATAR, or --effects"):
+        BenchCommand(Path("x"))
+    with pytest.raises(ValueError, match="leave --effects out"):
+        BenchCommand(Path("x"), effects=True, run=Path("run"))
