@@ -51,5 +51,5 @@ def numpy_field(field: Field, *, piece: int = 1 << 16) -> NumpyField:
         lambda points, directions: ask(field.color, points, directions),
         None if seen is None else lambda points, normals: ask(seen, points, normals),
         None if lit is None else lambda points: ask(lit, points),
-        tuple(field.details()) if hasattr(field, "details") else (),
+        tuple(getattr(field, "details", list)()),
     )

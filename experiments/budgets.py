@@ -32,8 +32,8 @@ def tried_budgets(
     """Budgets between the cheapest and the dearest rung, at random on a logarithmic scale, each asked of one table."""
     bought_from = price(context, scene, scene_rungs(scene.avatars))
     front = frontier(bought_from)
-    ends = np.log([1.05 * front[0].ms_p95, 1.1 * front[-1].ms_p95])
-    budgets = np.exp(np.random.default_rng(seed).uniform(*ends, count)).tolist()
+    low, high = np.log(1.05 * front[0].ms_p95), np.log(1.1 * front[-1].ms_p95)
+    budgets = np.exp(np.random.default_rng(seed).uniform(low, high, count)).tolist()
     return [tried(context, scene, bought_from, budget, frames) for budget in budgets]
 
 

@@ -92,7 +92,9 @@ class OpenEyes(torch.nn.Module):
     def details(self) -> list[Box]:
         """Boxes round what lies within DETAIL of each opening, where the surface needs cells as small as these."""
         # the share falls by half per half of the way between OWN and OTHER, but is 1 up to OWN
-        near = ndimage.label(self.share.cpu().numpy() > _share(np.array([DETAIL]))[0] - 1e-3)[0]
+        share = self.share.cpu().numpy()
+        near = np.zeros(share.shape, np.int32)
+        ndimage.label(share > _share(np.array([DETAIL]))[0] - 1e-3, output=near)
         low = self.low.double().cpu().numpy()
         found = []
         for piece in ndimage.find_objects(near):

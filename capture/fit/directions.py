@@ -102,7 +102,7 @@ def _fits(
             s = np.maximum(s, 1.0)
             e: Array = ((b / s[:, None, None] - a) ** 2).sum(2)
             weight = 1 / (1 + e / (2 * slack) ** 2) ** 2
-        cost[f] = (4 * slack**2 * e / (4 * slack**2 + e)).mean(1)
+        cost[f] = np.mean(4 * slack**2 * e / (4 * slack**2 + e), axis=1)
         scale[f] = s
         origin[f] = middle_q - s[:, None] * middle_p
     return cost, scale, origin
