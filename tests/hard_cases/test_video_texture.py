@@ -102,7 +102,7 @@ def grey() -> tuple[BakedLevel, np.ndarray, Filmed]:
             np.zeros((4, 3)) if posed else None, None, None,
         )  # fmt: skip
     baked = BakedLevel(level, charted, chart_edges(uv, faces, source.reshape(-1)), {})
-    return baked, np.asarray(avatar.joint_positions), Filmed(Path(), None, np.eye(4), {}, videos)
+    return baked, np.asarray(avatar.joint_positions), Filmed(Path(), None, np.eye(4), {}, False, videos)
 
 
 def textured(grey, lights: dict[str, CaptureLight] | None = None, **changes) -> tuple[np.ndarray, dict]:
