@@ -11,7 +11,8 @@ in vec2 at;  // on the mask, [0,1]
 
 out vec4 color;
 
-// Four fetches half a texel of the mip off: no edge of a texel shows, at any mip between two. The finest is left sharper.
+// Four fetches half a texel of the mip off: no edge of a texel shows, at any mip between two.
+// The finest is left sharper.
 vec2 smoothed(float mip) {
     vec2 off = (0.5 * exp2(mip) - 0.25) / vec2(textureSize(mask, 0));
     return 0.25 * (textureLod(mask, at - off, mip).rg + textureLod(mask, at + off, mip).rg

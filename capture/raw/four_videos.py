@@ -7,6 +7,7 @@ import numpy as np
 
 from avatar.errors import AssetError
 from avatar.files import whole_file
+from avatar.npz import read_npz
 from avatar.progress import Progress
 from avatar.skeleton import PARTS
 from capture.keypoints.read import read_keypoints
@@ -84,8 +85,8 @@ def _glance(
 ) -> Glance:
     path = work / part / "glance.npz" if work else None
     if path is not None and path.exists():
-        with np.load(path) as stored:
-            return Glance(video, part, stored["times"], stored["small"], stored["sharpness"], keypoints)
+        stored = read_npz(path, "what was seen of a video", ("times", "small", "sharpness"))
+        return Glance(video, part, stored["times"], stored["small"], stored["sharpness"], keypoints)
     seen = glance(video, part, keypoints, report, done)
     if path is not None:
         with whole_file(path) as file:

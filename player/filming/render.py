@@ -94,9 +94,7 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
         film_in_parts(command, shot, stage, context)
 
 
-def buy_rung(
-    command: RenderCommand, stage: Stage, context: Context, fit: Fit | None, start: int, stop: int
-) -> int:
+def buy_rung(command: RenderCommand, stage: Stage, context: Context, fit: Fit | None, start: int, stop: int) -> int:
     """The level of detail, chosen with the view mode by what they cost on this machine; the view mode is put into the
     scene. A film keeps both from its first frame to its last."""
     size, scene = stage.size(), stage.scene

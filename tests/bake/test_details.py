@@ -61,7 +61,8 @@ def test_magnified_charts_have_finer_texels_at_the_eye_alone():
         covered = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
         return covered[near].sum() / near.sum(), covered[far].sum() / far.sum()
 
-    (eye, back), (fine, behind) = texels(mesh.vertices), texels(
-        magnified(mesh.vertices, magnifiers((EYE,), BakeOptions()))
+    (eye, back), (fine, behind) = (
+        texels(mesh.vertices),
+        texels(magnified(mesh.vertices, magnifiers((EYE,), BakeOptions()))),
     )
     assert fine / behind > 3 * eye / back

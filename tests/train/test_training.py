@@ -301,6 +301,7 @@ class Hollow(FusedField):
 
     def __init__(self, subject):
         torch.nn.Module.__init__(self)  # no parts: one distance for everything
+        self.eyes = None
         low, high = subject.vertices.min(0) - 0.08, subject.vertices.max(0) + 0.08
         self.template = template_grid(surface_cloud(subject, 0, visible_faces(subject), 0.01), low, high, 0.01)
         chest = subject.vertices[(np.abs(subject.vertices[:, :2] - [0, 0.3]) < 0.05).all(1), 2]

@@ -44,7 +44,7 @@ def test_a_sound_capture_is_usable_and_measured(good):
     judged = verdict(good)
     assert judged.usable and judged.line().startswith("usable, but ")
     kinds = {re.sub(r"\d+", "N", f.what) for f in judged.findings}
-    assert kinds == {"N frames only", "a pixel is N mm wide"}, judged.findings
+    assert kinds == {"N frames only", "a pixel is N mm wide", "an iris is N pixels wide"}, judged.findings
     assert good.height == pytest.approx(1.7, abs=0.3)
     assert good.head_scale == pytest.approx(0.5, rel=1e-6)  # painted in half metres
     for name, distance in (("body", 3.3), ("head", 0.7), ("hand_left", 0.5)):
