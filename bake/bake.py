@@ -276,7 +276,7 @@ def bake_levels(
     levels: list[BakedLevel] = []
     distilled: Distilled | None = None
     for number, (count, size) in enumerate(plan):
-        surface = collapsed(extraction, layers, count, parts)
+        surface = collapsed(extraction, layers, count, parts, clock.report)
         data = layered_data(origin, surface.mesh, surface.normals, surface.layer)
         baked = bake_level(surface, data, field, size, options)
         if distilled is None:

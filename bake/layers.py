@@ -3,7 +3,7 @@
 A person without hanging hair has one layer, which is the field as it is.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,14 +70,15 @@ def extract_layers(
 
 
 def collapsed(
-    extraction: Extraction, layers: list[Layer], count: int, parts: Sequence[Enlargement | Magnifier]
-) -> LayeredMesh:
+    extraction: Extraction, layers: list[Layer], count: int, parts: Sequence[Enlargement | Magnifier],
+    report: Callable[[str], None],
+) -> LayeredMesh:  # fmt: skip
     """Each connected piece collapsed to its share of `count` triangles and balanced on its own layer's surface."""
     pieces = pieces_of(extraction)
     areas = np.array([face_areas(enlarged(mesh.vertices, parts), mesh.faces).sum() for mesh, _ in pieces])
     meshes, normals, labels = [], [], []
     for (mesh, k), share in zip(pieces, areas / areas.sum(), strict=True):
-        own = decimate(mesh, max(int(round(count * share)), 4), parts)
+        own = decimate(mesh, max(int(round(count * share)), 4), parts, report=report)
         own = balanced(own, layers[k].distance, layers[k].normal)
         meshes.append(own)
         normals.append(layers[k].normal(own.vertices))

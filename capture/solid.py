@@ -5,13 +5,14 @@ behind loose clothes, where no camera ever looked.
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject
-from capture.template import surface_cloud, visible_faces
+from capture.template import air_beyond, surface_cloud, visible_faces
 from geometry.mesh import vertex_normals
+from geometry.sample import lattice_samples
 
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
@@ -51,6 +52,31 @@ def template_behind_cloth(distance: PointFunction, subject: CaptureSubject) -> P
     return replaced
 
 
+def outer_air(
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], cell: float = 0.01
+) -> Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, "n"]]:
+    """Whether points lie in the air that surrounds a mesh, two cells (metres) and more off its surface.
+
+    A flood fill from outside round walls two cells thicker, which no hole under four cells lets in; what is nearer
+    to the surface, and so between fingers, is never said to be air.
+    """
+    corners = vertices[faces]
+    face, barycentric = lattice_samples(vertices, faces, np.full(len(faces), 0.5 * cell))
+    samples = np.einsum("sk,skc->sc", barycentric, corners[face])
+    low = samples.min(0) - 6 * cell
+    index = ((samples - low) / cell).astype(int)
+    occupied = np.zeros(tuple(index.max(0) + 7), bool)
+    occupied[tuple(index.T)] = True
+    air = air_beyond(occupied, (0, 0, 0))
+
+    def inside(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+        at = np.floor((points - low) / cell).astype(int)
+        # beyond the grid there is nothing but air
+        return air[tuple(np.clip(at, 0, np.array(air.shape) - 1).T)]
+
+    return inside
+
+
 def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunction:
     """The distance, made negative deep inside the subject's template (INSIDE, per part).
 
@@ -60,6 +86,7 @@ def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunct
     """
     faces = np.asarray(subject.faces, np.int64)
     vertices = np.asarray(subject.vertices, np.float64)
+    in_air = outer_air(vertices, faces)
     seen = np.unique(faces[visible_faces(subject)])
     normals = vertex_normals(vertices, faces)[seen]
     places = vertices[seen]
@@ -84,6 +111,8 @@ def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunct
         offset = points[doubtful][:, None] - places[near]
         behind = ((offset * normals[near]).sum(2) < -0.3 * away).all(1)
         deep = behind & (away[:, 0] > limit[near[:, 0]])
+        # the nearest vertices may all be of a shoe's lining, which faces inwards
+        deep[deep] = ~in_air(points[doubtful[deep]])
         value[doubtful[deep]] = -away[deep, 0]
         return value
 

@@ -7,7 +7,7 @@ fused field's zero set as a mesh, the directions it was seen from (Eq. 14), and 
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +27,7 @@ from train.eye_grid import OpenEyes, open_eyes
 from train.field import PartField
 from train.fused import FusedField
 from train.head_consistency import place_by_consistency
+from train.head_height import height_by_outline
 from train.layers import BODY, rigid_weights, without_hair
 from train.light import SeenTensors, VideoLight, light_facts, seen_lights_from_json, seen_tensors
 from train.objective import RayTensors
@@ -48,7 +49,7 @@ class HeadPlacement:
     """Where the head's video and the head's field lie on the body."""
 
     # from the head's video frame to where the head's field is learnt: Eq. 6, refined on the head's own video where
-    # the preset says so (train/head_consistency.py); the residual is Eq. 6's
+    # the preset says so (train/head_consistency.py, train/head_height.py); the residual is Eq. 6's
     landmarks: Registration
     # Eq. 5, then the body's pixels: canonical_from_head_field, a similarity near the identity
     correction: Float[Array, "4 4"]
@@ -106,7 +107,7 @@ def compose(
     lights = light_facts(capture, parts.lights) if parts.lights else {}
     seen = seen_tensors(seen_lights_from_json("light_seen", lights["light_seen"])) if lights else None
     if rays is not None:
-        head = place_head(capture, parts.fields, head, say, seen)
+        head = place_head(capture, parts.fields, head, say, seen, outlines=preset.hair.consistency)
         head_from_field = head.correction
     facts = placement_facts(head, head_from_field) | lights
     fused = FusedField(
@@ -186,30 +187,53 @@ def consistent_placement(capture: Capture, landmarks: Registration, say: Say) ->
         say(f"the head's video does not place the template ({error}): the place by landmarks stays (Eq. 6)")
         return placed
     say(f"head by its own video: moved by {found.moved * 1000:.2f} mm from the landmarks' place")
+    own = Registration(found.canonical_from_head, landmarks.residual)
+    place, outline = placed_by_outline(capture, own, found.canonical_from_head, say)
     facts = {
         "moved_mm": round(found.moved * 1000, 3),
         "residual_before": round(found.before, 5),
         "residual_after": round(found.after, 5),
-        "moved": (found.canonical_from_head @ np.linalg.inv(landmarks.transform)).tolist(),
+        "outline": outline,
+        "moved": (place @ np.linalg.inv(landmarks.transform)).tolist(),
     }
-    return HeadPlacement(
-        Registration(found.canonical_from_head, landmarks.residual), np.eye(4), {**placed.facts, "own_video": facts}
-    )
+    return HeadPlacement(Registration(place, landmarks.residual), np.eye(4), {**placed.facts, "own_video": facts})
+
+
+def placed_by_outline(
+    capture: Capture, landmarks: Registration, canonical_from_head: Float[Array, "4 4"], say: Say
+) -> tuple[Float[Array, "4 4"], dict[str, Any] | None]:
+    """canonical_from_head as high as the outlines of the head's bare skin have it, and what run.json says of it.
+
+    Where the outlines say too little it stays, and that is said.
+    """
+    anchors = landmark_anchors(capture, landmarks)
+    try:
+        found = height_by_outline(capture.subject, capture.videos["head"], canonical_from_head, anchors)
+    except ValueError as error:
+        say(f"outlines say nothing of the head's height ({error})")
+        return canonical_from_head, None
+    say(f"head by its outlines: {-found.shift * 1000:+.2f} mm in height")
+    facts = {"moved_mm": round(-found.shift * 1000, 3), "thickness_px": round(found.thickness, 3), "rows": found.rows}
+    return found.canonical_from_head, facts
 
 
 def place_head(
     capture: Capture, fields: Sequence[PartField], start: HeadPlacement, say: Say,
-    seen: tuple[SeenTensors, ...] | None = None,
+    seen: tuple[SeenTensors, ...] | None = None, *, outlines: bool = False,
 ) -> HeadPlacement:  # fmt: skip
     """The head's place by the surfaces of body and head, the first two fields (Eq. 5), then by the body's pixels.
 
-    `seen`, the parts' seen lights, where their colours are albedo.
+    `seen`, the parts' seen lights, where their colours are albedo; `outlines`, its height by its own video's outlines.
     """
     landmarks, facts = start.landmarks, dict(start.facts)
     anchors = landmark_anchors(capture, landmarks)
     correction, facts["surfaces_median_mm"] = place_on_surfaces(capture.subject, fields, anchors, say)
     correction, facts["video"] = place_on_video(capture, fields, correction, anchors, say, seen)
-    return HeadPlacement(landmarks, correction.transform, facts)
+    head = HeadPlacement(landmarks, correction.transform, facts)
+    if outlines:
+        place, facts["outline"] = placed_by_outline(capture, landmarks, head.canonical_from_head, say)
+        head = replace(head, correction=place @ np.linalg.inv(landmarks.transform))
+    return head
 
 
 def code_steps(preset: Preset, seed: int) -> CodeSteps:

@@ -262,7 +262,8 @@ def _head_of_single(training: _Training) -> HeadPlacement:
     head = None
     if training.ranks.writes:
         capture = with_learned(with_refined(training.capture, folder), folder)
-        head = place_head(capture, _read_fields(parts, folder, 2), training.head, training.say)
+        head = place_head(capture, _read_fields(parts, folder, 2), training.head, training.say,
+                          outlines=training.preset.hair.consistency)  # fmt: skip
         head = replace(head, facts={**head.facts, "from": "body and head trained for it"})
     head = training.ranks.broadcast(head)
     assert head is not None
