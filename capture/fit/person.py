@@ -26,6 +26,9 @@ Array = np.ndarray
 SHAPE = 1.0
 BONE = 0.02
 FINGER = 0.006
+# of the ball of the foot from the ankle: across, height, forwards. The stature counts from the soles: ankles that may
+# rise let the rest of the body shrink
+FOOT = (0.005, 0.004, 0.01)
 # of a joint in the flesh round it
 WITHIN = 0.015
 # bones that may only grow
@@ -105,7 +108,7 @@ def _bones(body: Body) -> tuple[Float[Array, "52 3 n"], Float[Array, "n"]]:
                 other = JOINTS.index(name.replace("left_", "right_"))
                 moved[DESCENDS[:, other]] += axis * [-1, 1, 1]
             directions.append(moved)
-            sigma.append(FINGER if finger else BONE)
+            sigma.append(FINGER if finger else FOOT[int(np.argmax(axis))] if name == "left_foot" else BONE)
     return np.stack(directions, -1), np.array(sigma)
 
 

@@ -25,8 +25,9 @@ OWN, OWN_SPINE = 4.5, 1.5
 OWN_LEGS = 6.0
 LEGS = [JOINTS.index(f"{side}_{name}") for side in ("left", "right") for name in ("hip", "knee")]
 SMOOTH = 1.5
-# metres; ears, heels and toes are places of a few centimetres, a face's points are not
-BIAS = (("ear", 0.025), ("heel", 0.025), ("toe", 0.025), ("face", 0.007), ("nose", 0.007), ("eye", 0.007),
+# metres; ears, heels and toes are places of a few centimetres, a face's points are not. Looser ones let all points move
+# away from a body that shrinks
+BIAS = (("ear", 0.015), ("heel", 0.015), ("toe", 0.015), ("face", 0.007), ("nose", 0.007), ("eye", 0.007),
         *((finger, 0.004) for finger in ("thumb", "index", "middle", "ring", "pinky", "hand")))  # fmt: skip
 BIAS_JOINT = 0.01
 # of a degree beyond a joint's range
@@ -49,7 +50,8 @@ class Priors:
     # second differences from frame to frame
     smooth: float = np.radians(SMOOTH)
     smooth_heading: float = np.radians(8.0)
-    smooth_root: float = 0.02
+    # of somebody who sways by a centimetre, half a second from frame to frame; a tighter one draws the person nearer
+    smooth_root: float = 0.06
 
 
 def standing(estimate: Estimate, footage: Footage) -> Priors:

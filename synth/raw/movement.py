@@ -66,6 +66,13 @@ def plan_raw_videos(
     studio: Studio, size: tuple[int, int], seconds: float, rate: float, sway: float, seed: int
 ) -> dict[str, RawShots]:
     """The four raw videos of a subject, by part; `seconds`: of the turn, after the empty second and the step in."""
+    return {part: plan_raw_video(studio, part, size, seconds, rate, sway, seed) for part in PARTS}
+
+
+def plan_raw_video(
+    studio: Studio, part: str, size: tuple[int, int], seconds: float, rate: float, sway: float, seed: int
+) -> RawShots:
+    """One of the four, as `plan_raw_videos` has it."""
     subject = studio.subject
     joints = subject.joints.astype(np.float64)
     times = np.arange(round((EMPTY + ENTERING + seconds) * rate)) / rate
@@ -74,19 +81,16 @@ def plan_raw_videos(
     turning = np.clip((times - EMPTY - ENTERING) / seconds, 0, 1)
     turning = turning + 0.02 * np.sin(4 * np.pi * turning)
     camera = _body_camera(studio, size)
-    videos = {}
-    for part in PARTS:
-        steady = _steady_poses(joints, part, turning, inside)
-        wander = Wander([seed, PARTS.index(part), 31], times)
-        poses = _swayed(steady, wander, sway)
-        root = _place(subject, part, poses, turning, inside) + sway * STEP * wander.draw(3)
-        if part == "body":
-            floor = float(subject.vertices[:, 1].min())
-        else:
-            camera = Camera(camera.K, look_at([0.0, 0.04, NEAR[part]], np.zeros(3)), size)
-            floor = -1.3
-        videos[part] = RawShots(part, poses, root, steady, camera, times >= EMPTY, floor)
-    return videos
+    steady = _steady_poses(joints, part, turning, inside)
+    wander = Wander([seed, PARTS.index(part), 31], times)
+    poses = _swayed(steady, wander, sway)
+    root = _place(subject, part, poses, turning, inside) + sway * STEP * wander.draw(3)
+    if part == "body":
+        floor = float(subject.vertices[:, 1].min())
+    else:
+        camera = Camera(camera.K, look_at([0.0, 0.04, NEAR[part]], np.zeros(3)), size)
+        floor = -1.3
+    return RawShots(part, poses, root, steady, camera, times >= EMPTY, floor)
 
 
 def _body_camera(studio: Studio, size: tuple[int, int]) -> Camera:

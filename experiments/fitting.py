@@ -1,0 +1,239 @@
+"""What each mistake of a detector costs the fitted body: capture/fit against the truth of raw videos.
+
+`python -m experiments.fitting OUT` poses subjects as `synth --raw` films the body's video, makes a detector's keypoints
+with one kind of mistake at a time, and fits the free body to them: to keypoints alone, with --outlines to exact masks
+as well. Stature is told. Each fit is kept in OUT/rows.json as soon as it is done, and not done again; OUT/fitting.md is
+the table, OUT/fitting.png the figure.
+"""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import UInt8
+
+from avatar.body import builtin_body
+from avatar.errors import AssetError
+from avatar.files import whole_file
+from avatar.input_file import read_json_object
+from bench.machine import commit
+from capture.fit import body
+from capture.fit.footage import Footage, footage_of
+from capture.fit.person import person_of
+from capture.fit.scan import FOCAL, GUESSED, TOLD
+from capture.keypoints.openpose import NAMES
+from capture.keypoints.record import keypoints_of
+from experiments.fitting_scores import Truth, scores
+from player.context import open_context
+from player.raster import Rasteriser
+from synth.command import load_subject
+from synth.cutout import cut_out
+from synth.photo import Studio
+from synth.raw.detector import Detector, Mistakes
+from synth.raw.film import RATE
+from synth.raw.movement import EMPTY, ENTERING, RawShots, plan_raw_video
+from synth.visibility import visible_faces
+
+Array = np.ndarray
+
+# of the turn
+SECONDS = 20.0
+# of the table: key of a score, heading
+COLUMNS = {
+    "joints": "limb joints, aligned, cm", "joints_in_place": "in place", "depth": "too near", "p2s": "P2S, aligned",
+    "p2s_in_place": "in place", "degrees": "poses, degrees", "focal": "focal length over the true one",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Source:
+    """One kind of mistake."""
+
+    name: str
+    says: str
+    mistakes: Mistakes
+    sway: float = 0.0
+    told: bool = True  # the focal length
+    wrong_stature: float = 0.0  # metres
+
+
+CLEAN, ALL = Mistakes(0.0, 0.0, clumsy=False), Mistakes(4.0, 0.01)
+SOURCES = (
+    Source("exact", "nothing", CLEAN),
+    Source("noise", "4 px of 1080", Mistakes(4.0, 0.0, clumsy=False)),
+    Source("bias", "1 cm a point", Mistakes(0.0, 0.01, clumsy=False)),
+    Source("clumsy", "outliers, exchanged sides", Mistakes(0.0, 0.0)),
+    Source("sway", "the person sways", CLEAN, sway=1.0),
+    Source("all", "all of these", ALL, sway=1.0),
+    Source("stature", "all, stature 1 cm too large", ALL, sway=1.0, wrong_stature=0.01),
+    Source("focal", "all, focal length not told", ALL, sway=1.0, told=False),
+)
+NAMED = {source.name: source for source in SOURCES}
+
+
+class Seen(NamedTuple):
+    """A body's video, and what is true of it."""
+
+    footage: Footage
+    truth: Truth
+    stature: float
+
+
+class Filming:
+    """Makes the footage of one subject."""
+
+    def __init__(self, name: str, rasteriser: Rasteriser):
+        self.rasteriser = rasteriser
+        self.studio = Studio(rasteriser, cut_out(load_subject(name)))
+        subject = self.studio.subject
+        self.visible = visible_faces(rasteriser, subject.vertices, subject.faces)
+        self.sex = "female" if name.endswith(":female") else "male"
+        # scalps that hair hides are hair: what is left of the built-in people is some 3 cm short
+        bare = builtin_body(self.sex).vertices if name.startswith("builtin") else subject.vertices[~subject.hair]
+        self.stature = float(np.ptp(bare[:, 1]))
+
+    def seen(self, source: Source, seed: int, frames: int, size: int, *, outlines: bool) -> Seen:
+        """The body's video with one source of mistakes."""
+        wide = 2 * round(size * 16 / 9 / 2), 2 * round(size / 2)
+        shots = plan_raw_video(self.studio, "body", wide, SECONDS, RATE, source.sway, seed)
+        chosen = np.linspace(round((EMPTY + ENTERING) * RATE), len(shots.root) - 1, frames).astype(int)
+        detector = Detector(self.studio.subject, self.rasteriser, shots.camera, source.mistakes, [seed, 0])
+        rows, masks = np.zeros((frames, len(NAMES), 3)), np.zeros((frames, wide[1], wide[0]), np.uint8)
+        for i, f in enumerate(chosen):
+            vertices = self.studio.posed(shots.axis_angle[f], shots.root[f])
+            found = detector.look(shots.axis_angle[f], shots.root[f], vertices)
+            if found is not None:
+                rows[i] = found[: len(NAMES)]
+            if outlines:
+                masks[i] = self._mask(shots, vertices)
+            if i + 1 < frames:
+                detector.skip(int(chosen[i + 1] - f - 1))
+        true = float(shots.camera.K[0, 0])
+        focal, doubt = (true, TOLD) if source.told else (FOCAL * min(wide), GUESSED)
+        keypoints = keypoints_of(NAMES, rows, wide, [])
+        footage = footage_of(keypoints, masks, body.body_names(), body.MOVING, focal=focal, focal_doubt=doubt)
+        truth = Truth(self.studio.subject, self.visible, shots, chosen)
+        return Seen(footage, truth, self.stature + source.wrong_stature)
+
+    def _mask(self, shots: RawShots, vertices: Array) -> UInt8[Array, "height width"]:
+        width, height = shots.camera.size
+        twice = shots.camera.resized((2 * width, 2 * height))
+        drawn = self.rasteriser.draw(vertices, self.studio.subject.faces, twice).face >= 0
+        return np.round(255 * drawn.reshape(height, 2, width, 2).mean((1, 3))).astype(np.uint8)
+
+
+def fitted_scores(seen: Seen, sex: str, *, outlines: bool) -> dict[str, float]:
+    """Scores of the fit, and the processor time it took."""
+    clock = time.process_time()
+    estimate, restored = body.fit_keypoints(person_of(sex, seen.stature), seen.footage, lambda note: None)
+    if outlines:
+        estimate = body.fit_outlines(estimate, restored, lambda note: None)
+    spent = time.process_time() - clock
+    return scores(estimate, seen.footage, seen.truth) | {"cpu_s": round(spent, 1)}
+
+
+def markdown(rows: list[dict[str, Any]]) -> str:
+    """The table: one line for each source and kind of input, mean over subjects and seeds, largest in brackets."""
+    lines = ["| mistakes | input | fits | " + " | ".join(COLUMNS.values()) + " |", "|-" * (3 + len(COLUMNS)) + "|"]
+    for source, witness, group in _groups(rows):
+        cells = []
+        for key in COLUMNS:
+            values = [row["scores"][key] for row in group]
+            digits = 3 if key == "focal" else 2
+            cells.append(f"{np.mean(values):.{digits}f} ({max(values, key=abs):.{digits}f})")
+        lines.append(f"| {source.says} | {witness} | {len(group)} | " + " | ".join(cells) + " |")
+    commits = sorted({str(row["commit"]) for row in rows})
+    subjects = sorted({f"{row['subject']} seed {row['seed']}" for row in rows})
+    frames = sorted({f"{row['frames']} frames of {row['size']} px" for row in rows})
+    lines += ["", f"Mean (largest) of {', '.join(subjects)}; {', '.join(frames)}; commit {', '.join(commits)}."]
+    return "\n".join(lines) + "\n"
+
+
+def plot(rows: list[dict[str, Any]], path: Path) -> None:
+    """Limb joints of each source: a bar for the mean, a dot for each fit."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib.figure import Figure
+
+    groups = _groups(rows)
+    figure = Figure(figsize=(8, 1.0 + 0.34 * len(groups)), dpi=110, layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    for ax, key, title in ((left, "joints", "limb joints, aligned, cm"), (right, "joints_in_place", "in place, cm")):
+        for i, (_, witness, group) in enumerate(groups):
+            values = [row["scores"][key] for row in group]
+            ax.barh(i, np.mean(values), color="tab:blue" if witness == "keypoints" else "tab:orange", alpha=0.6)
+            ax.plot(values, [i] * len(values), ".", color="0.2")
+        ax.set_xlabel(title, fontsize=8)
+        ax.tick_params(labelsize=7)
+    left.set_yticks(range(len(groups)), [f"{source.says}; {witness}" for source, witness, _ in groups])
+    left.invert_yaxis()
+    with whole_file(path) as file:
+        figure.savefig(file, format="png")
+
+
+def _groups(rows: list[dict[str, Any]]) -> list[tuple[Source, str, list[dict[str, Any]]]]:
+    """Rows of each source and kind of input, in the order of SOURCES."""
+    found = []
+    for source in SOURCES:
+        for witness in ("keypoints", "keypoints, outlines"):
+            group = [row for row in rows if (row["source"], row["input"]) == (source.name, witness)]
+            if group:
+                found.append((source, witness, group))
+    return found
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m experiments.fitting", description=(__doc__ or "").split("\n\n")[0])
+    parser.add_argument("out", type=Path, help="folder for the results")
+    parser.add_argument(
+        "--subjects", nargs="+", default=["builtin", "builtin:female"], help="built-in people or rigged humanoid files"
+    )
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1])
+    parser.add_argument("--sources", nargs="+", choices=list(NAMED), default=list(NAMED), help="mistakes to make")
+    parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--size", type=int, default=540, help="pixels of the pictures' shorter side")
+    parser.add_argument("--outlines", action="store_true", help="go on with exact masks: outlines, then offsets")
+    given = parser.parse_args(argv)
+    given.out.mkdir(parents=True, exist_ok=True)
+    path, witness = given.out / "rows.json", "keypoints, outlines" if given.outlines else "keypoints"
+    rows = read_json_object(path, "rows of fits")["rows"] if path.exists() else []
+    identity = lambda row: tuple(row[key] for key in ("subject", "seed", "source", "input", "frames", "size"))
+    for name in given.subjects:
+        context = open_context()
+        rasteriser = Rasteriser(context)
+        filming = None
+        for seed in given.seeds:
+            for source in given.sources:
+                row = {"subject": name, "seed": seed, "source": source, "input": witness, "frames": given.frames,
+                       "size": given.size, "commit": commit()}  # fmt: skip
+                if identity(row) in map(identity, rows):
+                    continue
+                filming = filming or Filming(name, rasteriser)
+                seen = filming.seen(NAMED[source], seed, given.frames, given.size, outlines=given.outlines)
+                row["scores"] = fitted_scores(seen, filming.sex, outlines=given.outlines)
+                print(f"{name} seed {seed}, {NAMED[source].says}: {json.dumps(row['scores'])}", flush=True)
+                rows.append(row)
+                with whole_file(path, "w") as file:
+                    json.dump({"rows": rows}, file, indent=1)
+        rasteriser.release()
+        context.release()
+    with whole_file(given.out / "fitting.md", "w") as file:
+        file.write(markdown(rows))
+    plot(rows, given.out / "fitting.png")
+    print(markdown(rows))
+    return 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except AssetError as error:
+        print(error, file=sys.stderr)
+        sys.exit(1)

@@ -1,0 +1,34 @@
+"""The fit against the truth of raw videos: what is measured, and the table that comes of it."""
+
+import json
+
+from experiments import fitting
+from experiments.fitting import main, markdown
+
+
+def test_a_tiny_row_is_fitted_once_and_lies_near_the_truth(tmp_path, capsys, monkeypatch):
+    small = ["--subjects", "builtin", "--seeds", "0", "--sources", "all", "--frames", "8", "--size", "96"]
+    assert main([str(tmp_path), *small]) == 0
+    (row,) = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    assert (row["source"], row["input"], row["frames"], row["size"]) == ("all", "keypoints", 8, 96)
+    # eight frames; an estimate that knew nothing is 4 cm off
+    assert row["scores"]["joints"] < 2.5 and abs(row["scores"]["scale"] - 1) < 0.02
+    assert row["scores"]["p2s"] < row["scores"]["p2s_in_place"] < 4
+    assert (tmp_path / "fitting.png").stat().st_size > 2000
+    table = capsys.readouterr().out
+    assert "| all of these | keypoints | 1 |" in table and "8 frames of 96 px" in table
+    monkeypatch.setattr(fitting, "Filming", None)
+    assert main([str(tmp_path), *small]) == 0
+    assert (tmp_path / "fitting.md").read_text() in capsys.readouterr().out
+
+
+def test_the_table_holds_means_and_the_largest_of_each_source_in_order():
+    def row(source, seed, joints):
+        values = dict.fromkeys(fitting.COLUMNS, 1.0) | {"joints": joints}
+        return {"subject": "builtin", "seed": seed, "source": source, "input": "keypoints", "frames": 40, "size": 540,
+                "commit": "abc1234", "scores": values}  # fmt: skip
+
+    lines = markdown([row("all", 0, 1.0), row("exact", 0, 0.5), row("all", 1, 2.0)]).splitlines()
+    assert lines[2].startswith("| nothing | keypoints | 1 | 0.50 (0.50) |")
+    assert lines[3].startswith("| all of these | keypoints | 2 | 1.50 (2.00) |")
+    assert lines[-1].endswith("40 frames of 540 px; commit abc1234.")
