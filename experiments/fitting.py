@@ -204,6 +204,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given.out.mkdir(parents=True, exist_ok=True)
     path, witness = given.out / "rows.json", "keypoints, outlines" if given.outlines else "keypoints"
     rows = read_json_object(path, "rows of fits")["rows"] if path.exists() else []
+    version = commit()
     identity = lambda row: tuple(row[key] for key in ("subject", "seed", "source", "input", "frames", "size"))
     for name in given.subjects:
         context = open_context()
@@ -212,7 +213,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for seed in given.seeds:
             for source in given.sources:
                 row = {"subject": name, "seed": seed, "source": source, "input": witness, "frames": given.frames,
-                       "size": given.size, "commit": commit()}  # fmt: skip
+                       "size": given.size, "commit": version}  # fmt: skip
                 if identity(row) in map(identity, rows):
                     continue
                 filming = filming or Filming(name, rasteriser)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float
 
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from capture.fit.directions import opposite
 from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import projected
@@ -41,21 +42,36 @@ def exchanged_back(footage: Footage, frames: Bool[Array, "frames"]) -> Footage:
 
 
 def sides_restored(estimate: Estimate, footage: Footage) -> Footage:
-    """The footage with points of arms, legs or head exchanged in frames where they lie nearer to the other side."""
+    """The footage with points of arms, legs or head exchanged in frames where they lie nearer to the other side.
+
+    Nearer as the frame is posed, or as it would be between the frames beside it: exchanged points bend their own
+    frame until they lie well.
+    """
     other = opposite(footage.names)
     groups = np.array([group_of(name) for name in footage.names])
     pixels, sure = footage.pixels.copy(), footage.sure.copy()
-    for f, frame in enumerate(posed_frames(estimate)):
-        at = projected(estimate, footage, frame)
-        as_named, exchanged = (
-            _misfit(at, footage.pixels[f, order], footage.sure[f, order]) for order in (np.arange(len(other)), other)
-        )
+    for f, frames in enumerate(zip(posed_frames(estimate), posed_frames(between_neighbours(estimate)))):
+        misfits = [
+            [_misfit(at, footage.pixels[f, order], footage.sure[f, order]) for order in (np.arange(len(other)), other)]
+            for at in (projected(estimate, footage, frame) for frame in frames)
+        ]
         for group in GROUPS:
             mine = np.flatnonzero(groups == group)
             pairs = (mine[:, None] == other[mine]).any() and (footage.sure[f, mine] > 0).sum() / 2
-            if pairs and exchanged[mine].sum() + MARGIN * pairs < as_named[mine].sum():
+            gains = [as_named[mine].sum() - exchanged[mine].sum() for as_named, exchanged in misfits]
+            if pairs and max(gains) > MARGIN * pairs:
                 pixels[f, mine], sure[f, mine] = footage.pixels[f, other[mine]], footage.sure[f, other[mine]]
     return replace(footage, pixels=pixels, sure=sure)
+
+
+def between_neighbours(estimate: Estimate) -> Estimate:
+    """Every frame but the first and last halfway between the poses of the ones beside it."""
+    root, heading, angles = estimate.root.copy(), estimate.heading.copy(), estimate.angles.copy()
+    root[1:-1] = (estimate.root[:-2] + estimate.root[2:]) / 2
+    angles[1:-1] = (estimate.angles[:-2] + estimate.angles[2:]) / 2
+    turn = axis_angle_from_matrix(np.swapaxes(estimate.heading[:-2], 1, 2) @ estimate.heading[2:])
+    heading[1:-1] = estimate.heading[:-2] @ matrix_from_axis_angle(turn / 2)
+    return replace(estimate, root=root, heading=heading, angles=angles)
 
 
 def _misfit(
