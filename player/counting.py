@@ -22,7 +22,7 @@ DRAWS = {
     "glDrawArraysInstanced": (c_uint, c_int, c_int, c_int),
     "glDrawElementsInstanced": (c_uint, c_int, c_uint, c_void_p, c_int),
 }
-TEXTURE_MAX_LEVEL = 0x813D
+TEXTURE_MAX_LEVEL, FLOAT = 0x813D, 0x1406
 # bytes a texel of internal formats; 4 for the rest, which is what drivers do with RGB8 too
 TEXEL_BYTES = {0x8814: 16, 0x881A: 8, 0x8815: 12, 0x822B: 2, 0x8229: 1, 0x8230: 8, 0x81A6: 4, 0x8CAC: 4}
 
@@ -202,8 +202,8 @@ class Counts:
         for level in range(1, min(self._max_level.get(name, 1000), (max(width, height)).bit_length() - 1) + 1):
             levels[level] = max(width >> level, 1) * max(height >> level, 1) * texel
 
-    def _tex_sub_image(self, _target, _level, _x, _y, width, height, _format, _type, _data):
-        self.uploaded += width * height * 4
+    def _tex_sub_image(self, _target, _level, _x, _y, width, height, _format, type_, _data):
+        self.uploaded += width * height * (16 if type_ == FLOAT else 4)
 
     def _renderbuffer(self, target, _internal, width, height):
         self._allocate("renderbuffer", target, 0, width * height * 4)

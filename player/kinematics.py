@@ -73,6 +73,22 @@ class Chain:
             posed = posed.take(ancestors, 0) @ posed
         return posed[:52]
 
+    def transforms_of_copies(
+        self,
+        axis_angle: Float[np.ndarray, "copies 52 3"],
+        root: Float[np.ndarray, "copies 3"],
+        outer: Float[np.ndarray, "4 4"],
+    ) -> Float[np.ndarray, "copies 52 4 4"]:
+        """`transforms` of many poses: one product a joint, all joints of a depth of all copies at once."""
+        local = np.broadcast_to(self.rest[:52], (len(root), 52, 4, 4)).copy()
+        local[..., :3, :3] = rotations(axis_angle.reshape(-1, 3)).reshape(-1, 52, 3, 3)
+        local[:, 0, :3, 3] = root
+        out = np.empty_like(local)
+        out[:, 0] = outer @ local[:, 0]
+        for joints in DEPTHS:
+            out[:, joints] = out[:, PARENTS[joints]] @ local[:, joints]
+        return out
+
 
 def _candidates() -> tuple[np.ndarray, np.ndarray]:
     """The four multiples 4 q_i q of Shepperd (1978) as a linear map of the nine entries of R, and its constant."""

@@ -20,9 +20,10 @@ import moderngl
 from avatar.baked_avatar import Avatar, Level
 from avatar.light import CaptureLight
 from player.blocks import BINDING, FRAME, bind_block
+from player.copies import groups_of
 from player.drawing import Drawing, Layer, Warming
 from player.resources import KINDS, Handle, Image, PlanResources
-from player.shader import compile_program
+from player.shader import compile_program, copies_includes
 from player.tiles import SurfacePatches
 
 T = TypeVar("T")
@@ -181,6 +182,9 @@ class Draft:
     ):
         self.avatars, self.canvas, self.level, self.dual = tuple(avatars), canvas, level, dual
         self.levels: tuple[Level, ...] = tuple(avatar.level(level) for avatar in avatars)
+        # avatars that are copies of one: the same object, opened once
+        self.groups = groups_of(avatars)
+        self._first = {index: group[0] for group in self.groups for index in group}
         # where avatars are drawn
         self.layer = Layer()
         self.image: Image | None = None
@@ -218,6 +222,10 @@ class Draft:
         """What people call an avatar of the scene."""
         return f"avatar {avatar + 1}" if len(self.avatars) > 1 else "avatar"
 
+    def first(self, avatar: int) -> int:
+        """The first avatar of the scene that this one is a copy of: what no pose changes is made once, for that one."""
+        return self._first[avatar]
+
     @property
     def drawn_on(self) -> tuple[Handle[Any], ...]:
         """What every pass on the avatars' layer writes and reads."""
@@ -250,13 +258,15 @@ class Draft:
 
     def program(
         self, vertex: str, fragment: str, *, samplers: Sequence[str] = (), avatar: int | None = None,
-        constants: Callable[[], Mapping[str, str]] = dict, **defines: int,
+        constants: Callable[[], Mapping[str, str]] = dict, copies: bool = False, **defines: int,
     ) -> Handle[moderngl.Program]:  # fmt: skip
         """Two shaders in a variant. A sampler reads the texture unit of its place among `samplers`. `constants` are
-        includes written for one avatar; without them avatars share the program."""
+        includes written for one avatar; without them avatars share the program. copies: one whose instances are copies
+        of an avatar, each with its own bones (shaders/copies.glsl)."""
 
         def make(resources: PlanResources) -> moderngl.Program:
-            program = compile_program(resources.context.gl, vertex, fragment, defines, constants())
+            generated = {**constants(), **(copies_includes() if copies else {})}
+            program = compile_program(resources.context.gl, vertex, fragment, defines, generated)
             for block in BINDING:
                 bind_block(program, block)
             for unit, sampler in enumerate(samplers):
@@ -265,7 +275,7 @@ class Draft:
                     found.value = unit
             return program
 
-        depends_on = (vertex, fragment, avatar, *defines.items())
+        depends_on = (vertex, fragment, avatar, *defines.items(), *(("copies",) if copies else ()))
         return self.need(Handle(moderngl.Program, f"{vertex} {fragment}", 0, depends_on, make))
 
     def array(

@@ -62,18 +62,21 @@ class PosedMesh:
                 _bind(buffer, block)
 
 
-def posed_mesh(draft: Draft, avatar: int, *, directions: bool = False) -> PosedMesh:
+def posed_mesh(draft: Draft, avatar: int, *, directions: bool = False, posed: bool = True) -> PosedMesh:
     """The mesh of an avatar as a plan draws it; with `directions`, shaders can turn directions back into the canonical
-    frame (shaders/directions.glsl)."""
-    tag, mesh, level = draft.tag(avatar), draft.levels[avatar], draft.level
+    frame (shaders/directions.glsl). Not posed: without bones, for what brings its own."""
+    tag, mesh, level, first = draft.tag(avatar), draft.levels[avatar], draft.level, draft.first(avatar)
+    shared = draft.tag(first)
     vertices = draft.buffer(
-        f"{tag} vertices", VERTEX.itemsize * len(mesh.positions), avatar, level,
+        f"{shared} vertices", VERTEX.itemsize * len(mesh.positions), first, level,
         content=lambda made: interleaved(mesh)[vertex_order(made, mesh)[0]].tobytes(),
     )  # fmt: skip
     faces = draft.buffer(
-        f"{tag} faces", 12 * len(mesh.faces), avatar, level,
+        f"{shared} faces", 12 * len(mesh.faces), first, level,
         content=lambda made: vertex_order(made, mesh)[1].tobytes(),
     )  # fmt: skip
+    if not posed:
+        return PosedMesh(avatar, vertices, faces, None, None, None)
     bones = None if draft.dual else draft.buffer(f"{tag} bones", BONES.itemsize, avatar)
     duals = draft.buffer(f"{tag} duals", DUALS.itemsize, avatar) if draft.dual else None
     turns = draft.buffer(f"{tag} turns", TURNS.itemsize, avatar) if draft.dual or directions else None

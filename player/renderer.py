@@ -13,12 +13,14 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from avatar.errors import AssetError
 from player.context import Context
+from player.copies import copies_bounds, groups_of, posed_copies
 from player.drawing import Drawing, FrameInputs, Look, Pose, Warming
 from player.passes.background import Background
+from player.passes.copies import CopiesPass
 from player.passes.lens import LensPass
 from player.passes.view import ViewPass
 from player.plan import Canvas, Decision, Pass, Plan, close_all
-from player.posing import PosedBones, Poser, screen_bounds
+from player.posing import PosedBones, Poser, ScreenBounds, screen_bounds
 from player.raster import clip_planes
 from player.resolve import resolve
 from player.resources import PlanResources
@@ -64,7 +66,7 @@ class Renderer:
         view_amount: float = 1.0,
         view: str | None = None,
     ):
-        self.context, self.avatars = context, tuple(avatars)
+        self.context, self.avatars, self.groups = context, tuple(avatars), groups_of(avatars)
         self.level, self._view_amount = level, view_amount
         self.effects = effects if view is None else replace(effects, view=view)
         self.background = _as_background(background)
@@ -96,13 +98,14 @@ class Renderer:
     @property
     def views(self) -> list[str]:
         """The view mode of each avatar, as the plan resolved it."""
-        modes = {item.mesh.avatar: item.mode for item in self.plan.passes if isinstance(item, ViewPass)}
+        drawing = [item for item in self.plan.passes if isinstance(item, ViewPass | CopiesPass)]
+        modes = {avatar: item.mode for item in drawing for avatar in item.avatars}
         return [modes.get(index, "off") for index in range(len(self.avatars))]
 
     @property
     def has_view(self) -> bool:
         """Whether any avatar is drawn with view dependence."""
-        return any(isinstance(item, ViewPass) for item in self.plan.passes)
+        return any(view != "off" for view in self.views)
 
     def change(
         self,
@@ -267,8 +270,7 @@ class Renderer:
         camera = inputs.camera
         if len(inputs.poses) != len(self.avatars):
             raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(inputs.poses)}")
-        bones = [poser.posed(*pose, camera) for poser, pose in zip(self.posers, inputs.poses, strict=True)]
-        bounds = [screen_bounds(self._bulging(one), camera) for one in bones]
+        bones, bounds = self._posed(inputs.poses, camera)
         visible = [one.shows(camera) for one in bounds]
         planes = clip_planes(np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).ravel())
         drawing = Drawing(inputs, self.resources, self.look, bones, bounds, visible, planes)
@@ -284,6 +286,23 @@ class Renderer:
             if item is only or (only is None and decision.runs):
                 item.draw(drawing)
         self.drawn, self.last = drawn, inputs
+
+    def _posed(self, poses: Sequence[Pose], camera: Camera) -> tuple[list[PosedBones], list[ScreenBounds]]:
+        """Bones of every avatar and where it can be in the picture; copies of one are worked out together."""
+        bones: dict[int, PosedBones] = {}
+        bounds: dict[int, ScreenBounds] = {}
+        for group in self.groups:
+            poser = self.posers[group[0]]
+            if len(group) == 1:
+                posed = [poser.posed(*poses[group[0]], camera)]
+                reach = [screen_bounds(self._bulging(posed[0]), camera)]
+            else:
+                posed = posed_copies(poser, [poses[avatar] for avatar in group], camera)
+                reach = copies_bounds([self._bulging(one) for one in posed], camera)
+            bones.update(zip(group, posed, strict=True))
+            bounds.update(zip(group, reach, strict=True))
+        everyone = range(len(self.avatars))
+        return [bones[avatar] for avatar in everyone], [bounds[avatar] for avatar in everyone]
 
     def _bulging(self, bones: PosedBones) -> PosedBones:
         """The bones with spheres that hold what they move, in the skinning asked for."""
@@ -323,7 +342,11 @@ class Renderer:
 
     def _measure(self) -> None:
         """Bounds of each avatar's surface at its level of detail."""
-        self.posers = [Poser(avatar, avatar.level(self.level)) for avatar in self.avatars]
+        made: dict[int, Poser] = {}
+        for group in self.groups:
+            first = self.avatars[group[0]]
+            made.update(dict.fromkeys(group, Poser(first, first.level(self.level))))
+        self.posers = [made[avatar] for avatar in range(len(self.avatars))]
 
 
 def _as_background(background: Background | Sequence[float | int]) -> Background:

@@ -77,6 +77,11 @@ def _follow(line: str, branches: list[bool], defines: Mapping[str, int]) -> None
         branches.pop()
 
 
+def copies_includes() -> dict[str, str]:
+    """Where the bones of an avatar are read, for programs that draw many copies of it at once."""
+    return {f"{what}.glsl": shader_source(f"copies_{what}.glsl") for what in ("bones", "turns", "duals")}
+
+
 def names_in_conditions(source: str) -> set[str]:
     """Names of defines that the source's `#if`s ask about."""
     return {name for condition in CONDITION.findall(source) for name in NAME.findall(condition)}

@@ -89,7 +89,10 @@ class SurfacePatches:
 
     def __iter__(self) -> Iterator[Patches]:
         if not self._found:
-            self._found = [Patches(level) for level in self._levels]
+            # copies of an avatar have one level
+            distinct = {id(level): level for level in self._levels}
+            made = {key: Patches(level) for key, level in distinct.items()}
+            self._found = [made[id(level)] for level in self._levels]
         return iter(self._found)
 
 

@@ -5,19 +5,17 @@
 //
 // The blend stays orthonormal where the blended matrix flattens (a forearm twisted by 180 degrees), and cannot
 // vanish: the heaviest term has weight >= 1/4 and no other term points away from it. joints.x is the heaviest
-// bone; the loader sorts. Mirrored by player/blocks.py, TURNS. Quaternions are xyzw.
-layout(std140) uniform Turns {
-    vec4 view_from_canonical_q[52];
-};
+// bone; the loader sorts. Quaternions are xyzw.
+#include "turns.glsl"
 
 vec4 blended_turn(uvec4 joints, vec4 weights) {
-    vec4 heaviest = view_from_canonical_q[joints.x];
+    vec4 heaviest = turn_of(joints.x);
     vec4 sum = weights.x * heaviest;
-    vec4 q = view_from_canonical_q[joints.y];
+    vec4 q = turn_of(joints.y);
     sum += (dot(q, heaviest) < 0.0 ? -weights.y : weights.y) * q;
-    q = view_from_canonical_q[joints.z];
+    q = turn_of(joints.z);
     sum += (dot(q, heaviest) < 0.0 ? -weights.z : weights.z) * q;
-    q = view_from_canonical_q[joints.w];
+    q = turn_of(joints.w);
     sum += (dot(q, heaviest) < 0.0 ? -weights.w : weights.w) * q;
     return normalize(sum);
 }

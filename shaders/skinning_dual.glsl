@@ -5,28 +5,25 @@
 //     x_view = R(r) x + 2 d r* / |r|^2
 //
 // The same sign rule and the same rotations as directions.glsl, whose Turns hold q_k; it mirrors avatar/skinning.py,
-// skin_points_dual_quaternion. |r| >= 1/4: see directions.glsl. player/blocks.py, DUALS. xyzw.
+// skin_points_dual_quaternion. |r| >= 1/4: see directions.glsl. xyzw.
 #include "directions.glsl"
-
-layout(std140) uniform Duals {
-    vec4 view_from_canonical_d[52];
-};
+#include "duals.glsl"
 
 vec3 skinned(vec3 point, uvec4 joints, vec4 weights) {
-    vec4 heaviest = view_from_canonical_q[joints.x];
-    vec4 r = weights.x * heaviest, d = weights.x * view_from_canonical_d[joints.x];
-    vec4 q = view_from_canonical_q[joints.y];
+    vec4 heaviest = turn_of(joints.x);
+    vec4 r = weights.x * heaviest, d = weights.x * dual_of(joints.x);
+    vec4 q = turn_of(joints.y);
     float w = dot(q, heaviest) < 0.0 ? -weights.y : weights.y;
     r += w * q;
-    d += w * view_from_canonical_d[joints.y];
-    q = view_from_canonical_q[joints.z];
+    d += w * dual_of(joints.y);
+    q = turn_of(joints.z);
     w = dot(q, heaviest) < 0.0 ? -weights.z : weights.z;
     r += w * q;
-    d += w * view_from_canonical_d[joints.z];
-    q = view_from_canonical_q[joints.w];
+    d += w * dual_of(joints.z);
+    q = turn_of(joints.w);
     w = dot(q, heaviest) < 0.0 ? -weights.w : weights.w;
     r += w * q;
-    d += w * view_from_canonical_d[joints.w];
+    d += w * dual_of(joints.w);
     float shrink = inversesqrt(dot(r, r));
     r *= shrink;
     d *= shrink;

@@ -7,14 +7,14 @@ from typing import Any, ClassVar
 import moderngl
 
 from player.drawing import Drawing, Layer, Warming
+from player.passes.copies import copies_pass
 from player.passes.shaded import Shaded, shaded
-from player.passes.view import ViewPass, view_pass
+from player.passes.view import OUT_OF_VIEW, ViewPass, view_pass
 from player.plan import Decision, Draft, Pass, Stage, State
 from player.posed_mesh import PosedMesh, posed_mesh
 from player.resources import Handle, PlanResources
 from player.texture import image_texture, mipmapped_bytes, read_finer_mip
 
-OUT_OF_VIEW = Decision(State.SKIPPED, "out of view")
 VIEW_DRAWS_IT = Decision(State.SKIPPED, "the view pass draws this avatar")
 
 
@@ -29,10 +29,15 @@ class Avatars:
         if draft.canvas.own_image and draft.layer.image is None:
             draft.own_image(depth=True)
         passes: list[Pass] = []
-        for index in range(len(draft.avatars)):
-            base_color = base_color_of(draft, index)
-            view = view_pass(draft, index, self.view, base_color)
-            passes += [paper_pass(draft, index, base_color, view), view]
+        for group in draft.groups:
+            base_color = base_color_of(draft, group[0])
+            # what limbs hide is a block of each avatar's own
+            if len(group) > 1 and draft.contact is None:
+                passes.append(copies_pass(draft, group, self.view, base_color))
+                continue
+            for index in group:
+                view = view_pass(draft, index, self.view, base_color)
+                passes += [paper_pass(draft, index, base_color, view), view]
         return passes
 
 
@@ -84,7 +89,7 @@ def paper_pass(draft: Draft, avatar: int, base_color: Handle[moderngl.Texture], 
 
 
 def base_color_of(draft: Draft, avatar: int) -> Handle[moderngl.Texture]:
-    image = draft.levels[avatar].base_color
+    image, first = draft.levels[avatar].base_color, draft.first(avatar)
 
     def make(made: PlanResources) -> moderngl.Texture:
         texture = image_texture(made.context, image)
@@ -93,5 +98,5 @@ def base_color_of(draft: Draft, avatar: int) -> Handle[moderngl.Texture]:
         return texture
 
     return draft.texture(
-        f"{draft.tag(avatar)} base color", mipmapped_bytes(image.shape), avatar, draft.level, make=make
+        f"{draft.tag(first)} base color", mipmapped_bytes(image.shape), first, draft.level, make=make
     )

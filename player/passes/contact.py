@@ -130,8 +130,9 @@ def touched(draft: Draft, avatar: int) -> Touched | None:
     """What darkens an avatar of the plan; None: nothing is to."""
     if draft.contact is None:
         return None
-    level, tag = draft.levels[avatar], draft.tag(avatar)
-    body = draft.keep(("capsules", avatar, draft.level), lambda: LazyCapsules(draft.avatars[avatar], level))
+    level, first = draft.levels[avatar], draft.first(avatar)
+    tag, shared = draft.tag(avatar), draft.tag(first)
+    body = draft.keep(("capsules", first, draft.level), lambda: LazyCapsules(draft.avatars[avatar], level))
 
     def vertices(made: PlanResources) -> bytes:
         out, order = np.zeros(len(level.positions), VERTEX), vertex_order(made, level)[0]
@@ -141,9 +142,9 @@ def touched(draft: Draft, avatar: int) -> Touched | None:
     return Touched(
         avatar, draft.contact, body,
         draft.buffer(f"{tag} capsules", CAPSULES.itemsize, avatar),
-        draft.buffer(f"{tag} contact", VERTEX.itemsize * len(level.positions), avatar, draft.level, content=vertices),
+        draft.buffer(f"{shared} contact", VERTEX.itemsize * len(level.positions), first, draft.level, content=vertices),
         draft.buffer(
-            f"{tag} normals", level.normals.nbytes, avatar, draft.level,
+            f"{shared} normals", level.normals.nbytes, first, draft.level,
             content=lambda made: level.normals[vertex_order(made, level)[0]].tobytes(),
         ),
     )  # fmt: skip

@@ -211,8 +211,9 @@ def lit(draft: Draft, avatar: int) -> Lit | None:
     light = None if draft.light_of is None else draft.light_of(draft.avatars[avatar])
     if light is None:
         return None
+    first = draft.first(avatar)
     vertices = draft.buffer(
-        f"{draft.tag(avatar)} light", VERTEX.itemsize * len(level.positions), avatar, draft.level,
+        f"{draft.tag(first)} light", VERTEX.itemsize * len(level.positions), first, draft.level,
         content=lambda made: lit_interleaved(level)[vertex_order(made, level)[0]].tobytes(),
     )  # fmt: skip
     told = (

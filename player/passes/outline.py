@@ -43,8 +43,9 @@ class Outline:
         hulls, uses = [], [*draft.drawn_on]
         for index, level in enumerate(draft.levels):
             mesh = posed_mesh(draft, index)
+            first = draft.first(index)
             normals = draft.buffer(
-                f"{draft.tag(index)} normals", level.normals.nbytes, index, draft.level,
+                f"{draft.tag(first)} normals", level.normals.nbytes, first, draft.level,
                 content=lambda made, level=level: level.normals[vertex_order(made, level)[0]].tobytes(),
             )  # fmt: skip
             array = mesh.array(draft, program, (normals, "3f4", "normal"))

@@ -27,18 +27,49 @@ TOO_SMALL = Decision(State.SKIPPED, f"the avatar is less than {MIN_HEIGHT} pixel
 
 
 @dataclass(frozen=True)
+class ViewLook:
+    """Program, vertices and textures of an avatar with view dependence."""
+
+    mode: str
+    # for people
+    why: str
+    mesh: PosedMesh
+    shading: Shaded
+    vertices: Handle[moderngl.Buffer]
+    # by unit: base color, features, more features
+    textures: tuple[Handle[moderngl.Texture], ...]
+
+    @property
+    def handles(self) -> tuple[Handle[Any], ...]:
+        return (*self.mesh.handles, self.vertices, *self.textures, *self.shading.handles)
+
+    def bind(self, resources: PlanResources) -> None:
+        for unit, texture in enumerate(self.textures):
+            resources[texture].use(unit)
+
+
+@dataclass(frozen=True)
 class ViewPass:
     """One avatar with view dependence."""
 
     name: str
     uses: tuple[Handle[Any], ...]
-    mode: str
-    mesh: PosedMesh
     layer: Layer
-    shading: Shaded
-    # by unit: base color, features, more features
-    textures: tuple[Handle[moderngl.Texture], ...]
+    look: ViewLook
     running: Decision
+
+    @property
+    def mode(self) -> str:
+        return self.look.mode
+
+    @property
+    def mesh(self) -> PosedMesh:
+        return self.look.mesh
+
+    @property
+    def avatars(self) -> tuple[int, ...]:
+        """Whom it draws."""
+        return (self.mesh.avatar,)
 
     def decide(self, drawing: Drawing) -> Decision:
         if not drawing.visible[self.mesh.avatar]:
@@ -48,20 +79,16 @@ class ViewPass:
     def draw(self, drawing: Drawing) -> None:
         drawing.enter(self.layer)
         self.mesh.pose(drawing)
-        self._bind(drawing.resources)
-        variant = self.shading.variant(drawing)
+        self.look.bind(drawing.resources)
+        variant = self.look.shading.variant(drawing)
         variant.apply(drawing)
         drawing.resources[variant.array].render()
 
     def warm(self, warming: Warming) -> None:
         if warming.enter(self.layer):
             self.mesh.warm(warming.resources)
-            self._bind(warming.resources)
-            self.shading.warm(warming.resources)
-
-    def _bind(self, resources: PlanResources) -> None:
-        for unit, texture in enumerate(self.textures):
-            resources[texture].use(unit)
+            self.look.bind(warming.resources)
+            self.look.shading.warm(warming.resources)
 
 
 def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.Texture]) -> ViewPass | Absent:
@@ -70,7 +97,25 @@ def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.
     Raises:
         ValueError: as `resolved_view`.
     """
-    who, mesh, tag = draft.avatars[avatar], draft.levels[avatar], draft.tag(avatar)
+    look = view_look(draft, avatar, view, base_color)
+    if isinstance(look, Absent):
+        return look
+    return ViewPass(
+        f"{draft.tag(avatar)}: view {look.mode}", (*draft.drawn_on, *look.handles), draft.layer, look,
+        Decision(State.RUNS, look.why + look.shading.note),
+    )  # fmt: skip
+
+
+def view_look(
+    draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.Texture], *, copies: bool = False
+) -> ViewLook | Absent:
+    """How an avatar is drawn in the mode that `view` means for it. copies: by a program of `Draft.program` that draws
+    copies, whose bones are the texture after the others, so without a block of bones.
+
+    Raises:
+        ValueError: as `resolved_view`.
+    """
+    who, mesh, tag, first = draft.avatars[avatar], draft.levels[avatar], draft.tag(avatar), draft.first(avatar)
     mode, why = resolved_view(who, view, draft.canvas.software)
     if mode == "off":
         return Absent(f"{tag}: view", "not asked for" if why == "asked for" else why)
@@ -79,31 +124,27 @@ def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.
     network = mode == "network" or (mode == "vertex" and who.network is not None)
     if mode == "vertex" and view == "auto":
         network = who.default_view == "network"
-    posed = posed_mesh(draft, avatar, directions=True)
+    posed = posed_mesh(draft, avatar, directions=True, posed=not copies)
     vertices = draft.buffer(
-        f"{tag} view vertices", VIEW_VERTEX.itemsize * len(mesh.positions), avatar, draft.level,
+        f"{draft.tag(first)} view vertices", VIEW_VERTEX.itemsize * len(mesh.positions), first, draft.level,
         content=lambda made: view_interleaved(mesh)[vertex_order(made, mesh)[0]].tobytes(),
     )  # fmt: skip
     features = _feature_textures(draft, avatar)
     shading = shaded(
-        draft, avatar, posed, (vertices, *ATTRIBUTES), samplers=SAMPLERS, avatar=avatar,
-        constants=lambda: avatar_constants(who), VIEW_STAGE=STAGE[mode], VIEW_MODEL=int(network),
-        VIEW_FEATURES=mesh.features.shape[2],
+        draft, avatar, posed, (vertices, *ATTRIBUTES), samplers=(*SAMPLERS, "palettes") if copies else SAMPLERS,
+        avatar=first, constants=lambda: avatar_constants(who), copies=copies, VIEW_STAGE=STAGE[mode],
+        VIEW_MODEL=int(network), VIEW_FEATURES=mesh.features.shape[2],
     )  # fmt: skip
-    textures = (base_color, *features)
-    return ViewPass(
-        f"{tag}: view {mode}", (*draft.drawn_on, *posed.handles, vertices, *textures, *shading.handles), mode, posed,
-        draft.layer, shading, textures, Decision(State.RUNS, why + shading.note),
-    )  # fmt: skip
+    return ViewLook(mode, why, posed, shading, vertices, (base_color, *features))
 
 
 def _feature_textures(draft: Draft, avatar: int) -> list[Handle[moderngl.Texture]]:
     """Textures that hold a level's features, four in each."""
-    features = draft.levels[avatar].features
+    features, first = draft.levels[avatar].features, draft.first(avatar)
     assert features is not None
     return [
         draft.texture(
-            f"{draft.tag(avatar)} {name}", mipmapped_bytes(features.shape), avatar, draft.level,
+            f"{draft.tag(first)} {name}", mipmapped_bytes(features.shape), first, draft.level,
             make=lambda made, four=features[..., 4 * k : 4 * k + 4]: image_texture(made.context, four, coarse=True),
         )
         for k, name in enumerate(("features", "more features")[: features.shape[2] // 4])
