@@ -94,7 +94,8 @@ class NpzFile:
 
 
 class NpzMember:
-    """One array of an .npz, read whole, or by rows: constant memory when the rows are asked for in order."""
+    """One array of an .npz, read whole, or by rows in constant memory: in order, or where the archive is not compressed
+    in any order, each for what it takes itself."""
 
     def __init__(self, npz: NpzFile, name: str):
         self.npz, self.name = npz, name
@@ -120,6 +121,8 @@ class NpzMember:
             )
         # numbers of a row
         self.row = prod(self.shape[1:])
+        # place of the first in the file; None: it has to be unpacked from its start
+        self.first_at = _stored_at(npz.file, info, self.header.length) if _is_plain(info) else None
 
     @contextmanager
     def _reading(self) -> Iterator[io.BufferedIOBase]:
@@ -148,19 +151,20 @@ class NpzMember:
                 self.whole = self.all()
             return self.whole[start:stop].reshape(stop - start, self.row).astype(np.float64)
         size = self.row * self.dtype.itemsize
+        block = self.header._replace(shape=(stop - start, self.row), by_columns=False)
         with self._damage():
+            if self.first_at is not None and start != self.next_row:
+                self.npz.file.seek(self.first_at + start * size)
+                return _as_numbers(_array(self.npz.file, block))
             if self.file is None or start < self.next_row:
                 if self.file is not None:
                     self.file.close()
                 self.file, self.next_row = self.npz.archive.open(f"{self.name}.npy"), 0
                 _skip(self.file, self.header.length)
             _skip(self.file, (start - self.next_row) * size)
-            block = self.header._replace(shape=(stop - start, self.row), by_columns=False)
             values = _array(self.file, block)
         self.next_row = stop
-        # a signalling NaN would print a warning; who reads the rows names it
-        with np.errstate(invalid="ignore"):
-            return values.astype(np.float64)
+        return _as_numbers(values)
 
 
 def read_npz(
@@ -279,6 +283,25 @@ def _array(file: io.BufferedIOBase, header: _Header) -> Array:
         at += len(part)
     array = data.view(header.dtype).reshape(header.shape, order="F" if header.by_columns else "C")
     return array.astype(header.dtype.newbyteorder("="), copy=False)
+
+
+def _as_numbers(values: Array) -> Array:
+    # a signalling NaN would print a warning; who reads the rows names it
+    with np.errstate(invalid="ignore"):
+        return values.astype(np.float64)
+
+
+def _is_plain(info: zipfile.ZipInfo) -> bool:
+    """Whether a member's bytes stand in the archive as they are: neither compressed nor encrypted."""
+    return info.compress_type == zipfile.ZIP_STORED and not info.flag_bits & 1
+
+
+def _stored_at(file: io.BufferedReader, info: zipfile.ZipInfo, header: int) -> int:
+    """Place in the file of a plain member's numbers: behind the archive's header, whose name and extra field may have
+    other lengths than in the list of members, and the array's own of `header` bytes."""
+    file.seek(info.header_offset + 26)
+    name, extra = file.read(2), file.read(2)
+    return info.header_offset + 30 + int.from_bytes(name, "little") + int.from_bytes(extra, "little") + header
 
 
 def _skip(file: io.BufferedIOBase, size: int) -> None:

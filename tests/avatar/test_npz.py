@@ -83,6 +83,31 @@ def test_a_named_array_that_is_too_large_is_refused_before_it_is_unpacked(tmp_pa
     tracemalloc.stop()
 
 
+def test_rows_of_an_archive_that_is_not_compressed_are_read_where_they_stand(tmp_path):
+    """A million frames, forwards, backwards and across: only what is asked for is read, and it is right."""
+    frames = 1_000_000
+    values = (np.arange(3 * frames) % 251).astype(np.uint8).reshape(frames, 3)
+    np.savez(tmp_path / "long.npz", other=np.zeros(7), poses=values)
+    npz = NpzFile(tmp_path / "long.npz", "a pose file")
+    poses, read = npz.member("poses"), []
+
+    class Counted(io.BufferedReader):
+        def read(self, size=-1, /):
+            read.append(size)
+            return super().read(size)
+
+    npz.file.close()
+    npz.file = Counted(io.FileIO(tmp_path / "long.npz"))
+    tracemalloc.start()
+    for start in (999_000, 998_000, 500_000, 500_256, 3):
+        np.testing.assert_array_equal(poses.rows(start, start + 256), values[start : start + 256])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert read == [3 * 256] * 5
+    assert peak < 1e6
+    npz.close()
+
+
 def test_posedirs_of_a_model_are_not_read():
     assert "posedirs" not in FIELDS
 
