@@ -26,6 +26,8 @@ from bench.quiet import Quiet, warning
 from bench.rung_page import markdown, plot, rung_sheet
 from bench.rung_pictures import FRAMES, flicker_frames, held_out_frames, motion_frames, rung_pictures
 from bench.rung_scores import compared, crop_of, flicker, mark_dominated, row_of
+from bench.scale import SIZE as SCALE_SIZE
+from bench.scale import bench_scale
 from player.arguments import parse_size
 from player.context import Context, opened
 from player.ladder import Rung, Timing, rungs_of, time_rungs
@@ -154,9 +156,10 @@ class BenchCommand:
     avatar: Annotated[
         Path | None,
         Option(positional=True, metavar="AVATAR"),
-        "avatar file (.glb); of --effects none: the built-in body",
+        "avatar file (.glb); of --effects and --scale none: the built-in body",
     ] = None
     effects: Annotated[bool, "instead: what each effect of a scene costs, alone and all together"] = False
+    scale: Annotated[bool, "instead: how time grows with avatars, triangles, pixels and frames of motion"] = False
     run: Annotated[Path | None, Option(metavar="RUN"), "run folder it was baked from: adds the field as a rung"] = None
     capture: Annotated[
         Path | None, Option(metavar="CAPTURE"), "capture folder with truth/: held-out poses and true pictures"
@@ -168,10 +171,12 @@ class BenchCommand:
     ] = None
 
     def __post_init__(self):
-        if self.avatar is None and not self.effects:
-            raise ValueError("give AVATAR, or --effects")
-        if self.effects and (self.run or self.capture):
-            raise ValueError("--run and --capture are of the ladder of an avatar: leave --effects out")
+        if self.avatar is None and not (self.effects or self.scale):
+            raise ValueError("give AVATAR, --effects or --scale")
+        if self.effects and self.scale:
+            raise ValueError("--effects and --scale: expected one of them, found both")
+        if (self.effects or self.scale) and (self.run or self.capture):
+            raise ValueError("--run and --capture are of the ladder of an avatar: leave --effects and --scale out")
         if self.size is not None and self.capture is not None:
             raise ValueError("--size: the true pictures of --capture have their own")
 
@@ -182,7 +187,8 @@ BENCH = Help(
 best one, with the field it came from (--run) and with the truth (--capture).""",
     """examples
   selfscan bench avatar.glb --run out/run --capture out/capture -o out/bench
-  selfscan bench --effects -o out/effects       or of an avatar: selfscan bench avatar.glb --effects -o out/effects""",
+  selfscan bench --effects -o out/effects       or of an avatar: selfscan bench avatar.glb --effects -o out/effects
+  selfscan bench avatar.glb --scale --rounds 8 -o out/scale       from one avatar to a hundred""",
 )
 
 
@@ -192,6 +198,8 @@ def bench_main(argv: list[str]) -> int:
     check_folder(command.out)
     if command.effects:
         return _effects(command)
+    if command.scale:
+        return _scale(command)
     assert command.avatar is not None
     result = bench(
         command.avatar,
@@ -208,6 +216,19 @@ def bench_main(argv: list[str]) -> int:
     if result["warning"]:
         print(result["warning"])
     print(f"wrote {command.out}/bench.html, to open in a browser, and bench.md")
+    return 0
+
+
+def _scale(command: BenchCommand) -> int:
+    """The table of exponents."""
+    avatar = mannequin() if command.avatar is None else read_avatar(command.avatar)
+    result = bench_scale(avatar, command.out, rounds=command.rounds, size=command.size or SCALE_SIZE)
+    for row in result["sweeps"]:
+        power = row["exponents"]["cpu"]
+        print(f"{row['name']:48} time ~ x^{power['exponent']:.2f} ({power['low']:.2f} to {power['high']:.2f})")
+    if result["warning"]:
+        print(result["warning"])
+    print(f"wrote {command.out}/scale.md")
     return 0
 
 

@@ -37,7 +37,7 @@ def test_the_table_has_what_ran_and_what_it_holds(tmp_path, monkeypatch):
 
 def test_the_command_needs_an_avatar_or_effects():
     assert parse(BenchCommand, ["--effects", "-o", "x"], BENCH).avatar is None
-    with pytest.raises(ValueError, match="give AVATAR, or --effects"):
+    with pytest.raises(ValueError, match="give AVATAR, --effects or --scale"):
         BenchCommand(Path("x"))
-    with pytest.raises(ValueError, match="leave --effects out"):
+    with pytest.raises(ValueError, match="leave --effects and --scale out"):
         BenchCommand(Path("x"), effects=True, run=Path("run"))
