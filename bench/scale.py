@@ -51,7 +51,8 @@ class ScaleSteps:
     avatars: tuple[int, ...] = (1, 2, 5, 10, 20, 50, 100)
     # pixels a side
     sides: tuple[int, ...] = (160, 320, 640, 1280)
-    frames: tuple[int, ...] = (1000, 10_000, 100_000, 1_000_000)
+    # each many times the two stretches of 256 that are kept: a jump has to read
+    frames: tuple[int, ...] = (10_000, 100_000, 1_000_000)
 
 
 class Power(NamedTuple):
