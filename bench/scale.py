@@ -84,7 +84,7 @@ class Sweep(NamedTuple):
     x: tuple[int, ...]
     wall: Float[np.ndarray, "rounds points"]  # ms
     cpu: Float[np.ndarray, "rounds points"]
-    # until the first frame is there, s, and GL memory: of sweeps that draw
+    # making the renderer, s, and GL memory: of sweeps that draw
     start: tuple[float, ...] = ()
     bytes: tuple[int, ...] = ()
 
@@ -120,6 +120,8 @@ class Crowd(NamedTuple):
     renderer: Renderer
     poses: list[list[Pose]]
     camera: Camera
+    # in which the renderer was made: meshes, textures, programs
+    start: float  # seconds
 
     def draw(self, number: int) -> None:
         assert self.renderer.target is not None
@@ -143,7 +145,10 @@ def crowd(
         for n in range(4)
     ]
     avatars = [replace(avatar) if apart else avatar for _ in range(count)]
-    return Crowd(Renderer(context, avatars, size, level=level), poses, camera)
+    start = time.perf_counter()
+    renderer = Renderer(context, avatars, size, level=level)
+    context.gl.finish()
+    return Crowd(renderer, poses, camera, time.perf_counter() - start)
 
 
 def drawn_sweep(
@@ -152,15 +157,12 @@ def drawn_sweep(
     """Crowds by what they are counted by, drawn in turns."""
     report(name)
     made: list[Crowd] = []
-    starts = []
     try:
         for make in crowds.values():
-            start = time.perf_counter()
             made.append(make())
-            made[-1].draw(0)
-            starts.append(time.perf_counter() - start)
         wall, cpu = take_turns([one.draw for one in made], rounds)
-        return Sweep(name, tuple(crowds), wall, cpu, tuple(starts), tuple(one.renderer.plan.bytes for one in made))
+        starts, sizes = tuple(one.start for one in made), tuple(one.renderer.plan.bytes for one in made)
+        return Sweep(name, tuple(crowds), wall, cpu, starts, sizes)
     finally:
         for one in made:
             one.renderer.release()
