@@ -14,9 +14,32 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8, UInt32
 
 from avatar.light import CaptureLight
+from avatar.skeleton import JOINTS
 from avatar.skinning import SkinWeights
+from avatar.twist import BONES, CARRIER
 
 VIEW_MODES = ("network", "linear", "off")
+
+
+@dataclass(frozen=True)
+class TwistSkin:
+    """Skin for a skeleton with twist joints (avatar/twist.py): what the file holds, and other programs use.
+
+    Row by row, each twist joint's weight counted for the joint that it turns with, it is the skin of the 52.
+    """
+
+    joints: UInt8[np.ndarray, "vertices 4"]
+    weights: UInt8[np.ndarray, "vertices 4"]  # rows sum to 255
+
+    def folded(self) -> tuple[UInt8[np.ndarray, "vertices 4"], UInt8[np.ndarray, "vertices 4"]]:
+        """Joints and weights of the 52: a joint's parts gathered in its first slot; slots of weight 0 name joint 0."""
+        joints, weights = CARRIER[self.joints].astype(np.uint8), self.weights.copy()
+        for slot in range(1, 4):
+            for first in range(slot):
+                twice = (joints[:, slot] == joints[:, first]) & (weights[:, first] > 0)
+                weights[twice, first] += weights[twice, slot]
+                weights[twice, slot] = 0
+        return np.where(weights > 0, joints, 0).astype(np.uint8), weights
 
 
 @dataclass(frozen=True)
@@ -40,6 +63,18 @@ class Level:
     features: UInt8[np.ndarray, "feature_height feature_width planes"] | None
     # mean S and H (avatar/light.py) that the base colour shows; None: they are not told from the albedo
     light: Float32[np.ndarray, "vertices 2"] | None = None
+    # None: the file has no twist joints
+    twist: TwistSkin | None = None
+
+    @property
+    def drawn_skin(self) -> tuple[UInt8[np.ndarray, "vertices 4"], UInt8[np.ndarray, "vertices 4"]]:
+        """Joints and weights that it is drawn with, twist joints among them where the file has them."""
+        return (self.joints, self.weights) if self.twist is None else (self.twist.joints, self.twist.weights)
+
+    @property
+    def bones(self) -> int:
+        """How many that may name."""
+        return len(JOINTS) if self.twist is None else BONES
 
     @property
     def skin(self) -> SkinWeights:
@@ -153,10 +188,23 @@ def check_level(level: Mapping[str, Any], where: str) -> None:
             twice |= (joints[:, a] == joints[:, b]) & (weights[:, a] > 0) & (weights[:, b] > 0)
     _check_rows(~twice, f"{where}.joints", "each joint once among weights above 0", joints)
     _check_rows((seen >= 0) & (seen <= 1), f"{where}.view_seen", "from 0 to 1", seen)
+    if level.get("twist") is not None:
+        _check_twist(level["twist"], joints, weights, where)
     q = level["view_q"].astype(np.float64)
     eigenvalues = np.linalg.eigvalsh(q[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3))
     rounding = 1e-5 * np.maximum(np.abs(eigenvalues).max(axis=1), 1)
     _check_rows(eigenvalues[:, 0] >= -rounding, f"{where}.view_q", "positive semi-definite", level["view_q"])
+
+
+def _check_twist(twist: TwistSkin, joints: np.ndarray, weights: np.ndarray, where: str) -> None:
+    for name, values in vars(twist).items():
+        _check_array(values, f"{where}.twist.{name}", "uint8", joints.shape)
+    _check_rows(twist.joints.max(axis=1) < BONES, f"{where}.twist.joints", f"below {BONES}", twist.joints)
+    sums = twist.weights.sum(axis=1, dtype=int)
+    _check_rows(sums == 255, f"{where}.twist.weights", "a sum of 255", twist.weights)
+    folded_joints, folded_weights = twist.folded()
+    same = (folded_weights == weights).all(1) & ((folded_joints == joints) | (weights == 0)).all(1)
+    _check_rows(same, f"{where}.twist.weights", "those of the 52 joints, divided", twist.weights)
 
 
 def check_network(network: Mapping[str, Any], where: str = "network") -> None:
@@ -189,6 +237,9 @@ def check_avatar(avatar: Avatar) -> None:
         raise ValueError("levels should be one or more, are none")
     for i, level in enumerate(avatar.levels):
         check_level(vars(level), f"levels[{i}]")
+    twisted = [level.twist is not None for level in avatar.levels]
+    if any(twisted) != all(twisted):
+        raise ValueError("twist should be in all levels or in none of them")
     sizes = [len(level.faces) for level in avatar.levels]
     if sizes != sorted(sizes, reverse=True):
         raise ValueError(f"levels should go from finest to coarsest, have {sizes} faces")

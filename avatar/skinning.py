@@ -56,7 +56,7 @@ def dense_weights(skin: SkinWeights, bones: int = 52) -> Float[Array, "points bo
     return dense
 
 
-def blended_transforms(skin: SkinWeights, transforms: Float[Array, "52 4 4"]) -> Float[Array, "points 4 4"]:
+def blended_transforms(skin: SkinWeights, transforms: Float[Array, "bones 4 4"]) -> Float[Array, "points 4 4"]:
     """sum_k w_k B_k for each point."""
     joints, weights = skin
     # float32 weights sum to 1 within 6e-8: half a millimetre of noise with a root 10 km away
@@ -70,7 +70,7 @@ def blended_transforms(skin: SkinWeights, transforms: Float[Array, "52 4 4"]) ->
 
 
 def skin_points(
-    points: Float[Array, "points 3"], skin: SkinWeights, transforms: Float[Array, "52 4 4"]
+    points: Float[Array, "points 3"], skin: SkinWeights, transforms: Float[Array, "bones 4 4"]
 ) -> Float[Array, "points 3"]:
     """Points of the rest pose, posed: (sum_k w_k B_k) x."""
     M = blended_transforms(skin, transforms)
@@ -78,7 +78,7 @@ def skin_points(
 
 
 def unskin_points(
-    points: Float[Array, "points 3"], skin: SkinWeights, transforms: Float[Array, "52 4 4"]
+    points: Float[Array, "points 3"], skin: SkinWeights, transforms: Float[Array, "bones 4 4"]
 ) -> tuple[Float[Array, "points 3"], Bool[Array, "points"]]:
     """Posed points, back in the rest pose: (sum_k w_k B_k)^-1 x, and whether that inverse exists.
 
@@ -94,7 +94,7 @@ def unskin_points(
     return np.where(ok[:, None], moved, points), ok
 
 
-def blended_rotations(skin: SkinWeights, transforms: Float[Array, "52 4 4"]) -> Float[Array, "points 3 3"]:
+def blended_rotations(skin: SkinWeights, transforms: Float[Array, "bones 4 4"]) -> Float[Array, "points 3 3"]:
     """Orthonormal posed_from_rest rotation of each point: the rule for directions and frames.
 
         q = normalise(sum_k w_k s_k q_k)    with s_k = +-1 so that q_k lies in the hemisphere of the heaviest bone
@@ -113,14 +113,14 @@ def blended_rotations(skin: SkinWeights, transforms: Float[Array, "52 4 4"]) -> 
 
 
 def skin_normals(
-    normals: Float[Array, "points 3"], skin: SkinWeights, transforms: Float[Array, "52 4 4"]
+    normals: Float[Array, "points 3"], skin: SkinWeights, transforms: Float[Array, "bones 4 4"]
 ) -> Float[Array, "points 3"]:
     """Unit normals of the rest pose, posed through the orthonormal rule."""
     return (blended_rotations(skin, transforms) @ np.asarray(normals, np.float64)[:, :, None])[:, :, 0]
 
 
 def skin_points_dual_quaternion(
-    points: Float[Array, "points 3"], skin: SkinWeights, transforms: Float[Array, "52 4 4"]
+    points: Float[Array, "points 3"], skin: SkinWeights, transforms: Float[Array, "bones 4 4"]
 ) -> Float[Array, "points 3"]:
     """Points posed by dual quaternion blending (Kavan et al. 2008): keeps volume where joints twist."""
     bones = dual_quaternion_from_transform(transforms)

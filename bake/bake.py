@@ -37,6 +37,7 @@ from bake.options import BakeOptions
 from bake.promises import missed_promises
 from bake.run_capture import RunVideos, run_videos
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
+from bake.twist import with_twist
 from bake.video_texture import with_video_textures
 from bake.view_change import view_change
 from capture.check.unseen import UnseenPlace, unseen_places
@@ -169,6 +170,9 @@ def bake_run(
     view, facts["default_view"] = chosen_view(avatar, distilled, true)
     clock(f"default view: {view} ({facts['default_view']['reason']})")
     avatar = replace(avatar, default_view=view, provenance={**run.provenance, "baked": facts})
+    if options.twist:
+        facts["twist"] = True
+        avatar = with_twist(avatar)
     write_avatar(out, avatar)
     facts["missed"] = missed_promises(facts, options, out.stat().st_size)
     if facts["missed"]:

@@ -21,6 +21,9 @@ class BakeOptions:
         Literal["videos", "field"],
         "videos: solved against the frames of the run's capture; field: as trained, the paper's own colors",
     ] = "videos"
+    twist: Annotated[
+        bool, "twist joints along forearms, upper arms and thighs: limbs that turn keep their volume in every viewer"
+    ] = False
     body_step: Annotated[float, Hidden(), "grid step of the extraction, metres"] = 0.005
     fine_step: Annotated[float, Hidden(), "the same along the spans of head and hands, metres"] = 0.0025
     head_density: Annotated[float, Hidden(), "texels per metre, relative to the body's"] = 2.5

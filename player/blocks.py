@@ -3,6 +3,8 @@
 import moderngl
 import numpy as np
 
+from avatar.skeleton import JOINTS
+
 # GLSL type: (numpy format, size, alignment), OpenGL 4.6 section 7.6.2.2
 STD140 = {
     "float": ("f4", 4, 4),
@@ -42,15 +44,22 @@ BINDING = {
     "Duals": (DUALS, 3),
     "Capsules": (CAPSULES, 4),
 }
+OF_BONES = ("Bones", "Turns", "Duals")
 
 
-def bind_block(program: moderngl.Program, name: str) -> None:
+def block_bytes(name: str, bones: int = len(JOINTS)) -> int:
+    """Of a block; those that hold every bone's grow with their number (shaders/bone_count.glsl)."""
+    size = BINDING[name][0].itemsize
+    return size // len(JOINTS) * bones if name in OF_BONES else size
+
+
+def bind_block(program: moderngl.Program, name: str, bones: int = len(JOINTS)) -> None:
     """Give a block its binding point; refuse if GLSL and Python disagree on its size."""
     if name not in program:
         # the compiler removed a block this variant never reads
         return
-    block, (dtype, binding) = program[name], BINDING[name]
+    block, size = program[name], block_bytes(name, bones)
     assert isinstance(block, moderngl.UniformBlock), f"{name} is a {type(block).__name__}"
-    if block.size != dtype.itemsize:
-        raise RuntimeError(f"uniform block {name}: {block.size} bytes in GLSL, {dtype.itemsize} in blocks.py")
-    block.binding = binding
+    if block.size != size:
+        raise RuntimeError(f"uniform block {name}: {block.size} bytes in GLSL, {size} in blocks.py")
+    block.binding = BINDING[name][1]

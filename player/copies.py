@@ -20,10 +20,12 @@ TURNS_SECTION, SECTIONS = 3, 4
 
 
 def groups_of(avatars: Sequence[Avatar]) -> tuple[tuple[int, ...], ...]:
-    """Numbers of the avatars that are one and the same, in the order of the first of each."""
-    groups: dict[int, list[int]] = {}
+    """Numbers of the avatars that are one and the same, in the order of the first of each. Those with twist joints are
+    posed and drawn one by one: palettes hold the 52 joints."""
+    groups: dict[tuple[int, int], list[int]] = {}
     for index, avatar in enumerate(avatars):
-        groups.setdefault(id(avatar), []).append(index)
+        alone = 0 if avatar.levels[0].twist is None else 1 + index
+        groups.setdefault((id(avatar), alone), []).append(index)
     return tuple(tuple(group) for group in groups.values())
 
 

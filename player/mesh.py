@@ -12,10 +12,11 @@ VIEW_VERTEX = np.dtype([("mean", "f4", 3), ("q", "f4", 6), ("seen", "f4")])
 def interleaved(level: Level) -> np.ndarray:
     """Position, uv and skin of each vertex, 28 bytes; the heaviest bone comes first (shaders/directions.glsl)."""
     out = np.zeros(len(level.positions), VERTEX)
-    heaviest_first = np.argsort(-level.weights.astype(np.int16), axis=1, kind="stable")
+    joints, weights = level.drawn_skin
+    heaviest_first = np.argsort(-weights.astype(np.int16), axis=1, kind="stable")
     out["position"], out["uv"] = level.positions, level.uv
-    out["joints"] = np.take_along_axis(level.joints, heaviest_first, 1)
-    out["weights"] = np.take_along_axis(level.weights, heaviest_first, 1)
+    out["joints"] = np.take_along_axis(joints, heaviest_first, 1)
+    out["weights"] = np.take_along_axis(weights, heaviest_first, 1)
     return out
 
 

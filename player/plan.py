@@ -19,6 +19,7 @@ import moderngl
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.light import CaptureLight
+from avatar.skeleton import JOINTS
 from player.blocks import BINDING, FRAME, bind_block
 from player.copies import groups_of
 from player.drawing import Drawing, Layer, Warming
@@ -185,6 +186,8 @@ class Draft:
         # avatars that are copies of one: the same object, opened once
         self.groups = groups_of(avatars)
         self._first = {index: group[0] for group in self.groups for index in group}
+        # of the avatar that has most: those with and without twist joints share programs
+        self.bones = max((level.bones for level in self.levels), default=len(JOINTS))
         # where avatars are drawn
         self.layer = Layer()
         self.image: Image | None = None
@@ -264,18 +267,20 @@ class Draft:
         includes written for one avatar; without them avatars share the program. copies: one whose instances are copies
         of an avatar, each with its own bones (shaders/copies.glsl)."""
 
+        counted = {} if self.bones == len(JOINTS) else {"bone_count.glsl": f"const int BONE_COUNT = {self.bones};\n"}
+
         def make(resources: PlanResources) -> moderngl.Program:
-            generated = {**constants(), **(copies_includes() if copies else {})}
+            generated = {**constants(), **(copies_includes() if copies else {}), **counted}
             program = compile_program(resources.context.gl, vertex, fragment, defines, generated)
             for block in BINDING:
-                bind_block(program, block)
+                bind_block(program, block, self.bones)
             for unit, sampler in enumerate(samplers):
                 found = program.get(sampler, None)
                 if isinstance(found, moderngl.Uniform):
                     found.value = unit
             return program
 
-        depends_on = (vertex, fragment, avatar, *defines.items(), *(("copies",) if copies else ()))
+        depends_on = (vertex, fragment, avatar, *defines.items(), *counted.values(), *(("copies",) if copies else ()))
         return self.need(Handle(moderngl.Program, f"{vertex} {fragment}", 0, depends_on, make))
 
     def array(

@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 
 from avatar.baked_avatar import Level
-from player.blocks import BINDING, BONES, DUALS, TURNS
+from player.blocks import BINDING, block_bytes
 from player.drawing import Drawing
 from player.mesh import VERTEX, draw_order, interleaved
 from player.plan import Draft
@@ -77,9 +77,13 @@ def posed_mesh(draft: Draft, avatar: int, *, directions: bool = False, posed: bo
     )  # fmt: skip
     if not posed:
         return PosedMesh(avatar, vertices, faces, None, None, None)
-    bones = None if draft.dual else draft.buffer(f"{tag} bones", BONES.itemsize, avatar)
-    duals = draft.buffer(f"{tag} duals", DUALS.itemsize, avatar) if draft.dual else None
-    turns = draft.buffer(f"{tag} turns", TURNS.itemsize, avatar) if draft.dual or directions else None
+
+    def block(name: str) -> Handle[moderngl.Buffer]:
+        return draft.buffer(f"{tag} {name.lower()}", block_bytes(name, draft.bones), avatar)
+
+    bones = None if draft.dual else block("Bones")
+    duals = block("Duals") if draft.dual else None
+    turns = block("Turns") if draft.dual or directions else None
     return PosedMesh(avatar, vertices, faces, bones, duals, turns)
 
 

@@ -12,13 +12,15 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera
 from avatar.skeleton import joint_transforms, rigid_inverse
+from avatar.twist import TwistJoints
 from player import kinematics
 
 
 class PosedBones(NamedTuple):
-    view_from_canonical: Float[np.ndarray, "52 4 4"]
-    centers: Float[np.ndarray, "52 3"]  # joints in view space, metres
-    radii: Float[np.ndarray, "52"]  # of the sphere about each joint that holds all its bone moves; < 0: nothing
+    # the 52 joints, then the twist joints of an avatar that has them
+    view_from_canonical: Float[np.ndarray, "bones 4 4"]
+    centers: Float[np.ndarray, "bones 3"]  # joints in view space, metres
+    radii: Float[np.ndarray, "bones"]  # of the sphere about each joint that holds all its bone moves; < 0: nothing
 
 
 class ScreenBounds(NamedTuple):
@@ -42,13 +44,17 @@ class Poser:
 
     def __init__(self, avatar: Avatar, level: Level):
         self.joints = avatar.joint_positions.astype(np.float64)
-        canonical = joint_transforms(avatar.canonical_pose.astype(np.float64), self.joints)
+        pose = avatar.canonical_pose.astype(np.float64)
+        canonical = joint_transforms(pose, self.joints)
+        self.twist = None if level.twist is None else TwistJoints(self.joints)
+        canonical = self._with_twist(pose, canonical)
         self.joint_from_canonical = rigid_inverse(canonical)
         self.chain = kinematics.Chain(self.joints)
-        self.radii = np.full(52, -1.0)
+        self.radii = np.full(len(canonical), -1.0)
+        joints, weights = level.drawn_skin
         for slot in range(4):
-            moved = level.weights[:, slot] > 0
-            joint = level.joints[moved, slot].astype(np.intp)
+            moved = weights[:, slot] > 0
+            joint = joints[moved, slot].astype(np.intp)
             distance = np.linalg.norm(level.positions[moved] - canonical[joint, :3, 3], axis=1)
             np.maximum.at(self.radii, joint, distance)
 
@@ -61,19 +67,27 @@ class Poser:
         if not (np.isfinite(axis_angle).all() and np.isfinite(root).all()):
             raise ValueError("the pose holds a number that is not finite")
         view_from_world = camera.camera_from_world * _VIEW_FROM_CAMERA
-        view_from_joint = self.chain.transforms(axis_angle, root, view_from_world)
+        view_from_joint = self._with_twist(axis_angle, self.chain.transforms(axis_angle, root, view_from_world))
         return PosedBones(view_from_joint @ self.joint_from_canonical, view_from_joint[:, :3, 3], self.radii)
 
+    def _with_twist(
+        self, axis_angle: Float[np.ndarray, "52 3"], outer_from_joint: Float[np.ndarray, "52 4 4"]
+    ) -> Float[np.ndarray, "bones 4 4"]:
+        """The joints' transforms, and behind them those of the twist joints, if there are any."""
+        if self.twist is None:
+            return outer_from_joint
+        return np.concatenate([outer_from_joint, self.twist.transforms(axis_angle, outer_from_joint)])
 
-def quaternions(bones: PosedBones) -> Float[np.ndarray, "52 4"]:
+
+def quaternions(bones: PosedBones) -> Float[np.ndarray, "bones 4"]:
     """view_from_canonical rotations, xyzw, for the direction rule (shaders/directions.glsl)."""
     return kinematics.quaternions(bones.view_from_canonical[:, :3, :3])
 
 
-def dual_parts(bones: PosedBones, real: Float[np.ndarray, "52 4"]) -> Float[np.ndarray, "52 4"]:
+def dual_parts(bones: PosedBones, real: Float[np.ndarray, "bones 4"]) -> Float[np.ndarray, "bones 4"]:
     """t q / 2 of each bone, t its translation and q its rotation `real`, for shaders/skinning_dual.glsl."""
     t, u, w = bones.view_from_canonical[:, :3, 3], real[:, :3], real[:, 3:]
-    out = np.empty((52, 4))
+    out = np.empty((len(real), 4))
     out[:, :3] = 0.5 * (w * t + np.cross(t, u))
     out[:, 3] = -0.5 * np.einsum("ni,ni->n", t, u)
     return out

@@ -25,7 +25,8 @@ class Patches:
     """
 
     def __init__(self, level: Level):
-        heaviest = np.take_along_axis(level.joints, level.weights.argmax(1)[:, None], 1)[:, 0]
+        bones, weights = level.drawn_skin
+        heaviest = np.take_along_axis(bones, weights.argmax(1)[:, None], 1)[:, 0]
         centers, radii, joints, first = [], [], [], []
         waiting = [np.flatnonzero(heaviest == joint) for joint in np.unique(heaviest)]
         while waiting:
@@ -38,7 +39,7 @@ class Patches:
                 upper = points[:, (high - low).argmax()] > center[(high - low).argmax()]
                 waiting += [piece[upper], piece[~upper]]
                 continue
-            moved_by = np.unique(level.joints[piece][level.weights[piece] > 0])
+            moved_by = np.unique(bones[piece][weights[piece] > 0])
             first.append(len(joints))
             joints += moved_by.tolist()
             centers += [[*center, 1.0]] * len(moved_by)
@@ -47,7 +48,7 @@ class Patches:
         self.joints, self.first = np.array(joints, np.intp), np.array(first, np.intp)
 
     def balls(
-        self, view_from_canonical: Float[np.ndarray, "52 4 4"], *, dual: bool
+        self, view_from_canonical: Float[np.ndarray, "bones 4 4"], *, dual: bool
     ) -> tuple[Float[np.ndarray, "balls 3"], Float[np.ndarray, "balls"]]:
         """Middle in view space and radius of the balls that hold the surface, metres.
 
@@ -61,7 +62,7 @@ class Patches:
         return points, self.radii + np.repeat(0.5 * np.linalg.norm(spread, axis=1), counts)
 
     def boxes(
-        self, view_from_canonical: Float[np.ndarray, "52 4 4"], camera: Camera, *, dual: bool
+        self, view_from_canonical: Float[np.ndarray, "bones 4 4"], camera: Camera, *, dual: bool
     ) -> Float[np.ndarray, "patches 4"]:
         """Left, top, right, bottom of each patch, pixels; infinite where a ball reaches behind the eye."""
         points, radii = self.balls(view_from_canonical, dual=dual)

@@ -1,7 +1,9 @@
 // t q / 2 of the bones of the one avatar that is drawn, xyzw. Mirrored by player/blocks.py, DUALS; of many copies:
 // copies_duals.glsl.
+#include "bone_count.glsl"
+
 layout(std140) uniform Duals {
-    vec4 view_from_canonical_d[52];
+    vec4 view_from_canonical_d[BONE_COUNT];
 };
 
 vec4 dual_of(uint joint) {

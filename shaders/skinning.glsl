@@ -1,4 +1,4 @@
-// Linear blend skinning of 52 bones:  x_view = (sum_k w_k V B_k) x_canonical,  V the camera's view_from_world.
+// Linear blend skinning:  x_view = (sum_k w_k V B_k) x_canonical,  V the camera's view_from_world.
 // The same one matrix as avatar/skinning.py, skin_points.
 // Weights are four bytes that sum to 255; the loader refused all others, nothing is normalised here.
 #include "bones.glsl"

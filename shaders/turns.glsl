@@ -1,7 +1,9 @@
 // Rotations of the bones of the one avatar that is drawn, quaternions xyzw. Mirrored by player/blocks.py, TURNS; of
 // many copies: copies_turns.glsl.
+#include "bone_count.glsl"
+
 layout(std140) uniform Turns {
-    vec4 view_from_canonical_q[52];
+    vec4 view_from_canonical_q[BONE_COUNT];
 };
 
 vec4 turn_of(uint joint) {

@@ -3,7 +3,8 @@
 Node rotations are SMPL rotations (docs/avatar-format.md), so every frame is one key: a unit quaternion for each
 joint and the place of the pelvis in the world, between keys LINEAR (slerp, glTF 2.0 appendix C). q and -q are the
 same rotation; each key has the sign nearer to the key before, since not every viewer takes the shorter arc.
-A joint that never turns has one key.
+A joint that never turns has one key. Twist joints, where the file has them, have keys of their own: what turns them in
+ours (avatar/twist.py) turns them in any program.
 """
 
 import json
@@ -21,6 +22,7 @@ from avatar.gltf.write import GltfBuilder
 from avatar.motion.clip import Clip
 from avatar.rotation import normalised_quaternion, quaternion_from_axis_angle
 from avatar.skeleton import JOINTS
+from avatar.twist import TWIST_JOINTS, TwistJoints
 
 Array = np.ndarray
 
@@ -40,24 +42,31 @@ def write_animated(path: Path | str, avatar_path: Path | str, clip: Clip, *, nam
     """
     gltf = read_gltf(avatar_path)
     nodes = _joint_nodes(gltf)
+    twist = None
+    if len(nodes) > len(JOINTS):
+        extension = gltf.extensions(gltf.json, "glTF")[EXTENSION]
+        joints = gltf.numbers(extension, "jointPositions", f"extensions.{EXTENSION}", (52, 3))
+        twist = TwistJoints(joints).axis_angle(clip.axis_angle)
     document: dict[str, Any] = json.loads(json.dumps(gltf.json))
     builder = _kept(document, bytes(gltf.buffers[0]))
-    document["animations"] = [_animation(builder, nodes, clip, name)]
+    document["animations"] = [_animation(builder, nodes, clip, name, twist)]
     data = builder.to_bytes(document)
     with whole_file(path) as file:
         file.write(data)
 
 
 def _joint_nodes(gltf: Gltf) -> list[int]:
-    """The nodes of the 52 joints; what else an avatar file promises is read_avatar's to check."""
+    """The nodes of the joints, the 52 first; what else an avatar file promises is read_avatar's to check."""
     if EXTENSION not in gltf.extensions(gltf.json, "glTF"):
         raise gltf.error("extensions", f"with {EXTENSION}: an avatar comes from `selfscan bake`", None)
     if len(gltf.buffers) != 1:
         raise gltf.error("buffers", "one, the file's own", len(gltf.buffers))
     nodes = list(read_skin(gltf, 0).nodes)
     names = [gltf.items("nodes")[node].get("name") for node in nodes]
-    if names != list(JOINTS):
-        raise gltf.error("skins[0].joints", "the 52 joints of SMPL+H in order", names)
+    twisted = gltf.extensions(gltf.json, "glTF")[EXTENSION].get("twist") is True
+    if names != [*JOINTS, *(TWIST_JOINTS if twisted else ())]:
+        expected = "the 52 joints of SMPL+H in order" + ", then the twist joints" * twisted
+        raise gltf.error("skins[0].joints", expected, names)
     return nodes
 
 
@@ -72,11 +81,14 @@ def rotation_keys(axis_angle: Float[Array, "frames n 3"]) -> Float32[Array, "fra
     return q.astype(np.float32)
 
 
-def _animation(builder: GltfBuilder, nodes: list[int], clip: Clip, name: str) -> dict[str, Any]:
+def _animation(
+    builder: GltfBuilder, nodes: list[int], clip: Clip, name: str, twist: Float[Array, "frames twists 3"] | None
+) -> dict[str, Any]:
     count = len(clip.root)
     if not count or not (np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()):
         raise ValueError(f"a clip of {count} frames should have some, all finite")
-    rotations, places = rotation_keys(clip.axis_angle), clip.root.astype(np.float32)
+    turns = clip.axis_angle if twist is None else np.concatenate([clip.axis_angle, twist], axis=1)
+    rotations, places = rotation_keys(turns), clip.root.astype(np.float32)
     times = (np.arange(len(places)) / float(clip.rate)).astype(np.float32)
     if (np.diff(times) <= 0).any():
         raise ValueError(f"{count} frames at {clip.rate:g} per second are more than float32 seconds tell apart")

@@ -18,13 +18,21 @@ from avatar.baked_avatar import (
     VIEW_MODES,
     Avatar,
     Level,
+    TwistSkin,
     ViewNetwork,
     check_avatar,
     check_level,
     check_network,
 )
 from avatar.errors import AssetError
-from avatar.gltf.avatar_write import ATTRIBUTES, EXTENSION, VERSION, rigid_inverse, write_avatar
+from avatar.gltf.avatar_write import (
+    ATTRIBUTES,
+    EXTENSION,
+    VERSION,
+    canonical_bones,
+    rigid_inverse,
+    write_avatar,
+)
 from avatar.gltf.document import Gltf, read_gltf
 from avatar.gltf.scene import (
     attribute_accessors,
@@ -38,6 +46,7 @@ from avatar.gltf.scene import (
 from avatar.light import light_from_json
 from avatar.png import decode_png, png_pixels
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+from avatar.twist import CARRIER, TWIST_JOINTS, all_transforms
 
 __all__ = ["Avatar", "Level", "ViewNetwork", "read_avatar", "write_avatar"]
 
@@ -72,6 +81,9 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
         raise gltf.error(f"{where}.defaultView", "network, linear or off", extension["defaultView"])
     joints = gltf.numbers(extension, "jointPositions", where, (52, 3))
     pose = gltf.numbers(extension, "canonicalPose", where, (52, 3))
+    twist = extension.get("twist", False)
+    if not isinstance(twist, bool):
+        raise gltf.error(f"{where}.twist", "true or absent", twist)
     amplitude = extension.get("amplitude")
     if not isinstance(amplitude, (int, float)) or isinstance(amplitude, bool):
         raise gltf.error(f"{where}.amplitude", "a number", amplitude)
@@ -83,7 +95,7 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
             name=extension["name"],
             joint_positions=joints,
             canonical_pose=pose,
-            levels=_read_levels(gltf, extension, levels),
+            levels=_read_levels(gltf, extension, levels, twisted=twist),
             network=_read_network(gltf, extension),
             linear=linear,
             amplitude=float(amplitude),
@@ -119,7 +131,9 @@ def _matrices(extension: dict[str, Any]) -> int:
     return FEATURES[1] if isinstance(values, list) and len(values) == 9 * FEATURES[1] else FEATURES[0]
 
 
-def _read_levels(gltf: Gltf, extension: dict[str, Any], wanted: int | None) -> tuple[Level, ...]:
+def _read_levels(
+    gltf: Gltf, extension: dict[str, Any], wanted: int | None, *, twisted: bool = False
+) -> tuple[Level, ...]:
     """The levels, each with a mesh and images of its own; of more than `wanted` the finest."""
     items, where = extension.get("levels"), f"extensions.{EXTENSION}.levels"
     if not isinstance(items, list) or not 1 <= len(items) <= MAX_LEVELS:
@@ -150,7 +164,10 @@ def _read_levels(gltf: Gltf, extension: dict[str, Any], wanted: int | None) -> t
             if len({four.shape for four in fours}) > 1:
                 found = [four.shape[:2] for four in fours]
                 raise gltf.error(f"images[{feature_images[1]}]", f"of the size of images[{feature_images[0]}]", found)
-            fields = {**arrays, "features": np.concatenate(fours, axis=2) if fours else None}
+            fields: dict[str, Any] = {**arrays, "features": np.concatenate(fours, axis=2) if fours else None}
+            if twisted:
+                fields["twist"] = _twist_skin(gltf, mesh, arrays)
+                fields["joints"], fields["weights"] = fields["twist"].folded()
             check_level(fields, f"levels[{i}]")
             levels.append(Level(**fields))
     return tuple(levels)
@@ -227,6 +244,18 @@ def _read_surface(gltf: Gltf, mesh: int) -> dict[str, np.ndarray]:
     return arrays
 
 
+def _twist_skin(gltf: Gltf, mesh: int, arrays: dict[str, np.ndarray]) -> TwistSkin:
+    """The skin of a file with twist joints, whose numbers are in range."""
+    where = f"meshes[{mesh}].primitives[0].JOINTS_0"
+    joints, weights = arrays["joints"], arrays["weights"]
+    bytes_each = joints.dtype == weights.dtype == np.uint8
+    if not bytes_each or joints.shape[1:] != (4,) or joints.shape != weights.shape:
+        raise gltf.error(where, "four bytes a vertex, as WEIGHTS_0", (joints.shape, joints.dtype.name))
+    if joints.max() >= len(CARRIER):
+        raise gltf.error(where, f"below {len(CARRIER)}", int(joints.max()))
+    return TwistSkin(joints, weights)
+
+
 def _check_skeleton(gltf: Gltf, avatar: Avatar, mesh: int) -> None:
     """The node tree must say what the extension says: names, order, parents, pose 0, inverse binds."""
     bearers = [i for i, node in enumerate(gltf.items("nodes")) if node.get("mesh") == mesh and "skin" in node]
@@ -234,24 +263,33 @@ def _check_skeleton(gltf: Gltf, avatar: Avatar, mesh: int) -> None:
         raise gltf.error("nodes", f"one with the finest mesh {mesh} and a skin", bearers)
     skin = read_skin(gltf, gltf.items("nodes")[bearers[0]]["skin"], field=f"nodes[{bearers[0]}].skin")
     names = [gltf.items("nodes")[node].get("name") for node in skin.nodes]
-    if names != list(JOINTS):
-        wrong = next((i for i, pair in enumerate(zip(names, JOINTS, strict=False)) if pair[0] != pair[1]), 52)
-        expected = f"the 52 SMPL+H joints in order, here {JOINTS[wrong] if wrong < 52 else 'their end'}"
+    twisted = avatar.levels[0].twist is not None
+    named = (*JOINTS, *TWIST_JOINTS) if twisted else JOINTS
+    if names != list(named):
+        count = len(named)
+        wrong = next((i for i, pair in enumerate(zip(names, named, strict=False)) if pair[0] != pair[1]), count)
+        wanted = "the 52 SMPL+H joints in order" + ", then the twist joints" * twisted
+        expected = f"{wanted}, here {named[wrong] if wrong < count else 'their end'}"
         raise gltf.error(f"skin joint {wrong}", expected, names[wrong] if wrong < len(names) else "absent")
     parents = node_parents(gltf)
+    parent_of = [*PARENTS, *CARRIER[52:]]
     for joint, node in enumerate(skin.nodes[1:], start=1):
-        if parents[node] != skin.nodes[PARENTS[joint]]:
-            raise gltf.error(f"parent of {JOINTS[joint]}", JOINTS[PARENTS[joint]], f"node {parents[node]}")
+        if parents[node] != skin.nodes[parent_of[joint]]:
+            raise gltf.error(f"parent of {named[joint]}", JOINTS[parent_of[joint]], f"node {parents[node]}")
     world = world_from_node(gltf)[list(skin.nodes)]
-    expected = joint_transforms(np.zeros((52, 3)), avatar.joint_positions)
-    _check_close(gltf, "default nodes", world, expected)
-    inverse = rigid_inverse(joint_transforms(avatar.canonical_pose, avatar.joint_positions))
-    _check_close(gltf, "inverse bind matrices", skin.joint_from_mesh, inverse)
+    pose_0 = np.zeros((52, 3))
+    expected = joint_transforms(pose_0, avatar.joint_positions)
+    if twisted:
+        expected = all_transforms(avatar.joint_positions, pose_0, expected)
+    _check_close(gltf, "default nodes", world, expected, named)
+    _check_close(gltf, "inverse bind matrices", skin.joint_from_mesh, rigid_inverse(canonical_bones(avatar)), named)
 
 
-def _check_close(gltf: Gltf, field: str, found: np.ndarray, expected: np.ndarray) -> None:
-    """Transforms of the 52 joints agree to 10 micrometres (and as little rotation)."""
+def _check_close(
+    gltf: Gltf, field: str, found: np.ndarray, expected: np.ndarray, names: tuple[str, ...] = JOINTS
+) -> None:
+    """Transforms of the joints agree to 10 micrometres (and as little rotation)."""
     error = np.abs(found - expected).max(axis=(1, 2))
     if not error.max() < 1e-5:
         joint = int(np.argmax(error))
-        raise gltf.error(f"{field} of {JOINTS[joint]}", "as the extension says", f"off by {error[joint]:.2g}")
+        raise gltf.error(f"{field} of {names[joint]}", "as the extension says", f"off by {error[joint]:.2g}")

@@ -11,6 +11,7 @@ from avatar.files import whole_file
 from avatar.gltf.write import INDICES, VERTICES, GltfBuilder
 from avatar.png import encode_png
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+from avatar.twist import CARRIER, TWIST_JOINTS, TwistJoints, all_transforms
 
 EXTENSION = "SELFSCAN_avatar"
 VERSION = 1
@@ -42,10 +43,13 @@ def write_avatar(path: str | Path, avatar: Avatar) -> None:
 
 def _avatar_bytes(avatar: Avatar) -> bytes:
     builder = GltfBuilder()
-    joint_from_mesh = rigid_inverse(joint_transforms(avatar.canonical_pose, avatar.joint_positions))
+    twisted = avatar.levels[0].twist is not None
+    # behind the 52 joints is the node of the mesh
+    numbers = [*range(52), *(range(53, 53 + len(TWIST_JOINTS)) if twisted else ())]
+    joint_from_mesh = rigid_inverse(canonical_bones(avatar))
     skin = {
         "name": "SMPL+H",
-        "joints": list(range(52)),
+        "joints": numbers,
         "skeleton": 0,
         "inverseBindMatrices": builder.add_accessor(joint_from_mesh.astype(np.float32)),
     }
@@ -80,8 +84,15 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         offset = avatar.joint_positions[joint] - (avatar.joint_positions[parent] if parent >= 0 else 0)
         node: dict[str, Any] = {"name": name, "translation": [float(x) for x in offset]}
         children = [int(child) for child in np.flatnonzero(joint == PARENTS)]
+        children += [numbers[bone] for bone in np.flatnonzero(joint == CARRIER[: len(numbers)]) if bone >= 52]
         nodes.append(node | ({"children": children} if children else {}))
     nodes.append({"name": avatar.name, "mesh": 0, "skin": 0})
+    if twisted:
+        offsets = TwistJoints(avatar.joint_positions).offsets
+        nodes += [
+            {"name": name, "translation": [float(x) for x in offset]}
+            for name, offset in zip(TWIST_JOINTS, offsets, strict=True)
+        ]
 
     extension: dict[str, Any] = {
         "version": VERSION,
@@ -93,6 +104,8 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         "amplitude": float(avatar.amplitude),
         "provenance": avatar.provenance,
     }
+    if twisted:
+        extension["twist"] = True
     if avatar.network is not None:
         arrays = {name: values for name, values in vars(avatar.network).items() if values is not None}
         extension["network"] = {name: _flat(values) for name, values in arrays.items()}
@@ -127,7 +140,8 @@ def _add_surface(builder: GltfBuilder, level: Level) -> dict[str, Any]:
     arrays["_VIEW_SEEN"] = np.concatenate([seen, np.zeros((len(seen), 2), np.float32)], axis=1)
     if level.light is not None:
         arrays["_LIGHT"] = np.concatenate([level.light, np.zeros((len(seen), 1), np.float32)], axis=1)
-    arrays["JOINTS_0"] = np.where(level.weights > 0, level.joints, 0).astype(np.uint8)
+    joints, arrays["WEIGHTS_0"] = level.drawn_skin
+    arrays["JOINTS_0"] = np.where(arrays["WEIGHTS_0"] > 0, joints, 0).astype(np.uint8)
     attributes = {
         name: builder.add_accessor(values, VERTICES, normalised=name == "WEIGHTS_0", bounds=name == "POSITION")
         for name, values in arrays.items()
@@ -136,6 +150,14 @@ def _add_surface(builder: GltfBuilder, level: Level) -> dict[str, Any]:
     small = len(level.positions) < 65535
     indices = level.faces.reshape(-1).astype(np.uint16 if small else np.uint32)
     return {"attributes": attributes, "indices": builder.add_accessor(indices, INDICES)}
+
+
+def canonical_bones(avatar: Avatar) -> Float[np.ndarray, "bones 4 4"]:
+    """Where the bones stand in the pose that the levels are stored in: 52, or with twist joints more."""
+    transforms = joint_transforms(avatar.canonical_pose, avatar.joint_positions)
+    if avatar.levels[0].twist is None:
+        return transforms
+    return all_transforms(avatar.joint_positions, avatar.canonical_pose, transforms)
 
 
 def rigid_inverse(transforms: Float[np.ndarray, "*b 4 4"]) -> Float[np.ndarray, "*b 4 4"]:

@@ -16,7 +16,7 @@ bytes, each the difference to Paeth's guess from its neighbours (as in PNG).
 import base64
 import io
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -68,7 +68,8 @@ def packed_avatar(avatar: Avatar) -> Packed:
 
 def packed_level(avatar: Avatar, number: int) -> Packed:
     """Mesh and textures of one level of detail."""
-    level = avatar.levels[number]
+    # pages pose the 52 joints alone
+    level = replace(avatar.levels[number], twist=None)
     order, faces = draw_order(level.positions, level.faces)
     skin = interleaved(level)[order]
     named = f"level{number}"

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from limb_sections import fine_mannequin, posed, section_areas, turned
 
 from avatar.body import builtin_body
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
@@ -16,11 +17,17 @@ from avatar.skinning import (
     strongest_four,
     unskin_points,
 )
+from bake.twist import with_twist
 
 
 @pytest.fixture(scope="module")
 def body():
     return builtin_body("male")
+
+
+@pytest.fixture(scope="module")
+def twisted():
+    return with_twist(fine_mannequin())
 
 
 def two_bones(angle: float, axis=(1.0, 0, 0)) -> np.ndarray:
@@ -44,6 +51,14 @@ def test_twist_collapses_under_lbs_by_the_cosine_and_keeps_its_radius_under_dual
     np.testing.assert_allclose(lbs, np.cos(np.radians(degrees) / 2), atol=1e-6)
     dual = np.linalg.norm(skin_points_dual_quaternion(RING, skin, B), axis=1) / 0.04
     within(dual - 1, 0.05, "of the radius")
+
+
+@pytest.mark.parametrize("degrees", [-180, -90, 45, 90, 135, 179.999, 180])
+def test_a_forearm_with_twist_joints_keeps_its_volume_under_lbs_when_the_wrist_turns(degrees, within, twisted):
+    pose, places = turned(twisted, "left", degrees)
+    faces = twisted.levels[0].faces.astype(np.int64)
+    rest, areas = (section_areas(posed(twisted, one, "twist"), faces, places) for one in (0 * pose, pose))
+    within(areas.sum() / rest.sum() - 1, 0.05, "of the volume")
 
 
 @pytest.mark.parametrize("degrees", [179.999, 180.0])
