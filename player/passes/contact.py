@@ -6,10 +6,11 @@ by vertex, in a variant of their program (shaders/contact.glsl).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import moderngl
 import numpy as np
+from jaxtyping import Float, Int, UInt32
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import view_from_world
@@ -30,6 +31,10 @@ SMALL = Decision(State.SKIPPED, f"the avatar is less than {SMALLEST} pixels tall
 RUNS = Decision(State.RUNS, "asked for")
 # on the ground capsules are as thick as the body: they are thin so as to stay inside it
 GROWN = 2.0
+# of the ground each way, drawn where a capsule reaches; shaders/contact_floor.vert
+CELLS = 24
+# capsules that a cell looks at, at most: cells are drawn in as many goes
+COUNTS = (1, 2, 4, 6)
 ATTRIBUTES = ("1u4 1f4", "spared", "rest")
 VERTEX = np.dtype([("spared", "u4"), ("rest", "f4")])
 
@@ -59,15 +64,23 @@ class Contact:
     def passes(self, draft: Draft) -> Sequence[Pass]:
         image = draft.own_image(depth=draft.layer.image is None) if draft.canvas.own_image else None
         drawn_on = () if image is None else image.handles
-        program = draft.program("plane.vert", "contact_floor.frag")
-        array = draft.array(program)
+        program = draft.program("contact_floor.vert", "contact_floor.frag")
         return tuple(
-            FloorPass(
-                f"contact: {draft.tag(index)} on the ground", (*drawn_on, touch.block, array), self, touch, draft.layer,
-                program, array,
-            )
-            for index, touch in ((index, touched(draft, index)) for index in range(len(draft.avatars)))
+            self._floor(draft, drawn_on, program, touch)
+            for touch in (touched(draft, index) for index in range(len(draft.avatars)))
             if touch is not None
+        )
+
+    def _floor(
+        self, draft: Draft, drawn_on: tuple[Handle[Any], ...], program: Handle[moderngl.Program], touch: "Touched"
+    ) -> "FloorPass":
+        tag = draft.tag(touch.avatar)
+        block = draft.buffer(f"{tag} capsules near the ground", CAPSULES.itemsize, touch.avatar)
+        cells = draft.buffer(f"{tag} ground cells", 24 * CELLS**2, touch.avatar)
+        array = draft.array(program, faces=cells)
+        uses = (*drawn_on, block, cells, array)
+        return FloorPass(
+            f"contact: {tag} on the ground", uses, self, touch, draft.layer, program, array, block, cells
         )  # fmt: skip
 
 
@@ -94,7 +107,7 @@ class Touched:
 
     def bind(self, drawing: Drawing) -> None:
         """Bring the capsules of this frame to the GPU, unless another pass has, and bind them."""
-        buffer = drawing.write(self.block, lambda: self._content(drawing))
+        buffer = drawing.write(self.block, lambda: self.content(drawing))
         buffer.bind_to_uniform_block(BINDING["Capsules"][1])
 
     def warm(self, resources: PlanResources) -> None:
@@ -102,11 +115,12 @@ class Touched:
         buffer.write(bytes(buffer.size))
         buffer.bind_to_uniform_block(BINDING["Capsules"][1])
 
-    def _content(self, drawing: Drawing) -> bytes:
+    def content(self, drawing: Drawing, chosen: slice | Int[np.ndarray, "near"] = slice(None)) -> bytes:
+        """The block of the capsules, or of some of them."""
         capsules, block = self.body.capsules, np.zeros((), CAPSULES)
-        starts, ends = capsules.posed(drawing.bones[self.avatar])
+        starts, ends = (points[chosen] for points in capsules.posed(drawing.bones[self.avatar]))
         along, count = ends - starts, len(starts)
-        block["capsule_start"][:count, :3], block["capsule_start"][:count, 3] = starts, capsules.radii
+        block["capsule_start"][:count, :3], block["capsule_start"][:count, 3] = starts, capsules.radii[chosen]
         block["capsule_along"][:count, :3] = along
         block["capsule_along"][:count, 3] = 1 / np.maximum((along * along).sum(1), 1e-12)
         return block.tobytes()
@@ -152,6 +166,8 @@ def touched(draft: Draft, avatar: int) -> Touched | None:
 
 @dataclass(frozen=True)
 class FloorPass:
+    """The ground under one avatar, where one of its capsules is near, by those that are."""
+
     name: str
     uses: tuple[Handle[Any], ...]
     contact: Contact
@@ -159,28 +175,39 @@ class FloorPass:
     layer: Layer
     program: Handle[moderngl.Program]
     array: Handle[moderngl.VertexArray]
+    # the capsules near the ground, and the triangles of the cells they reach
+    block: Handle[moderngl.Buffer]
+    cells: Handle[moderngl.Buffer]
 
     def decide(self, drawing: Drawing) -> Decision:
-        sheet = self._sheet(drawing)
-        if sheet is None or sheet.box(drawing.inputs.camera) is None:
+        under = self._under(drawing)
+        if under is None or under.sheet.box(drawing.inputs.camera) is None:
             return AWAY
         return RUNS if self.touched.shows(drawing) else SMALL
 
     def draw(self, drawing: Drawing) -> None:
-        sheet, resources, camera = self._sheet(drawing), drawing.resources, drawing.inputs.camera
-        assert sheet is not None
-        self.touched.bind(drawing)
+        under, resources, camera = self._under(drawing), drawing.resources, drawing.inputs.camera
+        assert under is not None
+        sheet = under.sheet
+        drawing.write(self.block, lambda: self.touched.content(drawing, under.near))
+        resources[self.block].bind_to_uniform_block(BINDING["Capsules"][1])
+        triangles, batches = under.triangles()
+        drawing.write(self.cells, lambda: triangles)
         program, view = resources[self.program], view_from_world(camera)
         columns = np.stack([view[:3, 0], view[:3, 2], view[:3] @ np.append(sheet.anchor, 1.0)])
         uniform(program, "view_from_plane").write(np.ascontiguousarray(columns, np.float32).tobytes())
         uniform(program, "up").value = tuple(view[:3, 1].tolist())
         uniform(program, "grown").value = GROWN
         uniform(program, "strength").value = self.contact.strength
-        uniform(program, "reach").value = sheet.reach
+        uniform(program, "across").value = sheet.reach[2:]
 
         def draw(flipped: bool) -> None:
             sheet.apply(program, camera, flipped=flipped)
-            resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4)
+            first = 0
+            for count, size in batches:
+                uniform(program, "count").value = count
+                resources[self.array].render(vertices=3 * size, first=3 * first)
+                first += size
 
         draw_behind(drawing, self.layer, draw)
 
@@ -188,23 +215,66 @@ class FloorPass:
         if warming.framebuffer is not None:
             warming.framebuffer.use()
             warming.resources.context.gl.enable_only(moderngl.BLEND)
-            self.touched.warm(warming.resources)
-            warming.resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4)
+            for handle in (self.block, self.cells):
+                warming.resources[handle].write(bytes(handle.bytes))
+            warming.resources[self.block].bind_to_uniform_block(BINDING["Capsules"][1])
+            warming.resources[self.array].render(vertices=3)
 
-    def _sheet(self, drawing: Drawing) -> Sheet | None:
+    def _under(self, drawing: Drawing) -> "Under | None":
         """The ground under what is near it."""
         capsules = self.touched.body.capsules
         world_from_view = np.linalg.inv(view_from_world(drawing.inputs.camera))
         ends = np.stack(capsules.posed(drawing.bones[self.touched.avatar]))
         ends = ends @ world_from_view[:3, :3].T + world_from_view[:3, 3]
         above = ends[..., 1] - self.contact.height
-        # o = h r^2 / l^3 of what is h above the ground: LEAST at this distance
+        # o = h r^2 / (d^2 + h^2)^(3/2) of what is h above the ground: LEAST at d^2 = c h^(2/3) - h^2, which is largest
+        # at h = (c / 3)^(3/4), or at the end nearer to that
         radii = GROWN * capsules.radii
-        reach = np.maximum(np.cbrt(np.maximum(above.max(0), 0) * radii**2 / LEAST), radii)
-        near = (radii > 0) & (above.min(0) < reach) & (above.max(0) > -radii)
-        if not near.any():
+        low, high = np.maximum(above.min(0), 0), np.maximum(above.max(0), 0)
+        c = np.cbrt((radii**2 / LEAST) ** 2)
+        at = np.clip((c / 3) ** 0.75, low, high)
+        reach = np.sqrt(np.maximum(c * np.cbrt(at * at) - at * at, 0))
+        reach = np.where(low < radii, np.maximum(reach, radii), reach)
+        near = np.flatnonzero((high > 0) & (reach > 0))
+        # the far reaching first: most cells need no others
+        near = near[np.argsort(-reach[near], kind="stable")]
+        if not len(near):
             return None
-        flat, reach = ends[:, near][..., [0, 2]], reach[near, None]
-        low, high = (flat.min(0) - reach).min(0), (flat.max(0) + reach).max(0)
+        flat, reach = ends[:, near][..., [0, 2]], reach[near]
+        low, high = (flat.min(0) - reach[:, None]).min(0), (flat.max(0) + reach[:, None]).max(0)
         anchor = np.array([low[0], self.contact.height, low[1]])
-        return Sheet(anchor, (0.0, 0.0, float(high[0] - low[0]), float(high[1] - low[1])))
+        sheet = Sheet(anchor, (0.0, 0.0, float(high[0] - low[0]), float(high[1] - low[1])))
+        return Under(sheet, near, flat - low, reach)
+
+
+class Under(NamedTuple):
+    """The ground that an avatar can darken."""
+
+    sheet: Sheet
+    # which of its capsules, the farthest reaching first
+    near: Int[np.ndarray, "near"]
+    # where these stand on the sheet, and how far they reach, metres
+    ends: Float[np.ndarray, "2 near 2"]
+    reach: Float[np.ndarray, "near"]
+
+    def triangles(self) -> tuple[UInt32[np.ndarray, "triangles 3"], list[tuple[int, int]]]:
+        """Of the cells that a capsule reaches, all within its reach of its middle line; and in their order, how many of
+        the capsules how many of the triangles need: COUNTS, and all."""
+        side = np.array(self.sheet.reach[2:]) / CELLS
+        column, row = np.meshgrid(np.arange(CELLS), np.arange(CELLS))
+        middle = (np.stack([column, row], -1).reshape(-1, 1, 2) + 0.5) * side
+        start, along = self.ends[0], self.ends[1] - self.ends[0]
+        share = ((middle - start) * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-12)
+        away = np.linalg.norm(middle - start - np.clip(share, 0, 1)[..., None] * along, axis=-1)
+        reached = away <= self.reach + 0.5 * np.linalg.norm(side)
+        # one more than the last that reaches it, 0 where none does
+        needs = (reached * np.arange(1, len(self.near) + 1)).max(1)
+        counts = [*(count for count in COUNTS if count < len(self.near)), len(self.near)]
+        batch = np.searchsorted(counts, needs)
+        order = np.flatnonzero(needs)[np.argsort(batch[needs > 0], kind="stable")]
+        a = (column + (CELLS + 1) * row).reshape(-1)[order].astype(np.uint32)
+        b, c, d = a + 1, a + CELLS + 1, a + CELLS + 2
+        sizes = np.bincount(batch[order], minlength=len(counts)).tolist()
+        return np.stack([a, b, c, c, b, d], 1).reshape(-1, 3), [
+            (count, 2 * size) for count, size in zip(counts, sizes, strict=True) if size
+        ]

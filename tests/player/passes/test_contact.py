@@ -67,7 +67,7 @@ def test_the_shader_says_what_numpy_says(context, avatar, crouching, within):
     buffer = context.gl.buffer(block.tobytes())
     buffer.bind_to_uniform_block(4)
     values = {"p": points, "n": normals, "spared": spared[:, None].astype(np.int64)}
-    out = probe(context, ["contact.glsl"], "vec4(open_sky(p, n, spared.x, 1.0))", values, ints=("spared",))[:, 0]
+    out = probe(context, ["contact.glsl"], "vec4(open_sky(p, n, spared.x, 1.0, 16))", values, ints=("spared",))[:, 0]
     buffer.release()
     expected = openness(points, normals, starts, ends, capsules.radii, spared)
     within(np.abs(out - expected).max(), 2e-5)
@@ -134,7 +134,7 @@ def test_it_owns_what_it_says_and_off_frees_all(context, render, avatar, crouchi
     before, objects = renderer.draw([crouching], CAMERA), context.counts.objects()
     renderer.change(effects=DARK)
     added = Counter(context.counts.objects()) - Counter(objects)
-    assert added == {"program": 2, "vertex_array": 2, "buffer": 3}
+    assert added == {"program": 2, "vertex_array": 2, "buffer": 5}
     assert context.counts.objects() == renderer.plan.objects()
     assert context.counts.live_bytes == renderer.plan.bytes
     made = context.counts.calls["create"]
