@@ -109,3 +109,13 @@ def test_the_balls_that_hold_the_surface_hold_a_twisted_arm(avatar, dual):
 
 def test_a_page_holds_the_skin_of_the_52_joints(avatar):
     assert packed_avatar(avatar).blobs == packed_avatar(mannequin()).blobs
+
+
+def test_copies_of_an_avatar_with_twist_joints_are_drawn_as_alone(context, avatar):
+    pose, _ = turned(avatar, "left", 150.0)
+    away = np.array([0.0, 0.0, -0.8])
+    together = picture(context, [avatar, avatar], [(pose, ORIGIN), (pose, away)])
+    alone, other = (picture(context, [avatar], [(pose, at)]) for at in (ORIGIN, away))
+    behind = (alone[..., 3] == 0) & (other[..., 3] > 0)
+    np.testing.assert_array_equal(together[alone[..., 3] > 0], alone[alone[..., 3] > 0])
+    np.testing.assert_array_equal(together[behind], other[behind])
