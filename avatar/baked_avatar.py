@@ -65,6 +65,8 @@ class Level:
     light: Float32[np.ndarray, "vertices 2"] | None = None
     # None: the file has no twist joints
     twist: TwistSkin | None = None
+    # 0 where it is skin, 1 where it hangs far off the body: hair, skirts, sleeves; None: nothing is loose
+    loose: Float32[np.ndarray, "vertices"] | None = None
 
     @property
     def drawn_skin(self) -> tuple[UInt8[np.ndarray, "vertices 4"], UInt8[np.ndarray, "vertices 4"]]:
@@ -167,6 +169,10 @@ def check_level(level: Mapping[str, Any], where: str) -> None:
         _check_array(light, f"{where}.light", "float32", (len(level["positions"]), 2))
         right = (light[:, 0] >= 0.009) & (light[:, 0] < 100) & (light[:, 1] >= 0) & (light[:, 1] < 100)
         _check_rows(right, f"{where}.light", "S from .01 and H from 0, both below 100", light)
+    loose = level.get("loose")
+    if loose is not None:
+        _check_array(loose, f"{where}.loose", "float32", (len(level["positions"]),))
+        _check_rows((loose >= 0) & (loose <= 1), f"{where}.loose", "from 0 to 1", loose)
     features = level["features"]
     if features is not None and features.shape[2] not in FEATURES:
         raise ValueError(f"{where}.features should be 4 or 8 a texel, are {features.shape[2]}")

@@ -32,6 +32,7 @@ from bake.level import (
     surface_points,
     with_features,
 )
+from bake.loose import looseness
 from bake.network import AMPLITUDE, Distilled, distil, write_onnx
 from bake.options import BakeOptions
 from bake.promises import missed_promises
@@ -126,6 +127,7 @@ def bake_run(
     clock(f"statistics: {seen * 100:.0f} % of the surface seen, skin and cone carried over")
 
     levels, distilled = bake_levels(extraction, layers, origin, field, joints, options, clock)
+    levels = [loosened(baked, run.subject) for baked in levels]
     facts: dict[str, Any] = {
         "faces": options.faces,
         "texture": options.texture,
@@ -184,6 +186,13 @@ def bake_run(
     for line in facts["missed"]:
         report(f"missed: {line}")
     return avatar
+
+
+def loosened(baked: BakedLevel, subject: Any) -> BakedLevel:
+    """The level with what of it is loose."""
+    level = baked.level
+    found = looseness(level.positions.astype(np.float64), level.faces.astype(np.int64), level.skin, subject)
+    return baked._replace(level=replace(level, loose=found))
 
 
 def unseen_on_surface(surface: Any) -> tuple[UnseenPlace, ...]:

@@ -82,7 +82,7 @@ class Drawn:
     def __init__(self, context: Context, avatar: Avatar, motion: Motion, case: Case, camera: Camera):
         joints = avatar.joint_positions
         self.track = Track(motion.read, motion.frames, motion.rate, joints=joints, foot_lock=case.effects.foot_lock)
-        self.case, self.camera = case, camera
+        self.case, self.camera, self.seconds = case, camera, 0.0
         self.renderer = Renderer(context, [avatar], camera.size, effects=case.effects, background=STUDIO)
 
     def views(self, frame: int) -> list[View]:
@@ -104,12 +104,22 @@ class Drawn:
         assert target is not None
         gl.finish()
         start, spent = time.perf_counter(), time.process_time()
-        for poses, camera in self.views(frame):
+        views = self.views(frame)
+        self.move(frame)
+        for poses, camera in views:
             self.renderer.draw_into(target, poses, camera)
         gl.finish()
         return 1e3 * (time.perf_counter() - start), 1e3 * (time.process_time() - spent)
 
+    def move(self, frame: int) -> None:
+        """Loose parts go on by one frame of 60 a second, to the pose that is drawn."""
+        if self.renderer.moves:
+            self.seconds += 1 / 60
+            self.renderer.move([self.track.pose((SHOWN if self.case.still else frame) / self.track.rate)], self.seconds)
+
     def picture(self) -> np.ndarray:
+        for frame in range(SHOWN + 1):
+            self.move(frame)
         return self.renderer.expose(self.views(SHOWN))[..., :3].copy()
 
     def passes(self) -> list[str]:

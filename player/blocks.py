@@ -15,6 +15,7 @@ STD140 = {
     # declared row_major: the three rows of [R | t], assign matrix[:3]
     "mat4x3": (("f4", (3, 4)), 48, 16),
     "vec4[16]": (("f4", (16, 4)), 16 * 16, 16),
+    "vec4[300]": (("f4", (300, 4)), 300 * 16, 16),
     "vec4[52]": (("f4", (52, 4)), 52 * 16, 16),
     "mat4x3[52]": (("f4", (52, 3, 4)), 52 * 48, 16),
 }
@@ -37,12 +38,14 @@ BONES = std140(view_from_canonical="mat4x3[52]")
 TURNS = std140(view_from_canonical_q="vec4[52]")
 DUALS = std140(view_from_canonical_d="vec4[52]")
 CAPSULES = std140(capsule_start="vec4[16]", capsule_along="vec4[16]")
+LOOSE = std140(loose_offset="vec4[300]")
 BINDING = {
     "Frame": (FRAME, 0),
     "Bones": (BONES, 1),
     "Turns": (TURNS, 2),
     "Duals": (DUALS, 3),
     "Capsules": (CAPSULES, 4),
+    "Loose": (LOOSE, 5),
 }
 OF_BONES = ("Bones", "Turns", "Duals")
 

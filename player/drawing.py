@@ -72,6 +72,8 @@ class Drawing:
     visible: list[bool]
     # near and far, metres; None: no avatar is in view
     planes: tuple[float, float] | None
+    # of each avatar's loose parts off where they are skinned to, at most; metres
+    reaches: list[float]
     _written: set[Handle[moderngl.Buffer]] = field(default_factory=set)
     _begun: bool = False
 

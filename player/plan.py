@@ -197,6 +197,8 @@ class Draft:
         self.behind: Effect | None = None
         # share of the light that is lost where the sky is hidden; None: nothing is darkened
         self.contact: float | None = None
+        # how loose parts move; None: as they are skinned
+        self.springs: Any = None
         # what lights an avatar anew, world, None: its colors are shown as they are; None: nothing lights any
         self.light_of: Callable[[Avatar], CaptureLight | None] | None = None
         # of what is lit anew: what its display values are multiplied by at last, and why

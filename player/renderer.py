@@ -18,6 +18,7 @@ from player.drawing import Drawing, FrameInputs, Look, Pose, Warming
 from player.passes.background import Background
 from player.passes.copies import CopiesPass
 from player.passes.lens import LensPass
+from player.passes.secondary_motion import LoosePass
 from player.passes.view import ViewPass
 from player.plan import Canvas, Decision, Pass, Plan, close_all
 from player.posing import PosedBones, Poser, ScreenBounds, screen_bounds
@@ -140,6 +141,27 @@ class Renderer:
         if size != self.size:
             self.change(size=size)
 
+    def move(self, poses: Sequence[Pose], seconds: float) -> None:
+        """Let loose parts go on to these poses at a moment, where the scene asks for secondary motion: what is drawn
+        from then on has them there. The first moment, one before the last and one long after it set them where they
+        are skinned to.
+
+        Raises:
+            ValueError: not one pose per avatar, or a pose with a number that is not finite.
+        """
+        loose = [item for item in self.plan.passes if isinstance(item, LoosePass)]
+        if loose and len(poses) != len(self.avatars):
+            raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(poses)}")
+        if loose and not all(np.isfinite(part).all() for pose in poses for part in pose):
+            raise ValueError("the pose holds a number that is not finite")
+        for item in loose:
+            item.move(poses, seconds)
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything loose is to be moved."""
+        return any(isinstance(item, LoosePass) for item in self.plan.passes)
+
     def draw(
         self,
         poses: Sequence[Pose],
@@ -231,6 +253,9 @@ class Renderer:
                 self._frame(self.last, only=item)
                 self.context.gl.finish()
                 times.append(1e3 * (time.perf_counter() - start))
+            if isinstance(item, LoosePass) and decision.runs:
+                # bringing the offsets to the GPU, and the simulation's own
+                times = [float(np.median(times)) + item.ms]
             if isinstance(item, LensPass) and decision.runs:
                 times = [(self.last.exposures - 1) * self._frame_ms()]
             out.append(
@@ -270,10 +295,14 @@ class Renderer:
         camera = inputs.camera
         if len(inputs.poses) != len(self.avatars):
             raise ValueError(f"{len(self.avatars)} avatars need as many poses, found {len(inputs.poses)}")
-        bones, bounds = self._posed(inputs.poses, camera)
+        reaches = [0.0] * len(self.avatars)
+        for item in self.plan.passes:
+            if isinstance(item, LoosePass):
+                reaches[item.loosened.avatar] = item.motion.reach
+        bones, bounds = self._posed(inputs.poses, camera, reaches)
         visible = [one.shows(camera) for one in bounds]
         planes = clip_planes(np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).ravel())
-        drawing = Drawing(inputs, self.resources, self.look, bones, bounds, visible, planes)
+        drawing = Drawing(inputs, self.resources, self.look, bones, bounds, visible, planes, reaches)
         # a filter works on what is there
         if only is None or only not in self.plan.filters:
             inputs.framebuffer.viewport = (0, 0, *camera.size)
@@ -287,7 +316,9 @@ class Renderer:
                 item.draw(drawing)
         self.drawn, self.last = drawn, inputs
 
-    def _posed(self, poses: Sequence[Pose], camera: Camera) -> tuple[list[PosedBones], list[ScreenBounds]]:
+    def _posed(
+        self, poses: Sequence[Pose], camera: Camera, reaches: Sequence[float]
+    ) -> tuple[list[PosedBones], list[ScreenBounds]]:
         """Bones of every avatar and where it can be in the picture; copies of one are worked out together."""
         bones: dict[int, PosedBones] = {}
         bounds: dict[int, ScreenBounds] = {}
@@ -295,21 +326,24 @@ class Renderer:
             poser = self.posers[group[0]]
             if len(group) == 1:
                 posed = [poser.posed(*poses[group[0]], camera)]
-                reach = [screen_bounds(self._bulging(posed[0]), camera)]
+                seen = [screen_bounds(self._bulging(posed[0], reaches[group[0]]), camera)]
             else:
                 posed = posed_copies(poser, [poses[avatar] for avatar in group], camera)
-                reach = copies_bounds([self._bulging(one) for one in posed], camera)
+                bulging = [self._bulging(one, reaches[avatar]) for one, avatar in zip(posed, group, strict=True)]
+                seen = copies_bounds(bulging, camera)
             bones.update(zip(group, posed, strict=True))
-            bounds.update(zip(group, reach, strict=True))
+            bounds.update(zip(group, seen, strict=True))
         everyone = range(len(self.avatars))
         return [bones[avatar] for avatar in everyone], [bounds[avatar] for avatar in everyone]
 
-    def _bulging(self, bones: PosedBones) -> PosedBones:
-        """The bones with spheres that hold what they move, in the skinning asked for."""
-        if self.effects.skinning == "lbs":
-            return bones
-        # -1, a bone that moves nothing, stays negative
-        return bones._replace(radii=BULGE * bones.radii)
+    def _bulging(self, bones: PosedBones, reach: float) -> PosedBones:
+        """The bones with spheres that hold what they move, in the skinning asked for; reach: of loose parts, metres."""
+        if self.effects.skinning != "lbs":
+            # -1, a bone that moves nothing, stays negative
+            bones = bones._replace(radii=BULGE * bones.radii)
+        if reach:
+            bones = bones._replace(radii=np.where(bones.radii < 0, bones.radii, bones.radii + reach))
+        return bones
 
     # -- when the plan changes
 

@@ -48,24 +48,26 @@ class Patches:
         self.joints, self.first = np.array(joints, np.intp), np.array(first, np.intp)
 
     def balls(
-        self, view_from_canonical: Float[np.ndarray, "bones 4 4"], *, dual: bool
+        self, view_from_canonical: Float[np.ndarray, "bones 4 4"], *, dual: bool, reach: float = 0.0
     ) -> tuple[Float[np.ndarray, "balls 3"], Float[np.ndarray, "balls"]]:
         """Middle in view space and radius of the balls that hold the surface, metres.
 
-        dual: the blend of screws bulges out of the hull by at most half of what the bones disagree.
+        dual: the blend of screws bulges out of the hull by at most half of what the bones disagree. reach: of loose
+        parts, metres off where they are skinned to.
         """
         points = np.einsum("nij,nj->ni", view_from_canonical[self.joints, :3], self.centers)
         if not dual:
-            return points, self.radii
+            return points, self.radii + reach if reach else self.radii
         spread = np.maximum.reduceat(points, self.first) - np.minimum.reduceat(points, self.first)
         counts = np.diff(self.first, append=len(self.joints))
-        return points, self.radii + np.repeat(0.5 * np.linalg.norm(spread, axis=1), counts)
+        return points, self.radii + reach + np.repeat(0.5 * np.linalg.norm(spread, axis=1), counts)
 
     def boxes(
-        self, view_from_canonical: Float[np.ndarray, "bones 4 4"], camera: Camera, *, dual: bool
+        self, view_from_canonical: Float[np.ndarray, "bones 4 4"], camera: Camera, *, dual: bool,
+        reach: float = 0.0,
     ) -> Float[np.ndarray, "patches 4"]:
         """Left, top, right, bottom of each patch, pixels; infinite where a ball reaches behind the eye."""
-        points, radii = self.balls(view_from_canonical, dual=dual)
+        points, radii = self.balls(view_from_canonical, dual=dual, reach=reach)
         # x right, y down, depth
         points = points * (1.0, -1.0, -1.0)
         near, far = points[:, 2] - radii, points[:, 2] + radii

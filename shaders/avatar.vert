@@ -3,6 +3,7 @@
 // VIEW_STAGE: 0 paper mode, 1 view dependence per vertex, 2 per pixel.
 // LIT: 0 the light of the videos is in the colours, 1 the surface is lit anew (light.glsl), 2 in a power of them.
 // CONTACT: 1 limbs that come near darken the surface (contact.glsl).
+// LOOSE: 1 hair, skirts and sleeves move by themselves (loose.glsl).
 // VIEW_MODEL and VIEW_FEATURES: see view_model.glsl (asked only when VIEW_STAGE is not 0).
 #include "frame.glsl"
 #if SKINNING == 0
@@ -17,13 +18,17 @@ in uvec4 joints;    // heaviest first
 in vec4 weights;    // sum to 1
 
 out vec2 surface_uv;
+#if LOOSE != 0
+#include "loose.glsl"
+in uvec4 near_particles;
+in vec4 follows;
+#endif
 
 #if LIT != 0
 #include "directions.glsl"
 
 in vec3 normal;      // canonical, unit
 in vec2 seen_light;  // S and H that the base colour shows
-
 out vec3 lit_normal;    // view
 out vec3 lit_position;  // view, metres
 out vec2 lit_seen;
@@ -31,7 +36,6 @@ out vec2 lit_seen;
 
 #if CONTACT != 0
 #include "contact.glsl"
-
 #if LIT == 0
 in vec3 normal;    // canonical, unit
 #endif
@@ -39,26 +43,20 @@ in uint spared;    // bits of the capsules that do not darken it
 in float rest;     // openness in the pose it rests in
 
 uniform float darkening;
-
 out float openness;
 #endif
 
 #if VIEW_STAGE != 0
 #include "directions.glsl"
-
 in vec3 view_mean;  // global view direction, unit
 in vec3 view_q0;    // cone: xx xy xz
 in vec3 view_q1;    //       yy yz zz
 in float view_seen; // 0 = never seen
-#endif
-
-#if VIEW_STAGE != 0
 #include "view_cone.glsl"
 #endif
 
 #if VIEW_STAGE == 1
 #include "view_model.glsl"
-
 out vec3 residual;
 #endif
 
@@ -69,11 +67,14 @@ out vec3 tangent;
 #endif
 
 void main() {
-    vec3 position_view = skinned(position, joints, weights);
+    vec3 position_skinned = skinned(position, joints, weights), position_view = position_skinned;
+#if LOOSE != 0
+    position_view += loosened(near_particles, follows);
+#endif
     gl_Position = clip_from_view * vec4(position_view, 1.0);
     surface_uv = uv;
 #if CONTACT != 0
-    vec3 normal_view = skinned(position + normal, joints, weights) - position_view;
+    vec3 normal_view = skinned(position + normal, joints, weights) - position_skinned;
     normal_view *= inversesqrt(max(dot(normal_view, normal_view), 1e-12));
     float open = open_sky(position_view, normal_view, spared, 1.0, 16) / max(rest, 1e-3);
     openness = 1.0 - darkening * (1.0 - clamp(open, 0.0, 1.0));

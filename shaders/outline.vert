@@ -12,6 +12,13 @@
 #include "skinning_dual.glsl"
 #endif
 
+#if LOOSE != 0
+#include "loose.glsl"
+
+in uvec4 near_particles;
+in vec4 follows;
+#endif
+
 uniform vec2 width;  // of the line, pixels over half the picture's size
 
 const float BEHIND = 0.02;  // metres along the line of sight: folds less deep than this get no line
@@ -24,6 +31,9 @@ in vec3 normal;    // canonical, unit
 void main() {
     vec3 position_view = skinned(position, joints, weights);
     vec3 normal_view = skinned(position + normal, joints, weights) - position_view;
+#if LOOSE != 0
+    position_view += loosened(near_particles, follows);
+#endif
     position_view *= 1.0 + BEHIND * inversesqrt(max(dot(position_view, position_view), 1e-12));
     gl_Position = clip_from_view * vec4(position_view, 1.0);
     gl_Position.z = min(gl_Position.z, gl_Position.w);  // the far plane is right behind the avatar

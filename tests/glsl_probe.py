@@ -41,7 +41,7 @@ def probe(context, includes, expression, inputs, generated=None, uniforms=None, 
         fragment = f"{block}{include}\n{ins}\nout vec4 value;\nvoid main() {{ {names}\n value = {expression}; }}"
     sources = {"probe.vert": "#version 330\n" + vertex, "probe.frag": "#version 330\n" + fragment}
     program = compile_program(gl, "probe.vert", "probe.frag", {}, {**(generated or {}), **sources})
-    for name, binding in (("Frame", 0), ("Bones", 1), ("Turns", 2), ("Duals", 3), ("Capsules", 4)):
+    for name, binding in (("Frame", 0), ("Bones", 1), ("Turns", 2), ("Duals", 3), ("Capsules", 4), ("Loose", 5)):
         if name in program:
             program[name].binding = binding
     buffers, content = [], []

@@ -240,6 +240,11 @@ def _read_surface(gltf: Gltf, mesh: int) -> dict[str, np.ndarray]:
         if light.ndim != 2 or light.shape[1] != 3 or light[:, 2].any():
             raise gltf.error(f"{where}._LIGHT", "S, H, 0 for each vertex", light.shape)
         arrays["light"] = np.ascontiguousarray(light[:, :2])
+    if "_LOOSE" in accessors:
+        loose = gltf.accessor(accessors["_LOOSE"])
+        if loose.ndim != 2 or loose.shape[1] != 3 or loose[:, 1:].any():
+            raise gltf.error(f"{where}._LOOSE", "looseness, 0, 0 for each vertex", loose.shape)
+        arrays["loose"] = np.ascontiguousarray(loose[:, 0])
     arrays["faces"] = triangles(gltf, mesh, 0, len(arrays["positions"]))
     return arrays
 

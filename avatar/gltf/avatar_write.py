@@ -140,6 +140,8 @@ def _add_surface(builder: GltfBuilder, level: Level) -> dict[str, Any]:
     arrays["_VIEW_SEEN"] = np.concatenate([seen, np.zeros((len(seen), 2), np.float32)], axis=1)
     if level.light is not None:
         arrays["_LIGHT"] = np.concatenate([level.light, np.zeros((len(seen), 1), np.float32)], axis=1)
+    if level.loose is not None:
+        arrays["_LOOSE"] = np.concatenate([level.loose[:, None], np.zeros((len(seen), 2), np.float32)], axis=1)
     joints, arrays["WEIGHTS_0"] = level.drawn_skin
     arrays["JOINTS_0"] = np.where(arrays["WEIGHTS_0"] > 0, joints, 0).astype(np.uint8)
     attributes = {

@@ -118,6 +118,8 @@ class ShotRenderer:
             if shot.hold is not None:
                 stage.hold(shot.hold)
         self.stage = stage
+        # the film's frame up to which loose parts have moved
+        self._moved: int | None = None
         self.drawing = 0.0  # seconds spent in drawing frames of films
         self.camera_at = stage.camera_at(shot.fit, shot.start, shot.stop, shot.size)
         self.context: Context = opened(shot.context, shot.gpu) if context is None else context
@@ -142,6 +144,7 @@ class ShotRenderer:
             AssetError: its pose holds a number that is not finite.
         """
         effects, seconds = self.shot.scene.effects, frame / self.shot.rate
+        self._move(frame)
         if effects.motion_blur is None and effects.depth_of_field is None:
             poses = self.stage.poses(frame)
             return self.renderer.draw(poses, self.camera_at(frame, poses[0][1]), out, seconds=seconds)
@@ -151,6 +154,16 @@ class ShotRenderer:
             return poses, self.camera_at(frame + share if share else frame, poses[0][1])
 
         return self.renderer.expose(exposures(effects, view_at, self.renderer.posers), out, seconds=seconds)
+
+    def _move(self, frame: int) -> None:
+        """Loose parts move from the scene's first frame on, whichever frames are drawn: so a frame follows from its
+        number, and a film in shares is the film. Frames that are passed over are simulated, not drawn."""
+        if not self.renderer.moves:
+            return
+        first = 0 if self._moved is None or frame < self._moved else self._moved + 1
+        for number in range(first, frame + 1):
+            self.renderer.move(self.stage.poses(number), number / self.shot.rate)
+        self._moved = frame
 
     def film(self, path: Path, frames: Iterable[int], pieces: Sequence[tuple[Path, int]] = ()) -> Film:
         """Draw these frames into a film, or into pieces of one; the film, written."""

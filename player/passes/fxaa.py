@@ -61,8 +61,10 @@ class FxaaPass:
     def draw(self, drawing: Drawing) -> None:
         camera, flipped = drawing.inputs.camera, drawing.inputs.flipped
         boxes = [
-            patches.boxes(bones.view_from_canonical, camera, dual=self.dual)
-            for patches, bones, seen in zip(self.patches, drawing.bones, drawing.visible, strict=True)
+            patches.boxes(bones.view_from_canonical, camera, dual=self.dual, reach=reach)
+            for patches, bones, seen, reach in zip(
+                self.patches, drawing.bones, drawing.visible, drawing.reaches, strict=True
+            )
             if seen
         ]
         tiles = rectangles(

@@ -18,6 +18,7 @@ from avatar.camera import view_from_world
 from avatar.settings import Above, AtLeast, AtMost, Color, OneOf, check
 from player.drawing import Drawing, Layer, Warming
 from player.ground_plane import Sheet, draw_behind
+from player.passes.secondary_motion import Loosened, loosened
 from player.plan import Decision, Draft, Pass, Stage, State
 from player.posed_mesh import PosedMesh, posed_mesh
 from player.resources import Handle, PlanResources
@@ -114,23 +115,40 @@ class Ground:
                 lambda made: made.context.gl.framebuffer([made[mask]]),
             )
         )  # fmt: skip
-        thrown = draft.program("shadow_mask.vert", "shadow_mask.frag", SKINNING=int(draft.dual))
         meshes = []
         for index in range(len(draft.avatars)):
-            mesh = posed_mesh(draft, index)
-            meshes.append((mesh, mesh.array(draft, thrown)))
+            mesh, loose = posed_mesh(draft, index), loosened(draft, index)
+            thrown = draft.program(
+                "shadow_mask.vert", "shadow_mask.frag", SKINNING=int(draft.dual), LOOSE=int(loose is not None)
+            )
+            array = mesh.array(draft, thrown, *(() if loose is None else (loose.buffer,)))
+            meshes.append(Thrown(mesh, array, thrown, loose))
         program = draft.program("shadow_cells.vert", "shadow.frag", samplers=("mask",))
         array = draft.array(program)
         x, y, z = _lamp_of(draft, self.direction).tolist()
         edge = 2 * float(np.tan(np.radians(self.softness))) * float(np.hypot(np.hypot(x, z), y)) / y
         lamp = Lamp((-x / y, -z / y), edge, self.height, side, draft.patches(), draft.dual)
         holds = draft.keep((Ground, "mask"), MaskState)
-        uses = tuple(handle for mesh, own in meshes for handle in (*mesh.handles, own))
+        uses = tuple(handle for one in meshes for handle in one.handles)
         shadow = ShadowPass((*drawn_on, mask, array), self, lamp, draft.layer, mask, program, array, holds)
         return (
-            MaskPass((*uses, mask, target, thrown), lamp, tuple(meshes), thrown, target, mask, shadow, holds),
+            MaskPass((*uses, mask, target), lamp, tuple(meshes), target, mask, shadow, holds),
             shadow,
         )
+
+
+class Thrown(NamedTuple):
+    """One avatar as its shadow is thrown."""
+
+    mesh: PosedMesh
+    array: Handle[moderngl.VertexArray]
+    program: Handle[moderngl.Program]
+    loose: Loosened | None
+
+    @property
+    def handles(self) -> tuple[Handle[Any], ...]:
+        more = () if self.loose is None else self.loose.handles
+        return (*self.mesh.handles, self.array, self.program, *more)
 
 
 class Lamp(NamedTuple):
@@ -182,8 +200,8 @@ def footprint(drawing: Drawing, lamp: Lamp) -> Footprint | None:
     """
     world_from_view = np.linalg.inv(view_from_world(drawing.inputs.camera))
     balls = [
-        patches.balls(bones.view_from_canonical, dual=lamp.dual)
-        for patches, bones in zip(lamp.patches, drawing.bones, strict=True)
+        patches.balls(bones.view_from_canonical, dual=lamp.dual, reach=reach)
+        for patches, bones, reach in zip(lamp.patches, drawing.bones, drawing.reaches, strict=True)
     ]
     center, radius = (np.concatenate(part) for part in zip(*balls, strict=True))
     center = center @ world_from_view[:3, :3].T + world_from_view[:3, 3]
@@ -310,8 +328,7 @@ class MaskPass:
 
     uses: tuple[Handle[Any], ...]
     lamp: Lamp
-    meshes: tuple[tuple[PosedMesh, Handle[moderngl.VertexArray]], ...]
-    program: Handle[moderngl.Program]
+    meshes: tuple[Thrown, ...]
     target: Handle[moderngl.Framebuffer]
     mask: Handle[moderngl.Texture]
     shadow: ShadowPass
@@ -327,13 +344,15 @@ class MaskPass:
     def draw(self, drawing: Drawing) -> None:
         here, resources, gl = self.holds.footprint(drawing, self.lamp), drawing.resources, drawing.gl
         assert here is not None
-        program = resources[self.program]
-        rows = self._rows(drawing, here)
-        uniform(program, "mask_from_view").write(np.ascontiguousarray(rows, np.float32).tobytes())
+        rows = np.ascontiguousarray(self._rows(drawing, here), np.float32).tobytes()
+        for program in {one.program for one in self.meshes}:
+            uniform(resources[program], "mask_from_view").write(rows)
         self._begin(resources)
-        for mesh, array in self.meshes:
-            mesh.pose(drawing)
-            resources[array].render()
+        for one in self.meshes:
+            one.mesh.pose(drawing)
+            if one.loose is not None:
+                one.loose.bind(drawing)
+            resources[one.array].render()
         self._end(gl)
         resources[self.mask].build_mipmaps()
         drawing.inputs.framebuffer.use()
@@ -341,9 +360,11 @@ class MaskPass:
 
     def warm(self, warming: Warming) -> None:
         self._begin(warming.resources)
-        for mesh, array in self.meshes:
-            mesh.warm(warming.resources)
-            warming.resources[array].render(vertices=3)
+        for one in self.meshes:
+            one.mesh.warm(warming.resources)
+            if one.loose is not None:
+                one.loose.warm(warming.resources)
+            warming.resources[one.array].render(vertices=3)
         self._end(warming.resources.context.gl)
         # nothing that a frame would keep
         self.holds.key = None
@@ -377,7 +398,8 @@ class MaskPass:
     def _wanted(self, drawing: Drawing) -> tuple[Any, ...]:
         """Equal while nothing moves, whatever the camera does."""
         poses = tuple(part.tobytes() for pose in drawing.inputs.poses for part in pose)
-        return drawing.resources[self.mask], self.lamp, poses
+        moved = tuple(one.loose.motion.found.version for one in self.meshes if one.loose is not None)
+        return drawing.resources[self.mask], self.lamp, poses, moved
 
 
 def _mask_texture(made: PlanResources, side: int) -> moderngl.Texture:

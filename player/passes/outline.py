@@ -4,13 +4,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import moderngl
 import numpy as np
 
 from avatar.settings import Above, AtMost, Color, check
 from player.drawing import Drawing, Layer, Warming
+from player.passes.secondary_motion import Loosened, loosened
 from player.plan import Decision, Draft, Pass, Stage, State
 from player.posed_mesh import PosedMesh, posed_mesh, vertex_order
 from player.resources import Handle, PlanResources
@@ -39,7 +40,6 @@ class Outline:
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
         draft.widen(ceil(self.width))
-        program = draft.program("outline.vert", "plain.frag", SKINNING=int(draft.dual))
         hulls, uses = [], [*draft.drawn_on]
         for index, level in enumerate(draft.levels):
             mesh = posed_mesh(draft, index)
@@ -48,19 +48,30 @@ class Outline:
                 f"{draft.tag(first)} normals", level.normals.nbytes, first, draft.level,
                 content=lambda made, level=level: level.normals[vertex_order(made, level)[0]].tobytes(),
             )  # fmt: skip
-            array = mesh.array(draft, program, (normals, "3f4", "normal"))
-            hulls.append((mesh, array))
-            uses += [*mesh.handles, normals, array]
+            loose = loosened(draft, index)
+            moves = int(loose is not None)
+            program = draft.program("outline.vert", "plain.frag", SKINNING=int(draft.dual), LOOSE=moves)
+            array = mesh.array(draft, program, (normals, "3f4", "normal"), *(() if loose is None else (loose.buffer,)))
+            hulls.append(Hull(mesh, array, program, loose))
+            uses += [*mesh.handles, normals, array, program, *(() if loose is None else loose.handles)]
         running = Decision(State.RUNS, f"{self.width:g} pixels")
-        return (OutlinePass(tuple(uses), self, tuple(hulls), program, draft.layer, running),)
+        return (OutlinePass(tuple(uses), self, tuple(hulls), draft.layer, running),)
+
+
+class Hull(NamedTuple):
+    """One avatar's."""
+
+    mesh: PosedMesh
+    array: Handle[moderngl.VertexArray]
+    program: Handle[moderngl.Program]
+    loose: Loosened | None
 
 
 @dataclass(frozen=True)
 class OutlinePass:
     uses: tuple[Handle[Any], ...]
     outline: Outline
-    hulls: tuple[tuple[PosedMesh, Handle[moderngl.VertexArray]], ...]
-    program: Handle[moderngl.Program]
+    hulls: tuple[Hull, ...]
     layer: Layer
     running: Decision
     name: str = "outline"
@@ -72,20 +83,25 @@ class OutlinePass:
         drawing.enter(self.layer)
         self._color(drawing.resources, drawing.inputs.camera.size)
         drawing.gl.cull_face = "front"
-        for mesh, array in self.hulls:
-            if drawing.visible[mesh.avatar]:
-                mesh.pose(drawing)
-                drawing.resources[array].render()
+        for hull in self.hulls:
+            if drawing.visible[hull.mesh.avatar]:
+                hull.mesh.pose(drawing)
+                if hull.loose is not None:
+                    hull.loose.bind(drawing)
+                drawing.resources[hull.array].render()
         drawing.gl.cull_face = "back"
 
     def warm(self, warming: Warming) -> None:
         if warming.enter(self.layer):
             self._color(warming.resources, (1, 1))
-            for mesh, array in self.hulls:
-                mesh.warm(warming.resources)
-                warming.resources[array].render(vertices=3)
+            for hull in self.hulls:
+                hull.mesh.warm(warming.resources)
+                if hull.loose is not None:
+                    hull.loose.warm(warming.resources)
+                warming.resources[hull.array].render(vertices=3)
 
     def _color(self, resources: PlanResources, size: tuple[int, int]) -> None:
-        program = resources[self.program]
-        uniform(program, "width").value = tuple(2 * self.outline.width / np.array(size))
-        uniform(program, "plain").value = self.outline.color[:3]
+        for handle in {hull.program for hull in self.hulls}:
+            program = resources[handle]
+            uniform(program, "width").value = tuple(2 * self.outline.width / np.array(size))
+            uniform(program, "plain").value = self.outline.color[:3]

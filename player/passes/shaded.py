@@ -1,5 +1,5 @@
-"""How an avatar's program is varied by what a scene calls for: other light, contact darkening. The passes that draw
-avatars ask for it here; what cannot show in a frame leaves them with the program that never heard of it."""
+"""How an avatar's program is varied by what a scene calls for: other light, contact darkening, loose parts. The passes
+that draw avatars ask for it here; what cannot show in a frame leaves them with the program that never heard of it."""
 
 from typing import Any, NamedTuple
 
@@ -8,6 +8,7 @@ import moderngl
 from player.drawing import Drawing
 from player.passes.contact import Touched, touched
 from player.passes.light import Lit, light_note, lit
+from player.passes.secondary_motion import Loosened, loosened
 from player.plan import Draft
 from player.posed_mesh import PosedMesh
 from player.resources import Handle, PlanResources
@@ -21,6 +22,11 @@ class Variant(NamedTuple):
     program: Handle[moderngl.Program]
     light: Lit | None
     contact: Touched | None
+    loose: Loosened | None
+
+    def shows(self, drawing: Drawing) -> bool:
+        """Whether all that it adds to the plain one can be seen in this frame."""
+        return all(one is None or one.shows(drawing) for one in (self.contact, self.loose))
 
     def apply(self, drawing: Drawing) -> None:
         """Give the program what holds in this frame."""
@@ -30,51 +36,54 @@ class Variant(NamedTuple):
         if self.contact is not None:
             self.contact.bind(drawing)
             uniform(program, "darkening").value = self.contact.strength
+        if self.loose is not None:
+            self.loose.bind(drawing)
 
 
 class Shaded(NamedTuple):
-    """The variants of one avatar: the darkened one where contact is asked for and can be seen."""
+    """The variants of one avatar, from all that is asked for to none of it: darkened where contact can be seen, moved
+    where loose parts are."""
 
-    plain: Variant
-    darkened: Variant | None
+    variants: tuple[Variant, ...]
     # for people: the end of a pass's reason
     note: str
 
     def variant(self, drawing: Drawing) -> Variant:
-        contact = None if self.darkened is None else self.darkened.contact
-        return self.plain if contact is None or not contact.shows(drawing) else self.darkened or self.plain
+        return next(variant for variant in self.variants if variant.shows(drawing))
 
     def warm(self, resources: PlanResources) -> None:
         """Draw a triangle with each variant, to what is bound."""
         for variant in self.variants:
-            if variant.contact is not None:
-                variant.contact.warm(resources)
+            for one in (variant.contact, variant.loose):
+                if one is not None:
+                    one.warm(resources)
             resources[variant.array].render(vertices=3)
-
-    @property
-    def variants(self) -> tuple[Variant, ...]:
-        return (self.plain,) if self.darkened is None else (self.plain, self.darkened)
 
     @property
     def handles(self) -> tuple[Handle[Any], ...]:
         out: list[Handle[Any]] = [variant.array for variant in self.variants]
-        if self.plain.light is not None:
-            out += [self.plain.light.vertices, self.plain.program]
-        if self.darkened is not None and self.darkened.contact is not None:
-            contact = self.darkened.contact
-            out += [contact.block, contact.vertices, contact.normals, self.darkened.program]
+        first = self.variants[0]
+        if first.light is not None:
+            out.append(first.light.vertices)
+        if first.contact is not None:
+            out += [first.contact.block, first.contact.vertices, first.contact.normals]
+        if first.loose is not None:
+            out += first.loose.handles
+        # a program of its own, where several avatars do not share it
+        if len(self.variants) > 1 or first.light is not None:
+            out += [variant.program for variant in self.variants]
         return tuple(out)
 
 
 def shaded(draft: Draft, who: int, mesh: PosedMesh, *more: tuple[Any, ...], **program: Any) -> Shaded:
     """The program of one of the plan's avatars as it calls for it. more: further attributes of the vertices; program:
     as `Draft.program`."""
-    light, contact = lit(draft, who), touched(draft, who)
+    light, contact, loose = lit(draft, who), touched(draft, who), loosened(draft, who)
 
-    def variant(touch: Touched | None) -> Variant:
+    def variant(touch: Touched | None, moved: Loosened | None) -> Variant:
         made = draft.program(
             "avatar.vert", "avatar.frag", SKINNING=int(draft.dual), LIT=0 if light is None else light.variant,
-            CONTACT=int(touch is not None), **program,
+            CONTACT=int(touch is not None), LOOSE=int(moved is not None), **program,
         )  # fmt: skip
         buffers = list(more)
         if light is not None:
@@ -82,7 +91,10 @@ def shaded(draft: Draft, who: int, mesh: PosedMesh, *more: tuple[Any, ...], **pr
         if touch is not None:
             # the light's vertices have normals
             buffers += touch.buffers[:1] if light is not None else touch.buffers
-        return Variant(mesh.array(draft, made, *buffers), made, light, touch)
+        if moved is not None:
+            buffers.append(moved.buffer)
+        return Variant(mesh.array(draft, made, *buffers), made, light, touch, moved)
 
     note = light_note(draft, who, light) + ("" if contact is None else ", darkened where limbs come near")
-    return Shaded(variant(None), None if contact is None else variant(contact), note)
+    ways = [(touch, moved) for touch in dict.fromkeys((contact, None)) for moved in dict.fromkeys((loose, None))]
+    return Shaded(tuple(variant(*way) for way in ways), note)

@@ -86,6 +86,8 @@ class Window:
         if budget is not None:
             self.parts.budget = self._budgeted(*budget)
         self._last_tick = clock()
+        # seconds that have passed for loose parts: also while the timeline stands
+        self._moved = 0.0
         self._connect()
 
     def _budgeted(self, budget: float, files: Sequence[str]) -> Budgeted:
@@ -152,6 +154,7 @@ class Window:
         """Let time pass for everything. A stall counts as LONGEST_STEP; a clock going backwards stands still."""
         step = self.parts.recorder.step
         dt = min(max(dt if step is None else step, 0.0), LONGEST_STEP)
+        self._moved += dt
         self.parts.state.playback.advance(dt)
         self.parts.viewpoint.cameras.advance(dt)
         self.keyboard.advance(dt)
@@ -187,6 +190,7 @@ class Window:
         area, viewpoint, look = parts.state.layout.area, parts.viewpoint, parts.look
         camera = parts.state.last.camera = moved_into(viewpoint.camera(), area, size)
         began = self.clock()
+        look.renderer.move(parts.state.last.poses, self._moved)
         look.renderer.draw_into(screen, parts.state.last.poses, camera, seconds=parts.state.timeline.seconds)
         if parts.budget is not None:
             # the work itself, whatever the screen waits for

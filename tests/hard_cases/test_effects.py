@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from glsl_probe import probe
+from loose_avatar import dance, dressed
 from radiance_writer import radiance_bytes, sky
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole
@@ -11,8 +12,11 @@ from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import BIG_POSE
 from avatar.skinning import SkinWeights, skin_points_dual_quaternion
 from player.context import open_context
+from player.loose_motion import REACH, LooseMotion
+from player.loose_parts import loose_parts
 from player.mannequin import mannequin
 from player.passes.background import Background
+from player.passes.secondary_motion import SecondaryMotion
 from player.posing import Poser, dual_parts
 from player.renderer import Renderer
 from player.scenes.effects import Effects
@@ -147,3 +151,42 @@ def test_a_film_behind_at_any_time(context, tmp_path, seconds):
     image = renderer.draw([POSE], away, seconds=seconds)
     renderer.release()
     assert (image[..., 0] == (160 if seconds > 1 else 0)).all()
+
+
+LOOSE_BODIES = {
+    "a body that teleports": lambda t: (0.3 * dance(t)[0], dance(t)[1] + (t >= 1) * np.array([1e3, 0, 0])),
+    "a body that turns by 180 degrees in a frame": lambda t: (
+        0.3 * dance(t)[0] + np.eye(52)[0][:, None] * [0, np.pi * (t >= 1), 0], dance(t)[1],
+    ),
+    "a body 10 km away": lambda t: (0.3 * dance(t)[0], dance(t)[1] + [1e4, 0, 1e4]),
+    "a film of 3 frames a second": lambda t: (dance(np.floor(3 * t) / 3)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LOOSE_BODIES)
+def test_hair_and_skirt_stay_with(name, within):
+    """And come to rest within three seconds of the body's."""
+    avatar = dressed()
+    motion = LooseMotion(loose_parts(avatar, avatar.levels[0]), SecondaryMotion())
+    worst = 0.0
+    for frame in range(60 * 5):
+        t = frame / 60
+        motion.move(LOOSE_BODIES[name](min(t, 1.5)), t)
+        worst = max(worst, motion.reach)
+        assert np.isfinite(motion.offsets).all()
+    assert motion.asleep
+    within(worst, REACH + 0.02, "m off the skinned pose")
+
+
+def test_hair_and_skirt_at_any_rate_of_frames(within):
+    avatar = dressed()
+    parts, ends = loose_parts(avatar, avatar.levels[0]), []
+    for rate in (30, 240):
+        motion, path = LooseMotion(parts, SecondaryMotion()), []
+        for frame in range(2 * rate + 1):
+            axis_angle, root = dance(frame / rate)
+            motion.move((0.3 * axis_angle, root), frame / rate)
+            if frame % (rate // 30) == 0:
+                path.append(motion.offsets)
+        ends.append(np.array(path))
+    within(100 * np.abs(ends[0] - ends[1]).max() / np.abs(ends[1]).max(), 2.0, "% of the amplitude")

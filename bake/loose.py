@@ -1,0 +1,70 @@
+"""How loose each vertex of a baked surface is: skirts, hanging hair, wide sleeves stand far off the body under them.
+
+With d the distance to the body's own template, without what was carved from the masks and joined to it (train/hull.py,
+train/clothes.py), looseness is 0 up to NEAR and 1 from FAR on, smooth in between, so that cloth fades into what holds
+it. Hands and feet hold nothing loose: gloves and heels are no skirts. Islets are none either.
+"""
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Integer
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from avatar.skeleton import JOINTS
+from avatar.skinning import SkinWeights
+from capture.folder import CaptureSubject
+from geometry.mesh import face_areas
+
+# metres off the template's vertices, which are a centimetre or two apart
+NEAR, FAR = 0.03, 0.09
+# square metres: a smaller piece is a buckle or a fold
+LEAST = 0.01
+STIFF = np.array([name.endswith(("ankle", "foot", "wrist")) or name[-1].isdigit() for name in JOINTS])
+STIFF &= np.array([not name.startswith("spine") for name in JOINTS])
+
+
+def looseness(
+    positions: Float[np.ndarray, "vertices 3"],
+    faces: Integer[np.ndarray, "faces 3"],
+    skin: SkinWeights,
+    subject: CaptureSubject,
+) -> Float32[np.ndarray, "vertices"] | None:
+    """0 to 1 of each vertex of a surface in the canonical pose; None: nothing of it is loose."""
+    away = KDTree(bare_template(subject)).query(positions)[0]
+    share = np.clip((away - NEAR) / (FAR - NEAR), 0, 1)
+    stiff = (skin.weights * STIFF[skin.joints]).sum(1) > 0.5
+    loose = np.where(stiff, 0.0, share * share * (3 - 2 * share))
+    loose[~in_large_pieces(loose > 0, positions, faces)] = 0
+    return loose.astype(np.float32) if loose.any() else None
+
+
+def bare_template(subject: CaptureSubject) -> Float[np.ndarray, "vertices 3"]:
+    """Vertices of the template without carved hair and clothes, which were joined behind the body's own: the body is
+    the piece that the most joints move."""
+    count, faces = len(subject.vertices), np.asarray(subject.faces, np.int64)
+    piece = _pieces(count, faces)
+    heaviest = np.take_along_axis(subject.skin.joints, subject.skin.weights.argmax(1)[:, None], 1)[:, 0]
+    moved = np.unique(np.stack([piece, heaviest], 1), axis=0)[:, 0]
+    body = np.bincount(moved).argmax()
+    return np.asarray(subject.vertices, np.float64)[: int(np.flatnonzero(piece == body)[-1]) + 1]
+
+
+def in_large_pieces(
+    chosen: Bool[np.ndarray, "vertices"],
+    positions: Float[np.ndarray, "vertices 3"],
+    faces: Integer[np.ndarray, "faces 3"],
+) -> Bool[np.ndarray, "vertices"]:
+    """Which of the chosen vertices lie in connected pieces of LEAST or more; an atlas's cuts do not divide them."""
+    _, place = np.unique(np.asarray(positions, np.float32), axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    whole = faces[chosen[faces].all(1)].astype(np.int64)
+    piece = _pieces(int(place.max()) + 1, place[whole])[place]
+    area = np.bincount(piece[whole[:, 0]], face_areas(positions, whole), minlength=int(piece.max()) + 1)
+    return chosen & (area[piece] >= LEAST)
+
+
+def _pieces(count: int, faces: Integer[np.ndarray, "faces 3"]) -> Integer[np.ndarray, "count"]:
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    graph = coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), shape=(count, count))
+    return connected_components(graph, directed=False)[1]

@@ -1,0 +1,198 @@
+"""Loose parts that follow the body: at any rate of frames, after any jump, outside of the body, and asleep at rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from loose_avatar import dance, dressed
+
+from player import loose_motion
+from player.loose_motion import CALM, LONGEST, REACH, LooseMotion
+from player.loose_parts import PARTICLES, capsule_distances, loose_parts
+from player.passes.secondary_motion import SecondaryMotion
+
+SETTINGS = SecondaryMotion()
+STANDING = (np.zeros((52, 3)), np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def parts():
+    avatar = dressed()
+    return loose_parts(avatar, avatar.levels[0])
+
+
+def moved(parts, rate, seconds, pose_at, settings=SETTINGS):
+    """The motion after so many seconds, and the offsets 30 times a second."""
+    motion, offsets = LooseMotion(parts, settings), []
+    for frame in range(round(seconds * rate) + 1):
+        motion.move(pose_at(frame / rate), frame / rate)
+        if frame % round(rate / 30) == 0:
+            offsets.append(motion.offsets)
+    return motion, np.array(offsets)
+
+
+def gently(seconds):
+    axis_angle, root = dance(seconds)
+    return 0.3 * axis_angle, root
+
+
+def turned(pose, angle):
+    axis_angle = pose[0].copy()
+    axis_angle[0, 1] += angle
+    return axis_angle, pose[1]
+
+
+def test_there_are_few_particles_and_vertices_follow_those_near_them(parts):
+    level = dressed().levels[0]
+    assert 100 < len(parts.places) <= PARTICLES
+    share, loose = parts.follows.sum(1), level.loose
+    assert (share[loose == 0] == 0).all() and np.allclose(share[loose > 0.25], 1)
+    away = np.linalg.norm(level.positions[:, None] - parts.places[parts.near], axis=2)
+    assert away[parts.follows > 0].max() < 0.2
+    for particle, row in enumerate(parts.neighbours):
+        for other in row[parts.pull[particle] > 0]:
+            assert particle in parts.neighbours[other], "neighbours are so both ways"
+
+
+def test_paths_do_not_depend_on_how_often_frames_are_drawn(parts):
+    often = moved(parts, 240, 4, gently)[1]
+    for rate in (30, 60):
+        seldom = moved(parts, rate, 4, gently)[1]
+        assert np.abs(seldom - often).max() <= 0.02 * np.abs(often).max()
+    # those that do not divide the rate of substeps neither
+    odd = LooseMotion(parts, SETTINGS)
+    for frame in range(4 * 50 + 1):
+        odd.move(gently(frame / 50), frame / 50)
+    assert np.abs(odd.offsets - often[-1]).max() <= 0.04 * np.abs(often).max()
+
+
+CASES = {
+    "teleport": lambda t, pose: (pose[0], pose[1] + (t >= 1) * np.array([100.0, 0, 50])),
+    "turn of 180 degrees in a frame": lambda t, pose: turned(pose, np.pi * (t >= 1)),
+    "ten kilometres away": lambda t, pose: (pose[0], pose[1] + [1e4, 0, 1e4]),
+    "arms thrown up in a frame": lambda t, pose: (pose[0] + (t >= 1) * np.eye(52)[16][:, None] * [0, 0, 2.0], pose[1]),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("settings", [SETTINGS, replace(SETTINGS, gravity=0.0)], ids=["gravity", "none"])
+def test_whatever_the_body_does_it_comes_to_rest_within_three_seconds(parts, name, settings):
+    stop = gently(1.5)
+    motion = LooseMotion(parts, settings)
+    for frame in range(int(4.5 * 60) + 1):
+        t = frame / 60
+        motion.move(CASES[name](t, gently(t) if t < 1.5 else stop), t)
+        assert np.isfinite(motion.offsets).all() and motion.reach <= REACH + 0.05
+    assert motion.asleep
+
+
+@pytest.mark.parametrize("dt", [0.0, 1e-6, LONGEST, 10.0, -3.0])
+def test_frames_of_any_length_are_endured(parts, dt):
+    motion, t = LooseMotion(parts, SETTINGS), 0.0
+    for frame in range(60):
+        t += 1 / 60
+        motion.move(dance(frame / 60), t)
+    before = motion.offsets
+    for frame in range(60, 70):
+        t += dt
+        motion.move(dance(frame / 60), t)
+        assert np.isfinite(motion.offsets).all() and motion.reach <= REACH + 0.05
+    if dt in (10.0, -3.0):
+        # begun anew: as skinned, but for the capsules
+        assert motion.reach < 0.05 < np.abs(before).max()
+    last = dance(69 / 60)
+    for _ in range(180):
+        t += 1 / 60
+        motion.move(last, t)
+    assert motion.asleep
+
+
+def test_ten_kilometres_away_it_moves_as_at_home(parts):
+    here = moved(parts, 60, 2, dance)[1]
+    far = moved(parts, 60, 2, lambda t: (dance(t)[0], dance(t)[1] + [1e4, 0, -1e4]))[1]
+    assert np.abs(here - far).max() < 1e-6
+
+
+def test_a_rig_of_another_size_moves_as_a_grown_one():
+    """At .01 of its size, with a root that moves so much less."""
+    runs = []
+    for scale in (1.0, 0.01):
+        avatar = dressed(scale=scale)
+        found = loose_parts(avatar, avatar.levels[0])
+        run = moved(found, 60, 2, lambda t, scale=scale: (gently(t)[0], scale * gently(t)[1]))[1]
+        assert np.isfinite(run).all()
+        # rounding chooses other vertices as particles: on average they swing alike
+        runs.append(np.linalg.norm(run / scale, axis=2).mean(1))
+    assert np.abs(runs[0] - runs[1]).max() < 0.03 * runs[0].max()
+
+
+def test_a_minute_of_dancing_nothing_is_deeper_than_5_mm_in_the_body(parts):
+    motion, deepest, stretched = LooseMotion(parts, SETTINGS), 0.0, []
+    for frame in range(60 * 30):
+        pose = dance(frame / 30)
+        motion.move(pose, frame / 30)
+        # positions and capsules anew, from the pose
+        now = loose_motion.driver(parts, (pose[0], np.zeros(3)))
+        at = now.targets + motion.offsets
+        deepest = max(deepest, float((parts.radii - capsule_distances(at, *now.capsules)).max()))
+        length = np.linalg.norm(at[parts.neighbours] - at[:, None], axis=2)
+        stretched.append((length / np.maximum(now.lengths, 1e-9))[parts.pull > 0])
+    assert deepest <= 0.005
+    assert np.percentile(stretched, 99) < 1.25
+
+
+def test_two_runs_have_the_same_bits(parts):
+    avatar = dressed()
+    one, two = (moved(found, 30, 3, dance)[1] for found in (parts, loose_parts(avatar, avatar.levels[0])))
+    assert np.array_equal(one, two) and np.abs(one).max() > 0.05
+
+
+def test_who_stands_as_filmed_is_drawn_as_filmed_and_asleep(parts, monkeypatch):
+    motion = moved(parts, 60, 2 * CALM, lambda t: STANDING)[0]
+    assert motion.asleep and not motion.shows and motion.reach < 1e-6
+    monkeypatch.setattr(loose_motion, "driver", lambda *_: pytest.fail("nothing is computed at rest"))
+    steps = motion.steps
+    for frame in range(1000):
+        motion.move(STANDING, 2 * CALM + frame / 60)
+    assert motion.steps == steps
+
+
+def test_slow_drift_wakes_it(parts):
+    """Too slow to be seen from one frame to the next: asleep is measured from the pose in which it fell asleep."""
+    motion = moved(parts, 60, 2 * CALM, lambda t: STANDING)[0]
+    assert motion.asleep
+    woken = False
+    for frame in range(300):
+        axis_angle = np.zeros((52, 3))
+        axis_angle[15, 0] = 1e-4 * frame
+        motion.move((axis_angle, np.zeros(3)), 2 * CALM + frame / 60)
+        woken |= not motion.asleep
+    assert woken
+
+
+def test_hair_hangs_down_when_the_head_does(parts):
+    """Gravity acts by how far it has turned since pose 0."""
+    bent = np.zeros((52, 3))
+    bent[3, 0] = 1.2
+    still = moved(parts, 60, 4, lambda t: (bent, np.zeros(3)))[0]
+    hair = parts.places[:, 1] > 0.3
+    assert still.asleep and still.offsets[hair, 1].mean() < -0.005
+
+
+def test_nothing_loose_has_no_particles():
+    avatar = dressed(skirt=False, hair=False)
+    assert loose_parts(avatar, avatar.levels[0]) is None
+    level = replace(avatar.levels[0], loose=np.zeros(len(avatar.levels[0].positions), np.float32))
+    assert loose_parts(avatar, level) is None
+
+
+def test_capsule_distances_are_those_to_the_segment():
+    rng = np.random.default_rng(0)
+    points, starts, ends = rng.normal(size=(50, 3)), rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
+    ends[3] = starts[3]
+    along = np.linspace(0, 1, 20001)[:, None]
+    expected = [
+        [np.linalg.norm(point - (start + along * (end - start)), axis=1).min() for start, end in zip(starts, ends)]
+        for point in points
+    ]
+    assert np.abs(capsule_distances(points, starts, ends) - expected).max() < 1e-4
