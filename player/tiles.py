@@ -25,8 +25,7 @@ class Patches:
     """
 
     def __init__(self, level: Level):
-        bones, weights = level.drawn_skin
-        heaviest = np.take_along_axis(bones, weights.argmax(1)[:, None], 1)[:, 0]
+        heaviest = np.take_along_axis(level.joints, level.weights.argmax(1)[:, None], 1)[:, 0]
         centers, radii, joints, first = [], [], [], []
         waiting = [np.flatnonzero(heaviest == joint) for joint in np.unique(heaviest)]
         while waiting:
@@ -39,7 +38,7 @@ class Patches:
                 upper = points[:, (high - low).argmax()] > center[(high - low).argmax()]
                 waiting += [piece[upper], piece[~upper]]
                 continue
-            moved_by = np.unique(bones[piece][weights[piece] > 0])
+            moved_by = np.unique(level.joints[piece][level.weights[piece] > 0])
             first.append(len(joints))
             joints += moved_by.tolist()
             centers += [[*center, 1.0]] * len(moved_by)
@@ -63,7 +62,11 @@ class Patches:
         return points, self.radii + reach + np.repeat(0.5 * np.linalg.norm(spread, axis=1), counts)
 
     def boxes(
-        self, view_from_canonical: Float[np.ndarray, "bones 4 4"], camera: Camera, *, dual: bool,
+        self,
+        view_from_canonical: Float[np.ndarray, "bones 4 4"],
+        camera: Camera,
+        *,
+        dual: bool,
         reach: float = 0.0,
     ) -> Float[np.ndarray, "patches 4"]:
         """Left, top, right, bottom of each patch, pixels; infinite where a ball reaches behind the eye."""
@@ -92,10 +95,7 @@ class SurfacePatches:
 
     def __iter__(self) -> Iterator[Patches]:
         if not self._found:
-            # copies of an avatar have one level
-            distinct = {id(level): level for level in self._levels}
-            made = {key: Patches(level) for key, level in distinct.items()}
-            self._found = [made[id(level)] for level in self._levels]
+            self._found = [Patches(level) for level in self._levels]
         return iter(self._found)
 
 

@@ -8,6 +8,8 @@ layout(std140) uniform Loose {
 };
 
 vec3 loosened(uvec4 particles, vec4 follows) {
-    return follows.x * loose_offset[particles.x].xyz + follows.y * loose_offset[particles.y].xyz
-         + follows.z * loose_offset[particles.z].xyz + follows.w * loose_offset[particles.w].xyz;
+    return follows.x * loose_offset[particles.x].xyz
+         + follows.y * loose_offset[particles.y].xyz
+         + follows.z * loose_offset[particles.z].xyz
+         + follows.w * loose_offset[particles.w].xyz;
 }
