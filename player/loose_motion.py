@@ -239,7 +239,8 @@ def driver(parts: LooseParts, pose: Pose) -> Driver:
     axis_angle, root = np.asarray(pose[0], np.float64), np.asarray(pose[1], np.float64)
     poser = parts.poser
     world = poser.chain.transforms(axis_angle, np.zeros(3), np.eye(4))
-    moved = world @ poser.joint_from_canonical
+    # without twist joints: they move nothing that is loose
+    moved = world @ poser.joint_from_canonical[:52]
     skinned = parts.skinning @ moved[parts.joints, :3].transpose(0, 2, 1).reshape(-1, 3)
     targets, pull = skinned[: len(parts.places)], DOWN - skinned[len(parts.places) :]
     away = targets.take(parts.neighbours, 0) - targets[:, None]

@@ -82,7 +82,7 @@ def loose_parts(avatar: Avatar, level: Level) -> LooseParts | None:
     near, follows = _followers(level, own, nearest, distance, unit)
     poser = Poser(avatar, level)
     skin = weights / weights.sum(1, keepdims=True)
-    standing = joint_transforms(np.zeros((52, 3)), joints) @ poser.joint_from_canonical
+    standing = joint_transforms(np.zeros((52, 3)), joints) @ poser.joint_from_canonical[:52]
     upright = np.einsum("nj,jab->nab", skin, standing[:, :3, :3])
     down = np.linalg.solve(upright, DOWN[None, :, None])[..., 0]
     movers = np.flatnonzero(skin.any(0))

@@ -174,17 +174,18 @@ class Draft:
     """A plan being written. Effects are asked from the last to the first: one that filters the picture says where
     those before it draw.
 
-    avatars, levels: who is drawn, and the level of detail of each; dual: with dual quaternions. `kept` is what an
-    earlier plan kept.
+    avatars, levels: who is drawn, and the level of detail of each; dual: with dual quaternions; loose: loose parts
+    move. `kept` is what an earlier plan kept.
     """
 
     def __init__(
-        self, avatars: Sequence[Avatar], canvas: Canvas, *, level: int, dual: bool, kept: Mapping[Hashable, Any]
-    ):
+        self, avatars: Sequence[Avatar], canvas: Canvas, *, level: int, dual: bool, kept: Mapping[Hashable, Any],
+        loose: bool = False,
+    ):  # fmt: skip
         self.avatars, self.canvas, self.level, self.dual = tuple(avatars), canvas, level, dual
         self.levels: tuple[Level, ...] = tuple(avatar.level(level) for avatar in avatars)
         # avatars that are copies of one: the same object, opened once
-        self.groups = groups_of(avatars)
+        self.groups = groups_of(avatars, loose=loose)
         self._first = {index: group[0] for group in self.groups for index in group}
         # of the avatar that has most: those with and without twist joints share programs
         self.bones = max((level.bones for level in self.levels), default=len(JOINTS))

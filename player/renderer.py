@@ -329,8 +329,8 @@ class Renderer:
                 seen = [screen_bounds(self._bulging(posed[0], reaches[group[0]]), camera)]
             else:
                 posed = posed_copies(poser, [poses[avatar] for avatar in group], camera)
-                bulging = [self._bulging(one, reaches[avatar]) for one, avatar in zip(posed, group, strict=True)]
-                seen = copies_bounds(bulging, camera)
+                farthest = max(reaches[avatar] for avatar in group)
+                seen = copies_bounds([self._bulging(one, farthest) for one in posed], camera)
             bones.update(zip(group, posed, strict=True))
             bounds.update(zip(group, seen, strict=True))
         everyone = range(len(self.avatars))

@@ -26,7 +26,10 @@ def resolve(
         AssetError: a file that cannot be read.
     """
     kept = kept or {}
-    draft = Draft(avatars, canvas, level=level, dual=effects.skinning == "dual_quaternion", kept=kept)
+    draft = Draft(
+        avatars, canvas, level=level, dual=effects.skinning == "dual_quaternion", kept=kept,
+        loose=effects.secondary_motion is not None,
+    )  # fmt: skip
     draft.behind = background
     wanted: list[tuple[Stage, Effect | Absent]] = [
         (Stage.BACKGROUND, background),

@@ -48,6 +48,11 @@ class Shaded(NamedTuple):
     # for people: the end of a pass's reason
     note: str
 
+    @property
+    def plain(self) -> Variant:
+        """Neither darkened nor moved."""
+        return self.variants[-1]
+
     def variant(self, drawing: Drawing) -> Variant:
         return next(variant for variant in self.variants if variant.shows(drawing))
 

@@ -69,7 +69,7 @@ def test_holes_fins_and_loose_pieces_are_counted():
     doubled = {
         name: np.concatenate([value, getattr(far, name)])
         for name, value in vars(level).items()
-        if name not in ("base_color", "features", "light", "loose")
+        if name not in ("base_color", "features", "light", "twist", "loose")
     }
     both = dataclasses.replace(level, **doubled)
     assert mesh_facts.closedness(mesh_facts.weld(both)) == (0, 0, 2)

@@ -23,6 +23,7 @@ from player.passes.motion_blur import MotionBlur
 from player.passes.outline import Outline
 from player.passes.secondary_motion import AT_REST, OUT_OF_VIEW, SMALL, SecondaryMotion
 from player.render_command import render_main
+from player.renderer import Renderer
 from player.scenes.effects import PLAIN, Effects
 from player.scenes.scene import Scene, SceneAvatar
 
@@ -240,3 +241,17 @@ def test_a_file_tells_what_is_loose(tmp_path, dressed_avatar):
     del attributes["_LOOSE"]
     path.write_bytes(join_glb(document, bytes(binary)))
     assert read_avatar(path).levels[0].loose is None
+
+
+def test_copies_of_an_avatar_swing_each_in_its_own_way(context, render, dressed_avatar):
+    renderer = render(dressed_avatar, SIZE, effects=MOVING)
+    pose = danced(renderer)
+    alone = renderer.draw([pose], CAMERA)
+    two = Renderer(context, [dressed_avatar, dressed_avatar], SIZE, effects=MOVING)
+    still = (np.zeros((52, 3)), np.array([50.0, 0.95, 0]))
+    for frame in range(43):
+        two.move([dance(frame / 60), still], frame / 60)
+    image = two.draw([pose, still], CAMERA)
+    loose = [item.motion.reach for item in two.plan.passes if "secondary motion" in item.name]
+    two.release()
+    assert np.array_equal(image, alone) and loose[0] > 0.05 > loose[1]
