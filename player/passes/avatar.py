@@ -97,6 +97,4 @@ def base_color_of(draft: Draft, avatar: int) -> Handle[moderngl.Texture]:
             read_finer_mip(made.context, texture)
         return texture
 
-    return draft.texture(
-        f"{draft.tag(first)} base color", mipmapped_bytes(image.shape), first, draft.level, make=make
-    )
+    return draft.texture(f"{draft.tag(first)} base color", mipmapped_bytes(image.shape), first, draft.level, make=make)
