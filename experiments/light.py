@@ -23,8 +23,9 @@ from avatar.errors import AssetError
 from avatar.files import whole_file
 from bench.demo import command
 from experiments.light_scores import FORMAT, REGIONS, measured, stamp
+from experiments.short_training import begun, read_kept, share_in_words, three, training_words
 from synth.light import MODES
-from train.preset import PRESETS, shortened
+from train.preset import PRESETS
 
 # dB that a light may cost on held-out pictures, total, head and hands
 ALLOWED = {"fixed": (0.8, 0.5, 1.0), "soft": (0.2, 0.2, 0.2), "room": (1.0, 1.5, 3.5)}
@@ -74,24 +75,13 @@ def trained(options: Options, capture: Path, light_factor: bool) -> Path | None:
     """The run of a capture, going on where an interrupted training stopped."""
     run = capture.with_name("run" if light_factor else "run_light_off")
     if not (run / "run.json").exists():
-        note(f"{run}: training, {share(options)}")
-        words: list[str | Path] = ["selfscan", "train", capture, "-o", run, "--preset", options.preset]
-        words += ["--iterations", str(options.steps)] if options.steps else []
+        note(f"{run}: training, {share_in_words(options.preset, options.steps)}")
+        words = training_words(capture, run, options.preset, options.steps)
         words += [] if light_factor else ["--without", "light"]
-        words += ["--resume"] if run.with_name(run.name + ".partial").exists() else []
+        words += ["--resume"] if begun(run) else []
         if command(*words)() != 0:
             return None
     return run
-
-
-def share(options: Options) -> str:
-    """What part of the preset's steps is taken, in words."""
-    whole = PRESETS[options.preset]
-    if options.steps is None:
-        return f"all steps of preset {options.preset}"
-    taken = sum(part.iterations for part in shortened(whole, options.steps).parts)
-    share = taken / sum(part.iterations for part in whole.parts)
-    return f"{options.steps} steps a part, {share:.0%} of those of preset {options.preset}"
 
 
 def person_scores(options: Options, person: str) -> list[str]:
@@ -110,7 +100,7 @@ def person_scores(options: Options, person: str) -> list[str]:
                 continue
             path = capture.with_name("scores.json" if factor else "scores_light_off.json")
             expected = stamp(run, options.poses)
-            if kept(path, expected):
+            if read_kept(path, {"format": FORMAT, "stamp": expected}) is not None:
                 note(f"{label}: kept")
                 continue
             note(f"{label}: measuring")
@@ -118,17 +108,9 @@ def person_scores(options: Options, person: str) -> list[str]:
             found = measured(run, person, even, light, options.seed, options.poses)
             facts = {"format": FORMAT, "person": folder_name(person), "light": light, "light_factor": factor}
             with whole_file(path, "w") as file:
-                json.dump(facts | {"share": share(options), "stamp": expected} | found, file, indent=1)
+                share = share_in_words(options.preset, options.steps)
+                json.dump(facts | {"share": share, "stamp": expected} | found, file, indent=1)
     return absent
-
-
-def kept(path: Path, expected: dict[str, Any]) -> bool:
-    """Whether a file holds scores of exactly this."""
-    try:
-        found = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(found, dict) and found.get("format") == FORMAT and found.get("stamp") == expected
 
 
 def collect(out: Path) -> list[dict[str, Any]]:
@@ -143,12 +125,6 @@ def collect(out: Path) -> list[dict[str, Any]]:
             found.append(scores)
     order = {light: number for number, light in enumerate(MODES)}
     return sorted(found, key=lambda one: (one["person"], order[one["light"]], not one["light_factor"]))
-
-
-def three(scores: dict[str, Any], digits: int = 1) -> str:
-    """Total / head / hands."""
-    shown = [scores.get(region) for region in REGIONS]
-    return " / ".join("-" if value is None else f"{value:.{digits}f}" for value in shown)
 
 
 def lost(scores: dict[str, Any], even: dict[str, Any]) -> dict[str, float]:

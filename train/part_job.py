@@ -109,7 +109,7 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
     if name == "body" and job.ranks.writes:
         # for stage 2 and Eq. 8
         write_rays(folder / "body.rays", rays)
-    prepared = time.monotonic() - began
+    prepared, prepared_cpu = time.monotonic() - began, time.process_time() - cpu
     reporter.say(
         f"{name}: {len(rays.ends)} rays of {frames} frames, {ready.flagged:.1%} left out as ambiguous, "
         f"{ready.lost:.2%} of the person's pixels meet no template, prepared in {prepared:.0f} s"
@@ -141,7 +141,9 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
         "last": {key: round(value, 5) for key, value in last.items()},
         "seconds": round(prepared + at.seconds, 1),
         "seconds_preparing": round(prepared, 1),
-        "cpu_seconds": round(time.process_time() - cpu, 1),  # of the last sitting
+        # of the last sitting, as is what it holds of preparing
+        "cpu_seconds": round(time.process_time() - cpu, 1),
+        "cpu_seconds_preparing": round(prepared_cpu, 1),
         "peak_memory_mb": megabytes(memory),
     }
     if preset.single:

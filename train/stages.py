@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -52,6 +52,22 @@ from train.workers import run_jobs
 
 # time of what follows stage 1, as a share of it, for the time left; demo on two cores
 AFTER = 0.2
+
+
+class Clocks(NamedTuple):
+    """Seconds of the wall clock and of the processor, this process and its finished children together."""
+
+    wall: float
+    processor: float
+
+    @classmethod
+    def now(cls) -> "Clocks":
+        return cls(time.monotonic(), sum(os.times()[:4]))
+
+    def since(self) -> "Clocks":
+        """What has passed."""
+        now = Clocks.now()
+        return Clocks(now.wall - self.wall, now.processor - self.processor)
 
 
 @dataclass(frozen=True)
@@ -106,7 +122,7 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
         session = ranks.broadcast(session)
         if session is None:
             return out
-        began = time.monotonic()
+        began = Clocks.now()
         if ranks.writes and not tensorboard_installed():
             say("logs: CSV only; `pip install tensorboard` adds events for it")
 
@@ -142,7 +158,7 @@ def _what_decides(options: TrainOptions, preset: Preset, capture: Capture) -> di
     }
 
 
-def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], refined: dict, began: float) -> None:
+def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], refined: dict, began: Clocks) -> None:
     """From trained parts to the run folder; under torchrun the work of one rank."""
     preset, device, out, partial = training.preset, training.device, training.session.out, training.session.partial
     capture = with_learned(with_refined(training.capture, partial), partial)
@@ -176,7 +192,8 @@ def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], r
         if person.eyes is not None:
             run_folder.write_eyes(folder / "eyes.npz", person.eyes)
         shutil.copyfile(partial / "subject.npz", folder / "subject.npz")
-        seconds["all"] = time.monotonic() - began
+        spent = began.since()
+        seconds["all"] = spent.wall
         memory = peak_memory(device)
         run_folder.write_json(
             folder / "run.json",
@@ -193,6 +210,9 @@ def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], r
                 "subject_licence": capture.facts.get("subject_licence", "not stated by the capture"),
                 "canonical_pose": "hips opened 30 degrees about z (avatar.skeleton.BIG_POSE)",
                 "seconds": {name: round(value, 1) for name, value in seconds.items()},
+                # with its workers', without other ranks'; of the last sitting, as the seconds are
+                "cpu_seconds": round(spent.processor, 1),
+                "resumed": training.session.resumed,
                 "peak_memory_mb": {name: fact["peak_memory_mb"] for name, fact in facts.items()}
                 | {"composition": megabytes(memory)},
                 "parts": facts,
