@@ -67,9 +67,9 @@ def sentence(curve: Sequence[Point]) -> str:
     first, last = curve[0], curve[-1]
     start, end = (p["scores"]["novel_pose"]["total"]["psnr_db"] for p in (first, last))
     text = (
-        f"{title(curve)}: the shortest training ({steps_text(first)}) takes {clock(first):.0f} {clock_name(first)} "
-        f"and shows the person in a new pose at {start:.1f} dB; the longest ({steps_text(last)}) takes {clock(last):.0f} "
-        f"and reaches {end:.1f} dB."
+        f"{title(curve)}: the shortest training ({steps_text(first)}) takes {clock(first):.0f} {clock_name(first)} and "
+        f"shows the person in a new pose at {start:.1f} dB; the longest ({steps_text(last)}) takes "
+        f"{clock(last):.0f} and reaches {end:.1f} dB."
     )
     if len(curve) > 2:
         near = next(p for p in curve if p["scores"]["novel_pose"]["total"]["psnr_db"] >= end - 0.5)
@@ -97,15 +97,14 @@ def markdown(result: dict[str, Any]) -> str:
     commits = sorted({str(p["machine"]["commit"]) for p in points})
     loads = [p["machine"]["load_average"] for p in points if p["machine"]["load_average"] is not None]
     poses = sorted({p["stamp"]["poses"] for p in points})
+    load = f"load average {min(loads, default=0):.1f} to {max(loads, default=0):.1f} for {result['cores']} cores"
     lines += [
-        f"Made by `python -m experiments.curves`; {result['cpu']}, commits {', '.join(commits)}. Each row is a training",
-        "from the capture to the written run, its schedules shortened to its steps. *Processor*: seconds of all processes",
-        f"together, which other programs (load average {min(loads, default=0):.1f} to {max(loads, default=0):.1f} for "
-        f"{result['cores']} cores) change little; two idle",
-        "cores take a little more than half of it by the clock. *in steps*: of these, the optimiser's steps of stage 1.",
-        "*Clock*: as it was. Scores: total / head / hands of the field on true pictures that trained nothing, "
-        f"{', '.join(map(str, poses))} poses",
-        "of each set; box and mask as in docs/quality.md.",
+        f"Made by `python -m experiments.curves`; {result['cpu']}, commits {', '.join(commits)}. Each row is a",
+        "training from the capture to the written run, its schedules shortened to its steps. *Processor*: seconds of",
+        f"all processes together, which other programs ({load}) change little;",
+        "two idle cores take a little more than half of it by the clock. *in steps*: of these, the steps of",
+        "stage 1. *Clock*: as it was. Scores: total / head / hands of the field on true pictures that trained nothing,",
+        f"{', '.join(map(str, poses))} poses of each set; box and mask as in docs/quality.md.",
     ]
     for chosen, name in SETS.items():
         lines += [
