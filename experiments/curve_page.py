@@ -11,7 +11,7 @@ from experiments.short_training import three
 
 Point = dict[str, Any]
 # dB on held-out pictures whose price in seconds is told
-REACHED = (25, 27, 28)
+REACHED = (25.0, 27.0, 28.0)
 SETS = {"novel_pose": "novel poses", "novel_view": "novel views"}
 KINDS = {"psnr_db": "box", "psnr_mask_db": "mask"}
 COLORS = {"total": "tab:blue", "head": "tab:orange", "hands": "tab:green"}
@@ -132,7 +132,7 @@ def reached_table(points: Sequence[Point]) -> list[str]:
     lines = [
         "", "## Seconds to a quality", "",
         "Of the whole person; between two trainings on a line over the logarithm of seconds.", "",
-        "| | " + " | ".join(f"{level} dB" for level in REACHED) + " |", "|-|" + "-|" * len(REACHED),
+        "| | " + " | ".join(f"{level:g} dB" for level in REACHED) + " |", "|-|" + "-|" * len(REACHED),
     ]  # fmt: skip
     for curve in curves(points):
         for chosen, name in SETS.items():
@@ -153,7 +153,7 @@ def items_table(points: Sequence[Point]) -> list[str]:
         now, before = clock(q), clock(p)
         cost = "-" if now is None or before is None else f"{now - before:+.0f}"
         gains = [
-            three(difference(q, p, chosen, score), digits).replace(" -0.0", " 0.0")
+            three(difference(q, p, chosen, score), digits)
             for chosen in SETS
             for score, digits in (("psnr_db", 1), ("psnr_mask_db", 1), ("p2s_cm", 2))
         ]

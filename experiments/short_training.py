@@ -46,5 +46,6 @@ def read_kept(path: Path, expected: dict[str, Any]) -> dict[str, Any] | None:
 
 def three(values: Mapping[str, float | None], digits: int = 1) -> str:
     """A value of the whole person, head and hands, as "total / head / hands"."""
+    # + 0.0: a difference that rounds to nothing is no "-0.0"
     shown = [values.get(region) for region in ("total", "head", "hands")]
-    return " / ".join("-" if value is None else f"{value:.{digits}f}" for value in shown)
+    return " / ".join("-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}" for value in shown)

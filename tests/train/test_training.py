@@ -248,6 +248,9 @@ def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
     placed = run.provenance["registration"]["video"]  # by the body's pixels, or said why not
     assert "moved_mm" in placed or placed["kept"] == "surfaces"
     assert not (tmp_path / "run.partial").exists()
+    # of all processes: parts learn in processes of their own
+    parts = sum(part["cpu_seconds"] for part in run.provenance["parts"].values())
+    assert run.provenance["cpu_seconds"] > parts > 0 and run.provenance["resumed"] is False
     assert run.provenance["body_licence"] == "a licence of the body's own"
     assert run.provenance["subject_licence"] == "not stated by the capture"
     assert (run.path / "preview" / "head.png").exists() and (run.path / "logs" / "hand_left.csv").exists()

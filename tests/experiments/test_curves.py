@@ -1,0 +1,173 @@
+"""The experiment on training time: which trainings it makes, what it keeps, and what it reads off its curves."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import experiments.curves
+from avatar.errors import AssetError
+from experiments.curve_page import items_table, markdown, plot, seconds_to
+from experiments.curves import TimeLeft, leaves_out, main, planned
+from train.preset import DEMO, ITEMS
+from train.stored_preset import preset_json
+
+CAPTURE = {"format": "selfscan-capture", "subject": "Person", "light": "even", "size": 64}
+
+
+def point(seconds: float, decibels: float, **changed) -> dict:
+    """A point of a curve with the same quality everywhere."""
+    seconds, decibels = float(seconds), float(decibels)
+    scores = {"psnr_db": decibels, "psnr_mask_db": decibels - 4, "ssim": 0.9, "flip": 0.1, "p2s_cm": 3 / decibels}
+    return {
+        "capture": "cap", "subject": "Person", "light": "even", "size": 64, "preset": "demo", "steps": 10,
+        "total_steps": 40, "without": [], "given": False, "device": "cpu", "seconds": seconds, "cpu_seconds": seconds,
+        "cpu_seconds_in_steps": seconds / 2, "stamp": {"poses": 2},
+        "scores": {name: {"total": scores, "head": scores, "hands": scores} for name in ("novel_pose", "novel_view")},
+        "machine": {"commit": "abc", "load_average": 1.0},
+    } | changed  # fmt: skip
+
+
+def test_a_quality_is_reached_between_two_points_on_a_line_over_the_logarithm_of_seconds():
+    curve = [point(10, 20), point(100, 26), point(1000, 26.5)]
+    assert seconds_to(curve, 23.0, "psnr_db", "novel_pose") == f"{10 * np.sqrt(10):.0f}"
+    assert seconds_to(curve, 18.0, "psnr_db", "novel_pose") == "at most 10"
+    assert seconds_to(curve, 27.0, "psnr_db", "novel_pose") == "not in 1000"
+
+
+def test_an_item_is_compared_with_the_same_training_that_has_it():
+    points = [point(50, 24, steps=150), point(60, 25, steps=10), point(45, 22, steps=150, without=["eyes"])]
+    row = items_table(points)[-1]
+    # 3 / 24 - 3 / 22 cm
+    assert "| Person: eyes | 150 | +5 | 2.0 / 2.0 / 2.0 | 2.0 / 2.0 / 2.0 | -0.01 / -0.01 / -0.01 |" in row
+    assert items_table(points[:2]) == []
+
+
+def test_a_run_without_seconds_stands_in_the_table_and_on_no_curve(tmp_path):
+    points = [point(50, 24), point(70, 26, total_steps=80, cpu_seconds=None, given=True)]
+    result = {"points": points, "cpu": "a processor", "cores": 2, "absent": ["x: training failed"]}
+    text = markdown(result)
+    assert "| Person, demo, a run given | 10 | - |" in text
+    assert "reaches 24.0 dB" in text and "25 of the first's seconds are no training" in text
+    assert "Not measured: x: training failed" in text
+    plot(result, tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").stat().st_size > 1000
+
+
+def test_what_a_run_left_out_is_read_from_its_settings():
+    for name, change in ITEMS.items():
+        assert not leaves_out(preset_json(DEMO), "demo", change)
+        assert leaves_out(preset_json(change(DEMO)), "demo", change), name
+
+
+def test_time_left_follows_the_trainings_that_are_done(tmp_path, capture):
+    plan = planned(experiments.curves.Options((capture,), tmp_path, (100, 200, 400), ("demo",), (), None, 2, "cpu", 0))
+    left = TimeLeft(plan)
+    assert left.done(plan[0], 60.0) == "2 points left, about 2 min left"
+    # a minute more for 100 steps more: 240 s for 400
+    assert left.done(plan[1], 120.0) == "1 points left, about 4 min left"
+    assert left.done(plan[2], 240.0) == "all points are there"
+
+
+@pytest.fixture
+def capture(tmp_path) -> Path:
+    folder = tmp_path / "cap"
+    folder.mkdir()
+    (folder / "capture.json").write_text(json.dumps(CAPTURE))
+    return folder
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """Commands that the experiment runs, which leave runs and evaluations."""
+    calls: list[tuple[str, ...]] = []
+
+    def command(*words):
+        def run() -> int:
+            calls.append(tuple(map(str, words)))
+            if words[1] == "train":
+                write_run(Path(words[words.index("-o") + 1]), Path(words[2]))
+            else:
+                scored = point(0, 25)["scores"]["novel_pose"]
+                found = {"capture": CAPTURE, "novel_pose": scored, "novel_view": scored}
+                Path(words[words.index("--json") + 1]).write_text(
+                    json.dumps(found | {"machine": {"commit": "abc", "load_average": 1.0}})
+                )
+            return 0
+
+        return run
+
+    monkeypatch.setattr(experiments.curves, "command", command)
+    return calls
+
+
+def write_run(run: Path, capture: Path, **changed) -> None:
+    run.mkdir(parents=True)
+    parts = {name: {"steps": 10, "cpu_seconds": 20.0, "cpu_seconds_preparing": 15.0} for name in ("body", "head")}
+    facts = {
+        "format": "selfscan-run", "version": 1, "preset": "demo", "settings": preset_json(DEMO), "device": "cpu",
+        "seconds": {"all": 40.0}, "cpu_seconds": 60.0, "parts": parts,
+        "capture_at": {"folder": str(capture.resolve())},
+    } | changed  # fmt: skip
+    (run / "run.json").write_text(json.dumps(facts))
+
+
+def test_every_training_is_made_and_scored_once_short_ones_first(calls, capture, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = [str(capture), "-o", str(out), "--steps", "whole", "10", "--without", "eyes", "--without-steps", "20"]
+    assert main(words) == 0
+    trainings = [call for call in calls if call[1] == "train"]
+    steps = [call[call.index("--iterations") + 1] if "--iterations" in call else None for call in trainings]
+    assert steps == ["10", "20", "20", None]
+    assert [call[call.index("--without") + 1] for call in trainings if "--without" in call] == ["eyes"]
+    points = json.loads((out / "curves.json").read_text())["points"]
+    assert [(p["steps"], p["without"]) for p in points] == [(10, []), (20, []), (None, []), (20, ["eyes"])]
+    assert points[0]["cpu_seconds"] == 60.0 and points[0]["cpu_seconds_in_steps"] == 10.0
+    assert "| Person, demo, without eyes | 20 | 60 | 10 | 40 | 25.0 / 25.0 / 25.0 |" in (out / "curves.md").read_text()
+    assert len(calls) == 8
+    assert main(words) == 0
+    assert len(calls) == 8
+    # another run asks for new scores only
+    run = out / "cap" / "demo_10" / "run" / "run.json"
+    run.write_text(run.read_text() + " ")
+    assert main(words) == 0
+    assert [call[1] for call in calls[8:]] == ["eval"]
+    assert "all points are there" in capsys.readouterr().err
+
+
+def test_an_interrupted_training_begins_anew_or_its_seconds_would_not_be_all(calls, capture, tmp_path):
+    (tmp_path / "out" / "cap" / "demo_10" / "run.partial").mkdir(parents=True)
+    assert main([str(capture), "-o", str(tmp_path / "out"), "--steps", "10"]) == 0
+    assert "--force" in calls[0] and "--resume" not in calls[0]
+
+
+def test_a_finished_run_is_a_point_of_its_capture_and_is_not_trained(calls, capture, tmp_path):
+    write_run(tmp_path / "mine", capture, cpu_seconds=33.0)
+    write_run(tmp_path / "resumed", capture, resumed=True)
+    out = tmp_path / "out"
+    assert main([str(tmp_path / "mine"), str(tmp_path / "resumed"), "-o", str(out)]) == 0
+    assert [call[1] for call in calls] == ["eval", "eval"]
+    points = json.loads((out / "curves.json").read_text())["points"]
+    assert [(p["capture"], p["given"], p["cpu_seconds"]) for p in points] == [("cap", True, 33.0), ("cap", True, None)]
+    assert points[1]["seconds"] is None
+
+
+def test_what_fails_is_said_and_the_rest_is_made(calls, capture, tmp_path, monkeypatch, capsys):
+    whole = experiments.curves.command
+    monkeypatch.setattr(experiments.curves, "command", lambda *words: whole(*words) if "10" not in words else lambda: 1)
+    assert main([str(capture), "-o", str(tmp_path / "out"), "--steps", "10", "20"]) == 1
+    assert "not measured: cap: 10 steps a part, 1% of those of preset demo: training failed" in capsys.readouterr().err
+    assert [p["steps"] for p in json.loads((tmp_path / "out" / "curves.json").read_text())["points"]] == [20]
+
+
+def test_what_is_asked_wrongly_is_said(capture, tmp_path, capsys):
+    for words, said in (
+        (["--without", "shoes"], "should be of light, hair, clothes, eyes, joined by +, is 'shoes'"),
+        (["--steps", "0"], "should be a positive number or whole, is '0'"),
+    ):
+        with pytest.raises(SystemExit):
+            main([str(capture), "-o", str(tmp_path), *words])
+        assert said in capsys.readouterr().err
+    with pytest.raises(AssetError, match=r"capture\.json"):
+        main([str(tmp_path / "nothing"), "-o", str(tmp_path / "out")])
