@@ -11,7 +11,7 @@ from avatar.skeleton import JOINTS, PARTS, joint_transforms
 from capture.fit.directions import find_directions, opposite, place_of, turns_about_y
 from capture.fit.footage import Estimate, Footage
 from capture.fit.joint_turns import rotations
-from capture.fit.offsets import STIFFNESS, fit_offsets
+from capture.fit.offsets import STIFFNESS, dressed
 from capture.fit.outline_term import Outlines
 from capture.fit.person import Person
 from capture.fit.priors import FROZEN, Priors, standing
@@ -32,9 +32,7 @@ SAG = 8.0
 # Geman and McClure's c, standard deviations: at first, then with all unknowns free
 FIRST, CUTS = 20.0, (10.0, 4.0)
 # of the outlines, one after the other
-WEIGHTS = (0.01, 0.01, 0.01, 0.02, 0.02)
-# of offsets and poses in turn
-ROUNDS = 4
+WEIGHTS = (0.02, 0.02, 0.02)
 
 
 def body_names(*, hands: bool = True) -> tuple[str, ...]:
@@ -93,22 +91,21 @@ def fit_keypoints(person: Person, footage: Footage, report: Report) -> tuple[Est
 
 
 def fit_outlines(estimate: Estimate, footage: Footage, report: Report) -> Estimate:
-    """Shape and poses from outlines and keypoints, then what stands off the shape; in turn."""
+    """What stands off the shape, then shape and poses from outlines and keypoints; in turn.
+
+    Clothes, hair and shoes come first: a bare body grows to fill the outline of a clothed one, and where its stature is
+    told, it comes nearer instead.
+    """
     priors, outlines = standing(estimate, footage), Outlines(footage)
     # a body's video shows hands as a few pixels: theirs have their own
     hands = hand_vertices(estimate.person)
+    estimate = dressed(estimate, footage, outlines, ~hands, STIFFNESS)
+    report("offsets")
     for weight in WEIGHTS:
-        pairs = outlines.pairs(estimate, footage, ~hands)
-        estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(outlines.term(pairs, weight),))
+        term = outlines.term(outlines.pairs(estimate, footage, ~hands), weight)
+        estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
         report("outlines")
-    for number in range(ROUNDS):
-        if number:
-            pairs = outlines.pairs(estimate, footage, ~hands)
-            term = outlines.term(pairs, WEIGHTS[-1])
-            estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
-        pairs = outlines.pairs(estimate, footage, ~hands)
-        offsets = fit_offsets(estimate, footage, outlines, pairs, hands, STIFFNESS[2 * (number > 0) :])
-        estimate = replace(estimate, person=estimate.person.with_offsets(offsets))
+        estimate = dressed(estimate, footage, outlines, ~hands, STIFFNESS[-1:])
         report("offsets")
     return estimate
 

@@ -5,15 +5,13 @@ hand's own. The arm is stretched out from the shoulder and carries the person al
 in a close-up, and nothing is trained there.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from avatar.skeleton import JOINTS
 from capture.fit.body import CUTS, Report, hand_vertices, rigid
 from capture.fit.directions import all_turns, find_directions, place_of
 from capture.fit.footage import Estimate, Footage
-from capture.fit.offsets import STIFFNESS, fit_offsets
+from capture.fit.offsets import STIFFNESS, dressed
 from capture.fit.outline_term import Outlines
 from capture.fit.person import Person
 from capture.fit.priors import FROZEN, Priors, bias_of
@@ -93,9 +91,6 @@ def fit_hand(person: Person, g: Array, footage: Footage, side: str, report: Repo
         if number:
             term = outlines.term(outlines.pairs(estimate, footage, hand), WEIGHTS[-1])
             estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
-        offsets = fit_offsets(
-            estimate, footage, outlines, outlines.pairs(estimate, footage, hand), ~hand, STIFFNESS[2 * (number > 0) :]
-        )
-        estimate = replace(estimate, person=estimate.person.with_offsets(offsets))
+        estimate = dressed(estimate, footage, outlines, hand, STIFFNESS[2 * (number > 0) :])
         report("offsets")
     return estimate

@@ -4,8 +4,6 @@ The head is rigid; what lies below the neck moves otherwise and is not looked at
 the turn goes on evenly and the outline decides. What hair adds to the template is found between.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -13,7 +11,7 @@ from avatar.skeleton import JOINTS, PARTS
 from capture.fit.body import CUTS, Report
 from capture.fit.directions import find_directions, opposite, place_of, turns_about_y
 from capture.fit.footage import Estimate, Footage
-from capture.fit.offsets import STIFFNESS, fit_offsets
+from capture.fit.offsets import STIFFNESS, dressed
 from capture.fit.outline_term import Outlines
 from capture.fit.person import Person
 from capture.fit.priors import FROZEN, Priors, bias_of
@@ -73,15 +71,7 @@ def fit_head(person: Person, g: Array, footage: Footage, report: Report) -> Esti
         term = outlines.term(outlines.pairs(estimate, footage, head), weight)
         estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
         if number >= len(WEIGHTS) - 1:
-            offsets = fit_offsets(
-                estimate,
-                footage,
-                outlines,
-                outlines.pairs(estimate, footage, head),
-                ~head,
-                STIFFNESS[2 * (number > len(WEIGHTS)) :],
-            )
-            estimate = replace(estimate, person=estimate.person.with_offsets(offsets))
+            estimate = dressed(estimate, footage, outlines, head, STIFFNESS[2 * (number > len(WEIGHTS)) :])
         report("outlines")
     return estimate
 

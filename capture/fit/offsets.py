@@ -6,6 +6,8 @@ r the distance of the outline from the template without offsets along the outlin
 vertex. The bilaplacian L^T A^-1 L of the graph is sparse; one solve takes a fraction of a second.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
@@ -81,3 +83,13 @@ def fit_offsets(
         factors = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
         d[free] = factors.solve(b[free] - stiff * across)
     return d[:, None] * normals
+
+
+def dressed(
+    estimate: Estimate, footage: Footage, outlines: Outlines, chosen: Bool[Array, "vertices"],
+    stiffness: tuple[float, ...] = STIFFNESS,
+) -> Estimate:  # fmt: skip
+    """The estimate with the `chosen` vertices' offsets for which the outlines agree best."""
+    pairs = outlines.pairs(estimate, footage, chosen)
+    offsets = fit_offsets(estimate, footage, outlines, pairs, ~chosen, stiffness)
+    return replace(estimate, person=estimate.person.with_offsets(offsets))

@@ -27,7 +27,7 @@ FOCAL = 1.5
 # relative standard deviations of the focal length: guessed, told, and found in the body's video by the same phone
 GUESSED, TOLD, FOUND = 0.1, 0.005, 0.005
 # what each video's fit reports
-STEPS = {"body": 12, "hand_left": 7, "hand_right": 7, "head": 9}
+STEPS = {"body": 10, "hand_left": 7, "hand_right": 7, "head": 9}
 OPENCV = np.diag([1.0, -1.0, -1.0])
 LANDMARKS = {
     "nose_tip": "face_30", "nose_bridge": "face_27", "chin": "face_08", "left_mouth": "face_54",

@@ -7,7 +7,7 @@ import pytest
 
 from avatar.errors import AssetError
 from avatar.rotation import axis_angle_from_matrix
-from capture.fit.body import first_guess, fit_keypoints
+from capture.fit.body import first_guess, fit_keypoints, fit_outlines
 from capture.fit.directions import opposite
 from capture.fit.keypoint_term import projected
 from capture.fit.offsets import bilaplacian, fit_offsets
@@ -15,6 +15,7 @@ from capture.fit.outline_term import Outlines
 from capture.fit.person import person_of
 from capture.fit.points import body_points
 from capture.fit.refusals import check_fit, check_footage, check_upright
+from capture.fit.scan import STEPS
 from capture.fit.sides import sides_restored
 from capture.fit.solve import posed_frames
 from geometry.mesh import vertex_normals
@@ -102,6 +103,22 @@ def test_offsets_add_what_clothes_do():
     found = (offsets * normals).sum(1)[trunk]
     assert np.median(found) == pytest.approx(0.01, abs=0.002)
     assert np.mean(np.abs(found - 0.01) < 0.004) > 0.7
+
+
+def test_outlines_of_somebody_with_hair_and_shoes_do_not_draw_the_person_nearer():
+    truth, footage = turning_twin(10, 200, seed=1)
+    normals = vertex_normals(truth.person.vertices(truth.g), truth.person.body.faces)
+    height = truth.person.vertices(truth.g)[:, 1]
+    # 3 cm on the scalp, 2 under the soles, 1 elsewhere
+    thick = np.select([height > height.max() - 0.06, height < height.min() + 0.03], [0.03, 0.02], 0.01)
+    dressed = replace(truth, person=truth.person.with_offsets(thick[:, None] * normals))
+    footage = replace(footage, masks=np.stack([mask_of(dressed, footage, i) for i in range(10)]))
+    told: list[str] = []
+    found = fit_outlines(replace(truth, person=truth.person.with_offsets(0 * normals)), footage, told.append)
+    # after a first guess and two rounds of keypoints
+    assert 3 + len(told) == STEPS["body"]
+    # 1.9 cm; 7.4 of 3 m where poses and shape moved before offsets
+    assert abs((found.root - truth.root)[:, 2].mean()) < 0.03
 
 
 def test_bilaplacian_is_nothing_for_what_is_constant():
