@@ -16,6 +16,7 @@ from jaxtyping import Float, Float32, UInt8, UInt32
 from avatar.light import CaptureLight
 from avatar.skeleton import JOINTS
 from avatar.skinning import SkinWeights
+from avatar.springs import Springs, check_springs
 from avatar.twist import BONES, CARRIER
 
 VIEW_MODES = ("network", "linear", "off")
@@ -67,6 +68,8 @@ class Level:
     twist: TwistSkin | None = None
     # 0 where it is skin, 1 where it hangs far off the body: hair, skirts, sleeves; None: nothing is loose
     loose: Float32[np.ndarray, "vertices"] | None = None
+    # chains that hang on the body, of a .vrm; None: it has none
+    springs: Springs | None = None
 
     @property
     def drawn_skin(self) -> tuple[UInt8[np.ndarray, "vertices 4"], UInt8[np.ndarray, "vertices 4"]]:
@@ -131,6 +134,8 @@ class Avatar:
     # the capture's, in the world where the camera stands before the T-pose; levels say what of it is in their base
     # colour. None: light is not told from albedo
     light: CaptureLight | None = None
+    # what was assumed in reading a file that is not an avatar's own; not stored
+    notes: tuple[str, ...] = ()
 
     def level(self, number: int) -> Level:
         """A level of detail, 0 the finest; the coarsest where there are fewer."""
@@ -173,6 +178,8 @@ def check_level(level: Mapping[str, Any], where: str) -> None:
     if loose is not None:
         _check_array(loose, f"{where}.loose", "float32", (len(level["positions"]),))
         _check_rows((loose >= 0) & (loose <= 1), f"{where}.loose", "from 0 to 1", loose)
+    if level.get("springs") is not None:
+        check_springs(level["springs"], len(level["positions"]), f"{where}.springs")
     features = level["features"]
     if features is not None and features.shape[2] not in FEATURES:
         raise ValueError(f"{where}.features should be 4 or 8 a texel, are {features.shape[2]}")

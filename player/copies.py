@@ -25,7 +25,7 @@ def groups_of(avatars: Sequence[Avatar], *, loose: bool = False) -> tuple[tuple[
     own way."""
     groups: dict[tuple[int, int], list[int]] = {}
     for index, avatar in enumerate(avatars):
-        own_way = loose and any(level.loose is not None for level in avatar.levels)
+        own_way = loose and any(level.loose is not None or level.springs is not None for level in avatar.levels)
         alone = 1 + index if own_way or avatar.levels[0].twist is not None else 0
         groups.setdefault((id(avatar), alone), []).append(index)
     return tuple(tuple(group) for group in groups.values())

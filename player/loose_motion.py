@@ -1,10 +1,7 @@
-"""Hair, skirts and sleeves that follow the body: a simulation of an avatar's loose particles (player/loose_parts.py).
+"""Hair, skirts and sleeves that follow the body: a simulation of an avatar's loose particles.
 
-Extended position based dynamics (Macklin et al. 2016) in fixed substeps of STEP: each particle is drawn to where plain
-skinning has it by a spring of compliance 1 / (2 pi f)^2, f rising as looseness falls, keeps its distance to its
-neighbours as they lie in the skinned pose, and stays out of the body's capsules. Damping is of the motion relative to
-the skinned pose. Gravity acts by how far it has turned from where it pulls in pose 0, since a capture was filmed with
-gravity: who stands upright looks as filmed.
+In fixed substeps of STEP. What a particle obeys in one is said where it is: sheets (player/loose_sheets.py) of avatars
+that were captured, chains (player/spring_chains.py) of a .vrm.
 
 The pose is interpolated to each substep, and what is drawn lies between the last two: so it depends on neither how
 often frames are drawn nor how they fall between substeps. Everything is relative to the pelvis of the frame, and the
@@ -12,60 +9,34 @@ particles keep the world's velocity as it moves on: ten kilometres away nothing 
 FASTEST, or turned by more than TURNED) carries its particles along. Nothing is random and no clock is read.
 """
 
-from typing import NamedTuple
-
 import numpy as np
-from jaxtyping import Float, Int
 
 from player.drawing import Pose
-from player.loose_parts import BONE, DOWN, LooseParts, capsule_distances
+from player.loose_driver import STEP, Driver, Way
+from player.loose_parts import LooseParts
+from player.loose_sheets import Sheets
 from player.passes.secondary_motion import SecondaryMotion
+from player.spring_chains import Chains, SpringParts
 from player.track import FASTEST, TURNED
 
 Array = np.ndarray
 
-STEP = 1 / 120
 # seconds; after a longer frame, or a step back in time, particles begin anew where they are skinned to
 LONGEST = 0.5
-# metres a second relative to the pose, and metres off it, of a grown person
-SPEED_CAP, REACH = 8.0, 0.3
-# of critical damping
-DAMPING = 0.3
+# metres a second relative to the pose, of a grown person
+SPEED_CAP = 8.0
 # asleep: slower than this for so many seconds, while what drives it moved less than this; m/s, s, m
 SLOW, CALM, STILL = 0.01, 0.5, 5e-4
 # metres: what is moved less is drawn as skinned
 UNSEEN = 5e-5
-# looseness counts as at least this: springs stay finite
-STIFFEST = 0.05
-# at most, of the last push out of the capsules, and metres in which they may leave a particle
-PUSHES, DEEPEST = 4, 1e-3
-
-
-class Driver(NamedTuple):
-    """What moves the particles in one pose, relative to the pelvis; metres."""
-
-    root: Float[Array, "3"]
-    # turn of the pelvis
-    turn: Float[Array, "3 3"]
-    targets: Float[Array, "particles 3"]
-    # to each neighbour
-    lengths: Float[Array, "particles neighbours"]
-    # gravity beyond that of pose 0, parts of it
-    pull: Float[Array, "particles 3"]
-    # both ends of each capsule
-    capsules: Float[Array, "2 capsules 3"]
 
 
 class LooseMotion:
     """The particles of one avatar as they move on from frame to frame."""
 
-    def __init__(self, parts: LooseParts, springs: SecondaryMotion):
+    def __init__(self, parts: LooseParts | SpringParts, springs: SecondaryMotion):
         self.parts = parts
-        omega = 2 * np.pi * springs.frequency / np.maximum(parts.looseness, STIFFEST)[:, None]
-        # of the way to its target in a substep: compliance 1 / omega^2
-        self._drawn = 1 / (1 + 1 / (omega * STEP) ** 2)
-        self._damped = np.exp(-2 * DAMPING * omega * STEP)
-        self._gravity = springs.gravity * parts.unit
+        self._law = Sheets(parts, springs) if isinstance(parts, LooseParts) else Chains(parts)
         self._seconds: float | None = None
         # raised whenever the offsets change: what is drawn of them may be kept while it stands
         self.version = 0
@@ -94,7 +65,7 @@ class LooseMotion:
         same = np.array_equal(pose[0], self._pose[0]) and np.array_equal(pose[1], self._pose[1])
         if same and (self._asleep or dt == 0):
             return
-        now = self._driver if same else driver(self.parts, pose)
+        now = self._driver if same else self.parts.drive(pose)
         self._pose = pose
         if self._asleep:
             if _moved(now, self._reference) < STILL * self.parts.unit:
@@ -107,13 +78,12 @@ class LooseMotion:
 
     def _begin(self, pose: Pose, seconds: float) -> None:
         self._pose, self._seconds = pose, seconds
-        self._driver = self._reference = driver(self.parts, pose)
-        self._x = self._driver.targets.copy()
+        self._driver = self._reference = self.parts.drive(pose)
+        self._x = self._driver.targets[: len(self.parts.places)].copy()
         self._v = np.zeros_like(self._x)
         self._last = self._now = np.zeros_like(self._x)
         self._clock = self._calm = 0.0
         self._asleep = False
-        self._close = None
         self._settle(self._driver)
 
     def _follow(self, now: Driver, dt: float) -> Driver:
@@ -123,20 +93,22 @@ class LooseMotion:
         turn = now.turn @ before.turn.T
         angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
         if np.linalg.norm(shift) > limit or angle > TURNED:
-            offset = (self._x - before.targets) @ turn.T
-            self._x, self._v = now.targets + offset, self._v @ turn.T
+            count = len(self._x)
+            offset = (self._x - before.targets[:count]) @ turn.T
+            self._x, self._v = now.targets[:count] + offset, self._v @ turn.T
             self._last, self._now = self._last @ turn.T, self._now @ turn.T
             # a body that jumps is not fast
             self._v = np.clip(self._v, -SPEED_CAP * self.parts.unit, SPEED_CAP * self.parts.unit)
             return now
         self._x = self._x - shift
-        targets = before.targets - shift
-        way = now.targets - targets
+        before = before.moved(shift)
+        way = now.targets - before.targets
         far = np.sqrt((way * way).sum(1, keepdims=True))
         if far.max() > limit:
             over = way * (1 - np.minimum(1, limit / np.maximum(far, 1e-12)))
-            self._x, targets = self._x + over, targets + over
-        return before._replace(targets=targets, capsules=before.capsules - shift)
+            self._x = self._x + over[: len(self._x)]
+            before = before._replace(targets=before.targets + over)
+        return before
 
     def _advance(self, before: Driver, now: Driver, dt: float) -> None:
         """All substeps that have begun by the end of a frame."""
@@ -147,22 +119,16 @@ class LooseMotion:
         self._clock = max(self._clock + dt - count * STEP, 0.0)
         if not count:
             return
-        way, speed = now.targets - before.targets, (now.targets - before.targets) / dt
-        longer, turned, along = now.lengths - before.lengths, now.pull - before.pull, now.capsules - before.capsules
-        pairs = self._near(now)
+        way, cap = Way(before, now, dt), SPEED_CAP * self.parts.unit
+        speed = self._law.frame(way)
         for k in range(count):
-            share = min((first + k * STEP) / dt, 1.0)
-            targets = before.targets + share * way
-            pull = self._gravity * (before.pull + share * turned)
-            self._substep(targets, speed, before.lengths + share * longer, pull)
-            if pairs is not None:
-                ends = before.capsules + share * along
-                self._pushed(ends, pairs)
-            v = (self._x - self._from) / STEP - speed
+            at = way.at(min((first + k * STEP) / dt, 1.0))
+            start, self._x = self._law.substep(self._x, self._v, at)
+            v = (self._x - start) / STEP - speed
             fast = np.sqrt((v * v).sum(1, keepdims=True))
-            v *= np.minimum(1, SPEED_CAP * self.parts.unit / np.maximum(fast, 1e-12))
+            v *= np.minimum(1, cap / np.maximum(fast, 1e-12))
             self._v = v + speed
-            self._last, self._now = self._now, self._x - targets
+            self._last, self._now = self._now, self._x - at.targets[: len(self._x)]
             slow = float(np.abs(self._now - self._last).max()) < SLOW * self.parts.unit * STEP
             self._calm = self._calm + STEP if slow else 0.0
         self.steps += count
@@ -172,59 +138,11 @@ class LooseMotion:
             self._asleep, self._last = True, self._now
             self._v = np.zeros_like(self._v)
 
-    def _substep(self, targets: Array, speed: Array, lengths: Array, pull: Array) -> None:
-        """Springs, gravity and neighbours; leaves where it came from in `_from`."""
-        parts = self.parts
-        x = self._from = self._x
-        y = x + STEP * (speed + (self._v - speed) * self._damped + STEP * pull)
-        y += (targets - y) * self._drawn
-        away = y.take(parts.neighbours, 0) - y[:, None]
-        long = np.sqrt(np.einsum("nkc,nkc->nk", away, away))
-        # cloth folds, it does not stretch
-        y += np.einsum("nk,nkc->nc", parts.pull * np.maximum(1 - lengths / np.maximum(long, 1e-12), 0), away)
-        offset = y - targets
-        far = np.sqrt(np.einsum("nc,nc->n", offset, offset))[:, None]
-        self._x = targets + offset * np.minimum(1, REACH * parts.unit / np.maximum(far, 1e-12))
-
-    def _near(self, now: Driver) -> tuple[Int[Array, "pairs"], Int[Array, "pairs"]] | None:
-        """The capsule that each particle is nearest to, of those that are near one at all."""
-        if self._close is None:
-            return None
-        nearest = self._close.argmin(1)
-        own = np.flatnonzero(self._close[np.arange(len(nearest)), nearest] < 0.1 * self.parts.unit)
-        return (own, nearest[own]) if len(own) else None
-
-    def _pushed(self, ends: Float[Array, "2 capsules 3"], pairs: tuple[Array, Array]) -> None:
-        own, which = pairs
-        start, along = ends[0][which], (ends[1] - ends[0])[which]
-        point = self._x[own] - start
-        share = np.einsum("nc,nc->n", point, along) / np.maximum(np.einsum("nc,nc->n", along, along), 1e-18)
-        off = point - np.clip(share, 0, 1)[:, None] * along
-        far = np.sqrt(np.einsum("nc,nc->n", off, off))
-        deep = self.parts.radii[own, which] - far
-        if deep.max() > 0:
-            push = np.maximum(deep, 0) / np.maximum(far, 1e-9)
-            self._x[own] += push[:, None] * off
-
     def _settle(self, now: Driver) -> None:
         """The offsets that this frame draws: between the last two substeps, and outside of the capsules."""
-        targets, share = now.targets, self._clock / STEP
+        targets, share = now.targets[: len(self._x)], self._clock / STEP
         offsets = self._last + share * (self._now - self._last)
-        y, radii = targets + offsets, self.parts.radii
-        for sweep in range(PUSHES):
-            self._close = capsule_distances(y, *now.capsules) - radii
-            nearest = self._close.argmin(1)
-            rows = np.arange(len(nearest))
-            own = np.flatnonzero(self._close[rows, nearest] < -DEEPEST * self.parts.unit)
-            if not len(own) or sweep == PUSHES - 1:
-                break
-            start, along = now.capsules[0][nearest[own]], (now.capsules[1] - now.capsules[0])[nearest[own]]
-            point = y[own] - start
-            length = np.maximum((along * along).sum(1), 1e-18)
-            off = point - np.clip((point * along).sum(1) / length, 0, 1)[:, None] * along
-            far = np.sqrt((off * off).sum(1, keepdims=True))
-            y[own] += -self._close[own, nearest[own], None] * off / np.maximum(far, 1e-9)
-        self.offsets = y - targets
+        self.offsets = self._law.settled(targets + offsets, now) - targets
         self._reach = float(np.sqrt((self.offsets**2).sum(1).max()))
         self.version += 1
 
@@ -234,23 +152,7 @@ class LooseMotion:
         return self._seconds is not None and self._reach > UNSEEN * self.parts.unit
 
 
-def driver(parts: LooseParts, pose: Pose) -> Driver:
-    """Where a pose has the particles, the pelvis at the origin."""
-    axis_angle, root = np.asarray(pose[0], np.float64), np.asarray(pose[1], np.float64)
-    poser = parts.poser
-    world = poser.chain.transforms(axis_angle, np.zeros(3), np.eye(4))
-    # without twist joints: they move nothing that is loose
-    moved = world @ poser.joint_from_canonical[:52]
-    skinned = parts.skinning @ moved[parts.joints, :3].transpose(0, 2, 1).reshape(-1, 3)
-    targets, pull = skinned[: len(parts.places)], DOWN - skinned[len(parts.places) :]
-    away = targets.take(parts.neighbours, 0) - targets[:, None]
-    lengths = np.sqrt(np.einsum("nkc,nkc->nk", away, away))
-    bones = moved[BONE, :3]
-    capsules = np.einsum("kij,ekj->eki", bones[:, :, :3], parts.capsules) + bones[:, :, 3]
-    return Driver(root, world[0, :3, :3], targets, lengths, pull, capsules)
-
-
 def _moved(a: Driver, b: Driver) -> float:
     """How far particles' targets and capsules are from where they were, at most; metres."""
     shift = a.root - b.root
-    return float(max(np.abs(a.targets - b.targets + shift).max(), np.abs(a.capsules - b.capsules + shift).max()))
+    return max(float(np.abs(x - y + shift).max(initial=0)) for x, y in zip(a[2:4], b[2:4], strict=True))

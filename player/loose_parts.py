@@ -15,11 +15,15 @@ from avatar.baked_avatar import Avatar, Level
 from avatar.skeleton import joint_transforms
 from avatar.skinning import dense_weights
 from player.contact_capsules import BONES, capsules_of
+from player.drawing import Pose
 from player.held_feet import GROWN, LEGS, leg_bones
+from player.loose_driver import Driver
 from player.posing import Poser
 
 Array = np.ndarray
 
+# joint that moves each capsule
+BONE = np.array([joint for joint, _ in BONES])
 # at most; player/blocks.py, shaders/loose.glsl
 PARTICLES = 300
 # metres from one to the next at least, of a grown person
@@ -60,6 +64,21 @@ class LooseParts:
     # of each vertex: four particles and how far it follows each
     near: Int[Array, "vertices 4"]
     follows: Float[Array, "vertices 4"]
+
+    def drive(self, pose: Pose) -> Driver:
+        """Where a pose has the particles, the pelvis at the origin."""
+        axis_angle, root = np.asarray(pose[0], np.float64), np.asarray(pose[1], np.float64)
+        poser = self.poser
+        world = poser.chain.transforms(axis_angle, np.zeros(3), np.eye(4))
+        # without twist joints: they move nothing that is loose
+        moved = world @ poser.joint_from_canonical[:52]
+        skinned = self.skinning @ moved[self.joints, :3].transpose(0, 2, 1).reshape(-1, 3)
+        targets, pull = skinned[: len(self.places)], DOWN - skinned[len(self.places) :]
+        away = targets.take(self.neighbours, 0) - targets[:, None]
+        lengths = np.sqrt(np.einsum("nkc,nkc->nk", away, away))
+        bones = moved[BONE, :3]
+        capsules = np.einsum("kij,ekj->eki", bones[:, :, :3], self.capsules) + bones[:, :, 3]
+        return Driver(root, world[0, :3, :3], targets, capsules, lengths, pull)
 
 
 def loose_parts(avatar: Avatar, level: Level) -> LooseParts | None:
@@ -178,6 +197,3 @@ def _followers(
     columns = share.shape[1]
     near[own, :columns], follows[own, :columns] = nearest[:, :columns], share
     return near, follows
-
-
-BONE = np.array([joint for joint, _ in BONES])

@@ -50,7 +50,7 @@ class RenderCommand:
     avatar: Annotated[
         tuple[str, ...],
         Option(positional=True, metavar="AVATAR", several=True),
-        "avatar file (.glb); several stand side by side",
+        "avatar file (.glb) or .vrm; several stand side by side",
     ] = ()
     scene: Annotated[str | None, Option(metavar="FILE"), "scene file (.toml) instead of AVATAR and --motion"] = None
     motion: Annotated[

@@ -52,6 +52,8 @@ __all__ = ["Avatar", "Level", "ViewNetwork", "read_avatar", "write_avatar"]
 
 T = TypeVar("T")
 MAX_LEVELS = 8
+# extensions that tell a .vrm from any other glTF
+VRM = ("VRMC_vrm", "VRM")
 # images that are unpacked at once
 DECODERS = 3
 # of all images together: 200 MB decoded
@@ -59,7 +61,8 @@ MAX_PIXELS = 1 << 26
 
 
 def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
-    """Read an avatar file and check every promise that `Avatar` and `Level` make.
+    """Read an avatar file, or a .vrm as it is (avatar/gltf/vrm_avatar.py), and check every promise that `Avatar` and
+    `Level` make.
 
     With `levels` only that many of the finest are decoded: a picture needs one, and the others' atlases cost a third
     of the time that reading takes. Of the rest only what the file says of them is checked.
@@ -70,8 +73,13 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
     gltf = read_gltf(path)
     extension = gltf.extensions(gltf.json, "glTF").get(EXTENSION)
     where = f"extensions.{EXTENSION}"
+    if extension is None and any(name in gltf.extensions(gltf.json, "glTF") for name in VRM):
+        # only where it is asked for
+        from avatar.gltf.vrm_avatar import read_vrm
+
+        return read_vrm(gltf)
     if not isinstance(extension, dict):
-        raise gltf.error(where, "there: an avatar comes from `selfscan bake`", extension)
+        raise gltf.error(where, "there: an avatar comes from `selfscan bake`, or is a .vrm", extension)
     if extension.get("version") != VERSION:
         raise gltf.error(f"{where}.version", f"{VERSION}", extension.get("version"))
     for key, kind in (("name", str), ("defaultView", str), ("provenance", dict)):

@@ -18,7 +18,7 @@ from player.camera_path import CameraPath, is_path, turntable
 from player.framing import FOV, evenly, facing, fitted_camera, orbit
 from player.motions import BLOCK
 from player.renderer import Pose
-from player.scenes.opened import notes_of, opened_avatars, opened_camera, opened_tracks
+from player.scenes.opened import avatar_notes, notes_of, opened_avatars, opened_camera, opened_tracks
 from player.scenes.scene import Scene, SceneCamera
 
 # of the frame number, which may lie between two frames, and the first avatar's pelvis
@@ -56,7 +56,7 @@ class Stage:
                 raise AssetError(f"{actor.path}: live = {actor.live!r} is for `selfscan play`; a film needs a motion")
         self.avatars = opened_avatars(scene, levels)
         self.tracks = opened_tracks(scene, self.avatars, scene.cameras[:1])
-        self.notes = notes_of(self.tracks)
+        self.notes = [*avatar_notes(self.avatars), *notes_of(self.tracks)]
         self.rate = float(scene.rate or self.tracks[0].rate)
         self.camera = scene.cameras[0] if scene.cameras else SceneCamera()
         self.frames = self._frames()

@@ -80,8 +80,9 @@ class LazyMotion:
             # only where it is asked for
             from player.loose_motion import LooseMotion
             from player.loose_parts import loose_parts
+            from player.spring_chains import spring_parts
 
-            parts = loose_parts(*self._of)
+            parts = spring_parts(*self._of) or loose_parts(*self._of)
             assert parts is not None, "planned for what is loose"
             self._found = LooseMotion(parts, self._springs)
         return self._found
@@ -134,10 +135,15 @@ class Loosened:
         return block.tobytes()
 
 
+def is_loose(level: Level) -> bool:
+    """Whether anything of a level can swing: what its file marks as loose, or spring bones."""
+    return level.springs is not None or (level.loose is not None and bool(level.loose.any()))
+
+
 def loosened(draft: Draft, avatar: int) -> Loosened | None:
     """What moves an avatar's loose parts; None: nothing is asked for, or nothing is loose."""
     level, tag, springs = draft.levels[avatar], draft.tag(avatar), draft.springs
-    if springs is None or level.loose is None or not level.loose.any():
+    if springs is None or not is_loose(level):
         return None
     motion = draft.keep(
         ("secondary motion", avatar, draft.level, springs), lambda: LazyMotion(draft.avatars[avatar], level, springs)

@@ -61,6 +61,11 @@ def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView
     return Track(motion.read, motion.frames, motion.rate, entry.start, at, turn, name, motion.notes)
 
 
+def avatar_notes(avatars: Sequence[Avatar]) -> list[str]:
+    """What was assumed about avatars that were read from other files than their own, each line once."""
+    return list(dict.fromkeys(note for avatar in avatars for note in avatar.notes))
+
+
 def notes_of(tracks: Sequence[Track]) -> list[str]:
     """What was assumed about the motions: what holds for all of them once, the rest by avatar."""
     if len({track.notes for track in tracks}) == 1:

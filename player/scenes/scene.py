@@ -25,7 +25,9 @@ MANNEQUINS = ("mannequin", "mannequin:female")
 class SceneAvatar:
     """One avatar on stage."""
 
-    path: Annotated[str, Place(MANNEQUINS), "avatar file (.glb), or mannequin, mannequin:female: the built-in body"]
+    path: Annotated[
+        str, Place(MANNEQUINS), "avatar file (.glb), a .vrm, or mannequin, mannequin:female: the built-in body"
+    ]
     motion: Annotated[
         str | None, Place(BUILTIN_MOTIONS), "pose file, folder of frames, counting or walking; none: T-pose"
     ] = None

@@ -17,7 +17,7 @@ from player.live.playback import LivePlayback
 from player.motions import BLOCK
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, Effects
-from player.scenes.opened import notes_of, opened_camera, opened_tracks
+from player.scenes.opened import avatar_notes, notes_of, opened_camera, opened_tracks
 from player.scenes.scene import Scene, SceneCamera
 from player.window.playback import Playback
 
@@ -89,5 +89,5 @@ def opened_show(
     return Show(
         list(avatars), [Path(entry.path).stem for entry in scene.avatars],
         Playback(tracks, live, rate=scene.rate), cameras, scene.effects, scene.background, capture,
-        follow=first.kind == "orbit", notes=notes_of(tracks),
+        follow=first.kind == "orbit", notes=[*avatar_notes(avatars), *notes_of(tracks)],
     )  # fmt: skip

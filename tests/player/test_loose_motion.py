@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from loose_avatar import dance, dressed
 
-from player import loose_motion
-from player.loose_motion import CALM, LONGEST, REACH, LooseMotion
-from player.loose_parts import PARTICLES, capsule_distances, loose_parts
+from player.loose_motion import CALM, LONGEST, LooseMotion
+from player.loose_parts import PARTICLES, LooseParts, capsule_distances, loose_parts
+from player.loose_sheets import REACH
 from player.passes.secondary_motion import SecondaryMotion
 
 SETTINGS = SecondaryMotion()
@@ -132,7 +132,7 @@ def test_a_minute_of_dancing_nothing_is_deeper_than_5_mm_in_the_body(parts):
         pose = dance(frame / 30)
         motion.move(pose, frame / 30)
         # positions and capsules anew, from the pose
-        now = loose_motion.driver(parts, (pose[0], np.zeros(3)))
+        now = parts.drive((pose[0], np.zeros(3)))
         at = now.targets + motion.offsets
         deepest = max(deepest, float((parts.radii - capsule_distances(at, *now.capsules)).max()))
         length = np.linalg.norm(at[parts.neighbours] - at[:, None], axis=2)
@@ -150,7 +150,7 @@ def test_two_runs_have_the_same_bits(parts):
 def test_who_stands_as_filmed_is_drawn_as_filmed_and_asleep(parts, monkeypatch):
     motion = moved(parts, 60, 2 * CALM, lambda t: STANDING)[0]
     assert motion.asleep and not motion.shows and motion.reach < 1e-6
-    monkeypatch.setattr(loose_motion, "driver", lambda *_: pytest.fail("nothing is computed at rest"))
+    monkeypatch.setattr(LooseParts, "drive", lambda *_: pytest.fail("nothing is computed at rest"))
     steps = motion.steps
     for frame in range(1000):
         motion.move(STANDING, 2 * CALM + frame / 60)

@@ -6,7 +6,7 @@ import rigs
 
 from avatar.errors import AssetError
 from avatar.gltf.document import read_gltf
-from avatar.gltf.humanoid import mixamo_names, vrm_names
+from avatar.gltf.humanoid import find_joints, mixamo_names, vrm_names
 from avatar.gltf.scene import (
     node_parents,
     parent_from_node,
@@ -18,7 +18,6 @@ from avatar.gltf.scene import (
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
-from synth.humanoid import find_joints
 from synth.subject import read_subject
 
 MIXAMO = ["mixamorig:" + mixamo_names()[joint] for joint in JOINTS]

@@ -6,14 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rigs
 from glsl_probe import probe
 from loose_avatar import dance, dressed
+from spring_vrm import PONYTAIL, TAIL, spring_vrm
 
 from avatar.camera import orbit_camera
-from avatar.gltf.avatar_file import write_avatar
+from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
 from player.blocks import BINDING, LOOSE
+from player.copies import groups_of
 from player.filming import parts
 from player.filming import render as filming
 from player.filming.shot import Shot, ShotRenderer
@@ -225,8 +228,6 @@ def test_explain_tells_how_many_particles_and_what_they_cost(tmp_path, dressed_a
 def test_a_file_tells_what_is_loose(tmp_path, dressed_avatar):
     from tiny_avatar import join_glb, split_glb
 
-    from avatar.gltf.avatar_file import read_avatar
-
     path = tmp_path / "dressed.glb"
     write_avatar(path, dressed_avatar)
     assert np.array_equal(read_avatar(path).levels[0].loose, dressed_avatar.levels[0].loose)
@@ -255,3 +256,52 @@ def test_copies_of_an_avatar_swing_each_in_its_own_way(context, render, dressed_
     loose = [item.motion.reach for item in two.plan.passes if "secondary motion" in item.name]
     two.release()
     assert np.array_equal(image, alone) and loose[0] > 0.05 > loose[1]
+
+
+def test_the_springs_of_a_vrm_swing_and_shares_of_a_film_are_the_film(tmp_path, monkeypatch, capsys):
+    for module in (parts, filming):
+        monkeypatch.setattr(module, "LENGTH", 4)
+    path = rigs.write(tmp_path / "one.vrm", spring_vrm(1, (PONYTAIL, TAIL)))
+    base = [str(path), "--motion", "walking", "--frames", "20:28", "--size", "60x60", "--camera", "front"]
+    asked = [*base, "--effect", "secondary_motion"]
+    render_main([*base, "-o", str(tmp_path / "without")])
+    assert "one.vrm: VRM 1.0 joint names" in capsys.readouterr().out
+    render_main([*asked, "-o", str(tmp_path / "whole")])
+    for share in ("2/2", "1/2"):
+        render_main([*asked, "--part", share, "-o", str(tmp_path / "shared")])
+    names = sorted(file.name for file in (tmp_path / "whole").glob("*.png"))
+    assert len(names) == 8
+    for name in names:
+        whole = (tmp_path / "whole" / name).read_bytes()
+        assert whole == (tmp_path / "shared" / name).read_bytes()
+        assert whole != (tmp_path / "without" / name).read_bytes()
+
+
+def test_springs_at_rest_and_a_vrm_without_any_are_the_frame_that_never_asked(tmp_path, context, render):
+    document = spring_vrm(0)
+    sprung = read_avatar(rigs.write(tmp_path / "sprung.vrm", document))
+    del document["extensions"]["VRM"]["secondaryAnimation"]
+    plain = read_avatar(rigs.write(tmp_path / "plain.vrm", document))
+    pose = (np.zeros((52, 3)), np.array([0, 0.95, 0]))
+    for avatar, why in ((sprung, AT_REST.why), (plain, "nothing of it is loose")):
+        renderer = render(avatar, SIZE, effects=STILL)
+        before, objects, calls = renderer.draw([pose], CAMERA), context.counts.objects(), draws(context, renderer, pose)
+        renderer.change(effects=MOVING)
+        for frame in range(61):
+            renderer.move([pose], frame / 60)
+        assert np.array_equal(renderer.draw([pose], CAMERA), before) and decision(renderer).why == why
+        assert draws(context, renderer, pose) == calls
+        if avatar is plain:
+            assert context.counts.objects() == objects and not renderer.moves
+
+
+def draws(context, renderer, pose):
+    before = context.counts.calls["draw"]
+    renderer.draw([pose], CAMERA)
+    return context.counts.calls["draw"] - before
+
+
+def test_copies_of_a_vrm_swing_each_in_its_own_way(tmp_path):
+    avatar = read_avatar(rigs.write(tmp_path / "one.vrm", spring_vrm(1)))
+    assert groups_of([avatar, avatar]) == ((0, 1),)
+    assert groups_of([avatar, avatar], loose=True) == ((0,), (1,))
