@@ -112,8 +112,9 @@ def stages(out: Path) -> list[Stage]:
     ]
 
 
-def run_stages(todo: list[Stage]) -> dict[str, float]:
-    """Run what is not there yet, and everything after it; the seconds of what ran, by name.
+def run_stages(todo: list[Stage], after: float = 0.0) -> dict[str, float]:
+    """Run what is not there yet, and everything after it; the seconds of what ran, by name. `after`: minutes of what
+    comes behind these stages.
 
     Raises:
         AssetError: a stage ended without its product.
@@ -124,8 +125,8 @@ def run_stages(todo: list[Stage]) -> dict[str, float]:
         if stage.product.exists() and not seconds:
             print(f"{label}: kept {stage.product}", flush=True)
             continue
-        left = sum(later.minutes for later in todo[number - 1 :])
-        print(f"\n{label}: about {stage.minutes:g} min on 2 cores, {left:.0f} to the end ...", flush=True)
+        left = sum(later.minutes for later in todo[number - 1 :]) + after
+        print(f"\n{label}: about {stage.minutes:.2g} min on 2 cores, {left:.0f} to the end ...", flush=True)
         start = time.perf_counter()
         code = stage.run()
         if code not in (None, 0) or not stage.product.exists():

@@ -6,7 +6,7 @@ dilated by 5 px; the eyes on the head's close-ups, over the truth's visible eyeb
 box and mask being that region itself. Frames in the T-pose are kept apart.
 """
 
-from collections.abc import Callable, Set
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -140,9 +140,11 @@ def score_images(
     perceive: Perceive | None = None,
     few: Set[int] = frozenset(),
     raster: Rasteriser | None = None,
+    ours: Sequence[HeldOutView] | None = None,
 ) -> SetScores:
     """Draw and score every picture of a set; those of the `few` pose indices are also gathered by themselves.
 
+    `ours`: the same views in the poses that are drawn, where the skeleton is another than the truth's.
     With a `raster` and a truth that knows its eyes, the eye region of the head's close-ups is scored as well.
     """
     regions = REGIONS if raster is None or mesh.eye is None else (*REGIONS, "eyes")
@@ -150,7 +152,7 @@ def score_images(
     vertices_of = {region: np.flatnonzero(mesh.part == part) for region, part in REGION_PART.items()}
     vertices_of["total"] = np.unique(mesh.faces)
     posed: tuple[int, np.ndarray] = (-1, np.zeros((0, 3)))
-    for view in progress(views, label):
+    for view, own in progress(zip(views, ours or views, strict=True), label, len(views)):
         if posed[0] != view.pose_index:
             posed = view.pose_index, mesh.posed(view.axis_angle, view.root)
         region = VIEW_REGION[view.view]
@@ -161,7 +163,7 @@ def score_images(
         where = metrics.rectangle(box)
         if where is not None:
             looked_at[where] = around[where]
-        image = draw(view.axis_angle, view.root, view.camera, SAMPLES, looked_at).color * around[..., None]
+        image = draw(own.axis_angle, own.root, view.camera, SAMPLES, looked_at).color * around[..., None]
         truth = view.image() * around[..., None]
         ones = {region: ImageScores()}
         ones[region].add(truth, image, box, mask, perceive)

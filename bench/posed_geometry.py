@@ -123,10 +123,12 @@ def measure_pose(
     every: int = 1,
     truth_from_surface: Float[np.ndarray, "4 4"] | None = None,
 ) -> None:
-    """Add the distances of one pose, every region. `every` takes only each n-th sample; `truth_from_surface` moves
-    the reconstruction rigidly first."""
+    """Add the distances of one pose, of every region in `into`. `every` takes only each n-th sample;
+    `truth_from_surface` moves the reconstruction rigidly first."""
     hair = hair_faces(case.truth)[case.truth.visible]
-    regions = [region for region in case.on_truth if region in case.on_surface]
+    regions = [region for region in case.on_truth if region in case.on_surface and region in into]
+    if not regions:
+        return
     ours = [thinned(case.on_surface[region], every) for region in regions]
     true = [thinned(case.on_truth[region], every) for region in regions]
     there = np.concatenate([samples.on(pair.surface, case.faces) for samples in ours])
@@ -154,9 +156,10 @@ def thinned(samples: SurfaceSamples, every: int) -> SurfaceSamples:
     return SurfaceSamples(samples.face[::every], samples.barycentric[::every])
 
 
-def alignment(case: GeometryCase, pair: PosedPair) -> Float[np.ndarray, "4 4"]:
-    """truth_from_surface by rigid ICP of the whole reconstruction onto the truth (what the paper's code does)."""
-    few = thinned(case.on_surface["total"], 16)
+def alignment(case: GeometryCase, pair: PosedPair, region: str = "total") -> Float[np.ndarray, "4 4"]:
+    """truth_from_surface by rigid ICP onto the truth: of the whole reconstruction (what the paper's code does), or of a
+    region."""
+    few = thinned(case.on_surface[region], 16 if region == "total" else 4)
     return rigid_icp(few.on(pair.surface, case.faces), pair.truth_index, rounds=15)
 
 

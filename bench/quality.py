@@ -2,7 +2,9 @@
 
 Pictures as bench/picture_scores.py says; geometry as P2S and Chamfer in centimetres between posed surfaces,
 visible surface only, without alignment. Beside them: the subject's own rig weights in place of ours (what is
-left is learning, the difference is skinning), ICP-aligned as the paper's code does, T-pose, canonical, hair.
+left is learning, the difference is skinning), ICP-aligned as the paper's code does, T-pose, canonical, hair, and the
+template before training (0 steps). What was told to the reconstruction stands as "input"; the poses of an estimated
+skeleton are fitted to each held-out picture (bench/fitted_poses.py).
 """
 
 import json
@@ -27,9 +29,20 @@ from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
 from bench.eye_region import NO_EYES
 from bench.field_view import PosableSurface, one_thread
+from bench.fitted_poses import fitted_views
 from bench.lpips import read_perceptual
 from bench.machine import machine
 from bench.picture_scores import Perceive, is_t_pose, score_images
+from bench.pose_distances import (
+    BESIDE,
+    Measured,
+    PoseDistances,
+    distinct_poses,
+    fitted_poses,
+    limbs_off,
+    measure_poses,
+    same_poses,
+)
 from bench.posed_geometry import (
     SAMPLES,
     Distances,
@@ -41,11 +54,12 @@ from bench.posed_geometry import (
     posed_pair,
 )
 from bench.quality_table import PAPER, markdown, print_table
-from bench.region_scores import gather, regions_of, without_eyes
+from bench.region_scores import regions_of, without_eyes
 from bench.remeasure import remeasured
 from bench.true_mesh import TrueMesh, read_true_mesh
-from capture.held_out import SETS, HeldOutView, read_capture_facts, read_held_out
-from geometry.closest import triangle_index
+from capture.folder import CaptureSubject, read_subject
+from capture.held_out import SETS, HeldOutView, read_held_out, read_truth_facts
+from capture.input_kind import input_kind
 from player.context import open_context
 from synth.visibility import visible_faces
 from train.run import read_run
@@ -53,8 +67,6 @@ from train.run import read_run
 # of each held-out set on which an avatar is compared with its run's field
 FIELD_POSES = 3
 CAPTURE_FACTS = ("subject", "light", "sheen", "pose_noise_deg", "seed", "size", "registration")
-# rows beside the main ones take each 4th sample, in every pose
-BESIDE = 4
 
 
 def print_stage(text: str) -> None:
@@ -77,13 +89,21 @@ def evaluate(
     start, cpu_start = time.perf_counter(), time.process_time()
     perceive = read_perceptual(lpips).score if lpips else None
     print_stage(f"reading {path} and {capture}")
-    facts = read_capture_facts(capture)
+    facts = read_truth_facts(capture)
     truth = read_true_mesh(capture)
     held_out = {name: some_poses(read_held_out(capture, name), poses) for name in SETS}
     with one_thread():
         drawer = Drawer(path)
         try:
-            result = measured(drawer, truth, held_out, few=few, perceive=perceive)
+            kind = input_kind(drawer.provenance.get("capture") or {}, str(path))
+            template = template_of_run(drawer, run, kind)
+            filmed = held_out
+            if kind != "given":
+                assert template is not None
+                print_stage(f"{kind}: poses fitted to {sum(map(len, held_out.values()))} held-out pictures")
+                held_out = fitted_views(template, filmed)
+            ours = None if kind == "given" else held_out
+            result = measured(drawer, truth, filmed, few=few, perceive=perceive, ours=ours, template=template)
             if drawer.avatar is not None:
                 print_stage("every view mode of the avatar beside the true pictures")
                 result["view_modes"] = view_modes(drawer.avatar, facts, held_out)
@@ -93,7 +113,7 @@ def evaluate(
                 result["baked_vs_field"] |= remeasured(drawer.avatar, read_run(run), some)
             if ceiling:
                 result["beside"]["ceiling"] = measured_ceiling(
-                    drawer, capture, facts, truth, held_out["novel_pose"], perceive
+                    drawer, capture, facts, truth, filmed["novel_pose"], perceive
                 )
         finally:
             drawer.release()
@@ -104,6 +124,7 @@ def evaluate(
     }
     return {
         "format": "selfscan-quality",
+        "input": kind,
         "source": source,
         "machine": machine(drawer.context.renderer, drawer.context.kind),
         "capture": {name: facts[name] for name in CAPTURE_FACTS if name in facts},
@@ -142,9 +163,8 @@ def not_chosen_on(
     return left if any(left.values()) else held_out
 
 
-def seen_case(drawer: Drawer, truth: TrueMesh) -> GeometryCase:
+def seen_case(drawer: Drawer, truth: TrueMesh, surface: PosableSurface) -> GeometryCase:
     """What is measured on both surfaces: what can be seen from outside in pose 0."""
-    surface = drawer.surface
     print_stage(f"which of {len(surface.faces)} faces can be seen from outside")
     posed = surface.posed(np.zeros((52, 3)), truth.joints[0])
     visible = visible_faces(drawer.raster, posed, surface.faces)
@@ -154,6 +174,29 @@ def seen_case(drawer: Drawer, truth: TrueMesh) -> GeometryCase:
         raise AssetError(f"{drawer.path}: {error}") from None
 
 
+def template_surface(subject: CaptureSubject) -> PosableSurface:
+    """The template that training began with, hair and clothes that were carved included."""
+    return PosableSurface(subject.vertices, subject.faces, subject.skin, subject.joints, BIG_POSE)
+
+
+def template_of_run(drawer: Drawer, run: Path | None, kind: str) -> CaptureSubject | None:
+    """The template of what is evaluated: its own run's, else that of `run`; None: none is at hand, and none needed.
+
+    Raises:
+        AssetError: the poses of an estimated skeleton have to be fitted, and no run says with which template.
+    """
+    if drawer.field is not None:
+        return read_subject(drawer.path / "subject.npz")
+    if run is not None:
+        return read_subject(run / "subject.npz")
+    if kind != "given":
+        raise AssetError(
+            f"{drawer.path}: its skeleton was estimated ({kind}), so held-out poses are fitted to their pictures with "
+            f"the template of its run: name it with --run RUN"
+        )
+    return None
+
+
 def measured(
     drawer: Drawer,
     truth: TrueMesh,
@@ -161,61 +204,68 @@ def measured(
     *,
     few: int | None,
     perceive: Perceive | None,
+    ours: dict[str, list[HeldOutView]] | None = None,
+    template: CaptureSubject | None = None,
 ) -> dict[str, Any]:
-    """Both sets of held-out pictures and poses, and what stands beside them."""
+    """Both sets of held-out pictures and poses, and what stands beside them; `ours`: the views in the poses of an
+    estimated skeleton."""
     surface = drawer.surface
     rest = np.zeros((52, 3)), truth.joints[0]
-    case = seen_case(drawer, truth)
-    own = own_weights_surface(truth, surface)
+    what = Measured(
+        seen_case(drawer, truth, surface),
+        None if template is None else seen_case(drawer, truth, template_surface(template)),
+        own_weights_surface(truth, surface) if ours is None else None,
+        apart=ours is not None,
+    )
 
     out: dict[str, Any] = {}
-    beside: dict[str, Any] = {
-        "t_pose": regions_of(measure_once(case, *rest)),
-    }
-    beside["canonical"] = regions_of(measure_once(case, BIG_POSE, truth.joints[0]))
+    beside: dict[str, Any] = {"t_pose": regions_of(measure_once(what, *rest))}
+    beside["canonical"] = regions_of(measure_once(what, BIG_POSE, truth.joints[0]))
     for name, views in held_out.items():
         # novel views are of a standing T-pose by design; among novel poses a T-pose frame would flatter
         apart = name == "novel_pose"
+        own_views = views if ours is None else ours[name]
         print_stage(f"{name.replace('_', ' ')}: {len(views)} pictures")
-        chosen = {view.pose_index for view in some_poses(views, few)} if apart and few else frozenset()
+        chosen = frozenset(view.pose_index for view in some_poses(views, few)) if apart and few else frozenset()
         images = score_images(
             views, truth, drawer.draw, f"{name} pictures", t_pose_apart=apart, perceive=perceive, few=chosen,
-            raster=drawer.raster,
+            raster=drawer.raster, ours=own_views,
         )  # fmt: skip
-        distances = {kind: {region: Distances() for region in SAMPLES} for kind in ("ours", "own", "aligned")}
-        few_distances = {region: Distances() for region in SAMPLES}
-        poses = distinct_poses([view for view in views if not (apart and is_t_pose(view))])
-        print_stage(f"{name.replace('_', ' ')}: {len(poses)} posed surfaces")
-        for view in progress(poses, f"{name} surfaces"):
-            pose = view.axis_angle, view.root
-            pair = posed_pair(case, truth.posed(*pose), surface.posed(*pose))
-            here = {region: Distances() for region in SAMPLES}
-            measure_pose(case, pair, here)
-            gather(here, distances["ours"])
-            if view.pose_index in chosen:
-                gather(here, few_distances)
-            if apart:
-                aligned = alignment(case, pair)
-                measure_pose(case, pair, distances["aligned"], every=BESIDE, truth_from_surface=aligned)
-                posed = own.posed(*pose)
-                pair = pair._replace(surface=posed, index=triangle_index(posed, case.faces))
-                measure_pose(case, pair, distances["own"], every=BESIDE)
-        out[name] = regions_of(distances["ours"], images.scored)
+        kept = [i for i, view in enumerate(views) if not (apart and is_t_pose(view))]
+        moving = [views[i] for i in kept]
+        placements = same_poses(moving) if ours is None else fitted_poses(moving, [own_views[i] for i in kept])
+        print_stage(f"{name.replace('_', ' ')}: {len(placements)} posed surfaces")
+        distances = measure_poses(what, placements, chosen, f"{name} surfaces", beside=apart)
+        out[name] = regions_of(distances.ours, images.scored)
         out[name].setdefault("eyes", without_eyes(NO_EYES))
         if apart and few:
-            out["few_poses"] = {"poses": len(chosen), **regions_of(few_distances, images.few)}
+            out["few_poses"] = {"poses": len(chosen), **regions_of(distances.few, images.few)}
         if apart:
-            beside["aligned"] = regions_of(distances["aligned"])
-            beside["own_weights"] = regions_of(distances["own"])
-            beside["poses"] = len(poses)
-            beside["stretched_at_hair"] = stretched_at_hair(truth, surface, poses)
-            away = skin_to_surface(truth, surface.vertices, surface.faces)
+            beside["aligned"] = regions_of(distances.aligned)
+            beside |= zero_steps(what, distances)
+            beside["own_weights"] = None if what.own is None else regions_of(distances.own)
+            beside["poses"] = len(placements)
+            if ours is not None and template is not None:
+                beside["fitted"] = {"total": limbs_off(placements, truth.joints, template.joints)}
+            beside["stretched_at_hair"] = stretched_at_hair(truth, surface, [own_views[i] for i in kept])
+            away = skin_to_surface(truth, surface.vertices, surface.faces) if ours is None else None
             beside["skin_beside_hair_to_surface_cm"] = None if away is None else round(100 * away, 4)
             if images.t_pose:
                 beside["t_pose_frames"] = regions_of({}, images.t_pose)
     out["baked_vs_field"] = baked_vs_field_of(drawer)
     out["beside"] = beside
     return out
+
+
+def zero_steps(what: Measured, distances: PoseDistances) -> dict[str, Any]:
+    """The row of the template before training: it has a surface and no colors."""
+    if what.template is None:
+        return {"zero_steps": None, "zero_steps_reason": "the avatar file holds no template; give --run"}
+    return {
+        "zero_steps": regions_of(distances.template),
+        "zero_steps_aligned": regions_of(distances.template_aligned),
+        "zero_steps_reason": "a template has no colors before training: no pictures",
+    }
 
 
 def measured_ceiling(
@@ -240,14 +290,6 @@ def measured_ceiling(
     return regions_of(distances, images.scored)
 
 
-def distinct_poses(views: list[HeldOutView]) -> list[HeldOutView]:
-    """One view of each pose; turning the whole person is no other pose to a distance between surfaces."""
-    found: dict[bytes, HeldOutView] = {}
-    for view in views:
-        found.setdefault(view.axis_angle[1:].round(9).tobytes(), view)
-    return list(found.values())
-
-
 def stretched_at_hair(truth: TrueMesh, surface: PosableSurface, poses: list[HeldOutView]) -> dict[str, int] | None:
     """Edges of the reconstruction at hair, and how many of them a pose stretches to more than twice their length;
     None: nobody's hair."""
@@ -258,10 +300,12 @@ def stretched_at_hair(truth: TrueMesh, surface: PosableSurface, poses: list[Held
     return {"edges": len(edges), "stretched": stretched_edges(edges, surface.vertices, posed)}
 
 
-def measure_once(case: GeometryCase, axis_angle: np.ndarray, root: np.ndarray) -> dict[str, Distances]:
-    into = {region: Distances() for region in SAMPLES}
+def measure_once(what: Measured, axis_angle: np.ndarray, root: np.ndarray) -> dict[str, Distances]:
+    """One pose of both; an estimated skeleton, whose pelvis is elsewhere, after rigid ICP."""
+    into, case = {region: Distances() for region in SAMPLES}, what.case
     pair = posed_pair(case, case.truth.posed(axis_angle, root), case.surface.posed(axis_angle, root))
-    measure_pose(case, pair, into, every=BESIDE)
+    T = alignment(case, pair) if what.apart else None
+    measure_pose(case, pair, into, every=BESIDE, truth_from_surface=T)
     return into
 
 
@@ -293,7 +337,11 @@ class EvalCommand:
     """`selfscan eval`."""
 
     subject: Annotated[Path, Option(positional=True, metavar="RUN_OR_AVATAR"), "run folder, or avatar file (.glb)"]
-    capture: Annotated[Path, Option(positional=True, metavar="CAPTURE"), "capture folder with truth/ (selfscan synth)"]
+    capture: Annotated[
+        Path,
+        Option(positional=True, metavar="CAPTURE"),
+        "capture folder with truth/ (selfscan synth), or of a raw scan (synth --raw --keypoints)",
+    ]
     json: Annotated[Path | None, Option(metavar="FILE"), "write every number here as well"] = None
     markdown: Annotated[Path | None, Option(metavar="FILE"), "write the table here as Markdown"] = None
     ceiling: Annotated[bool, "also score the true mesh under our skin weights: the best to be had"] = False
@@ -307,7 +355,8 @@ class EvalCommand:
     run: Annotated[
         Path | None,
         Option(metavar="RUN"),
-        "run the avatar was baked from: measures again what the file says was lost, and on held-out pictures",
+        "run the avatar was baked from: measures again what the file says was lost, and on held-out pictures; avatars "
+        "from pixels need it, since their poses are fitted to those pictures with its template",
     ] = None
 
 
@@ -315,7 +364,8 @@ EVAL = Help(
     "selfscan eval",
     """Measure a trained run or a baked avatar against the ground truth of a synthetic capture: P2S and Chamfer (cm),
 PSNR, SSIM, FLIP for head, hands and the whole person, novel poses and views; of an avatar every view mode side by
-side.""",
+side. What comes from raw videos is measured against the folder of `synth --raw --keypoints`: its poses are fitted to
+the held-out pictures, never told.""",
     "example: selfscan eval out/run out/capture --json quality.json",
 )
 

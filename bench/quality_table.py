@@ -42,13 +42,16 @@ def table_rows(result: dict[str, Any]) -> list[list[str]]:
             if region not in result[name]:  # results of earlier versions
                 continue
             rows.append([f"{name.replace('_', ' ')}: {region.replace('_', ' ')}", *cells(result[name][region])])
-            if name == "novel_pose" and region in PAPER:
+            # the paper was given nothing: beside what was, its numbers say nothing
+            if name == "novel_pose" and region in PAPER and result.get("input", "given") != "given":
                 rows.append([f"  paper: {region}", *cells(PAPER[region])])
     beside = result["beside"]
     labels = {
         "ceiling": "novel pose, true mesh under our weights",
         "own_weights": "novel pose, our surface under the rig's weights",
         "aligned": "novel pose, ICP-aligned",
+        "zero_steps": "novel pose, 0 steps: the template before training",
+        "zero_steps_aligned": "0 steps, ICP-aligned",
         "t_pose": "T-pose",
         "canonical": "canonical",
     }
@@ -76,7 +79,8 @@ def cells(scores: dict[str, Any], columns: tuple | list = COLUMNS) -> list[str]:
 def markdown(result: dict[str, Any]) -> str:
     """The table as Markdown, with what it was measured on."""
     facts = ", ".join(f"{k} {v}" for k, v in result["capture"].items() if k != "registration")
-    lines = [f"{result['source']['kind']} `{result['source']['name']}`; {facts}", ""]
+    told = f"input: {result.get('input', 'given')}"
+    lines = [f"{result['source']['kind']} `{result['source']['name']}`; {facts}; {told}", ""]
     lines += ["| | " + " | ".join(c[0] for c in COLUMNS) + " |", "|-|" + "-|" * len(COLUMNS)]
     lines += ["| " + " | ".join(row) + " |" for row in table_rows(result)]
     baked = result["baked_vs_field"]
@@ -143,5 +147,6 @@ def print_table(result: dict[str, Any], file: TextIO | None = None) -> None:
     wide = max(len(row[0]) for row in rows)
     for row in rows:
         print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]), file=file or sys.stdout)
+    print(f"input: {result.get('input', 'given')}", file=file or sys.stdout)
     for line in (*DECIBELS, *view_mode_lines(result), *lost_lines(result)):
         print(line, file=file or sys.stdout)

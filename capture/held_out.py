@@ -1,6 +1,6 @@
 """Held-out pictures of a synthetic capture, with their poses and cameras: none of them was seen in training.
 
-truth/novel_pose/, novel_view/ images/, masks/, parts/ NAME.png and views.npz
+truth/novel_pose/, novel_view/ images/, masks/, parts/ NAME.png and views.npz; of raw scans also keypoints/NAME.json
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,8 @@ from avatar.input_file import read_json_object
 from avatar.npz import read_npz
 from avatar.picture import read_picture
 from avatar.skeleton import PARTS
+from capture.keypoints.read import read_keypoints
+from capture.keypoints.record import Keypoints
 
 SETS = ("novel_pose", "novel_view")
 
@@ -42,6 +44,20 @@ class HeldOutView:
         """Part id + 1 of each pixel, 0 where there is nobody."""
         return self.pixels("parts", "L")
 
+    def keypoints(self) -> Keypoints:
+        """What a detector finds in the picture.
+
+        Raises:
+            AssetError: the truth holds no keypoints of its pictures.
+        """
+        path = self.folder / "keypoints" / f"{self.name}.json"
+        if not path.exists():
+            raise AssetError(
+                f"{path}: expected keypoints of the held-out picture, found none: an estimated skeleton is fitted to "
+                f"pictures, never told the truth's poses; film the truth by `selfscan synth --raw --keypoints`"
+            )
+        return read_keypoints(path, size=self.camera.size)
+
     def pixels(self, kind: str, mode: str) -> np.ndarray:
         path = self.folder / kind / f"{self.name}.png"
         pixels = read_picture(path, mode, formats=("PNG",))
@@ -58,6 +74,21 @@ def read_capture_facts(capture: Path) -> dict:
     facts = read_json_object(path, "the facts of a capture")
     if facts.get("format") != "selfscan-capture":
         raise AssetError(f"{path}: format should be 'selfscan-capture'")
+    return facts
+
+
+def read_truth_facts(capture: Path) -> dict:
+    """What a capture with truth, or the folder of a raw scan (`synth --raw`), says of the person and the light.
+
+    Raises:
+        AssetError: it is neither.
+    """
+    path = Path(capture) / "truth" / "raw.json"
+    if (Path(capture) / "capture.json").exists() or not path.exists():
+        return read_capture_facts(capture)
+    facts = read_json_object(path, "the facts of a raw scan's truth")
+    if facts.get("format") != "selfscan-raw-truth":
+        raise AssetError(f"{path}: format should be 'selfscan-raw-truth', is {facts.get('format')!r}")
     return facts
 
 

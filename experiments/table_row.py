@@ -23,8 +23,9 @@ from bench.field_view import Directions, one_thread
 from bench.lpips import read_perceptual
 from bench.machine import machine
 from bench.picture_scores import Perceive, is_t_pose, score_images
+from bench.pose_distances import distinct_poses
 from bench.posed_geometry import SAMPLES, Distances, measure_pose, posed_pair
-from bench.quality import CAPTURE_FACTS, distinct_poses, evaluate, seen_case, some_poses
+from bench.quality import CAPTURE_FACTS, evaluate, seen_case, some_poses
 from bench.region_scores import regions_of
 from bench.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import read_capture
@@ -187,7 +188,7 @@ def measured_row(
     images = score_images(views, truth, drawer.draw, "pictures", t_pose_apart=True, perceive=perceive)
     if not geometry:
         return {"novel_pose": regions_of({}, images.scored), "geometry": "as ours"}
-    case = seen_case(drawer, truth)
+    case = seen_case(drawer, truth, drawer.surface)
     distances = {region: Distances() for region in SAMPLES}
     for view in distinct_poses([view for view in views if not is_t_pose(view)]):
         pose = view.axis_angle, view.root

@@ -15,6 +15,7 @@ from avatar.camera import write_cameras
 from avatar.errors import AssetError
 from avatar.files import check_folder, whole_file, whole_folder
 from avatar.progress import Progress
+from avatar.rotation import matrix_from_axis_angle
 from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, check, parse, settings_json
 from avatar.skeleton import PARENTS, PARTS
 from player.context import open_context
@@ -24,10 +25,10 @@ from synth.film import Shots, disturbed, plan_videos
 from synth.head_frame import cameras_in_head_frame, landmarks, scale_of, seeded_similarity
 from synth.light import MODES, light_of
 from synth.photo import Studio
-from synth.raw.film import FILES, RawConfig, film_raw, write_truth
+from synth.raw.film import FILES, RawConfig, film_raw, mistakes_of, write_truth
 from synth.subject import SynthSubject, read_subject
-from synth.template import Template, register
-from synth.truth import novel_poses, novel_views, take_set, write_photo, write_rest
+from synth.template import Template, register, shape_only
+from synth.truth import DetectorOf, novel_poses, novel_views, take_set, write_photo, write_rest
 from synth.visibility import visible_faces
 
 # frames per second that the videos claim: a turn of 36 or 72 degrees a second
@@ -56,6 +57,12 @@ class SynthConfig:
         float, AtLeast(0), AtMost(30), Option(metavar="DEG"), "noise on the poses as written, degrees"
     ] = 0.0
     seed: Annotated[int, AtLeast(0), AtMost(2**32 - 1), "of everything drawn by chance"] = 0
+    template: Annotated[
+        str,
+        OneOf(("registered", "shape")),
+        "registered: the free body laid onto the person's surface, with the person's joints and hair; shape: its shape "
+        "coefficients alone, with the joints that they have",
+    ] = "registered"
     truth: Annotated[bool, Option(("--no-truth",)), "leave out held-out pictures and the subject's mesh"] = True
 
     def __post_init__(self):
@@ -103,7 +110,8 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
         studio = Studio(rasteriser, person)
         videos = plan_videos(studio, config.frames, config.size)
         visible = visible_faces(rasteriser, person.vertices, person.faces)
-        template = register(person, visible, rasteriser)
+        exact = config.template == "registered"
+        template = register(person, visible, rasteriser) if exact else shape_only(person, visible)
         residual = template.residual
         print(
             f"template: {template.body}, {residual['surface_cm']:.2f} cm from the visible surface "
@@ -141,7 +149,8 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
         plan = film_raw(folder, Studio(rasteriser, person, 2), lights, config.size, raw, config.seed)
         if config.truth:
             visible = visible_faces(rasteriser, person.vertices, person.faces)
-            _take_truth(folder / "truth", Studio(rasteriser, person), visible, config)
+            looks = DetectorOf(mistakes_of(raw), config.seed) if raw.keypoints else None
+            _take_truth(folder / "truth", Studio(rasteriser, person), visible, config, looks)
         write_truth(folder, plan, facts)
     for part, shots in plan.items():
         width, height = shots.camera.size
@@ -197,6 +206,7 @@ def _facts(person: SynthSubject, template: Template, config: SynthConfig) -> dic
         "seed": config.seed,
         "size": config.size,
         "frames": config.frames,
+        "input": "given" if config.template == "registered" else "shape_only",
         "body": template.body,
         "body_licence": template.body_licence,
         "subject_licence": person.licence,
@@ -247,21 +257,24 @@ def _film(folder: Path, studio: Studio, template: Template, videos: dict[str, Sh
                 json.dump(landmarks(template, similarity, config.seed), file, indent=1)
             continue
         written = disturbed(shots, config.pose_noise, config.seed)
+        turn = matrix_from_axis_angle(written.axis_angle[:, 0])
         write_cameras(folder / part / "cameras.npz", shots.cameras)
         with whole_file(folder / part / "poses.npz") as file:
             np.savez(
                 file,
                 poses=written.axis_angle.reshape(len(written.root), -1),
-                # the subject's pelvis joint is at 0 in pose 0: trans is where it stands
-                trans=written.root,
+                # the subject's pelvis joint is at 0 in pose 0: trans is where it stands, or where the template's does
+                trans=written.root + turn @ np.array(template.pelvis),
                 betas=np.zeros(16),
                 gender=np.array("neutral"),
                 mocap_framerate=np.array(RATE),
             )
 
 
-def _take_truth(folder: Path, studio: Studio, visible: np.ndarray, config: SynthConfig) -> None:
-    """The subject's mesh and the held-out pictures, in the light of the body video."""
+def _take_truth(
+    folder: Path, studio: Studio, visible: np.ndarray, config: SynthConfig, looks: DetectorOf | None = None
+) -> None:
+    """The subject's mesh and the held-out pictures, in the light of the body video; keypoints where a detector is."""
     write_rest(folder, studio.subject, visible)
     light = light_of(config.light or "even", "body", config.seed)
     sets = {"novel_pose": novel_poses(config.seed), "novel_view": novel_views(config.seed)}
@@ -269,7 +282,7 @@ def _take_truth(folder: Path, studio: Studio, visible: np.ndarray, config: Synth
     done, report = 0, Progress("held-out pictures", 4 * sum(len(stands) for stands in sets.values()))
     for number, (name, stands) in enumerate(sets.items()):
         for picture in take_set(
-            finer, stands, folder / name, light, config.sheen, 100_000 * (number + 1) + config.seed
+            finer, stands, folder / name, light, config.sheen, 100_000 * (number + 1) + config.seed, looks
         ):
             done += 1
             report.update(done, picture)

@@ -95,7 +95,7 @@ def landmarks(template: Template, head_from_canonical: Float[np.ndarray, "4 4"],
     vertices = landmark_vertices(template)
     assert len(vertices) >= 6, f"only {sorted(vertices)} of the landmarks are free of hair"
     rng = np.random.default_rng([seed, 12])
-    places = template.vertices[list(vertices.values())].astype(np.float64)
+    places = template.vertices[list(vertices.values())].astype(np.float64) + template.pelvis
     places = places + LANDMARK_NOISE * rng.standard_normal(places.shape)
     in_head = places @ head_from_canonical[:3, :3].T + head_from_canonical[:3, 3]
     return {

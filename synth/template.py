@@ -72,6 +72,8 @@ class Template:
     residual: dict[str, float]
     # centre and radius of the eyeballs, left then right; None: the subject's mesh does not tell them apart
     eyes: Float[np.ndarray, "2 4"] | None = None
+    # the template's pelvis joint from the subject's, pose 0
+    pelvis: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def register(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], rasteriser: Rasteriser) -> Template:
@@ -105,6 +107,32 @@ def register(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], rasteris
     )
 
 
+def shape_only(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> Template:
+    """A free body's ten shape coefficients, size and place fitted to the surface as it is seen, hair and clothes
+    included; its joints are where its shape has them. What a person's scan in a T-pose would give without offsets,
+    a rig or labels.
+    """
+    surface = _subject_surface(subject, visible, hair=True)
+    fits = [_fit_shape(builtin_body(sex), None, surface) for sex in ("male", "female")]
+    body = min(fits, key=lambda fit: fit[1])[0]
+    assert body.uv is not None and body.uv_faces is not None
+    pelvis = body.joints[0]
+    return Template(
+        vertices=(body.vertices - pelvis).astype(np.float32),
+        faces=body.faces.astype(np.int32),
+        skin=body.skin,
+        joints=(body.joints - pelvis).astype(np.float32),
+        uv=body.uv.astype(np.float32),
+        uv_faces=body.uv_faces.astype(np.int32),
+        hair=np.zeros(len(body.vertices), bool),
+        part=part_of(body.skin),
+        body=body.name,
+        body_licence=body.licence,
+        residual=_residual(body.vertices, body.faces, surface),
+        pelvis=(float(pelvis[0]), float(pelvis[1]), float(pelvis[2])),
+    )
+
+
 def _eyes(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> Float[np.ndarray, "2 4"] | None:
     """Spheres through what can be seen of the subject's own eyeballs, left then right."""
     if subject.eye is None:
@@ -125,7 +153,7 @@ def _eyes(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> Float[np
 
 
 class _Surface(NamedTuple):
-    """The visible surface of a subject without hair and eyeballs, with the joint that moves each point most."""
+    """The visible surface of a subject without eyeballs, with the joint that moves each point most."""
 
     points: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
@@ -137,8 +165,9 @@ def _strongest_joint(skin: SkinWeights) -> Int[np.ndarray, "vertices"]:
     return np.take_along_axis(skin.joints, skin.weights.argmax(1)[:, None], 1)[:, 0].astype(np.int64)
 
 
-def _subject_surface(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> _Surface:
-    shown = visible & ~subject.hair[subject.faces].any(1)
+def _subject_surface(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], *, hair: bool = False) -> _Surface:
+    """The surface to fit to; `hair`: as it is seen, else what is labelled hair is left out."""
+    shown = visible if hair else visible & ~subject.hair[subject.faces].any(1)
     if subject.eye is not None:
         # the body has no eyeballs: its lids would be drawn onto them
         shown &= ~subject.eye[subject.faces].any(1)
@@ -158,14 +187,15 @@ def _subject_surface(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) 
     )
 
 
-def _fit_shape(body: Body, joints: Float[np.ndarray, "52 3"], surface: _Surface) -> tuple[Body, float]:
+def _fit_shape(body: Body, joints: Float[np.ndarray, "52 3"] | None, surface: _Surface) -> tuple[Body, float]:
     """The free body with its ten shapes, its scale and its place fitted to limb joints and surface.
 
         min |s V + S b + t - c|^2 along the normals of c, + 30 |s J + D b + t - J_subject|^2 over limb joints
 
-    Linear in (s, b, t); closest points and the fit alternate. Returns the body and its mean residual in metres.
+    Linear in (s, b, t); closest points and the fit alternate. Without `joints` the surface alone is fitted. Returns the
+    body and its mean residual in metres.
     """
-    wanted = joints[_LIMBS].astype(np.float64)
+    wanted = (body.joints if joints is None else joints)[_LIMBS].astype(np.float64)
     shapes = body.shape_directions.shape[2]
     every = np.arange(0, len(body.vertices), 2)
     basis_v = np.concatenate([body.vertices[every, :, None], body.shape_directions[every]], 2)  # (n, 3, 1 + S)
@@ -174,6 +204,7 @@ def _fit_shape(body: Body, joints: Float[np.ndarray, "52 3"], surface: _Surface)
     A_v, A_j = np.concatenate([basis_v, eye_v], 2), np.concatenate([basis_j, eye_j], 2)
     solution = np.zeros(1 + shapes + 3)
     solution[0] = np.ptp(surface.points[:, 1]) / np.ptp(body.vertices[:, 1])
+    solution[-3:] = [0, surface.points[:, 1].min() - solution[0] * body.vertices[:, 1].min(), 0]
     # a beta of 1 costs what 2 cm cost a vertex
     prior = np.diag([0.0, *[0.02**2] * shapes, 0, 0, 0])
     tree = KDTree(surface.points[::8])
@@ -189,7 +220,7 @@ def _fit_shape(body: Body, joints: Float[np.ndarray, "52 3"], surface: _Surface)
         rows = np.einsum("nc,ncs->ns", n, A_v)[keep]
         targets = (n * tree.data[nearest]).sum(1)[keep]
         limb = A_j.reshape(-1, A_j.shape[2])
-        weight = 30.0 * len(rows) / len(every)
+        weight = 0.0 if joints is None else 30.0 * len(rows) / len(every)
         lhs = rows.T @ rows + weight * limb.T @ limb + len(rows) * prior
         rhs = rows.T @ targets + weight * limb.T @ wanted.ravel()
         solution = np.linalg.solve(lhs, rhs)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -17,6 +17,7 @@ from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND
 from synth.film import FINEST_PIXEL, frame_points, rotation
 from synth.light import Light
 from synth.photo import Photo, Studio
+from synth.raw.detector import Detector, Mistakes
 from synth.room import Room
 from synth.subject import SynthSubject
 
@@ -182,11 +183,27 @@ def _direction(azimuth: float, elevation: float) -> Float[np.ndarray, "3"]:
     return np.array([np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)])
 
 
+class DetectorOf(NamedTuple):
+    """The detector that looked at a person's videos."""
+
+    mistakes: Mistakes
+    seed: int  # of the person's bias
+
+
 def take_set(
-    studio: Studio, stands: list[Stand], folder: Path, light: Light | Room, sheen: float, seed: int
+    studio: Studio,
+    stands: list[Stand],
+    folder: Path,
+    light: Light | Room,
+    sheen: float,
+    seed: int,
+    looks: DetectorOf | None = None,
 ) -> Iterator[str]:
-    """Write one set of held-out pictures (images, masks, parts, views.npz); yields the name of each picture."""
-    for kind in ("images", "masks", "parts"):
+    """Write one set of held-out pictures (images, masks, parts, views.npz); yields the name of each picture.
+
+    `looks`: the detector whose keypoints are written as well; None: none are.
+    """
+    for kind in ("images", "masks", "parts", *(() if looks is None else ("keypoints",))):
         (folder / kind).mkdir(parents=True)
     rows: list[tuple[int, str, Camera]] = []
     for i, stand in enumerate(stands):
@@ -198,6 +215,12 @@ def take_set(
             photo = studio.take(vertices, camera, light, sheen)
             name = f"{i:06d}_{view}"
             write_photo(folder, name, photo)
+            if looks is not None:
+                detector = Detector(
+                    studio.subject, studio.rasteriser, camera, looks.mistakes, [looks.seed, seed, len(rows)]
+                )
+                found = detector.look(stand.axis_angle, stand.root, vertices)
+                detector.write(folder / "keypoints" / f"{name}.json", found)
             rows.append((i, view, camera))
             yield name
     with whole_file(folder / "views.npz") as file:

@@ -17,8 +17,9 @@ from player.context import open_context
 from player.raster import Rasteriser
 from synth.light import light_of
 from synth.photo import Studio
+from synth.raw.detector import Mistakes
 from synth.subject import SynthSubject
-from synth.truth import Stand, take_set, write_rest
+from synth.truth import DetectorOf, Stand, take_set, write_rest
 from synth.visibility import visible_faces
 
 
@@ -151,7 +152,8 @@ def oracle(tmp_path_factory, small_pictures):
     poses = [Stand(bent, np.array([0.1, 0.9, 0.0])), Stand(np.zeros((52, 3)), np.zeros(3))]
     sets = {"novel_pose": poses, "novel_view": [Stand(turned, np.zeros(3))]}
     for name, stands in sets.items():
-        list(take_set(studio, stands, capture / "truth" / name, light, 0.0, seed=1))
+        looks = DetectorOf(Mistakes(2.0, 0.0, clumsy=False), 0)
+        list(take_set(studio, stands, capture / "truth" / name, light, 0.0, seed=1, looks=looks))
     raster.release()
     context.release()
     write_avatar(folder / "oracle.glb", oracle_avatar(subject))

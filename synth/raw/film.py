@@ -57,6 +57,11 @@ class RawConfig:
         check(self)
 
 
+def mistakes_of(config: RawConfig) -> Mistakes:
+    """How wrong the detector is."""
+    return Mistakes(config.keypoint_noise, config.keypoint_bias / 100)
+
+
 def film_raw(folder: Path, studio: Studio, lights: dict[str, Light | Room], size: int, config: RawConfig, seed: int):
     """Write the four videos, their keypoints and, in truth/, what nobody else may read; returns the planned shots."""
     wide = 2 * round(size * 16 / 9 / 2), 2 * round(size / 2)
@@ -90,8 +95,7 @@ def _frames(
     count, part = len(shots.root), shots.part
     behind = backdrop(shots.camera, shots.floor, part != "body", seed[0])
     phone = phone_of(np.arange(count) / RATE, config.camera_noise, config.camera_noise, seed)
-    mistakes = Mistakes(config.keypoint_noise, config.keypoint_bias / 100)
-    detector = Detector(studio.subject, studio.rasteriser, shots.camera, mistakes, seed)
+    detector = Detector(studio.subject, studio.rasteriser, shots.camera, mistakes_of(config), seed)
     points = folder / "keypoints" / part
     if config.keypoints:
         points.mkdir(parents=True)

@@ -119,12 +119,12 @@ def test_decibels_that_differ_say_why(result):
     assert any("color alone" in line for line in view_mode_lines(result))
 
 
-def test_the_command_prints_a_table_with_the_papers_row_and_writes_json(oracle, tmp_path, capsys, result, monkeypatch):
+def test_the_command_prints_a_table_and_writes_json(oracle, tmp_path, capsys, result, monkeypatch):
     capture, avatar, _ = oracle
     monkeypatch.setattr("bench.quality.evaluate", lambda *_, **__: result)
     assert eval_main([str(avatar), str(capture), "--json", str(tmp_path / "q.json")]) == 0
     printed = capsys.readouterr().out
-    assert "paper: total" in printed and "26.15" in printed
+    assert "input: given" in printed and "novel pose: total" in printed
     assert json.loads((tmp_path / "q.json").read_text())["novel_pose"]["total"] == result["novel_pose"]["total"]
 
 
@@ -150,6 +150,17 @@ def test_people_of_different_lights_are_in_sections_of_their_own_and_never_avera
     means = [line for line in text.splitlines() if line.startswith("| **mean**")]
     assert [float(line.split("|")[4]) for line in means[::3]] == [27.5, 24.0, 30.0, 20.0]
     assert [float(line.split("|")[5]) for line in means[::3]] == [23.5, 20.0, 26.0, 16.0]
+
+
+def test_kinds_of_input_are_in_sections_of_their_own_and_the_paper_beside_what_was_estimated():
+    def person(psnr, **kind):
+        scores = {region: {"p2s_cm": 0.1, "psnr_db": psnr} for region in ("head", "hands", "total")}
+        return {"capture": {"subject": "she", "light": "room"}, "novel_pose": scores, "beside": {}, **kind}
+
+    text = people_table([person(30.0), person(20.0, input="from pixels"), person(24.0, input="given")])
+    given, pixels = text[text.index("## Room light") :].split("## Room light, from pixels")
+    assert "| **mean** | 0.10 | - | 27.00 |" in given and "paper" not in given
+    assert "| **mean** | 0.10 | - | 20.00 |" in pixels and "| paper (SynTotalHuman; crops unknown) | 1.84 |" in pixels
 
 
 def test_view_modes_of_every_capture_stand_side_by_side(result):

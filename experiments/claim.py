@@ -1,0 +1,223 @@
+"""The claim, made fair: a person from four raw videos, beside what is given and what a shape alone gives.
+
+    python -m experiments.claim builtin White_F.glb:female -o out/claim --steps 200 --poses 2
+
+PERSON is what `selfscan synth` takes; `:female` after a file is the free body that the fit begins with. Everybody is
+filmed by one phone in one room (OUT/PERSON/raw: videos with noise, sway and a room behind, a detector's keypoints with
+noise and bias, truth apart), and three captures are made of it: *given* (template registered to the true mesh, true
+joints, exact poses, masks and cameras, the same light), *shape only* (a free body's shape coefficients, its own joints,
+no hair label; masks and cameras exact) and *from pixels* (`selfscan import video`). All are trained alike and judged by
+`selfscan eval` on the same held-out pictures. What exists is kept: the same command goes on. OUT/claim.json and
+OUT/claim.md hold the tables of all people in OUT.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from avatar.errors import AssetError
+from avatar.files import whole_file
+from bench.demo import Stage, command, run_stages
+from capture.input_kind import INPUTS
+from experiments.claim_page import FORMAT, page
+from experiments.light import folder_name
+from experiments.short_training import begun, share_in_words, total_steps, training_words
+from train.preset import PRESETS
+
+# minutes on two idle cores: of the raw videos, a second of turn at 360 px; of held-out pictures; of an import, a frame
+# at 360 px; of a preset's whole training; of an evaluation, a pose
+FILMING, HELD_OUT, IMPORT, TRAINING, POSE = 0.25, 3.0, 0.1, 10.0, 0.7
+
+
+@dataclass(frozen=True)
+class Options:
+    """What decides the numbers; a folder holds those of one of them."""
+
+    preset: str
+    # of every part; None: the preset's
+    steps: int | None
+    size: int  # the videos' shorter side, pixels
+    seconds: float  # of the turn in each raw video
+    frames: int  # used of each video
+    seed: int
+    poses: int  # of each held-out set
+    light: str
+
+
+def note(text: str) -> None:
+    print(f"claim: {text}", file=sys.stderr, flush=True)
+
+
+def person_and_sex(name: str) -> tuple[str, str]:
+    """What `synth` takes, and the free body that the fit begins with."""
+    person, _, sex = name.partition(":")
+    if sex not in ("", "male", "female"):
+        raise AssetError(f"{name}: expected PERSON, PERSON:male or PERSON:female")
+    return (name if person == "builtin" else person), sex or "male"
+
+
+def folder_of(name: str) -> str:
+    """What a person's folder is called; people are told apart by it."""
+    return folder_name(person_and_sex(name)[0])
+
+
+def stature_of(person: str) -> float:
+    """What somebody knows of themselves: metres from the floor to the skull."""
+    from experiments.fitting import Filming
+    from player.context import open_context
+    from player.raster import Rasteriser
+
+    context = open_context()
+    rasteriser = Rasteriser(context)
+    try:
+        return Filming(person, rasteriser).stature
+    finally:
+        rasteriser.release()
+        context.release()
+
+
+def stages(options: Options, name: str, out: Path) -> dict[str, list[Stage]]:
+    """The commands of one person by column; "raw" comes first."""
+    person, sex = person_and_sex(name)
+    raw = out / "raw"
+    same = ["--size", str(options.size), "--seed", str(options.seed), "--light", options.light]
+    fine = (options.size / 360) ** 2
+    film = command("selfscan", "synth", person, raw, "--raw", "--keypoints", "--seconds", f"{options.seconds:g}", *same)
+    minutes = HELD_OUT + FILMING * fine * (options.seconds + 2.4)
+    found = {"raw": [Stage("film four raw videos", raw / "truth" / "raw.json", film, minutes)]}
+    exact = ["selfscan", "synth", person]
+    more = ["--frames", str(options.frames), "--no-truth", *same]
+
+    def imported() -> int:
+        told = ["--sex", sex, "--stature", f"{stature_of(person):.3f}", "--frames", str(options.frames)]
+        return command("selfscan", "import", "video", raw, "-o", out / "from_pixels" / "capture", *told)()
+
+    said = share_in_words(options.preset, options.steps)
+    part = total_steps(options.preset, options.steps) / total_steps(options.preset, None)
+    for kind in INPUTS:
+        folder = out / kind.replace(" ", "_")
+        capture, run, quality = folder / "capture", folder / "run", folder / "quality.json"
+        make = {
+            "given": command(*exact, capture, *more),
+            "shape only": command(*exact, capture, "--template", "shape", *more),
+            "from pixels": imported,
+        }[kind]
+        made = IMPORT * fine * options.frames if kind == "from pixels" else 1.5
+
+        def train(capture: Path = capture, run: Path = run) -> int:
+            words = [*training_words(capture, run, options.preset, options.steps), "--seed", str(options.seed)]
+            return command(*words, *(["--resume"] if begun(run) else []))()
+
+        judge = command("selfscan", "eval", run, raw, "--poses", str(options.poses), "--json", quality)
+        found[kind] = [
+            Stage(f"{kind}: capture", capture / "capture.json", make, made),
+            Stage(f"{kind}: train, {said}", run / "run.json", train, 2 + TRAINING * part),
+            Stage(f"{kind}: evaluate", quality, judge, 1 + 2 * POSE * options.poses),
+        ]
+    return found
+
+
+def settle(out: Path, options: Options) -> None:
+    """Numbers of different settings do not share a folder.
+
+    Raises:
+        AssetError: the folder holds others.
+    """
+    path, said = out / "options.json", asdict(options)
+    if path.exists():
+        there = json.loads(path.read_text("utf-8"))
+        other = [f"{key} {there.get(key)}" for key, value in said.items() if there.get(key) != value]
+        if other:
+            raise AssetError(f"{path}: holds results of {', '.join(other)}; ask for the same, or choose another -o")
+        return
+    out.mkdir(parents=True, exist_ok=True)
+    with whole_file(path, "w") as file:
+        json.dump(said, file, indent=1)
+
+
+def run_all(options: Options, people: Sequence[str], out: Path) -> list[str]:
+    """Every column of every person; what could not be made, in words."""
+    absent = []
+    columns = [(name, kind, todo) for name in people
+               for kind, todo in stages(options, name, out / folder_of(name)).items()]  # fmt: skip
+    for number, (name, kind, todo) in enumerate(columns):
+        later = [stage for _, _, others in columns[number + 1 :] for stage in others]
+        after = sum((stage.minutes for stage in later if not stage.product.exists()), 0.0)
+        note(f"{folder_of(name)}, {kind}")
+        todo[0].product.parent.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            run_stages(todo, after)
+        except AssetError as error:
+            absent.append(f"{folder_of(name)}, {kind}: {error}")
+    return absent
+
+
+def collect(out: Path) -> dict[str, dict[str, Any]]:
+    """What `selfscan eval` found, by person and kind of input.
+
+    Raises:
+        AssetError: a file is no such result, or of another kind of input than its column.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for path in sorted(out.glob("*/*/quality.json")):
+        kind = path.parent.name.replace("_", " ")
+        try:
+            result = json.loads(path.read_text("utf-8"))
+        except (OSError, ValueError) as error:
+            raise AssetError(f"{path}: expected a result of `selfscan eval --json`, found: {error}") from None
+        if result.get("input") != kind:
+            raise AssetError(f"{path}: input should be {kind!r}, is {result.get('input')!r}")
+        found.setdefault(path.parent.parent.name, {})[kind] = result
+    return found
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command line; see `python -m experiments.claim --help`."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.claim",
+        description="A person from four raw videos beside what is given: one table, three kinds of input.",
+        epilog="example: python -m experiments.claim builtin White_F.glb:female -o out/claim --steps 200 --poses 2",
+    )
+    parser.add_argument("people", metavar="PERSON", nargs="+", help="builtin, builtin:female or a rigged .glb[:female]")
+    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="gets claim.md and claim.json")
+    parser.add_argument("--preset", choices=sorted(PRESETS), default="demo")
+    parser.add_argument("--steps", type=int, metavar="N", help="of every part, instead of the preset's")
+    parser.add_argument("--size", type=int, default=540, help="pixels of the videos' shorter side (default: 540)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of the turn in each raw video (default: 20)")
+    parser.add_argument("--frames", type=int, default=40, help="used of each video (default: 40)")
+    parser.add_argument("--seed", type=int, default=0, help="of filming and training (default: 0)")
+    parser.add_argument("--poses", type=int, default=20, help="of each held-out set (default: 20, all)")
+    parser.add_argument("--light", default="room", help="of everything that is filmed (default: room)")
+    given = parser.parse_args(argv)
+    for name, least in (("steps", 1), ("poses", 1), ("frames", 8), ("size", 96)):
+        value = getattr(given, name)
+        if value is not None and value < least:
+            parser.error(f"--{name} should be at least {least}, is {value}")
+    names = [folder_of(person) for person in given.people]
+    if len(set(names)) < len(names):
+        parser.error(f"people are told apart by their files' names, which are {', '.join(names)}")
+    options = Options(given.preset, given.steps, given.size, given.seconds, given.frames, given.seed, given.poses,
+                      given.light)  # fmt: skip
+    settle(given.out, options)
+    absent = run_all(options, given.people, given.out)
+    found = collect(given.out)
+    facts = asdict(options) | {"share": share_in_words(options.preset, options.steps)}
+    with whole_file(given.out / "claim.json", "w") as file:
+        json.dump({"format": FORMAT, "options": facts, "people": found, "absent": absent}, file, indent=1)
+    with whole_file(given.out / "claim.md", "w") as file:
+        file.write(page(found, facts))
+    for line in absent:
+        note(f"not made: {line}")
+    print(given.out / "claim.md")
+    return 1 if absent else 0
+
+
+if __name__ == "__main__":
+    try:
+        raise SystemExit(main())
+    except AssetError as error:
+        raise SystemExit(f"claim: {error}") from None
