@@ -128,7 +128,7 @@ def eye_covers(subject: CaptureSubject, spheres: EyeSpheres) -> list[EyeCover]:
     covers = []
     for centre, radius in zip(spheres.centres, spheres.radii):
         near = np.linalg.norm(middles - centre, axis=1) < radius + LID_REACH + 0.01
-        length = _first_hits(centre, directions, subject.vertices[subject.faces[near]])
+        length = first_hits(centre, directions, subject.vertices[subject.faces[near]])
         covers.append(EyeCover(directions, np.where(length < radius + LID_REACH, length, np.inf)))
     return covers
 
@@ -149,7 +149,7 @@ def hidden_lengths(subject: CaptureSubject, spheres: EyeSpheres) -> list[HiddenL
     From the ball's middle itself the fill behind a lid that stands off the ball would narrow the opening: a slope of
     2 mm where the built-in man's lids stand 3 mm off.
     """
-    forward = _forward(subject)
+    forward = face_forward(subject)
     middles = subject.vertices[subject.faces].mean(1)
     around = sphere_directions(BEHIND_DIRECTIONS)
     found = []
@@ -158,7 +158,7 @@ def hidden_lengths(subject: CaptureSubject, spheres: EyeSpheres) -> list[HiddenL
         away = np.linalg.norm(middles - centre, axis=1)
         corners = subject.vertices[subject.faces[(away < reach + 0.01) & ((middles - centre) @ forward > 0)]]
         directions = around[around @ forward > np.cos(np.arctan2(reach, BEHIND * radius))]
-        length = _first_hits(origin, directions, corners)
+        length = first_hits(origin, directions, corners)
         hit = origin + np.where(np.isfinite(length), length, 0.0)[:, None] * directions
         held = np.isfinite(length) & (np.linalg.norm(hit - centre, axis=1) < reach)
         found.append(HiddenLengths(origin, directions, np.where(held, length, np.inf),
@@ -174,7 +174,7 @@ def eye_openings(subject: CaptureSubject) -> Float[Array, "n 3"]:
     spheres = eye_spheres(subject)
     if spheres is None:
         return np.zeros((0, 3))
-    forward, found = _forward(subject), []
+    forward, found = face_forward(subject), []
     for centre, radius, cover in zip(spheres.centres, spheres.radii, eye_covers(subject, spheres)):
         # only the front can be open: behind the ball a socket may have holes
         free = np.isinf(cover.length) & (cover.directions @ forward > 0)
@@ -196,7 +196,7 @@ def near_eyes(subject: CaptureSubject, points: Float[Array, "n 3"], grown: float
     return near
 
 
-def _forward(subject: CaptureSubject) -> Float[Array, "3"]:
+def face_forward(subject: CaptureSubject) -> Float[Array, "3"]:
     """The way the face looks in the canonical frame, unit."""
     B = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))[HEAD]
     return B[:3, 2] / np.linalg.norm(B[:3, 2])
@@ -210,7 +210,7 @@ def sphere_directions(count: int) -> Float[Array, "count 3"]:
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], 1)
 
 
-def _first_hits(
+def first_hits(
     origin: Float[Array, "3"], directions: Float[Array, "n 3"], corners: Float[Array, "faces 3 3"]
 ) -> Float[Array, "n"]:
     """How far along each ray from one origin the first triangle is met (Möller and Trumbore 1997); else inf."""

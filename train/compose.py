@@ -28,6 +28,7 @@ from train.field import PartField
 from train.fused import FusedField
 from train.head_consistency import place_by_consistency
 from train.head_height import height_by_outline
+from train.iris import fit_iris
 from train.layers import BODY, rigid_weights, without_hair
 from train.light import SeenTensors, VideoLight, light_facts, seen_lights_from_json, seen_tensors
 from train.objective import RayTensors
@@ -117,9 +118,17 @@ def compose(
     seconds["registration"] = time.monotonic() - began
     if preset.open_eyes and rays is not None:
         began = time.monotonic()
-        fused.eyes = open_eyes(subject, fused.field(PARTS.index("head")).template.cpu())
+        fitted = fit_iris(subject, capture.videos["head"], head.canonical_from_head)
+        closed = fused.field(PARTS.index("head")).template.cpu()
+        fused.eyes = open_eyes(subject, closed, None if fitted is None else fitted.iris)
+        if fitted is not None:
+            facts["iris"] = fitted.facts()
         seconds["eyes"] = time.monotonic() - began
-        say("eyes: " + ("none in the template" if fused.eyes is None else "open, as the template has them"))
+        say(
+            "eyes: "
+            + ("none in the template" if fused.eyes is None else "open, as the template has them")
+            + ("" if fitted is None or fitted.iris is None else f", irises {1000 * fitted.depth:.1f} mm deep")
+        )
     fused.to(device).eval().requires_grad_(False)
 
     if rays is not None and preset.union.iterations:

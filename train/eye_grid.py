@@ -7,7 +7,8 @@ is shown is the template's with its sockets open, joined with the eyeballs (capt
     F(x) = (1 - share(x)) F_s(x) + share(x) E(x)
 
 share is 1 within OWN of the opening and 0 from OTHER on. E lies on a grid with cells a third as large as the head's
-template grid; what the lids hide (between them and the ball, behind it) is filled.
+template grid; what the lids hide (between them and the ball, behind it) is filled. Eyeballs are flat at the iris
+(train/iris.py).
 """
 
 from typing import NamedTuple
@@ -23,6 +24,7 @@ from capture.eyes import EyeSpheres, eye_openings, eye_spheres, hidden_lengths
 from capture.folder import CaptureSubject
 from geometry.mesh import face_normals
 from geometry.sample import lattice_samples
+from train.iris import FlatIris
 from train.template_grid import TemplateGrid, interpolated, sampled
 
 Array = np.ndarray
@@ -103,8 +105,11 @@ class OpenEyes(torch.nn.Module):
         return found
 
 
-def open_eyes(subject: CaptureSubject, closed: TemplateGrid) -> OpenEyes | None:
-    """The eyes of a template; `closed` is its distance with sockets filled. None where there are no eyes to open."""
+def open_eyes(subject: CaptureSubject, closed: TemplateGrid, iris: FlatIris | None = None) -> OpenEyes | None:
+    """The eyes of a template; `closed` is its distance with sockets filled. None where there are no eyes to open.
+
+    The balls are cut by the `iris` where one is given.
+    """
     spheres = eye_spheres(subject)
     opening = eye_openings(subject)
     if spheres is None or not len(opening):
@@ -117,7 +122,7 @@ def open_eyes(subject: CaptureSubject, closed: TemplateGrid) -> OpenEyes | None:
     points = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     with torch.no_grad():
         outer = closed(torch.as_tensor(points, dtype=torch.float32)).double().numpy()
-    ball = spheres.distance(points)
+    ball = spheres.distance(points) if iris is None else iris.distance(spheres, points)
     asked = (ball < SKIN) & (ball > -LIDS)
     solid = np.where(asked, template_distance(subject, points, asked, shape, cell), ball)
     solid = np.minimum(np.minimum(solid, ball), hidden_distance(subject, spheres, points))

@@ -18,6 +18,7 @@ from capture.template import neck_height, surface_cloud, visible_faces
 from train import run as run_folder
 from train.eye_grid import FINER, LIDS, OTHER, OpenEyes, open_eyes
 from train.fused import FusedField
+from train.iris import FlatIris
 from train.networks.triplane import TriPlaneNetworks
 from train.parts import part_boxes
 from train.preset import DEMO, FAST, PAPER
@@ -72,6 +73,16 @@ def test_what_is_seen_between_the_lids_is_the_eyeball(subject, eyes):
     off = np.abs(first_crossing(eyes, middle, forward))
     # beside a lid's edge the lid may be met first
     assert np.quantile(off, 0.8) < 0.0003 and off.max() < 0.002
+
+
+def test_an_iris_is_seen_where_it_was_found(subject, closed):
+    spheres = eye_spheres(subject)
+    assert spheres is not None
+    forward, angle = np.array([0, 0, 1.0]), np.radians(25)
+    flat = open_eyes(subject, closed, FlatIris(forward, float(angle)))
+    middle = spheres.centres + spheres.radii[:, None] * forward
+    depth = -first_crossing(flat, middle, forward)
+    np.testing.assert_allclose(depth, spheres.radii * (1 - np.cos(angle)), atol=3e-4)
 
 
 def test_lids_stay_where_the_template_has_them(subject, closed, eyes):
