@@ -5,6 +5,8 @@ hand's own. The arm is stretched out from the shoulder and carries the person al
 in a close-up, and nothing is trained there.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from avatar.skeleton import JOINTS
@@ -26,11 +28,12 @@ SLACK = 0.025
 FIRST = 60.0
 # metres: standard deviation of a finger's bone, after the body's video
 BONE = 0.004
+# once its points have said it: outlines would make thicker fingers longer, and the hand nearer
+KNOWN = 0.001
 # degrees: a finger's curl, sideways, twist; of the mean pose, of single frames
 CURL, MEAN_FINGER, OWN_FINGER = 10.0, (20.0, 7.0, 4.0), (5.0, 2.0, 1.0)
 MEAN_WRIST, OWN_WRIST = (15.0, 10.0, 5.0), (12.0, 8.0, 4.0)
-WEIGHTS = (0.02, 0.05, 0.05)
-ROUNDS = 2
+WEIGHTS = (0.05, 0.05)
 
 
 def hand_names(side: str) -> tuple[str, ...]:
@@ -82,15 +85,14 @@ def fit_hand(person: Person, g: Array, footage: Footage, side: str, report: Repo
     for cut in (FIRST, *CUTS):
         estimate = solve(estimate, footage, priors, cut=cut, rounds=12)
     report("keypoints")
+    priors = replace(priors, g=estimate.g, g_sigma=np.where(person.fingers, KNOWN, priors.g_sigma))
     outlines, hand = Outlines(footage), hand_vertices(person, (side,))
+    estimate = dressed(estimate, footage, outlines, hand)
+    report("offsets")
     for weight in WEIGHTS:
         term = outlines.term(outlines.pairs(estimate, footage, hand), weight)
         estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
         report("outlines")
-    for number in range(ROUNDS):
-        if number:
-            term = outlines.term(outlines.pairs(estimate, footage, hand), WEIGHTS[-1])
-            estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
-        estimate = dressed(estimate, footage, outlines, hand, STIFFNESS[2 * (number > 0) :])
+        estimate = dressed(estimate, footage, outlines, hand, STIFFNESS[-1:])
         report("offsets")
     return estimate

@@ -69,8 +69,7 @@ def test_scan_becomes_a_person_and_is_read_back_from_its_steps(filmed, tmp_path,
     # the shortest fit that takes every step
     for module in (body, hand, head):
         monkeypatch.setattr(module, "WEIGHTS", (0.02,))
-    for module in (hand, head):
-        monkeypatch.setattr(module, "ROUNDS", 1)
+    monkeypatch.setattr(head, "ROUNDS", 1)
     fitted = fit_scan(scan, sex="male", stature=1.8, work=tmp_path)
     video = fitted.videos["body"]
     assert video.axis_angle is not None and video.root is not None and video.usable.all()
