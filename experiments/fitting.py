@@ -3,7 +3,8 @@
 `python -m experiments.fitting OUT` poses subjects as `synth --raw` films the body's video, makes a detector's keypoints
 with one kind of mistake at a time, and fits the free body to them: to keypoints alone, with --outlines to exact masks
 as well. Stature is told. Each fit is kept in OUT/rows.json as soon as it is done, and not done again; OUT/fitting.md is
-the table, OUT/fitting.png the figure.
+the table, OUT/fitting.png the figure. With --pictures each fit is also drawn over its video, stage by stage:
+OUT/SUBJECT_seed_SOURCE.png.
 """
 
 import argparse
@@ -24,11 +25,12 @@ from avatar.files import whole_file
 from avatar.input_file import read_json_object
 from bench.machine import commit
 from capture.fit import body
-from capture.fit.footage import Footage, footage_of
+from capture.fit.footage import Estimate, Footage, footage_of
 from capture.fit.person import person_of
 from capture.fit.scan import FOCAL, GUESSED, TOLD
 from capture.keypoints.openpose import NAMES
 from capture.keypoints.record import keypoints_of
+from experiments.fitting_pictures import write_pictures
 from experiments.fitting_scores import Truth, scores
 from player.context import open_context
 from player.raster import Rasteriser
@@ -128,14 +130,15 @@ class Filming:
         return np.round(255 * drawn.reshape(height, 2, width, 2).mean((1, 3))).astype(np.uint8)
 
 
-def fitted_scores(seen: Seen, sex: str, *, outlines: bool) -> dict[str, float]:
-    """Scores of the fit, and the processor time it took."""
+def fitted_stages(seen: Seen, sex: str, *, outlines: bool) -> tuple[dict[str, Estimate], float]:
+    """The estimate after each stage of the fit, and the processor time of all."""
     clock = time.process_time()
-    estimate, restored = body.fit_keypoints(person_of(sex, seen.stature), seen.footage, lambda note: None)
+    person = person_of(sex, seen.stature)
+    stages = {"first guess": body.first_guess(person, seen.footage)[0]}
+    stages["keypoints"], restored = body.fit_keypoints(person, seen.footage, lambda note: None)
     if outlines:
-        estimate = body.fit_outlines(estimate, restored, lambda note: None)
-    spent = time.process_time() - clock
-    return scores(estimate, seen.footage, seen.truth) | {"cpu_s": round(spent, 1)}
+        stages["outlines"] = body.fit_outlines(stages["keypoints"], restored, lambda note: None)
+    return stages, time.process_time() - clock
 
 
 def markdown(rows: list[dict[str, Any]]) -> str:
@@ -200,6 +203,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--size", type=int, default=540, help="pixels of the pictures' shorter side")
     parser.add_argument("--outlines", action="store_true", help="go on with exact masks: outlines, then offsets")
+    parser.add_argument("--pictures", action="store_true", help="draw each fit over frames of its video, by stages")
     given = parser.parse_args(argv)
     given.out.mkdir(parents=True, exist_ok=True)
     path, witness = given.out / "rows.json", "keypoints, outlines" if given.outlines else "keypoints"
@@ -214,12 +218,20 @@ def main(argv: Sequence[str] | None = None) -> int:
             for source in given.sources:
                 row = {"subject": name, "seed": seed, "source": source, "input": witness, "frames": given.frames,
                        "size": given.size, "commit": version}  # fmt: skip
-                if identity(row) in map(identity, rows):
+                pictures = given.out / f"{Path(name).stem.replace(':', '_')}_{seed}_{source}.png"
+                known = identity(row) in map(identity, rows)
+                if known and not (given.pictures and not pictures.exists()):
                     continue
                 filming = filming or Filming(name, rasteriser)
                 seen = filming.seen(NAMED[source], seed, given.frames, given.size, outlines=given.outlines)
-                row["scores"] = fitted_scores(seen, filming.sex, outlines=given.outlines)
-                print(f"{name} seed {seed}, {NAMED[source].says}: {json.dumps(row['scores'])}", flush=True)
+                stages, spent = fitted_stages(seen, filming.sex, outlines=given.outlines)
+                row["scores"] = scores(list(stages.values())[-1], seen.footage, seen.truth) | {"cpu_s": round(spent, 1)}
+                heading = f"{name} seed {seed}, {NAMED[source].says}"
+                print(f"{heading}: {json.dumps(row['scores'])}", flush=True)
+                if given.pictures:
+                    write_pictures(pictures, filming.studio, seen.truth, seen.footage, stages, heading)
+                if known:
+                    continue
                 rows.append(row)
                 with whole_file(path, "w") as file:
                     json.dump({"rows": rows}, file, indent=1)

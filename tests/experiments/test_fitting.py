@@ -2,6 +2,9 @@
 
 import json
 
+import numpy as np
+from PIL import Image
+
 from experiments import fitting
 from experiments.fitting import main, markdown
 
@@ -20,6 +23,23 @@ def test_a_tiny_row_is_fitted_once_and_lies_near_the_truth(tmp_path, capsys, mon
     monkeypatch.setattr(fitting, "Filming", None)
     assert main([str(tmp_path), *small]) == 0
     assert (tmp_path / "fitting.md").read_text() in capsys.readouterr().out
+
+
+def test_pictures_of_a_fit_show_where_its_outline_is(tmp_path):
+    small = ["--subjects", "builtin", "--seeds", "0", "--sources", "exact", "--frames", "8", "--size", "160"]
+    assert main([str(tmp_path), *small]) == 0
+    assert main([str(tmp_path), *small, "--pictures"]) == 0
+    # a fit that was kept is not counted twice
+    assert len(json.loads((tmp_path / "rows.json").read_text())["rows"]) == 1
+    sheet = np.asarray(Image.open(tmp_path / "builtin_0_exact.png").convert("RGB")).astype(int)
+    r, g, b = sheet[..., 0], sheet[..., 1], sheet[..., 2]
+    orange = (r > 200) & (abs(g - 120) < 40) & (b < 60)
+    # two stages of four frames: each part of the sheet holds an outline
+    height, width = orange.shape
+    for down in range(2):
+        for across in range(4):
+            part = orange[down * height // 2 :, across * width // 4 :][: height // 2, : width // 4]
+            assert part.sum() > 100
 
 
 def test_the_table_holds_means_and_the_largest_of_each_source_in_order():
