@@ -12,6 +12,8 @@ from experiments.short_training import three
 Point = dict[str, Any]
 # dB on held-out pictures whose price in seconds is told
 REACHED = (25.0, 27.0, 28.0)
+# a curve whose last seconds are more times its first is drawn over their logarithm
+WIDE = 8
 SETS = {"novel_pose": "novel poses", "novel_view": "novel views"}
 KINDS = {"psnr_db": "box", "psnr_mask_db": "mask"}
 COLORS = {"total": "tab:blue", "head": "tab:orange", "hands": "tab:green"}
@@ -75,13 +77,20 @@ def sentence(curve: Sequence[Point]) -> str:
         near = next(p for p in curve if p["scores"]["novel_pose"]["total"]["psnr_db"] >= end - 0.5)
         if near is not last:
             text += f" Half a decibel below that is reached after {clock(near):.0f}."
-    if first["cpu_seconds_in_steps"] is not None and first["device"] == "cpu":
-        fixed = first["cpu_seconds"] - first["cpu_seconds_in_steps"]
+    fixed = untrained_seconds(first)
+    if fixed is not None:
         text += (
             f" {fixed:.0f} of the first's seconds are no training: rays and template distances before it, fusing the "
             "parts and drawing out their surface after it."
         )
     return text
+
+
+def untrained_seconds(point: Point) -> float | None:
+    """What passes before and after the steps of stage 1, in processor seconds; None: not recorded, or on a GPU."""
+    if point["cpu_seconds_in_steps"] is None or point["device"] != "cpu":
+        return None
+    return point["cpu_seconds"] - point["cpu_seconds_in_steps"]
 
 
 def steps_text(point: Point) -> str:
@@ -102,7 +111,7 @@ def markdown(result: dict[str, Any]) -> str:
         f"Made by `python -m experiments.curves`; {result['cpu']}, commits {', '.join(commits)}. Each row is a",
         "training from the capture to the written run, its schedules shortened to its steps. *Processor*: seconds of",
         f"all processes together, which other programs ({load}) change little;",
-        "two idle cores take a little more than half of it by the clock. *in steps*: of these, the steps of",
+        "two idle cores take about two thirds of it by the clock. *in steps*: of these, the steps of",
         "stage 1. *Clock*: as it was. Scores: total / head / hands of the field on true pictures that trained nothing,",
         f"{', '.join(map(str, poses))} poses of each set; box and mask as in docs/quality.md.",
     ]
@@ -206,11 +215,19 @@ def plot(result: dict[str, Any], path: Path) -> None:
         right.set_ylabel("surface to true surface, mm (lower is better)")
         right.set_ylim(0)
         left.set_title(title(curve), fontsize=9, loc="left")
+        fixed = untrained_seconds(curve[0])
         for ax in (left, right):
-            ax.set_xscale("log")
-            ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
-            ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            ax.xaxis.set_minor_formatter(FuncFormatter(lambda value, _: ""))
+            if (x[-1] or 0) > WIDE * (x[0] or 1):
+                ax.set_xscale("log")
+                ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
+                ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+                ax.xaxis.set_minor_formatter(FuncFormatter(lambda value, _: ""))
+            else:
+                ax.set_xlim(0)
+                if fixed is not None:
+                    ax.axvspan(0, fixed, color="0.93", zorder=0)
+                    ax.annotate("no training:\npreparing, fusing,\nsurface", (fixed / 2, 0.5), ha="center", fontsize=7,
+                                color="0.4", xycoords=("data", "axes fraction"))  # fmt: skip
             ax.set_xlabel(f"{clock_name(curve[0])} from capture to avatar")
             ax.grid(alpha=0.3)
             ax.legend(fontsize=7)
