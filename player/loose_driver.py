@@ -9,6 +9,8 @@ Array = np.ndarray
 
 # seconds
 STEP = 1 / 120
+# of one frame in another, at most
+UNEVEN = 4.0
 
 
 class Driver(NamedTuple):
@@ -22,7 +24,7 @@ class Driver(NamedTuple):
     # both ends of each capsule
     capsules: Float[Array, "2 capsules 3"]
     # of sheets: to each neighbour, and gravity beyond that of pose 0, parts of it
-    lengths: Float[Array, "particles neighbours"] = np.zeros((0, 0))
+    lengths: Float[Array, "neighbours particles"] = np.zeros((0, 0))
     pull: Float[Array, "particles 3"] = np.zeros((0, 3))
     # of chains: the joints whose motion is no motion for some
     centers: Float[Array, "centers 3 4"] = np.zeros((0, 3, 4))
@@ -37,15 +39,28 @@ class Driver(NamedTuple):
 
 
 class Way:
-    """From one driver to the next."""
+    """From one driver to the next, on the parabola through them and the one before, where that is known.
 
-    def __init__(self, before: Driver, now: Driver, dt: float):
+        p(s) = b + s (n - b) + s (s - 1) c        c = (o - b + r (n - b)) / (r (r + 1))
+
+    with r the seconds from o to b in those from b to n.
+    """
+
+    def __init__(self, before: Driver, now: Driver, dt: float, older: "Way | None"):
+        """older: the way to `before`."""
         self.before, self.now, self.dt = before, now, dt
-        self.targets = now.targets - before.targets
-        self.speed = self.targets / dt
-        self._others = [b - a for a, b in zip(before[3:], now[3:], strict=True)]
+        self._way = [b - a for a, b in zip(before[2:], now[2:], strict=True)]
+        self._curve = None
+        ratio = 0.0 if older is None else older.dt / dt
+        # of frames as uneven as no player's the parabola says nothing
+        if older is not None and 1 / UNEVEN <= ratio <= UNEVEN:
+            share = 1 / (ratio * (ratio + 1))
+            self._curve = [share * (ratio * b - a) for a, b in zip(older._way, self._way, strict=True)]
 
     def at(self, share: float) -> Driver:
         """The driver at a share of the way."""
-        others = [a + share * way for a, way in zip(self.before[3:], self._others, strict=True)]
-        return Driver(self.now.root, self.now.turn, self.before.targets + share * self.targets, *others)
+        found = [a + share * way for a, way in zip(self.before[2:], self._way, strict=True)]
+        if self._curve is not None:
+            bend = share * (share - 1)
+            found = [value + bend * curve for value, curve in zip(found, self._curve, strict=True)]
+        return Driver(self.now.root, self.now.turn, *found)

@@ -3,8 +3,9 @@
 In fixed substeps of STEP. What a particle obeys in one is said where it is: sheets (player/loose_sheets.py) of avatars
 that were captured, chains (player/spring_chains.py) of a .vrm.
 
-The pose is interpolated to each substep, and what is drawn lies between the last two: so it depends on neither how
-often frames are drawn nor how they fall between substeps. Everything is relative to the pelvis of the frame, and the
+The pose is interpolated to each substep on the parabola through three frames, a substep takes everything from its own
+moment, and what is drawn lies between the last two: so it depends on neither how often frames are drawn nor how they
+fall between substeps. Everything is relative to the pelvis of the frame, and the
 particles keep the world's velocity as it moves on: ten kilometres away nothing trembles. A body that jumps (faster than
 FASTEST, or turned by more than TURNED) carries its particles along. Nothing is random and no clock is read.
 """
@@ -71,9 +72,14 @@ class LooseMotion:
             if _moved(now, self._reference) < STILL * self.parts.unit:
                 return
             self._asleep, self._calm = False, 0.0
+        if same:
+            self._older = None
         before = self._follow(now, dt)
         self._driver = now
         self._advance(before, now, dt)
+        # of a jump, or of a pose that is held, none
+        if same or before is now:
+            self._older = None
         self._settle(now)
 
     def _begin(self, pose: Pose, seconds: float) -> None:
@@ -81,9 +87,13 @@ class LooseMotion:
         self._driver = self._reference = self.parts.drive(pose)
         self._x = self._driver.targets[: len(self.parts.places)].copy()
         self._v = np.zeros_like(self._x)
+        # where the pose had the particles in the last substep
+        self._aim = self._x
         self._last = self._now = np.zeros_like(self._x)
         self._clock = self._calm = 0.0
         self._asleep = False
+        # that of the frame before; None: there was a jump, or a pose was held
+        self._older: Way | None = None
         self._settle(self._driver)
 
     def _follow(self, now: Driver, dt: float) -> Driver:
@@ -93,21 +103,25 @@ class LooseMotion:
         turn = now.turn @ before.turn.T
         angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
         if np.linalg.norm(shift) > limit or angle > TURNED:
+            self._older = None
             count = len(self._x)
             offset = (self._x - before.targets[:count]) @ turn.T
             self._x, self._v = now.targets[:count] + offset, self._v @ turn.T
+            self._aim = now.targets[:count]
             self._last, self._now = self._last @ turn.T, self._now @ turn.T
             # a body that jumps is not fast
             self._v = np.clip(self._v, -SPEED_CAP * self.parts.unit, SPEED_CAP * self.parts.unit)
             return now
-        self._x = self._x - shift
+        self._x, self._aim = self._x - shift, self._aim - shift
         before = before.moved(shift)
         way = now.targets - before.targets
-        far = np.sqrt((way * way).sum(1, keepdims=True))
-        if far.max() > limit:
+        far2 = np.einsum("nc,nc->n", way, way)[:, None]
+        if far2.max() > limit**2:
+            far = np.sqrt(far2)
             over = way * (1 - np.minimum(1, limit / np.maximum(far, 1e-12)))
-            self._x = self._x + over[: len(self._x)]
+            self._x, self._aim = self._x + over[: len(self._x)], self._aim + over[: len(self._x)]
             before = before._replace(targets=before.targets + over)
+            self._older = None
         return before
 
     def _advance(self, before: Driver, now: Driver, dt: float) -> None:
@@ -117,18 +131,22 @@ class LooseMotion:
         first = STEP - self._clock
         count = int(np.floor((self._clock + dt) / STEP + 1e-9))
         self._clock = max(self._clock + dt - count * STEP, 0.0)
+        way, cap = Way(before, now, dt, self._older), SPEED_CAP * self.parts.unit
+        self._older = way
         if not count:
             return
-        way, cap = Way(before, now, dt), SPEED_CAP * self.parts.unit
-        speed = self._law.frame(way)
+        self._law.frame(way)
         for k in range(count):
             at = way.at(min((first + k * STEP) / dt, 1.0))
-            start, self._x = self._law.substep(self._x, self._v, at)
+            # of the pose in this very substep: a frame's would be another at every rate of frames
+            speed = (at.targets[: len(self._x)] - self._aim) / STEP
+            self._aim = at.targets[: len(self._x)]
+            start, self._x, speed = self._law.substep(self._x, self._v, speed, at)
             v = (self._x - start) / STEP - speed
             fast = np.sqrt((v * v).sum(1, keepdims=True))
             v *= np.minimum(1, cap / np.maximum(fast, 1e-12))
             self._v = v + speed
-            self._last, self._now = self._now, self._x - at.targets[: len(self._x)]
+            self._last, self._now = self._now, self._x - self._aim
             slow = float(np.abs(self._now - self._last).max()) < SLOW * self.parts.unit * STEP
             self._calm = self._calm + STEP if slow else 0.0
         self.steps += count

@@ -8,10 +8,10 @@ looks as filmed.
 """
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from player.loose_capsules import Apart
 from player.loose_driver import STEP, Driver, Way
-from player.loose_parts import LooseParts, capsule_distances
+from player.loose_parts import LooseParts, lengths_of, ways
 from player.passes.secondary_motion import SecondaryMotion
 
 Array = np.ndarray
@@ -36,66 +36,37 @@ class Sheets:
         self._drawn = 1 / (1 + 1 / (omega * STEP) ** 2)
         self._damped = np.exp(-2 * DAMPING * omega * STEP)
         self._gravity = springs.gravity * parts.unit
-        self._speed = np.zeros_like(parts.places)
-        self._pairs: tuple[Array, Array] | None = None
-        self._close: Array | None = None
+        self._neighbours = np.ascontiguousarray(parts.neighbours.T)
+        self._pull = np.ascontiguousarray(parts.pull.T)
+        self._apart = Apart(parts.radii, 0.0)
+        self._drawn_apart = Apart(parts.radii, DEEPEST * parts.unit)
 
-    def frame(self, way: Way) -> Float[Array, "particles 3"]:
-        """Begin a frame; the velocities that those of the particles stay near."""
-        self._pairs = self._near()
-        self._speed = way.speed
-        return way.speed
+    def frame(self, way: Way) -> None:
+        """Begin a frame."""
 
-    def substep(self, x: Array, v: Array, at: Driver) -> tuple[Array, Array]:
-        """Where the particles come from, and where springs, gravity, neighbours and capsules have them."""
+    def substep(self, x: Array, v: Array, speed: Array, at: Driver) -> tuple[Array, Array, Array]:
+        """Where the particles come from, where springs, gravity, neighbours and capsules have them, and the velocities
+        that theirs stay near."""
         parts, targets = self.parts, at.targets
-        y = x + STEP * (self._speed + (v - self._speed) * self._damped + STEP * self._gravity * at.pull)
+        y = x + STEP * (speed + (v - speed) * self._damped + STEP * self._gravity * at.pull)
         y += (targets - y) * self._drawn
-        away = y.take(parts.neighbours, 0) - y[:, None]
-        long = np.sqrt(np.einsum("nkc,nkc->nk", away, away))
+        away = ways(y, self._neighbours)
         # cloth folds, it does not stretch
-        y += np.einsum("nk,nkc->nc", parts.pull * np.maximum(1 - at.lengths / np.maximum(long, 1e-12), 0), away)
+        stretched = np.maximum(1 - at.lengths / np.maximum(lengths_of(away), 1e-12), 0)
+        stretched *= self._pull
+        away *= stretched
+        y += away.sum(1).T
         offset = y - targets
         far = np.sqrt(np.einsum("nc,nc->n", offset, offset))[:, None]
         y = targets + offset * np.minimum(1, REACH * parts.unit / np.maximum(far, 1e-12))
-        if self._pairs is not None:
-            self._push(y, at.capsules, self._pairs)
-        return x, y
-
-    def _near(self) -> tuple[Int[Array, "pairs"], Int[Array, "pairs"]] | None:
-        """The capsule that each particle is nearest to, of those that are near one at all."""
-        if self._close is None:
-            return None
-        nearest = self._close.argmin(1)
-        own = np.flatnonzero(self._close[np.arange(len(nearest)), nearest] < 0.1 * self.parts.unit)
-        return (own, nearest[own]) if len(own) else None
-
-    def _push(self, y: Array, ends: Float[Array, "2 capsules 3"], pairs: tuple[Array, Array]) -> None:
-        own, which = pairs
-        start, along = ends[0][which], (ends[1] - ends[0])[which]
-        point = y[own] - start
-        share = np.einsum("nc,nc->n", point, along) / np.maximum(np.einsum("nc,nc->n", along, along), 1e-18)
-        off = point - np.clip(share, 0, 1)[:, None] * along
-        far = np.sqrt(np.einsum("nc,nc->n", off, off))
-        deep = self.parts.radii[own, which] - far
-        if deep.max() > 0:
-            push = np.maximum(deep, 0) / np.maximum(far, 1e-9)
-            y[own] += push[:, None] * off
+        pushed = self._apart.pushed(y, at.capsules)
+        return x, y if pushed is None else pushed, speed
 
     def settled(self, y: Array, at: Driver) -> Array:
         """Out of the capsules of this very pose."""
-        y, radii = y.copy(), self.parts.radii
-        for sweep in range(PUSHES):
-            self._close = capsule_distances(y, *at.capsules) - radii
-            nearest = self._close.argmin(1)
-            rows = np.arange(len(nearest))
-            own = np.flatnonzero(self._close[rows, nearest] < -DEEPEST * self.parts.unit)
-            if not len(own) or sweep == PUSHES - 1:
+        for _ in range(PUSHES):
+            pushed = self._drawn_apart.pushed(y, at.capsules)
+            if pushed is None:
                 break
-            start, along = at.capsules[0][nearest[own]], (at.capsules[1] - at.capsules[0])[nearest[own]]
-            point = y[own] - start
-            length = np.maximum((along * along).sum(1), 1e-18)
-            off = point - np.clip((point * along).sum(1) / length, 0, 1)[:, None] * along
-            far = np.sqrt((off * off).sum(1, keepdims=True))
-            y[own] += -self._close[own, nearest[own], None] * off / np.maximum(far, 1e-9)
+            y = pushed
         return y

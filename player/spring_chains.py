@@ -26,8 +26,8 @@ from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.springs import Springs
 from player.drawing import Pose
 from player.held_feet import GROWN, LEGS, leg_bones
+from player.loose_capsules import Apart
 from player.loose_driver import STEP, Driver, Way
-from player.loose_parts import capsule_distances
 from player.posing import Poser
 
 Array = np.ndarray
@@ -116,14 +116,13 @@ class Chains:
         self._parents = springs.parents[self._held]
         self._roots = np.flatnonzero(springs.parents < 0)
         # a tail and a collider that it does not heed never touch
-        off = np.where(springs.heeds, 0.0, np.inf)
-        self._apart = springs.radii[:, None] + springs.collider_radii - off
+        radii = np.where(springs.heeds, springs.radii[:, None] + springs.collider_radii, -1.0)
+        self._apart = Apart(radii, TOUCHING * parts.unit)
         self._carry: list[tuple[Array, Array, Array]] = []
 
-    def frame(self, way: Way) -> Float[Array, "bones 3"]:
-        """Begin a frame; the velocities that those of the particles stay near."""
+    def frame(self, way: Way) -> None:
+        """Begin a frame."""
         parts = self.parts
-        speed = way.speed[: len(parts.springs)]
         self._carry = []
         for k in range(len(parts.centers)):
             before, now = way.before.centers[k], way.now.centers[k]
@@ -132,22 +131,21 @@ class Chains:
             own = np.flatnonzero(parts.center == k)
             shift = (now[:, 3] - before[:, 3]) * (STEP / way.dt)
             self._carry.append((own, turn, shift))
-            speed = speed.copy()
-            speed[own] -= shift / STEP
-        return speed
 
-    def substep(self, x: Array, v: Array, at: Driver) -> tuple[Array, Array]:
-        """Where the particles would be at rest in their space, and where they are."""
+    def substep(self, x: Array, v: Array, speed: Array, at: Driver) -> tuple[Array, Array, Array]:
+        """Where the particles would be at rest in their space, where they are, and the velocities that theirs stay
+        near."""
         if self._carry:
-            x, v = x.copy(), v.copy()
+            x, v, speed = x.copy(), v.copy(), speed.copy()
             for k, (own, turn, shift) in enumerate(self._carry):
                 middle = at.centers[k, :, 3]
                 x[own] = (x[own] - (middle - shift)) @ turn.T + middle
                 v[own] = v[own] @ turn.T
+                speed[own] -= shift / STEP
         y = x + STEP * self._kept * v + self._fallen
         heads, rest = self._rest(y, at)
         y += (heads + rest - y) * self._drawn
-        return x, self._settled(y, at, 1)
+        return x, self._settled(y, at, 1), speed
 
     def settled(self, y: Array, at: Driver) -> Array:
         """Out of the colliders and at their distance from their heads."""
@@ -155,12 +153,11 @@ class Chains:
 
     def _settled(self, y: Array, at: Driver, pushes: int) -> Array:
         y = self._strung(y, at)
-        if self._apart.size:
-            for _ in range(pushes):
-                pushed = self._pushed(y, at)
-                if pushed is None:
-                    break
-                y = self._strung(pushed, at)
+        for _ in range(pushes):
+            pushed = self._apart.pushed(y, at.capsules)
+            if pushed is None:
+                break
+            y = self._strung(pushed, at)
         return y
 
     def _rest(self, y: Array, at: Driver) -> tuple[Array, Array]:
@@ -197,20 +194,3 @@ class Chains:
             far = np.sqrt(np.einsum("nc,nc->n", away, away))[:, None]
             out[own] = head + away * (length[own] / far.clip(1e-9))
         return out
-
-    def _pushed(self, y: Array, at: Driver) -> Array | None:
-        """Out of the collider that each is deepest in; None: none is in any."""
-        deep = self._apart - capsule_distances(y, *at.capsules)
-        which = deep.argmax(1)
-        own = np.flatnonzero(deep[np.arange(len(y)), which] > TOUCHING * self.parts.unit)
-        if not len(own):
-            return None
-        which = which[own]
-        start, along = at.capsules[0][which], (at.capsules[1] - at.capsules[0])[which]
-        point = y[own] - start
-        length2 = np.maximum(np.einsum("nc,nc->n", along, along), 1e-18)
-        off = point - np.clip(np.einsum("nc,nc->n", point, along) / length2, 0, 1)[:, None] * along
-        far = np.sqrt(np.einsum("nc,nc->n", off, off))
-        y = y.copy()
-        y[own] += (deep[own, which] / np.maximum(far, 1e-9))[:, None] * off
-        return y

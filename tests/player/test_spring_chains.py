@@ -10,8 +10,8 @@ from spring_vrm import PONYTAIL, SETTINGS, TAIL, spring_vrm
 
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import JOINTS
+from player.loose_capsules import capsule_distances
 from player.loose_motion import CALM, LONGEST, LooseMotion
-from player.loose_parts import capsule_distances
 from player.passes.secondary_motion import SecondaryMotion
 from player.spring_chains import SpringParts, spring_parts
 
