@@ -13,12 +13,14 @@ from capture.fit.person import Person
 Array = np.ndarray
 
 ARRAYS = ("g", "bias", "mean", "root", "heading", "angles")
+# raised whenever a step of the fit would answer otherwise: what an older one found is then not gone on from
+METHOD = 2
 FIELDS = (*ARRAYS, "offsets", "log_focal", "inputs")
 
 
 def fingerprint(footage: Footage, *numbers: Array | float | str) -> str:
-    """What a step was made from: its points, a few rows of its masks, and what came before."""
-    digest = hashlib.sha256()
+    """What a step was made from: the method, its points, a few rows of its masks, and what came before."""
+    digest = hashlib.sha256(f"method {METHOD}".encode())
     for value in (footage.pixels, footage.sure, footage.masks[:, ::8, ::8], np.float64(footage.focal), *numbers):
         digest.update(np.ascontiguousarray(value).tobytes() if not isinstance(value, str) else value.encode())
     return digest.hexdigest()

@@ -7,7 +7,7 @@ import pytest
 
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms
-from capture.fit import hand, head
+from capture.fit import hand, head, stored
 from capture.fit.body import CUTS, MOVING, body_names
 from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import projected
@@ -129,7 +129,7 @@ def test_pose_of_a_known_person_in_one_picture():
     assert np.linalg.norm(ours - ours.mean(0) - theirs + theirs.mean(0), axis=1).mean() < 0.03
 
 
-def test_a_finished_step_is_read_back_for_the_same_video_alone(tmp_path):
+def test_a_finished_step_is_read_back_for_the_same_video_alone(tmp_path, monkeypatch):
     person = person_of("male")
     truth = Estimate(person, np.zeros(len(person.sigma)), np.zeros((1, 3)), 0.1, np.zeros((52, 3)), np.zeros((2, 3)),
                      np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 52, 3)))  # fmt: skip
@@ -141,3 +141,6 @@ def test_a_finished_step_is_read_back_for_the_same_video_alone(tmp_path):
     np.testing.assert_array_equal(again.root, truth.root)
     assert read_estimate(tmp_path / "body.npz", person, fingerprint(footage, "female")) is None
     assert read_estimate(tmp_path / "head.npz", person, inputs) is None
+    # another method may answer otherwise
+    monkeypatch.setattr(stored, "METHOD", stored.METHOD + 1)
+    assert read_estimate(tmp_path / "body.npz", person, fingerprint(footage, "male")) is None
