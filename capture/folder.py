@@ -1,10 +1,11 @@
 """The capture folder: four part videos with masks, cameras and poses, and the subject's registered template."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -17,6 +18,8 @@ from avatar.npz import field, read_npz
 from avatar.picture import read_picture
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
+from capture.frame_files import FrameFiles, Frames
+from capture.videos import Videos
 
 Array = np.ndarray
 
@@ -58,7 +61,8 @@ class PartVideo:
     """One self-rotation video. Body and hands: cameras in the world, with poses. Head: cameras in the head frame."""
 
     part: str
-    images: UInt8[Array, "frames height width 3"]  # sRGB
+    # sRGB; files where a reader said so (`frames_on_demand`)
+    images: UInt8[Frames, "frames height width 3"]
     masks: Bool[Array, "frames height width"]  # the whole person
     cameras: tuple[Camera, ...]  # one per frame
     axis_angle: Float[Array, "frames 52 3"] | None
@@ -75,12 +79,13 @@ class Capture:
     path: Path
     facts: dict
     subject: CaptureSubject
-    # of the parts that were read
-    videos: dict[str, PartVideo]
+    # of the parts that were read; from a folder one at a time (capture/videos.py)
+    videos: Mapping[str, PartVideo]
 
 
-def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS) -> Capture:
-    """Read and check a capture folder; of its videos only those of `parts` are read.
+def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS, frames_on_demand: bool = False) -> Capture:
+    """Read and check a capture folder; of its videos only those of `parts` are read, and large ones again when they are
+    asked for. `frames_on_demand`: pictures stay files, for those who look at each of them once.
 
     Raises:
         AssetError: something is absent, misshapen, not finite, or disagrees with its neighbour.
@@ -97,9 +102,12 @@ def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS) -> Capture:
     if absent:
         raise AssetError(f"{path}: no folder {', '.join(absent)}; all four videos are needed: {', '.join(PARTS)}")
     subject = read_subject(path / "subject.npz", name=str(facts.get("subject", path.name)))
-    videos = {part: _read_video(path / part, part, len(subject.rest)) for part in parts}
-    for part, video in videos.items():
-        _check_distance(path / part, video)
+    videos = Videos(
+        {part: partial(_read_video, path / part, part, len(subject.rest), frames_on_demand) for part in parts}
+    )
+    # all of them are checked, though they may not all be kept
+    for part in parts:
+        _check_distance(path / part, videos[part])
     return Capture(path, facts, subject, videos)
 
 
@@ -197,12 +205,11 @@ def write_subject(path: Path, subject: CaptureSubject) -> None:
         np.savez(file, **fields)
 
 
-def _read_video(path: Path, part: str, vertex_count: int) -> PartVideo:
-    image_names, images = _read_frames(path / "images", "RGB")
-    mask_names, grey = _read_frames(path / "masks", "L")
-    masks = grey > 127
+def _read_video(path: Path, part: str, vertex_count: int, on_demand: bool) -> PartVideo:
+    image_names, images = _frame_files(path / "images") if on_demand else _read_frames(path / "images", "RGB")
+    mask_names, masks = _read_frames(path / "masks", "L", lambda grey: grey > 127)
     # mixtures of the person and what lies behind
-    mixed = (grey > MIXED[0]) & (grey < MIXED[1])
+    _, mixed = _read_frames(path / "masks", "L", lambda grey: (grey > MIXED[0]) & (grey < MIXED[1]))
     if image_names != mask_names:
         name = sorted(set(image_names) ^ set(mask_names))[0]
         place = "images" if name in image_names else "masks"
@@ -305,14 +312,28 @@ def _read_landmarks(path: Path, vertex_count: int) -> tuple[Array, Array]:
     return positions, np.array([vertices[name] for name in names])
 
 
-def _read_frames(folder: Path, mode: str) -> tuple[list[str], Array]:
+def _frame_files(folder: Path) -> tuple[list[str], Frames]:
+    """Names and files of the frames; their sizes are those of the first, or reading them says so."""
+    paths = tuple(sorted(folder.glob("*.png")))
+    if not paths:
+        raise AssetError(f"{folder}: expected frames 000000.png ..., found none")
+    height, width = read_picture(paths[0], "RGB", formats=("PNG",)).shape[:2]
+    return [path.name for path in paths], cast(Frames, FrameFiles(paths, (height, width)))
+
+
+def _read_frames(
+    folder: Path, mode: str, kept: Callable[[Array], Array] = lambda pixels: pixels
+) -> tuple[list[str], Array]:
+    """Names and frames, each as `kept` has it; never all of them twice in memory."""
     paths = sorted(folder.glob("*.png"))
     if not paths:
         raise AssetError(f"{folder}: expected frames 000000.png ..., found none")
-    frames = []
-    for path in paths:
-        frames.append(read_picture(path, mode, formats=("PNG",)))
-        if frames[-1].shape != frames[0].shape:
-            size, first = frames[-1].shape[1::-1], frames[0].shape[1::-1]
-            raise AssetError(f"{path}: should be {first} pixels as the first frame, is {size}")
-    return [path.name for path in paths], np.stack(frames)
+    first = kept(read_picture(paths[0], mode, formats=("PNG",)))
+    frames = np.empty((len(paths), *first.shape), first.dtype)
+    for i, path in enumerate(paths):
+        frame = kept(read_picture(path, mode, formats=("PNG",))) if i else first
+        if frame.shape != first.shape:
+            size, expected = frame.shape[1::-1], first.shape[1::-1]
+            raise AssetError(f"{path}: should be {expected} pixels as the first frame, is {size}")
+        frames[i] = frame
+    return [path.name for path in paths], frames

@@ -91,8 +91,9 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
         return json.loads(done.read_text("utf-8"))
     torch.set_num_threads(job.threads)
     began, cpu = time.monotonic(), time.process_time()
-    # one video at 1080p may be a gigabyte: a part reads only its own
-    capture = with_refined(read_capture(job.capture, parts=PARTS if preset.single else (name,)), folder)
+    # one video at 1080p may be a gigabyte: a part reads only its own, and each picture when its rays are drawn
+    parts = PARTS if preset.single else (name,)
+    capture = with_refined(read_capture(job.capture, parts=parts, frames_on_demand=True), folder)
     capture = replace(capture, subject=read_subject(folder / "subject.npz", capture.subject.name))
     torch.manual_seed(job.seed * 4 + job.index)
     prefit = preset.prefit and not (job.resume and checkpoint.exists())

@@ -24,6 +24,7 @@ from avatar.skeleton import PARTS
 from capture.folder import Capture, CaptureSubject, read_capture, write_subject
 from capture.light.fit import fit_capture_light, light_line
 from capture.repair.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
+from capture.videos import let_go
 from train import run as run_folder
 from train.clothes import with_clothes
 from train.compose import (
@@ -363,6 +364,8 @@ def _refine(training: _Training) -> dict:
         workers = min(2, os.cpu_count() or 1) if _on_one_cpu(training) else 1
 
         def run(jobs: Mapping[str, RefineJob], work: Callable[[RefineJob, Reporter], dict]) -> dict[str, dict]:
+            # each worker reads its own
+            let_go(training.capture.videos)
             board = ProgressBoard(dict.fromkeys(jobs, ROUNDS), workers)
             try:
                 return run_jobs(jobs, work, board, workers) if jobs else {}
@@ -399,6 +402,8 @@ def _train_parts(
         )
         for index in order
     }  # fmt: skip
+    # each worker reads its own video; those of this process would lie beside them for as long as they learn
+    let_go(training.capture.videos)
     totals = {name: job.settings.iterations for name, job in jobs.items()}
     stream = None if ranks.writes else io.StringIO()
     board = ProgressBoard(totals, workers, after=AFTER, stream=stream)

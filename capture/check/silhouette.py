@@ -67,12 +67,14 @@ def outline_errors(capture: Capture, frames: int = 4) -> dict[str, float]:
 
     A part whose outlines are never both in the image is infinitely far off.
     """
-    errors = {}
-    for part, video in capture.videos.items():
-        spread = np.array([outline(capture, part, i).agreement.spread for i in even(len(video.masks), frames)])
-        seen = np.isfinite(spread)
-        errors[part] = common(float(spread[seen].mean()), video.masks.shape[1]) if seen.any() else np.inf
-    return errors
+    return {part: _outline_error(capture, part, frames) for part in capture.videos}
+
+
+def _outline_error(capture: Capture, part: str, frames: int) -> float:
+    video = capture.videos[part]
+    spread = np.array([outline(capture, part, i).agreement.spread for i in even(len(video.masks), frames)])
+    seen = np.isfinite(spread)
+    return common(float(spread[seen].mean()), video.masks.shape[1]) if seen.any() else np.inf
 
 
 def common(pixels: float, rows: int) -> float:

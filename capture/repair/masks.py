@@ -50,10 +50,11 @@ def mask_offsets(videos: Mapping[str, PartVideo], subject: CaptureSubject) -> di
     The nearest pixel of an outline is nearer than the one across (four fifths, of 2 pixels): masks that are off are
     corrected by what was found and measured again.
     """
-    offsets = {part: outline_offset(video, subject) for part, video in videos.items()}
+    # no name for a video, or it would be in memory beside the next one
+    offsets = {part: outline_offset(videos[part], subject) for part in videos}
     for _ in range(MEASURED_AGAIN if believed_offset(offsets) else 0):
         middle = believed_offset(offsets)
-        offsets = {part: middle + outline_offset(_shrunk(video, middle), subject) for part, video in videos.items()}
+        offsets = {part: middle + outline_offset(_shrunk(videos[part], middle), subject) for part in videos}
     return offsets
 
 

@@ -28,6 +28,7 @@ from capture.check import MISALIGNED, outline_errors
 from capture.folder import Capture, PartVideo, read_capture
 from capture.repair.align import AlignSettings, align, outline_offset
 from capture.repair.masks import believed_offset, mask_offsets, pixels_off, redrawn
+from capture.videos import changed, only
 
 Array = np.ndarray
 
@@ -63,7 +64,8 @@ def refine_capture(
     done = folder / "refined.json"
     if done.exists():
         return json.loads(done.read_text("utf-8"))
-    posed = {part: video for part, video in capture.videos.items() if video.axis_angle is not None}
+    # the head's has no poses
+    posed = only(capture.videos, [part for part in capture.videos if part != "head"])
     # masks first: poses that are moved onto small masks step back, and hide a part of what is missing
     offsets = mask_offsets(posed, capture.subject)
     believed = believed_offset(offsets)
@@ -128,11 +130,18 @@ def with_refined(capture: Capture, folder: Path) -> Capture:
     Raises:
         AssetError: a file of refined poses does not belong to the capture.
     """
-    videos = dict(capture.videos)
-    for part, video in capture.videos.items():
+
+    def refined(part: str, video: PartVideo) -> PartVideo:
         path = refined_path(folder, part)
-        if path.exists():
-            videos[part] = read_refined(path, video)
+        return read_refined(path, video) if path.exists() else video
+
+    there = [part for part in capture.videos if refined_path(folder, part).exists()]
+    if not there:
+        return capture
+    videos = changed(capture.videos, refined)
+    # a file that does not fit is refused now, not when its video is asked for
+    for part in there:
+        videos[part]
     return replace(capture, videos=videos)
 
 
@@ -151,12 +160,14 @@ def write_learned(folder: Path, part: str, video: PartVideo) -> None:
 
 def with_learned(capture: Capture, folder: Path) -> Capture:
     """The capture `with_refined`, in the poses that training ended with where it learned them."""
-    videos = dict(capture.videos)
-    for part, video in capture.videos.items():
+
+    def learned(part: str, video: PartVideo) -> PartVideo:
         path = _learned_path(folder, part)
-        if path.exists():
-            videos[part] = replace(video, **read_npz(path, "learned poses", ("axis_angle", "root")))
-    return replace(capture, videos=videos)
+        if not path.exists():
+            return video
+        return replace(video, **read_npz(path, "learned poses", ("axis_angle", "root")))
+
+    return replace(capture, videos=changed(capture.videos, learned))
 
 
 def copy_refined(partial: Path, folder: Path) -> None:
@@ -213,9 +224,12 @@ def _unpacked(
 
 def _with_poses(video: PartVideo, axis_angle: Array | None, root: Array | None, kept: Int[Array, "k"]) -> PartVideo:
     """The frames `kept` of a video, in these poses."""
+    if len(kept) == len(video.images) and (kept == np.arange(len(kept))).all():
+        # no second copy of all pixels
+        return replace(video, axis_angle=axis_angle, root=root)
     return replace(
         video, images=video.images[kept], masks=video.masks[kept], cameras=tuple(video.cameras[f] for f in kept),
-        axis_angle=axis_angle, root=root,
+        unsure=None if video.unsure is None else video.unsure[kept], axis_angle=axis_angle, root=root,
     )  # fmt: skip
 
 

@@ -1,0 +1,55 @@
+"""Pictures of a video that stay files until they are asked for: 100 frames of 1080p are .6 GB."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, overload
+
+import numpy as np
+from jaxtyping import Int, UInt8
+
+from avatar.errors import AssetError
+from avatar.picture import read_picture
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class FrameFiles:
+    """PNG files of one size, sRGB: `files[i]` reads frame i, `files[rows]` are some of them."""
+
+    paths: tuple[Path, ...]
+    size: tuple[int, int]  # height, width
+    dtype = np.dtype(np.uint8)
+    # in memory
+    nbytes = 0
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        return len(self.paths), *self.size, 3
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    @overload
+    def __getitem__(self, which: "int | np.integer") -> UInt8[Array, "height width 3"]: ...
+    @overload
+    def __getitem__(self, which: Int[Array, "k"]) -> "FrameFiles": ...
+    def __getitem__(self, which: "int | np.integer | Int[Array, 'k']") -> "UInt8[Array, 'height width 3'] | FrameFiles":
+        if isinstance(which, np.ndarray):
+            return FrameFiles(tuple(self.paths[i] for i in which), self.size)
+        return self._read(self.paths[which])
+
+    def __iter__(self) -> Iterator[UInt8[Array, "height width 3"]]:
+        return map(self._read, self.paths)
+
+    def _read(self, path: Path) -> UInt8[Array, "height width 3"]:
+        pixels = read_picture(path, "RGB", formats=("PNG",))
+        if pixels.shape[:2] != self.size:
+            found = f"{pixels.shape[1]} x {pixels.shape[0]}"
+            raise AssetError(f"{path}: expected {self.size[1]} x {self.size[0]} pixels as before, found {found}")
+        return pixels
+
+
+# pictures of a video. To a type checker an array: who asks for files looks at whole frames, and at rows of them
+Frames = Array if TYPE_CHECKING else Array | FrameFiles

@@ -1,0 +1,76 @@
+"""Videos that are read when they are asked for: four of 1080p and 100 frames are 4 GB, and one is used at a time."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+from weakref import WeakValueDictionary
+
+if TYPE_CHECKING:
+    from capture.folder import PartVideo
+
+# bytes of videos that are kept once they were read; the last one always is
+KEPT = 400_000_000
+
+
+class Videos(Mapping[str, "PartVideo"]):
+    """Videos by part. Who holds one keeps it in memory; of the others those read last stay, up to KEPT bytes."""
+
+    def __init__(self, read: Mapping[str, Callable[[], "PartVideo"]], recent: "list[PartVideo] | None" = None):
+        self.read = dict(read)
+        self._alive: WeakValueDictionary[str, PartVideo] = WeakValueDictionary()
+        # of all that are made from the same, or each would keep its own
+        self.recent: list[PartVideo] = [] if recent is None else recent
+
+    def __getitem__(self, part: str) -> "PartVideo":
+        video = self._alive.get(part)
+        if video is None:
+            # room is made first: both at once would be twice the memory
+            while self.recent and sum(map(size_of, self.recent)) > KEPT // 2:
+                self.recent.pop(0)
+            video = self._alive[part] = self.read[part]()
+        self.recent[:] = [one for one in self.recent if one is not video] + [video]
+        while len(self.recent) > 1 and sum(map(size_of, self.recent)) > KEPT:
+            self.recent.pop(0)
+        return video
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.read)
+
+    def __len__(self) -> int:
+        return len(self.read)
+
+    def let_go(self) -> None:
+        """Keep none that nobody holds."""
+        self.recent.clear()
+
+
+def changed(
+    videos: Mapping[str, "PartVideo"], change: Callable[[str, "PartVideo"], "PartVideo"]
+) -> Mapping[str, "PartVideo"]:
+    """Videos as `change` makes them, each when it is asked for; those that are read stay unread until then."""
+    if not isinstance(videos, Videos):
+        return {part: change(part, video) for part, video in videos.items()}
+    made = {part: partial(_made, change, part, read) for part, read in videos.read.items()}
+    return Videos(made, videos.recent)
+
+
+def _made(change: "Callable[[str, PartVideo], PartVideo]", part: str, read: "Callable[[], PartVideo]") -> "PartVideo":
+    return change(part, read())
+
+
+def only(videos: Mapping[str, "PartVideo"], parts: Sequence[str]) -> Mapping[str, "PartVideo"]:
+    """Some of the videos."""
+    if not isinstance(videos, Videos):
+        return {part: videos[part] for part in parts}
+    return Videos({part: videos.read[part] for part in parts}, videos.recent)
+
+
+def let_go(videos: Mapping[str, "PartVideo"]) -> None:
+    """Free the videos that can be read again and nobody holds."""
+    if isinstance(videos, Videos):
+        videos.let_go()
+
+
+def size_of(video: "PartVideo") -> int:
+    """Bytes of its pixels."""
+    return sum(0 if pixels is None else pixels.nbytes for pixels in (video.images, video.masks, video.unsure))
