@@ -49,7 +49,7 @@ def people_table(results: list[dict[str, Any]]) -> str:
         "distances include the hair. Lights are apart: a fixed one is baked into the person. Unless a section says",
         "otherwise everything was *given*: a template registered to the true mesh, its joints, exact poses, cameras.",
         "The paper was given none of that: its numbers stand beside *shape only* and *from pixels* alone; its people",
-        "and crops are others.",
+        "and crops are others. `python -m experiments.claim` makes the three kinds of one person side by side.",
         "",
     ]
     lights = sorted({section_of(result) for result in results}, key=lights_order)
