@@ -13,7 +13,7 @@ from avatar.camera import Camera
 from avatar.npz import read_npz
 from avatar.picture import read_picture
 from avatar.skeleton import BIG_POSE
-from bench.field_view import MaskedPicture, PosableSurface
+from bench.posed_field import MaskedPicture, PosableSurface
 from bench.true_mesh import TrueMesh
 from capture.folder import read_subject
 from player.raster import Rasteriser

@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 from avatar.camera import Camera
 from avatar.gltf.avatar_file import Avatar, Level, read_avatar
 from bench import metrics
-from bench.field_view import Directions, FieldView, MaskedPicture, PosableSurface, averaged
+from bench.field_view import field_view
+from bench.posed_field import Directions, MaskedPicture, PosableSurface, PosedField, averaged
 from player.context import opened
 from player.passes.light import Light
 from player.raster import Rasteriser
@@ -39,12 +40,12 @@ class Drawer:
     def __init__(self, source: Path | Run, directions: Directions = "global"):
         self.path = source.path if isinstance(source, Run) else Path(source)
         self.directions: Directions = directions  # of a field
-        self.field: FieldView | None = None
+        self.field: PosedField | None = None
         self.avatar: Avatar | None = None
         if isinstance(source, Run) or self.path.is_dir():
             run = source if isinstance(source, Run) else read_run(self.path)
             self.provenance = run.provenance
-            self.field = FieldView(run)
+            self.field = field_view(run)
             self.surface = self.field.surface
         else:
             self.avatar = read_avatar(self.path)
@@ -84,7 +85,7 @@ class Drawer:
 
 
 def drawn_where(
-    field: FieldView,
+    field: PosedField,
     raster: Rasteriser,
     pose: tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]],
     camera: Camera,

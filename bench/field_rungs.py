@@ -1,23 +1,27 @@
-"""The field an avatar was baked from, as rungs of accuracy against time: slow, and what the rest is measured by."""
+"""The field an avatar was baked from, as rungs of accuracy against time: slow, and what the rest is measured by.
+
+Where the run has a fields.onnx, which the bake writes, ONNX Runtime answers and torch is not imported; else torch does.
+"""
 
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from skimage.transform import resize
 
 from avatar.camera import Camera
-from avatar.progress import progress
-from bench.field_view import Directions, FieldView
+from avatar.errors import AssetError
+from avatar.input_file import read_json_object
+from avatar.progress import Progress, progress
+from bench.field_boxes import PosedVolume, enlarged, progressive
 from bench.field_volume import draw_volume
+from bench.onnx_field import field_surface, posed_field
+from bench.posed_field import Directions, PosedField
 from player.context import Context
 from player.raster import Rasteriser
 from player.renderer import Pose
-from train.run import read_run
 
 FIELD_ROUNDS = 3
 
@@ -32,7 +36,7 @@ class FieldRung(NamedTuple):
     directions: Directions = "cone"
 
 
-# cheapest first; the last is the truth of the model
+# cheapest first; the last is the truth of the model near its extracted surface
 FIELD_RUNGS = (
     FieldRung("field, paper mode, quarter resolution", share=0.25, directions="global"),
     FieldRung("field, surface, half resolution", share=0.5),
@@ -47,6 +51,18 @@ FIELD_RUNGS = (
 )
 
 
+# sections of a ray through boxes (bench/field_boxes.py), and the stages of its refinement
+SECTIONS = 64
+REFINED = (
+    "field, boxes of 64, quarter resolution",
+    "field, boxes of 64, half resolution",
+    "field, boxes of 64",
+    "field, boxes of 64, 2 samples a pixel",
+    "field, boxes of 64, 3 samples a pixel",
+    "field, boxes of 64, 4 samples a pixel",
+)
+
+
 class PosedFrame(Protocol):
     """A pose under a camera."""
 
@@ -56,15 +72,31 @@ class PosedFrame(Protocol):
     def camera(self) -> Camera: ...
 
 
+class DrawnRung(NamedTuple):
+    """One rung's frames: milliseconds of each, bytes of the field, pictures."""
+
+    name: str
+    ms: Float[np.ndarray, "rounds"]
+    bytes: int
+    pictures: list[Float[np.ndarray, "height width 3"]]
+
+
+class AskedField(NamedTuple):
+    """A run's field, ready for drawing, and what is to be known of it."""
+
+    field: PosedField
+    # width of its surface after training, metres
+    beta: float
+    bytes: int
+
+
 def field_rungs(
     context: Context, run: Path, frames: Sequence[PosedFrame], rungs: Sequence[FieldRung] = FIELD_RUNGS
-) -> list[tuple[str, Float[np.ndarray, "rounds"], int, list[Float[np.ndarray, "height width 3"]]]]:
-    """The field drawn in each way: name, milliseconds, bytes of its tensors, the frames. At least FIELD_ROUNDS frames
-    are timed, of a volume each of the frames once."""
-    trained = read_run(run)
-    view, beta = FieldView(trained), trained.preset.parts[0].beta[1]
+) -> list[DrawnRung]:
+    """The field as it refines through boxes (REFINED), then drawn in each way; the last is what the others are compared
+    with. At least FIELD_ROUNDS frames are timed, of a volume each of the frames once."""
+    asked = with_onnx(run) if (run / "fields.onnx").is_file() else with_torch(run)
     raster, drawn_rungs = Rasteriser(context), []
-    size = sum(tensor.numel() * tensor.element_size() for tensor in tensors_of(view.field))
     try:
         for rung in rungs:
             ms, drawn = [], []
@@ -72,49 +104,67 @@ def field_rungs(
             for number in progress(range(rounds), rung.name):
                 frame = frames[number % len(frames)]
                 start = time.perf_counter()
-                picture = draw_rung(view, raster, rung, frame, beta)
+                picture = draw_rung(asked, raster, rung, frame)
                 ms.append(1e3 * (time.perf_counter() - start))
                 if number < len(frames):
                     drawn.append(picture)
-            drawn_rungs.append((rung.name, np.array(ms), size, drawn))
+            drawn_rungs.append(DrawnRung(rung.name, np.array(ms), asked.bytes, drawn))
     finally:
         raster.release()
-    return drawn_rungs
+    return refined_rungs(asked, frames) + drawn_rungs
+
+
+def refined_rungs(asked: AskedField, frames: Sequence[PosedFrame]) -> list[DrawnRung]:
+    """The field by volume rendering through boxes as it refines: each stage's time holds those before it."""
+    ms, pictures = [[] for _ in REFINED], [[] for _ in REFINED]
+    report = Progress("field through boxes", len(REFINED) * len(frames))
+    for number, frame in enumerate(frames):
+        start = time.perf_counter()
+        volume = PosedVolume(asked.field, *frame.pose)
+        for stage, picture in enumerate(progressive(volume, frame.camera, beta=asked.beta, sections=SECTIONS)):
+            ms[stage].append(1e3 * (time.perf_counter() - start))
+            pictures[stage].append(picture)
+            report.update(number * len(REFINED) + stage + 1)
+    return [
+        DrawnRung(name, np.array(times), asked.bytes, drawn)
+        for name, times, drawn in zip(REFINED, ms, pictures, strict=True)
+    ]
+
+
+def with_onnx(run: Path) -> AskedField:
+    """The field of a run without torch.
+
+    Raises:
+        AssetError: a file of the run is absent or misshapen.
+    """
+    facts = read_json_object(run / "run.json", "the facts of a run folder made by `selfscan train`")
+    try:
+        beta = float(facts["settings"]["parts"][0]["beta"][1])
+    except (KeyError, IndexError, TypeError, ValueError):
+        raise AssetError(f"{run / 'run.json'}: settings should name the last beta of the first part") from None
+    return AskedField(posed_field(field_surface(run)), beta, (run / "fields.onnx").stat().st_size)
+
+
+def with_torch(run: Path) -> AskedField:
+    """The field of a run whose networks have no fields.onnx."""
+    from bench.field_tensors import tensors_of
+    from bench.field_view import field_view
+    from train.run import read_run
+
+    trained = read_run(run)
+    size = sum(tensor.numel() * tensor.element_size() for tensor in tensors_of(trained.field))
+    return AskedField(field_view(trained), trained.preset.parts[0].beta[1], size)
 
 
 def draw_rung(
-    view: FieldView, raster: Rasteriser, rung: FieldRung, frame: PosedFrame, beta: float
+    asked: AskedField, raster: Rasteriser, rung: FieldRung, frame: PosedFrame
 ) -> Float[np.ndarray, "height width 3"]:
     """The frame at full resolution."""
     full = frame.camera.size
     size = max(1, round(full[0] * rung.share)), max(1, round(full[1] * rung.share))
     camera = frame.camera.resized(size)
     if rung.sections:
-        picture = draw_volume(view, raster, *frame.pose, camera, beta=beta, sections=rung.sections)
+        picture = draw_volume(asked.field, raster, *frame.pose, camera, beta=asked.beta, sections=rung.sections)
     else:
-        picture = view.draw(raster, *frame.pose, camera, directions=rung.directions)
-    if size == full:
-        return picture.color
-    return np.clip(resize(picture.color, (full[1], full[0], 3), order=1, anti_aliasing=False), 0, 1).astype(np.float32)
-
-
-def tensors_of(field: Any) -> list:
-    """Every tensor a field holds, wherever it keeps its networks."""
-    found: dict[int, torch.Tensor] = {}
-    waiting, visited = [field], set()
-    while waiting:
-        thing = waiting.pop()
-        if id(thing) in visited:
-            continue
-        visited.add(id(thing))
-        if isinstance(thing, torch.Tensor):
-            found[thing.data_ptr()] = thing
-        elif isinstance(thing, torch.nn.Module):
-            waiting += [*thing.parameters(), *thing.buffers()]
-        elif isinstance(thing, dict):
-            waiting += list(thing.values())
-        elif isinstance(thing, (list, tuple)):
-            waiting += list(thing)
-        elif hasattr(thing, "__dict__") and type(thing).__module__.split(".")[0] == "train":
-            waiting += list(vars(thing).values())
-    return list(found.values())
+        picture = asked.field.draw(raster, *frame.pose, camera, directions=rung.directions)
+    return picture.color if size == full else enlarged(picture.color, full)

@@ -1,33 +1,19 @@
-"""Pictures of the trained field: its first surface crossing under a posed camera.
-
-The fine surface is moved onto the field's zero set, posed and rasterised, and each pixel's canonical point is
-asked for its color there, at one of three view directions (Directions, below).
-"""
+"""The trained field of a run made ready for drawing: its fine surface on the zero set, answered for by torch."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
-from avatar.camera import Camera, pixel_rays, project
 from avatar.light import CaptureLight
-from avatar.skeleton import BIG_POSE, skin_transforms
-from avatar.skinning import SkinWeights, blended_rotations, skin_points
-from bake.cone import clamped_tangent, cone_direction, interpolated, view_cone
-from player.raster import Rasteriser
+from avatar.skeleton import BIG_POSE
+from avatar.skinning import SkinWeights
+from bake.cone import view_cone
+from bench.posed_field import PosableSurface, PosedField
 from train.fused import FusedField
 from train.run import Run
-
-# The direction that F_c (Eq. 2) is asked at:
-#   global  d_bar of Eq. 14, the non-rigid ray transformation: color depends on the point alone
-#   own     the pixel's own ray turned into the canonical frame by the inverse skin of the point it hits, as the
-#           training rays were: section 3.5's "original view direction", the row "w/o ray transform" of Table 4
-#   cone    that direction pulled into the cone that training saw (d')
-Directions = Literal["global", "own", "cone"]
 
 CHUNK = 1 << 16  # field queries at once
 # metres: a vertex is not moved farther than this in one step onto the zero set
@@ -47,107 +33,63 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-@dataclass(frozen=True)
-class PosableSurface:
-    """A mesh in the canonical (big) pose that follows the skeleton."""
-
-    vertices: Float[np.ndarray, "vertices 3"]  # canonical, metres
-    faces: Int[np.ndarray, "faces 3"]
-    skin: SkinWeights
-    joints: Float[np.ndarray, "52 3"]  # pose 0
-    canonical_pose: Float[np.ndarray, "52 3"]
-
-    def posed(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "vertices 3"]:
-        return skin_points(self.vertices, self.skin, self.transforms(axis_angle, root))
-
-    def transforms(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "52 4 4"]:
-        return skin_transforms(axis_angle, self.joints, root, rest=self.canonical_pose)
-
-
-class MaskedPicture(NamedTuple):
-    color: Float[np.ndarray, "height width 3"]  # [0, 1] sRGB, black where nothing is
-    mask: Bool[np.ndarray, "height width"]
+@one_thread()
+def field_view(run: Run) -> PosedField:
+    """A run's field with its fine surface, skin and view cone."""
+    s = run.surface
+    surface = PosableSurface(
+        on_zero_set(run.field, np.asarray(s.vertices, np.float64)),
+        np.asarray(s.faces, np.int64),
+        SkinWeights(s.skin.joints.astype(np.int64), s.skin.weights),
+        np.asarray(run.subject.joints, np.float64),
+        BIG_POSE,
+    )
+    count, mean, covariance, normals = (
+        np.asarray(a, np.float64) for a in (s.view_count, s.view_mean, s.view_covariance, s.normals)
+    )
+    cone = view_cone(count, mean, covariance, normals, surface.faces)
+    answers, light = FieldAnswers(run.field), run.world_light
+    lit = None if light is None else lambda *asked: answers.lit(light, *asked)
+    return PosedField(surface, cone, answers.distance, answers.color, lit)
 
 
-class FieldView:
-    """A run made ready for drawing: fine surface, its skin, its view cone."""
+class FieldAnswers:
+    """A torch field asked with arrays, a piece at a time."""
+
+    def __init__(self, field: FusedField):
+        self.field = field
 
     @one_thread()
-    def __init__(self, run: Run):
-        s = run.surface
-        self.field, self.light = run.field, run.world_light
-        self.surface = PosableSurface(
-            on_zero_set(run.field, np.asarray(s.vertices, np.float64)),
-            np.asarray(s.faces, np.int64),
-            SkinWeights(s.skin.joints.astype(np.int64), s.skin.weights),
-            np.asarray(run.subject.joints, np.float64),
-            BIG_POSE,
-        )
-        count, mean, covariance, normals = (
-            np.asarray(a, np.float64) for a in (s.view_count, s.view_mean, s.view_covariance, s.normals)
-        )
-        self.cone = view_cone(count, mean, covariance, normals, self.surface.faces)
-        # several pictures show one pose
-        self.last_pose: tuple[bytes, np.ndarray] = (b"", np.zeros((0, 3)))
+    def distance(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        """Signed distance of canonical points, metres."""
+        out = np.empty(len(points), np.float32)
+        with torch.no_grad():
+            for start in range(0, len(points), CHUNK):
+                x = torch.as_tensor(points[start : start + CHUNK], dtype=torch.float32)
+                out[start : start + CHUNK] = self.field.distance(x).numpy()
+        return out
 
     @one_thread()
-    def draw(
-        self,
-        raster: Rasteriser,
-        axis_angle: Float[np.ndarray, "52 3"],
-        root: Float[np.ndarray, "3"],
-        camera: Camera,
-        *,
-        samples: int = 1,
-        directions: Directions = "global",
-        surface: PosableSurface | None = None,
-        where: Bool[np.ndarray, "height width"] | None = None,
-    ) -> MaskedPicture:
-        """One picture on black, silhouettes smoothed by `samples` squared a pixel. `surface` is the same mesh with
-        other skin weights; colors outside `where` stay black. Where the run tells light from albedo, it is lit as the
-        body's video was."""
-        own = surface is None
-        surface = surface or self.surface
-        posed = self.posed(axis_angle, root) if own else surface.posed(axis_angle, root)
-        faces = faces_in_picture(posed, surface.faces, camera)
-        fragments = raster.draw(posed, faces, camera, (samples * camera.size[0], samples * camera.size[1]))
-        cover = fragments.face >= 0
-        chosen = first_samples(cover, samples)
-        if where is not None:
-            inside = where[chosen[0] // samples, chosen[1] // samples]
-            chosen = chosen[0][inside], chosen[1][inside]
-        corners = faces[fragments.face[chosen]]
-        weight = fragments.barycentric[chosen].astype(np.float64)
-        points = (weight[:, :, None] * surface.vertices[corners]).sum(1)
-        seen = interpolated(self.cone, corners, weight)
-        direction = seen.direction
-        if directions == "global" and self.light is None:
-            return shaded(cover, chosen, self.color(points, direction), samples)
-        rotations = blended_rotations(surface.skin, surface.transforms(axis_angle, root))
-        rows, columns = chosen
-        rays = pixel_rays(camera, (np.stack([columns, rows], -1) + 0.5) / samples)[1]
-        rotations = rotations[corners[np.arange(len(corners)), weight.argmax(1)]]
-        if directions != "global":
-            direction = np.einsum("nji,nj->ni", rotations, rays)
-            if directions == "cone":
-                direction = cone_direction(clamped_tangent(direction, seen), seen)
-        if self.light is None:
-            return shaded(cover, chosen, self.color(points, direction), samples)
-        return shaded(cover, chosen, self.lit(self.light, points, direction, (rotations, -rays)), samples)
+    def color(self, points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Color of canonical points on the surface at given unit directions."""
+        out = np.empty((len(points), 3), np.float32)
+        with torch.no_grad():
+            for start in range(0, len(points), CHUNK):
+                x = torch.as_tensor(points[start : start + CHUNK], dtype=torch.float32)
+                d = torch.as_tensor(directions[start : start + CHUNK], dtype=torch.float32)
+                out[start : start + CHUNK] = self.field.color(x, d).clamp(0, 1).numpy()
+        return out
 
+    @one_thread()
     def lit(
         self,
         light: CaptureLight,
         points: Float[np.ndarray, "n 3"],
         directions: Float[np.ndarray, "n 3"],
-        posed: tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, "n 3"]],
+        rotations: Float[np.ndarray, "n 3 3"],
+        towards_eye: Float[np.ndarray, "n 3"],
     ) -> Float[np.ndarray, "n 3"]:
-        """Color of canonical points under a light of the world; `posed` is world_from_canonical and towards the eye."""
-        rotations, towards_eye = posed
+        """Color of canonical points under a light of the world; `rotations` are world_from_canonical."""
         out = np.empty((len(points), 3), np.float32)
         for start in range(0, len(points), CHUNK):
             own = slice(start, start + CHUNK)
@@ -158,25 +100,6 @@ class FieldView:
                 )
             normals = np.einsum("nij,nj->ni", rotations[own], normals)
             out[own] = light.shown(albedo, light.shading(normals), light.highlight(normals, towards_eye[own]))
-        return out
-
-    def posed(
-        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"]
-    ) -> Float[np.ndarray, "vertices 3"]:
-        """Posed vertices of its own surface; the last pose is kept."""
-        key = np.concatenate([np.ravel(axis_angle), root]).tobytes()
-        if self.last_pose[0] != key:
-            self.last_pose = key, self.surface.posed(axis_angle, root)
-        return self.last_pose[1]
-
-    def color(self, points: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Color of canonical points on the surface at given unit directions."""
-        out = np.empty((len(points), 3), np.float32)
-        with torch.no_grad():
-            for start in range(0, len(points), CHUNK):
-                x = torch.as_tensor(points[start : start + CHUNK], dtype=torch.float32)
-                d = torch.as_tensor(directions[start : start + CHUNK], dtype=torch.float32)
-                out[start : start + CHUNK] = self.field.color(x, d).clamp(0, 1).numpy()
         return out
 
 
@@ -195,54 +118,3 @@ def on_zero_set(field: FusedField, points: Float[np.ndarray, "n 3"], steps: int 
                 step = distance[off].clamp(-FARTHEST, FARTHEST)[:, None] * field.normal(part[off])
                 part[off] = part[off] - step
     return moved.numpy().astype(np.float64)
-
-
-def faces_in_picture(
-    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], camera: Camera
-) -> Int[np.ndarray, "g 3"]:
-    """Faces that may show in the picture: not all three corners beyond the same edge."""
-    pixels, depth = project(camera, vertices)
-    width, height = camera.size
-    front = depth > 1e-6
-    beyond = np.stack([pixels[:, 0] < 0, pixels[:, 0] > width, pixels[:, 1] < 0, pixels[:, 1] > height], axis=-1)
-    code = (beyond * np.array([1, 2, 4, 8], np.uint8)).sum(-1, dtype=np.uint8)
-    # its pixel means nothing: left to the rasteriser, which clips
-    code[~front] = 0
-    a, b, c = faces.T
-    return faces[(code[a] & code[b] & code[c]) == 0]
-
-
-def first_samples(cover: Bool[np.ndarray, "a b"], samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column of the first covered sample of every pixel that has one: the one that is shaded."""
-    height, width = cover.shape[0] // samples, cover.shape[1] // samples
-    blocks = cover.reshape(height, samples, width, samples).transpose(0, 2, 1, 3).reshape(height, width, -1)
-    rows, columns = np.nonzero(blocks.any(-1))
-    within = blocks[rows, columns].argmax(-1)
-    return rows * samples + within // samples, columns * samples + within % samples
-
-
-def shaded(
-    cover: Bool[np.ndarray, "a b"],
-    chosen: tuple[np.ndarray, np.ndarray],
-    color: Float[np.ndarray, "n 3"],
-    samples: int,
-) -> MaskedPicture:
-    """The picture of one shaded sample a pixel, dimmed by the share of the pixel that is covered."""
-    height, width = cover.shape[0] // samples, cover.shape[1] // samples
-    share = cover.reshape(height, samples, width, samples).mean((1, 3), dtype=np.float32)
-    image = np.zeros((height, width, 3), np.float32)
-    image[chosen[0] // samples, chosen[1] // samples] = color
-    return MaskedPicture(image * share[..., None], share >= 0.5)
-
-
-def averaged(image: Float[np.ndarray, "a b 3"], mask: Bool[np.ndarray, "a b"], samples: int) -> MaskedPicture:
-    """Means of samples x samples blocks; a pixel is inside when at least half of it is."""
-    if samples == 1:
-        return MaskedPicture(image, mask)
-    total, cover = np.zeros_like(image[::samples, ::samples]), 0
-    # strided sums: ten times as fast as the mean over two axes of blocks
-    for i in range(samples):
-        for j in range(samples):
-            total += image[i::samples, j::samples]
-            cover = cover + mask[i::samples, j::samples]
-    return MaskedPicture(total / np.float32(samples * samples), 2 * np.asarray(cover) >= samples * samples)

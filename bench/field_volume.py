@@ -7,15 +7,13 @@ sees it. Pixels that miss the posed surface are left black: outside of it, train
 """
 
 import numpy as np
-import torch
 from jaxtyping import Float
 
 from avatar.camera import Camera, pixel_rays
 from avatar.skinning import blended_rotations, blended_transforms
-from bake.cone import clamped_tangent, cone_direction, interpolated
-from bench.field_view import FieldView, MaskedPicture, faces_in_picture, one_thread
+from bake.cone import ViewCone, interpolated
+from bench.posed_field import MaskedPicture, PosedField, faces_in_picture
 from player.raster import Rasteriser
-from train.render import crossing, section_weights
 
 # of the surface's width beta, on either side: Phi has then passed by 1 - 1e-6
 REACH = 8.0
@@ -23,11 +21,12 @@ REACH = 8.0
 LEAST = 2e-3
 # rays at once
 CHUNK = 8192
+# as train/render.py, LOGISTIC_PER_BETA
+LOGISTIC_PER_BETA = 0.6
 
 
-@one_thread()
 def draw_volume(
-    view: FieldView,
+    field: PosedField,
     raster: Rasteriser,
     axis_angle: Float[np.ndarray, "52 3"],
     root: Float[np.ndarray, "3"],
@@ -37,8 +36,8 @@ def draw_volume(
     sections: int,
 ) -> MaskedPicture:
     """One picture on black, colors inside the cone that training saw. `beta` is the surface's width, metres."""
-    surface = view.surface
-    posed = view.posed(axis_angle, root)
+    surface = field.surface
+    posed = field.posed(axis_angle, root)
     faces = faces_in_picture(posed, surface.faces, camera)
     fragments = raster.draw(posed, faces, camera)
     rows, columns = np.nonzero(fragments.face >= 0)
@@ -59,24 +58,35 @@ def draw_volume(
         steps = np.linspace(-REACH * beta, REACH * beta, sections + 1)
         points = eyes[:, None] + (far[:, None] + steps)[:, :, None] * rays[:, None]
         ends = np.einsum("nij,nsj->nsi", back[:, :3, :3], points) + back[:, None, :3, 3]
-        ends = torch.as_tensor(ends, dtype=torch.float32)
-        with torch.no_grad():
-            distance = view.field.distance(ends.reshape(-1, 3)).reshape(ends.shape[:2])
-            shares = section_weights(distance, beta).weights
-            shaded = crossing(distance, ends)
-        ray, section = np.nonzero(shares.numpy() > LEAST)
-        chosen = turns[corners[np.arange(len(corners)), weight.argmax(1)]][ray]
-        seen = interpolated(view.cone, corners[ray], weight[ray])
-        canonical = np.einsum("nji,nj->ni", chosen, rays[ray])
-        canonical = cone_direction(clamped_tangent(canonical, seen), seen)
-        at = shaded.numpy()[ray, section].astype(np.float64)
-        if view.light is None:
-            color = view.color(at, canonical)
-        else:
-            color = view.lit(view.light, at, canonical, (chosen, -rays[ray]))
-        part = shares.numpy()[ray, section]
+        distance = field.distance(ends.reshape(-1, 3)).reshape(ends.shape[:2])
+        shares = section_weights(distance, beta)
+        ray, section = np.nonzero(shares > LEAST)
+        at = crossing(distance, ends)[ray, section]
+        turn = turns[corners[np.arange(len(corners)), weight.argmax(1)]][ray]
+        seen: ViewCone = interpolated(field.cone, corners[ray], weight[ray])
+        color = field.shown(at, seen, turn, rays[ray], "cone")
+        part = shares[ray, section].astype(np.float32)
         total, sums = np.zeros((len(corners), 3), np.float32), np.zeros(len(corners), np.float32)
-        np.add.at(total, ray, part[:, None] * color)
+        np.add.at(total, ray, part[:, None] * color.astype(np.float32))
         np.add.at(sums, ray, part)
         image[rows[own], columns[own]], opacity[rows[own], columns[own]] = total, sums
     return MaskedPicture(np.clip(image, 0, 1), opacity >= 0.5)
+
+
+def section_weights(distance: Float[np.ndarray, "rays ends"], beta: float) -> Float[np.ndarray, "rays sections"]:
+    """NeuS weights of the sections between consecutive ends, as train/render.py."""
+    scaled = np.clip(np.asarray(distance, np.float64) / (LOGISTIC_PER_BETA * beta), -1e6, 1e6)
+    log_phi = -np.logaddexp(0, -scaled)
+    passed = np.minimum(np.diff(log_phi, axis=1), 0)
+    before = np.cumsum(passed, 1) - passed
+    return np.exp(before) * -np.expm1(passed)
+
+
+def crossing(
+    distance: Float[np.ndarray, "rays ends"], ends: Float[np.ndarray, "rays ends 3"]
+) -> Float[np.ndarray, "rays sections 3"]:
+    """The point of each section that is shaded: its zero crossing, else its middle, as train/render.py."""
+    s0, s1 = distance[:, :-1], distance[:, 1:]
+    enters = (s0 > 0) & (s1 <= 0)
+    at = np.where(enters, s0 / np.where(enters, s0 - s1, 1.0), 0.5)[..., None]
+    return ends[:, :-1] + at * (ends[:, 1:] - ends[:, :-1])

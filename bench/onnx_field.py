@@ -9,9 +9,12 @@ from jaxtyping import Float
 from avatar.camera import Camera
 from avatar.errors import AssetError
 from avatar.npz import read_npz
+from avatar.skeleton import BIG_POSE
 from avatar.skinning import SkinWeights
 from bake.cone import view_cone
 from bake.measure import FieldImage, FieldSurface, ScoredView, draw_field
+from bench.posed_field import PosableSurface, PosedField
+from geometry.isosurface import project_to_zero
 from geometry.mesh import TriangleMesh
 from player.context import open_context
 from player.raster import Rasteriser
@@ -104,6 +107,15 @@ def field_surface(run: Path | str) -> FieldSurface:
     )
     skin = SkinWeights(surface["skin_joints"].astype(np.int64), surface["skin_weights"])
     return FieldSurface(mesh, double["normals"], skin, cone, joints, field.distance, field.color)
+
+
+def posed_field(surface: FieldSurface) -> PosedField:
+    """The same made ready for drawing: its vertices moved onto the zero set once, along their normals."""
+    vertices, _ = project_to_zero(
+        surface.distance, surface.distance, surface.mesh.vertices, reach=0.003, steps=2, directions=surface.normals
+    )
+    posable = PosableSurface(vertices, surface.mesh.faces, surface.skin, surface.joints, BIG_POSE)
+    return PosedField(posable, surface.cone, surface.distance, surface.color)
 
 
 def drawn_field(surface: FieldSurface, views: list[ScoredView]) -> list[FieldImage]:

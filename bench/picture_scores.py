@@ -19,7 +19,7 @@ from avatar.progress import progress
 from avatar.skeleton import PARTS
 from bench import metrics
 from bench.eye_region import eye_region
-from bench.field_view import MaskedPicture
+from bench.posed_field import MaskedPicture
 from bench.true_mesh import TrueMesh
 from capture.held_out import HeldOutView
 from player.raster import Rasteriser

@@ -14,8 +14,8 @@ from jaxtyping import Float
 
 from avatar.progress import progress
 from avatar.skeleton import JOINTS, joint_transforms
-from bench.field_view import PosableSurface
 from bench.picture_scores import VIEW_REGION
+from bench.posed_field import PosableSurface
 from bench.posed_geometry import SAMPLES, Distances, GeometryCase, PosedPair, alignment, measure_pose, posed_pair
 from bench.region_scores import gather
 from bench.true_mesh import TrueMesh

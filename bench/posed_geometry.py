@@ -9,8 +9,8 @@ from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights
 from bench.beside_hair import hair_faces, skin_beside_hair
-from bench.field_view import PosableSurface
 from bench.picture_scores import REGION_PART
+from bench.posed_field import PosableSurface
 from bench.surface_distance import SurfaceDistance, check_same_unit, surface_distance
 from bench.true_mesh import TrueMesh
 from geometry.closest import TriangleIndex, closest_points, triangle_index

@@ -28,7 +28,7 @@ from bench.beside_hair import edges_at_hair, skin_to_surface, stretched_edges
 from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
 from bench.eye_region import NO_EYES
-from bench.field_view import PosableSurface, one_thread
+from bench.field_view import one_thread
 from bench.fitted_poses import fitted_views
 from bench.lpips import read_perceptual
 from bench.machine import machine
@@ -43,6 +43,7 @@ from bench.pose_distances import (
     measure_poses,
     same_poses,
 )
+from bench.posed_field import PosableSurface
 from bench.posed_geometry import (
     SAMPLES,
     Distances,

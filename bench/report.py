@@ -61,7 +61,7 @@ def bench(
         score_flicker(context, avatar, rungs, rows, full)
         times: list[np.ndarray | None] = [timing.ms for timing in timings]
         if run is not None:
-            from bench.field_rungs import field_rungs  # it brings torch
+            from bench.field_rungs import field_rungs  # it brings ONNX Runtime, or torch
 
             for name, ms, bytes_, drawn in field_rungs(context, run, frames):
                 faster = float(np.median(timings[0].ms) / np.median(ms))

@@ -19,11 +19,12 @@ import numpy as np
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from bench.drawer import Drawer
-from bench.field_view import Directions, one_thread
+from bench.field_view import one_thread
 from bench.lpips import read_perceptual
 from bench.machine import machine
 from bench.picture_scores import Perceive, is_t_pose, score_images
 from bench.pose_distances import distinct_poses
+from bench.posed_field import Directions
 from bench.posed_geometry import SAMPLES, Distances, measure_pose, posed_pair
 from bench.quality import CAPTURE_FACTS, evaluate, seen_case, some_poses
 from bench.region_scores import regions_of

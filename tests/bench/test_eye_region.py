@@ -87,7 +87,7 @@ def test_a_wrong_eye_costs_the_eyes_what_it_costs_and_the_head_little(raster, tm
     assert region.any()
 
     def draw(axis_angle, root, camera, samples, where):
-        from bench.field_view import MaskedPicture
+        from bench.posed_field import MaskedPicture
 
         color = np.full((SIZE, SIZE, 3), 0.5, np.float32)
         color[region] += 0.1

@@ -1,0 +1,62 @@
+"""Fields made up for the built-in body, ready to be drawn."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from avatar.body import builtin_body
+from avatar.skeleton import BIG_POSE, skin_transforms
+from avatar.skinning import skin_points
+from bench.field_view import field_view
+from capture.folder import CaptureSubject
+from train.fused import FusedField
+from train.preset import DEMO
+from train.run import Run
+from train.surface import Surface
+
+
+def view_of(make_field):
+    """The built-in body as a run's surface, over a field made for its canonical vertices."""
+    body = builtin_body("male")
+    transforms = skin_transforms(BIG_POSE, body.joints, body.joints[0], rest=np.zeros((52, 3)))
+    count = len(body.vertices)
+    canonical = skin_points(body.vertices, body.skin, transforms)
+    part, hair = np.zeros(count, np.int64), np.zeros(count, bool)
+    surface = Surface(
+        vertices=canonical,
+        faces=body.faces,
+        normals=np.tile([0.0, 0, 1], (count, 1)),
+        part=part,
+        skin=body.skin,
+        view_count=np.full(count, 40.0),
+        view_mean=np.tile([0.0, 0, -0.9], (count, 1)),
+        view_covariance=np.tile([0.01, 0, 0, 0.01, 0, 0], (count, 1)),
+        layer=np.zeros(count, np.int64),
+    )
+    subject = CaptureSubject("body", body.vertices, canonical, body.faces, body.skin, body.joints, part, hair)
+    return field_view(Run(Path("run"), make_field(canonical, body.faces), surface, subject, DEMO, {}))
+
+
+class NearField(FusedField):
+    """The signed distance to the tangent plane of the nearest vertex, in smooth stripes."""
+
+    def __init__(self, vertices, faces):
+        torch.nn.Module.__init__(self)
+        corners = vertices[faces]
+        normals = np.zeros_like(vertices)
+        np.add.at(normals, faces, np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, None])
+        self.tree, self.at = KDTree(vertices), vertices
+        self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+    def distance(self, points, *, grad=False):
+        points = points.double().numpy()
+        near = self.tree.query(points)[1]
+        return torch.as_tensor(((points - self.at[near]) * self.normals[near]).sum(1)).float()
+
+    def normal(self, points):
+        return torch.as_tensor(self.normals[self.tree.query(points.double().numpy())[1]]).float()
+
+    def color(self, points, directions):
+        return 0.5 + 0.3 * torch.sin(20 * points)
