@@ -185,4 +185,5 @@ def progressive(
 
 def enlarged(color: Float[Array, "a b 3"], size: tuple[int, int]) -> Float[Array, "height width 3"]:
     """A picture at another size, linear between its pixels."""
-    return np.clip(resize(color, (size[1], size[0], 3), order=1, anti_aliasing=False), 0, 1).astype(np.float32)
+    scaled = np.asarray(resize(color, (size[1], size[0], 3), order=1, anti_aliasing=False))
+    return np.clip(scaled, 0, 1).astype(np.float32)

@@ -189,6 +189,37 @@ np.savez({str(tmp_path / "drawn.npz")!r}, paper=image.paper, cone=image.cone, ma
     assert np.abs(drawn["cone"] - drawn["paper"])[image.mask].max() > 0.02  # the directions differ
 
 
+def test_rungs_of_the_field_are_drawn_without_torch(field, tmp_path):
+    """Every way of drawing shows the same ball, and the finer the volume the nearer it is to the finest."""
+    write_run(tmp_path, field)
+    (tmp_path / "run.json").write_text('{"settings": {"parts": [{"beta": [0.008, 0.0015]}]}}')
+    code = f"""
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+import numpy as np
+from avatar.camera import orbit_camera
+from bench.field_rungs import field_rungs
+from player.context import open_context
+pose = np.zeros((52, 3)), np.zeros(3)
+frame = SimpleNamespace(pose=pose, camera=orbit_camera((0, 0, 0), 1.2, 0.3, 0.2, (24, 24)))
+rungs = field_rungs(open_context(), Path({str(tmp_path)!r}), [frame])
+assert "torch" not in sys.modules
+np.savez({str(tmp_path / "rungs.npz")!r}, **{{rung.name: rung.pictures[0] for rung in rungs}})
+assert all(rung.ms.min() > 0 and rung.bytes > 1000 for rung in rungs)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    with np.load(tmp_path / "rungs.npz") as file:
+        drawn = dict(file)
+    assert len(drawn) == 16
+    names = list(drawn)
+    best = drawn[names[-1]]
+    assert (best.max(-1) > 0).sum() > 100
+    errors = {name: np.square(picture - best).mean() for name, picture in drawn.items()}
+    assert errors["field, volume of 12"] < errors["field, volume of 3"]
+    assert errors["field, boxes of 64"] < errors["field, boxes of 64, quarter resolution"]
+
+
 def test_a_run_with_a_misshapen_surface_is_refused(field, tmp_path):
     write_run(tmp_path, field)
     with np.load(tmp_path / "surface.npz") as file:
