@@ -13,20 +13,21 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Float32, UInt8, UInt32
 
+from avatar.bend import BEND_JOINTS, BENDS
+from avatar.helper_joints import BONES, CARRIER
 from avatar.light import CaptureLight
 from avatar.skeleton import JOINTS
 from avatar.skinning import SkinWeights
 from avatar.springs import Springs, check_springs
-from avatar.twist import BONES, CARRIER
 
 VIEW_MODES = ("network", "linear", "off")
 
 
 @dataclass(frozen=True)
 class TwistSkin:
-    """Skin for a skeleton with twist joints (avatar/twist.py): what the file holds, and other programs use.
+    """Skin for a skeleton with helper joints (avatar/helper_joints.py): what the file holds, and other programs use.
 
-    Row by row, each twist joint's weight counted for the joint that it turns with, it is the skin of the 52.
+    Row by row, each helper joint's weight counted for the joint whose child it is, it is the skin of the 52.
     """
 
     joints: UInt8[np.ndarray, "vertices 4"]
@@ -64,7 +65,7 @@ class Level:
     features: UInt8[np.ndarray, "feature_height feature_width planes"] | None
     # mean S and H (avatar/light.py) that the base colour shows; None: they are not told from the albedo
     light: Float32[np.ndarray, "vertices 2"] | None = None
-    # None: the file has no twist joints
+    # None: the file has no helper joints
     twist: TwistSkin | None = None
     # 0 where it is skin, 1 where it hangs far off the body: hair, skirts, sleeves; None: nothing is loose
     loose: Float32[np.ndarray, "vertices"] | None = None
@@ -73,12 +74,12 @@ class Level:
 
     @property
     def drawn_skin(self) -> tuple[UInt8[np.ndarray, "vertices 4"], UInt8[np.ndarray, "vertices 4"]]:
-        """Joints and weights that it is drawn with, twist joints among them where the file has them."""
+        """Joints and weights that it is drawn with, helper joints among them where the file has them."""
         return (self.joints, self.weights) if self.twist is None else (self.twist.joints, self.twist.weights)
 
     @property
     def bones(self) -> int:
-        """How many that may name."""
+        """How many that may name, with bend joints."""
         return len(JOINTS) if self.twist is None else BONES
 
     @property
@@ -134,6 +135,8 @@ class Avatar:
     # the capture's, in the world where the camera stands before the T-pose; levels say what of it is in their base
     # colour. None: light is not told from albedo
     light: CaptureLight | None = None
+    # how far bend joints are pushed (avatar/bend.py), metres, only beside twist joints; None: the file has none
+    bend: Float[np.ndarray, "bends"] | None = None
     # what was assumed in reading a file that is not an avatar's own; not stored
     notes: tuple[str, ...] = ()
 
@@ -253,6 +256,16 @@ def check_avatar(avatar: Avatar) -> None:
     twisted = [level.twist is not None for level in avatar.levels]
     if any(twisted) != all(twisted):
         raise ValueError("twist should be in all levels or in none of them")
+    if avatar.bend is None:
+        for i, level in enumerate(avatar.levels):
+            if level.twist is not None:
+                count = BONES - len(BEND_JOINTS)
+                right = level.twist.joints.max(axis=1) < count
+                _check_rows(right, f"levels[{i}].twist.joints", f"below {count} without bend", level.twist.joints)
+    else:
+        _check_array(avatar.bend, "bend", avatar.bend.dtype.name, (len(BENDS),))
+        if not all(twisted):
+            raise ValueError("bend should be beside twist, is without")
     sizes = [len(level.faces) for level in avatar.levels]
     if sizes != sorted(sizes, reverse=True):
         raise ValueError(f"levels should go from finest to coarsest, have {sizes} faces")

@@ -57,16 +57,14 @@ SEGMENTS = _segments()
 TWIST_JOINTS: tuple[str, ...] = tuple(
     f"{name}_twist{k}" for name, segment in SEGMENTS.items() for k in range(len(segment.shares))
 )
-# of the skeleton and the twist joints together
-BONES = len(JOINTS) + len(TWIST_JOINTS)
 
 _JOINT = np.array([s.joint for s in SEGMENTS.values() for _ in s.shares])
 _CHILD = np.array([s.child for s in SEGMENTS.values() for _ in s.shares])
 _SHARE = np.array([share for s in SEGMENTS.values() for share in s.shares])
 _CARRIED = np.array([float(s.carried) for s in SEGMENTS.values() for _ in s.shares])
-# the joint of the skeleton that each bone turns with; of the 52 themselves
-CARRIER = np.concatenate([np.arange(len(JOINTS)), _JOINT])
-CARRIER.setflags(write=False)
+# the joint of the skeleton that each turns with
+TWIST_CARRIER = _JOINT
+TWIST_CARRIER.setflags(write=False)
 _SEGMENT = np.array([k for k, s in enumerate(SEGMENTS.values()) for _ in s.shares])
 # of all segments the joint, then of all the child
 _ENDS = np.array([s.joint for s in SEGMENTS.values()] + [s.child for s in SEGMENTS.values()])
@@ -115,10 +113,3 @@ class TwistJoints:
         along, w = np.einsum("...si,si->...s", q[..., :3], self._axes_of_ends), q[..., 3]
         flip = np.where(w < 0, -1.0, 1.0)
         return 2 * np.arctan2(flip * along, flip * w)
-
-
-def all_transforms(
-    joints: Float[Array, "52 3"], pose: Float[Array, "52 3"], transforms: Float[Array, "52 4 4"]
-) -> Float[Array, "bones 4 4"]:
-    """The skeleton's transforms, and behind them those of the twist joints."""
-    return np.concatenate([transforms, TwistJoints(joints).transforms(pose, transforms)])

@@ -22,7 +22,7 @@ class BakeOptions:
         "videos: solved against the frames of the run's capture; field: as trained, the paper's own colors",
     ] = "videos"
     twist: Annotated[
-        bool, "twist joints along forearms, upper arms and thighs: limbs that turn keep their volume in every viewer"
+        bool, "52 more bones, twist and bend joints: limbs that turn or bend keep their volume in every viewer"
     ] = False
     body_step: Annotated[float, Hidden(), "grid step of the extraction, metres"] = 0.005
     fine_step: Annotated[float, Hidden(), "the same along the spans of head and hands, metres"] = 0.0025

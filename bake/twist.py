@@ -1,4 +1,5 @@
-"""Skin weights for twist joints: a joint's share of a vertex goes to the one or two twist joints beside its place."""
+"""Skin weights for helper joints: bend joints take theirs first (bake/bend.py), then a joint's share of a vertex goes
+to the one or two twist joints beside its place."""
 
 from dataclasses import replace
 
@@ -6,8 +7,10 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from avatar.baked_avatar import Avatar, Level, TwistSkin
-from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+from avatar.bend import BENDS
+from avatar.skeleton import JOINTS, joint_transforms
 from avatar.twist import SEGMENTS, Segment
+from bake.bend import below, bend_skin, fitted_push, with_room
 
 Array = np.ndarray
 
@@ -20,21 +23,25 @@ LEAST = 0.2
 
 
 def with_twist(avatar: Avatar) -> Avatar:
-    """The avatar with weights for twist joints on all levels; those for the 52 joints stay as they are."""
+    """The avatar with weights for twist and bend joints on all levels; those for the 52 joints stay as they are."""
     canonical = joint_transforms(avatar.canonical_pose.astype(np.float64), avatar.joint_positions.astype(np.float64))
-    return replace(avatar, levels=tuple(_twisted(level, canonical[:, :3, 3]) for level in avatar.levels))
+    levels = tuple(_twisted(level, canonical, avatar.joint_positions) for level in avatar.levels)
+    avatar = replace(avatar, levels=levels, bend=np.zeros(len(BENDS)))
+    return replace(avatar, bend=fitted_push(avatar))
 
 
-def _twisted(level: Level, at: Float[Array, "52 3"]) -> Level:
+def _twisted(level: Level, canonical: Float[Array, "52 4 4"], joints_rest: Float[Array, "52 3"]) -> Level:
     """Row by row the same weights, a joint's divided linearly between the twist joints before and behind the vertex.
 
     The twist runs from where what lies before a segment lets go of the surface to where what lies behind it takes
     hold: there sections turn as one piece. A row that has no slot left gives all to the nearer of the two.
     """
-    joints, weights = level.joints.copy(), level.weights.copy()
+    level = with_room(level)
+    joints, weights = bend_skin(level, canonical, joints_rest)
+    first_joints, first_weights = joints.copy(), weights.copy()
     number = len(JOINTS)
     for segment in SEGMENTS.values():
-        place = _place(level, segment, at)
+        place = _place(level, segment, canonical[:, :3, 3])
         steps = len(segment.shares) - segment.carried
         position = place * steps
         low = np.minimum(np.floor(position).astype(np.int64), steps - 1)
@@ -43,7 +50,7 @@ def _twisted(level: Level, at: Float[Array, "52 3"]) -> Level:
         bones = np.array([*(number + k for k in range(len(segment.shares))), segment.joint])[: steps + 1]
         for slot in range(4):
             # slots that were given away hold twist joints by now
-            rows = np.flatnonzero((level.joints[:, slot] == segment.joint) & (level.weights[:, slot] > 0))
+            rows = np.flatnonzero((first_joints[:, slot] == segment.joint) & (first_weights[:, slot] > 0))
             _divide(joints, weights, rows, slot, bones[low[rows]], bones[low[rows] + 1], behind[rows])
         number += len(segment.shares)
     return replace(level, twist=TwistSkin(joints, weights))
@@ -74,7 +81,7 @@ def _place(level: Level, segment: Segment, at: Float[Array, "52 3"]) -> Float[Ar
     if length2 < 1e-12:
         return np.zeros(len(level.positions))
     share = (level.positions.astype(np.float64) - at[segment.joint]) @ along / length2
-    beyond = _below(segment.child)
+    beyond = below(segment.child)
     held = level.weights.astype(np.float64) / 255
     own = (held * (level.joints == segment.joint)).sum(1)
     behind = (held * beyond[level.joints]).sum(1)
@@ -86,12 +93,3 @@ def _place(level: Level, segment: Segment, at: Float[Array, "52 3"]) -> Float[Ar
         middle = float(np.clip(0.5 * (low + high), 0.5 * LEAST, 1 - 0.5 * LEAST))
         low, high = middle - 0.5 * LEAST, middle + 0.5 * LEAST
     return np.clip((share - low) / (high - low), 0, 1)
-
-
-def _below(joint: int) -> Array:
-    """Which joints a joint carries, itself among them."""
-    out = np.zeros(len(JOINTS), bool)
-    out[joint] = True
-    for k in range(joint + 1, len(JOINTS)):
-        out[k] = out[PARENTS[k]]
-    return out

@@ -20,7 +20,7 @@ TURNS_SECTION, SECTIONS = 3, 4
 
 
 def groups_of(avatars: Sequence[Avatar], *, loose: bool = False) -> tuple[tuple[int, ...], ...]:
-    """Numbers of the avatars that are one and the same, in the order of the first of each. Those with twist joints are
+    """Numbers of the avatars that are one and the same, in the order of the first of each. Those with helper joints are
     posed and drawn one by one: palettes hold the 52 joints. So are those whose loose parts move (`loose`): each in its
     own way."""
     groups: dict[tuple[int, int], list[int]] = {}

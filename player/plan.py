@@ -187,7 +187,7 @@ class Draft:
         # avatars that are copies of one: the same object, opened once
         self.groups = groups_of(avatars, loose=loose)
         self._first = {index: group[0] for group in self.groups for index in group}
-        # of the avatar that has most: those with and without twist joints share programs
+        # of the avatar that has most: those with and without helper joints share programs
         self.bones = max((level.bones for level in self.levels), default=len(JOINTS))
         # where avatars are drawn
         self.layer = Layer()

@@ -11,13 +11,13 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera
+from avatar.helper_joints import HelperJoints
 from avatar.skeleton import joint_transforms, rigid_inverse
-from avatar.twist import TwistJoints
 from player import kinematics
 
 
 class PosedBones(NamedTuple):
-    # the 52 joints, then the twist joints of an avatar that has them
+    # the 52 joints, then the helper joints of an avatar that has them
     view_from_canonical: Float[np.ndarray, "bones 4 4"]
     centers: Float[np.ndarray, "bones 3"]  # joints in view space, metres
     radii: Float[np.ndarray, "bones"]  # of the sphere about each joint that holds all its bone moves; < 0: nothing
@@ -46,8 +46,8 @@ class Poser:
         self.joints = avatar.joint_positions.astype(np.float64)
         pose = avatar.canonical_pose.astype(np.float64)
         canonical = joint_transforms(pose, self.joints)
-        self.twist = None if level.twist is None else TwistJoints(self.joints)
-        canonical = self._with_twist(pose, canonical)
+        self.helpers = None if level.twist is None else HelperJoints(self.joints, avatar.bend)
+        canonical = self._with_helpers(pose, canonical)
         self.joint_from_canonical = rigid_inverse(canonical)
         self.chain = kinematics.Chain(self.joints)
         self.radii = np.full(len(canonical), -1.0)
@@ -67,16 +67,14 @@ class Poser:
         if not (np.isfinite(axis_angle).all() and np.isfinite(root).all()):
             raise ValueError("the pose holds a number that is not finite")
         view_from_world = camera.camera_from_world * _VIEW_FROM_CAMERA
-        view_from_joint = self._with_twist(axis_angle, self.chain.transforms(axis_angle, root, view_from_world))
+        view_from_joint = self._with_helpers(axis_angle, self.chain.transforms(axis_angle, root, view_from_world))
         return PosedBones(view_from_joint @ self.joint_from_canonical, view_from_joint[:, :3, 3], self.radii)
 
-    def _with_twist(
+    def _with_helpers(
         self, axis_angle: Float[np.ndarray, "52 3"], outer_from_joint: Float[np.ndarray, "52 4 4"]
     ) -> Float[np.ndarray, "bones 4 4"]:
-        """The joints' transforms, and behind them those of the twist joints, if there are any."""
-        if self.twist is None:
-            return outer_from_joint
-        return np.concatenate([outer_from_joint, self.twist.transforms(axis_angle, outer_from_joint)])
+        """The joints' transforms, and behind them those of the helper joints, if there are any."""
+        return outer_from_joint if self.helpers is None else self.helpers.with_helpers(axis_angle, outer_from_joint)
 
 
 def quaternions(bones: PosedBones) -> Float[np.ndarray, "bones 4"]:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from avatar.baked_avatar import Avatar, Level
+from avatar.helper_joints import HelperJoints
 from avatar.skeleton import joint_transforms, rigid_inverse
 from avatar.skinning import SkinWeights, skin_points, skin_points_dual_quaternion
-from avatar.twist import all_transforms
 from player.mannequin import mannequin
 
 WRIST = {"left": (18, 20), "right": (19, 21)}
@@ -63,9 +63,8 @@ def posed(avatar: Avatar, axis_angle: np.ndarray, kind: str) -> np.ndarray:
         skin = skin_points if kind == "lbs" else skin_points_dual_quaternion
         return skin(level.positions, level.skin, G @ rigid_inverse(canonical))
     assert level.twist is not None
-    bones = all_transforms(joints, axis_angle, G) @ rigid_inverse(
-        all_transforms(joints, avatar.canonical_pose, canonical)
-    )
+    helpers = HelperJoints(joints, avatar.bend)
+    bones = helpers.with_helpers(axis_angle, G) @ rigid_inverse(helpers.with_helpers(avatar.canonical_pose, canonical))
     skin = SkinWeights(level.twist.joints.astype(np.int64), level.twist.weights / np.float32(255))
     return skin_points(level.positions, skin, bones)
 

@@ -3,8 +3,8 @@
 Node rotations are SMPL rotations (docs/avatar-format.md), so every frame is one key: a unit quaternion for each
 joint and the place of the pelvis in the world, between keys LINEAR (slerp, glTF 2.0 appendix C). q and -q are the
 same rotation; each key has the sign nearer to the key before, since not every viewer takes the shorter arc.
-A joint that never turns has one key. Twist joints, where the file has them, have keys of their own: what turns them in
-ours (avatar/twist.py) turns them in any program.
+A joint that never turns has one key. Helper joints, where the file has them, have keys of their own, bend joints also
+of their places: what moves them in ours (avatar/helper_joints.py) moves them in any program.
 """
 
 import json
@@ -14,15 +14,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32
 
+from avatar.bend import BENDS
 from avatar.files import whole_file
 from avatar.gltf.avatar_write import EXTENSION
 from avatar.gltf.document import Gltf, read_gltf
 from avatar.gltf.scene import read_skin
 from avatar.gltf.write import GltfBuilder
+from avatar.helper_joints import HelperJoints
 from avatar.motion.clip import Clip
 from avatar.rotation import normalised_quaternion, quaternion_from_axis_angle
 from avatar.skeleton import JOINTS
-from avatar.twist import TWIST_JOINTS, TwistJoints
 
 Array = np.ndarray
 
@@ -41,31 +42,35 @@ def write_animated(path: Path | str, avatar_path: Path | str, clip: Clip, *, nam
         ValueError: no frames, numbers that are not finite, or so many frames that float32 seconds repeat.
     """
     gltf = read_gltf(avatar_path)
-    nodes = _joint_nodes(gltf)
-    twist = None
-    if len(nodes) > len(JOINTS):
-        extension = gltf.extensions(gltf.json, "glTF")[EXTENSION]
-        joints = gltf.numbers(extension, "jointPositions", f"extensions.{EXTENSION}", (52, 3))
-        twist = TwistJoints(joints).axis_angle(clip.axis_angle)
+    helpers = _helper_joints(gltf)
+    nodes = _joint_nodes(gltf, helpers)
     document: dict[str, Any] = json.loads(json.dumps(gltf.json))
     builder = _kept(document, bytes(gltf.buffers[0]))
-    document["animations"] = [_animation(builder, nodes, clip, name, twist)]
+    document["animations"] = [_animation(builder, nodes, clip, name, helpers)]
     data = builder.to_bytes(document)
     with whole_file(path) as file:
         file.write(data)
 
 
-def _joint_nodes(gltf: Gltf) -> list[int]:
-    """The nodes of the joints, the 52 first; what else an avatar file promises is read_avatar's to check."""
+def _helper_joints(gltf: Gltf) -> HelperJoints | None:
+    """Those of the file, from its extension; None: it has none."""
     if EXTENSION not in gltf.extensions(gltf.json, "glTF"):
         raise gltf.error("extensions", f"with {EXTENSION}: an avatar comes from `selfscan bake`", None)
+    extension, where = gltf.extensions(gltf.json, "glTF")[EXTENSION], f"extensions.{EXTENSION}"
+    if extension.get("twist") is not True:
+        return None
+    push = gltf.numbers(extension, "bend", where, (len(BENDS),)) if "bend" in extension else None
+    return HelperJoints(gltf.numbers(extension, "jointPositions", where, (52, 3)), push)
+
+
+def _joint_nodes(gltf: Gltf, helpers: HelperJoints | None) -> list[int]:
+    """The nodes of the joints, the 52 first; what else an avatar file promises is read_avatar's to check."""
     if len(gltf.buffers) != 1:
         raise gltf.error("buffers", "one, the file's own", len(gltf.buffers))
     nodes = list(read_skin(gltf, 0).nodes)
     names = [gltf.items("nodes")[node].get("name") for node in nodes]
-    twisted = gltf.extensions(gltf.json, "glTF")[EXTENSION].get("twist") is True
-    if names != [*JOINTS, *(TWIST_JOINTS if twisted else ())]:
-        expected = "the 52 joints of SMPL+H in order" + ", then the twist joints" * twisted
+    if names != [*JOINTS, *(helpers.names if helpers else ())]:
+        expected = "the 52 joints of SMPL+H in order" + (", then the helper joints" if helpers else "")
         raise gltf.error("skins[0].joints", expected, names)
     return nodes
 
@@ -82,12 +87,18 @@ def rotation_keys(axis_angle: Float[Array, "frames n 3"]) -> Float32[Array, "fra
 
 
 def _animation(
-    builder: GltfBuilder, nodes: list[int], clip: Clip, name: str, twist: Float[Array, "frames twists 3"] | None
+    builder: GltfBuilder, nodes: list[int], clip: Clip, name: str, helpers: HelperJoints | None
 ) -> dict[str, Any]:
     count = len(clip.root)
     if not count or not (np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()):
         raise ValueError(f"a clip of {count} frames should have some, all finite")
-    turns = clip.axis_angle if twist is None else np.concatenate([clip.axis_angle, twist], axis=1)
+    turns, moved = clip.axis_angle, []
+    if helpers:
+        helper_turns, at = helpers.local(clip.axis_angle)
+        turns = np.concatenate([turns, helper_turns], axis=1)
+        # bend joints also change their place
+        first = len(helpers.twist.offsets)
+        moved = [(nodes[52 + k], at[:, k].astype(np.float32)) for k in range(first, at.shape[1])]
     rotations, places = rotation_keys(turns), clip.root.astype(np.float32)
     times = (np.arange(len(places)) / float(clip.rate)).astype(np.float32)
     if (np.diff(times) <= 0).any():
@@ -98,6 +109,7 @@ def _animation(
     for node, path, values in [
         (nodes[0], "translation", places),
         *((node, "rotation", np.ascontiguousarray(rotations[:, joint])) for joint, node in enumerate(nodes)),
+        *((node, "translation", at) for node, at in moved),
     ]:
         still = bool((values == values[0]).all())
         output = builder.add_accessor(values[:1] if still else values)

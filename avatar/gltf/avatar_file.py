@@ -24,12 +24,14 @@ from avatar.baked_avatar import (
     check_level,
     check_network,
 )
+from avatar.bend import BENDS
 from avatar.errors import AssetError
 from avatar.gltf.avatar_write import (
     ATTRIBUTES,
     EXTENSION,
     VERSION,
     canonical_bones,
+    helper_joints,
     rigid_inverse,
     write_avatar,
 )
@@ -43,10 +45,10 @@ from avatar.gltf.scene import (
     triangles,
     world_from_node,
 )
+from avatar.helper_joints import CARRIER
 from avatar.light import light_from_json
 from avatar.png import decode_png, png_pixels
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
-from avatar.twist import CARRIER, TWIST_JOINTS, all_transforms
 
 __all__ = ["Avatar", "Level", "ViewNetwork", "read_avatar", "write_avatar"]
 
@@ -92,6 +94,7 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
     twist = extension.get("twist", False)
     if not isinstance(twist, bool):
         raise gltf.error(f"{where}.twist", "true or absent", twist)
+    bend = gltf.numbers(extension, "bend", where, (len(BENDS),)) if "bend" in extension else None
     amplitude = extension.get("amplitude")
     if not isinstance(amplitude, (int, float)) or isinstance(amplitude, bool):
         raise gltf.error(f"{where}.amplitude", "a number", amplitude)
@@ -109,6 +112,7 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
             amplitude=float(amplitude),
             default_view=extension["defaultView"],
             provenance=extension["provenance"],
+            bend=bend,
             light=None if extension.get("light") is None else light_from_json(extension["light"]),
         )
         check_avatar(avatar)
@@ -258,7 +262,7 @@ def _read_surface(gltf: Gltf, mesh: int) -> dict[str, np.ndarray]:
 
 
 def _twist_skin(gltf: Gltf, mesh: int, arrays: dict[str, np.ndarray]) -> TwistSkin:
-    """The skin of a file with twist joints, whose numbers are in range."""
+    """The skin of a file with helper joints, whose numbers are in range."""
     where = f"meshes[{mesh}].primitives[0].JOINTS_0"
     joints, weights = arrays["joints"], arrays["weights"]
     bytes_each = joints.dtype == weights.dtype == np.uint8
@@ -276,12 +280,12 @@ def _check_skeleton(gltf: Gltf, avatar: Avatar, mesh: int) -> None:
         raise gltf.error("nodes", f"one with the finest mesh {mesh} and a skin", bearers)
     skin = read_skin(gltf, gltf.items("nodes")[bearers[0]]["skin"], field=f"nodes[{bearers[0]}].skin")
     names = [gltf.items("nodes")[node].get("name") for node in skin.nodes]
-    twisted = avatar.levels[0].twist is not None
-    named = (*JOINTS, *TWIST_JOINTS) if twisted else JOINTS
+    helpers = helper_joints(avatar)
+    named = (*JOINTS, *helpers.names) if helpers else JOINTS
     if names != list(named):
         count = len(named)
         wrong = next((i for i, pair in enumerate(zip(names, named, strict=False)) if pair[0] != pair[1]), count)
-        wanted = "the 52 SMPL+H joints in order" + ", then the twist joints" * twisted
+        wanted = "the 52 SMPL+H joints in order" + (", then the helper joints" if helpers else "")
         expected = f"{wanted}, here {named[wrong] if wrong < count else 'their end'}"
         raise gltf.error(f"skin joint {wrong}", expected, names[wrong] if wrong < len(names) else "absent")
     parents = node_parents(gltf)
@@ -292,8 +296,8 @@ def _check_skeleton(gltf: Gltf, avatar: Avatar, mesh: int) -> None:
     world = world_from_node(gltf)[list(skin.nodes)]
     pose_0 = np.zeros((52, 3))
     expected = joint_transforms(pose_0, avatar.joint_positions)
-    if twisted:
-        expected = all_transforms(avatar.joint_positions, pose_0, expected)
+    if helpers:
+        expected = helpers.with_helpers(pose_0, expected)
     _check_close(gltf, "default nodes", world, expected, named)
     _check_close(gltf, "inverse bind matrices", skin.joint_from_mesh, rigid_inverse(canonical_bones(avatar)), named)
 

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar, Level, check_avatar
 from avatar.files import whole_file
 from avatar.gltf.write import INDICES, VERTICES, GltfBuilder
+from avatar.helper_joints import CARRIER, HelperJoints
 from avatar.png import encode_png
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
-from avatar.twist import CARRIER, TWIST_JOINTS, TwistJoints, all_transforms
 
 EXTENSION = "SELFSCAN_avatar"
 VERSION = 1
@@ -43,9 +43,9 @@ def write_avatar(path: str | Path, avatar: Avatar) -> None:
 
 def _avatar_bytes(avatar: Avatar) -> bytes:
     builder = GltfBuilder()
-    twisted = avatar.levels[0].twist is not None
+    helpers = helper_joints(avatar)
     # behind the 52 joints is the node of the mesh
-    numbers = [*range(52), *(range(53, 53 + len(TWIST_JOINTS)) if twisted else ())]
+    numbers = [*range(52), *(range(53, 53 + len(helpers.names)) if helpers else ())]
     joint_from_mesh = rigid_inverse(canonical_bones(avatar))
     skin = {
         "name": "SMPL+H",
@@ -87,11 +87,10 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         children += [numbers[bone] for bone in np.flatnonzero(joint == CARRIER[: len(numbers)]) if bone >= 52]
         nodes.append(node | ({"children": children} if children else {}))
     nodes.append({"name": avatar.name, "mesh": 0, "skin": 0})
-    if twisted:
-        offsets = TwistJoints(avatar.joint_positions).offsets
+    if helpers:
         nodes += [
             {"name": name, "translation": [float(x) for x in offset]}
-            for name, offset in zip(TWIST_JOINTS, offsets, strict=True)
+            for name, offset in zip(helpers.names, helpers.offsets, strict=True)
         ]
 
     extension: dict[str, Any] = {
@@ -104,8 +103,10 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         "amplitude": float(avatar.amplitude),
         "provenance": avatar.provenance,
     }
-    if twisted:
+    if helpers:
         extension["twist"] = True
+    if avatar.bend is not None:
+        extension["bend"] = _flat(avatar.bend)
     if avatar.network is not None:
         arrays = {name: values for name, values in vars(avatar.network).items() if values is not None}
         extension["network"] = {name: _flat(values) for name, values in arrays.items()}
@@ -155,11 +156,15 @@ def _add_surface(builder: GltfBuilder, level: Level) -> dict[str, Any]:
 
 
 def canonical_bones(avatar: Avatar) -> Float[np.ndarray, "bones 4 4"]:
-    """Where the bones stand in the pose that the levels are stored in: 52, or with twist joints more."""
+    """Where the bones stand in the pose that the levels are stored in: 52, or with helper joints more."""
     transforms = joint_transforms(avatar.canonical_pose, avatar.joint_positions)
-    if avatar.levels[0].twist is None:
-        return transforms
-    return all_transforms(avatar.joint_positions, avatar.canonical_pose, transforms)
+    helpers = helper_joints(avatar)
+    return helpers.with_helpers(avatar.canonical_pose, transforms) if helpers else transforms
+
+
+def helper_joints(avatar: Avatar) -> HelperJoints | None:
+    """Those of an avatar; None: it has none."""
+    return None if avatar.levels[0].twist is None else HelperJoints(avatar.joint_positions, avatar.bend)
 
 
 def rigid_inverse(transforms: Float[np.ndarray, "*b 4 4"]) -> Float[np.ndarray, "*b 4 4"]:

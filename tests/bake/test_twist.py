@@ -13,11 +13,12 @@ from avatar.baked_avatar import TwistSkin
 from avatar.errors import AssetError
 from avatar.gltf.animation import write_animated
 from avatar.gltf.avatar_file import read_avatar, write_avatar
+from avatar.helper_joints import BONES, HELPER_JOINTS
 from avatar.motion.clip import Clip
 from avatar.motion.read import read_motion
 from avatar.skeleton import JOINTS
-from avatar.twist import TWIST_JOINTS
 from bake.bake import bake_run
+from bake.bend import with_room
 from bake.twist import with_twist
 from player.mannequin import mannequin
 
@@ -36,7 +37,7 @@ def path(tmp_path):
 @pytest.mark.parametrize("avatar", [mannequin(texture=64), tiny_avatar()], ids=["mannequin", "any skin"])
 def test_the_skin_of_the_52_joints_is_the_one_before_to_the_last_bit(avatar):
     levels = with_twist(avatar).levels
-    for before, level in zip(avatar.levels, levels, strict=True):
+    for before, level in zip(map(with_room, avatar.levels), levels, strict=True):
         assert same(replace(level, twist=None), before)
         joints, weights = level.twist.folded()
         np.testing.assert_array_equal(weights, before.weights)
@@ -88,7 +89,7 @@ def test_files_whose_twist_joints_are_not_ours_are_refused(path, tmp_path):
     def moved(document):
         document["nodes"][60]["translation"][0] += 0.01
 
-    with pytest.raises(AssetError, match=r"skin joint 59 .*then the twist joints, here left_forearm_twist7"):
+    with pytest.raises(AssetError, match=r"skin joint 59 .*then the helper joints, here left_forearm_twist7"):
         read_avatar(spoilt(renamed))
     with pytest.raises(AssetError, match="default nodes of left_forearm_twist7"):
         read_avatar(spoilt(moved))
@@ -114,7 +115,7 @@ def test_an_exported_motion_turns_the_twist_joints_and_is_read_back_as_it_was(pa
     write_animated(tmp_path / "moving.glb", path, clip)
     document, _ = split_glb((tmp_path / "moving.glb").read_bytes())
     turned_nodes = {channel["target"]["node"] for channel in document["animations"][0]["channels"]}
-    assert len(turned_nodes) == 52 + len(TWIST_JOINTS)
+    assert len(turned_nodes) == BONES
     np.testing.assert_allclose(read_motion(tmp_path / "moving.glb").read().axis_angle, poses, atol=1e-6)
     assert same(read_avatar(tmp_path / "moving.glb"), avatar)
 
@@ -128,7 +129,7 @@ def test_three_js_keeps_a_forearm_as_thick_as_ours(tmp_path):
     clip = Clip(np.stack([np.zeros((52, 3)), pose]), np.zeros((2, 3)), 30.0)
     write_animated(tmp_path / "moving.glb", tmp_path / "twist.glb", clip)
     found = run_node("interchange/three_joints.mjs", tmp_path / "moving.glb", folder, 0.0, 1 / 30)
-    assert found["joints"] == [*JOINTS, *TWIST_JOINTS]
+    assert found["joints"] == [*JOINTS, *HELPER_JOINTS]
     count, level = len(found["joints"]), avatar.levels[0]
     inverse = np.swapaxes(np.reshape(found["inverse"], (count, 4, 4)), -1, -2)
     areas = []
