@@ -15,7 +15,7 @@ from bake.level import LayeredMesh, SourceSurface, TransferredData, transferred_
 from capture.solid import solid_inside, template_behind_cloth
 from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged
 from geometry.isosurface import Detail, Extraction, PointFunction, extract
-from geometry.mesh import TriangleMesh, compact, component_labels, concatenated, face_areas
+from geometry.mesh import TriangleMesh, compact, component_labels, concatenated, face_areas, vertex_normals
 from train.layers import BODY, HAIR, LEAST_HAIR, hair_layers
 
 
@@ -47,12 +47,14 @@ def extract_layers(
 ) -> Extraction:  # fmt: skip
     """The zero sets of all layers as one mesh; vertices know their layer. Details are the body's."""
     found = []
+    facing = vertex_normals(origin.vertices, origin.faces)
     for k, layer in enumerate(layers):
         own = origin.layer == k
         found.append(
             extract(
                 layer.solid, layer.normal, origin.vertices[own], fine[own], coarse_step=coarse_step,
                 fine_step=fine_step, least=LEAST_HAIR if k == HAIR else None, details=details if k == BODY else (),
+                facing=facing[own],
             )
         )  # fmt: skip
     if len(found) == 1:

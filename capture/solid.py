@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject
-from capture.template import air_beyond, surface_cloud, visible_faces
+from capture.template import SurfaceCloud, air_beyond, surface_cloud, visible_faces
 from geometry.mesh import vertex_normals
 from geometry.sample import lattice_samples
 
@@ -22,34 +22,56 @@ INSIDE = np.array([0.02, 0.015, 0.004, 0.004])
 HAIR_INSIDE = 0.025
 
 
-# metres between samples of the template behind cloth
-SPACING = 0.008
+# metres between samples of the template at cloth
+SPACING = 0.004
+# metres: where what is seen is nearer than what cloth hides by less than this, less than cloth is thick, both count
+BLEND = 0.01
 
 
 def template_behind_cloth(distance: PointFunction, subject: CaptureSubject) -> PointFunction:
     """The distance, replaced by the template's where what loose clothes hide is nearer than what is seen.
 
-    No ray goes behind cloth (train/clothes.py): a field drifts there, and its sheets show from below.
+    No ray goes behind cloth (train/clothes.py): a field drifts there, and its sheets show from below. Across a hem one
+    fades into the other: where they met in a jump, and where the sign was that of the plane of a sheet's end, crumbs
+    hung below it.
     """
     if subject.behind_cloth is None:
         return distance
-    body, hidden = PARTS.index("body"), subject.behind_cloth[subject.faces].all(1)
-    visible = visible_faces(subject)
-    behind, seen = (surface_cloud(subject, body, visible & chosen, SPACING, SPACING) for chosen in (hidden, ~hidden))
-    low, high = behind.points.min(0) - 0.02, behind.points.max(0) + 0.02
+    # with the hem itself, on which the camera looks down
+    hidden = subject.behind_cloth[subject.faces].any(1)
+    low, high = (edge(subject.vertices[subject.faces[hidden]].reshape(-1, 3), 0) for edge in (np.min, np.max))
+    low, high = low - 0.02, high + 0.02
+    corners = subject.vertices[subject.faces]
+    near = visible_faces(subject) & ((corners > low - 0.05) & (corners < high + 0.05)).all((1, 2))
+    body = PARTS.index("body")
+    whole = surface_cloud(subject, body, near, SPACING, SPACING)
+    behind, seen = (surface_cloud(subject, body, near & one, SPACING, SPACING).tree for one in (hidden, ~hidden))
 
     def replaced(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         value = distance(points)
-        near = np.flatnonzero(((points > low) & (points < high)).all(1))
-        if len(near):
-            own, row = behind.distance(points[near])
-            # not by |own|, which is that to a plane: under a hem it goes on
-            away = np.linalg.norm(points[near] - behind.points[row], axis=1)
-            nearer = away < seen.tree.query(points[near])[0]
-            value[near[nearer]] = own[nearer]
+        inside = np.flatnonzero(((points > low) & (points < high)).all(1))
+        further = seen.query(points[inside])[0] - behind.query(points[inside])[0]
+        share = np.clip(1 + further / BLEND, 0, 1)
+        inside, share = inside[share > 0], share[share > 0]
+        if len(inside):
+            value[inside] += share * (agreed_distance(whole, points[inside]) - value[inside])
         return value
 
     return replaced
+
+
+def agreed_distance(
+    cloud: SurfaceCloud, points: Float[np.ndarray, "n 3"], neighbours: int = 12
+) -> Float[np.ndarray, "n"]:
+    """Signed distance to the samples of a surface with edges: off the surface, what one of the nearest samples has
+    clearly before it is outside, whatever the plane of the nearest one says beyond the edge of its sheet."""
+    value, _ = cloud.distance(points)
+    doubtful = np.flatnonzero((value < 0) & (np.abs(value) > 1.5 * cloud.spacing))
+    away, row = cloud.tree.query(points[doubtful], k=neighbours)
+    along = ((points[doubtful][:, None] - cloud.points[row]) * cloud.normals[row]).sum(2)
+    outside = (along > 0.2 * away).any(1)
+    value[doubtful[outside]] *= -1
+    return value
 
 
 def outer_air(

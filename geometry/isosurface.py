@@ -14,6 +14,7 @@ from scipy.ndimage import (
 )
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from avatar.errors import AssetError
@@ -129,6 +130,20 @@ def sample_near_surface(
         corners = half * np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), -1).reshape(-1, 3)
         origins = (origins[near][:, None] + corners).reshape(-1, 3)
         stride = half
+
+
+def in_front(
+    index: Integer[np.ndarray, "n 3"],
+    axes: tuple[np.ndarray, ...],
+    places: Float[np.ndarray, "places 3"],
+    facing: Float[np.ndarray, "places 3"],
+    reach: float,
+) -> Integer[np.ndarray, "m 3"]:
+    """Those grid samples that lie more than `reach` metres off the nearest place, on the side that it faces."""
+    points = np.stack([axes[i][index[:, i]] for i in range(3)], 1)
+    away, near = KDTree(places).query(points, workers=-1)
+    along = ((points - places[near]) * facing[near]).sum(1)
+    return index[(away > reach) & (along > 0.5 * away)]
 
 
 def slits_filled(
@@ -247,12 +262,14 @@ def extract(
     margin: float = 0.03,
     least: float | None = None,
     details: Sequence[Detail] = (),
+    facing: Float[np.ndarray, "hints 3"] | None = None,
 ) -> Extraction:
     """The field's zero set as one closed mesh, its vertices on the surface to under 0.1 mm where it is smooth.
 
     hints are points near the surface (metres, canonical); those marked fine (head, hands) get `fine_step`
     along every axis they span, `details` their own step. The largest connected piece is kept, or with `least` all
-    pieces of so much area (square metres).
+    pieces of so much area (square metres). Where `facing`, the hints' unit normals, are given, nothing is kept that
+    lies more than `coarse_step` in front of them: an island, which a coarse grid may join to the surface.
 
     Raises:
         AssetError: the field is not finite, never changes sign, or leaves the hints' box.
@@ -285,6 +302,8 @@ def extract(
         raise AssetError(
             f"fused field: distance should be positive {margin * 100:.0f} cm outside the template, is {border:.4f} m"
         )
+    if facing is not None:
+        volume[tuple(in_front(np.argwhere(volume < 0), axes, hints, facing, coarse_step).T)] = 0.5 * fine_step
     volume, slits = slits_filled(volume, axes)
     # a sample exactly on the surface would make triangles without area
     volume[volume == 0] = 1e-9

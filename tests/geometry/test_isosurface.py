@@ -48,6 +48,33 @@ def test_a_detail_keeps_what_the_grid_would_lose():
         assert (np.linalg.norm(found.mesh.vertices[across], axis=1).max() > 0.1035) == top
 
 
+def test_what_hangs_a_millimetre_before_the_surface_is_not_joined_to_it():
+    """A lump of 2 cm that the field has before a ball, in cells of 8 mm: left out where the hints' normals are given,
+    while a bump of the ball itself stays."""
+    ball, _ = sphere(0.1)
+    lump, _ = sphere(0.02, (0, 0, 0.121))
+    bump, _ = sphere(0.012, (0.1, 0, 0))
+    distance = lambda points: np.minimum(np.minimum(ball(points), bump(points)), lump(points))
+
+    def normal(points):
+        away = points / np.linalg.norm(points, axis=1, keepdims=True)
+        return np.where((lump(points) < 0.01)[:, None], (points - [0, 0, 0.121]) / 0.02, away)
+
+    facing = np.random.default_rng(0).normal(size=(3000, 3))
+    facing /= np.linalg.norm(facing, axis=1, keepdims=True)
+    hints = facing * 0.1
+    joined, apart = (
+        extract(
+            distance, normal, hints, np.zeros(3000, bool),
+            coarse_step=0.008, fine_step=0.004, margin=0.06, facing=given,
+        )
+        for given in (None, facing)
+    )  # fmt: skip
+    assert joined.mesh.vertices[:, 2].max() > 0.135
+    assert apart.mesh.vertices[:, 2].max() < 0.11 and not find_faults(apart.mesh.faces, len(apart.mesh.vertices))
+    assert apart.mesh.vertices[:, 0].max() > 0.107
+
+
 def test_sparse_samples_have_the_sign_of_dense_ones_and_are_exact_at_the_surface():
     distance, _ = sphere(0.3, (0.05, -0.02, 0.01))
     axes = tuple(graded_axis(-0.5, 0.5, [(0.1, 0.2)], 0.02, 0.01) for _ in range(3))

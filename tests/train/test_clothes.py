@@ -143,6 +143,21 @@ def test_behind_cloth_the_surface_is_the_templates_whatever_a_field_says(subject
     assert (junk(dressed.vertices[outside] + 0.003 * normals[outside]) == 7).mean() > 0.97
 
 
+def test_nothing_hangs_below_a_hem_and_the_template_fades_into_the_field(subject, dressed):
+    """Where the field has air, no sheet's plane makes anything solid; from one to the other there is no jump."""
+    air = template_behind_cloth(lambda points: np.full(len(points), 0.02), dressed)
+    own = dressed.vertices[len(subject.rest) :]
+    own = own[own[:, 1] < np.quantile(own[:, 1], 0.3)]
+    below = own[:, None] - [0, 1, 0] * np.linspace(0.005, 0.08, 16)[:, None]
+    below = below.reshape(-1, 3)
+    below = below[KDTree(dressed.vertices).query(below)[0] > 0.012]
+    assert len(below) > 1000 and air(below).min() > 0
+    # through the hem and out below it, in steps of a millimetre
+    lines = own[::20, None] - [0, 1, 0] * np.linspace(-0.02, 0.04, 61)[:, None]
+    steps = np.abs(np.diff(air(lines.reshape(-1, 3)).reshape(len(lines), -1), axis=1))
+    assert np.quantile(steps, 0.999) < 0.006
+
+
 def test_poses_with_legs_turned_right_round_are_an_error_that_says_so(subject):
     """The same skirt filmed of a person whose poses put one thigh half a turn off the other."""
     video = filmed(subject, skirt=True)
