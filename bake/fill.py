@@ -6,7 +6,8 @@ smooth on the surface as its seen texels allow:
     min over x of material m   sum_vertices w_m (x - c_m)^2  +  sum_edges k_ij (x_i - x_j)^2
 
 c_m is the mean color of the material's seen texels round a vertex and w_m how much surface they cover there. An unseen
-texel may be of any material that the nearest seen places which face its way are of; what the field made of it stays as
+texel may be of any material that the nearest seen places of its own piece (skin under hair is none of the hair's) which
+face its way are of; what the field made of it stays as
 far as it lies within NEAR of these materials' colors. So skin beside skin becomes skin, and stripes stay as they
 were guessed.
 """
@@ -44,6 +45,7 @@ class Surface(NamedTuple):
     points: Float[Array, "texels 3"]
     normals: Float[Array, "texels 3"]
     area: Float[Array, "texels"]
+    piece: Integer[Array, "texels"]  # the connected piece of the surface
 
 
 def filled_colors(
@@ -91,10 +93,24 @@ def material_centres(color: Float[Array, "n 3"]) -> Float[Array, "materials 3"]:
 def material_shares(
     surface: Surface, material: Integer[Array, "texels"], seen: Bool[Array, "texels"], count: int
 ) -> Float[Array, "unseen materials"]:
-    """Of each unseen texel, how the nearest seen places that face its way are divided among the materials; the largest
-    share is made 1, so that one is always enough."""
-    unseen = np.flatnonzero(~seen)
-    given = np.flatnonzero(seen)
+    """Of each unseen texel, how the nearest seen places of its piece that face its way are divided among the materials;
+    the largest share is made 1, so that one is always enough. Pieces without a seen place are asked of all."""
+    share = np.zeros((int((~seen).sum()), count))
+    apart = surface.piece[~seen]
+    for piece in np.unique(apart):
+        own = surface.piece == piece
+        given = np.flatnonzero(seen & own if (seen & own).any() else seen)
+        share[apart == piece] = _piece_shares(surface, material, np.flatnonzero(~seen & own), given, count)
+    return share
+
+
+def _piece_shares(
+    surface: Surface,
+    material: Integer[Array, "texels"],
+    unseen: Integer[Array, "unseen"],
+    given: Integer[Array, "given"],
+    count: int,
+) -> Float[Array, "unseen materials"]:
     # only seen texels near unseen ones can be the nearest
     away, _ = KDTree(surface.points[unseen]).query(surface.points[given], distance_upper_bound=0.03)
     near = given[np.isfinite(away)]

@@ -22,6 +22,7 @@ from bake.texels import TexelMap, rasterise_charts
 from bake.view_change import ViewChange
 from capture.folder import PartVideo
 from geometry.cells import nearest_marked
+from geometry.mesh import component_labels
 from player.raster import Fragments, Rasteriser
 
 Array = np.ndarray
@@ -71,6 +72,8 @@ class AtlasMesh(NamedTuple):
     row_of: Integer[Array, "all"]
     # mean S and H (avatar/light.py) that the base color shows; None: light is not told from albedo
     light: Float[Array, "corners 2"] | None
+    # the connected piece of the surface that each face is of: body, hair
+    piece: Integer[Array, "faces"]
 
     @property
     def size(self) -> int:
@@ -156,7 +159,15 @@ def atlas_mesh(level: Level, joints: Float[Array, "52 3"]) -> AtlasMesh:
         texels,
         row[nearest_marked(covered)].reshape(-1),
         None if light is None else np.asarray(light, np.float64),
+        pieces_of_faces(level.positions, faces),
     )
+
+
+def pieces_of_faces(positions: Float[Array, "corners 3"], faces: Integer[Array, "faces 3"]) -> Integer[Array, "faces"]:
+    """The connected piece of each face of a level, whose vertices the atlas split."""
+    _, welded = np.unique(positions, axis=0, return_inverse=True)
+    welded = welded.reshape(-1)
+    return component_labels(welded[faces], int(welded.max()) + 1)[welded[faces[:, 0]]]
 
 
 def posed_frames(mesh: AtlasMesh, video: PartVideo, head_from_canonical: Float[Array, "4 4"]) -> Iterator[PosedFrame]:

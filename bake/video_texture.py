@@ -23,6 +23,7 @@ from bake.level import BakedLevel, rounded, seam_facts, surface_at
 from bake.pixel_reads import AtlasMesh, atlas_mesh, part_of_corners, pixel_size, samples_for, video_reads
 from bake.run_capture import RunVideos
 from bake.seams import edge_reads, solve_seams
+from bake.shown_range import ShownRange, shown_range, within_shown
 from bake.texels import barycentric, bytes_from_unit, spread
 from bake.texture_solve import Equations, Prior, neighbour_pairs, solve_change
 from bake.view_change import ViewChange
@@ -97,6 +98,7 @@ def solve_texture(
     pixel = np.full(len(PARTS), np.inf)
     equations: list[Equations] = []
     shown: list[ShownVideo] = []
+    ranges: list[ShownRange] = []
     facts: dict[str, Any] = {}
     context = open_context()
     try:
@@ -110,7 +112,8 @@ def solve_texture(
             pixel[index] = pixel_size(video, mesh, videos.head_from_canonical)
             samples, light = samples_for(pixel[index], own), videos.lights.get(name)
             reads = video_reads(mesh, video, videos.head_from_canonical, rasteriser, samples, light, change)
-            found = equations_of(reads, given)
+            found = equations_of(reads, given, mesh.positions)
+            ranges.append(shown_range(found.places, found.colors, max(pixel[index], own)))
             equations.append(found.equations)
             shown.append(ShownVideo(found.frames, video.cameras[0].size[0], pixel[index]))
             frames += np.square(pixel[index] / texel) * found.told
@@ -138,13 +141,14 @@ def solve_texture(
         moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
         report(f"frames moved onto the texture they agree on, mm: {moved}")
         solution = solve_change([*equations, seams], prior, pairs)
-    solved = np.clip(given + solution, 0, 1)
+    surface = texel_surface(baked, mesh, texel)
+    solved = np.clip(within_shown(given + solution, given, surface.points, ranges), 0, 1)
     for name, own in zip(PARTS, equations, strict=True):
         left = own.wanted - own.matrix @ (solved - given)
         facts[name]["rms_after"] = rounded(255 * _rms(left, own.matrix))
     seen = np.clip((frames - UNSEEN) / (SEEN - UNSEEN), 0, 1)[:, None]
     rest = np.flatnonzero(seen < 1)
-    fill = filled_colors(texel_surface(baked, mesh, texel), solved, seen[:, 0] == 1)
+    fill = filled_colors(surface, solved, seen[:, 0] == 1)
     solved[rest] = seen[rest] * solved[rest] + (1 - seen[rest]) * fill
     image = spread(solved.astype(np.float64), mesh.texels)
     unseen = float(np.average(seen[:, 0] < 0.5, weights=texel**2))
@@ -161,11 +165,13 @@ class VideoEquations(NamedTuple):
     # sum over visible pixels of the share of the texel in the pixel
     told: Float[Array, "texels"]
     rms: float  # of what pixels show beside the given atlas, weighted
+    places: Float[Array, "rows 3"]  # canonical, metres
+    colors: Float[Array, "rows 3"]
 
 
-def equations_of(reads: Any, given: Float[Array, "texels 3"]) -> VideoEquations:
+def equations_of(reads: Any, given: Float[Array, "texels 3"], positions: Float[Array, "corners 3"]) -> VideoEquations:
     """The equations of a video's frames, one matrix, weights multiplied in."""
-    data, indices, lengths, wanted, frames = [], [], [], [], []
+    data, indices, lengths, wanted, frames, places, colors = [], [], [], [], [], [], []
     told = np.zeros(len(given))
     for own in reads:
         matrix, root = own.reads, np.sqrt(own.weight)
@@ -176,13 +182,16 @@ def equations_of(reads: Any, given: Float[Array, "texels 3"]) -> VideoEquations:
         indices.append(matrix.indices)
         lengths.append(each)
         frames.append(own.index.astype(np.int32))
+        places.append(own.place.of(positions).astype(np.float32))
+        colors.append(own.color)
     pointers = np.r_[0, np.cumsum(_joined(lengths), dtype=np.int64)]
     if pointers[-1] < 2**31:
         pointers = pointers.astype(np.int32)
     shape = (len(pointers) - 1, len(given))
     matrix = csr_matrix((_joined(data), _joined(indices), pointers), shape)
     equations = Equations(matrix, _joined(wanted))
-    return VideoEquations(equations, frames, told, _rms(equations.wanted, matrix))
+    rms = _rms(equations.wanted, matrix)
+    return VideoEquations(equations, frames, told, rms, _joined(places), _joined(colors))
 
 
 def _joined(pieces: list[Array]) -> Array:
@@ -247,7 +256,10 @@ def texel_surface(baked: BakedLevel, mesh: AtlasMesh, texel: Float[Array, "texel
     weight = np.clip(barycentric(mesh.uv, mesh.faces, mesh.texels, np.zeros(2)), 0, 1)
     weight /= weight.sum(1, keepdims=True)
     points, facing, _ = surface_at(baked.charted, mesh.texels, np.zeros(2))
-    return Surface(TriangleMesh(welded, faces), faces[mesh.texels.face], weight, points, facing, np.square(texel))
+    return Surface(
+        TriangleMesh(welded, faces), faces[mesh.texels.face], weight, points, facing, np.square(texel),
+        mesh.piece[mesh.texels.face],
+    )  # fmt: skip
 
 
 def carried_to(baked: BakedLevel, finest: Level, change: Float[Array, "size size 3"]) -> Float[Array, "own own 3"]:

@@ -19,9 +19,10 @@ from bake.cone import ViewCone
 from bake.field import NumpyField
 from bake.fill import NEAR, Surface, filled_colors
 from bake.level import BakedLevel, Charted
-from bake.pixel_reads import atlas_mesh, drawn_finer, frame_light, frame_reads, posed_frames
+from bake.pixel_reads import atlas_mesh, drawn_finer, frame_light, frame_reads, pieces_of_faces, posed_frames
 from bake.run_capture import RunVideos, run_videos
 from bake.seams import chart_edges
+from bake.shown_range import shown_range, within_shown
 from bake.texture_solve import Equations, Prior, neighbour_pairs, solve_change
 from bake.video_texture import averaged, averaging, carried_to, solve_texture
 from bake.view_change import ViewChange
@@ -259,7 +260,7 @@ def test_unseen_skin_becomes_skin_and_cloth_stays_cloth():
     vertices = np.arange(len(points))
     surface = Surface(
         TriangleMesh(points, faces), np.stack([vertices] * 3, 1), np.tile([1.0, 0, 0], (len(points), 1)), points,
-        np.tile([0, 0, 1.0], (len(points), 1)), np.full(len(points), 6e-6),
+        np.tile([0, 0, 1.0], (len(points), 1)), np.full(len(points), 6e-6), np.zeros(len(points), int),
     )  # fmt: skip
     skin, cloth = np.array([0.8, 0.6, 0.5]), np.array([0.1, 0.15, 0.4])
     truth = np.where(points[:, [0]] < 0.1, skin, cloth)
@@ -271,6 +272,58 @@ def test_unseen_skin_becomes_skin_and_cloth_stays_cloth():
     np.testing.assert_allclose(found[away], truth[~seen][away], atol=NEAR + 1e-3)
     assert np.abs(dreamt[~seen] - truth[~seen]).max() > 0.4
     np.testing.assert_array_equal(filled_colors(surface, dreamt, np.zeros(len(seen), bool)), dreamt)
+
+
+def test_skin_under_hair_is_filled_from_skin():
+    """A strip of skin that nobody saw under a sheet of hair, whose texels are the nearest seen ones."""
+    x, y = np.meshgrid(np.linspace(0, 0.1, 41), np.linspace(0, 0.1, 41))
+    sheet = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
+    index = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
+    points, count = np.concatenate([sheet, sheet + [0, 0, 0.003]]), x.size
+    piece = np.repeat([0, 1], count)
+    surface = Surface(
+        TriangleMesh(points, np.concatenate([faces, faces + count])), np.stack([np.arange(2 * count)] * 3, 1),
+        np.tile([1.0, 0, 0], (2 * count, 1)), points, np.tile([0, 0, 1.0], (2 * count, 1)),
+        np.full(2 * count, 6e-6), piece,
+    )  # fmt: skip
+    skin, hair = np.array([0.8, 0.6, 0.5]), np.array([0.15, 0.1, 0.05])
+    seen = (piece == 1) | (np.abs(points[:, 1] - 0.05) > 0.03)
+    dreamt = np.where((piece == 1)[:, None] | ~seen[:, None], hair, skin)
+    found = filled_colors(surface, dreamt, seen)
+    np.testing.assert_allclose(found, np.tile(skin, (len(found), 1)), atol=NEAR + 1e-3)
+
+
+def test_pieces_of_a_level_are_found_across_chart_edges():
+    """Two squares whose triangles share no corner in the atlas, one above the other."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
+    found = pieces_of_faces(np.concatenate([square, square + [0, 0, 1]]), np.arange(12).reshape(4, 3))
+    assert found[0] == found[1] != found[2] == found[3]
+
+
+def test_a_solution_stays_within_what_pixels_show_there():
+    """A dark collar that the field has three texels too far to the left, under pixels of eight texels: the skin beside
+    it glows in the solution, not in what is kept of it."""
+    texels, width = line_texels(64), 8
+    skin, cloth = 0.8, 0.2
+    truth = np.where(np.arange(64) < 32, cloth, skin)[:, None].astype(np.float32)
+    given = np.where(np.arange(64) < 29, cloth, skin)[:, None].astype(np.float32)
+    rows = np.zeros((64 - width, 64), np.float32)
+    for row in range(len(rows)):
+        rows[row, row : row + width] = 1 / width
+    matrix = csr_matrix(rows)
+    prior = Prior(np.full(64, 0.02), np.full(64, 0.08))
+    change = solve_change([Equations(matrix, matrix @ (truth - given))], prior, neighbour_pairs(texels))
+    points = np.stack([0.001 * np.arange(64), np.zeros(64), np.zeros(64)], 1)
+    shown = shown_range(points[width // 2 : -width // 2], np.repeat(matrix @ truth, 3, 1), 0.008)
+    kept = within_shown(*(np.repeat(one, 3, 1) for one in (given + change, given)), points, [shown])
+    overshoot = lambda color: max(float(color.max()) - skin, cloth - float(color.min()))
+    assert overshoot(given + change) > 0.08 and overshoot(kept) < 0.061
+    assert np.abs(kept[:, :1] - truth).mean() < np.abs(given + change - truth).mean()
+    # where no pixel is near, the field's color is all there is
+    alone = within_shown(np.full((1, 3), 0.9), np.full((1, 3), 0.5), np.array([[5.0, 0, 0]]), [shown])
+    np.testing.assert_allclose(alone, 0.5)
 
 
 def test_frames_finer_than_texels_are_averaged(videos):
