@@ -146,6 +146,28 @@ def in_front(
     return index[(away > reach) & (along > 0.5 * away)]
 
 
+def front_samples(
+    volume: Float[np.ndarray, "x y z"],
+    axes: tuple[np.ndarray, ...],
+    places: Float[np.ndarray, "places 3"],
+    facing: Float[np.ndarray, "places 3"],
+    reach: float,
+) -> tuple[np.ndarray, ...]:
+    """Index of the samples inside that are `in_front`, from the skin of what is inside inwards: to ask all that lies
+    deep within a person cost 40 CPU s."""
+    asked = np.zeros(volume.shape, bool)
+    found, new = [np.zeros((0, 3), np.int64)], np.argwhere((volume < 0) & binary_dilation(volume > 0))
+    steps = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
+    while len(new):
+        asked[tuple(new.T)] = True
+        found.append(in_front(new, axes, places, facing, reach))
+        beside = np.clip((found[-1][:, None] + steps).reshape(-1, 3), 0, np.array(volume.shape) - 1)
+        beside = np.unique(beside, axis=0)
+        at = tuple(beside.T)
+        new = beside[(volume[at] < 0) & ~asked[at]]
+    return tuple(np.concatenate(found).T)
+
+
 def slits_filled(
     volume: Float[np.ndarray, "x y z"], axes: tuple[np.ndarray, ...], *, reach: float = 2.5
 ) -> tuple[Float[np.ndarray, "x y z"], int]:
@@ -303,7 +325,7 @@ def extract(
             f"fused field: distance should be positive {margin * 100:.0f} cm outside the template, is {border:.4f} m"
         )
     if facing is not None:
-        volume[tuple(in_front(np.argwhere(volume < 0), axes, hints, facing, coarse_step).T)] = 0.5 * fine_step
+        volume[front_samples(volume, axes, hints, facing, coarse_step)] = 0.5 * fine_step
     volume, slits = slits_filled(volume, axes)
     # a sample exactly on the surface would make triangles without area
     volume[volume == 0] = 1e-9
