@@ -156,7 +156,8 @@ def front_samples(
     """Index of the samples inside that are `in_front`, from the skin of what is inside inwards: to ask all that lies
     deep within a person cost 40 CPU s."""
     asked = np.zeros(volume.shape, bool)
-    found, new = [np.zeros((0, 3), np.int64)], np.argwhere((volume < 0) & binary_dilation(volume > 0))
+    skin = (volume < 0) & np.asarray(binary_dilation(volume > 0), bool)
+    found, new = [np.zeros((0, 3), np.int64)], np.argwhere(skin)
     steps = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
     while len(new):
         asked[tuple(new.T)] = True
