@@ -8,6 +8,7 @@ docs/avatar-format.md gives the equations.
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -76,6 +77,11 @@ class Level:
     def drawn_skin(self) -> tuple[UInt8[np.ndarray, "vertices 4"], UInt8[np.ndarray, "vertices 4"]]:
         """Joints and weights that it is drawn with, helper joints among them where the file has them."""
         return (self.joints, self.weights) if self.twist is None else (self.twist.joints, self.twist.weights)
+
+    @cached_property
+    def influences(self) -> int:
+        """How many joints the vertex that follows most of them does."""
+        return int((self.drawn_skin[1] > 0).sum(1).max(initial=1))
 
     @property
     def bones(self) -> int:

@@ -30,8 +30,9 @@ from bench.scale import SIZE as SCALE_SIZE
 from bench.scale import bench_scale
 from player.arguments import parse_size
 from player.context import Context, opened
-from player.ladder import Rung, Timing, rungs_of, time_rungs
+from player.ladder import Timing, rungs_of, time_rungs
 from player.mannequin import mannequin
+from player.rung import Rung
 
 Pictures = dict[str, list[Float[np.ndarray, "height width 3"]]]
 Boxes = list[tuple[slice, slice]]

@@ -18,8 +18,8 @@ from avatar.skinning import skin_points
 from bench.contact import spread_poses
 from capture.held_out import HeldOutView, read_held_out
 from player.context import Context
-from player.ladder import Rung
 from player.renderer import Pose
+from player.rung import Rung
 
 FRAMES = 4
 SIZE = (640, 640)
@@ -82,7 +82,7 @@ def rung_pictures(
 ) -> list[Float[np.ndarray, "height width 3"]]:
     """The frames as this rung shows them, brought to full resolution."""
     full = frames[0].camera.size
-    renderer = rung.renderer(context, avatar, full)
+    renderer = rung.renderer(context, [avatar], full)
     try:
         drawn = []
         for frame in frames:

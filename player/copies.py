@@ -19,15 +19,18 @@ from player.posing import PosedBones, Poser, ScreenBounds
 TURNS_SECTION, SECTIONS = 3, 4
 
 
-def groups_of(avatars: Sequence[Avatar], *, loose: bool = False) -> tuple[tuple[int, ...], ...]:
-    """Numbers of the avatars that are one and the same, in the order of the first of each. Those with helper joints are
+def groups_of(
+    avatars: Sequence[Avatar], *, loose: bool = False, detail: Sequence[int] | None = None
+) -> tuple[tuple[int, ...], ...]:
+    """Numbers of the avatars that are one and the same, in the order of the first of each. detail: and at the same
+    level of detail, of which this is the number for each. Those with helper joints are
     posed and drawn one by one: palettes hold the 52 joints. So are those whose loose parts move (`loose`): each in its
     own way."""
-    groups: dict[tuple[int, int], list[int]] = {}
+    groups: dict[tuple[int, int, int], list[int]] = {}
     for index, avatar in enumerate(avatars):
         own_way = loose and any(level.loose is not None or level.springs is not None for level in avatar.levels)
         alone = 1 + index if own_way or avatar.levels[0].twist is not None else 0
-        groups.setdefault((id(avatar), alone), []).append(index)
+        groups.setdefault((id(avatar), alone, 0 if detail is None else detail[index]), []).append(index)
     return tuple(tuple(group) for group in groups.values())
 
 

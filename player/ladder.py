@@ -1,4 +1,4 @@
-"""Rungs of accuracy against time: the ways one avatar can be drawn, and what each costs on this machine.
+"""Rungs of accuracy against time: the ways one avatar can be drawn (player/rung.py), and what each costs here.
 
 Only time and memory are measured here. How exact a rung is stands in the avatar file, where the bake put it, or
 is measured by `selfscan bench`.
@@ -6,8 +6,6 @@ is measured by `selfscan bench`.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,35 +13,14 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
-from avatar.texture import mipmaps
 from player.context import Context
 from player.passes.view import VIEWS
-from player.renderer import Pose, Renderer
+from player.renderer import Pose
+from player.rung import MOST_JOINTS, SHARE_NAMES, Rung, rung_of
 
-SHARES = {0.75: "3/4 resolution", 0.5: "half resolution"}
 SMALLEST_TEXTURE = 64  # texels a side
-VIEW_NAMES = {"network": "network per pixel", "linear": "linear", "vertex": "per vertex", "off": "paper mode"}
-
-
-@dataclass(frozen=True)
-class Rung:
-    """One way to draw: view dependence, level of detail (0 the finest), pixels as a share of full resolution, and
-    how often the sides of the textures are halved."""
-
-    name: str
-    view: str
-    level: int = 0
-    share: float = 1.0
-    halvings: int = 0
-
-    def size(self, full: tuple[int, int]) -> tuple[int, int]:
-        """Pixels it draws, at least one."""
-        return max(1, round(full[0] * self.share)), max(1, round(full[1] * self.share))
-
-    def renderer(self, context: Context, avatar: Avatar, full: tuple[int, int]) -> Renderer:
-        """A renderer that draws the avatar so, on its share of `full` pixels."""
-        avatar = with_halved_textures(avatar, self.halvings)
-        return Renderer(context, [avatar], self.size(full), view=self.view, level=self.level)
+HALVINGS = (1, 2, 3)
+FEWER_JOINTS = (2, 1)
 
 
 class Timing(NamedTuple):
@@ -60,49 +37,49 @@ def views_of(avatar: Avatar) -> list[str]:
 
 
 def rungs_of(avatar: Avatar) -> list[Rung]:
-    """View modes on every level; the dearest mode and paper mode with smaller textures and fewer pixels; last the
-    coarsest level at half resolution."""
-    views = views_of(avatar)
-    named = partial(rung_name, avatar)
-    rungs = [Rung(named(view), view) for view in views]
-    ends = list(dict.fromkeys((views[0], "off")))
-    coarser = range(1, len(avatar.levels))
-    rungs += [
-        Rung(named(view, level), view, level)
-        for view in views
-        for level in coarser
-        if view == "off" or avatar.levels[level].features is not None
+    """A walk down from the most exact, not all products: view modes on every level; from the finest level of the
+    dearest mode and of paper mode smaller textures, fewer joints, fewer pixels, one of them at a time; then from each
+    coarser level of paper mode fewer joints and pixels; last all of it at once."""
+    views, coarser = views_of(avatar), range(1, len(avatar.levels))
+    rungs = [rung_of(avatar, view) for view in views]
+    rungs += [rung_of(avatar, view, level) for view in views for level in coarser if holds(avatar, view, level)]
+    for view in dict.fromkeys((views[0], "off")):
+        rungs += cheaper_rungs(avatar, view)
+        rungs += [rung_of(avatar, view, share=share) for share in SHARE_NAMES]
+    fewest = min(FEWER_JOINTS)
+    for level in coarser:
+        rungs.append(rung_of(avatar, "off", level, joints=fewest))
+        rungs += [rung_of(avatar, "off", level, share=share) for share in SHARE_NAMES]
+        rungs += [rung_of(avatar, "off", level, share=share, joints=fewest) for share in SHARE_NAMES]
+    last = len(avatar.levels) - 1
+    smallest = max(halvings_of(avatar, last), default=0)
+    if smallest:
+        rungs.append(rung_of(avatar, "off", last, min(SHARE_NAMES), smallest, fewest))
+    return [rung for rung in rungs if rung.joints == MOST_JOINTS or rung.joints < joints_of(avatar, rung.level)]
+
+
+def cheaper_rungs(avatar: Avatar, view: str, level: int = 0) -> list[Rung]:
+    """A view mode of a level with smaller textures, then with fewer joints."""
+    smaller = [rung_of(avatar, view, level, halvings=times) for times in halvings_of(avatar, level)]
+    return smaller + [
+        rung_of(avatar, view, level, joints=joints) for joints in FEWER_JOINTS if joints < joints_of(avatar, level)
     ]
-    largest = min(avatar.levels[0].base_color.shape[:2])
-    for view in ends:
-        for halvings in (1, 2, 3):
-            if largest >> halvings >= SMALLEST_TEXTURE:
-                name = f"{named(view)}, texture {largest >> halvings}"
-                rungs.append(Rung(name, view, halvings=halvings))
-        rungs += [Rung(f"{named(view)}, {words}", view, share=share) for share, words in SHARES.items()]
-    if coarser:
-        last = coarser[-1]
-        rungs.append(Rung(f"{named('off', last)}, {SHARES[0.5]}", "off", last, 0.5))
-    return rungs
 
 
-def rung_name(avatar: Avatar, view: str, level: int = 0) -> str:
-    return f"{VIEW_NAMES[view]}, {round(len(avatar.levels[level].faces) / 1000)}k"
+def holds(avatar: Avatar, view: str, level: int) -> bool:
+    """Whether a level holds what a view mode draws."""
+    return view == "off" or avatar.level(level).features is not None
 
 
-def with_halved_textures(avatar: Avatar, times: int) -> Avatar:
-    """The avatar with the sides of all textures halved `times` times, each texel the mean of four."""
-    if not times:
-        return avatar
-    levels = [
-        replace(
-            level,
-            base_color=mipmaps(level.base_color, times + 1)[-1],
-            features=None if level.features is None else mipmaps(level.features, times + 1)[-1],
-        )
-        for level in avatar.levels
-    ]
-    return replace(avatar, levels=tuple(levels))
+def halvings_of(avatar: Avatar, level: int) -> list[int]:
+    """How often the textures of a level can be halved."""
+    side = min(avatar.level(level).base_color.shape[:2])
+    return [times for times in HALVINGS if side >> times >= SMALLEST_TEXTURE]
+
+
+def joints_of(avatar: Avatar, level: int) -> int:
+    """How many joints a vertex of a level follows at most."""
+    return avatar.level(level).influences
 
 
 def time_rungs(
@@ -129,7 +106,7 @@ def time_rungs(
     try:
         for rung in rungs:
             start = time.perf_counter()
-            renderer = rung.renderer(context, avatar, full)
+            renderer = rung.renderer(context, [avatar], full)
             renderers.append(renderer)
             assert renderer.target is not None
             renderer.draw_into(renderer.target, [frames[0][0]], frames[0][1])

@@ -174,21 +174,25 @@ class Draft:
     """A plan being written. Effects are asked from the last to the first: one that filters the picture says where
     those before it draw.
 
-    avatars, levels: who is drawn, and the level of detail of each; dual: with dual quaternions; loose: loose parts
-    move. `kept` is what an earlier plan kept.
+    avatars, detail: who is drawn, and the number of the level of detail of each; dual: with dual quaternions; loose:
+    loose parts move. `kept` is what an earlier plan kept.
     """
 
     def __init__(
-        self, avatars: Sequence[Avatar], canvas: Canvas, *, level: int, dual: bool, kept: Mapping[Hashable, Any],
-        loose: bool = False,
+        self, avatars: Sequence[Avatar], canvas: Canvas, *, detail: Sequence[int], dual: bool,
+        kept: Mapping[Hashable, Any], loose: bool = False,
     ):  # fmt: skip
-        self.avatars, self.canvas, self.level, self.dual = tuple(avatars), canvas, level, dual
-        self.levels: tuple[Level, ...] = tuple(avatar.level(level) for avatar in avatars)
-        # avatars that are copies of one: the same object, opened once
-        self.groups = groups_of(avatars, loose=loose)
-        self._first = {index: group[0] for group in self.groups for index in group}
+        self.avatars, self.canvas, self.detail, self.dual = tuple(avatars), canvas, tuple(detail), dual
+        self.levels: tuple[Level, ...] = tuple(who.level(number) for who, number in zip(avatars, detail, strict=True))
+        # avatars that are copies of one: the same object, opened once; those at one level of detail are drawn at once
+        self.groups = groups_of(avatars, loose=loose, detail=self.detail)
+        copies = groups_of(avatars, loose=loose)
+        self._first = {index: group[0] for group in copies for index in group}
+        self._copied = {index for group in copies if len(group) > 1 for index in group}
         # of the avatar that has most: those with and without helper joints share programs
         self.bones = max((level.bones for level in self.levels), default=len(JOINTS))
+        # the same of the joints that a vertex follows; of all levels, which share programs too
+        self.influences = max((one.influences for who in self.avatars for one in who.levels), default=4)
         # where avatars are drawn
         self.layer = Layer()
         self.image: Image | None = None
@@ -222,7 +226,7 @@ class Draft:
 
     def patches(self) -> SurfacePatches:
         """Pieces of the avatars' surface, for passes that draw where it can be; all share them."""
-        return self.keep((SurfacePatches, self.level), lambda: SurfacePatches(self.levels))
+        return self.keep((SurfacePatches, self.detail), lambda: SurfacePatches(self.levels))
 
     def tag(self, avatar: int) -> str:
         """What people call an avatar of the scene."""
@@ -231,6 +235,10 @@ class Draft:
     def first(self, avatar: int) -> int:
         """The first avatar of the scene that this one is a copy of: what no pose changes is made once, for that one."""
         return self._first[avatar]
+
+    def has_copies(self, avatar: int) -> bool:
+        """Whether others of the scene are copies of it."""
+        return avatar in self._copied
 
     @property
     def drawn_on(self) -> tuple[Handle[Any], ...]:
@@ -271,6 +279,8 @@ class Draft:
         of an avatar, each with its own bones (shaders/copies.glsl)."""
 
         counted = {} if self.bones == len(JOINTS) else {"bone_count.glsl": f"const int BONE_COUNT = {self.bones};\n"}
+        if self.influences < 4:
+            counted["influence_count.glsl"] = f"const int INFLUENCES = {self.influences};\n"
 
         def make(resources: PlanResources) -> moderngl.Program:
             generated = {**constants(), **(copies_includes() if copies else {}), **counted}

@@ -107,6 +107,7 @@ class PlayCommand:
         Option(metavar="8ms", parse=parse_budget),
         "view mode and level are the most exact whose frames take no longer on this machine, and follow how busy it is",
     ] = None
+    level_by_size: Annotated[bool, "coarser levels of detail for avatars that are small on the screen"] = False
     gui: Annotated[bool, Option(("--no-gui",)), "no panels, only keys and a line of text (as without imgui-bundle)"] = (
         True
     )
@@ -220,6 +221,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             script=None if command.script is None else command.script.split(),
             screenshot=command.screenshot,
             budget=None if command.budget is None else (command.budget, [entry.path for entry in scene.avatars]),
+            level_by_size=command.level_by_size,
         )
 
 

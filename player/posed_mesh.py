@@ -65,7 +65,7 @@ class PosedMesh:
 def posed_mesh(draft: Draft, avatar: int, *, directions: bool = False, posed: bool = True) -> PosedMesh:
     """The mesh of an avatar as a plan draws it; with `directions`, shaders can turn directions back into the canonical
     frame (shaders/directions.glsl). Not posed: without bones, for what brings its own."""
-    tag, mesh, level, first = draft.tag(avatar), draft.levels[avatar], draft.level, draft.first(avatar)
+    tag, mesh, level, first = draft.tag(avatar), draft.levels[avatar], draft.detail[avatar], draft.first(avatar)
     shared = draft.tag(first)
     vertices = draft.buffer(
         f"{shared} vertices", VERTEX.itemsize * len(mesh.positions), first, level,

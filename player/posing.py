@@ -40,23 +40,25 @@ class ScreenBounds(NamedTuple):
 
 
 class Poser:
-    """Bones of one avatar; keeps what does not change from frame to frame."""
+    """Bones of one avatar; keeps what does not change from frame to frame. Its spheres hold the surface at all these
+    levels of detail."""
 
-    def __init__(self, avatar: Avatar, level: Level):
+    def __init__(self, avatar: Avatar, *levels: Level):
         self.joints = avatar.joint_positions.astype(np.float64)
         pose = avatar.canonical_pose.astype(np.float64)
         canonical = joint_transforms(pose, self.joints)
-        self.helpers = None if level.twist is None else HelperJoints(self.joints, avatar.bend)
+        self.helpers = None if levels[0].twist is None else HelperJoints(self.joints, avatar.bend)
         canonical = self._with_helpers(pose, canonical)
         self.joint_from_canonical = rigid_inverse(canonical)
         self.chain = kinematics.Chain(self.joints)
         self.radii = np.full(len(canonical), -1.0)
-        joints, weights = level.drawn_skin
-        for slot in range(4):
-            moved = weights[:, slot] > 0
-            joint = joints[moved, slot].astype(np.intp)
-            distance = np.linalg.norm(level.positions[moved] - canonical[joint, :3, 3], axis=1)
-            np.maximum.at(self.radii, joint, distance)
+        for level in levels:
+            joints, weights = level.drawn_skin
+            for slot in range(4):
+                moved = weights[:, slot] > 0
+                joint = joints[moved, slot].astype(np.intp)
+                distance = np.linalg.norm(level.positions[moved] - canonical[joint, :3, 3], axis=1)
+                np.maximum.at(self.radii, joint, distance)
 
     def posed(self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], camera: Camera) -> PosedBones:
         """The bones in a pose, seen from the camera.

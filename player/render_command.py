@@ -117,6 +117,10 @@ class RenderCommand:
         "kept; or 120fps",
     ] = None
     level: Annotated[int | None, AtLeast(0), AtMost(99), "level of detail, 0 the finest"] = None
+    level_by_size: Annotated[
+        bool,
+        "each avatar at the coarsest level that does for its largest size in the film, none finer than --level",
+    ] = False
     body: Annotated[
         str | None, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
     ] = None

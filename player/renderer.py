@@ -3,6 +3,7 @@
 import time
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import moderngl
@@ -14,6 +15,7 @@ from avatar.camera import Camera
 from avatar.errors import AssetError
 from player.context import Context
 from player.copies import copies_bounds, groups_of, posed_copies
+from player.detail import DetailBySize
 from player.drawing import Drawing, FrameInputs, Look, Pose, Warming
 from player.passes.background import Background
 from player.passes.copies import CopiesPass
@@ -47,8 +49,9 @@ class Renderer:
 
     size None makes no image of its own: only `draw_into` a window works, and what depends on its size is made with
     its first frame. `effects` and `background` say what is asked for; level picks a level of detail (the coarsest
-    if there are fewer); view_amount is u_view, 0 for the paper's colours. view is short for Effects(view=view), an
-    RGBA tuple (premultiplied, [0,1]) for a Background of one colour.
+    if there are fewer), of all avatars or of each; with by_size it is the finest, and coarser ones are drawn where an
+    avatar is small (player/detail.py). view_amount is u_view, 0 for the paper's colours. view is short for
+    Effects(view=view), an RGBA tuple (premultiplied, [0,1]) for a Background of one colour.
 
     Raises:
         ValueError: the view mode is not in an avatar, a texture or the image exceeds the device.
@@ -63,12 +66,18 @@ class Renderer:
         *,
         effects: Effects = PLAIN,
         background: Background | Sequence[float | int] = (0.0, 0.0, 0.0, 0.0),
-        level: int = 0,
+        level: int | Sequence[int] = 0,
+        by_size: bool = False,
         view_amount: float = 1.0,
         view: str | None = None,
     ):
         self.context, self.avatars, self.groups = context, tuple(avatars), groups_of(avatars)
         self.level, self._view_amount = level, view_amount
+        # of each avatar, the number of its level of detail
+        self.detail = self._finest()
+        self._by_size = DetailBySize(self.avatars) if by_size else None
+        # of these levels, what is ready to be drawn at once
+        self._ready: list[Plan] = []
         self.effects = effects if view is None else replace(effects, view=view)
         self.background = _as_background(background)
         self.size, self.own_image = size, size is not None
@@ -114,7 +123,7 @@ class Renderer:
         size: tuple[int, int] | None = None,
         effects: Effects | None = None,
         background: Background | Sequence[float | int] | None = None,
-        level: int | None = None,
+        level: int | Sequence[int] | None = None,
     ) -> None:
         """Another size, other effects, another background or level of detail. Only what is new is made or compiled;
         what is no longer asked for is freed.
@@ -122,18 +131,21 @@ class Renderer:
         Raises:
             ValueError, AssetError: as when it was made; the renderer then stays as it was.
         """
-        before = self.size, self.effects, self.background, self.level
+        before = self.size, self.effects, self.background, self.level, self.detail, self._ready
         self.size = size or self.size
         self.effects = effects or self.effects
         self.background = self.background if background is None else _as_background(background)
-        self.level = self.level if level is None else level
+        if level is not None and level != self.level:
+            self.level = level
+            self.detail = self._finest()
+        self._ready = []
         try:
             plan = self._resolved(self.plan.kept)
         except (ValueError, AssetError):
-            self.size, self.effects, self.background, self.level = before
+            self.size, self.effects, self.background, self.level, self.detail, self._ready = before
             raise
         self._apply(plan)
-        if self.level != before[3]:
+        if self.detail != before[4]:
             self._measure()
 
     def resize(self, size: tuple[int, int]) -> None:
@@ -302,6 +314,8 @@ class Renderer:
         bones, bounds = self._posed(inputs.poses, camera, reaches)
         visible = [one.shows(camera) for one in bounds]
         planes = clip_planes(np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).ravel())
+        if self._by_size is not None and only is None:
+            self._follow_size(self._by_size, bounds, visible)
         drawing = Drawing(inputs, self.resources, self.look, bones, bounds, visible, planes, reaches)
         # a filter works on what is there
         if only is None or only not in self.plan.filters:
@@ -336,6 +350,23 @@ class Renderer:
         everyone = range(len(self.avatars))
         return [bones[avatar] for avatar in everyone], [bounds[avatar] for avatar in everyone]
 
+    def _follow_size(self, by_size: DetailBySize, bounds: Sequence[ScreenBounds], visible: Sequence[bool]) -> None:
+        """Plan with the levels of detail that the avatars' sizes call for, if they are others than before."""
+        heights = [float(one.box[3] - one.box[1]) if seen else None for one, seen in zip(bounds, visible, strict=True)]
+        # loose parts would fall back to where they are skinned to
+        still = {item.loosened.avatar for item in self.plan.passes if isinstance(item, LoosePass)}
+        detail = by_size.chosen(self.detail, self._finest(), heights, still)
+        if detail != self.detail:
+            self.detail = detail
+            self._apply(self._resolved(self.plan.kept))
+
+    def _finest(self) -> tuple[int, ...]:
+        """The level of detail asked for, of each avatar."""
+        wanted = [self.level] * len(self.avatars) if isinstance(self.level, int) else self.level
+        if len(wanted) != len(self.avatars):
+            raise ValueError(f"{len(self.avatars)} avatars need as many levels of detail, found {len(wanted)}")
+        return tuple(min(one, len(avatar.levels) - 1) for one, avatar in zip(wanted, self.avatars, strict=True))
+
     def _bulging(self, bones: PosedBones, reach: float) -> PosedBones:
         """The bones with spheres that hold what they move, in the skinning asked for; reach: of loose parts, metres."""
         if self.effects.skinning != "lbs":
@@ -350,7 +381,7 @@ class Renderer:
     def _resolved(self, kept: Mapping[Hashable, Any]) -> Plan:
         """The plan of what is asked for now; nothing has changed yet."""
         info = self.context.gl.info
-        levels = [avatar.level(self.level) for avatar in self.avatars]
+        levels = [avatar.level(number) for avatar, number in zip(self.avatars, self.detail, strict=True)]
         largest = max(*(self.size or (1, 1)), *(max(level.base_color.shape) for level in levels))
         if largest > info["GL_MAX_TEXTURE_SIZE"]:
             raise ValueError(
@@ -359,7 +390,21 @@ class Renderer:
         if self.size is not None and self.size[0] * self.size[1] > MAX_PIXELS:
             raise ValueError(f"size: expected at most {MAX_PIXELS} pixels, found {self.size[0]} x {self.size[1]}")
         canvas = Canvas(self.size, self.own_image, self.context.software, self.context.gl.max_samples)
-        return resolve(self.avatars, canvas, self.effects, self.background, self.level, kept)
+        plan = resolve(self.avatars, canvas, self.effects, self.background, self.detail, kept)
+        if self._by_size is None:
+            return plan
+        if not self._ready:
+            # every level is made beforehand, so that a change of level makes nothing
+            coarsest = max(len(avatar.levels) for avatar in self.avatars)
+            for number in range(min(self._finest()), coarsest):
+                detail = [min(max(number, one), len(who.levels) - 1) for one, who in zip(self._finest(), self.avatars)]
+                opened = {**kept, **plan.kept, **{key: one for made in self._ready for key, one in made.kept.items()}}
+                self._ready.append(resolve(self.avatars, canvas, self.effects, self.background, detail, opened))
+        return replace(
+            plan,
+            handles=tuple(dict.fromkeys(chain(plan.handles, *(one.handles for one in self._ready)))),
+            kept=dict(chain(*(one.kept.items() for one in self._ready), plan.kept.items())),
+        )
 
     def _apply(self, plan: Plan) -> None:
         """Make what the plan adds, free what it lacks, and draw once with what is new."""
@@ -375,11 +420,12 @@ class Renderer:
                 item.warm(warming)
 
     def _measure(self) -> None:
-        """Bounds of each avatar's surface at its level of detail."""
+        """Bounds of each avatar's surface, at its level of detail and those that it may get."""
         made: dict[int, Poser] = {}
         for group in self.groups:
-            first = self.avatars[group[0]]
-            made.update(dict.fromkeys(group, Poser(first, first.level(self.level))))
+            first, number = self.avatars[group[0]], min(self.detail[index] for index in group)
+            coarser = max(self.detail[index] for index in group) if self._by_size is None else len(first.levels) - 1
+            made.update(dict.fromkeys(group, Poser(first, *first.levels[number : coarser + 1])))
         self.posers = [made[avatar] for avatar in range(len(self.avatars))]
 
 

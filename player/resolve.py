@@ -15,19 +15,19 @@ def resolve(
     canvas: Canvas,
     effects: Effects,
     background: Background = Background(),  # noqa: B008  frozen
-    level: int = 0,
+    detail: int | Sequence[int] = 0,
     kept: Mapping[Hashable, Any] | None = None,
 ) -> Plan:
-    """The plan for drawing `avatars` with these effects. Makes no GL object; opens the background's file, unless `kept`
-    (of an earlier plan) holds it.
+    """The plan for drawing `avatars` with these effects, all at one level of detail or each at its own. Makes no GL
+    object; opens the background's file, unless `kept` (of an earlier plan) holds it.
 
     Raises:
         ValueError: a view mode that an avatar does not hold.
         AssetError: a file that cannot be read.
     """
-    kept = kept or {}
+    kept, levels = kept or {}, [detail] * len(avatars) if isinstance(detail, int) else detail
     draft = Draft(
-        avatars, canvas, level=level, dual=effects.skinning == "dual_quaternion", kept=kept,
+        avatars, canvas, detail=levels, dual=effects.skinning == "dual_quaternion", kept=kept,
         loose=effects.secondary_motion is not None,
     )  # fmt: skip
     draft.behind = background

@@ -7,16 +7,24 @@
 // vanish: the heaviest term has weight >= 1/4 and no other term points away from it. joints.x is the heaviest
 // bone; the loader sorts. Quaternions are xyzw.
 #include "turns.glsl"
+#include "influence_count.glsl"
 
 vec4 blended_turn(uvec4 joints, vec4 weights) {
     vec4 heaviest = turn_of(joints.x);
     vec4 sum = weights.x * heaviest;
-    vec4 q = turn_of(joints.y);
-    sum += (dot(q, heaviest) < 0.0 ? -weights.y : weights.y) * q;
-    q = turn_of(joints.z);
-    sum += (dot(q, heaviest) < 0.0 ? -weights.z : weights.z) * q;
-    q = turn_of(joints.w);
-    sum += (dot(q, heaviest) < 0.0 ? -weights.w : weights.w) * q;
+    vec4 q;
+    if (INFLUENCES > 1) {
+        q = turn_of(joints.y);
+        sum += (dot(q, heaviest) < 0.0 ? -weights.y : weights.y) * q;
+    }
+    if (INFLUENCES > 2) {
+        q = turn_of(joints.z);
+        sum += (dot(q, heaviest) < 0.0 ? -weights.z : weights.z) * q;
+    }
+    if (INFLUENCES > 3) {
+        q = turn_of(joints.w);
+        sum += (dot(q, heaviest) < 0.0 ? -weights.w : weights.w) * q;
+    }
     return normalize(sum);
 }
 

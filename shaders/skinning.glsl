@@ -2,9 +2,12 @@
 // The same one matrix as avatar/skinning.py, skin_points.
 // Weights are four bytes that sum to 255; the loader refused all others, nothing is normalised here.
 #include "bones.glsl"
+#include "influence_count.glsl"
 
 vec3 skinned(vec3 point, uvec4 joints, vec4 weights) {
-    mat4x3 blended = weights.x * bone(joints.x) + weights.y * bone(joints.y)
-                   + weights.z * bone(joints.z) + weights.w * bone(joints.w);
+    mat4x3 blended = weights.x * bone(joints.x);
+    if (INFLUENCES > 1) blended += weights.y * bone(joints.y);
+    if (INFLUENCES > 2) blended += weights.z * bone(joints.z);
+    if (INFLUENCES > 3) blended += weights.w * bone(joints.w);
     return blended * vec4(point, 1.0);
 }

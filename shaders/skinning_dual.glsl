@@ -12,18 +12,26 @@
 vec3 skinned(vec3 point, uvec4 joints, vec4 weights) {
     vec4 heaviest = turn_of(joints.x);
     vec4 r = weights.x * heaviest, d = weights.x * dual_of(joints.x);
-    vec4 q = turn_of(joints.y);
-    float w = dot(q, heaviest) < 0.0 ? -weights.y : weights.y;
-    r += w * q;
-    d += w * dual_of(joints.y);
-    q = turn_of(joints.z);
-    w = dot(q, heaviest) < 0.0 ? -weights.z : weights.z;
-    r += w * q;
-    d += w * dual_of(joints.z);
-    q = turn_of(joints.w);
-    w = dot(q, heaviest) < 0.0 ? -weights.w : weights.w;
-    r += w * q;
-    d += w * dual_of(joints.w);
+    vec4 q;
+    float w;
+    if (INFLUENCES > 1) {
+        q = turn_of(joints.y);
+        w = dot(q, heaviest) < 0.0 ? -weights.y : weights.y;
+        r += w * q;
+        d += w * dual_of(joints.y);
+    }
+    if (INFLUENCES > 2) {
+        q = turn_of(joints.z);
+        w = dot(q, heaviest) < 0.0 ? -weights.z : weights.z;
+        r += w * q;
+        d += w * dual_of(joints.z);
+    }
+    if (INFLUENCES > 3) {
+        q = turn_of(joints.w);
+        w = dot(q, heaviest) < 0.0 ? -weights.w : weights.w;
+        r += w * q;
+        d += w * dual_of(joints.w);
+    }
     float shrink = inversesqrt(dot(r, r));
     r *= shrink;
     d *= shrink;

@@ -3,6 +3,7 @@
 import html
 import io
 from collections.abc import Sequence
+from dataclasses import asdict
 from importlib.resources import files
 from typing import Any, NamedTuple
 
@@ -11,8 +12,8 @@ from jaxtyping import Float
 from PIL import Image
 
 from avatar.baked_avatar import Avatar
-from player.ladder import Rung
 from player.motions import motion_for
+from player.rung import Rung
 from player.web.packing import Packed, packed_avatar, packed_motion
 from player.web.page import (
     DRAWING,
@@ -85,7 +86,7 @@ def drawn_by(rung: Rung | None) -> dict[str, Any] | None:
     """How the page draws a rung; None: only the program that measured it can."""
     if rung is None:
         return None
-    return {"view": rung.view, "level": rung.level, "share": rung.share, "halvings": rung.halvings}
+    return {key: value for key, value in asdict(rung).items() if key != "name"}
 
 
 def references(result: dict[str, Any], pictures: PagePictures) -> list[dict[str, Any]]:

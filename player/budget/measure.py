@@ -2,21 +2,24 @@
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
-from player.budget.rungs import PricedRung, SceneRung
+from player.budget.rungs import PricedRung
 from player.context import Context
 from player.drawing import Pose
 from player.passes.background import Background
 from player.renderer import Renderer
+from player.rung import Rung
 from player.scenes.effects import Effects
 
 ROUNDS = 24
+# in which rungs fall out that another surely beats: no less exact, and so much faster
+SIEVE_ROUNDS, SURELY = 3, 1.5
 # of the rung that was chosen before, to see whether the table still holds
 CHECK_ROUNDS = 6
 
@@ -36,34 +39,57 @@ class BudgetScene(NamedTuple):
 def price(
     context: Context,
     scene: BudgetScene,
-    rungs: Sequence[SceneRung],
+    rungs: Sequence[Rung],
     *,
     rounds: int = ROUNDS,
     report: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> list[PricedRung]:
-    """Every rung timed in alternating rounds, as player/ladder.py does, and compared with the first."""
+    """The rungs that are worth timing, timed in alternating rounds as player/ladder.py does, and compared with the
+    first. What another rung surely beats after SIEVE_ROUNDS is left out."""
     renderers: list[Renderer] = []
     try:
         for rung in rungs:
             renderers.append(_renderer(context, scene, rung))
         errors = _errors(renderers, scene)
-        ms = np.zeros((rounds, len(rungs)))
-        for number in report(range(rounds)):
-            poses, camera = scene.frames[number % len(scene.frames)]
-            for k, renderer in enumerate(renderers):
-                # the first warms the caches, as if nothing else were drawn
-                _seconds(context, renderer, poses, camera, scene.reads_back)
-                ms[number, k] = 1e3 * _seconds(context, renderer, poses, camera, scene.reads_back)
+        kept = worth_timing(_rounds(context, scene, renderers, range(min(SIEVE_ROUNDS, rounds))), errors)
+        ms = _rounds(context, scene, [renderers[k] for k in kept], report(range(rounds)))
     finally:
         for renderer in renderers:
             renderer.release()
     return [
-        PricedRung(rung, float(np.median(times)), float(np.percentile(times, 95)), error)
-        for rung, times, error in zip(rungs, ms.T, errors, strict=True)
+        PricedRung(rungs[k], float(np.median(times)), float(np.percentile(times, 95)), errors[k])
+        for k, times in zip(kept, ms.T, strict=True)
     ]
 
 
-def check(context: Context, scene: BudgetScene, rung: SceneRung) -> float:
+def worth_timing(ms: Float[np.ndarray, "rounds rungs"], errors: Sequence[float]) -> list[int]:
+    """The numbers of the rungs that none is SURELY times faster than without being less exact."""
+    fastest = ms.min(0)
+    return [
+        k
+        for k, error in enumerate(errors)
+        if not any(
+            other <= error and SURELY * took < fastest[k] for other, took in zip(errors, fastest.tolist(), strict=True)
+        )
+    ]
+
+
+def _rounds(
+    context: Context, scene: BudgetScene, renderers: Sequence[Renderer], rounds: Iterable[int]
+) -> Float[np.ndarray, "rounds rungs"]:
+    """Milliseconds of a frame of each, in turns."""
+    out = []
+    for number in rounds:
+        poses, camera = scene.frames[number % len(scene.frames)]
+        out.append([])
+        for renderer in renderers:
+            # the first warms the caches, as if nothing else were drawn
+            _seconds(context, renderer, poses, camera, scene.reads_back)
+            out[-1].append(1e3 * _seconds(context, renderer, poses, camera, scene.reads_back))
+    return np.array(out)
+
+
+def check(context: Context, scene: BudgetScene, rung: Rung) -> float:
     """Milliseconds of one rung now, the median of a few frames."""
     renderer = _renderer(context, scene, rung)
     try:
@@ -76,11 +102,8 @@ def check(context: Context, scene: BudgetScene, rung: SceneRung) -> float:
         renderer.release()
 
 
-def _renderer(context: Context, scene: BudgetScene, rung: SceneRung) -> Renderer:
-    effects = replace(scene.effects, view=rung.view)
-    return Renderer(
-        context, scene.avatars, scene.size, effects=effects, background=scene.background, level=rung.level
-    )  # fmt: skip
+def _renderer(context: Context, scene: BudgetScene, rung: Rung) -> Renderer:
+    return rung.renderer(context, scene.avatars, scene.size, effects=scene.effects, background=scene.background)
 
 
 def _seconds(context: Context, renderer: Renderer, poses: Sequence[Pose], camera: Camera, reads_back: bool) -> float:

@@ -1,7 +1,7 @@
 """The ways a scene can be drawn, priced, and which of them a budget buys.
 
-A rung here is a view mode and a level of detail; textures, pixels and effects are the scene's. `selfscan bench` has
-more of them, and better scores.
+The rungs are those of player/ladder.py but for fewer pixels: the size is the scene's, and so are effects. `selfscan
+bench` has better scores.
 """
 
 import argparse
@@ -10,43 +10,42 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from avatar.baked_avatar import Avatar
-from player.ladder import rung_name, views_of
+from player.ladder import cheaper_rungs, holds, views_of
+from player.rung import Rung, rung_of
 
 # frames of a second that a budget in frames a second means
 SHORTEST, LONGEST = 0.01, 10_000.0  # ms
 
 
 @dataclass(frozen=True)
-class SceneRung:
-    """A view mode and a level of detail, 0 the finest, for all avatars."""
-
-    name: str
-    view: str
-    level: int
-
-
-@dataclass(frozen=True)
 class PricedRung:
     """What a rung costs here."""
 
-    rung: SceneRung
+    rung: Rung
     ms_median: float
     ms_p95: float
     # root mean square of its difference from the best rung's pictures, of 255
     error: float
 
 
-def scene_rungs(avatars: Sequence[Avatar], *, view: str = "auto", level: int | None = None) -> list[SceneRung]:
-    """View modes that all avatars hold on every level that holds what they need, dearest first; only those of a view
-    or level that was asked for."""
+def scene_rungs(avatars: Sequence[Avatar], *, view: str = "auto", level: int | None = None) -> list[Rung]:
+    """View modes that all avatars hold on every level that holds what they need, dearest first; then the dearest and
+    the cheapest mode of the finest level, and the cheapest of every other, with smaller textures and fewer joints. Only
+    those of a view or level that was asked for. Named after the first avatar."""
     first = avatars[0]
     views = [one for one in views_of(first) if all(one in views_of(avatar) for avatar in avatars)]
-    rungs = []
-    for one in views if view == "auto" else [view]:
-        for number in range(max(len(avatar.levels) for avatar in avatars)) if level is None else [level]:
-            if one == "off" or all(avatar.level(number).features is not None for avatar in avatars):
-                shown = min(number, len(first.levels) - 1)
-                rungs.append(SceneRung(rung_name(first, one, shown), one, number))
+    views = views if view == "auto" else [view]
+    levels = list(range(max(len(avatar.levels) for avatar in avatars))) if level is None else [level]
+    rungs = [
+        rung_of(first, one, number)
+        for one in views
+        for number in levels
+        if all(holds(avatar, one, number) for avatar in avatars)
+    ]
+    drawn = [(rung.view, rung.level) for rung in rungs]
+    for one, number in dict.fromkeys([*drawn[:1], *((views[-1], number) for number in levels)]):
+        if (one, number) in drawn:
+            rungs += cheaper_rungs(first, one, number)
     return rungs
 
 

@@ -17,10 +17,11 @@ from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.progress import progress
 from player.budget.measure import BudgetScene, check, price
-from player.budget.rungs import PricedRung, SceneRung, at_quality, frontier, scene_rungs, within
+from player.budget.rungs import PricedRung, at_quality, frontier, scene_rungs, within
 from player.context import Context
+from player.rung import Rung
 
-FORMAT = 1
+FORMAT = 2
 OLDEST = 30 * 86400.0  # seconds
 # the chosen rung takes so many times as long, or as short, as its table says: it is measured anew
 STALE = 1.35
@@ -63,7 +64,7 @@ def priced_rungs(
     context: Context,
     scene: BudgetScene,
     files: Sequence[str],
-    rungs: Sequence[SceneRung],
+    rungs: Sequence[Rung],
     choose: Callable[[Sequence[PricedRung]], PricedRung],
 ) -> tuple[list[PricedRung], PricedRung]:
     """The table of these rungs, from the cache where it still holds, and what `choose` takes from it. `files` are those
@@ -80,7 +81,7 @@ def priced_rungs(
     return priced, choose(priced)
 
 
-def key_of(context: Context, scene: BudgetScene, files: Sequence[str], rungs: Sequence[SceneRung]) -> str:
+def key_of(context: Context, scene: BudgetScene, files: Sequence[str], rungs: Sequence[Rung]) -> str:
     """What tells this table from any other, as a file name."""
     said = {
         "format": FORMAT,
@@ -101,18 +102,21 @@ def digest(file: str) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else file
 
 
-def read_table(path: Path, rungs: Sequence[SceneRung]) -> list[PricedRung] | None:
-    """A table that was kept and is not too old; None where there is none, or it cannot be read."""
+def read_table(path: Path, rungs: Sequence[Rung]) -> list[PricedRung] | None:
+    """A table that was kept and is not too old, of those rungs that were worth timing; None where there is none, or it
+    cannot be read."""
     try:
         content = json.loads(path.read_text("utf-8"))
         if not 0 <= time.time() - content["measured"] <= OLDEST:
             return None
-        rows = [(float(row["ms_median"]), float(row["ms_p95"]), float(row["error"])) for row in content["rungs"]]
+        named = {rung.name: rung for rung in rungs}
+        priced = [
+            PricedRung(named[row["name"]], *(float(row[key]) for key in ("ms_median", "ms_p95", "error")))
+            for row in content["rungs"]
+        ]
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    if len(rows) != len(rungs) or not all(0 < median <= tail for median, tail, _ in rows):
-        return None
-    return [PricedRung(rung, *row) for rung, row in zip(rungs, rows, strict=True)]
+    return priced if priced and all(0 < one.ms_median <= one.ms_p95 for one in priced) else None
 
 
 def write_table(path: Path, priced: Sequence[PricedRung]) -> None:

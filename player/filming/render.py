@@ -21,19 +21,25 @@ from player.budget.measure import BudgetScene
 from player.budget.rungs import choice_words
 from player.budget.table import bought_rung
 from player.context import Context, opened
+from player.detail import level_for
 from player.filming.film import VIDEO, film_kind, join_pieces
 from player.filming.parts import LENGTH, Parts
-from player.filming.shot import Shot, ShotRenderer, with_whole_paths
+from player.filming.shot import FULL, Shot, ShotRenderer, with_whole_paths
 from player.filming.stage import Fit, Stage, camera_from_option
+from player.framing import evenly
 from player.motions import beside, frame_range
+from player.posing import Poser, screen_bounds
 from player.render_command import RenderCommand
 from player.renderer import Renderer
+from player.rung import Rung
 from player.scenes.effects import Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 DRAFT_LEVEL = 99  # the coarsest there is
 # of a film that a budget is measured on
 BUDGET_FRAMES = 4
+# of a film in which avatars are measured, to choose their levels of detail
+SIZED_FRAMES = 64
 FASTEST = 60.0  # frames a second of a film, unless more are asked for
 
 
@@ -50,7 +56,8 @@ def render(command: RenderCommand) -> None:
     # while files are read and unpacked, the driver wakes up; both are work outside of Python
     with ThreadPoolExecutor(1) as pool:
         # what a budget buys may be any of them
-        reading = pool.submit(Stage, scene, None if command.measured else level_of(command) + 1)
+        every_level = command.measured or command.level_by_size
+        reading = pool.submit(Stage, scene, None if every_level else level_of(command) + 1)
         context = None if command.workers else opened(command.context, command.gpu)
         try:
             try:
@@ -79,12 +86,13 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
             print(f"{stage.name}: frame {start} of {counted(stage.frames, 'frame')}{other}")
     else:
         start, stop = at_rate(command, stage, start, stop)
-    level, fit = level_of(command), stage.fit(start, stop)
+    rung, fit = replace(FULL, level=level_of(command)), stage.fit(start, stop)
     if command.measured:
         assert context is not None, "workers are refused with a budget"
-        level = buy_rung(command, stage, context, fit, start, stop)
+        rung = buy_rung(command, stage, context, fit, start, stop)
+    detail = detail_by_size(stage, fit, start, stop, rung.level) if command.level_by_size else None
     shot = Shot(
-        stage.scene, start, stop, stage.size(), stage.rate, fit, stage.still, level,
+        stage.scene, start, stop, stage.size(), stage.rate, fit, stage.still, rung, detail,
         command.encoder, "good" if command.share is not None else command.quality, command.context, command.gpu,
     )  # fmt: skip
     shared = bool(command.resume or command.part or command.workers)
@@ -94,9 +102,9 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
         film_in_parts(command, shot, stage, context)
 
 
-def buy_rung(command: RenderCommand, stage: Stage, context: Context, fit: Fit | None, start: int, stop: int) -> int:
-    """The level of detail, chosen with the view mode by what they cost on this machine; the view mode is put into the
-    scene. A film keeps both from its first frame to its last."""
+def buy_rung(command: RenderCommand, stage: Stage, context: Context, fit: Fit | None, start: int, stop: int) -> Rung:
+    """The rung, chosen by what they cost on this machine; its view mode is put into the scene. A film keeps it from its
+    first frame to its last."""
     size, scene = stage.size(), stage.scene
     camera_at = stage.camera_at(fit, start, stop, size)
     frames = []
@@ -113,7 +121,27 @@ def buy_rung(command: RenderCommand, stage: Stage, context: Context, fit: Fit | 
         raise AssetError(str(error)) from None
     stage.notes.append(choice_words(chosen, priced, command.budget))
     stage.scene = replace(scene, effects=replace(scene.effects, view=chosen.rung.view))
-    return chosen.rung.level
+    return chosen.rung
+
+
+def detail_by_size(stage: Stage, fit: Fit | None, start: int, stop: int, finest: int) -> tuple[int, ...]:
+    """The level of detail of each avatar: what its largest size in the film calls for (player/detail.py), as some
+    frames spread over it tell."""
+    size, heights = stage.size(), [0.0] * len(stage.avatars)
+    camera_at = stage.camera_at(fit, start, stop, size)
+    posers = {id(avatar): Poser(avatar, avatar.levels[0]) for avatar in stage.avatars}
+    for frame in (start + evenly(stop - start, SIZED_FRAMES)).tolist():
+        poses = stage.poses(frame)
+        camera = camera_at(frame, poses[0][1]).resized(size)
+        for index, (avatar, pose) in enumerate(zip(stage.avatars, poses, strict=True)):
+            bounds = screen_bounds(posers[id(avatar)].posed(*pose, camera), camera)
+            if bounds.shows(camera):
+                heights[index] = max(heights[index], float(bounds.box[3] - bounds.box[1]))
+    detail = tuple(level_for(who, height, finest) for who, height in zip(stage.avatars, heights, strict=True))
+    triangles = sum(len(avatar.level(number).faces) for avatar, number in zip(stage.avatars, detail, strict=True))
+    all_of_them = sum(len(avatar.level(finest).faces) for avatar in stage.avatars)
+    stage.notes.append(f"levels of detail by size: {triangles} triangles of {all_of_them}")
+    return detail
 
 
 def at_rate(command: RenderCommand, stage: Stage, start: int, stop: int) -> tuple[int, int]:

@@ -23,8 +23,11 @@ from player.filming.exposure import exposures
 from player.filming.film import Film, Frame
 from player.filming.stage import Fit, Stage
 from player.renderer import Renderer
+from player.rung import Rung
 from player.scenes.effects import Effects
 from player.scenes.scene import MANNEQUINS, Scene
+
+FULL = Rung("as the file is", "auto")
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,10 @@ class Shot:
     # what fitted cameras look at
     fit: Fit | None
     hold: int | None = None  # the frame that a turntable holds still
-    level: int = 0  # of detail
+    # what is drawn of the avatars: level of detail, textures, joints
+    rung: Rung = FULL
+    # the level of detail of each avatar, where they differ: by their sizes in the film
+    detail: tuple[int, ...] | None = None
     encoder: str = "auto"
     quality: str = "good"
     context: str = "auto"
@@ -70,7 +76,8 @@ class Shot:
             "size": self.size,
             "rate": self.rate,
             "hold": self.hold,
-            "level": self.level,
+            "detail": self.detail,
+            "rung": [self.rung.level, self.rung.halvings, self.rung.joints],
             "encoder": f"{self.encoder} of PyAV {av.__version__}",
             "quality": self.quality,
         }
@@ -114,7 +121,7 @@ class ShotRenderer:
     def __init__(self, shot: Shot, stage: Stage | None = None, context: Context | None = None):
         self.shot = shot
         if stage is None:
-            stage = Stage(shot.scene, shot.level + 1)
+            stage = Stage(shot.scene, max((shot.rung.level, *(shot.detail or ()))) + 1)
             if shot.hold is not None:
                 stage.hold(shot.hold)
         self.stage = stage
@@ -126,8 +133,8 @@ class ShotRenderer:
         try:
             with deferred_stop(patience=0) as stop:
                 self.renderer = Renderer(
-                    self.context, stage.avatars, shot.size, effects=shot.scene.effects,
-                    background=shot.scene.background, level=shot.level,
+                    self.context, shot.rung.prepared(stage.avatars), shot.size, effects=shot.scene.effects,
+                    background=shot.scene.background, level=shot.rung.level if shot.detail is None else shot.detail,
                 )  # fmt: skip
             stop.check()
         except ValueError as error:

@@ -31,8 +31,8 @@ class Avatars:
         passes: list[Pass] = []
         for group in draft.groups:
             base_color = base_color_of(draft, group[0])
-            # what limbs hide is a block of each avatar's own
-            if len(group) > 1 and draft.contact is None:
+            # what limbs hide is a block of each avatar's own; the last copy at its level of detail is drawn as one
+            if draft.has_copies(group[0]) and draft.contact is None:
                 passes.append(copies_pass(draft, group, self.view, base_color))
                 continue
             for index in group:
@@ -97,4 +97,5 @@ def base_color_of(draft: Draft, avatar: int) -> Handle[moderngl.Texture]:
             read_finer_mip(made.context, texture)
         return texture
 
-    return draft.texture(f"{draft.tag(first)} base color", mipmapped_bytes(image.shape), first, draft.level, make=make)
+    size, number = mipmapped_bytes(image.shape), draft.detail[avatar]
+    return draft.texture(f"{draft.tag(first)} base color", size, first, number, make=make)

@@ -145,8 +145,8 @@ def touched(draft: Draft, avatar: int) -> Touched | None:
     if draft.contact is None:
         return None
     level, first = draft.levels[avatar], draft.first(avatar)
-    tag, shared = draft.tag(avatar), draft.tag(first)
-    body = draft.keep(("capsules", first, draft.level), lambda: LazyCapsules(draft.avatars[avatar], level))
+    tag, shared, number = draft.tag(avatar), draft.tag(first), draft.detail[avatar]
+    body = draft.keep(("capsules", first, number), lambda: LazyCapsules(draft.avatars[avatar], level))
 
     def vertices(made: PlanResources) -> bytes:
         out, order = np.zeros(len(level.positions), VERTEX), vertex_order(made, level)[0]
@@ -156,9 +156,9 @@ def touched(draft: Draft, avatar: int) -> Touched | None:
     return Touched(
         avatar, draft.contact, body,
         draft.buffer(f"{tag} capsules", CAPSULES.itemsize, avatar),
-        draft.buffer(f"{shared} contact", VERTEX.itemsize * len(level.positions), first, draft.level, content=vertices),
+        draft.buffer(f"{shared} contact", VERTEX.itemsize * len(level.positions), first, number, content=vertices),
         draft.buffer(
-            f"{shared} normals", level.normals.nbytes, first, draft.level,
+            f"{shared} normals", level.normals.nbytes, first, number,
             content=lambda made: level.normals[vertex_order(made, level)[0]].tobytes(),
         ),
     )  # fmt: skip

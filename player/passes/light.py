@@ -213,7 +213,7 @@ def lit(draft: Draft, avatar: int) -> Lit | None:
         return None
     first = draft.first(avatar)
     vertices = draft.buffer(
-        f"{draft.tag(first)} light", VERTEX.itemsize * len(level.positions), first, draft.level,
+        f"{draft.tag(first)} light", VERTEX.itemsize * len(level.positions), first, draft.detail[avatar],
         content=lambda made: lit_interleaved(level)[vertex_order(made, level)[0]].tobytes(),
     )  # fmt: skip
     told = (

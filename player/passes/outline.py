@@ -45,7 +45,7 @@ class Outline:
             mesh = posed_mesh(draft, index)
             first = draft.first(index)
             normals = draft.buffer(
-                f"{draft.tag(first)} normals", level.normals.nbytes, first, draft.level,
+                f"{draft.tag(first)} normals", level.normals.nbytes, first, draft.detail[index],
                 content=lambda made, level=level: level.normals[vertex_order(made, level)[0]].tobytes(),
             )  # fmt: skip
             loose = loosened(draft, index)

@@ -146,7 +146,8 @@ def loosened(draft: Draft, avatar: int) -> Loosened | None:
     if springs is None or not is_loose(level):
         return None
     motion = draft.keep(
-        ("secondary motion", avatar, draft.level, springs), lambda: LazyMotion(draft.avatars[avatar], level, springs)
+        ("secondary motion", avatar, draft.detail[avatar], springs),
+        lambda: LazyMotion(draft.avatars[avatar], level, springs),
     )
 
     def vertices(made: PlanResources) -> bytes:
@@ -157,7 +158,7 @@ def loosened(draft: Draft, avatar: int) -> Loosened | None:
     size = VERTEX.itemsize * len(level.positions)
     return Loosened(
         avatar, motion, draft.buffer(f"{tag} loose offsets", LOOSE.itemsize, avatar),
-        draft.buffer(f"{tag} loose parts", size, avatar, draft.level, content=vertices),
+        draft.buffer(f"{tag} loose parts", size, avatar, draft.detail[avatar], content=vertices),
     )  # fmt: skip
 
 

@@ -120,13 +120,13 @@ def view_look(
     if mode == "off":
         return Absent(f"{tag}: view", "not asked for" if why == "asked for" else why)
     if mesh.features is None:
-        return Absent(f"{tag}: view", f"level {draft.level} holds no features")
+        return Absent(f"{tag}: view", f"level {draft.detail[avatar]} holds no features")
     network = mode == "network" or (mode == "vertex" and who.network is not None)
     if mode == "vertex" and view == "auto":
         network = who.default_view == "network"
     posed = posed_mesh(draft, avatar, directions=True, posed=not copies)
     vertices = draft.buffer(
-        f"{draft.tag(first)} view vertices", VIEW_VERTEX.itemsize * len(mesh.positions), first, draft.level,
+        f"{draft.tag(first)} view vertices", VIEW_VERTEX.itemsize * len(mesh.positions), first, draft.detail[avatar],
         content=lambda made: view_interleaved(mesh)[vertex_order(made, mesh)[0]].tobytes(),
     )  # fmt: skip
     features = _feature_textures(draft, avatar)
@@ -144,7 +144,7 @@ def _feature_textures(draft: Draft, avatar: int) -> list[Handle[moderngl.Texture
     assert features is not None
     return [
         draft.texture(
-            f"{draft.tag(first)} {name}", mipmapped_bytes(features.shape), first, draft.level,
+            f"{draft.tag(first)} {name}", mipmapped_bytes(features.shape), first, draft.detail[avatar],
             make=lambda made, four=features[..., 4 * k : 4 * k + 4]: image_texture(made.context, four, coarse=True),
         )
         for k, name in enumerate(("features", "more features")[: features.shape[2] // 4])

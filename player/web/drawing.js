@@ -13,6 +13,18 @@ function mipLevels(size) {
   return Math.min(bits(Math.max(2, largest >> 8)), bits(largest));
 }
 
+// The heaviest `joints` of each vertex's four weights, which stand first, scaled to sum to 255: player/rung.py.
+function strongest(weights, joints) {
+  const out = new Uint8Array(weights.length);
+  for (let k = 0; k < weights.length; k += 4) {
+    let sum = 0, left = 255;
+    for (let i = 0; i < joints; i++) sum += weights[k + i];
+    for (let i = 0; i < joints; i++) left -= out[k + i] = Math.floor((255 * weights[k + i]) / sum);
+    out[k] += left;
+  }
+  return out;
+}
+
 class Drawing {
   // avatar: the page's facts; bytes: a function of a blob's name; programs: sources by view mode
   constructor(canvas, avatar, programs, bytes) {
@@ -75,13 +87,14 @@ class Drawing {
     return !(this.content.get(level) instanceof Promise) && this.content.has(level);
   }
 
-  program(view) {
-    return this.kept(`program ${view}`, () => {
+  // joints: how many a vertex follows at most, as player/rung.py prepares them.
+  program(view, joints) {
+    return this.kept(`program ${view} ${joints}`, () => {
       const gl = this.gl, began = performance.now(), program = gl.createProgram(), source = this.sources[view];
       const bias = `#version 300 es\n#define MIP_BIAS ${this.software ? "-1.0" : "0.0"}\n`;
       for (const [kind, text] of [[gl.VERTEX_SHADER, source.vertex], [gl.FRAGMENT_SHADER, source.fragment]]) {
         const shader = gl.createShader(kind);
-        gl.shaderSource(shader, text.replace("#version 300 es\n", bias));
+        gl.shaderSource(shader, text.replace("#version 300 es\n", bias).replace("INFLUENCES = 4", `INFLUENCES = ${joints}`));
         gl.compileShader(shader);
         if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost())
           throw new Error(`shader ${view}: ${gl.getShaderInfoLog(shader)}`);
@@ -109,15 +122,16 @@ class Drawing {
   }
 
   // The mesh of a level as a program reads it.
-  array(level, view) {
-    return this.kept(`array ${level} ${view}`, () => {
-      const gl = this.gl, { mesh } = this.content.get(level), program = this.program(view);
+  array(level, view, joints) {
+    return this.kept(`array ${level} ${view} ${joints}`, () => {
+      const gl = this.gl, { mesh } = this.content.get(level), program = this.program(view, joints);
       const array = gl.createVertexArray();
-      const buffer = (name) => this.kept(`buffer ${level} ${name}`, () => {
+      const weights = (name) => name === "weights" && joints < 4;
+      const buffer = (name) => this.kept(`buffer ${level} ${name}${weights(name) ? joints : ""}`, () => {
         const made = gl.createBuffer(), target = name === "faces" ? gl.ELEMENT_ARRAY_BUFFER : gl.ARRAY_BUFFER;
         gl.bindVertexArray(null);
         gl.bindBuffer(target, made);
-        gl.bufferData(target, mesh[name], gl.STATIC_DRAW);
+        gl.bufferData(target, weights(name) ? strongest(mesh.weights, joints) : mesh[name], gl.STATIC_DRAW);
         return made;
       });
       const point = (attribute, name, tell) => {
@@ -208,13 +222,13 @@ class Drawing {
     this.targets.clear();
   }
 
-  // One frame of width x height pixels into a framebuffer of its own, which is returned. rung: {view, level, halvings};
+  // One frame of width x height pixels into a framebuffer of its own, which is returned. rung: {view, level, halvings, joints};
   // camera: {target, distance, azimuth, elevation, fov}; background: three numbers of [0, 1]. The level is loaded.
   frame(pose, camera, rung, width, height, background, samples = 0) {
-    const gl = this.gl, { level = 0, halvings = 0 } = rung;
+    const gl = this.gl, { level = 0, halvings = 0, joints = 4 } = rung;
     // a level without features has the paper's colors
     const view = this.avatar.levels[level].features ? rung.view : "off";
-    const into = this.target(width, height, samples), array = this.array(level, view), program = this.program(view);
+    const into = this.target(width, height, samples), array = this.array(level, view, joints), program = this.program(view, joints);
     const bones = posedBones(this.skeleton, pose, viewFromWorld(camera));
     const planes = clipPlanes(bones.centers, this.avatar.levels[level].radii);
     gl.bindFramebuffer(gl.FRAMEBUFFER, into);

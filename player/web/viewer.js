@@ -23,6 +23,7 @@ function readSettings(home, avatar) {
     level: limited(Math.round(number("level", 0)), 0, avatar.levels.length - 1),
     share: limited(number("share", 1), 0.25, 1),
     halvings: limited(Math.round(number("halvings", 0)), 0, 3),
+    joints: limited(Math.round(number("joints", 4)), 1, 4),
     edges: given.get("edges") !== "0",
     play: given.get("play") !== "0",
     frame: Math.max(number("frame", 0), 0),
@@ -94,8 +95,8 @@ class Viewer {
   }
 
   get rung() {
-    const { view, level, halvings } = this.settings;
-    return { view, level, halvings };
+    const { view, level, halvings, joints } = this.settings;
+    return { view, level, halvings, joints };
   }
 
   // Pixels of the canvas, and those drawn.
@@ -252,6 +253,7 @@ class Viewer {
       const words = { view: settings.view };
       if (settings.level) words.level = settings.level;
       if (settings.halvings) words.halvings = settings.halvings;
+      if (settings.joints !== 4) words.joints = settings.joints;
       if (settings.share !== 1) words.share = settings.share;
       if (!settings.edges) words.edges = 0;
       if (!settings.bar) words.bar = 0;

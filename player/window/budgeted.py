@@ -1,7 +1,6 @@
-"""The budget of the window: view mode and level of detail follow what frames take (player/budget/)."""
+"""The budget of the window: how avatars are drawn (player/rung.py) follows what frames take (player/budget/)."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from avatar.camera import Camera
 from player.budget.controller import BudgetController
@@ -39,7 +38,7 @@ class Budgeted:
         if self.controller is None or filming:
             return
         rung = self.controller.current.rung
-        if (self._look.effects.view, self._look.level) != (rung.view, rung.level):
+        if self._look.effects.view != rung.view or self._look.rung != rung:
             self.controller = None
             self._messages.say("budget off: the view was changed by hand")
         elif self.controller.frame(ms) is not None:
@@ -58,5 +57,4 @@ class Budgeted:
 
     def _show(self) -> None:
         assert self.controller is not None
-        rung = self.controller.current.rung
-        self._look.change(effects=replace(self._look.effects, view=rung.view), level=rung.level)
+        self._look.show(self.controller.current.rung)

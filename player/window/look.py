@@ -1,12 +1,14 @@
 """How the avatars are drawn: the renderer, its effects, background and level of detail."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from player.context import Context
 from player.passes.background import Background
 from player.renderer import Renderer
+from player.rung import Rung
 from player.scenes.effects import Effects
 from player.window.state import Messages
 
@@ -23,29 +25,51 @@ class Look:
         *,
         over_video: bool,
         messages: Messages,
+        by_size: bool = False,
     ):
         self._context, self.avatars, self._messages = context, avatars, messages
-        self.effects, self.background, self.level = effects, background, 0
+        self.effects, self.background = effects, background
+        # what it draws of the avatars: level of detail, textures, joints
+        self.rung = Rung("as the file is", effects.view)
         self._over_video = over_video
-        self.renderer = self._new_renderer(effects, background, 0)
+        # coarser levels where avatars are small
+        self.by_size = by_size
+        self.renderer = self._new_renderer(effects, background, self.rung)
+
+    @property
+    def level(self) -> int:
+        """Of detail, 0 the finest."""
+        return self.rung.level
+
+    def show(self, rung: Rung) -> None:
+        """Draw as a rung says, but for its share of pixels; where that cannot be, it is said and nothing changes."""
+        self._change(replace(self.effects, view=rung.view), self.background, rung)
 
     def change(
         self, *, effects: Effects | None = None, background: Background | None = None, level: int | None = None
     ) -> None:
         """Other effects, background or level of detail; where that cannot be, it is said and nothing changes."""
-        effects, background = effects or self.effects, background or self.background
+        rung = self.rung if level is None or level == self.level else Rung("by hand", self.effects.view, level)
+        self._change(effects or self.effects, background or self.background, rung)
+
+    def follow_size(self, on: bool) -> None:
+        """Levels of detail by size on screen, or not."""
+        self.by_size = on
+        self._change(self.effects, self.background, self.rung, anew=True)
+
+    def _change(self, effects: Effects, background: Background, rung: Rung, *, anew: bool = False) -> None:
         try:
-            if level is not None and level != self.level:
-                new = self._new_renderer(effects, background, level)
+            if anew or replace(rung, name=self.rung.name, view=self.rung.view) != self.rung:
+                new = self._new_renderer(effects, background, rung)
                 new.view_amount = self.renderer.view_amount
                 self.renderer.release()
-                self.renderer, self.level = new, level
+                self.renderer = new
             else:
                 self.renderer.change(effects=effects, background=self._drawn_first(background))
         except (ValueError, AssetError) as error:
             self._messages.say(str(error))
             return
-        self.effects, self.background = effects, background
+        self.effects, self.background, self.rung = effects, background, rung
 
     def toggle_view(self) -> None:
         """View dependence on or off."""
@@ -57,9 +81,11 @@ class Look:
             return "paper mode"
         return "view on" if self.renderer.view_amount else "view off"
 
-    def _new_renderer(self, effects: Effects, background: Background, level: int) -> Renderer:
-        background = self._drawn_first(background)
-        return Renderer(self._context, self.avatars, None, effects=effects, background=background, level=level)
+    def _new_renderer(self, effects: Effects, background: Background, rung: Rung) -> Renderer:
+        background, avatars = self._drawn_first(background), rung.prepared(self.avatars)
+        return Renderer(
+            self._context, avatars, None, effects=effects, background=background, level=rung.level, by_size=self.by_size
+        )  # fmt: skip
 
     def _drawn_first(self, background: Background) -> Background:
         return Background("transparent") if self._over_video else background

@@ -84,7 +84,8 @@ class Pointer:
         state, tool = self.parts.state, self._tool
         if state.last.camera is None or (tool is not None and tool.pick(x, y)):
             return None
-        levels = [avatar.level(self.parts.look.level) for avatar in state.avatars]
+        detail = self.parts.look.renderer.detail
+        levels = [avatar.level(number) for avatar, number in zip(state.avatars, detail, strict=True)]
         found = pick(state.avatars, levels, state.last.poses, state.last.camera, (x, y))
         if found is None:
             state.selection.joint = None

@@ -74,6 +74,7 @@ class Window:
         panels: Callable[[Parts], PanelLayer] | None = None,
         clock: Clock = time.perf_counter,
         budget: tuple[float, Sequence[str]] | None = None,
+        level_by_size: bool = False,
     ):
         """budget: milliseconds of a frame's own work, and the files of the avatars, by which its prices are kept."""
         self.clock, self.screen = clock, Screen(size, null=null)
@@ -83,6 +84,8 @@ class Window:
         self.status_line, self.key_list, self.backdrop = TextPlate(context), TextPlate(context), PictureLayer(context)
         self.panels = panels(self.parts) if panels is not None else None
         show.fit_orbit(self.parts.state.layout.area[2:])
+        if level_by_size:
+            self.parts.look.follow_size(True)
         if budget is not None:
             self.parts.budget = self._budgeted(*budget)
         self._last_tick = clock()
@@ -300,13 +303,14 @@ def play(
     script: Sequence[str] | None,
     screenshot: str | None,
     budget: tuple[float, Sequence[str]] | None = None,
+    level_by_size: bool = False,
 ) -> int:
     """Open the window and run it. A script closes it at its end; a screenshot keeps the last frame shown."""
     if script is not None:
         steps(script)
     try:
         with deferred_stop(patience=0) as stop:
-            window = Window(show, size=size, null=null, panels=panels, budget=budget)
+            window = Window(show, size=size, null=null, panels=panels, budget=budget, level_by_size=level_by_size)
     except BaseException:
         show.playback.close()
         # with the window, where there is one already

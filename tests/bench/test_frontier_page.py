@@ -13,8 +13,8 @@ from bench.part_boxes import part_boxes
 from bench.rung_pictures import motion_frames, rung_pictures
 from bench.rung_scores import compared, crop_of, mark_dominated, row_of
 from player.context import open_context
-from player.ladder import Rung
 from player.mannequin import mannequin
+from player.rung import Rung
 from player.web.page import MOST_BYTES
 
 SIZE = (240, 240)

@@ -14,8 +14,9 @@ from bench.report import bench_main
 from bench.rung_page import label_offsets
 from bench.rung_pictures import motion_frames
 from bench.rung_scores import flicker, mark_dominated, median_interval
-from player.ladder import rungs_of, views_of, with_halved_textures
+from player.ladder import rungs_of, views_of
 from player.mannequin import mannequin
+from player.rung import with_halved_textures
 
 
 def test_bench_writes_json_table_plot_and_pictures(oracle, tmp_path, capsys):
@@ -113,8 +114,11 @@ def test_the_ladder_offers_only_what_the_file_holds(oracle):
     rungs = rungs_of(avatar)
     assert views_of(avatar) == ["off"] and {(r.view, r.level) for r in rungs} == {("off", 0)}
     shares, halvings = [r.share for r in rungs], [r.halvings for r in rungs]
-    assert sorted(shares) == [0.5, 0.75, *[1.0] * (len(rungs) - 2)]
-    assert halvings == [0, *[n for n in (1, 2, 3) if side >> n >= 64], 0, 0]
+    most = avatar.levels[0].influences
+    smaller, fewer = [n for n in (1, 2, 3) if side >> n >= 64], [k for k in (2, 1) if k < most]
+    assert [share for share in shares if share < 1] == [0.75, 0.5, 0.25, *[0.25] * bool(smaller)]
+    assert halvings == [0, *smaller, *[0] * len(fewer), 0, 0, 0, *smaller[-1:]]
+    assert [r.joints for r in rungs if r.joints < 4] == [*fewer, *fewer[-1:] * bool(smaller)]
 
 
 def test_all_modes_levels_textures_and_resolutions_are_rungs_of_their_own():
@@ -122,7 +126,7 @@ def test_all_modes_levels_textures_and_resolutions_are_rungs_of_their_own():
     coarse = replace(avatar.levels[0], faces=avatar.levels[0].faces[::3])
     rungs = rungs_of(replace(avatar, levels=(avatar.levels[0], coarse)))
     assert len({r.name for r in rungs}) == len(rungs)
-    assert len({(r.view, r.level, r.share, r.halvings) for r in rungs}) == len(rungs)
+    assert len({(r.view, r.level, r.share, r.halvings, r.joints) for r in rungs}) == len(rungs)
     assert [r.view for r in rungs[:4]] == ["network", "linear", "vertex", "off"]
     for view in ("network", "off"):
         assert {(r.level, r.share, r.halvings) for r in rungs if r.view == view} >= {

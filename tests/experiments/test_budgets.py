@@ -5,12 +5,13 @@ import numpy as np
 from avatar.camera import orbit_camera
 from experiments import budgets
 from player.budget.measure import BudgetScene
-from player.budget.rungs import PricedRung, SceneRung
+from player.budget.rungs import PricedRung
 from player.context import open_context
 from player.passes.background import Background
+from player.rung import Rung
 from player.scenes.effects import PLAIN
 
-LADDER = [SceneRung(name, "off", level) for level, name in enumerate(("fine", "middle", "coarse"))]
+LADDER = [Rung(name, "off", level) for level, name in enumerate(("fine", "middle", "coarse"))]
 SCENE = BudgetScene([], [([], orbit_camera(np.zeros(3), 2.0, 0.0, 0.0, (8, 8)))], (8, 8), PLAIN, Background(), False)
 
 

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from player.budget.controller import PATIENCE, SETTLING, SLOW, WATCHED, BudgetController
-from player.budget.rungs import PricedRung, SceneRung, at_quality, frontier, parse_budget, scene_rungs, within
+from player.budget.rungs import PricedRung, at_quality, frontier, parse_budget, scene_rungs, within
 from player.mannequin import mannequin
+from player.rung import Rung
 
 LADDER = [
-    PricedRung(SceneRung(name, "off", k), ms, 1.1 * ms, error)
+    PricedRung(Rung(name, "off", k), ms, 1.1 * ms, error)
     for k, (name, ms, error) in enumerate(
         [("network", 12.0, 0.0), ("linear", 9.0, 1.0), ("bad", 9.5, 3.0), ("vertex", 6.0, 2.0), ("paper", 4.0, 4.0),
          ("coarse", 2.0, 9.0)]
@@ -119,10 +120,12 @@ def test_what_is_no_budget_is_refused(text):
 def test_rungs_of_a_scene_are_what_all_its_avatars_hold():
     body = mannequin()
     names = [rung.name for rung in scene_rungs([body])]
-    assert names == ["network per pixel, 27k", "linear, 27k", "per vertex, 27k", "paper mode, 27k"]
-    assert [rung.view for rung in scene_rungs([body], view="linear")] == ["linear"]
-    assert [rung.level for rung in scene_rungs([body], view="off", level=0)] == [0]
+    assert names[:4] == ["network per pixel, 27k", "linear, 27k", "per vertex, 27k", "paper mode, 27k"]
+    cheaper = ["texture 256", "texture 128", "texture 64", "2 joints", "1 joint"]
+    assert names[4:] == [f"{view}, 27k, {one}" for view in ("network per pixel", "paper mode") for one in cheaper]
+    assert {rung.view for rung in scene_rungs([body], view="linear")} == {"linear"}
+    assert {rung.level for rung in scene_rungs([body], view="off", level=0)} == {0}
     import dataclasses
 
     plain = dataclasses.replace(body, network=None, linear=None, default_view="off")
-    assert [rung.view for rung in scene_rungs([body, plain])] == ["off"]
+    assert {rung.view for rung in scene_rungs([body, plain])} == {"off"}
