@@ -11,7 +11,7 @@ from collections.abc import Collection, Sequence
 from avatar.baked_avatar import Avatar
 
 # triangles a square pixel of height, of the box that an avatar is sure to stay inside: a quarter taller than a person.
-# Measured in docs/speed.md: at a tenth, levels of 10,000 and 2,500 triangles begin where a person is 250 and 130 pixels.
+# Measured in docs/speed.md: at a tenth, 10,000 and 2,500 triangles begin where a person is 250 and 130 pixels tall.
 DENSITY = 0.1
 MARGIN, WAIT = 1.15, 30
 

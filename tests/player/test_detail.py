@@ -25,9 +25,11 @@ CAMERA = orbit_camera(np.zeros(3), 2.6, 0.0, 0.05, SIZE)
 def clustered(level, cell):
     """The level with one vertex in each cell of a grid, metres."""
     _, first, place = np.unique(np.floor(level.positions / cell), axis=0, return_index=True, return_inverse=True)
-    faces = first[place.reshape(-1)][level.faces]
+    faces = place.reshape(-1)[level.faces]
     kept = (faces != np.roll(faces, 1, axis=1)).all(1)
-    return replace(level, faces=faces[kept].astype(np.uint32))
+    names = ("positions", "normals", "uv", "joints", "weights", "view_dir", "view_q", "view_seen")
+    vertices = {name: getattr(level, name)[first] for name in names}
+    return replace(level, faces=faces[kept].astype(np.uint32), **vertices)
 
 
 @pytest.fixture(scope="module")
