@@ -26,7 +26,7 @@ from player.window.window import Window
 from selfscan.__main__ import main
 
 # milliseconds that each view mode is said to take, whatever it takes
-SAID = {"network": 20.0, "linear": 12.0, "vertex": 8.0, "off": 4.0}
+SAID = {"network": 20.0, "linear": 13.0, "vertex": 8.0, "off": 4.0}
 
 
 @pytest.fixture
@@ -224,6 +224,5 @@ def test_the_table_names_what_was_measured(context, said):
     assert isinstance(chosen, PricedRung)
     (path,) = (cache_folder() / "budget").glob("*.json")
     rows = json.loads(path.read_text())["rungs"]
-    assert [row["name"] for row in rows] == [
-        "network per pixel, 27k", "linear, 27k", "per vertex, 27k", "paper mode, 27k",
-    ]  # fmt: skip
+    # the linear map surely loses to the network per vertex, which is quicker and closer to the network per pixel
+    assert [row["name"] for row in rows] == ["network per pixel, 27k", "per vertex, 27k", "paper mode, 27k"]
