@@ -7,6 +7,7 @@ held-out sets, so that all lights of a person are compared on the same pixels.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from jaxtyping import Bool, Float
 from avatar.light import CaptureLight, lamps_of
 from bake.truth import some_poses
 from bench.drawer import Drawer
-from bench.field_view import one_thread
+from bench.field_view import FieldAnswers, one_thread
 from bench.machine import machine
 from bench.picture_scores import SAMPLES, VIEW_REGION, region_of
 from capture.folder import read_capture
@@ -29,7 +30,7 @@ from synth.cutout import cut_out
 from synth.light import Light, light_of
 from synth.photo import Studio
 from synth.room import Room
-from train.run import read_run
+from train.run import Run, read_run
 
 Array = np.ndarray
 FORMAT = "selfscan-light-scores"
@@ -97,7 +98,7 @@ def measured(run: Path, person: str, even: Path, light: str, seed: int, poses: i
         with one_thread():
             for name in SETS:
                 views = some_poses(read_held_out(even, name), poses)
-                compared = [compare(drawer, studio, view, true_light, camera_axis) for view in views]
+                compared = [compare(drawer, source, studio, view, true_light, camera_axis) for view in views]
                 result[name] = scores(compared)
         measured_on = machine(drawer.context.renderer, drawer.context.kind)
     finally:
@@ -112,25 +113,25 @@ def _body_axis(capture: Path) -> Float[Array, "3"]:
 
 
 def compare(
-    drawer: Drawer, studio: Studio, view: HeldOutView, light: Light | Room, camera_axis: Float[Array, "3"]
+    drawer: Drawer, run: Run, studio: Studio, view: HeldOutView, light: Light | Room, camera_axis: Float[Array, "3"]
 ) -> Compared:
-    """One picture drawn by us and by the truth in each light."""
-    field_view = drawer.field
-    assert field_view is not None
+    """One picture drawn by us and by the truth in each light; the drawer draws the run."""
+    shown, answers = drawer.field, FieldAnswers(run.field)
+    assert shown is not None
     vertices = studio.posed(view.axis_angle, view.root)
     mask = region_of(view, VIEW_REGION[view.view]).mask
     true = {
         name: studio.take(vertices, view.camera, one, 0.0).image[mask] / 255
         for name, one in (("captured", light), ("albedo", EVEN), ("key", KEY))
     }
-    own = field_view.light
+    own, before = run.world_light, shown.lit
 
-    def ours(lit: CaptureLight | None) -> Float[Array, "n 3"]:
-        field_view.light = lit
+    def ours(light: CaptureLight | None) -> Float[Array, "n 3"]:
+        shown.lit = None if light is None else partial(answers.lit, light)
         try:
             return drawer.draw(view.axis_angle, view.root, view.camera, SAMPLES, mask).color[mask].astype(np.float64)
         finally:
-            field_view.light = own
+            shown.lit = before
 
     gamma = 1.0 if own is None else own.gamma
     bare = ours(CaptureLight(1.0, gamma=gamma, frame="world"))

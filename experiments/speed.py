@@ -33,9 +33,10 @@ from experiments.speed_page import markdown, plot
 from player.arguments import parse_size
 from player.context import Context, opened
 from player.framing import extent, facing, fitted_camera
-from player.ladder import VIEW_NAMES, views_of
+from player.ladder import views_of
 from player.motions import motion_for
 from player.renderer import Pose, Renderer
+from player.rung import VIEW_NAMES
 
 SIZES = ((640, 640), (1280, 720), (1920, 1080))
 # of the counting clip, drawn in turn

@@ -2,15 +2,22 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 import experiments.light
 from avatar.light import CaptureLight, lamps_of
+from bench.drawer import Drawer
+from capture.held_out import HeldOutView
 from experiments.light import main
-from experiments.light_scores import Compared, common_gain, found_light, scores
+from experiments.light_scores import Compared, common_gain, compare, found_light, scores
 from synth.light import light_of
+from synth.photo import Studio
+from train.fused import FusedField
+from train.run import Run
 
 
 def compared(region: str, *, albedo: float, captured: float, gain: float = 1.0) -> Compared:
@@ -130,3 +137,28 @@ def test_people_of_one_name_are_refused(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main(["a/x.glb", "b/x.glb", "-o", str(tmp_path)])
     assert "people are told apart by their files' names, which are x, x" in capsys.readouterr().err
+
+
+def _as_bright_as_its_light(lit) -> Mock:
+    """A drawer of one pixel, which is as bright as the light that its field is lit by."""
+    drawer = Mock(spec=Drawer, field=SimpleNamespace(lit=lit))
+    # a field is lit by functools.partial(answers.lit, light)
+    shown = lambda: 0.5 if drawer.field.lit is None else drawer.field.lit.args[0].ambient
+    drawer.draw = lambda *_: SimpleNamespace(color=np.full((1, 1, 3), shown()))
+    return drawer
+
+
+@pytest.mark.parametrize("own", [None, CaptureLight(0.7, frame="world")])
+def test_a_field_is_lit_by_each_light_in_turn_and_then_as_it_was(monkeypatch, own):
+    region = SimpleNamespace(mask=np.ones((1, 1), bool))
+    monkeypatch.setattr("experiments.light_scores.region_of", lambda *_: region)
+    monkeypatch.setattr("experiments.light_scores.turned_away", lambda *_: np.zeros((1, 1), bool))
+    drawer = _as_bright_as_its_light("before")
+    studio = Mock(spec=Studio, posed=lambda *_: np.zeros((3, 3)))
+    studio.take = lambda vertices, camera, light, sheen: SimpleNamespace(image=np.full((1, 1, 3), 255 * light.ambient))
+    run = Mock(spec=Run, field=Mock(spec=FusedField), world_light=own)
+    view = Mock(spec=HeldOutView, view="body", axis_angle=None, root=None, camera=None)
+    found = compare(drawer, run, studio, view, light_of("fixed", "body", 0), np.zeros(3))
+    ours = {name: float(pair[1][0, 0]) for name, pair in found.pairs.items()}
+    assert ours == {"captured": 0.5 if own is None else 0.7, "mean_light": 0.5, "albedo": 1.0}
+    assert float(found.relit(1.0)[0, 0]) == pytest.approx(0.35) and drawer.field.lit == "before"
