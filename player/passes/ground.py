@@ -1,7 +1,8 @@
 """What avatars stand on: a floor, and their shadow on it, sharp where they touch it and softer the higher they are.
 
-The avatars are drawn into a mask in the ground's own coordinates as their lamp sees them, cover and height, which is
-kept while they stand still; it is laid over the floor, or over any background (shaders/shadow.frag).
+The avatars are drawn into a mask in the ground's own coordinates as their lamp sees them, cover and height; from it the
+shadow is softened once, in the same coordinates (shaders/shadow.frag). Both are kept while they stand still, and the
+shadow is laid over the floor, or over any background, by one fetch a pixel.
 All of it is drawn before the avatars, without depth: nothing fights with soles, and below the ground nothing shows.
 """
 
@@ -123,18 +124,25 @@ class Ground:
             )
             array = mesh.array(draft, thrown, *(() if loose is None else (loose.buffer,)))
             meshes.append(Thrown(mesh, array, thrown, loose))
-        program = draft.program("shadow_cells.vert", "shadow.frag", samplers=("mask",))
+        soft = draft.texture("soft shadow", side * side, side, make=lambda made: _soft_texture(made, side))
+        soft_target = draft.need(
+            Handle(
+                moderngl.Framebuffer, "soft shadow", 0, (soft,),
+                lambda made: made.context.gl.framebuffer([made[soft]]),
+            )
+        )  # fmt: skip
+        softened = draft.program("shadow_cells.vert", "shadow.frag", samplers=("mask",))
+        softening = Softening(softened, draft.array(softened), soft_target)
+        program = draft.program("shadow_cells.vert", "shadow_laid.frag", samplers=("mask", "soft"))
         array = draft.array(program)
         x, y, z = _lamp_of(draft, self.direction).tolist()
         edge = 2 * float(np.tan(np.radians(self.softness))) * float(np.hypot(np.hypot(x, z), y)) / y
         lamp = Lamp((-x / y, -z / y), edge, self.height, side, draft.patches(), draft.dual)
         holds = draft.keep((Ground, "mask"), MaskState)
         uses = tuple(handle for one in meshes for handle in one.handles)
-        shadow = ShadowPass((*drawn_on, mask, array), self, lamp, draft.layer, mask, program, array, holds)
-        return (
-            MaskPass((*uses, mask, target), lamp, tuple(meshes), target, mask, shadow, holds),
-            shadow,
-        )
+        shadow = ShadowPass((*drawn_on, mask, soft, array), self, lamp, draft.layer, mask, soft, program, array, holds)
+        owned = (*uses, mask, target, soft, *softening)
+        return MaskPass(owned, lamp, tuple(meshes), target, mask, softening, shadow, holds), shadow
 
 
 class Thrown(NamedTuple):
@@ -149,6 +157,14 @@ class Thrown(NamedTuple):
     def handles(self) -> tuple[Handle[Any], ...]:
         more = () if self.loose is None else self.loose.handles
         return (*self.mesh.handles, self.array, self.program, *more)
+
+
+class Softening(NamedTuple):
+    """What makes a shadow of the mask, in the ground's own coordinates."""
+
+    program: Handle[moderngl.Program]
+    array: Handle[moderngl.VertexArray]
+    target: Handle[moderngl.Framebuffer]
 
 
 class Lamp(NamedTuple):
@@ -166,6 +182,10 @@ class Lamp(NamedTuple):
     patches: SurfacePatches
     dual: bool
 
+    @property
+    def cells(self) -> int:
+        return (self.side >> CELL) ** 2
+
 
 class Footprint(NamedTuple):
     """Where a frame's shadow can lie."""
@@ -175,6 +195,14 @@ class Footprint(NamedTuple):
     texel: float
     # of the highest that throws it, above the ground, metres
     tall: float
+
+    def spread(self, lamp: Lamp) -> float:
+        """Texels that the edge of the highest is wide."""
+        return lamp.edge * self.tall / self.texel
+
+    def reach(self, lamp: Lamp) -> int:
+        """Cells that the shadow may lie beside what throws it."""
+        return ceil(max(self.spread(lamp), SEARCHED / self.texel) / (1 << CELL))
 
 
 class MaskState:
@@ -272,13 +300,14 @@ class FloorPass:
 
 @dataclass(frozen=True)
 class ShadowPass:
-    """The mask laid on the ground."""
+    """The softened shadow laid on the ground."""
 
     uses: tuple[Handle[Any], ...]
     ground: Ground
     lamp: Lamp
     layer: Layer
     mask: Handle[moderngl.Texture]
+    soft: Handle[moderngl.Texture]
     program: Handle[moderngl.Program]
     array: Handle[moderngl.VertexArray]
     holds: MaskState
@@ -297,12 +326,8 @@ class ShadowPass:
         here, resources = self.holds.footprint(drawing, self.lamp), drawing.resources
         assert here is not None
         program = resources[self.program]
-        across = self.lamp.side * here.texel
-        spread = self.lamp.edge * here.tall / here.texel
-        uniform(program, "across").value = across
-        uniform(program, "reach").value = ceil(max(spread, SEARCHED / here.texel) / (1 << CELL))
-        uniform(program, "spread").value = spread
-        uniform(program, "search").value = max(float(np.log2(SEARCHED / here.texel)), 0.0)
+        uniform(program, "across").value = self.lamp.side * here.texel
+        uniform(program, "reach").value = here.reach(self.lamp)
         uniform(program, "strength").value = self.ground.strength
 
         def draw(flipped: bool) -> None:
@@ -319,18 +344,20 @@ class ShadowPass:
 
     def _render(self, resources: PlanResources) -> None:
         resources[self.mask].use(0)
-        resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=(self.lamp.side >> CELL) ** 2)
+        resources[self.soft].use(1)
+        resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.lamp.cells)
 
 
 @dataclass(frozen=True)
 class MaskPass:
-    """What the lamp throws on the ground."""
+    """What the lamp throws on the ground, and the shadow that this makes."""
 
     uses: tuple[Handle[Any], ...]
     lamp: Lamp
     meshes: tuple[Thrown, ...]
     target: Handle[moderngl.Framebuffer]
     mask: Handle[moderngl.Texture]
+    softening: Softening
     shadow: ShadowPass
     holds: MaskState
     name: str = "ground: mask"
@@ -355,6 +382,7 @@ class MaskPass:
             resources[one.array].render()
         self._end(gl)
         resources[self.mask].build_mipmaps()
+        self._soften(resources, here)
         drawing.inputs.framebuffer.use()
         self.holds.key = self._wanted(drawing)
 
@@ -366,6 +394,7 @@ class MaskPass:
                 one.loose.warm(warming.resources)
             warming.resources[one.array].render(vertices=3)
         self._end(warming.resources.context.gl)
+        self._softened(warming.resources)
         # nothing that a frame would keep
         self.holds.key = None
 
@@ -380,6 +409,25 @@ class MaskPass:
 
     def _end(self, gl: moderngl.Context) -> None:
         gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
+
+    def _soften(self, resources: PlanResources, here: Footprint) -> None:
+        program, across = resources[self.softening.program], self.lamp.side * here.texel
+        # the plane's metres to the whole of the target
+        columns = np.array([[2 / across, 0, 0, 0], [0, 2 / across, 0, 0], [-1, -1, 0, 1]], np.float32)
+        uniform(program, "clip_from_plane").write(columns.tobytes())
+        uniform(program, "across").value = across
+        uniform(program, "reach").value = here.reach(self.lamp)
+        uniform(program, "spread").value = here.spread(self.lamp)
+        uniform(program, "search").value = max(float(np.log2(SEARCHED / here.texel)), 0.0)
+        self._softened(resources)
+
+    def _softened(self, resources: PlanResources) -> None:
+        target = resources[self.softening.target]
+        target.use()
+        target.clear()
+        resources.context.gl.enable_only(0)
+        resources[self.mask].use(0)
+        resources[self.softening.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.lamp.cells)
 
     def _rows(self, drawing: Drawing, here: Footprint) -> Float[np.ndarray, "3 4"]:
         """Rows across and along the mask, [-1, 1], and of height, [0, 1], of points in view space."""
@@ -406,6 +454,12 @@ def _mask_texture(made: PlanResources, side: int) -> moderngl.Texture:
     texture = made.context.gl.texture((side, side), 2, dtype="f2")
     texture.build_mipmaps()
     texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    texture.repeat_x = texture.repeat_y = False
+    return texture
+
+
+def _soft_texture(made: PlanResources, side: int) -> moderngl.Texture:
+    texture = made.context.gl.texture((side, side), 1, dtype="f1")
     texture.repeat_x = texture.repeat_y = False
     return texture
 

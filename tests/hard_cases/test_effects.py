@@ -12,8 +12,9 @@ from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import BIG_POSE
 from avatar.skinning import SkinWeights, skin_points_dual_quaternion
 from player.context import open_context
-from player.loose_motion import REACH, LooseMotion
+from player.loose_motion import LooseMotion
 from player.loose_parts import loose_parts
+from player.loose_sheets import REACH
 from player.mannequin import mannequin
 from player.passes.background import Background
 from player.passes.secondary_motion import SecondaryMotion

@@ -138,7 +138,7 @@ def test_the_mask_is_kept_while_nothing_moves_whatever_the_camera_does(context, 
         return context.counts.calls["draw"] - before
 
     cases = [(standing, CAMERA), (standing, CAMERA), (standing, nearer), (moved, nearer), (moved, nearer)]
-    assert [draws(*case) for case in cases] == [3, 2, 2, 3, 2]
+    assert [draws(*case) for case in cases] == [4, 2, 2, 4, 2]
     states = {one.item.name: one.decision for one in renderer.drawn}
     assert states["ground: mask"] == STILL
     kept = renderer.draw([standing], CAMERA)
@@ -151,7 +151,7 @@ def test_it_owns_what_it_says_and_off_frees_all(context, render, avatar, standin
     before, objects = renderer.draw([standing], CAMERA), context.counts.objects()
     renderer.change(effects=with_ground())
     added = Counter(context.counts.objects()) - Counter(objects)
-    assert added == {"program": 3, "vertex_array": 3, "texture": 1, "framebuffer": 1}
+    assert added == {"program": 4, "vertex_array": 4, "texture": 2, "framebuffer": 2}
     assert context.counts.objects() == renderer.plan.objects()
     assert context.counts.live_bytes == renderer.plan.bytes
     made = context.counts.calls["create"]
