@@ -57,10 +57,12 @@ REFINED = (
     "field, boxes of 64, quarter resolution",
     "field, boxes of 64, half resolution",
     "field, boxes of 64",
-    "field, boxes of 64, 2 samples a pixel",
-    "field, boxes of 64, 3 samples a pixel",
-    "field, boxes of 64, 4 samples a pixel",
 )
+
+
+def refined_names(samples: int) -> tuple[str, ...]:
+    """The stages of a picture through boxes that is refined up to so many samples a pixel."""
+    return (*REFINED, *(f"{REFINED[-1]}, {n} samples a pixel" for n in range(2, samples + 1)))
 
 
 class PosedFrame(Protocol):
@@ -91,10 +93,15 @@ class AskedField(NamedTuple):
 
 
 def field_rungs(
-    context: Context, run: Path, frames: Sequence[PosedFrame], rungs: Sequence[FieldRung] = FIELD_RUNGS
+    context: Context,
+    run: Path,
+    frames: Sequence[PosedFrame],
+    rungs: Sequence[FieldRung] = FIELD_RUNGS,
+    *,
+    samples: int = 1,
 ) -> list[DrawnRung]:
-    """The field as it refines through boxes (REFINED), then drawn in each way; the last is what the others are compared
-    with. At least FIELD_ROUNDS frames are timed, of a volume each of the frames once."""
+    """The field as it refines through boxes up to so many samples a pixel, then drawn in each way; the last is what the
+    others are compared with. At least FIELD_ROUNDS frames are timed, of a volume each of the frames once."""
     asked = with_onnx(run) if (run / "fields.onnx").is_file() else with_torch(run)
     raster, drawn_rungs = Rasteriser(context), []
     try:
@@ -111,23 +118,25 @@ def field_rungs(
             drawn_rungs.append(DrawnRung(rung.name, np.array(ms), asked.bytes, drawn))
     finally:
         raster.release()
-    return refined_rungs(asked, frames) + drawn_rungs
+    return refined_rungs(asked, frames, samples) + drawn_rungs
 
 
-def refined_rungs(asked: AskedField, frames: Sequence[PosedFrame]) -> list[DrawnRung]:
+def refined_rungs(asked: AskedField, frames: Sequence[PosedFrame], samples: int) -> list[DrawnRung]:
     """The field by volume rendering through boxes as it refines: each stage's time holds those before it."""
-    ms, pictures = [[] for _ in REFINED], [[] for _ in REFINED]
-    report = Progress("field through boxes", len(REFINED) * len(frames))
+    names = refined_names(samples)
+    ms, pictures = [[] for _ in names], [[] for _ in names]
+    report = Progress("field through boxes", len(names) * len(frames))
     for number, frame in enumerate(frames):
         start = time.perf_counter()
         volume = PosedVolume(asked.field, *frame.pose)
-        for stage, picture in enumerate(progressive(volume, frame.camera, beta=asked.beta, sections=SECTIONS)):
+        refining = progressive(volume, frame.camera, beta=asked.beta, sections=SECTIONS, samples=samples)
+        for stage, picture in enumerate(refining):
             ms[stage].append(1e3 * (time.perf_counter() - start))
             pictures[stage].append(picture)
-            report.update(number * len(REFINED) + stage + 1)
+            report.update(number * len(names) + stage + 1)
     return [
         DrawnRung(name, np.array(times), asked.bytes, drawn)
-        for name, times, drawn in zip(REFINED, ms, pictures, strict=True)
+        for name, times, drawn in zip(names, ms, pictures, strict=True)
     ]
 
 

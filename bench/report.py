@@ -47,6 +47,7 @@ def bench(
     rounds: int = 20,
     count: int = FRAMES,
     size: tuple[int, int] | None = None,
+    samples: int = 1,
 ) -> dict[str, Any]:
     """Measure the ladder, write bench.html, bench.json, bench.md, pareto.png and rungs.png into folder `out`."""
     avatar = read_avatar(avatar_path)
@@ -64,7 +65,7 @@ def bench(
         if run is not None:
             from bench.field_rungs import field_rungs  # it brings ONNX Runtime, or torch
 
-            for name, ms, bytes_, drawn in field_rungs(context, run, frames):
+            for name, ms, bytes_, drawn in field_rungs(context, run, frames, samples=samples):
                 faster = float(np.median(timings[0].ms) / np.median(ms))
                 rows.insert(0, row_of(name, ms, bytes_) | {"times_faster": round(faster, 5)})
                 # it took no turns with the others
@@ -167,6 +168,12 @@ class BenchCommand:
     ] = None
     rounds: Annotated[int, AtLeast(1), AtMost(100_000), "timed frames for each rung"] = 20
     frames: Annotated[int, AtLeast(1), AtMost(10_000), "pictures compared"] = FRAMES
+    samples: Annotated[
+        int,
+        AtLeast(1),
+        AtMost(4),
+        "with --run: up to how many samples a pixel the field is refined, half a minute each",
+    ] = 1
     size: Annotated[
         tuple[int, int] | None, AtLeast(1), Option(metavar="WxH", parse=parse_size), "pixels (default: 640x640)"
     ] = None
@@ -210,6 +217,7 @@ def bench_main(argv: list[str]) -> int:
         rounds=command.rounds,
         count=command.frames,
         size=command.size,
+        samples=command.samples,
     )
     for row in result["rungs"]:
         flip = "the best" if row["name"] == result["best_rung"] else f"FLIP {row['flip']:.4f}"

@@ -203,7 +203,7 @@ from bench.field_rungs import field_rungs
 from player.context import open_context
 pose = np.zeros((52, 3)), np.zeros(3)
 frame = SimpleNamespace(pose=pose, camera=orbit_camera((0, 0, 0), 1.2, 0.3, 0.2, (24, 24)))
-rungs = field_rungs(open_context(), Path({str(tmp_path)!r}), [frame])
+rungs = field_rungs(open_context(), Path({str(tmp_path)!r}), [frame], samples=4)
 assert "torch" not in sys.modules
 np.savez({str(tmp_path / "rungs.npz")!r}, **{{rung.name: rung.pictures[0] for rung in rungs}})
 assert all(rung.ms.min() > 0 and rung.bytes > 1000 for rung in rungs)
@@ -213,6 +213,7 @@ assert all(rung.ms.min() > 0 and rung.bytes > 1000 for rung in rungs)
         drawn = dict(file)
     assert len(drawn) == 16
     names = list(drawn)
+    assert names[2:4] == ["field, boxes of 64", "field, boxes of 64, 2 samples a pixel"]
     best = drawn[names[-1]]
     assert (best.max(-1) > 0).sum() > 100
     errors = {name: np.square(picture - best).mean() for name, picture in drawn.items()}
