@@ -25,7 +25,7 @@ HAIR_INSIDE = 0.025
 # metres between samples of the template at cloth
 SPACING = 0.004
 # metres: where what is seen is nearer than what cloth hides by less than this, less than cloth is thick, both count
-BLEND = 0.01
+BLEND = 0.008
 
 
 def template_behind_cloth(distance: PointFunction, subject: CaptureSubject) -> PointFunction:
@@ -61,10 +61,11 @@ def template_behind_cloth(distance: PointFunction, subject: CaptureSubject) -> P
 
 
 def agreed_distance(
-    cloud: SurfaceCloud, points: Float[np.ndarray, "n 3"], neighbours: int = 12
+    cloud: SurfaceCloud, points: Float[np.ndarray, "n 3"], neighbours: int = 48
 ) -> Float[np.ndarray, "n"]:
     """Signed distance to the samples of a surface with edges: off the surface, what one of the nearest samples has
-    clearly before it is outside, whatever the plane of the nearest one says beyond the edge of its sheet."""
+    clearly before it is outside, whatever the plane of the nearest one says beyond the edge of its sheet. Neighbours
+    are so many that they reach round the edge of a sheet: from 5 cm off a hem, 12 are all of its outside."""
     value, _ = cloud.distance(points)
     doubtful = np.flatnonzero((value < 0) & (np.abs(value) > 1.5 * cloud.spacing))
     away, row = cloud.tree.query(points[doubtful], k=neighbours)

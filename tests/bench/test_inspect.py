@@ -66,11 +66,8 @@ def test_holes_fins_and_loose_pieces_are_counted():
     finned = dataclasses.replace(level, faces=np.concatenate([level.faces, fin]))
     assert mesh_facts.closedness(mesh_facts.weld(finned)).crowded_edges >= 1
     far = dataclasses.replace(level, positions=level.positions + np.float32(1), faces=level.faces + np.uint32(24))
-    doubled = {
-        name: np.concatenate([value, getattr(far, name)])
-        for name, value in vars(level).items()
-        if name not in ("base_color", "features", "light", "twist", "loose")
-    }
+    of_vertices = [name for name, value in vars(level).items() if np.shape(value)[:1] == level.positions.shape[:1]]
+    doubled = {name: np.concatenate([getattr(level, name), getattr(far, name)]) for name in [*of_vertices, "faces"]}
     both = dataclasses.replace(level, **doubled)
     assert mesh_facts.closedness(mesh_facts.weld(both)) == (0, 0, 2)
 
