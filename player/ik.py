@@ -54,16 +54,18 @@ LIMBS = {
 
 
 def reach_for(
-    axis_angle: Float[Array, "52 3"],
-    root: Float[Array, "3"],
+    axis_angle: Float[Array, "*poses 52 3"],
+    root: Float[Array, "*poses 3"],
     joints: Float[Array, "52 3"],
     limb: str,
-    target: Float[Array, "3"],
+    target: Float[Array, "*poses 3"],
     *,
-    pole: Float[Array, "3"] | None = None,
+    pole: Float[Array, "*poses 3"] | None = None,
     end: Literal["world", "follow"] = "world",
-) -> Float[Array, "52 3"]:
+) -> Float[Array, "*poses 52 3"]:
     """The pose whose wrist or ankle joint is at `target` (world, metres), or as near as the limb reaches.
+
+    Many poses at once cost little more than one: a NumPy call takes longer than its arithmetic.
 
     pole: world direction, seen from the first joint, that the elbow or knee points to; None: where it points now,
     carried along with the limb. end: "world" keeps the hand or foot turned as it is in the world, "follow" lets it
@@ -82,50 +84,48 @@ def reach_for(
         raise ValueError(f"target {target} and pole {pole} should be finite")
     first, middle, last, straight_pole = LIMBS[limb]
     world = joint_transforms(axis_angle, joints, root)
-    rotations, places = world[:, :3, :3], world[:, :3, 3]
-    start = places[first]
-    upper, lower = places[middle] - start, places[last] - places[middle]
-    a, b = float(np.linalg.norm(upper)), float(np.linalg.norm(lower))
-    if min(a, b) < TINY:
+    rotations, places = world[..., :3, :3], world[..., :3, 3]
+    start = places[..., first, :]
+    upper, lower = places[..., middle, :] - start, places[..., last, :] - places[..., middle, :]
+    a, b = _length(upper), _length(lower)
+    if min(a.min(initial=np.inf), b.min(initial=np.inf)) < TINY:
         raise ValueError(f"{limb} has a bone of no length")
 
-    line = _direction(places[last] - start, upper)
-    present = _across(upper, line, rotations[first] @ np.array(straight_pole))
-    bend = _bend(upper, lower)
-    hinge = _hinge_side(present, rotations[first] @ np.array(straight_pole), line, bend)
+    straight = rotations[..., first, :, :] @ np.array(straight_pole)
+    line = _direction(places[..., last, :] - start, upper)
+    present = _across(upper, line, straight)
+    bend = np.arctan2(_length(np.cross(upper, lower)), _dot(upper, lower))
+    hinge = _hinge_side(present, straight, line, bend)
     span = target - start
-    d = float(np.linalg.norm(span))
-    aim = span / d if d > TINY else line
-    d = float(np.clip(d, abs(a - b), a + b))
-    if d > TINY:
-        cosine = float(np.clip((a * a + d * d - b * b) / (2 * a * d), -1, 1))
-    else:
-        # equal bones folded together: any plane through the pole will do
-        cosine = 0.0
+    aim = _direction(span, line)
+    d = np.clip(_length(span), np.abs(a - b), a + b)
+    folded = d <= TINY
+    # equal bones folded together: any plane through the pole will do
+    cosine = np.where(folded, 0.0, np.clip((a * a + d * d - b * b) / (2 * a * np.where(folded, 1.0, d)), -1, 1))
     sine = np.sqrt(1 - cosine * cosine)
 
     carried = rotation_between(line, aim)
-    new_hinge = carried @ hinge
+    new_hinge = _turned(carried, hinge)
     if pole is None:
         new_bend = np.arccos(np.clip((d * d - a * a - b * b) / (2 * a * b), -1, 1))
-        towards = _smoothstep(float(new_bend - bend) / float(BENT - STRAIGHT))
-        turn = towards * np.arctan2(np.cross(present, hinge) @ line, present @ hinge)
-        pole = carried @ (np.cos(turn) * present + np.sin(turn) * np.cross(line, present))
-        pole = _across(pole, aim, new_hinge)
+        towards = _smoothstep((new_bend - bend) / (BENT - STRAIGHT))
+        turn = towards * np.arctan2(_dot(np.cross(present, hinge), line), _dot(present, hinge))
+        pole = np.cos(turn) * present + np.sin(turn) * np.cross(line, present)
+        pole = _across(_turned(carried, pole), aim, new_hinge)
     else:
-        pole = new_hinge = _across(pole, aim, new_hinge)
+        pole = new_hinge = _across(np.broadcast_to(pole, aim.shape), aim, new_hinge)
     new_upper = a * (cosine * aim + sine * pole)
     new_lower = d * aim - new_upper
     old_normal, new_normal = np.cross(line, hinge), np.cross(aim, new_hinge)
-    turn_upper = _frame(new_upper, new_normal) @ _frame(upper, old_normal).T
-    turn_lower = _frame(new_lower, new_normal) @ _frame(lower, old_normal).T
+    upper_world = _frame(new_upper, new_normal) @ _transpose(_frame(upper, old_normal)) @ rotations[..., first, :, :]
+    lower_world = _frame(new_lower, new_normal) @ _transpose(_frame(lower, old_normal)) @ rotations[..., middle, :, :]
 
+    parents = [rotations[..., PARENTS[first], :, :], upper_world, lower_world]
+    children = [upper_world, lower_world, rotations[..., last, :, :]]
+    count = 3 if end == "world" else 2
+    turned = _transpose(np.stack(parents[:count], -3)) @ np.stack(children[:count], -3)
     out = np.array(axis_angle, np.float64)
-    upper_world, lower_world = turn_upper @ rotations[first], turn_lower @ rotations[middle]
-    out[first] = axis_angle_from_matrix(rotations[PARENTS[first]].T @ upper_world)
-    out[middle] = axis_angle_from_matrix(upper_world.T @ lower_world)
-    if end == "world":
-        out[last] = axis_angle_from_matrix(lower_world.T @ rotations[last])
+    out[..., [first, middle, last][:count], :] = axis_angle_from_matrix(turned)
     return out
 
 
@@ -137,43 +137,65 @@ def reach_distance(joints: Float[Array, "52 3"], limb: str) -> tuple[float, floa
     return abs(a - b), a + b
 
 
-def _bend(upper: Array, lower: Array) -> float:
-    """The angle at the middle joint, 0 when straight."""
-    return float(np.arctan2(np.linalg.norm(np.cross(upper, lower)), upper @ lower))
+def _hinge_side(
+    present: Float[Array, "*poses 3"], straight: Float[Array, "*poses 3"], line: Float[Array, "*poses 3"],
+    bend: Float[Array, "*poses 1"],
+) -> Float[Array, "*poses 3"]:  # fmt: skip
+    """The side that the middle joint's hinge opens to: the anatomical one of a straight limb, the present of a bent.
 
-
-def _hinge_side(present: Array, straight: Array, line: Array, bend: float | int) -> Float[Array, "3"]:
-    """The side that the middle joint's hinge opens to: the anatomical one of a straight limb, the present of a bent."""
-    share = _smoothstep(float(bend - STRAIGHT) / float(BENT - STRAIGHT))
+    bend: the angle at the middle joint, 0 when straight.
+    """
+    share = _smoothstep((bend - STRAIGHT) / (BENT - STRAIGHT))
     anatomical = _across(straight, line, present)
     return _across(share * present + (1 - share) * anatomical, line, anatomical)
 
 
-def _smoothstep(t: float | int) -> float:
-    t = min(max(float(t), 0.0), 1.0)
+def _smoothstep(t: Float[Array, "*poses 1"]) -> Float[Array, "*poses 1"]:
+    t = np.clip(t, 0.0, 1.0)
     return t * t * (3 - 2 * t)
 
 
-def _across(v: Array, line: Array, otherwise: Array) -> Float[Array, "3"]:
-    """The unit vector of v's part across the unit vector `line`; of `otherwise` where v lies along it."""
-    for candidate in (v, otherwise, np.eye(3)[np.argmin(np.abs(line))]):
-        part = candidate - line * (candidate @ line)
-        length = float(np.linalg.norm(part))
-        if length > 1e-7 * max(float(np.linalg.norm(candidate)), TINY):
-            part = part / length
-            # once more: what the first left is large beside a short part
-            part = part - line * (part @ line)
-            return part / np.linalg.norm(part)
-    raise AssertionError("an axis lies across every line")
+def _across(
+    v: Float[Array, "*poses 3"], line: Float[Array, "*poses 3"], otherwise: Float[Array, "*poses 3"]
+) -> Float[Array, "*poses 3"]:
+    """The unit vector of v's part across the unit vector `line`; of `otherwise` where v lies along it, of the axis
+    that is farthest from the line where that does, too."""
+    candidates = np.stack([v, otherwise, np.eye(3)[np.abs(line).argmin(-1)]], -2)
+    line = line[..., None, :]
+    part = candidates - line * _dot(candidates, line)
+    length = _length(part)
+    usable = length > 1e-7 * np.maximum(_length(candidates), TINY)
+    chosen = usable.argmax(-2)[..., None, :]
+    part = np.take_along_axis(part, chosen, -2) / np.take_along_axis(length, chosen, -2)
+    # once more: what the first left is large beside a short part
+    part = part - line * _dot(part, line)
+    return (part / _length(part))[..., 0, :]
 
 
-def _direction(v: Array, otherwise: Array) -> Float[Array, "3"]:
-    length = float(np.linalg.norm(v))
-    return v / length if length > TINY else otherwise / np.linalg.norm(otherwise)
+def _direction(v: Float[Array, "*poses 3"], otherwise: Float[Array, "*poses 3"]) -> Float[Array, "*poses 3"]:
+    length = _length(v)
+    usable = length > TINY
+    return np.where(usable, v / np.where(usable, length, 1.0), otherwise / _length(otherwise))
 
 
-def _frame(bone: Array, normal: Array) -> Float[Array, "3 3"]:
+def _frame(bone: Float[Array, "*poses 3"], normal: Float[Array, "*poses 3"]) -> Float[Array, "*poses 3 3"]:
     """Rotation whose first column is the bone's direction, its second the plane's normal made square to it."""
-    x = bone / np.linalg.norm(bone)
+    x = bone / _length(bone)
     y = _across(normal, x, normal)
     return np.stack([x, y, np.cross(x, y)], -1)
+
+
+def _length(v: Float[Array, "*b 3"]) -> Float[Array, "*b 1"]:
+    return np.sqrt(_dot(v, v))
+
+
+def _dot(a: Float[Array, "*#b 3"], b: Float[Array, "*#b 3"]) -> Float[Array, "*b 1"]:
+    return (a * b).sum(-1, keepdims=True)
+
+
+def _turned(rotation: Float[Array, "*b 3 3"], v: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    return (rotation @ v[..., None])[..., 0]
+
+
+def _transpose(rotation: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3 3"]:
+    return np.swapaxes(rotation, -1, -2)

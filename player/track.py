@@ -43,7 +43,7 @@ class Track:
     joints: Float[np.ndarray, "52 3"] | None = None
     # whether they are
     foot_lock: FootLock | None = None
-    _held: tuple[FootLock, Callable[[int, Pose], Pose]] | None = field(default=None, repr=False)
+    _held: tuple[FootLock, Callable[[int, int, Clip], Pose]] | None = field(default=None, repr=False)
     _blocks: list[tuple[int, Clip]] = field(default_factory=list, repr=False)
 
     @property
@@ -95,11 +95,10 @@ class Track:
             # the one before stays, for stepping back
             self._blocks = [*self._blocks[-1:], (first, block)]
         i = frame - first
-        pose = block.axis_angle[i], block.root[i]
         held = self._held_feet()
-        return pose if held is None else held(frame, pose)
+        return (block.axis_angle[i], block.root[i]) if held is None else held(frame, first, block)
 
-    def _held_feet(self) -> Callable[[int, Pose], Pose] | None:
+    def _held_feet(self) -> Callable[[int, int, Clip], Pose] | None:
         """What holds the feet, where that is asked for and there is something to hold."""
         if self.foot_lock is None or self.joints is None or self.frames < 2:
             return None

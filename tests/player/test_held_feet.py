@@ -10,7 +10,8 @@ from avatar.motion.clip import Clip
 from avatar.skeleton import joint_transforms
 from player.filming.shot import Shot
 from player.filming.stage import Stage
-from player.held_feet import MOST_BENT, TOES, HeldFeet, Steps, found_steps, leg_bones, offset
+from player.held_feet import MOST_BENT, TOES, TOGETHER, HeldFeet, Steps, found_steps, leg_bones, offset
+from player.ik import reach_for
 from player.motions import motion_for
 from player.passes.foot_lock import FootLock
 from player.scenes.effects import PLAIN
@@ -36,6 +37,10 @@ def held_on(clip: Clip, joints, lock: FootLock = LOCK) -> HeldFeet:
     return HeldFeet(stretch, len(clip.root), clip.rate, joints, lock)
 
 
+def held_poses(feet: HeldFeet, clip: Clip):
+    return [feet.pose(frame, 0, clip) for frame in range(len(clip.root))]
+
+
 def poses_of(clip: Clip):
     return list(zip(clip.axis_angle.astype(float), clip.root.astype(float), strict=True))
 
@@ -48,7 +53,7 @@ def places(poses, joints):
 def test_toes_slide_no_further_than_2_mm_while_they_are_held_and_knees_bend_within_limits(avatar, sliding):
     joints = avatar.joint_positions.astype(float)
     feet, raw = held_on(sliding, joints), poses_of(sliding)
-    held = [feet.pose(frame, pose) for frame, pose in enumerate(raw)]
+    held = held_poses(feet, sliding)
     before, after = places(raw, joints)[..., :3, 3], places(held, joints)
     slid = {"before": [], "after": []}
     for steps, toe in zip(feet.steps, TOES, strict=True):
@@ -76,7 +81,7 @@ def test_nothing_jumps_when_a_foot_is_taken_and_let_go(avatar, sliding):
     """Steps between frames grow by little: the release takes time, also of the pelvis."""
     joints = avatar.joint_positions.astype(float)
     feet, raw = held_on(sliding, joints), poses_of(sliding)
-    held = [feet.pose(frame, pose) for frame, pose in enumerate(raw)]
+    held = held_poses(feet, sliding)
     before, after = (np.diff(places(some, joints)[..., :3, 3], 2, axis=0) for some in (raw, held))
     # acceleration, metres a frame and frame, of pelvis, knees, ankles and toes
     for joint in (0, 4, 5, 7, 8, 10, 11):
@@ -90,8 +95,8 @@ def test_a_rig_of_a_hundredth_is_held_as_the_whole_one(avatar, sliding):
     whole, tiny = held_on(sliding, joints), held_on(small, 0.01 * joints)
     assert [len(steps.start) for steps in whole.steps] == [len(steps.start) for steps in tiny.steps]
     for frame in range(0, len(sliding.root), 7):
-        a = whole.pose(frame, poses_of(sliding)[frame])
-        b = tiny.pose(frame, poses_of(small)[frame])
+        a = whole.pose(frame, 0, sliding)
+        b = tiny.pose(frame, 0, small)
         # the toe's own path is the same, a hundredth as long; the pelvis's drop too
         np.testing.assert_allclose(b[1], 0.01 * a[1], atol=1e-9)
         np.testing.assert_allclose(
@@ -107,7 +112,7 @@ def test_the_pelvis_gives_way_where_a_leg_is_too_short(avatar):
     root[:, 0] = np.linspace(0, 0.28, 60)
     clip = Clip(np.zeros((60, 52, 3)), root, 30.0)
     feet = held_on(clip, joints)
-    held = [feet.pose(frame, pose) for frame, pose in enumerate(poses_of(clip))]
+    held = held_poses(feet, clip)
     dropped = root[:, 1] - np.stack([r for _, r in held])[:, 1]
     assert 0.002 < dropped.max() < 0.15 and dropped.min() >= 0
     toes = places(held, joints)[:, TOES[0], :3, 3]
@@ -130,8 +135,8 @@ def test_where_no_foot_is_held_it_is_the_very_pose(avatar, sliding):
     joints = avatar.joint_positions.astype(float)
     up = replace(sliding, root=sliding.root + np.linspace(0, 30, len(sliding.root))[:, None] * [0, 1, 0])
     feet = held_on(up, joints, replace(LOCK, release=0.05))
-    late = poses_of(up)[-1]
-    assert feet.pose(len(up.root) - 1, late) is late
+    (axis_angle, root), last = feet.pose(len(up.root) - 1, 0, up), len(up.root) - 1
+    assert np.shares_memory(axis_angle, up.axis_angle[last]) and np.shares_memory(root, up.root[last])
     steps = Steps(*np.zeros((2, 0)), *np.zeros((3, 0, 3)))
     assert not offset(steps, 5, np.ones(3), 3.0).any()
 
@@ -163,7 +168,19 @@ def test_a_motion_of_one_frame_and_one_that_never_stands_are_left_alone(avatar):
     assert np.array_equal(track.pose(0.0)[1], clip.root[0])
     flying = Clip(np.zeros((50, 52, 3)), np.cumsum(np.full((50, 3), 0.2), 0), 30.0)
     feet = held_on(flying, joints)
-    assert all(feet.pose(k, pose) is pose for k, pose in enumerate(poses_of(flying)))
+    assert not feet.held(0, flying.axis_angle, flying.root).changed.any()
+
+
+def test_neighbours_are_solved_at_once_as_each_alone(avatar, sliding, monkeypatch):
+    feet, calls = held_on(sliding, avatar.joint_positions.astype(float)), []
+    frames = len(sliding.root)
+    alone = [feet.held(k, sliding.axis_angle[k : k + 1], sliding.root[k : k + 1]) for k in range(frames)]
+    monkeypatch.setattr("player.held_feet.reach_for", lambda *given: calls.append(1) or reach_for(*given))
+    together = held_poses(feet, sliding)
+    assert len(calls) <= 2 * -(-frames // TOGETHER)
+    for one, (axis_angle, root) in zip(alone, together, strict=True):
+        np.testing.assert_allclose(axis_angle, one.axis_angle[0], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(root, one.root[0], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("settings", [{"speed": 0.0}, {"height": -1.0}, {"release": 0.0}, {"farthest": -0.1}])
