@@ -99,17 +99,3 @@ def _quads(columns, closed):
             a, b = row * columns + column, row * columns + (column + 1) % columns
             out += [[a, b, a + columns], [b, b + columns, a + columns]]
     return np.array(out)
-
-
-def dance(seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """A pose of a wild dance: turns of the whole body, steps, swinging arms and a nodding head; smooth in time."""
-    pose, w = np.zeros((52, 3)), 2 * np.pi * seconds
-    pose[0, 1] = 1.6 * np.sin(0.5 * w)
-    pose[1, 0], pose[2, 0] = -0.5 - 0.5 * np.sin(0.9 * w), -0.5 + 0.5 * np.sin(0.9 * w)
-    pose[4, 0], pose[5, 0] = 0.5 + 0.5 * np.sin(0.9 * w), 0.5 - 0.5 * np.sin(0.9 * w)
-    pose[6] = [0.2 * np.sin(0.7 * w), 0.3 * np.sin(0.6 * w), 0.15 * np.sin(0.8 * w)]
-    pose[15] = [0.3 * np.sin(1.1 * w), 0.7 * np.sin(0.8 * w), 0.2 * np.sin(0.5 * w)]
-    pose[16], pose[17] = [0, 0.6 * np.sin(0.9 * w), -1.0 + 0.4 * np.sin(w)], [0, 0.6 * np.sin(0.9 * w), 1.0]
-    pose[18, 1], pose[19, 1] = -0.8 + 0.6 * np.sin(1.2 * w), 0.8 + 0.6 * np.sin(w)
-    root = np.array([0.4 * np.sin(0.4 * w), 0.9 + 0.08 * np.sin(1.8 * w), 0.3 * np.sin(0.3 * w)])
-    return pose, root

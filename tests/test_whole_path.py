@@ -96,6 +96,11 @@ def test_baking_kept_what_the_field_shows(out):
     assert scores["novel_pose"]["total"]["psnr_db"] > 19.5
 
 
+def test_the_run_says_how_flat_irises_were_found(out):
+    facts = json.loads((out / "run" / "run.json").read_text())["iris"]
+    assert 0 <= facts["depth_mm"] < 4 and facts["residual_best"] <= facts["residual_round"]
+
+
 def test_a_film_has_every_frame_and_moves(out):
     av = pytest.importorskip("av")
     film = out / "film.mp4"

@@ -23,12 +23,11 @@ from capture.views import ViewStatistics, ViewSums, fused_statistics, part_views
 from geometry.icp import Anchors, refine_by_surfaces
 from geometry.mesh import vertex_normals
 from train.appearance import CodeSteps, match_appearance, overlap_rays
-from train.eye_grid import OpenEyes, open_eyes
+from train.eye_grid import OpenEyes, filmed_eyes
 from train.field import PartField
 from train.fused import FusedField
 from train.head_consistency import place_by_consistency
 from train.head_height import height_by_outline
-from train.iris import fit_iris
 from train.layers import BODY, rigid_weights, without_hair
 from train.light import SeenTensors, VideoLight, light_facts, seen_lights_from_json, seen_tensors
 from train.objective import RayTensors
@@ -118,17 +117,13 @@ def compose(
     seconds["registration"] = time.monotonic() - began
     if preset.open_eyes and rays is not None:
         began = time.monotonic()
-        fitted = fit_iris(subject, capture.videos["head"], head.canonical_from_head)
         closed = fused.field(PARTS.index("head")).template.cpu()
-        fused.eyes = open_eyes(subject, closed, None if fitted is None else fitted.iris)
-        if fitted is not None:
-            facts["iris"] = fitted.facts()
+        filmed = filmed_eyes(subject, closed, capture.videos["head"], head.canonical_from_head)
+        fused.eyes = filmed.eyes
+        if filmed.fit is not None:
+            facts["iris"] = filmed.fit.facts()
         seconds["eyes"] = time.monotonic() - began
-        say(
-            "eyes: "
-            + ("none in the template" if fused.eyes is None else "open, as the template has them")
-            + ("" if fitted is None or fitted.iris is None else f", irises {1000 * fitted.depth:.1f} mm deep")
-        )
+        say(f"eyes: {filmed.in_words()}")
     fused.to(device).eval().requires_grad_(False)
 
     if rays is not None and preset.union.iterations:

@@ -21,10 +21,10 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from capture.eyes import EyeSpheres, eye_openings, eye_spheres, hidden_lengths
-from capture.folder import CaptureSubject
+from capture.folder import CaptureSubject, PartVideo
 from geometry.mesh import face_normals
 from geometry.sample import lattice_samples
-from train.iris import FlatIris
+from train.iris import FlatIris, IrisFit, fit_iris
 from train.template_grid import TemplateGrid, interpolated, sampled
 
 Array = np.ndarray
@@ -103,6 +103,28 @@ class OpenEyes(torch.nn.Module):
             first, last = (np.array([getattr(one, end) for one in piece], float) for end in ("start", "stop"))
             found.append(Box(low + self.cell * first, low + self.cell * (last - 1)))
         return found
+
+
+class FilmedEyes(NamedTuple):
+    """Eyes as the head's video has them."""
+
+    eyes: OpenEyes | None  # None: there are none to open
+    fit: IrisFit | None  # of their irises; None: too little of them was filmed
+
+    def in_words(self) -> str:
+        """For the log."""
+        if self.eyes is None:
+            return "none in the template"
+        deep = "" if self.fit is None or self.fit.iris is None else f", irises {1000 * self.fit.depth:.1f} mm deep"
+        return f"open, as the template has them{deep}"
+
+
+def filmed_eyes(
+    subject: CaptureSubject, closed: TemplateGrid, video: PartVideo, canonical_from_head: Float[Array, "4 4"]
+) -> FilmedEyes:
+    """The eyes of a template with irises as flat as the head's video says; `closed` as for `open_eyes`."""
+    fit = fit_iris(subject, video, canonical_from_head)
+    return FilmedEyes(open_eyes(subject, closed, None if fit is None else fit.iris), fit)
 
 
 def open_eyes(subject: CaptureSubject, closed: TemplateGrid, iris: FlatIris | None = None) -> OpenEyes | None:

@@ -15,6 +15,7 @@ from avatar.camera import Camera, orbit_camera
 from avatar.errors import AssetError
 from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
+from bake import video_texture
 from bake.cone import ViewCone
 from bake.field import NumpyField
 from bake.fill import NEAR, Surface, filled_colors
@@ -300,6 +301,23 @@ def test_pieces_of_a_level_are_found_across_chart_edges():
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
     found = pieces_of_faces(np.concatenate([square, square + [0, 0, 1]]), np.arange(12).reshape(4, 3))
     assert found[0] == found[1] != found[2] == found[3]
+
+
+def test_a_solved_texture_is_kept_within_what_pixels_show(painted, videos, monkeypatch):
+    """From a color so far off that the solution swings over: what is kept of it is what the atlas gets."""
+    level = painted.levels[0]
+    far = replace(level, base_color=np.full_like(level.base_color, 250))
+    held: list[float] = []
+
+    def watched(color, given, points, ranges):
+        kept = within_shown(color, given, points, ranges)
+        held.append(float(np.abs(kept - color).max()))
+        return np.zeros_like(kept)
+
+    monkeypatch.setattr(video_texture, "within_shown", watched)
+    solved = solve_texture(baked(far), painted.joint_positions, videos, lambda line: None)
+    assert held[0] > 0.01
+    assert solved.image.max() < 1e-6
 
 
 def test_a_solution_stays_within_what_pixels_show_there():

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from glsl_probe import probe
-from loose_avatar import dance, dressed
+from loose_avatar import dressed
+from loose_paths import dance
 from radiance_writer import radiance_bytes, sky
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from loose_avatar import dance, dressed
+from loose_avatar import dressed
+from loose_paths import dance, gently, moved
 
 from player.loose_capsules import capsule_distances
 from player.loose_motion import CALM, LONGEST, LooseMotion
@@ -20,21 +21,6 @@ STANDING = (np.zeros((52, 3)), np.zeros(3))
 def parts():
     avatar = dressed()
     return loose_parts(avatar, avatar.levels[0])
-
-
-def moved(parts, rate, seconds, pose_at, settings=SETTINGS):
-    """The motion after so many seconds, and the offsets 30 times a second."""
-    motion, offsets = LooseMotion(parts, settings), []
-    for frame in range(round(seconds * rate) + 1):
-        motion.move(pose_at(frame / rate), frame / rate)
-        if frame % round(rate / 30) == 0:
-            offsets.append(motion.offsets)
-    return motion, np.array(offsets)
-
-
-def gently(seconds):
-    axis_angle, root = dance(seconds)
-    return 0.3 * axis_angle, root
 
 
 def turned(pose, angle):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rigs
-from loose_avatar import dance
+from loose_paths import dance, gently, moved
 from spring_vrm import PONYTAIL, SETTINGS, TAIL, spring_vrm
 
 from avatar.gltf.avatar_file import read_avatar
@@ -36,21 +36,6 @@ def parts_of(folder, **file) -> SpringParts:
 def parts(folder):
     sphere = ("head", (0.0, 0.05, 0.0), (0.0, 0.10, 0.0), 0.1)
     return parts_of(folder, tubes=(PONYTAIL, TAIL), colliders=[sphere])
-
-
-def moved(parts, rate, seconds, pose_at):
-    """The motion after so many seconds, and the offsets 30 times a second."""
-    motion, offsets = LooseMotion(parts, ASKED), []
-    for frame in range(round(seconds * rate) + 1):
-        motion.move(pose_at(frame / rate), frame / rate)
-        if frame % round(rate / 30) == 0:
-            offsets.append(motion.offsets)
-    return motion, np.array(offsets)
-
-
-def gently(seconds):
-    axis_angle, root = dance(seconds)
-    return 0.3 * axis_angle, root
 
 
 def one_bone(parts, **values):

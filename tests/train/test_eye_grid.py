@@ -5,18 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from painted_eyes import FORWARD, filmed
 from scipy.spatial import KDTree
 
 from avatar.body import builtin_body
+from avatar.camera import Camera
 from avatar.errors import AssetError
+from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import skin_points
 from capture.eyes import body_sockets, eye_openings, eye_spheres, hidden_lengths
-from capture.folder import CaptureSubject
+from capture.folder import CaptureSubject, PartVideo
 from capture.imports.template import part_of
 from capture.template import neck_height, surface_cloud, visible_faces
 from train import run as run_folder
-from train.eye_grid import FINER, LIDS, OTHER, OpenEyes, open_eyes
+from train.eye_grid import FINER, LIDS, OTHER, OpenEyes, filmed_eyes, open_eyes
 from train.fused import FusedField
 from train.iris import FlatIris
 from train.networks.triplane import TriPlaneNetworks
@@ -83,6 +86,25 @@ def test_an_iris_is_seen_where_it_was_found(subject, closed):
     middle = spheres.centres + spheres.radii[:, None] * forward
     depth = -first_crossing(flat, middle, forward)
     np.testing.assert_allclose(depth, spheres.radii * (1 - np.cos(angle)), atol=3e-4)
+
+
+@pytest.mark.parametrize("angle", [0, 25])
+def test_irises_are_as_flat_as_the_heads_video_has_them(subject, closed, angle):
+    """Filmed in a frame of its own, turned and shifted."""
+    spheres = eye_spheres(subject)
+    assert spheres is not None
+    canonical_from_head = np.eye(4)
+    canonical_from_head[:3, :3] = matrix_from_axis_angle(np.array([0.1, 0.7, -0.2]))
+    canonical_from_head[:3, 3] = 0.3, -0.1, 0.2
+    views = filmed(spheres.centres, spheres.radii, np.radians(angle), size=192, focal=2.6)
+    cameras = tuple(Camera(c.K, c.camera_from_world @ canonical_from_head, c.size) for c, _ in views)
+    images = np.stack([image for _, image in views])
+    video = PartVideo("head", images, np.ones(images.shape[:3], bool), cameras, None, None, None, None)
+    found = filmed_eyes(subject, closed, video, canonical_from_head)
+    assert found.eyes is not None and found.fit is not None
+    depth = -first_crossing(found.eyes, spheres.centres + spheres.radii[:, None] * FORWARD, FORWARD)
+    np.testing.assert_allclose(depth, spheres.radii * (1 - np.cos(np.radians(angle))), atol=3e-4)
+    assert ("irises" in found.in_words()) == (angle > 0)
 
 
 def test_lids_stay_where_the_template_has_them(subject, closed, eyes):
