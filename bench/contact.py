@@ -8,6 +8,7 @@ import argparse
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -83,8 +84,7 @@ def sheet(rows: list[list[np.ndarray]], titles: list[list[str]], heading: str, *
     lines = -(-len(rows) // columns)
     page = Image.new("RGB", (WIDTH, LABEL + lines * (side + LABEL + gap) + gap), GROUND)
     pen = ImageDraw.Draw(page)
-    font, small = ImageFont.load_default(15), ImageFont.load_default(12)
-    pen.text((8, 2), heading, INK, font)
+    pen.text((8, 2), heading, INK, ImageFont.load_default(15))
     for number, (tiles, names) in enumerate(zip(rows, titles)):
         line, group = divmod(number, columns)
         top = LABEL + line * (side + LABEL + gap)
@@ -95,8 +95,14 @@ def sheet(rows: list[list[np.ndarray]], titles: list[list[str]], heading: str, *
             size = (max(1, round(picture.width * scale)), max(1, round(picture.height * scale)))
             picture = picture.resize(size, Image.Resampling.LANCZOS)
             page.paste(picture, (left + (side - size[0]) // 2, top + LABEL + (side - size[1]) // 2))
-            pen.text((left + 2, top + 4), name, INK, small)
+            pen.text((left + 2, top + 4), name, INK, fitting_font(name, side - 2))
     return page
+
+
+def fitting_font(text: str, width: int) -> Any:
+    """The largest font, of 12 to 7 pixels, that sets a title within its tile's width."""
+    fonts = [ImageFont.load_default(size) for size in range(12, 6, -1)]
+    return next((font for font in fonts if font.getlength(text) <= width), fonts[-1])
 
 
 def save_sheet(out: Path, page: Image.Image) -> None:

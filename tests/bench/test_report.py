@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from avatar.gltf.avatar_file import read_avatar
-from bench.contact import LARGEST, WIDTH, contact_sheet, save_sheet, sheet
+from bench.contact import LARGEST, WIDTH, contact_sheet, fitting_font, save_sheet, sheet
 from bench.part_boxes import part_boxes
 from bench.report import bench_main
 from bench.rung_page import label_offsets
@@ -167,3 +167,10 @@ def test_no_rounds_is_wrong_usage(oracle, tmp_path, rounds):
     with pytest.raises(SystemExit) as stop:
         bench_main([str(oracle[1]), "-o", str(tmp_path / "x"), "--rounds", rounds])
     assert stop.value.code == 2
+
+
+def test_a_long_title_is_set_within_its_tile():
+    title = "ground: the shadow alone, at rest, 1.26 x"
+    for width in (190, 240):
+        assert fitting_font(title, width).getlength(title) <= width
+    assert fitting_font("bare", 190).size == 12
