@@ -77,6 +77,7 @@ class _Training:
 
     options: TrainOptions
     preset: Preset
+    # once refined, with the poses, masks and frames that this leaves of it
     capture: Capture
     session: Session
     ranks: Ranks
@@ -136,6 +137,8 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
         say(f"logs, previews and checkpoints: {session.partial}")
         with training.timed("poses and masks"):
             refined = _refine(training)
+        # from here on there is no other: frames that were left out are in nobody's count
+        training = replace(training, capture=with_refined(capture, session.partial))
         training = _with_light(_with_own_template(_with_consistent_head(training)))
         head = _head_of_single(training) if preset.single else training.head
         facts = _train_parts(training, session.partial, head.canonical_from_head)
@@ -162,7 +165,7 @@ def _what_decides(options: TrainOptions, preset: Preset, capture: Capture) -> di
 def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], refined: dict, began: Clocks) -> None:
     """From trained parts to the run folder; under torchrun the work of one rank."""
     preset, device, out, partial = training.preset, training.device, training.session.out, training.session.partial
-    capture = with_learned(with_refined(training.capture, partial), partial)
+    capture = with_learned(training.capture, partial)
     seconds = training.seconds | {name: fact["seconds"] for name, fact in facts.items()}
     names = part_names(preset)
     fields = _read_fields(training, partial, len(names))
@@ -282,7 +285,7 @@ def _head_of_single(training: _Training) -> HeadPlacement:
     _train_parts(parts, folder, training.head.canonical_from_head, order=(1, 0))
     head = None
     if training.ranks.writes:
-        capture = with_learned(with_refined(training.capture, folder), folder)
+        capture = with_learned(training.capture, folder)
         head = place_head(capture, _read_fields(parts, folder, 2), training.head, training.say,
                           outlines=training.preset.hair.consistency)  # fmt: skip
         head = replace(head, facts={**head.facts, "from": "body and head trained for it"})
@@ -297,9 +300,8 @@ def _with_consistent_head(training: _Training) -> _Training:
         return training
     head = None
     if training.ranks.writes:
-        capture = with_refined(training.capture, training.session.partial)
         with training.timed("head by its own video"):
-            head = consistent_placement(capture, training.head.landmarks, training.say)
+            head = consistent_placement(training.capture, training.head.landmarks, training.say)
     head = training.ranks.broadcast(head)
     assert head is not None
     return replace(training, head=head)
@@ -310,10 +312,9 @@ def _with_own_template(training: _Training) -> _Training:
     run folder.
     """
     capture, partial, hair = training.capture, training.session.partial, training.preset.hair
-    refined = with_refined(capture, partial)
     with training.timed("hair carved"):
         subject = with_hair(
-            with_rigid_head(capture.subject), refined, training.head.canonical_from_head,
+            with_rigid_head(capture.subject), capture, training.head.canonical_from_head,
             hollows=hair.hollows, layers=hair.layers,
         )  # fmt: skip
     subject = replace(subject, head_reach=hair.reach)
@@ -322,7 +323,7 @@ def _with_own_template(training: _Training) -> _Training:
         training.say(f"hair stands off the template: {added} vertices carved from the masks join it")
     if training.preset.clothes:
         with training.timed("clothes carved"):
-            dressed = _dressed(subject, refined, training.say)
+            dressed = _dressed(subject, capture, training.say)
         if dressed is not subject:
             added = len(dressed.rest) - len(subject.rest)
             training.say(f"clothes stand off the template: {added} vertices carved from the masks join it")
@@ -350,8 +351,7 @@ def _with_light(training: _Training) -> _Training:
     lights = None
     if training.ranks.writes:
         with training.timed("light"):
-            capture = with_refined(training.capture, training.session.partial)
-            found = fit_capture_light(capture, seed=training.options.seed)
+            found = fit_capture_light(training.capture, seed=training.options.seed)
         training.say(f"{light_line(found)}, {training.seconds['light']:.0f} s")
         lights = found.lights
     return replace(training, lights=training.ranks.broadcast(lights) or {})

@@ -11,11 +11,15 @@ import trimesh
 from painted_capture import write_capture
 
 from avatar.errors import AssetError
+from avatar.light import CaptureLight, Lamp
+from avatar.skeleton import PARTS
 from capture.folder import read_capture
+from capture.light.fit import LightFit
+from capture.repair import refine
 from capture.repair.refine import with_refined
 from capture.template import surface_cloud, visible_faces
 from experiments.variants import seam_steps, variant
-from train import part_job
+from train import part_job, stages
 from train import run as run_folder
 from train.command import main
 from train.fused import FusedField
@@ -270,6 +274,16 @@ def test_a_run_whose_poses_are_refined_says_so_and_keeps_them(capture, tmp_path,
         video = with_refined(capture, run.path).videos[name]
         assert np.abs(video.axis_angle[0] - capture.videos[name].axis_angle[0]).max() > 1e-4
     assert run.field.field(0).poses is None
+
+
+def test_a_frame_that_is_left_out_is_left_out_of_every_stage(capture, tmp_path, monkeypatch):
+    """Of the light as well, which is told by frame."""
+    found = LightFit(dict.fromkeys(PARTS, CaptureLight(0.6, (Lamp((0.0, 0.6, 0.8), 0.5),))), 9.0, 1.0, 5000)
+    monkeypatch.setattr(stages, "fit_capture_light", lambda capture, seed: found)
+    monkeypatch.setattr(refine, "frames_on_the_mask", lambda edge: np.arange(1, len(edge)))
+    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--refine-poses", "on")
+    assert run.provenance["refined"]["hand_left"]["frames_left_out"] == [0]
+    assert set(run.provenance["light_seen"]) == set(PARTS)
 
 
 def test_a_run_is_rebuilt_from_its_own_settings_when_the_preset_was_edited(capture, tmp_path, monkeypatch, capsys):
