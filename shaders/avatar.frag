@@ -7,11 +7,13 @@ in vec3 tangent;
 #endif
 
 #if LIT != 0
-#include "light.glsl"
+#include "lit.glsl"
 
-in vec3 lit_normal;
-in vec3 lit_position;
-in vec2 lit_seen;
+#if LIT == 1
+in float light_here;
+#else
+in vec3 light_here;
+#endif
 #endif
 
 #if CONTACT != 0
@@ -37,10 +39,10 @@ void main() {
     base = clamp(base + view_residual_at(surface_uv, tangent), 0.0, 1.0);
 #endif
 #if LIT != 0
-    base = lit(base, lit_seen, normalize(lit_normal), normalize(-lit_position));
+    base = lit(base, light_here);
 #endif
 #if CONTACT != 0
-    base *= openness;
+    base = min(base, 1.0) * openness;
 #endif
     color = vec4(base, 1.0);
 }

@@ -1,7 +1,8 @@
 #version 330
 // A posed avatar. SKINNING: 0 linear blend, 1 dual quaternions.
 // VIEW_STAGE: 0 paper mode, 1 view dependence per vertex, 2 per pixel.
-// LIT: 0 the light of the videos is in the colours, 1 the surface is lit anew (light.glsl), 2 in a power of them.
+// LIT: 0 the light of the videos is in the colours; the surface is lit anew (light.glsl): 1 without highlights, 2 with
+// them, 3 with them and in a power of the colours.
 // CONTACT: 1 limbs that come near darken the surface (contact.glsl).
 // LOOSE: 1 hair, skirts and sleeves move by themselves (loose.glsl).
 // VIEW_MODEL and VIEW_FEATURES: see view_model.glsl (asked only when VIEW_STAGE is not 0).
@@ -29,9 +30,12 @@ in vec4 follows;
 
 in vec3 normal;      // canonical, unit
 in vec2 seen_light;  // S and H that the base colour shows
-out vec3 lit_normal;    // view
-out vec3 lit_position;  // view, metres
-out vec2 lit_seen;
+#include "light.glsl"
+#if LIT == 1
+out float light_here;
+#else
+out vec3 light_here;
+#endif
 #endif
 
 #if CONTACT != 0
@@ -82,9 +86,7 @@ void main() {
 #if LIT != 0
     // R(q) n: turned_back by the conjugate
     vec4 turn = blended_turn(joints, weights);
-    lit_normal = turned_back(vec4(-turn.xyz, turn.w), normal);
-    lit_position = position_view;
-    lit_seen = seen_light;
+    light_here = light_factors(seen_light, turned_back(vec4(-turn.xyz, turn.w), normal), unit(-position_view));
 #endif
 #if VIEW_STAGE != 0
     vec3 direction_canonical = turned_back(blended_turn(joints, weights), unit(position_view));

@@ -4,31 +4,40 @@
 //     H(n, v) = gloss sum_k share_k max(n . h_k, 0)^exponent,  h_k = |l_k + v|            Blinn (1977)
 //     albedo^gamma = (base^gamma - seen H) / seen S,  shown = (albedo^gamma S + H)^(1 / gamma)
 //
-// View space. LIT 1: gamma is 1. Lamps that are not there have strength and share 0; room for LAMPS of avatar/light.py.
+// View space, at each vertex: triangles of an avatar are a few pixels large, and in software a pixel of each costs more
+// than its corners. lit.glsl has the rest. LIT 1: nothing gleams; 2: gamma is 1; 3: both. Lamps that are not there have
+// strength and share 0; room for LAMPS of avatar/light.py.
 uniform vec4 lamps[4];  // towards the lamp, unit; its strength
-uniform vec4 shares;    // of the highlight
 uniform vec3 ambience;  // ambient, gloss, exponent
-uniform vec3 gains;     // of display values, at last
-#if LIT == 2
+#if LIT == 1
 uniform float gamma;
+#else
+uniform vec4 shares;  // of the highlight
 #endif
 
-vec3 lit(vec3 base, vec2 seen, vec3 n, vec3 v) {
-    float shading = ambience.x, highlight = 0.0;
+float shading(vec3 n) {
+    float sum = ambience.x;
     for (int k = 0; k < 4; k++) {
-        shading += lamps[k].w * max(dot(n, lamps[k].xyz), 0.0);
+        sum += lamps[k].w * max(dot(n, lamps[k].xyz), 0.0);
+    }
+    return sum;
+}
+
+#if LIT == 1
+// shown / base
+float light_factors(vec2 seen, vec3 n, vec3 v) {
+    return pow(max(shading(n) / seen.x, 1e-6), 1.0 / gamma);
+}
+#else
+// S / seen S, seen H, H
+vec3 light_factors(vec2 seen, vec3 n, vec3 v) {
+    float highlight = 0.0;
+    for (int k = 0; k < 4; k++) {
         vec3 h = lamps[k].xyz + v;
         // an eye straight behind the lamp has no half direction; pow(0, y) is undefined in GLSL
         float lobe = max(dot(n, h) * inversesqrt(max(dot(h, h), 1e-12)), 1e-4);
         highlight += shares[k] * pow(lobe, ambience.z);
     }
-    highlight *= ambience.y;
-#if LIT == 2
-    base = pow(max(base, 1e-4), vec3(gamma));
-#endif
-    vec3 shown = max(base - seen.y, 0.0) / seen.x * shading + highlight;
-#if LIT == 2
-    shown = pow(clamp(shown, 1e-6, 1.0), vec3(1.0 / gamma));
-#endif
-    return clamp(shown * gains, 0.0, 1.0);
+    return vec3(shading(n) / seen.x, seen.y, highlight * ambience.y);
 }
+#endif

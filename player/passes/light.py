@@ -3,7 +3,7 @@ panorama.
 
 What an avatar's file tells apart (avatar/light.py): its base color shows albedo in the light it was seen in on
 average. This draws no pass of its own; the passes that draw avatars take that light out and put this one in
-(shaders/light.glsl). Where a file tells no light, its color is taken for albedo.
+(shaders/light.glsl), vertex by vertex. Where a file tells no light, its color is taken for albedo.
 """
 
 from collections.abc import Sequence
@@ -172,11 +172,13 @@ class Lit:
     gains: tuple[float, float, float]
     # what there is to say of it
     remark: str
+    # whether there is a highlight in it, or in the base color that is lit
+    gleams: bool
 
     @property
     def variant(self) -> int:
-        """LIT of shaders/avatar.frag."""
-        return 1 if self.light.gamma == 1 else 2
+        """LIT of shaders/avatar.vert."""
+        return 1 if not self.gleams else 2 if self.light.gamma == 1 else 3
 
     @property
     def note(self) -> str:
@@ -198,10 +200,11 @@ class Lit:
         lamps[:count, :3] = light.directions @ view_from_world.T
         lamps[:count, 3], shares[:count] = light.strengths[:count], light.shares[:count]
         uniform(program, "lamps").write(lamps.tobytes())
-        uniform(program, "shares").value = tuple(shares.tolist())
+        if self.gleams:
+            uniform(program, "shares").value = tuple(shares.tolist())
         uniform(program, "gains").value = self.gains
         uniform(program, "ambience").value = (light.ambient, light.gloss, light.exponent)
-        if self.variant == 2:
+        if self.variant != 2:
             uniform(program, "gamma").value = light.gamma
 
 
@@ -219,7 +222,8 @@ def lit(draft: Draft, avatar: int) -> Lit | None:
     told = (
         "" if draft.avatars[avatar].light is not None else "; its file tells no light, its colors are taken for albedo"
     )
-    return Lit(light, vertices, draft.gains, draft.light_note + told)
+    seen = level.light is not None and bool(np.any(level.light[:, 1]))
+    return Lit(light, vertices, draft.gains, draft.light_note + told, gleams=seen or light.gloss > 0)
 
 
 def light_note(draft: Draft, avatar: int, light: Lit | None) -> str:
