@@ -46,6 +46,9 @@ from geometry.isosurface import Extraction
 from geometry.mesh import TriangleMesh, enclosed_volume
 from train.field_onnx import is_exportable, write_field
 
+# triangles of the levels beside the finest, and by what the side of its atlas is divided
+COARSER = ((10_000, 2), (3_000, 4), (1_000, 8))
+
 
 def bake(
     run_path: Path | str,
@@ -271,6 +274,12 @@ def check_complete(
             )
 
 
+def level_plan(options: BakeOptions) -> list[tuple[int, int]]:
+    """Triangles and texels a side of each level, finest first."""
+    coarser = [(count, max(64, options.texture // share)) for count, share in COARSER if count < options.faces]
+    return [(options.faces, options.texture), *coarser]
+
+
 def bake_levels(
     extraction: Extraction,
     layers: list[Layer],
@@ -282,13 +291,9 @@ def bake_levels(
 ) -> tuple[list[BakedLevel], Distilled]:
     """All levels, finest first: the view network is distilled on the finest and gives each its features."""
     parts = enlargements(joints, options, field.details)
-    plan = [(options.faces, options.texture)]
-    for count, share in ((10_000, 2), (3_000, 4)):
-        if count < options.faces:
-            plan.append((count, max(64, options.texture // share)))
     levels: list[BakedLevel] = []
     distilled: Distilled | None = None
-    for number, (count, size) in enumerate(plan):
+    for number, (count, size) in enumerate(level_plan(options)):
         surface = collapsed(extraction, layers, count, parts, clock.report)
         data = layered_data(origin, surface.mesh, surface.normals, surface.layer)
         baked = bake_level(surface, data, field, size, options)

@@ -7,7 +7,7 @@ from bake.options import BakeCommand
 
 HELP = """Bake a trained run into one avatar file.
 
-The fused field becomes one closed mesh (30k triangles, with 10k and 3k beside it), one texture atlas per
+The fused field becomes one closed mesh (30k triangles, with 10k, 3k and 1k beside it), one texture atlas per
 level, skin weights for the 52 joints, and, where the person's look really depends on the view, a tiny network.
 The file is a plain glTF binary that any viewer opens. What baking lost is measured and written into the file.
 

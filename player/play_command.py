@@ -174,6 +174,7 @@ def scene_of(command: PlayCommand) -> Scene:
         effects=with_effects(scene.effects, command.effects),
         size=command.size or scene.size,
         background=command.background or scene.background,
+        level_by_size=scene.level_by_size or command.level_by_size,
     )
 
 
@@ -221,7 +222,7 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             script=None if command.script is None else command.script.split(),
             screenshot=command.screenshot,
             budget=None if command.budget is None else (command.budget, [entry.path for entry in scene.avatars]),
-            level_by_size=command.level_by_size,
+            level_by_size=scene.level_by_size,
         )
 
 

@@ -35,7 +35,8 @@ from player.rung import Rung
 from player.scenes.effects import Effects
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
-DRAFT_LEVEL = 99  # the coarsest there is
+# 3,000 triangles of a baked avatar: coarser levels are for people far away
+DRAFT_LEVEL = 2
 # of a film that a budget is measured on
 BUDGET_FRAMES = 4
 # of a film in which avatars are measured, to choose their levels of detail
@@ -56,7 +57,7 @@ def render(command: RenderCommand) -> None:
     # while files are read and unpacked, the driver wakes up; both are work outside of Python
     with ThreadPoolExecutor(1) as pool:
         # what a budget buys may be any of them
-        every_level = command.measured or command.level_by_size
+        every_level = command.measured or scene.level_by_size
         reading = pool.submit(Stage, scene, None if every_level else level_of(command) + 1)
         context = None if command.workers else opened(command.context, command.gpu)
         try:
@@ -90,7 +91,7 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
     if command.measured:
         assert context is not None, "workers are refused with a budget"
         rung = buy_rung(command, stage, context, fit, start, stop)
-    detail = detail_by_size(stage, fit, start, stop, rung.level) if command.level_by_size else None
+    detail = detail_by_size(stage, fit, start, stop, rung.level) if stage.scene.level_by_size else None
     shot = Shot(
         stage.scene, start, stop, stage.size(), stage.rate, fit, stage.still, rung, detail,
         command.encoder, "good" if command.share is not None else command.quality, command.context, command.gpu,
@@ -204,7 +205,7 @@ def scene_of(command: RenderCommand) -> Scene:
         scene = replace(scene, size=command.size)
     if command.background is not None:
         scene = replace(scene, background=command.background)
-    return scene
+    return replace(scene, level_by_size=scene.level_by_size or command.level_by_size)
 
 
 def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Effects:

@@ -13,9 +13,9 @@ Array = np.ndarray
 def lowest_point(avatar: Avatar, axis_angle: Float[Array, "52 3"]) -> float:
     """Height of the posed body's lowest vertex above the pelvis joint, metres: negative for a standing body.
 
-    Taken from the avatar's coarsest level, as the height of its pelvis is (player/framing.py).
+    Taken from a coarse level, of 3,000 triangles in a baked avatar: soles of 1,000 lie 3 mm higher.
     """
-    level = avatar.levels[-1]
+    level = avatar.level(2)
     joints = avatar.joint_positions.astype(np.float64)
     transforms = skin_transforms(axis_angle, joints, np.zeros(3), rest=avatar.canonical_pose.astype(np.float64))
     return float(skin_points(level.positions.astype(np.float64), level.skin, transforms)[:, 1].min())

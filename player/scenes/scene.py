@@ -8,7 +8,7 @@ from typing import Annotated
 
 from avatar.motion.hands import HANDS
 from avatar.motion.read import BUILTIN_MOTIONS
-from avatar.settings import AtLeast, AtMost, OneOf, Place, check
+from avatar.settings import AtLeast, AtMost, OneOf, Place, Setting, check, settings_of
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, USUAL, Effects
 
@@ -100,6 +100,17 @@ class Scene:
         AtMost(FILM_RATES[1]),
         "frames per second; none: the first motion's",
     ] = None
+    level_by_size: Annotated[
+        bool,
+        "avatars that are small in the picture are drawn with fewer triangles: in a film each at the coarsest level that "
+        "does for its largest size, in the window for its size now",
+    ] = False
 
     def __post_init__(self):
         check(self)
+
+
+def keys_outside_tables() -> list[Setting]:
+    """Fields of a scene that are keys of its file by themselves, in no table."""
+    tables = ("avatars", "cameras", "background", "effects")
+    return [setting for setting in settings_of(Scene) if setting.name not in tables]

@@ -15,7 +15,7 @@ from avatar.settings import Color, Place, Setting, broken_rule, settings_of
 from player.address import PORTS, parse_address
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, Effects
-from player.scenes.scene import MOST_AVATARS, Scene, SceneAvatar, SceneCamera
+from player.scenes.scene import MOST_AVATARS, Scene, SceneAvatar, SceneCamera, keys_outside_tables
 
 # ("avatar", 1, "motion") is `motion` of the second [[avatar]]
 KeyPath = tuple[str | int, ...]
@@ -27,7 +27,7 @@ LARGEST_FILE = 1 << 20  # bytes; a scene is a page of text
 MOST_DOTS = 1000
 # beyond it nothing that a scene says has a meaning, and squares still are numbers
 LARGEST_NUMBER = 1e18
-SCALARS = {str: "a string", float: "a number", int: "a whole number"}
+SCALARS = {str: "a string", float: "a number", int: "a whole number", bool: "true or false"}
 
 
 def read_scene(path: Path | str) -> Scene:
@@ -114,7 +114,7 @@ class _Reader:
             "background": Background,
             "effects": Effects,
         }
-        own = {setting.name: setting for setting in settings_of(Scene) if setting.name in ("size", "rate")}
+        own = {setting.name: setting for setting in keys_outside_tables()}
         self.known((), content, [*sections, *own])
         fields: dict[str, Any] = {
             name: self.value((name,), setting, content[name]) for name, setting in own.items() if name in content

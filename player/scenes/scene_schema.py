@@ -6,7 +6,6 @@ A test holds the files against this module, so they cannot fall behind what is r
 
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import MISSING
 from pathlib import Path
 from typing import Any, get_args, get_origin
@@ -15,7 +14,7 @@ from avatar.files import whole_file
 from avatar.settings import Above, AtLeast, Color, OneOf, Setting, settings_of
 from player.passes.background import Background
 from player.scenes.effects import STUDIO, Effects
-from player.scenes.scene import Scene, SceneAvatar, SceneCamera
+from player.scenes.scene import SceneAvatar, SceneCamera, keys_outside_tables
 
 DOCS = Path(__file__).parents[2] / "docs"
 TABLES = {"avatar": SceneAvatar, "camera": SceneCamera, "background": Background, "effects": Effects}
@@ -25,13 +24,13 @@ HEADINGS = {
     "background": "[background]",
     "effects": "[effects]",
 }
-JSON_TYPES = {str: "string", float: "number", int: "integer"}
-WORDS = {str: "string", float: "number", int: "whole number"}
+JSON_TYPES = {str: "string", float: "number", int: "integer", bool: "boolean"}
+WORDS = {str: "string", float: "number", int: "whole number", bool: "true, false"}
 
 
 def scene_schema() -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a scene file, as editors read it."""
-    properties = {setting.name: _property(setting) for setting in _own_keys()}
+    properties = {setting.name: _property(setting) for setting in keys_outside_tables()}
     for name, record in TABLES.items():
         one = _table(record)
         several = {"type": "array", "items": one}
@@ -46,10 +45,6 @@ def scene_schema() -> dict[str, Any]:
         "required": ["avatar"],
         "additionalProperties": False,
     }
-
-
-def _own_keys() -> Iterator[Setting]:
-    return (setting for setting in settings_of(Scene) if setting.name in ("size", "rate"))
 
 
 def _table(record: type) -> dict[str, Any]:
@@ -94,7 +89,7 @@ def _color(setting: Setting) -> str:
 def scene_table(name: str) -> str:
     """Keys of one table of the file, or with "" those outside all tables, as Markdown."""
     rows = ["| key | value | default | |", "|---|---|---|---|"]
-    for setting in settings_of(TABLES[name]) if name else _own_keys():
+    for setting in settings_of(TABLES[name]) if name else keys_outside_tables():
         rows.append(f"| `{setting.name}` | {_values(setting)} | {_default(setting)} | {setting.means} |")
         for inner in settings_of(setting.table) if setting.table is not None else ():
             key = f"{setting.name}.{inner.name}"
@@ -123,6 +118,8 @@ def _default(setting: Setting) -> str:
         return "needed"
     if setting.default is None:
         return ""
+    if isinstance(setting.default, bool):
+        return f"`{str(setting.default).lower()}`"
     if isinstance(setting.default, tuple):
         return f"`[{', '.join(f'{value:g}' for value in setting.default)}]`"
     return f"`{setting.default:g}`" if isinstance(setting.default, float) else f"`{setting.default}`"

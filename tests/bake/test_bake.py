@@ -7,7 +7,7 @@ from scipy.spatial import KDTree
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import PARTS
-from bake.bake import BakeOptions, bake_run, check_complete
+from bake.bake import BakeOptions, bake_run, check_complete, level_plan
 from bake.command import main
 from bench.remeasure import recorded_facts, remeasured
 from geometry.mesh import TriangleMesh
@@ -38,7 +38,8 @@ def test_file_holds_what_was_promised(baked, run):
     avatar = read_avatar(baked[0] / "one.glb")
     # this field's color ignores the direction
     assert avatar.default_view == "off" and avatar.network is None
-    (level,) = avatar.levels
+    level, coarse = avatar.levels
+    assert len(coarse.faces) <= 1_000 < len(level.faces) <= 2_000
     assert not find_faults(welded(level), len(level.positions))
     assert (level.weights.astype(int).sum(1) == 255).all()
     assert level.base_color.shape == (256, 256, 3)
@@ -47,6 +48,22 @@ def test_file_holds_what_was_promised(baked, run):
     assert facts["against_field"]["paper_db"] > 24
     assert facts["levels"][0]["field_to_mesh_mm"]["mean"] < 1.5
     assert avatar.provenance["preset"] == "analytic"
+
+
+def test_levels_go_down_to_a_thousand_triangles_with_atlases_of_their_own():
+    assert level_plan(BakeOptions()) == [(30_000, 2048), (10_000, 1024), (3_000, 512), (1_000, 256)]
+    assert level_plan(BakeOptions(faces=3_000, texture=128)) == [(3_000, 128), (1_000, 64)]
+    assert level_plan(BakeOptions(faces=1_000, texture=256)) == [(1_000, 256)]
+
+
+def test_the_level_of_a_thousand_triangles_is_closed_skinned_and_textured(baked):
+    avatar = read_avatar(baked[0] / "one.glb")
+    level = avatar.levels[1]
+    assert len(level.faces) <= 1_000 and level.base_color.shape == (64, 64, 3)
+    assert not find_faults(welded(level), len(level.positions))
+    assert (level.weights.astype(int).sum(1) == 255).all()
+    shift = np.abs(np.ptp(level.positions, axis=0) - np.ptp(avatar.levels[0].positions, axis=0))
+    assert shift.max() < 0.02
 
 
 def test_progress_says_what_was_measured(baked):
@@ -97,7 +114,7 @@ def test_what_the_file_says_was_lost_is_found_again(sheen, sheen_run):
     assert found["found"]["against_field"]["paper_db"] == pytest.approx(said["paper_db"], abs=1)
     for mode, db in said["cone_db"].items():
         assert found["found"]["against_field"]["cone_db"][mode] == pytest.approx(db, abs=1)
-    (level,), (again,) = recorded_facts(sheen[1])["levels"], found["found"]["levels"]
+    level, again = recorded_facts(sheen[1])["levels"][0], found["found"]["levels"][0]
     assert again["faces"] == level["faces"] and sum(again["faces_by_part"].values()) == level["faces"]
     assert again["field_to_mesh_mm"]["mean"] == pytest.approx(level["field_to_mesh_mm"]["mean"], rel=0.05)
     for part, size in level["texel_mm_by_part"].items():

@@ -14,6 +14,7 @@ from player.filming.shot import Shot, ShotRenderer
 from player.filming.stage import Stage
 from player.mannequin import mannequin
 from player.mesh import VERTEX
+from player.play_command import PlayCommand, scene_of
 from player.renderer import Renderer
 from player.scenes.scene import Scene, SceneAvatar
 from selfscan.__main__ import main
@@ -144,6 +145,14 @@ def test_a_film_keeps_one_level_and_any_share_of_it_shows_the_same(tmp_path, bod
         assert main([*words, "-o", str(tmp_path / "one.png")]) == 0
         told = f"levels of detail by size: {triangles} triangles of {len(body.levels[0].faces)}"
         assert told in capsys.readouterr().out
+    (tmp_path / "crowd.toml").write_text(
+        'size = [64, 64]\nlevel_by_size = true\n[[avatar]]\npath = "body.glb"\nmotion = "counting"\n'
+    )
+    assert main(["render", "--scene", str(tmp_path / "crowd.toml"), "--view", "off", "-o", str(tmp_path / "s.png")]) == 0
+    assert f"levels of detail by size: {len(body.levels[2].faces)} triangles" in capsys.readouterr().out
+    for scene_file, flag in ((str(tmp_path / "crowd.toml"), False), (None, True)):
+        window = PlayCommand(() if scene_file else (path,), scene=scene_file, level_by_size=flag)
+        assert scene_of(window).level_by_size
     scene = Scene((SceneAvatar(path, "counting"),), size=(64, 64))
     stage = Stage(scene)
     fit = stage.fit(0, 12)

@@ -83,6 +83,15 @@ def test_a_bare_scene_is_one_avatar_before_the_plain_wall(scene_file):
     assert scene.cameras == (SceneCamera("front"),) and scene.background == STUDIO and scene.effects == Effects()
 
 
+def test_levels_by_size_are_a_key_of_the_scene(scene_file):
+    bare = '[[avatar]]\npath = "mannequin"\n'
+    assert read_scene(scene_file("level_by_size = true\n" + bare)).level_by_size
+    assert not read_scene(scene_file("level_by_size = false\n" + bare)).level_by_size
+    with pytest.raises(AssetError, match=r"toml:1: level_by_size: expected true or false, found the number 1"):
+        read_scene(scene_file("level_by_size = 1\n" + bare))
+    assert scene_schema()["properties"]["level_by_size"]["type"] == "boolean"
+
+
 def test_colours_are_premultiplied(scene_file):
     scene = read_scene(scene_file('background.color = "#ff804080"\n[[avatar]]\npath = "mannequin"'))
     alpha = 128 / 255
@@ -247,8 +256,8 @@ def test_the_schema_allows_what_is_read_and_refuses_the_mistakes_it_can_see():
 
 
 def accepts(schema, value):
-    kinds = {"object": dict, "array": list, "string": str, "number": (int, float), "integer": int}
-    assert isinstance(value, kinds[schema["type"]]) and not isinstance(value, bool)
+    kinds = {"object": dict, "array": list, "string": str, "number": (int, float), "integer": int, "boolean": bool}
+    assert isinstance(value, kinds[schema["type"]]) and isinstance(value, bool) == (schema["type"] == "boolean")
     if isinstance(value, dict):
         assert set(schema.get("required", ())) <= set(value) <= set(schema["properties"])
         for key, one in value.items():
@@ -257,6 +266,8 @@ def accepts(schema, value):
         assert schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", 99)
         for one in value:
             accepts(schema["items"], one)
+    elif isinstance(value, bool):
+        return
     elif isinstance(value, str):
         assert value in schema.get("enum", (value,))
         assert "pattern" not in schema or __import__("re").search(schema["pattern"], value)
