@@ -106,7 +106,7 @@ class RenderCommand:
     quality: Annotated[
         str,
         Option(metavar="draft|good|best|0..1", parse=parse_quality),
-        "draft: a coarse mesh (level 2), paper colours, jagged edges, small file; best: the avatar's own view model per pixel, "
+        "draft: level 2, paper colours, jagged edges, small file; best: the avatar's own view model per pixel, "
         "MSAA, large file; a number: view mode and mesh from the fastest (0) to the most exact (1), by what they cost "
         "on this machine; single options go before it",
     ] = "good"

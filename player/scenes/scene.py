@@ -102,8 +102,8 @@ class Scene:
     ] = None
     level_by_size: Annotated[
         bool,
-        "avatars that are small in the picture are drawn with fewer triangles: in a film each at the coarsest level that "
-        "does for its largest size, in the window for its size now",
+        "avatars that are small in the picture are drawn with fewer triangles: in a film each at the coarsest level "
+        "that does for its largest size, in the window for its size now",
     ] = False
 
     def __post_init__(self):

@@ -148,7 +148,8 @@ def test_a_film_keeps_one_level_and_any_share_of_it_shows_the_same(tmp_path, bod
     (tmp_path / "crowd.toml").write_text(
         'size = [64, 64]\nlevel_by_size = true\n[[avatar]]\npath = "body.glb"\nmotion = "counting"\n'
     )
-    assert main(["render", "--scene", str(tmp_path / "crowd.toml"), "--view", "off", "-o", str(tmp_path / "s.png")]) == 0
+    words = ["render", "--scene", str(tmp_path / "crowd.toml"), "--view", "off"]
+    assert main([*words, "-o", str(tmp_path / "s.png")]) == 0
     assert f"levels of detail by size: {len(body.levels[2].faces)} triangles" in capsys.readouterr().out
     for scene_file, flag in ((str(tmp_path / "crowd.toml"), False), (None, True)):
         window = PlayCommand(() if scene_file else (path,), scene=scene_file, level_by_size=flag)
