@@ -80,7 +80,7 @@ void main() {
 #if CONTACT != 0
     vec3 normal_view = skinned(position + normal, joints, weights) - position_skinned;
     normal_view *= inversesqrt(max(dot(normal_view, normal_view), 1e-12));
-    float open = open_sky(position_view, normal_view, spared, 1.0, 16) / max(rest, 1e-3);
+    float open = open_sky(position_view, normal_view, spared, 1.0, 0, 16) / max(rest, 1e-3);
     openness = 1.0 - darkening * (1.0 - clamp(open, 0.0, 1.0));
 #endif
 #if LIT != 0

@@ -7,10 +7,10 @@ layout(std140) uniform Capsules {
 
 const float LEAST_HIDDEN = 0.03;
 
-// grown: of the radii; count: of the capsules that are looked at
-float open_sky(vec3 p, vec3 n, uint spared, float grown, int count) {
+// grown: of the radii; first, end: the capsules that are looked at
+float open_sky(vec3 p, vec3 n, uint spared, float grown, int first, int end) {
     float open = 1.0;
-    for (int k = 0; k < count; k++) {
+    for (int k = first; k < end; k++) {
         vec3 from = p - capsule_start[k].xyz;
         float share = clamp(dot(from, capsule_along[k].xyz) * capsule_along[k].w, 0.0, 1.0);
         vec3 towards = share * capsule_along[k].xyz - from;

@@ -33,8 +33,10 @@ RUNS = Decision(State.RUNS, "asked for")
 GROWN = 2.0
 # of the ground each way, drawn where a capsule reaches; shaders/contact_floor.vert
 CELLS = 24
-# capsules that a cell looks at, at most: cells are drawn in as many goes
-COUNTS = (1, 2, 4, 6)
+# low capsules that a cell's pixels look at, at most: cells are drawn in as many goes
+COUNTS = (0, 1, 2, 4, 6)
+# of a cell's width: what stays this high above the ground is looked at in the corners of cells
+HIGH = 3.0
 ATTRIBUTES = ("1u4 1f4", "spared", "rest")
 VERTEX = np.dtype([("spared", "u4"), ("rest", "f4")])
 
@@ -200,6 +202,7 @@ class FloorPass:
         uniform(program, "grown").value = GROWN
         uniform(program, "strength").value = self.contact.strength
         uniform(program, "across").value = sheet.reach[2:]
+        uniform(program, "high").value = (under.low, len(under.near))
 
         def draw(flipped: bool) -> None:
             sheet.apply(program, camera, flipped=flipped)
@@ -236,30 +239,35 @@ class FloorPass:
         reach = np.sqrt(np.maximum(c * np.cbrt(at * at) - at * at, 0))
         reach = np.where(low < radii, np.maximum(reach, radii), reach)
         near = np.flatnonzero((high > 0) & (reach > 0))
-        # the far reaching first: most cells need no others
-        near = near[np.argsort(-reach[near], kind="stable")]
         if not len(near):
             return None
-        flat, reach = ends[:, near][..., [0, 2]], reach[near]
-        low, high = (flat.min(0) - reach[:, None]).min(0), (flat.max(0) + reach[:, None]).max(0)
-        anchor = np.array([low[0], self.contact.height, low[1]])
-        sheet = Sheet(anchor, (0.0, 0.0, float(high[0] - low[0]), float(high[1] - low[1])))
-        return Under(sheet, near, flat - low, reach)
+        flat = ends[:, near][..., [0, 2]]
+        first = (flat.min(0) - reach[near, None]).min(0)
+        across = (flat.max(0) + reach[near, None]).max(0) - first
+        is_high = low[near] > HIGH * across.max() / CELLS
+        # the low ones first, and of these the far reaching: most cells need no others
+        order = np.lexsort((-reach[near], is_high))
+        near, flat = near[order], flat[:, order] - first
+        anchor = np.array([first[0], self.contact.height, first[1]])
+        sheet = Sheet(anchor, (0.0, 0.0, *across.tolist()))
+        return Under(sheet, near, flat, reach[near], int((~is_high).sum()))
 
 
 class Under(NamedTuple):
     """The ground that an avatar can darken."""
 
     sheet: Sheet
-    # which of its capsules, the farthest reaching first
+    # which of its capsules: the low ones first, of these the farthest reaching
     near: Int[np.ndarray, "near"]
     # where these stand on the sheet, and how far they reach, metres
     ends: Float[np.ndarray, "2 near 2"]
     reach: Float[np.ndarray, "near"]
+    # how many are low
+    low: int
 
     def triangles(self) -> tuple[UInt32[np.ndarray, "triangles 3"], list[tuple[int, int]]]:
         """Of the cells that a capsule reaches, all within its reach of its middle line; and in their order, how many of
-        the capsules how many of the triangles need: COUNTS, and all."""
+        the low capsules how many of the triangles need: COUNTS, and all."""
         side = np.array(self.sheet.reach[2:]) / CELLS
         column, row = np.meshgrid(np.arange(CELLS), np.arange(CELLS))
         middle = (np.stack([column, row], -1).reshape(-1, 1, 2) + 0.5) * side
@@ -267,11 +275,12 @@ class Under(NamedTuple):
         share = ((middle - start) * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-12)
         away = np.linalg.norm(middle - start - np.clip(share, 0, 1)[..., None] * along, axis=-1)
         reached = away <= self.reach + 0.5 * np.linalg.norm(side)
-        # one more than the last that reaches it, 0 where none does
-        needs = (reached * np.arange(1, len(self.near) + 1)).max(1)
-        counts = [*(count for count in COUNTS if count < len(self.near)), len(self.near)]
+        seen = reached.any(1)
+        # one more than the last low one that reaches it, 0 where none does
+        needs = (reached[:, : self.low] * np.arange(1, self.low + 1)).max(1, initial=0)
+        counts = [*(count for count in COUNTS if count < self.low), self.low]
         batch = np.searchsorted(counts, needs)
-        order = np.flatnonzero(needs)[np.argsort(batch[needs > 0], kind="stable")]
+        order = np.flatnonzero(seen)[np.argsort(batch[seen], kind="stable")]
         a = (column + (CELLS + 1) * row).reshape(-1)[order].astype(np.uint32)
         b, c, d = a + 1, a + CELLS + 1, a + CELLS + 2
         sizes = np.bincount(batch[order], minlength=len(counts)).tolist()

@@ -10,7 +10,8 @@ from glsl_probe import probe
 from avatar.camera import orbit_camera, view_from_world
 from player.blocks import CAPSULES
 from player.contact_capsules import BONES, OWNERS, capsules_of, openness
-from player.passes.contact import AWAY, GROWN, SMALL, Contact
+from player.ground_plane import Sheet
+from player.passes.contact import AWAY, CELLS, GROWN, SMALL, Contact, Under
 from player.passes.light import Light
 from player.pose.ground import grounded
 from player.posing import Poser
@@ -67,7 +68,7 @@ def test_the_shader_says_what_numpy_says(context, avatar, crouching, within):
     buffer = context.gl.buffer(block.tobytes())
     buffer.bind_to_uniform_block(4)
     values = {"p": points, "n": normals, "spared": spared[:, None].astype(np.int64)}
-    out = probe(context, ["contact.glsl"], "vec4(open_sky(p, n, spared.x, 1.0, 16))", values, ints=("spared",))[:, 0]
+    out = probe(context, ["contact.glsl"], "vec4(open_sky(p, n, spared.x, 1.0, 0, 16))", values, ints=("spared",))[:, 0]
     buffer.release()
     expected = openness(points, normals, starts, ends, capsules.radii, spared)
     within(np.abs(out - expected).max(), 2e-5)
@@ -97,6 +98,17 @@ def test_the_ground_is_dark_under_feet_and_nowhere_far(render, gray, crouching):
     chosen = np.random.default_rng(0).choice(len(row), 200)
     truth = expected(column[chosen] + 0.5, row[chosen] + 0.5)
     assert np.abs(ground[row[chosen], column[chosen]] - 255 * truth).max() <= 1.5
+
+
+def test_pixels_look_at_low_capsules_alone_and_corners_of_cells_at_high_ones():
+    """One low capsule in a corner of the ground, and a high one that reaches all of it."""
+    ends = np.array([[0.1, 0.1], [0.6, 0.6]])
+    under = Under(
+        Sheet(np.zeros(3), (0.0, 0.0, 1.2, 1.2)), np.array([7, 2]), np.stack([ends, ends]), np.array([0.1, 2.0]), 1
+    )
+    triangles, batches = under.triangles()
+    assert [count for count, _ in batches] == [0, 1]
+    assert len(triangles) == 2 * CELLS**2 == sum(size for _, size in batches) and batches[0][1] > 0.9 * len(triangles)
 
 
 def _on_the_ground(avatar, pose):
