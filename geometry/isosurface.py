@@ -319,14 +319,15 @@ def extract(
         raise AssetError("fused field: distance should change sign, it is positive everywhere (no surface)")
     if not (volume > 0).any():
         raise AssetError("fused field: distance should change sign, it is negative everywhere (no surface)")
+    # before the box's faces are looked at: off the template's band nobody learnt that there is air
+    if facing is not None:
+        volume[front_samples(volume, axes, hints, facing, coarse_step)] = 0.5 * fine_step
     border = min(volume[i, :, :].min() for i in (0, -1))
     border = min(border, *(volume[:, i, :].min() for i in (0, -1)), *(volume[:, :, i].min() for i in (0, -1)))
     if border <= 0:
         raise AssetError(
             f"fused field: distance should be positive {margin * 100:.0f} cm outside the template, is {border:.4f} m"
         )
-    if facing is not None:
-        volume[front_samples(volume, axes, hints, facing, coarse_step)] = 0.5 * fine_step
     volume, slits = slits_filled(volume, axes)
     # a sample exactly on the surface would make triangles without area
     volume[volume == 0] = 1e-9

@@ -3,6 +3,7 @@ import pytest
 import torch
 from capsules import sphere
 
+from avatar.errors import AssetError
 from geometry.isosurface import Detail, extract, graded_axis, project_to_zero, sample_near_surface
 from geometry.mesh import enclosed_volume
 from geometry.repair import find_faults
@@ -46,6 +47,19 @@ def test_a_detail_keeps_what_the_grid_would_lose():
         assert not find_faults(found.mesh.faces, len(found.mesh.vertices))
         across = (np.abs(found.mesh.vertices[:, 1]) < 0.015) & (found.mesh.vertices[:, 2] > 0.09)
         assert (np.linalg.norm(found.mesh.vertices[across], axis=1).max() > 0.1035) == top
+
+
+def test_what_a_field_makes_up_at_the_edge_of_its_box_is_air_where_hints_tell_front_from_back():
+    """Nothing was learnt 3 cm off a template; without the hints' normals nobody can tell, and it is an error."""
+    ball, _ = sphere(0.1)
+    below = lambda points: np.minimum(ball(points), points[:, 1] + 0.125)
+    normal = lambda points: points / np.linalg.norm(points, axis=1, keepdims=True)
+    facing = normal(np.random.default_rng(0).normal(size=(3000, 3)))
+    options = {"coarse_step": 0.008, "fine_step": 0.004}
+    found = extract(below, normal, 0.1 * facing, np.zeros(3000, bool), facing=facing, **options)
+    assert enclosed_volume(found.mesh) == pytest.approx(4 / 3 * np.pi * 0.1**3, rel=0.02)
+    with pytest.raises(AssetError, match=r"should be positive 3 cm outside the template"):
+        extract(below, normal, 0.1 * facing, np.zeros(3000, bool), **options)
 
 
 def test_what_hangs_a_millimetre_before_the_surface_is_not_joined_to_it():
