@@ -17,6 +17,7 @@ from avatar.files import check_folder, whole_file, whole_folder
 from avatar.gltf.avatar_file import Avatar, read_avatar
 from avatar.settings import AtLeast, AtMost, Help, Option, parse
 from bench.contact import save_sheet
+from bench.effect_rungs import effect_rows, effects_section
 from bench.effects import SIZE as EFFECTS_SIZE
 from bench.effects import bench_effects
 from bench.frontier.page import PagePictures, frontier_page
@@ -71,18 +72,19 @@ def bench(
                 # it took no turns with the others
                 times.insert(0, None)
                 pictures = {name: drawn} | pictures
+        best, baked = rows[0]["name"], rungs[0].name
+        masks = [
+            frame.truth.mask() if frame.truth is not None else picture.max(-1) > 0
+            for frame, picture in zip(frames, pictures[best], strict=True)
+        ]
+        crops = [crop_of(mask) for mask in masks]
+        truths = [f.truth.image() for f in frames if f.truth is not None]
+        effects = effect_rows(context, avatar, rungs[0], frames, pictures[baked], crops, masks, truths, rounds)
         facts = machine(context.renderer, context.kind)
     finally:
         context.release()
 
-    best, baked = rows[0]["name"], rungs[0].name
-    masks = [
-        frame.truth.mask() if frame.truth is not None else picture.max(-1) > 0
-        for frame, picture in zip(frames, pictures[best], strict=True)
-    ]
-    crops = [crop_of(mask) for mask in masks]
     parts = [part_boxes(avatar, *frame.pose, frame.camera) for frame in frames]
-    truths = [f.truth.image() for f in frames if f.truth is not None]
     others: Pictures = {} if best == baked else {"against_baked": pictures[baked]}
     others |= {} if capture is None else {"against_truth": truths}
     for row in rows:
@@ -104,6 +106,7 @@ def bench(
         "best_rung": best,
         "best_baked_rung": baked,
         "rungs": rows,
+        "effects": effects,
     }
     first = PagePictures(
         {name: drawn[0] for name, drawn in pictures.items()}, truths[0] if truths else None, crops[0], parts[0]
@@ -112,7 +115,7 @@ def bench(
         with whole_file(folder / "bench.json", "w") as file:
             json.dump(result, file, indent=1)
         with whole_file(folder / "bench.md", "w") as file:
-            file.write(markdown(result))
+            file.write(markdown(result) + "\n" + effects_section(effects, baked))
         with whole_file(folder / "bench.html", "w") as file:
             file.write(frontier_page(result, first, avatar, rungs))
         plot(result, folder / "pareto.png")
