@@ -62,10 +62,15 @@ class PosedMesh:
                 _bind(buffer, block)
 
 
-def posed_mesh(draft: Draft, avatar: int, *, directions: bool = False, posed: bool = True) -> PosedMesh:
-    """The mesh of an avatar as a plan draws it; with `directions`, shaders can turn directions back into the canonical
-    frame (shaders/directions.glsl). Not posed: without bones, for what brings its own."""
-    tag, mesh, level, first = draft.tag(avatar), draft.levels[avatar], draft.detail[avatar], draft.first(avatar)
+def posed_mesh(
+    draft: Draft, avatar: int, *, directions: bool = False, posed: bool = True, level: int | None = None
+) -> PosedMesh:
+    """The mesh of an avatar as a plan draws it, or at another level of detail; with `directions`, shaders can turn
+    directions back into the canonical frame (shaders/directions.glsl). Not posed: without bones, for what brings its
+    own."""
+    tag, first = draft.tag(avatar), draft.first(avatar)
+    level = draft.detail[avatar] if level is None else level
+    mesh = draft.avatars[avatar].level(level)
     shared = draft.tag(first)
     vertices = draft.buffer(
         f"{shared} vertices", VERTEX.itemsize * len(mesh.positions), first, level,

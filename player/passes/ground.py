@@ -35,6 +35,8 @@ SOFTWARE_TEXELS, TEXELS = 256, 512
 STEP = 8
 # mip whose texels are the cells that the shadow is drawn in; shaders/shadow_cells.vert
 CELL = 4
+# of a body whose shadow looks like that of the finest level
+TRIANGLES = 2500
 # metres of the ground that are looked over for what is above it
 SEARCHED = 0.15
 # pixels of the picture
@@ -118,7 +120,9 @@ class Ground:
         )  # fmt: skip
         meshes = []
         for index in range(len(draft.avatars)):
-            mesh, loose = posed_mesh(draft, index), loosened(draft, index)
+            loose = loosened(draft, index)
+            # loose parts are bound to the vertices of the level that is drawn
+            mesh = posed_mesh(draft, index, level=None if loose is not None else thrown_level(draft, index))
             thrown = draft.program(
                 "shadow_mask.vert", "shadow_mask.frag", SKINNING=int(draft.dual), LOOSE=int(loose is not None)
             )
@@ -143,6 +147,13 @@ class Ground:
         shadow = ShadowPass((*drawn_on, mask, soft, array), self, lamp, draft.layer, mask, soft, program, array, holds)
         owned = (*uses, mask, target, soft, *softening)
         return MaskPass(owned, lamp, tuple(meshes), target, mask, softening, shadow, holds), shadow
+
+
+def thrown_level(draft: Draft, avatar: int) -> int:
+    """The level of detail whose shadow is thrown: the coarsest with TRIANGLES, none finer than what is drawn."""
+    levels = draft.avatars[avatar].levels
+    enough = [number for number, level in enumerate(levels) if len(level.faces) >= TRIANGLES]
+    return max(draft.detail[avatar], max(enough, default=0))
 
 
 class Thrown(NamedTuple):

@@ -11,7 +11,7 @@ from avatar.light import CaptureLight, lamps_of
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
 from player.motions import motion_for
-from player.passes.ground import BELOW, SHADOW_AWAY, SMALL, STILL, Ground
+from player.passes.ground import BELOW, SHADOW_AWAY, SMALL, STILL, Ground, MaskPass
 from player.passes.light import Light
 from player.scenes.effects import PLAIN, Effects
 
@@ -94,6 +94,21 @@ def test_feet_stand_on_their_shadow_all_through_a_walk(render, avatar):
             near.append(alpha[row - 3 : row + 4, column - 3 : column + 4].max())
             assert near[-1] > 0.2, f"frame {frame}"
     assert len(near) > 200 and np.quantile(near, 0.05) > 0.5
+
+
+@pytest.mark.parametrize(("drawn", "fewer", "thrown"), [(0, 10, 2), (0, 5, 1), (0, 0, 0), (1, 0, 1), (2, -1, 2)])
+def test_a_coarser_level_of_detail_throws_the_shadow(render, avatar, standing, monkeypatch, drawn, fewer, thrown):
+    """The coarsest with enough triangles, none finer than what is drawn."""
+    level = avatar.levels[0]
+    levels = (level, replace(level, faces=level.faces[5:]), replace(level, faces=level.faces[10:]))
+    monkeypatch.setattr("player.passes.ground.TRIANGLES", len(level.faces) - fewer)
+    renderer = render(replace(avatar, levels=levels), SIZE, effects=with_ground(kind="shadow"), level=drawn)
+    (mask,) = [item for item in renderer.plan.passes if isinstance(item, MaskPass)]
+    assert mask.meshes[0].mesh.faces.bytes == 12 * len(levels[thrown].faces)
+    image = renderer.draw([standing], CAMERA)[..., 3]
+    if drawn == 0:
+        fine = render(avatar, SIZE, effects=with_ground(kind="shadow")).draw([standing], CAMERA)[..., 3]
+        assert (image > 0).any() and np.abs(image.astype(int) - fine).mean() < 0.05
 
 
 def test_it_hardens_at_contact(render, avatar, standing):
