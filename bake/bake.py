@@ -72,7 +72,7 @@ def bake(
     by_field = options.texture_from == "field"
     # with nothing else to take from the capture, its truth is what was meant
     true = None
-    if given is not None and (by_field or (given / "truth").is_dir()):
+    if given is not None and (by_field or (given / "truth" / "novel_pose").is_dir()):
         true = read_true_views(given, options.truth_poses)
     run = read_run(Path(run_path))
     videos = None if by_field else run_videos(run, given)

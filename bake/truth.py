@@ -49,7 +49,7 @@ def read_true_views(capture: Path, poses: int | None = None) -> TrueViews:
         AssetError: the capture has no ground truth.
     """
     facts = read_capture_facts(capture)
-    if not (Path(capture) / "truth").is_dir():
+    if not (Path(capture) / "truth" / SETS[0]).is_dir():
         raise AssetError(
             f"{capture}: expected truth/ with held-out pictures (selfscan synth), found none: bake without --capture"
         )

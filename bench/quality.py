@@ -11,7 +11,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +20,7 @@ import numpy as np
 from avatar.baked_avatar import Avatar
 from avatar.errors import AssetError
 from avatar.files import check_file, whole_file
+from avatar.input_file import read_json_object
 from avatar.progress import progress
 from avatar.settings import AtLeast, Help, Option, parse
 from avatar.skeleton import BIG_POSE
@@ -29,6 +30,7 @@ from bench.ceiling import CeilingDrawer
 from bench.drawer import Drawer
 from bench.eye_region import NO_EYES
 from bench.field_view import one_thread
+from bench.filmed_poses import FilmedPoses, filmed_poses
 from bench.fitted_poses import fitted_views
 from bench.lpips import read_perceptual
 from bench.machine import machine
@@ -104,7 +106,12 @@ def evaluate(
                 print_stage(f"{kind}: poses fitted to {sum(map(len, held_out.values()))} held-out pictures")
                 held_out = fitted_views(template, filmed)
             ours = None if kind == "given" else held_out
-            result = measured(drawer, truth, filmed, few=few, perceive=perceive, ours=ours, template=template)
+            own_run = path if drawer.field is not None else run
+            run_facts = {} if own_run is None else read_json_object(own_run / "run.json", "the facts of a run")
+            videos = filmed_poses(own_run, run_facts, capture)
+            result = measured(
+                drawer, truth, filmed, few=few, perceive=perceive, ours=ours, template=template, videos=videos
+            )
             if drawer.avatar is not None:
                 print_stage("every view mode of the avatar beside the true pictures")
                 result["view_modes"] = view_modes(drawer.avatar, facts, held_out)
@@ -207,9 +214,10 @@ def measured(
     perceive: Perceive | None,
     ours: dict[str, list[HeldOutView]] | None = None,
     template: CaptureSubject | None = None,
+    videos: FilmedPoses | None = None,
 ) -> dict[str, Any]:
     """Both sets of held-out pictures and poses, and what stands beside them; `ours`: the views in the poses of an
-    estimated skeleton."""
+    estimated skeleton; `videos`: poses of the person's own videos."""
     surface = drawer.surface
     rest = np.zeros((52, 3)), truth.joints[0]
     what = Measured(
@@ -253,9 +261,34 @@ def measured(
             beside["skin_beside_hair_to_surface_cm"] = None if away is None else round(100 * away, 4)
             if images.t_pose:
                 beside["t_pose_frames"] = regions_of({}, images.t_pose)
+    if videos is not None:
+        joints = surface.joints if template is None else template.joints
+        beside |= in_filmed_poses(replace(what, own=None, apart=True), videos, joints)
     out["baked_vs_field"] = baked_vs_field_of(drawer)
     out["beside"] = beside
     return out
+
+
+def in_filmed_poses(what: Measured, videos: FilmedPoses, joints: np.ndarray) -> dict[str, Any]:
+    """The rows of the person's own videos, each region aligned by itself; `joints` are our skeleton's, pose 0."""
+    if not videos.by_part:
+        return {"filmed": None, "filmed_reason": videos.reason}
+    placements = videos.placements()
+    print_stage(f"the person's own videos: {len(placements)} posed surfaces")
+    distances = measure_poses(what, placements, frozenset(), "filmed surfaces", beside=True)
+    rows = {
+        "filmed": distances.ours,
+        "filmed_aligned": distances.aligned,
+        "filmed_zero_steps": distances.template,
+        "filmed_zero_steps_aligned": distances.template_aligned,
+    }
+    if what.template is None:
+        rows = {name: row for name, row in rows.items() if "zero_steps" not in name}
+    return {
+        **{name: regions_of(row) for name, row in rows.items()},
+        "filmed_joints": {"total": limbs_off(videos.by_part["body"], what.truth.joints, joints)},
+        "filmed_frames": {part: len(found) for part, found in videos.by_part.items()},
+    }
 
 
 def zero_steps(what: Measured, distances: PoseDistances) -> dict[str, Any]:

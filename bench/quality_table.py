@@ -52,6 +52,10 @@ def table_rows(result: dict[str, Any]) -> list[list[str]]:
         "aligned": "novel pose, ICP-aligned",
         "zero_steps": "novel pose, 0 steps: the template before training",
         "zero_steps_aligned": "0 steps, ICP-aligned",
+        "filmed": "poses of the person's own videos",
+        "filmed_aligned": "own videos, ICP-aligned",
+        "filmed_zero_steps": "own videos, 0 steps",
+        "filmed_zero_steps_aligned": "own videos, 0 steps, ICP-aligned",
         "t_pose": "T-pose",
         "canonical": "canonical",
     }

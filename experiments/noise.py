@@ -188,7 +188,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--iterations", type=int, help="steps per part, instead of the preset's")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(argv)
-    if not (options.capture / "truth").is_dir():
+    if not (options.capture / "truth" / "rest.npz").is_file():
         raise AssetError(f"{options.capture}: expected a capture with truth/, made by `selfscan synth`")
     options.out.mkdir(parents=True, exist_ok=True)
     extra = [] if options.iterations is None else ["--iterations", str(options.iterations)]

@@ -21,7 +21,7 @@ from avatar.skeleton import PARENTS, PARTS
 from player.context import open_context
 from player.raster import Rasteriser
 from synth.cutout import cut_out
-from synth.film import Shots, disturbed, plan_videos
+from synth.film import Shots, disturbed, plan_videos, write_frames
 from synth.head_frame import cameras_in_head_frame, landmarks, scale_of, seeded_similarity
 from synth.light import MODES, light_of
 from synth.photo import Studio
@@ -241,6 +241,8 @@ def _film(folder: Path, studio: Studio, template: Template, videos: dict[str, Sh
     done, report = 0, Progress("filming", sum(len(shots.root) for shots in videos.values()))
     for part, shots in videos.items():
         light = light_of(config.light or "even", part, config.seed)
+        (folder / "truth" / part).mkdir(parents=True)
+        write_frames(folder / "truth" / part / "video.npz", shots)
         for kind in ("images", "masks"):
             (folder / part / kind).mkdir(parents=True)
         for i, camera in enumerate(shots.cameras):

@@ -5,11 +5,13 @@ Every video has one camera that stands still in the world; the person turns, lea
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from avatar.camera import Camera, look_at
+from avatar.files import whole_file
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND, joint_transforms
 from synth.photo import Studio
@@ -211,6 +213,16 @@ def _shoulder_for(forearm: Float[np.ndarray, "3 3"], sign: float) -> Float[np.nd
         if cost < least:
             best, least = candidate, cost
     return best
+
+
+def write_frames(path: Path, shots: Shots) -> None:
+    """The true pose and place of every frame, and the video's one camera, as truth/PART/video.npz of raw scans."""
+    camera = shots.cameras[0]
+    with whole_file(path) as file:
+        np.savez_compressed(
+            file, poses=shots.axis_angle, root=shots.root, present=np.ones(len(shots.root), bool), K=camera.K,
+            camera_from_world=camera.camera_from_world, size=np.array(camera.size),
+        )  # fmt: skip
 
 
 def disturbed(shots: Shots, degrees: float, seed: int) -> Shots:

@@ -145,6 +145,12 @@ def with_refined(capture: Capture, folder: Path) -> Capture:
     return replace(capture, videos=videos)
 
 
+def kept_frames(folder: Path, part: str) -> Int[Array, "kept"] | None:
+    """Which frames of a part's video a run kept; None: all."""
+    path = refined_path(folder, part)
+    return read_npz(path, "refined poses", ("frames",))["frames"] if path.exists() else None
+
+
 def poses_refined(folder: Path, part: str) -> bool:
     """Whether the poses of a part's video were moved, and not only its masks."""
     path = refined_path(folder, part)

@@ -57,6 +57,12 @@ def test_its_joints_stand_near_the_persons_in_every_frame(captured):
         offset = np.einsum("fij,fj->fi", turned, ours.root - true.root)
         np.testing.assert_allclose(offset, offset[:1].repeat(len(offset), 0), atol=1e-9)
         assert 1e-4 < np.linalg.norm(offset[0]) < 0.03
+        # the truth of the frames is the person's, whatever was told
+        for folder in (captured, exact):
+            with np.load(folder / "truth" / part / "video.npz") as filmed:
+                np.testing.assert_allclose(filmed["root"], true.root, atol=1e-12)
+                np.testing.assert_array_equal(filmed["poses"], true.axis_angle)
+                np.testing.assert_array_equal(filmed["camera_from_world"], true.cameras[0].camera_from_world)
 
 
 def test_landmarks_of_the_head_lie_where_the_template_has_them_in_the_pictures(captured):
