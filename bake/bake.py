@@ -87,7 +87,10 @@ def write_field_beside(run: Any, report: Callable[[str], None]) -> None:
     if path.exists():
         return
     if not is_exportable(run.field):
-        report(f"{path}: not written, only the networks of preset demo can be exported")
+        why = "only the networks of preset demo can be exported"
+        if getattr(run.field, "seen", None) is not None:
+            why = "a field whose light is a factor of its own cannot be exported (train --without light makes one)"
+        report(f"{path}: not written, {why}")
     elif not os.access(run.path, os.W_OK):
         report(f"{path}: not written, the run folder is read-only")
     else:

@@ -134,13 +134,13 @@ def solve_texture(
     stay = STAY * share**STAY_POWER
     smooth = SMOOTH if change is None else SMOOTH_SHINY
     prior, pairs = Prior(stay, smooth * stay), neighbour_pairs(mesh.texels)
-    solution = solve_change([*equations, seams], prior, pairs)
+    solution = solve_change(equations, prior, pairs, stiff=seams)
     if videos.estimated:
         for name, own, video in zip(PARTS, equations, shown, strict=True):
             facts[name]["moved_mm"] = rounded(align_frames(own, video, given, solution) * 1e3)
         moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
         report(f"frames moved onto the texture they agree on, mm: {moved}")
-        solution = solve_change([*equations, seams], prior, pairs)
+        solution = solve_change(equations, prior, pairs, stiff=seams)
     surface = texel_surface(baked, mesh, texel)
     solved = np.clip(within_shown(given + solution, given, surface.points, ranges), 0, 1)
     for name, own in zip(PARTS, equations, strict=True):

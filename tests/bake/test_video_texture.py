@@ -251,6 +251,22 @@ def test_least_squares_finds_what_pixels_wider_than_texels_tell():
     np.testing.assert_allclose(one[:, 0], np.r_[0.5, np.zeros(11)], atol=1e-6)
 
 
+def test_texels_on_chart_edges_leave_a_color_that_is_far_off():
+    """Pixels of 18 texels say little of each, and that the two sides of 40 edges look alike says much."""
+    count, width, truth = 600, 18, 0.4
+    rows = np.zeros((count - width, count), np.float32)
+    for row in range(len(rows)):
+        rows[row, row : row + width] = 1 / width
+    sides = np.random.default_rng(0).permutation(count)[:80].reshape(40, 2)
+    edges = np.zeros((40, count), np.float32)
+    edges[np.arange(40), sides[:, 0]], edges[np.arange(40), sides[:, 1]] = 1, -1
+    pixels, seams = csr_matrix(rows), Equations(csr_matrix(edges), np.zeros((40, 1), np.float32))
+    told = [Equations(pixels, pixels @ np.full((count, 1), truth, np.float32))]
+    prior = Prior(np.full(count, 1e-4), np.full(count, 4e-3))
+    found = solve_change(told, prior, neighbour_pairs(line_texels(count)), stiff=seams)[:, 0]
+    assert np.abs(found[sides] - truth).max() < 0.1 * truth
+
+
 def test_unseen_skin_becomes_skin_and_cloth_stays_cloth():
     """A strip that nobody saw across an arm of skin and a sleeve: what the field dreamt there goes."""
     x, y = np.meshgrid(np.linspace(0, 0.2, 81), np.linspace(0, 0.1, 41))
