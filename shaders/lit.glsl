@@ -1,4 +1,4 @@
-// What light.glsl found at the vertices, on a base colour. May be brighter than 1, which an image of bytes does not hold.
+// What light.glsl found at the vertices, on a base colour. May be brighter than 1, which bytes do not hold.
 uniform vec3 gains;  // of display values, at last
 #if LIT == 3
 uniform float gamma;
