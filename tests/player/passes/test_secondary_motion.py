@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import rigs
 from glsl_probe import probe
-from loose_avatar import dance, dressed
+from loose_avatar import dressed
+from loose_paths import dance
 from spring_vrm import PONYTAIL, TAIL, spring_vrm
 
 from avatar.camera import orbit_camera
