@@ -78,7 +78,9 @@ def solve_change(
     regular = (smooth + diags(prior.stay.astype(np.float32))).tocsr()
     precondition = preconditioner(regular.diagonal() + support(equations, count), stiff)
     equations = equations if stiff is None else [*equations, stiff]
-    residual = sum(own.matrix.T @ own.wanted for own in equations)
+    residual = np.zeros((count, equations[0].wanted.shape[1]), np.float32)
+    for own in equations:
+        residual += own.matrix.T @ own.wanted
 
     def apply(x: Array) -> Array:
         result = regular @ x
