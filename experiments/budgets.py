@@ -19,8 +19,8 @@ from bench.machine import machine
 from bench.quiet import Quiet, warning
 from bench.rung_pictures import motion_frames
 from player.arguments import parse_size
-from player.budget.measure import BudgetScene, price
-from player.budget.rungs import PricedRung, frontier, scene_rungs, within
+from player.budget.measure import BudgetScene, frame_ms, price
+from player.budget.rungs import PricedRung, bought, frontier, scene_rungs
 from player.context import Context, opened
 from player.passes.background import Background
 from player.scenes.effects import PLAIN
@@ -42,10 +42,9 @@ def tried(
 ) -> dict[str, Any]:
     """What a budget buys from a table, and what every rung of the frontier takes now."""
     front = frontier(bought_from)
-    chosen = within(bought_from, budget)
-    assert chosen is not None, "budgets begin above the cheapest rung"
-    now = price(context, scene, [one.rung for one in front], rounds=frames)
-    taken = {one.rung: one.ms_p95 for one in now}
+    chosen = bought(bought_from, budget)
+    p95 = np.percentile(frame_ms(context, scene, [one.rung for one in front], frames), 95, axis=0)
+    taken = {one.rung: ms for one, ms in zip(front, p95.tolist(), strict=True)}
     place = front.index(chosen)
     held = [k for k, one in enumerate(front) if taken[one.rung] <= budget]
     return {

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from player.budget.rungs import PricedRung, frontier, within
+from player.budget.rungs import HEADROOM, PricedRung, frontier, within
 
 SLOW, WATCHED = 12, 48
-HEADROOM = 0.05
 # of the frames after a change, which make what the rung needs
 SETTLING = 3
 # slow frames that a rung which holds its p95 may have

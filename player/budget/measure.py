@@ -57,9 +57,35 @@ def price(
         for renderer in renderers:
             renderer.release()
     return [
-        PricedRung(rungs[k], float(np.median(times)), float(np.percentile(times, 95)), errors[k])
-        for k, times in zip(kept, ms.T, strict=True)
+        PricedRung(rungs[k], float(np.median(times)), p95, errors[k])
+        for k, times, p95 in zip(kept, ms.T, steady_p95(ms, len(scene.frames)), strict=True)
     ]
+
+
+def steady_p95(ms: Float[np.ndarray, "rounds rungs"], frames: int) -> list[float]:
+    """Of every rung the 95th percentile of its frames; `frames` took turns from round to round.
+
+    A rung's own two dozen times say little of their slowest twentieth. What slows a frame down slows any rung, so the
+    medians of a rung's frames are its own, and the spread round them is that of all rungs together.
+    """
+    shown = np.arange(len(ms)) % frames
+    medians = np.stack([np.median(ms[shown == frame], axis=0) for frame in range(min(frames, len(ms)))])
+    spread = (ms / medians[shown]).ravel()
+    return [float(np.percentile(np.outer(own, spread), 95)) for own in medians.T]
+
+
+def frame_ms(
+    context: Context, scene: BudgetScene, rungs: Sequence[Rung], rounds: int = ROUNDS
+) -> Float[np.ndarray, "rounds rungs"]:
+    """Milliseconds of every one of the rungs in alternating rounds."""
+    renderers: list[Renderer] = []
+    try:
+        for rung in rungs:
+            renderers.append(_renderer(context, scene, rung))
+        return _rounds(context, scene, renderers, range(rounds))
+    finally:
+        for renderer in renderers:
+            renderer.release()
 
 
 def worth_timing(ms: Float[np.ndarray, "rounds rungs"], errors: Sequence[float]) -> list[int]:

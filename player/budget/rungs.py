@@ -15,6 +15,8 @@ from player.rung import Rung, rung_of
 
 # frames of a second that a budget in frames a second means
 SHORTEST, LONGEST = 0.01, 10_000.0  # ms
+# of a budget left free where one is chosen for, and as far as rungs lie apart: what is nearer is no choice
+HEADROOM = 0.05
 
 
 @dataclass(frozen=True)
@@ -50,10 +52,13 @@ def scene_rungs(avatars: Sequence[Avatar], *, view: str = "auto", level: int | N
 
 
 def frontier(priced: Sequence[PricedRung]) -> list[PricedRung]:
-    """Those that are more exact than every cheaper one by p95, cheapest first."""
+    """Those that are more exact than every cheaper one by p95, cheapest first; of rungs that are no more than HEADROOM
+    apart the most exact one."""
     kept: list[PricedRung] = []
     for one in sorted(priced, key=lambda one: (one.ms_p95, one.error)):
         if not kept or one.error < kept[-1].error:
+            if kept and one.ms_p95 <= (1 + HEADROOM) * kept[-1].ms_p95:
+                kept.pop()
             kept.append(one)
     return kept
 
@@ -62,6 +67,11 @@ def within(priced: Sequence[PricedRung], budget: float, load: float = 1.0) -> Pr
     """The most exact rung whose p95, `load` times as long as measured, holds the budget, ms; None: there is none."""
     fitting = [one for one in frontier(priced) if one.ms_p95 * load <= budget]
     return fitting[-1] if fitting else None
+
+
+def bought(priced: Sequence[PricedRung], budget: float) -> PricedRung:
+    """What a budget buys, ms, with HEADROOM left free; where nothing holds it, the cheapest."""
+    return within(priced, (1 - HEADROOM) * budget) or frontier(priced)[0]
 
 
 def at_quality(priced: Sequence[PricedRung], quality: float) -> PricedRung:

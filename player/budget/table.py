@@ -17,11 +17,11 @@ from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.progress import progress
 from player.budget.measure import BudgetScene, check, price
-from player.budget.rungs import PricedRung, at_quality, frontier, scene_rungs, within
+from player.budget.rungs import PricedRung, at_quality, bought, scene_rungs
 from player.context import Context
 from player.rung import Rung
 
-FORMAT = 2
+FORMAT = 3
 OLDEST = 30 * 86400.0  # seconds
 # the chosen rung takes so many times as long, or as short, as its table says: it is measured anew
 STALE = 1.35
@@ -54,8 +54,7 @@ def bought_rung(
     def choose(priced: Sequence[PricedRung]) -> PricedRung:
         if budget is None:
             return at_quality(priced, quality)
-        # where nothing holds it, the fastest
-        return within(priced, budget) or frontier(priced)[0]
+        return bought(priced, budget)
 
     return priced_rungs(context, scene, files, rungs, choose)
 

@@ -22,10 +22,10 @@ def priced(times):
 def tried(monkeypatch, table, now, budget):
     drawn = dict(zip(LADDER, now, strict=True))
 
-    def price(context, scene, rungs, rounds):
-        return [PricedRung(one, drawn[one], drawn[one], 0.0) for one in rungs]
+    def frame_ms(context, scene, rungs, rounds):
+        return np.array([[drawn[one] for one in rungs]] * rounds)
 
-    monkeypatch.setattr(budgets, "price", price)
+    monkeypatch.setattr(budgets, "frame_ms", frame_ms)
     context = open_context()
     try:
         return budgets.tried(context, SCENE, priced(table), budget, 10)
