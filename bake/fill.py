@@ -18,10 +18,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 from scipy.cluster.vq import kmeans2
 from scipy.sparse import csr_matrix, diags
-from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
 from geometry.mesh import TriangleMesh
+from geometry.symmetric import factorised
 
 Array = np.ndarray
 
@@ -141,8 +141,8 @@ def _spread_on_mesh(
     scale = covered[covered > 0].mean()
     middle = sums.sum(0) / covered.sum()
     # the last term holds pieces of the mesh on which the material was nowhere seen
-    system = (diags(covered / scale + 1e-6) + STIFF * stiffness).tocsc()
-    return splu(system).solve(sums / scale + 1e-6 * middle)
+    system = diags(covered / scale + 1e-6) + STIFF * stiffness
+    return factorised(system).solve(sums / scale + 1e-6 * middle)
 
 
 def _stiffness(mesh: TriangleMesh) -> csr_matrix:

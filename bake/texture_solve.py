@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
-from scipy.sparse import csc_matrix, csr_matrix, diags
-from scipy.sparse.linalg import splu
+from scipy.sparse import csr_matrix, diags
 
 from bake.texels import TexelMap
+from geometry.symmetric import factorised
 
 Array = np.ndarray
 
@@ -111,7 +111,7 @@ def preconditioner(diagonal: Float[Array, "texels"], stiff: Equations | None) ->
         return lambda x: inverse * x
     coupled = np.unique(stiff.matrix.indices)
     own = stiff.matrix[:, coupled].astype(np.float64)
-    factor = splu(csc_matrix(own.T @ own + diags(np.maximum(diagonal[coupled], 1e-9))))
+    factor = factorised(own.T @ own + diags(np.maximum(diagonal[coupled], 1e-9)))
 
     def apply(x: Array) -> Array:
         result = inverse * x

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, orbit_camera
@@ -19,7 +18,7 @@ from bench.contact import spread_poses
 from capture.held_out import HeldOutView, read_held_out
 from player.context import Context
 from player.renderer import Pose
-from player.rung import Rung
+from player.rung import Rung, shown
 
 FRAMES = 4
 SIZE = (640, 640)
@@ -86,10 +85,8 @@ def rung_pictures(
     try:
         drawn = []
         for frame in frames:
-            pixels = Image.fromarray(np.ascontiguousarray(renderer.draw([frame.pose], frame.camera)[..., :3]))
-            if pixels.size != full:
-                pixels = pixels.resize(full, Image.Resampling.BILINEAR)
-            drawn.append(np.asarray(pixels, np.float32) / 255)
+            pixels = renderer.draw([frame.pose], frame.camera)[..., :3]
+            drawn.append(shown(pixels, full).astype(np.float32) / 255)
         return drawn
     finally:
         renderer.release()

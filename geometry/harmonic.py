@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 from scipy.sparse import diags
-from scipy.sparse.linalg import splu
 
 from geometry.mesh import component_labels, neighbour_matrix
+from geometry.symmetric import factorised
 
 Array = np.ndarray
 
@@ -36,8 +36,7 @@ def fill_harmonic(
         raise ValueError(f"{loose} vertices hang together with no known vertex")
     rows = neighbour_matrix(faces, len(values))[free]
     laplacian = diags(np.asarray(rows.sum(1)).ravel()) - rows[:, free]
-    # symmetric and diagonally dominant: an ordering for symmetric matrices, and no pivoting
-    factors = splu(laplacian.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0)
+    factors = factorised(laplacian)
     filled = values.astype(np.float64).copy()
     filled[free] = factors.solve(rows[:, fixed] @ values[fixed])
     return filled

@@ -19,6 +19,8 @@ from player.renderer import Pose
 from player.rung import MOST_JOINTS, SHARE_NAMES, Rung, rung_of
 
 SMALLEST_TEXTURE = 64  # texels a side
+# more pixels than shown, and fewer
+FINER, COARSER = ([share for share in SHARE_NAMES if (share > 1) is more] for more in (True, False))
 HALVINGS = (1, 2, 3)
 FEWER_JOINTS = (2, 1)
 
@@ -37,24 +39,26 @@ def views_of(avatar: Avatar) -> list[str]:
 
 
 def rungs_of(avatar: Avatar) -> list[Rung]:
-    """A walk down from the most exact, not all products: view modes on every level; from the finest level of the
-    dearest mode and of paper mode smaller textures, fewer joints, fewer pixels, one of them at a time; then from each
-    coarser level of paper mode fewer joints and pixels; last all of it at once."""
+    """A walk down from what the player draws unasked, not all products: view modes on every level; from the finest
+    level of the dearest mode and of paper mode smaller textures, fewer joints, fewer pixels, one of them at a time;
+    then from each coarser level of paper mode fewer joints and pixels; all of it at once; last the way up, several
+    pixels for each that is shown."""
     views, coarser = views_of(avatar), range(1, len(avatar.levels))
     rungs = [rung_of(avatar, view) for view in views]
     rungs += [rung_of(avatar, view, level) for view in views for level in coarser if holds(avatar, view, level)]
     for view in dict.fromkeys((views[0], "off")):
         rungs += cheaper_rungs(avatar, view)
-        rungs += [rung_of(avatar, view, share=share) for share in SHARE_NAMES]
+        rungs += [rung_of(avatar, view, share=share) for share in COARSER]
     fewest = min(FEWER_JOINTS)
     for level in coarser:
         rungs.append(rung_of(avatar, "off", level, joints=fewest))
-        rungs += [rung_of(avatar, "off", level, share=share) for share in SHARE_NAMES]
-        rungs += [rung_of(avatar, "off", level, share=share, joints=fewest) for share in SHARE_NAMES]
+        rungs += [rung_of(avatar, "off", level, share=share) for share in COARSER]
+        rungs += [rung_of(avatar, "off", level, share=share, joints=fewest) for share in COARSER]
     last = len(avatar.levels) - 1
     smallest = max(halvings_of(avatar, last), default=0)
     if smallest:
-        rungs.append(rung_of(avatar, "off", last, min(SHARE_NAMES), smallest, fewest))
+        rungs.append(rung_of(avatar, "off", last, min(COARSER), smallest, fewest))
+    rungs += [rung_of(avatar, view, share=share) for view in dict.fromkeys((views[0], "off")) for share in FINER]
     return [rung for rung in rungs if rung.joints == MOST_JOINTS or rung.joints < joints_of(avatar, rung.level)]
 
 

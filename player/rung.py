@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import UInt8
+from PIL import Image
 
 from avatar.baked_avatar import Avatar, Level, TwistSkin
 from avatar.texture import mipmaps
@@ -14,7 +15,10 @@ from player.renderer import Renderer
 from player.scenes.effects import PLAIN, Effects
 
 VIEW_NAMES = {"network": "network per pixel", "linear": "linear", "vertex": "per vertex", "off": "paper mode"}
-SHARE_NAMES = {0.75: "3/4 resolution", 0.5: "half resolution", 0.25: "quarter resolution"}
+SHARE_NAMES = {
+    4.0: "16 samples a pixel", 2.0: "4 samples a pixel",
+    0.75: "3/4 resolution", 0.5: "half resolution", 0.25: "quarter resolution",
+}  # fmt: skip
 # joints that a vertex of the file follows at most
 MOST_JOINTS = 4
 BLACK = Background("color", (0.0, 0.0, 0.0, 0.0))
@@ -23,7 +27,8 @@ BLACK = Background("color", (0.0, 0.0, 0.0, 0.0))
 @dataclass(frozen=True)
 class Rung:
     """What is traded for time, in the order of the fields: view dependence; level of detail, 0 the finest; pixels as a
-    share of full resolution; how often the sides of the textures are halved; how many joints each vertex follows."""
+    share of full resolution on each side, above 1 several for each pixel shown; how often the sides of the textures are
+    halved; how many joints each vertex follows."""
 
     name: str
     view: str
@@ -56,6 +61,15 @@ class Rung:
         return Renderer(
             context, self.prepared(avatars), self.size(full), effects=effects, background=background, level=self.level
         )  # fmt: skip
+
+
+def shown(pixels: UInt8[np.ndarray, "height width 3"], full: tuple[int, int]) -> UInt8[np.ndarray, "rows columns 3"]:
+    """What was drawn at full resolution: fewer pixels enlarged linearly, several for each the mean of them."""
+    picture = Image.fromarray(np.ascontiguousarray(pixels))
+    if picture.size == full:
+        return pixels
+    more = picture.width > full[0] or picture.height > full[1]
+    return np.asarray(picture.resize(full, Image.Resampling.BOX if more else Image.Resampling.BILINEAR))
 
 
 def rung_of(

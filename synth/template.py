@@ -16,7 +16,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import coo_matrix, csr_matrix, diags
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
 from avatar.body import Body, builtin_body, shaped
@@ -27,6 +26,7 @@ from capture.eyes import RADIUS, body_sockets, fit_sphere
 from geometry.closest import closest_points, triangle_index
 from geometry.mesh import face_normals, vertex_normals
 from geometry.sample import stratified_samples
+from geometry.symmetric import factorised
 from player.raster import Rasteriser
 from synth.subject import SynthSubject, part_of
 from synth.visibility import view_counts
@@ -394,8 +394,7 @@ def _smooth_offsets(
                 target[members] = x[members] - along * n
                 weight[members] = np.where(agree & outside[members], tukey, 0)
             A = diags(weight) + (stiffness / 20) * (0.02 * laplacian + 0.15 * bending)
-            solve = splu(A.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-            x = start + solve.solve(weight[:, None] * (target - start))
+            x = start + factorised(A).solve(weight[:, None] * (target - start))
     return x
 
 

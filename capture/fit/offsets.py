@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from capture.fit.footage import Estimate, Footage
 from capture.fit.kinematics import carried, pixel_rows, seen_at, skinned
 from capture.fit.outline_term import SIGMA, Outlines, Pairs
 from capture.fit.solve import posed_frames
 from geometry.mesh import face_areas, neighbour_matrix, vertex_normals
+from geometry.symmetric import factorised
 
 Array = np.ndarray
 
@@ -78,10 +78,8 @@ def fit_offsets(
         weight = 1 / sigma**2 / (1 + e / CUT**2) ** 2
         H = np.bincount(vertex, weight * slope**2, minlength=len(d))
         b = np.bincount(vertex, weight * slope * r, minlength=len(d))
-        A = (stiff * among + sparse.diags(H[free] + BARELY)).tocsc()
-        # symmetric and positive: no pivoting
-        factors = splu(A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        d[free] = factors.solve(b[free] - stiff * across)
+        A = stiff * among + sparse.diags(H[free] + BARELY)
+        d[free] = factorised(A).solve(b[free] - stiff * across)
     return d[:, None] * normals
 
 

@@ -198,8 +198,6 @@ class Drawing {
   target(width, height, samples) {
     const key = `${width} ${height} ${samples}`;
     if (!this.targets.has(key)) {
-      // a window that is dragged larger leaves no pile of them
-      if (this.targets.size > 6) this.forget();
       const gl = this.gl, framebuffer = gl.createFramebuffer(), attached = [];
       gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
       for (const [point, format] of [[gl.COLOR_ATTACHMENT0, gl.RGBA8], [gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24]]) {
@@ -226,6 +224,8 @@ class Drawing {
   // camera: {target, distance, azimuth, elevation, fov}; background: three numbers of [0, 1]. The level is loaded.
   frame(pose, camera, rung, width, height, background, samples = 0) {
     const gl = this.gl, { level = 0, halvings = 0, joints = 4 } = rung;
+    // a window that is dragged larger leaves no pile of them; here, where nobody holds one
+    if (this.targets.size > 12) this.forget();
     // a level without features has the paper's colors
     const view = this.avatar.levels[level].features ? rung.view : "off";
     const into = this.target(width, height, samples), array = this.array(level, view, joints), program = this.program(view, joints);
@@ -264,6 +264,12 @@ class Drawing {
   // A frame of one sample a pixel on the canvas, enlarged to it where it is smaller.
   show(framebuffer, width, height) {
     const gl = this.gl, { width: across, height: down } = this.canvas;
+    // a linear copy takes the mean of two by two pixels and no more
+    while (width > 2 * across && height > 2 * down) {
+      const size = [Math.round(width / 2), Math.round(height / 2)], half = this.target(...size, 0);
+      this.copy(framebuffer, half, [width, height], size, gl.LINEAR);
+      [framebuffer, width, height] = [half, ...size];
+    }
     const filter = width === across && height === down ? gl.NEAREST : gl.LINEAR;
     this.copy(framebuffer, null, [width, height], [across, down], filter);
   }

@@ -137,6 +137,29 @@ def test_the_avatar_is_drawn_in_the_rung_of_the_budget(tab):
     assert page.requests == [path.as_uri()] and page.problems == []
 
 
+def test_several_samples_a_pixel_are_shown_as_their_mean(tab):
+    page, path = tab
+    page.open(path, "budget=6")
+    page.wait("selfscan.player && selfscan.player.shown")
+    worst = page.ask("""(() => {
+      const { drawing, canvas, rung } = selfscan.player, { width, height } = canvas;
+      const across = 4 * width, down = 4 * height;
+      rung.share = 4;
+      selfscan.player.draw();
+      const shown = drawing.pixels(null, width, height), drawn = drawing.pixels(selfscan.player.shown, across, down);
+      let worst = 0, lit = 0;
+      for (let y = 0; y < height; y++)
+        for (let x = 0; x < width; x++) {
+          let sum = 0;
+          for (let k = 0; k < 16; k++) sum += drawn[4 * ((4 * y + (k >> 2)) * across + 4 * x + (k & 3))];
+          worst = Math.max(worst, Math.abs(sum / 16 - shown[4 * (y * width + x)]));
+          lit += sum > 16 * 100;
+        }
+      return [worst, lit];
+    })()""")
+    assert worst[0] <= 1 and worst[1] > 100  # two roundings; somebody is there
+
+
 def test_wheel_and_double_click_zoom_the_chart(tab):
     page, path = tab
     page.open(path, "budget=6")
