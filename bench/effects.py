@@ -7,6 +7,7 @@ all threads together: of a software rasteriser it holds on a busy machine too. N
 
 import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,9 +20,11 @@ from avatar.camera import Camera
 from avatar.files import whole_file, whole_folder
 from avatar.motion.clip import Motion
 from avatar.settings import settings_of
+from bench.bare_program import BareProgram
 from bench.contact import save_sheet, sheet
 from bench.machine import machine
 from bench.quiet import Quiet, warning
+from bench.rung_scores import median_interval
 from player.context import Context, opened
 from player.filming.exposure import View, exposures
 from player.framing import extent, fitted_camera
@@ -36,6 +39,8 @@ from player.track import Track
 SIZE = (640, 640)
 # of the walk, a second and a bit: what a case draws again and again
 FRAMES = range(10, 50, 2)
+# of the bare scene and the program without effects, for each of a case
+BARE_PAIRS, BARE_MOST = 4, 1.03
 # one that is shown
 SHOWN = 33
 # radians: from a little to the side and above, so that the ground is seen
@@ -74,6 +79,38 @@ def cases() -> list[Case]:
         Case("everything", everything),
     ]
     return out
+
+
+def bare_share(context: Context, bare: "Drawn", avatar: Avatar, rounds: int) -> tuple[list[float], list[float]]:
+    """How long a scene that calls for nothing takes, in times of a program that never heard of effects, for each pair
+    of neighbouring frames: passed, and processor time."""
+    program = BareProgram(context, avatar, bare.camera.size, STUDIO.color)
+    target, pairs = bare.renderer.target, []
+    assert target is not None
+
+    def spent(draw: Callable[[], object]) -> tuple[float, float]:
+        draw()
+        context.gl.finish()
+        start, used = time.perf_counter(), time.process_time()
+        draw()
+        context.gl.finish()
+        return time.perf_counter() - start, time.process_time() - used
+
+    try:
+        for number in range(rounds):
+            pose = bare.track.pose(FRAMES[number % len(FRAMES)] / bare.track.rate)
+            turns = [
+                lambda pose=pose: program.draw(pose, bare.camera),
+                lambda pose=pose: bare.renderer.draw_into(target, [pose], bare.camera),
+            ]
+            # whoever comes first pays for what the machine did before
+            order = (0, 1) if number % 2 else (1, 0)
+            taken = {which: spent(turns[which]) for which in order}
+            pairs.append(np.divide(taken[1], taken[0]))
+    finally:
+        program.release()
+    wall, cpu = np.array(pairs).T.tolist()
+    return wall, cpu
 
 
 class Drawn:
@@ -138,6 +175,7 @@ def bench_effects(avatar: Avatar, out: Path, *, rounds: int = 20, size: tuple[in
         reference, rows, pictures = bare.picture(), [], []
         base, base_passes = [], bare.passes()
         with Quiet() as quiet:
+            wall, cpu = bare_share(context, bare, avatar, BARE_PAIRS * rounds)
             for case in cases():
                 drawn = Drawn(context, avatar, motion, case, camera)
                 try:
@@ -182,6 +220,8 @@ def bench_effects(avatar: Avatar, out: Path, *, rounds: int = 20, size: tuple[in
         "size": list(size),
         "rounds": rounds,
         "bare_ms": round(float(np.median(base)), 3),
+        "bare_times_program": _median(wall),
+        "bare_cpu_times_program": _median(cpu),
         "effects": rows,
     }
     with whole_folder(out) as folder:
@@ -191,6 +231,19 @@ def bench_effects(avatar: Avatar, out: Path, *, rounds: int = 20, size: tuple[in
             file.write(effects_markdown(result))
         save_sheet(folder / "effects.png", _sheet(reference, pictures, result))
     return result
+
+
+def _median(values: list[float]) -> dict[str, Any]:
+    """With its 95 % interval."""
+    return {
+        "median": round(float(np.median(values)), 3),
+        "interval": [round(v, 3) for v in median_interval(np.array(values))],
+    }
+
+
+def _told(found: dict[str, Any]) -> str:
+    low, high = found["interval"]
+    return f"{found['median']:.3f} ({low:.3f} - {high:.3f})"
 
 
 def effects_markdown(result: dict[str, Any]) -> str:
@@ -204,6 +257,10 @@ def effects_markdown(result: dict[str, Any]) -> str:
         f"{facts['commit']}. A bare frame takes {result['bare_ms']:.2f} ms; `times` is the median over "
         f"{result['rounds']} pairs of neighbouring frames, bare and with the effect. Nothing is read back. Bytes are "
         "those of GL memory beyond the bare scene's.",
+        "",
+        f"**A scene that calls for nothing** takes {_told(result['bare_times_program'])} times as long as a program "
+        "that never heard of effects, of the same posing, mesh, shaders and picture (processor time: "
+        f"{_told(result['bare_cpu_times_program'])}); at most {BARE_MOST} are promised.",
         "",
         "| effect | ms | times bare | processor time, times bare | MB | passes | which |",
         "|---|---|---|---|---|---|---|",

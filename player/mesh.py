@@ -1,5 +1,6 @@
 """Vertex bytes as the GPU reads them, in an order that keeps neighbours together."""
 
+import moderngl
 import numpy as np
 from jaxtyping import Float, Int, UInt32
 
@@ -54,3 +55,11 @@ def morton(points: Float[np.ndarray, "points 3"]) -> Int[np.ndarray, "points"]:
         for axis in range(3):
             out |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
     return out
+
+
+def attributes_read(program: moderngl.Program, layout: str, *names: str) -> tuple[str, ...]:
+    """The layout of a buffer for a program: what it does not read is passed over."""
+    parts, each = layout.split()[: len(names)], layout.split()[len(names) :]
+    read = [name in program for name in names]
+    skipped = [part if there else f"{int(part[0]) * int(part[2])}x" for part, there in zip(parts, read, strict=True)]
+    return " ".join([*skipped, *each]), *(name for name, there in zip(names, read, strict=True) if there)

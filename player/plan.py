@@ -23,6 +23,7 @@ from avatar.skeleton import JOINTS
 from player.blocks import BINDING, FRAME, bind_block
 from player.copies import groups_of
 from player.drawing import Drawing, Layer, Warming
+from player.mesh import attributes_read
 from player.resources import KINDS, Handle, Image, PlanResources
 from player.shader import compile_program, copies_includes
 from player.tiles import SurfacePatches
@@ -303,7 +304,7 @@ class Draft:
 
         def make(resources: PlanResources) -> moderngl.VertexArray:
             made, index = resources[program], None if faces is None else resources[faces]
-            content = [(resources[handle], *_read_by(made, *rest)) for handle, *rest in buffers]
+            content = [(resources[handle], *attributes_read(made, *rest)) for handle, *rest in buffers]
             return resources.context.gl.vertex_array(made, content, index)
 
         handle = Handle(moderngl.VertexArray, program.name, 0, (program, *buffers, faces), make)
@@ -368,14 +369,6 @@ def close_all(kept: Iterable[Any]) -> None:
     for one in kept:
         if isinstance(one, Closable):
             one.close()
-
-
-def _read_by(program: moderngl.Program, layout: str, *names: str) -> tuple[str, ...]:
-    """The layout of a buffer for a program: what it does not read is passed over."""
-    parts, each = layout.split()[: len(names)], layout.split()[len(names) :]
-    read = [name in program for name in names]
-    skipped = [part if there else f"{int(part[0]) * int(part[2])}x" for part, there in zip(parts, read, strict=True)]
-    return " ".join([*skipped, *each]), *(name for name, there in zip(names, read, strict=True) if there)
 
 
 def _clamped(texture: moderngl.Texture) -> moderngl.Texture:

@@ -11,9 +11,10 @@ from avatar.camera import orbit_camera, project, write_camera, write_cameras
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
 from player.filming.parts import Parts
+from player.filming.render import level_of
 from player.filming.shot import Shot
 from player.filming.stage import Stage, camera_from_option
-from player.render_command import render_main
+from player.render_command import RenderCommand, render_main
 from player.scenes.scene import Scene, SceneAvatar, SceneCamera
 
 
@@ -126,6 +127,12 @@ def test_levels_and_qualities_choose_what_is_drawn(tiny, tmp_path):
         "antialiasing: msaa",
         "antialiasing: fxaa",
     }
+
+
+def test_a_draft_is_not_drawn_in_the_coarsest_of_four_levels():
+    assert level_of(RenderCommand("a.mp4", ("me.glb",), quality="draft")) == 2
+    assert level_of(RenderCommand("a.mp4", ("me.glb",), quality="draft", level=3)) == 3
+    assert level_of(RenderCommand("a.mp4", ("me.glb",))) == 0
 
 
 def test_an_order_names_all_its_files_and_changes_with_each(tiny, tmp_path):

@@ -1,5 +1,7 @@
 """The library: what ships stands on the ground inside the limits, what is kept comes back to the last bit."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -26,6 +28,18 @@ def test_built_in_poses_are_inside_the_limits_and_on_the_ground(name, body):
     assert within(pose.axis_angle).all()
     assert pose.root[1] + lowest_point(body, pose.axis_angle) == pytest.approx(0, abs=1e-9)
     assert np.array_equal(pose.root[[0, 2]], ROOT[[0, 2]])
+
+
+def test_the_ground_is_that_of_the_third_level_where_coarser_ones_follow(body):
+    fine = body.levels[0]
+    sunk = dataclasses.replace(fine, positions=fine.positions - np.float32([0, 0.01, 0]))
+    high = dataclasses.replace(fine, positions=fine.positions + np.float32([0, 0.5, 0]))
+    still = np.zeros((52, 3))
+    four, two, one = (
+        lowest_point(body, still) - lowest_point(dataclasses.replace(body, levels=levels), still)
+        for levels in ((fine, fine, sunk, high), (fine, sunk), (fine,))
+    )
+    assert four == two > 0.005 and one == 0  # legs are spread in the canonical pose: less than the centimetre
 
 
 def test_built_in_poses_look_like_their_names(body):
