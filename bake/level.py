@@ -130,7 +130,7 @@ def bake_level(
 
     texels = rasterise_charts(chart.uv, chart.faces, size)
     edges = chart_edges(chart.uv, chart.faces, chart.source)
-    image = spread(texel_colors(field, charted, texels), texels)
+    image = spread(texel_colors(field, charted, texels, options.texel_samples), texels)
     closed = solve_seams(image, texels, chart.uv, edges, mip_levels(image.shape), goal=SEAM_STEP)
     base = bytes_from_unit(closed)
     facing, light = light_at(field, charted)
@@ -169,7 +169,7 @@ def surface_at(
     return points, facing, interpolated(charted.cone, corners, near)
 
 
-def texel_colors(field: NumpyField, charted: Charted, texels: TexelMap) -> Float[np.ndarray, "texels 3"]:
+def texel_colors(field: NumpyField, charted: Charted, texels: TexelMap, samples: int) -> Float[np.ndarray, "texels 3"]:
     """Base color of each texel, [0, 1] sRGB: the field on its zero set at the global view direction (Eq. 14)."""
     lift = texel_lift(field, charted, texels)
 
@@ -182,7 +182,7 @@ def texel_colors(field: NumpyField, charted: Charted, texels: TexelMap) -> Float
             result[start : start + (1 << 18)] = field.color(points, local.direction)
         return result
 
-    return sample_texels(color_at, texels)
+    return sample_texels(color_at, texels, samples=samples)
 
 
 def light_at(

@@ -33,6 +33,9 @@ class BakeOptions:
     eye_scale: Annotated[float, Hidden(), "the same, and texels per metre relative to the head's"] = 2.2
     samples: Annotated[int, Hidden(), "surface points for the network"] = 160_000
     steps: Annotated[int, Hidden(), "steps of the network's training"] = 1200
+    texel_samples: Annotated[
+        int, AtLeast(1), AtMost(4), Hidden(), "of the field's color, where a texel differs from its neighbours"
+    ] = 4
     image: Annotated[int, Hidden(), "pixels per side of the pictures that are compared"] = 512
     seed: Annotated[int, Hidden(), "of all random numbers"] = 0
     truth_poses: Annotated[int, Hidden(), "of each held-out set, to choose the default view by, and to judge it"] = 6

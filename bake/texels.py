@@ -182,8 +182,9 @@ def sample_texels(
     texels: TexelMap,
     *,
     contrast: float = 4 / 255,
+    samples: int = len(JITTER),
 ) -> Float[np.ndarray, "texels 3"]:
-    """Mean color of each texel: its centre, and three samples more where neighbours differ.
+    """Mean color of each texel: its centre, and up to `samples` in all where neighbours differ.
 
     color(rows, jitter) returns the color of those rows of `texels` at their centres moved by jitter (texels);
     the centres of all rows are asked first. Where a centre differs from its neighbours by no more than
@@ -204,7 +205,7 @@ def sample_texels(
     if len(rows) == 0:
         return first
     result = first.copy()
-    for jitter in JITTER[1:]:
+    for jitter in JITTER[1:samples]:
         result[rows] += color(rows, jitter)
-    result[rows] /= len(JITTER)
+    result[rows] /= samples
     return result

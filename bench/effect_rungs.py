@@ -1,7 +1,8 @@
 """Effects that change how exact an avatar is, beside its best rung: what they cost, and what they bring against truth.
 
 Another skinning or light is no worse copy of the best rung: its difference from that is no error. Whether it is nearer
-to the person only true pictures tell; without them its change is told as a change. The true bodies of `selfscan synth`
+to the person only true pictures tell, and there it is a point of the frontier (`effect_point`); without them its change
+is told as a change. The true bodies of `selfscan synth`
 are skinned by linear blending themselves: they favour it over dual quaternions and helper joints. Secondary motion has
 no true pose to be compared with, and other effects (ground, blur ...) only have a price: `selfscan bench --effects`.
 """
@@ -9,7 +10,7 @@ no true pose to be compared with, and other effects (ground, blur ...) only have
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -35,6 +36,13 @@ class EffectRung:
     effects: Effects
 
 
+class DrawnEffect(NamedTuple):
+    """What was measured of an effect, and its frames."""
+
+    row: dict[str, Any]
+    pictures: list[Picture]
+
+
 def effect_rungs(avatar: Avatar) -> list[EffectRung]:
     """What the file allows: dual quaternions; the capture's light; without its twist and bend joints."""
     rungs = [EffectRung("dual quaternions", avatar, replace(PLAIN, skinning="dual_quaternion"))]
@@ -56,10 +64,10 @@ def effect_rows(
     masks: list[Bool[np.ndarray, "height width"]],
     truths: list[Picture],
     rounds: int,
-) -> list[dict[str, Any]]:
+) -> list[DrawnEffect]:
     """Of each effect the ratio of its frames' times to those of the rung without it, which take turns; FLIP by which it
     changes the picture; with `truths` the scores against them without it and with it."""
-    full, rows = frames[0].camera.size, []
+    full, effects = frames[0].camera.size, []
     bare = rung.renderer(context, [avatar], full)
     try:
         for one in effect_rungs(avatar):
@@ -67,6 +75,7 @@ def effect_rows(
             try:
                 ms = np.array([[_timed(r, frames[k % len(frames)]) for r in (bare, renderer)] for k in range(rounds)])
                 drawn = [renderer.draw([f.pose], f.camera)[..., :3].astype(np.float32) / 255 for f in frames]
+                size = renderer.plan.bytes
             finally:
                 renderer.release()
             low, high = median_interval(ms[:, 1] / ms[:, 0])
@@ -76,14 +85,29 @@ def effect_rows(
                 "times_plain": round(float(np.median(ms[:, 1] / ms[:, 0])), 3),
                 "times_plain_interval": [round(low, 3), round(high, 3)],
                 "change_flip": compared(plain, drawn, crops)["flip"],
+                "bytes": int(size),
             }
             if truths:
                 row["plain_against_truth"] = compared(truths, plain, crops, masks)
                 row["against_truth"] = compared(truths, drawn, crops, masks)
-            rows.append(row)
+            effects.append(DrawnEffect(row, drawn))
     finally:
         bare.release()
-    return rows
+    return effects
+
+
+def effect_point(row: dict[str, Any], plain: dict[str, Any]) -> dict[str, Any]:
+    """An effect judged by truth, as a rung beside those of the ladder. It only took turns with the one it changes,
+    `plain`, so its time is that one's times the ratio of both."""
+    low, high = row["times_plain_interval"]
+    return {
+        "name": f"{plain['name']}, {row['name']}",
+        "ms_median": round(plain["ms_median"] * row["times_plain"], 3),
+        "ms_interval": [round(plain["ms_median"] * edge, 3) for edge in (low, high)],
+        "bytes": row["bytes"],
+        "times_faster": round(1 / row["times_plain"], 3),
+        "against_truth": dict(row["against_truth"]),
+    }
 
 
 def _timed(renderer: Any, frame: ComparedFrame) -> float:

@@ -17,7 +17,7 @@ from avatar.files import check_folder, whole_file, whole_folder
 from avatar.gltf.avatar_file import Avatar, read_avatar
 from avatar.settings import AtLeast, AtMost, Help, Option, parse
 from bench.contact import save_sheet
-from bench.effect_rungs import effect_rows, effects_section
+from bench.effect_rungs import effect_point, effect_rows, effects_section
 from bench.effects import SIZE as EFFECTS_SIZE
 from bench.effects import bench_effects
 from bench.frontier.page import PagePictures, frontier_page
@@ -79,7 +79,7 @@ def bench(
         ]
         crops = [crop_of(mask) for mask in masks]
         truths = [f.truth.image() for f in frames if f.truth is not None]
-        effects = effect_rows(context, avatar, rungs[0], frames, pictures[baked], crops, masks, truths, rounds)
+        drawn_effects = effect_rows(context, avatar, rungs[0], frames, pictures[baked], crops, masks, truths, rounds)
         facts = machine(context.renderer, context.kind)
     finally:
         context.release()
@@ -93,8 +93,16 @@ def bench(
         row["parts"] = part_scores(pictures[best], drawn, parts)
         for against, shown in others.items():
             row[against] = compared(shown, drawn, crops, masks) | {"parts": part_scores(shown, drawn, parts)}
+    effects = [effect.row for effect in drawn_effects]
+    plain = next(row for row in rows if row["name"] == baked)
+    for effect in drawn_effects if truths else ():
+        point = effect.row["point"] = effect_point(effect.row, plain)
+        point["against_truth"]["parts"] = part_scores(truths, effect.pictures, parts)
+        pictures[point["name"]] = effect.pictures
     for against in (None, *others):
-        mark_dominated(rows, times, against)
+        # only truth judges effects
+        points = [row["point"] for row in effects] if against == "against_truth" else []
+        mark_dominated(rows + points, times + [None] * len(points), against)
     result = {
         "format": "selfscan-bench",
         "machine": facts | {"others_cpu_share": quiet.others},

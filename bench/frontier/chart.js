@@ -102,7 +102,7 @@ class Chart {
   }
 
   dot(row) {
-    const group = element("g", { class: `dot${row.dominated ? " dominated" : ""}${row === this.chosen ? " chosen" : ""}` });
+    const group = element("g", { class: `dot${row.effect ? " effect" : ""}${row.dominated ? " dominated" : ""}${row === this.chosen ? " chosen" : ""}` });
     const x = this.x(row.ms), y = this.y(row.flip);
     if (row.ghost) {
       group.append(element("line", { class: "ghost", x1: this.x(row.ghost), x2: x, y1: y, y2: y }));

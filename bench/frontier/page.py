@@ -47,6 +47,7 @@ def frontier_page(result: dict[str, Any], pictures: PagePictures, avatar: Avatar
     draws = {rung.name: rung for rung in rungs}
     facts: dict[str, Any] = {
         "result": {**result, "rungs": [{**row, "draw": drawn_by(draws.get(row["name"]))} for row in result["rungs"]]},
+        "effects": effect_points(result),
         "picture": picture_facts(pictures),
         "references": references(result, pictures),
         "enlarged": ENLARGED,
@@ -80,6 +81,11 @@ def _text(result: dict[str, Any], facts: dict[str, Any], blobs: dict[str, bytes]
             "SCRIPT": script,
         },
     )
+
+
+def effect_points(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """Effects as rungs, where truth judged them; the page itself cannot draw them."""
+    return [{**row["point"], "draw": None, "effect": True} for row in result["effects"] if "point" in row]
 
 
 def drawn_by(rung: Rung | None) -> dict[str, Any] | None:
@@ -126,10 +132,13 @@ def picture_blobs(result: dict[str, Any], pictures: PagePictures) -> dict[str, b
     }
     if pictures.truth is not None:
         compared_with["truth"] = pictures.truth
-    for number, row in enumerate(result["rungs"]):
+    rungs = len(result["rungs"])
+    for number, row in enumerate([*result["rungs"], *effect_points(result)]):
         shown = pictures.by_rung[row["name"]][crop]
         blobs[f"picture{number}"] = webp(shown)
         for reference in references(result, pictures):
+            if number >= rungs and reference["key"] != "truth":
+                continue
             other = compared_with[reference["key"]][crop]
             blobs[f"difference-{reference['key']}-{number}"] = webp(ENLARGED * np.abs(shown - other))
     if pictures.truth is not None:

@@ -48,12 +48,14 @@ class Report {
   }
 
   // Rows with their scores against what they are compared with. Beside the best that the player draws stand only those
-  // that it can draw.
+  // that it can draw; beside true pictures, which alone can judge them, also effects.
   refer() {
     const { key, scores, name } = this.reference;
-    this.all = this.facts.result.rungs.map((row, k) => ({ ...row, ...(scores ? row[scores] : {}), number: k })).map((row) => ({
+    const shown = [...this.facts.result.rungs, ...(key === "truth" ? this.facts.effects : [])];
+    this.all = shown.map((row, k) => ({ ...row, ...(scores ? row[scores] : {}), number: k })).map((row) => ({
       ...row, ms: row.ms_median, low: row.ms_interval[0], high: row.ms_interval[1], flip: row.flip || 0,
     })).filter((row) => key !== "baked" || row.draw);
+    find("effects").hidden = !this.all.some((row) => row.effect);
     // none where it is a true picture
     this.best = this.all.find((row) => row.name === name) || null;
     this.chart && (this.chart.reference = name);
@@ -165,6 +167,7 @@ class Report {
     tip.style.top = `${event.clientY - box.top + 16}px`;
     const lines = [row.name, `${milliseconds(row.ms)} ms (${milliseconds(row.low)} to ${milliseconds(row.high)})`,
       row.name === this.reference.name ? "what the others are compared with" : `FLIP ${row.flip.toFixed(4)}, PSNR ${row.psnr_db ? row.psnr_db.toFixed(1) : "-"} dB`];
+    if (row.effect) lines.push("the best rung with one effect more or less");
     if (row.flicker) lines.push(`flicker ${row.flicker.toFixed(2)} of 255`);
     lines.push(`${(row.bytes / 1e6).toFixed(0)} MB of graphics memory`);
     if (row.ghost) lines.push(`${milliseconds(row.ghost)} ms on the machine of the bench`);

@@ -111,6 +111,10 @@ def test_texel_is_the_mean_of_its_samples_where_color_changes():
     beyond = np.mean(JITTER[:, 0] > -0.25)  # the step lies a quarter into column 16
     np.testing.assert_allclose(image[:, 16, 0], beyond)
     assert (image[:, 15, 0] == 0).all() and (image[:, 17, 0] == 1).all()
+    # of two samples the centre and the first beside it; of one the centre alone
+    for samples in (1, 2):
+        fewer = spread(sample_texels(checker, texels, samples=samples), texels)
+        np.testing.assert_allclose(fewer[:, 16, 0], np.mean(JITTER[:samples, 0] > -0.25))
 
 
 def test_bytes_are_rounded_not_truncated():

@@ -7,6 +7,7 @@ import pytest
 from browser_page import browser_page
 from chromium import chromium
 
+from bench.effect_rungs import effect_point
 from bench.frontier import page as frontier
 from bench.frontier.page import PagePictures, frontier_page
 from bench.part_boxes import part_boxes
@@ -48,15 +49,32 @@ def measured():
     machine = {"cpu": "Some CPU", "cores": 2, "renderer": "llvmpipe", "context": "egl", "commit": "abc"}
     told = {"machine": machine, "warning": "NOT QUIET: others", "frames": 1, "rounds": 9}
     result = told | {"avatar": "A & B", "best_rung": "field", "best_baked_rung": RUNGS[0].name, "size": list(SIZE)}
-    return result | {"rungs": rows}, PagePictures(drawn, None, crop, boxes), avatar
+    return result | {"rungs": rows, "effects": []}, PagePictures(drawn, None, crop, boxes), avatar
 
 
 @pytest.fixture(scope="module")
-def tab(measured, tmp_path_factory):
+def judged(measured):
+    """The same with a true picture, from which an effect that takes 1.2 times the best rung's time is nearer."""
+    result, pictures, avatar = measured
+    drawn, crop = dict(pictures.by_rung), pictures.crop
+    truth = drawn[RUNGS[0].name] * np.float32(0.98)
+    scored = lambda picture: compared([truth], [picture], [crop], [picture.max(-1) > 0]) | {"parts": {}}
+    rows = [row | {"against_truth": scored(drawn[row["name"]])} for row in result["rungs"]]
+    effect = {"name": "dual quaternions", "times_plain": 1.2, "times_plain_interval": [1.19, 1.21], "bytes": 2_000_000}
+    effect |= {"against_truth": scored(truth * np.float32(0.995))}
+    effect["point"] = effect_point(effect, rows[1])
+    drawn[effect["point"]["name"]] = truth * np.float32(0.995)
+    mark_dominated([*rows, effect["point"]], None, "against_truth")
+    return result | {"rungs": rows, "effects": [effect]}, pictures._replace(by_rung=drawn, truth=truth), avatar
+
+
+@pytest.fixture(scope="module")
+def tab(measured, judged, tmp_path_factory):
     chromium()
     folder = tmp_path_factory.mktemp("frontier")
     (folder / "bench.html").write_text(frontier_page(*measured, RUNGS), "utf-8")
     (folder / "profile").mkdir()
+    (folder / "judged.html").write_text(frontier_page(*judged, RUNGS), "utf-8")
     with browser_page(folder / "profile") as opened:
         yield opened, folder / "bench.html"
 
@@ -158,6 +176,32 @@ def test_several_samples_a_pixel_are_shown_as_their_mean(tab):
       return [worst, lit];
     })()""")
     assert worst[0] <= 1 and worst[1] > 100  # two roundings; somebody is there
+
+
+def test_an_effect_is_a_point_beside_true_pictures_alone(tab, judged):
+    page, path = tab
+    name = f"{RUNGS[0].name}, dual quaternions"
+    names = "selfscan.chart.rows.map((row) => row.name)"
+    page.open(path.with_name("judged.html"), "budget=20")
+    assert name not in page.ask(names) and page.ask("document.getElementById('effects').hidden")
+    page.ask("document.querySelector('[data-key=truth]').click()")
+    assert name in page.ask(names) and not page.ask("document.getElementById('effects').hidden")
+    assert page.ask("document.querySelectorAll('.dot.effect').length") == 1
+    # 1.2 times the 12 ms of the rung it changes, and nearer to the truth
+    page.ask("selfscan.setBudget(13)")
+    assert f"You get {RUNGS[0].name} (12 ms" in answer(page) and f"{name}, costs 2.4 ms more" in answer(page)
+    page.ask("selfscan.setBudget(20)")
+    flip = judged[0]["effects"][0]["against_truth"]["flip"]
+    assert f"You get {name} (14 ms" in answer(page) and f"FLIP {flip:.3f} beside true picture" in answer(page)
+    # its own picture, and the avatar in a rung that the page can draw
+    shown = page.ask("document.getElementById('rung').src")
+    page.ask("selfscan.setBudget(13)")
+    assert page.ask("document.getElementById('rung').src") != shown
+    assert page.ask("selfscan.player.rung.view") == "network"
+    # what is timed here is what can be drawn here
+    page.wait("!document.getElementById('here').disabled", 120)
+    page.ask("document.getElementById('here').click()")
+    assert page.ask(names) == [rung.name for rung in RUNGS] and page.problems == []
 
 
 def test_wheel_and_double_click_zoom_the_chart(tab):

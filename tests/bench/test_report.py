@@ -40,6 +40,11 @@ def test_bench_writes_json_table_plot_and_pictures(oracle, tmp_path, capsys):
     assert 0 < half["psnr_mask_db"] < half["psnr_db"]
     assert half["psnr_db"] < 35 and half["bytes"] < best["bytes"]
     assert best["against_truth"]["psnr_db"] > half["against_truth"]["psnr_db"]
+    # effects are points beside truth, the twisted limbs of dual quaternions at the time of the rung they change
+    points = [row["point"] for row in result["effects"]]
+    assert points[0]["name"] == f"{best['name']}, dual quaternions" and "head" in points[0]["against_truth"]["parts"]
+    assert points[0]["ms_median"] == pytest.approx(best["ms_median"] * result["effects"][0]["times_plain"], rel=0.01)
+    assert "dominated" in points[0]["against_truth"] and points[0]["name"] in (out / "bench.html").read_text()
     assert {path.name for path in out.iterdir()} >= {"bench.html", "bench.json", "bench.md", "pareto.png", "rungs.png"}
     assert "half resolution" in capsys.readouterr().out
 
