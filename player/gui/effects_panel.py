@@ -18,10 +18,13 @@ def effects_panel(ui: Widgets, parts: Parts) -> None:
     effects = parts.look.effects
     for setting in settings_of(Effects):
         value = getattr(effects, setting.name)
+        price = parts.prices.words(setting.name, effects)
         if setting.table is None:
             chosen = _setting(ui, setting, value, setting.name)
+            ui.note(price)
         else:
             on = ui.checkbox(setting.name, value is not None, f"{setting.means}.", name=setting.name)
+            ui.note(price)
             chosen = None if on == (value is not None) else setting.table() if on else _OFF
             if on and value is not None:
                 chosen = _changed(ui, setting, value)

@@ -18,6 +18,9 @@ def view_panel(ui: Widgets, parts: Parts) -> None:
     film = parts.recorder.film
     ui.action("Screenshot", SCREENSHOT, parts)
     ui.action("Stop film" if film else "Film", FILM, parts, name="film", beside=True)
+    tip = "Milliseconds that each effect adds to a frame now, beside it; timing them takes a moment."
+    if ui.button("Prices", tip, name="prices", beside=True):
+        parts.prices.ask()
     if film is not None:
         imgui.same_line()
         imgui.text(counted(film.frames, "frame"))

@@ -159,6 +159,12 @@ class Widgets:
 
     # -- text
 
+    def note(self, text: str) -> None:
+        """A few words beside the last widget; none where there are no words."""
+        if text:
+            imgui.same_line()
+            imgui.text_disabled(text)
+
     def path(self, label: str, path: str) -> None:
         """A file of which as much is shown as fits, its name first; the whole in the tooltip."""
         room = imgui.get_content_region_avail().x - imgui.calc_text_size(label).x

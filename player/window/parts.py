@@ -1,10 +1,11 @@
 """The parts of the window, each in a file of its own. Keys, mouse and panels act on them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from player.window.budgeted import Budgeted
 from player.window.look import Look
 from player.window.posing import Posing
+from player.window.prices import EffectPrices
 from player.window.recorder import Recorder
 from player.window.state import WindowState
 from player.window.viewpoint import Viewpoint
@@ -22,6 +23,7 @@ class Parts:
     recorder: Recorder
     wipe: Wipe | None
     budget: Budgeted | None = None
+    prices: EffectPrices = field(default_factory=EffectPrices)
     # asked to close
     closing: bool = False
 

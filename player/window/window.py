@@ -199,6 +199,7 @@ class Window:
             # the work itself, whatever the screen waits for
             self.screen.context.gl.finish()
             parts.budget.frame(1e3 * (self.clock() - began), filming=parts.recorder.film is not None)
+        parts.prices.drawn(self.screen.context, look, parts.state.last.poses, camera)
         if parts.wipe is not None:
             screen.use()
             around = look.background.color[:3]

@@ -16,6 +16,7 @@ from avatar.settings import parse
 from player.gui.draw import DrawLists
 from player.gui.panels import Panels
 from player.passes.background import Background
+from player.passes.motion_blur import MotionBlur
 from player.passes.outline import Outline
 from player.play_command import PLAY, PlayCommand, scene_of
 from player.scenes.effects import PLAIN, Effects
@@ -183,6 +184,20 @@ def test_an_effect_is_ticked_and_set_up_in_the_panel(window):
     assert {"outline color", "outline width"} <= set(window.panels.places)
     run(window, "press:outline wait wait")
     assert window.parts.look.effects.outline is None and "outline" not in drawn()
+
+
+def test_what_each_effect_costs_stands_beside_it_until_something_changes(window):
+    wanted = replace(PLAIN, antialiasing="fxaa", outline=Outline(), motion_blur=MotionBlur())
+    window.parts.look.change(effects=wanted)
+    prices, before = window.parts.prices, run(window, "g wait")
+    run(window, "g wait press:prices wait wait wait wait wait wait")
+    told = {name: prices.words(name, wanted) for name in ("outline", "antialiasing", "motion_blur", "contact")}
+    assert all(told[name].endswith(" ms") and float(told[name][:-3]) > 0 for name in ("outline", "antialiasing"))
+    # the window draws each moment once; what is not asked for has no price
+    assert told["motion_blur"].endswith(" ms") and told["contact"] == ""
+    assert np.array_equal(run(window, "g wait")[:-30], before[:-30])
+    window.parts.look.change(effects=replace(wanted, outline=None))
+    assert prices.words("antialiasing", window.parts.look.effects) == ""
 
 
 @pytest.mark.parametrize("setting", [s for s in settings_of(Effects) if s.table is not None], ids=lambda s: s.name)
