@@ -12,6 +12,7 @@ from avatar.camera import orbit_camera
 from avatar.motion.clip import Motion
 from player.context import open_context
 from player.renderer import Renderer
+from player.rung import Rung
 from player.scenes.effects import STUDIO
 from player.web.page import MOST_BYTES
 from player.web_command import write_page
@@ -76,6 +77,20 @@ def test_the_page_draws_the_frames_of_render_in_every_view_mode(page):
     for view in ("off", "linear"):
         assert decibels(drawn[1, "network"], drawn[1, view], everywhere) < 35
     assert decibels(drawn[1, "network"], drawn[0, "network"], everywhere) < 20
+    assert tab.problems == []
+
+
+def test_the_page_draws_fewer_joints_and_smaller_textures_as_render_draws_such_a_rung(page):
+    tab, path, avatar, poses = page
+    whole = rendered(avatar, poses[1], "network")
+    everywhere = np.ones(SIZE, bool)
+    for changed in ({"joints": 2}, {"joints": 1}, {"halvings": 2}, {"joints": 1, "halvings": 2}):
+        tab.open(path, settings(view="network", frame=1, **changed))
+        theirs = tab.frame()
+        (prepared,) = Rung("", "network", **changed).prepared([avatar])
+        assert decibels(rendered(prepared, poses[1], "network"), theirs, everywhere) >= 45, changed
+        # the measure tells the rung from the best one
+        assert decibels(whole, theirs, everywhere) < 40, changed
     assert tab.problems == []
 
 
