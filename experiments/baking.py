@@ -219,11 +219,15 @@ def measure(options: Options) -> list[str]:
     note("frames, in turns")
     times = frame_times({folder.name: folder / "avatar.glb" for folder in folders}, references, options.seconds)
     formats = format_rows(options.out / "default" / "avatar.glb", references, options.seconds)
+    trained = read_facts(options.run)
     result = {
         "format": "selfscan-baking",
         "cpu": cpu_name(),
         "commit": commit(),
-        "trained": {key: read_facts(options.run).get(key) for key in ("subject", "preset", "cpu_seconds", "device")},
+        "trained": {
+            **{key: trained.get(key) for key in ("subject", "preset", "cpu_seconds", "device")},
+            "size": trained.get("capture", {}).get("size"),
+        },
         "references": references.facts,
         "rows": collected(folders, times),
         "frames": times,

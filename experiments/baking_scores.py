@@ -266,10 +266,9 @@ def timed_in_turns(
 
 
 def frame_row(times: Times, first: Times) -> dict[str, Any]:
-    """Milliseconds of a frame, and the ratio to those of `first` in the same rounds."""
-    ratios = times.rounds / first.rounds
-    return times.row() | {
-        "times_first": round(float(np.median(ratios)), 3),
-        "times_first_interval": [round(edge, 3) for edge in median_interval(ratios)],
-        "cpu_times_first": round(float(np.median(times.cpu_rounds / first.cpu_rounds)), 3),
-    }
+    """Milliseconds of a frame, and ratios to those of `first` in the same rounds, of the clock and of the processor."""
+    row: dict[str, Any] = times.row()
+    for kind, ratios in (("", times.rounds / first.rounds), ("cpu_", times.cpu_rounds / first.cpu_rounds)):
+        row[f"{kind}times_first"] = round(float(np.median(ratios)), 3)
+        row[f"{kind}times_first_interval"] = [round(edge, 3) for edge in median_interval(ratios)]
+    return row

@@ -186,15 +186,21 @@ def test_every_bake_is_made_and_scored_once_and_the_page_says_what_it_costs(
 
 
 def test_the_sentence_names_the_cheapest_that_loses_nothing():
-    def row(words, seconds, flip):
-        scores = {"truth": {"total": {"flip": flip, "flip_each": [flip, flip]}}}
-        return {"words": words, "cpu_seconds": seconds, "scores": scores}
+    def row(words, seconds, flip, head=0.1):
+        scores = {
+            region: {"flip": value, "flip_each": [value, value]} for region, value in (("total", flip), ("head", head))
+        }
+        return {"words": words, "cpu_seconds": seconds, "scores": {"truth": scores}}
 
     rows = [row("default: all", 100.0, 0.07), row("less", 40.0, 0.0705), row("more", 300.0, 0.06)]
-    rows.append(row("bad", 10.0, 0.09))
-    said = sentence({"rows": rows, "trained": {"subject": "someone", "cpu_seconds": None}})
+    rows += [row("bad", 10.0, 0.09), row("bad head", 20.0, 0.06, 0.11)]
+    trained = {"subject": "someone", "cpu_seconds": None}
+    said = sentence({"rows": rows, "trained": trained})
     assert "nearest to them is more (0.0600, 300 s)" in said
-    assert "The cheapest that loses no more than .001 is less: 40 s, FLIP 0.0705" in said
+    assert (
+        "The cheapest that loses no more than 0.001 over the person, head and hands is less: 40 s, FLIP 0.0705" in said
+    )
+    assert "Nothing cheaper keeps within 0.001" in sentence({"rows": [rows[0], rows[3]], "trained": trained})
 
 
 def test_numbers_of_fewer_bits_change_the_picture_the_less_the_more_bits_they_keep(avatar, small, oracle, tmp_path):
