@@ -40,7 +40,7 @@ def walk_and_count() -> Clip:
     turns = slerp(np.broadcast_to(first, (len(share), 52, 4)), np.broadcast_to(last, (len(share), 52, 4)),
                   np.broadcast_to(share[:, None], (len(share), 52)))  # fmt: skip
     # the counting goes on where the walk ended, at its own height
-    there = count.root + np.float64([1, 0, 1]) * (walk.root[-1] - count.root[0])
+    there = count.root + np.array([1.0, 0.0, 1.0]) * (walk.root[-1] - count.root[0])
     roots = walk.root[-1] + share[:, None] * (there[0] - walk.root[-1])
     poses = np.concatenate([walk.axis_angle, axis_angle_from_quaternion(turns), count.axis_angle])
     return Clip(poses, np.concatenate([walk.root, roots, there]), walk.rate)
