@@ -28,7 +28,7 @@ from capture.fit.directions import all_turns, find_directions, place_of
 from capture.fit.footage import Estimate, Footage, footage_of
 from capture.fit.outline_term import Outlines
 from capture.fit.person import Person, known_person
-from capture.fit.picture import OWN, SHARE, fit_pose
+from capture.fit.picture import ONE_PICTURE, OWN, fit_pose
 from capture.fit.priors import Priors, bias_of
 from capture.fit.scan import posed_video
 from capture.fit.solve import assemble, solve
@@ -40,10 +40,10 @@ Array = np.ndarray
 
 # degrees: how far each joint of the fingers is bent that a hand's fit begins from
 CLOSED = (10.0, 40.0, 70.0)
+# of a finger's range, its standard deviation
+SHARE = 0.3
 # relative standard deviation of a focal length that is known
 KNOWN = 1e-4
-# of how far a detector may see points beside their places in a video: one picture does not tell that from a turn
-ONE_PICTURE = 0.2
 # points of a close-up under which it says nothing, and the body's view stands
 FEWEST = 4
 FINGERS = {"left": LEFT_HAND, "right": RIGHT_HAND}

@@ -1,8 +1,12 @@
 """The pose of a known person in one picture: what a held-out picture is compared in, where nobody tells the pose.
 
-Trunk and head say which way the person faces. One picture leaves open whether a foreshortened arm or thigh points
-forwards or back; several beginnings are tried, and the one that ends at the lowest cost is kept: joint limits and the
-outline decide.
+1. Trunk and head say which way the person faces. One picture leaves open whether a foreshortened arm or thigh points
+   forwards or back; keypoints alone are fitted from several beginnings, and the one that ends at the lowest cost is
+   kept.
+2. The outline follows. What it is of may be thicker or thinner than the template (clothes, hair): by how much is an
+   unknown in each of five regions. A person of known size fills a larger outline only by coming nearer with bent limbs.
+
+In one picture a point's bias and its noise look alike: both are its uncertainty.
 """
 
 from dataclasses import replace
@@ -15,16 +19,18 @@ from avatar.body import Body
 from avatar.camera import Camera
 from avatar.limits import limits
 from avatar.skeleton import JOINTS
+from avatar.skinning import dense_weights
 from capture.fit.body import MOVING, body_names, hand_vertices
 from capture.fit.directions import find_directions, place_of, turns_about_y
 from capture.fit.footage import Estimate, Footage, footage_of
 from capture.fit.outline_term import Outlines
-from capture.fit.person import known_person
+from capture.fit.person import Person, known_person
 from capture.fit.priors import Priors, bias_of
 from capture.fit.scan import posed_video
 from capture.fit.solve import assemble, solve
 from capture.imports.template import Template
 from capture.keypoints.record import SIDES, Keypoints
+from geometry.mesh import vertex_normals
 
 Array = np.ndarray
 
@@ -35,9 +41,18 @@ WEIGHTS = (0.01, 0.02, 0.02, 0.02)
 # degrees: shoulders forwards and raised, hips bent, that a fit begins from
 ARMS = ((0, 0), (60, 0), (0, -60), (40, -60))
 LEGS = (0, 70)
-# of a joint's range, its standard deviation
-SHARE = 0.3
+# of a joint's range, its standard deviation: people rarely go to the ends, and a wide one lets limbs bend unseen
+SHARE = 0.15
 OWN = np.radians(0.05)
+# of how far a detector may see points beside their places in a video: one picture does not tell that from a turn
+ONE_PICTURE = 0.2
+# joints whose surface is thicker or thinner together, and the standard deviation, metres
+REGIONS = (("neck", "head"), ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar"),
+           *(tuple(f"{side}_{name}" for side in SIDES for name in names)
+             for names in (("shoulder", "elbow"), ("hip", "knee"), ("ankle", "foot"))))  # fmt: skip
+THICKNESS = 0.01
+# metres: a thickness changes the height as well, which is not told here
+ANY_HEIGHT = 10.0
 
 
 def fit_pose(
@@ -54,13 +69,11 @@ def fit_pose(
     unplaced = Estimate(known_person(body), np.zeros(0), np.zeros((len(footage.names), 3)), 0.0, np.zeros((52, 3)),
                         np.zeros((1, 3)), np.eye(3)[None], np.zeros((1, 52, 3)))  # fmt: skip
     guess = _facing(unplaced, footage)
+    footage = _doubted(footage, float(-guess.root[0, 2]))
     priors = _anyhow(footage)
     tried = [_from(guess, footage, priors, *start) for start in product(ARMS, LEGS)]
-    estimate = min(tried, key=lambda estimate: assemble(estimate, footage, priors, CUTS[-1], ())[1])
-    outlines, hands = Outlines(footage), hand_vertices(estimate.person)
-    for weight in WEIGHTS:
-        term = outlines.term(outlines.pairs(estimate, footage, ~hands), weight)
-        estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=4, terms=(term,))
+    best = min(tried, key=lambda estimate: assemble(estimate, footage, priors, CUTS[-1], ())[1])
+    estimate = _outlined(best, footage, priors)
     video = posed_video(estimate, footage, np.ones(1, bool), level=False)
     assert video.axis_angle is not None and video.root is not None
     return video.cameras[0], video.axis_angle[0], video.root[0]
@@ -75,13 +88,20 @@ def _facing(estimate: Estimate, footage: Footage) -> Estimate:
     return replace(estimate, root=place_of(found, footage.focal, footage.centre), heading=found.rotation)
 
 
+def _doubted(footage: Footage, depth: float) -> Footage:
+    """The footage with the points' bias, seen from `depth` metres, among their uncertainty."""
+    bias = footage.focal / depth * bias_of(footage.names)
+    sigma = 1 / np.maximum(footage.sure, 1e-12)
+    return replace(footage, sure=np.where(footage.sure > 0, 1 / np.hypot(sigma, bias), 0.0))
+
+
 def _anyhow(footage: Footage) -> Priors:
     """Any pose within the joints' ranges."""
     table = limits()
     centre = np.clip(np.zeros((52, 3)), table.low, table.high)
     spread = SHARE * (table.high - table.low)
     return Priors(centre, spread, np.full((52, 3), OWN), np.zeros(0), np.zeros(0), footage.focal_doubt,
-                  bias_of(footage.names))  # fmt: skip
+                  ONE_PICTURE * bias_of(footage.names))  # fmt: skip
 
 
 def _from(guess: Estimate, footage: Footage, priors: Priors, arms: tuple[int, int], hip: int) -> Estimate:
@@ -94,3 +114,26 @@ def _from(guess: Estimate, footage: Footage, priors: Priors, arms: tuple[int, in
     for cut in CUTS:
         estimate = solve(estimate, footage, priors, cut=cut, rounds=12)
     return estimate
+
+
+def _outlined(estimate: Estimate, footage: Footage, priors: Priors) -> Estimate:
+    """The fit to outline and keypoints."""
+    person = with_thickness(estimate.person)
+    nothing = np.zeros(len(person.sigma))
+    estimate = replace(estimate, person=person, g=nothing)
+    priors = replace(priors, g=nothing, g_sigma=person.sigma, stature=ANY_HEIGHT)
+    outlines, hands = Outlines(footage), hand_vertices(person)
+    for weight in WEIGHTS:
+        term = outlines.term(outlines.pairs(estimate, footage, ~hands), weight)
+        estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=4, terms=(term,))
+    return estimate
+
+
+def with_thickness(person: Person) -> Person:
+    """A known person whose surface stands off along its normals by one unknown in each of REGIONS; joints stay."""
+    body = person.body
+    normals, weights = vertex_normals(body.vertices, body.faces), dense_weights(body.skin)
+    shares = np.stack([weights[:, [JOINTS.index(name) for name in names]].sum(1) for names in REGIONS], -1)
+    return replace(person, vertex_directions=normals[:, :, None] * shares[:, None],
+                   joint_directions=np.zeros((52, 3, len(REGIONS))), sigma=np.full(len(REGIONS), THICKNESS),
+                   fingers=np.zeros(len(REGIONS), bool))  # fmt: skip
