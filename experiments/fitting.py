@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
+from scipy.ndimage import distance_transform_edt
 
 from avatar.body import builtin_body
 from avatar.errors import AssetError
@@ -30,6 +31,7 @@ from capture.fit.person import person_of
 from capture.fit.scan import FOCAL, GUESSED, TOLD
 from capture.keypoints.openpose import NAMES
 from capture.keypoints.record import keypoints_of
+from experiments.filmed_masks import Faults, filmed_masks
 from experiments.fitting_pictures import write_pictures
 from experiments.fitting_scores import Truth, scores
 from player.context import open_context
@@ -63,6 +65,10 @@ class Source:
     sway: float = 0.0
     told: bool = True  # the focal length
     wrong_stature: float = 0.0  # metres
+    # masks too large (or, negative, too small) by so many pixels of 1080; keypoints alone do not see it
+    rim: float = 0.0
+    # masks as they are made of a film with these faults
+    film: Faults | None = None
 
 
 CLEAN, ALL = Mistakes(0.0, 0.0, clumsy=False), Mistakes(4.0, 0.01)
@@ -72,6 +78,13 @@ SOURCES = (
     Source("bias", "1 cm a point", Mistakes(0.0, 0.01, clumsy=False)),
     Source("clumsy", "outliers, exchanged sides", Mistakes(0.0, 0.0)),
     Source("sway", "the person sways", CLEAN, sway=1.0),
+    Source("wide_masks", "masks 2 px of 1080 too large", CLEAN, rim=2.0),
+    Source("narrow_masks", "masks 2 px of 1080 too small", CLEAN, rim=-2.0),
+    Source("own_masks", "masks made of a faultless film", CLEAN, film=Faults()),
+    Source("exposure", "the same, exposure rolls", CLEAN, film=Faults(exposure=1.0)),
+    Source("sensor", "the same, sensor noise", CLEAN, film=Faults(noise=1.0)),
+    Source("phone_file", "the same, H.264 as a phone writes (crf 20)", CLEAN, film=Faults(crf=20)),
+    Source("sent_on", "the same, H.264 as messengers send (crf 32)", CLEAN, film=Faults(crf=32)),
     Source("all", "all of these", ALL, sway=1.0),
     Source("stature", "all, stature 1 cm too large", ALL, sway=1.0, wrong_stature=0.01),
     Source("focal", "all, focal length not told", ALL, sway=1.0, told=False),
@@ -112,21 +125,28 @@ class Filming:
             found = detector.look(shots.axis_angle[f], shots.root[f], vertices)
             if found is not None:
                 rows[i] = found[: len(NAMES)]
-            if outlines:
-                masks[i] = self._mask(shots, vertices)
+            if outlines and source.film is None:
+                masks[i] = self._mask(shots, vertices, source.rim * size / 1080)
             if i + 1 < frames:
                 detector.skip(int(chosen[i + 1] - f - 1))
         true = float(shots.camera.K[0, 0])
         focal, doubt = (true, TOLD) if source.told else (FOCAL * min(wide), GUESSED)
         keypoints = keypoints_of(NAMES, rows, wide, [])
+        if outlines and source.film is not None:
+            masks = filmed_masks(self.studio, shots, chosen, keypoints, source.film, [seed, 0])
         footage = footage_of(keypoints, masks, body.body_names(), body.MOVING, focal=focal, focal_doubt=doubt)
         truth = Truth(self.studio.subject, self.visible, shots, chosen)
         return Seen(footage, truth, self.stature + source.wrong_stature)
 
-    def _mask(self, shots: RawShots, vertices: Array) -> UInt8[Array, "height width"]:
+    def _mask(self, shots: RawShots, vertices: Array, rim: float) -> UInt8[Array, "height width"]:
+        """The person's share of each pixel, the outline moved outwards by `rim` pixels."""
         width, height = shots.camera.size
         twice = shots.camera.resized((2 * width, 2 * height))
         drawn = self.rasteriser.draw(vertices, self.studio.subject.faces, twice).face >= 0
+        if rim:
+            # to the nearest pixel's middle on the other side: the outline is half a pixel nearer
+            inside, outside = np.asarray(distance_transform_edt(drawn)), np.asarray(distance_transform_edt(~drawn))
+            drawn = np.where(drawn, 0.5 - inside, outside - 0.5) < 2 * rim
         return np.round(255 * drawn.reshape(height, 2, width, 2).mean((1, 3))).astype(np.uint8)
 
 
@@ -216,6 +236,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         filming = None
         for seed in given.seeds:
             for source in given.sources:
+                if (NAMED[source].rim or NAMED[source].film) and not given.outlines:
+                    continue
                 row = {"subject": name, "seed": seed, "source": source, "input": witness, "frames": given.frames,
                        "size": given.size, "commit": version}  # fmt: skip
                 pictures = given.out / f"{Path(name).stem.replace(':', '_')}_{seed}_{source}.png"

@@ -105,7 +105,7 @@ def _frames(
         picture, coverage, found = behind.picture, None, None
         if shots.present[i]:
             vertices = studio.posed(shots.axis_angle[i], shots.root[i])
-            picture, coverage = _taken(studio, shots, behind, vertices, i, light, lighting.at(i))
+            picture, coverage = taken(studio, shots, behind, vertices, i, light, lighting.at(i))
             if config.keypoints:
                 found = detector.look(shots.axis_angle[i], shots.root[i], vertices)
         if config.keypoints:
@@ -117,7 +117,7 @@ def _frames(
         yield frame
 
 
-def _taken(
+def taken(
     studio: Studio,
     shots: RawShots,
     behind: Backdrop,
