@@ -78,6 +78,9 @@ SOURCES = (
     Source("bias", "1 cm a point", Mistakes(0.0, 0.01, clumsy=False)),
     Source("clumsy", "outliers, exchanged sides", Mistakes(0.0, 0.0)),
     Source("sway", "the person sways", CLEAN, sway=1.0),
+    Source("all", "all of these", ALL, sway=1.0),
+    Source("stature", "all, stature 1 cm too large", ALL, sway=1.0, wrong_stature=0.01),
+    Source("focal", "all, focal length not told", ALL, sway=1.0, told=False),
     Source("wide_masks", "masks 2 px of 1080 too large", CLEAN, rim=2.0),
     Source("narrow_masks", "masks 2 px of 1080 too small", CLEAN, rim=-2.0),
     Source("own_masks", "masks made of a faultless film", CLEAN, film=Faults()),
@@ -85,9 +88,6 @@ SOURCES = (
     Source("sensor", "the same, sensor noise", CLEAN, film=Faults(noise=1.0)),
     Source("phone_file", "the same, H.264 as a phone writes (crf 20)", CLEAN, film=Faults(crf=20)),
     Source("sent_on", "the same, H.264 as messengers send (crf 32)", CLEAN, film=Faults(crf=32)),
-    Source("all", "all of these", ALL, sway=1.0),
-    Source("stature", "all, stature 1 cm too large", ALL, sway=1.0, wrong_stature=0.01),
-    Source("focal", "all, focal length not told", ALL, sway=1.0, told=False),
 )
 NAMED = {source.name: source for source in SOURCES}
 
