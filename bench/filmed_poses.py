@@ -1,11 +1,11 @@
 """Poses of the person's own videos beside the truth of the same frames: the geometry of an avatar whose poses were
 estimated from all frames of a video together.
 
-A single held-out picture leaves the depth of limbs open (bench/fitted_poses.py), and distances in its fit hold that: the
-true skeleton's limb joints end 3.5 cm from the truth there. Here ours stands as its own videos have it, and the truth as it was
-filmed. The whole person and the head are measured in frames of the body's video, a hand in frames of its own, in the
-world of that video's camera: where a camera or a focal length was estimated, its error counts in place. Head cameras
-of a capture stand in a frame of their own, so the head's video places nothing.
+A single held-out picture leaves the depth of limbs open (bench/fitted_poses.py), and distances in its fit hold that:
+the true skeleton's limb joints end 3.5 cm from the truth there. Here ours stands as its own videos have it, and the
+truth as it was filmed. The whole person and the head are measured in frames of the body's video, a hand in frames of
+its own, in the world of that video's camera: where a camera or a focal length was estimated, its error counts in
+place. Head cameras of a capture stand in a frame of their own, so the head's video places nothing.
 """
 
 from collections.abc import Mapping
