@@ -40,7 +40,7 @@ SIZE = (640, 640)
 # of the walk, a second and a bit: what a case draws again and again
 FRAMES = range(10, 50, 2)
 # of the bare scene and the program without effects, for each of a case
-BARE_PAIRS, BARE_MOST = 4, 1.03
+BARE_PAIRS, BARE_MOST = 12, 1.03
 # one that is shown
 SHOWN = 33
 # radians: from a little to the side and above, so that the ground is seen
