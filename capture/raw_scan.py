@@ -35,7 +35,11 @@ class RawVideo:
     # share of the pixel that is the person, 0 to 255: between them only at the rim
     masks: UInt8[Array, "frames height width"]
     keypoints: Keypoints
-    focal: float | None  # pixels, where the file or the user tells it
+    focal: float | None  # pixels, where the user tells it
+    # pixels, by what the phone wrote into the file
+    focal_written: float | None = None
+    # points of more frames than those kept; None: no more
+    track: Keypoints | None = None
 
     def __post_init__(self):
         if self.part not in PARTS:

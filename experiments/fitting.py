@@ -17,20 +17,23 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Int, UInt8
 from scipy.ndimage import distance_transform_edt
 
 from avatar.body import builtin_body
 from avatar.errors import AssetError
 from avatar.files import whole_file
 from avatar.input_file import read_json_object
+from avatar.skeleton import PARTS
 from bench.machine import commit
 from capture.fit import body
+from capture.fit.focal import Focal, focal_of_videos
 from capture.fit.footage import Estimate, Footage, footage_of
 from capture.fit.person import person_of
-from capture.fit.scan import FOCAL, GUESSED, TOLD
+from capture.fit.scan import FOCAL, FOUND, GUESSED, TOLD, names_and_joints
+from capture.imports.video import TRACK
 from capture.keypoints.openpose import NAMES
-from capture.keypoints.record import keypoints_of
+from capture.keypoints.record import Keypoints, keypoints_of
 from experiments.filmed_masks import Faults, filmed_masks
 from experiments.fitting_pictures import write_pictures
 from experiments.fitting_scores import Truth, scores
@@ -80,7 +83,7 @@ SOURCES = (
     Source("sway", "the person sways", CLEAN, sway=1.0),
     Source("all", "all of these", ALL, sway=1.0),
     Source("stature", "all, stature 1 cm too large", ALL, sway=1.0, wrong_stature=0.01),
-    Source("focal", "all, focal length not told", ALL, sway=1.0, told=False),
+    Source("focal", "all, focal length from all four videos", ALL, sway=1.0, told=False),
     Source("wide_masks", "masks 2 px of 1080 too large", CLEAN, rim=2.0),
     Source("narrow_masks", "masks 2 px of 1080 too small", CLEAN, rim=-2.0),
     Source("own_masks", "masks made of a faultless film", CLEAN, film=Faults()),
@@ -116,27 +119,49 @@ class Filming:
     def seen(self, source: Source, seed: int, frames: int, size: int, *, outlines: bool) -> Seen:
         """The body's video with one source of mistakes."""
         wide = 2 * round(size * 16 / 9 / 2), 2 * round(size / 2)
-        shots = plan_raw_video(self.studio, "body", wide, SECONDS, RATE, source.sway, seed)
-        chosen = np.linspace(round((EMPTY + ENTERING) * RATE), len(shots.root) - 1, frames).astype(int)
-        detector = Detector(self.studio.subject, self.rasteriser, shots.camera, source.mistakes, [seed, 0])
-        rows, masks = np.zeros((frames, len(NAMES), 3)), np.zeros((frames, wide[1], wide[0]), np.uint8)
-        for i, f in enumerate(chosen):
-            vertices = self.studio.posed(shots.axis_angle[f], shots.root[f])
-            found = detector.look(shots.axis_angle[f], shots.root[f], vertices)
-            if found is not None:
-                rows[i] = found[: len(NAMES)]
-            if outlines and source.film is None:
-                masks[i] = self._mask(shots, vertices, source.rim * size / 1080)
-            if i + 1 < frames:
-                detector.skip(int(chosen[i + 1] - f - 1))
-        true = float(shots.camera.K[0, 0])
-        focal, doubt = (true, TOLD) if source.told else (FOCAL * min(wide), GUESSED)
-        keypoints = keypoints_of(NAMES, rows, wide, [])
+        shots, chosen, keypoints = self._looked(source, "body", seed, frames, wide)
+        masks = np.zeros((frames, wide[1], wide[0]), np.uint8)
         if outlines and source.film is not None:
             masks = filmed_masks(self.studio, shots, chosen, keypoints, source.film, [seed, 0])
+        elif outlines:
+            for mask, f in zip(masks, chosen):
+                vertices = self.studio.posed(shots.axis_angle[f], shots.root[f])
+                mask[:] = self._mask(shots, vertices, source.rim * size / 1080)
+        focal, doubt = float(shots.camera.K[0, 0]), TOLD
+        if not source.told:
+            focal, doubt = self._focal(source, seed, wide).shorter_sides * min(wide), FOUND
         footage = footage_of(keypoints, masks, body.body_names(), body.MOVING, focal=focal, focal_doubt=doubt)
         truth = Truth(self.studio.subject, self.visible, shots, chosen)
         return Seen(footage, truth, self.stature + source.wrong_stature)
+
+    def _looked(
+        self, source: Source, part: str, seed: int, frames: int, size: tuple[int, int]
+    ) -> tuple[RawShots, Int[Array, "frames"], Keypoints]:
+        """What a detector finds in frames of one video, spread over the turn."""
+        shots = plan_raw_video(self.studio, part, size, SECONDS, RATE, source.sway, seed)
+        chosen = np.linspace(round((EMPTY + ENTERING) * RATE), len(shots.root) - 1, frames).astype(int)
+        detector = Detector(self.studio.subject, self.rasteriser, shots.camera, source.mistakes,
+                            [seed, PARTS.index(part)])  # fmt: skip
+        rows = np.zeros((frames, len(NAMES), 3))
+        for i, f in enumerate(chosen):
+            if i:
+                detector.skip(int(f - chosen[i - 1] - 1))
+            pose = shots.axis_angle[f], shots.root[f]
+            found = detector.look(*pose, self.studio.posed(*pose))
+            if found is not None:
+                rows[i] = found
+        return shots, chosen, keypoints_of(NAMES, rows, size, [])
+
+    def _focal(self, source: Source, seed: int, size: tuple[int, int]) -> Focal:
+        """What `import video` finds from the points of all four videos."""
+        footages = {}
+        for part in PARTS:
+            _, _, keypoints = self._looked(source, part, seed, TRACK, size)
+            masks = np.broadcast_to(np.uint8(0), (TRACK, size[1], size[0]))
+            footages[part] = footage_of(keypoints, masks, *names_and_joints(part), focal=FOCAL * min(size),
+                                        focal_doubt=GUESSED)  # fmt: skip
+        person = person_of(self.sex, self.stature + source.wrong_stature)
+        return focal_of_videos(person, footages, lambda note: None)
 
     def _mask(self, shots: RawShots, vertices: Array, rim: float) -> UInt8[Array, "height width"]:
         """The person's share of each pixel, the outline moved outwards by `rim` pixels."""

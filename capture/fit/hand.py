@@ -76,14 +76,19 @@ def holding(estimate: Estimate, footage: Footage, side: str) -> Priors:
                   smooth=np.radians(3.0), smooth_heading=np.radians(15.0), smooth_root=1.0)  # fmt: skip
 
 
-def fit_hand(person: Person, g: Array, footage: Footage, side: str, report: Report) -> Estimate:
-    """The whole video; the person comes back with the hand's own fingers and offsets."""
+def fit_keypoints(person: Person, g: Array, footage: Footage, side: str) -> tuple[Estimate, Priors]:
+    """Place, wrist and fingers from keypoints alone; and what was believed before."""
     estimate = first_guess(person, g, footage, side)
-    report("first guess")
     priors = holding(estimate, footage, side)
     estimate = solve(estimate, footage, rigid(priors), cut=FIRST, rounds=10)
     for cut in (FIRST, *CUTS):
         estimate = solve(estimate, footage, priors, cut=cut, rounds=12)
+    return estimate, priors
+
+
+def fit_hand(person: Person, g: Array, footage: Footage, side: str, report: Report) -> Estimate:
+    """The whole video; the person comes back with the hand's own fingers and offsets."""
+    estimate, priors = fit_keypoints(person, g, footage, side)
     report("keypoints")
     priors = replace(priors, g=estimate.g, g_sigma=np.where(person.fingers, KNOWN, priors.g_sigma))
     outlines, hand = Outlines(footage), hand_vertices(person, (side,))

@@ -49,7 +49,7 @@ def turning(estimate: Estimate, footage: Footage) -> Priors:
     """Of a head that turns evenly."""
     still = np.full((52, 3), FROZEN)
     return Priors(np.zeros((52, 3)), still, still, estimate.g, FROZEN * estimate.person.sigma, footage.focal_doubt,
-                  bias_of(footage.names), smooth_heading=np.radians(5.0), smooth_root=0.1)  # fmt: skip
+                  bias_of(footage.names), smooth_heading=np.radians(5.0), smooth_path=0.13)  # fmt: skip
 
 
 def head_vertices(person: Person) -> Bool[Array, "vertices"]:
@@ -57,13 +57,18 @@ def head_vertices(person: Person) -> Bool[Array, "vertices"]:
     return part_of(person.body.skin) == PARTS.index("head")
 
 
-def fit_head(person: Person, g: Array, footage: Footage, report: Report) -> Estimate:
-    """The whole video; the person comes back with the head's own offsets."""
+def fit_keypoints(person: Person, g: Array, footage: Footage) -> tuple[Estimate, Priors]:
+    """The head's heading and place from keypoints alone; and what was believed before."""
     estimate = first_guess(person, g, footage)
-    report("first guess")
     priors = turning(estimate, footage)
     for cut in (FIRST, *CUTS):
         estimate = solve(estimate, footage, priors, cut=cut, rounds=10)
+    return estimate, priors
+
+
+def fit_head(person: Person, g: Array, footage: Footage, report: Report) -> Estimate:
+    """The whole video; the person comes back with the head's own offsets."""
+    estimate, priors = fit_keypoints(person, g, footage)
     report("keypoints")
     outlines, head = Outlines(footage), head_vertices(person)
     for number in range(len(WEIGHTS) + ROUNDS):

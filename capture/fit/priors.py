@@ -33,6 +33,10 @@ BIAS_JOINT = 0.01
 # of a degree beyond a joint's range
 BEYOND = 1.0
 FROZEN = 1e-3
+# of a second difference
+STEPS = (1.0, -2.0, 1.0)
+# standard deviations of the path's second difference from which on it says little (Geman-McClure's c)
+STEP_ASIDE = 4.0
 
 
 @dataclass(frozen=True)
@@ -50,8 +54,11 @@ class Priors:
     # second differences from frame to frame
     smooth: float = np.radians(SMOOTH)
     smooth_heading: float = np.radians(8.0)
-    # of somebody who sways by a centimetre, half a second from frame to frame; a tighter one draws the person nearer
-    smooth_root: float = 0.06
+    # of the root's bearings and the logarithm of its distance: somebody who sways by a centimetre, half a second from
+    # frame to frame; a step to the side counts less
+    smooth_path: float = 0.005
+    # of the root, metres, instead: of one that need not be before the camera
+    smooth_root: float | None = None
 
 
 def standing(estimate: Estimate, footage: Footage) -> Priors:
@@ -153,16 +160,14 @@ def _add_smoothness(equations: Equations, estimate: Estimate, footage: Footage, 
     if frames < 3:
         return 0.0
     count = 3 * len(moving)
-    values = np.concatenate([estimate.root, estimate.angles[:, moving].reshape(frames, count)], 1)
-    sigma = np.r_[np.full(3, priors.smooth_root), np.full(count, priors.smooth)]
-    place = np.r_[0:3, 6 : 6 + count]
+    values, place = estimate.angles[:, moving].reshape(frames, count), 6 + np.arange(count)
     second = values[:-2] - 2 * values[1:-1] + values[2:]
-    steps = (1.0, -2.0, 1.0)
     for i in range(3):
-        equations.b[i : frames - 2 + i, place] -= steps[i] * second / sigma**2
+        equations.b[i : frames - 2 + i, place] -= STEPS[i] * second / priors.smooth**2
         for j in range(i, 3):
             block = equations.near[j - i][i : frames - 2 + i]
-            block[:, place, place] += steps[i] * steps[j] / sigma**2
+            block[:, place, place] += STEPS[i] * STEPS[j] / priors.smooth**2
+    cost = float((second**2).sum()) / priors.smooth**2 + _add_smooth_path(equations, estimate.root, priors)
     between = np.swapaxes(estimate.heading[:-1], 1, 2) @ estimate.heading[1:]
     v = axis_angle_from_matrix(between)
     a = v[1:] - v[:-1]
@@ -175,4 +180,30 @@ def _add_smoothness(equations: Equations, estimate: Estimate, footage: Footage, 
         for j in range(i, 3):
             product = np.einsum("fki,fkj->fij", parts[i], parts[j]) * weight[:, None, None]
             equations.near[j - i][i : frames - 2 + i, 3:6, 3:6] += product
-    return float((second**2 / sigma**2).sum() + ((a**2).sum(1) * weight).sum())
+    return cost + float(((a**2).sum(1) * weight).sum())
+
+
+def _add_smooth_path(equations: Equations, root: Float[Array, "frames 3"], priors: Priors) -> float:
+    """Second differences of where the root is are small: of its bearings x / z, y / z and its distance's logarithm.
+
+    In metres, a person who comes nearer, and is smaller, would move less: this would draw everybody nearer.
+    """
+    if priors.smooth_root is None:
+        x, y, z = root.T
+        one, nothing = np.ones_like(z), np.zeros_like(z)
+        path, sigma = np.stack([x / z, y / z, np.log(-z)], 1), priors.smooth_path
+        rows = np.stack([one, nothing, -x / z, nothing, one, -y / z, nothing, nothing, one], 1).reshape(-1, 3, 3)
+        rows /= z[:, None, None]
+    else:
+        path, sigma, rows = root, priors.smooth_root, np.broadcast_to(np.eye(3), (len(root), 3, 3))
+    inner = len(root) - 2
+    second = (path[:-2] - 2 * path[1:-1] + path[2:]) / sigma
+    e = (second**2).sum(1)
+    weight = 1 / (1 + e / STEP_ASIDE**2)[:, None] ** 2
+    for i in range(3):
+        row = STEPS[i] * rows[i : inner + i] / sigma
+        equations.b[i : inner + i, :3] -= np.einsum("fki,fk->fi", row, weight * second)
+        for j in range(i, 3):
+            other = STEPS[j] * rows[j : inner + j] / sigma * weight[:, None]
+            equations.near[j - i][i : inner + i, :3, :3] += np.einsum("fki,fkj->fij", row, other)
+    return float((STEP_ASIDE**2 * e / (STEP_ASIDE**2 + e)).sum())

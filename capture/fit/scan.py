@@ -1,22 +1,25 @@
 """Four videos to a person: body, hands, head, each from what the ones before it found."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from avatar.camera import Camera
 from avatar.progress import Progress
 from avatar.rotation import axis_angle_from_matrix, rotation_between
+from avatar.skeleton import PARTS
 from capture.fit import body, hand, head
+from capture.fit.focal import Focal, focal_of_videos
 from capture.fit.footage import Estimate, Footage, footage_of
 from capture.fit.joint_turns import rotations
 from capture.fit.kinematics import Lens
 from capture.fit.person import Person, person_of
 from capture.fit.points import body_points
 from capture.fit.refusals import check_fit, check_footage, check_upright
-from capture.fit.stored import fingerprint, read_estimate, write_estimate
+from capture.fit.stored import fingerprint, read_estimate, read_focal, write_estimate, write_focal
 from capture.imports.template import Template
 from capture.raw_scan import FittedScan, FittedVideo, RawScan, RawVideo
 
@@ -24,10 +27,11 @@ Array = np.ndarray
 
 # of the shorter side of the picture: a phone's video, where nobody says
 FOCAL = 1.5
-# relative standard deviations of the focal length: guessed, told, and found in the body's video by the same phone
-GUESSED, TOLD, FOUND = 0.1, 0.005, 0.005
+# relative standard deviations of the focal length: guessed, written by the phone, told by the user, and found in all
+# videos, from which one alone would draw it away
+GUESSED, WRITTEN, TOLD, FOUND = 0.1, 0.05, 0.005, 0.003
 # what each video's fit reports
-STEPS = {"body": 10, "hand_left": 7, "hand_right": 7, "head": 9}
+STEPS = {"focal": 4, "body": 10, "hand_left": 6, "hand_right": 6, "head": 8}
 OPENCV = np.diag([1.0, -1.0, -1.0])
 LANDMARKS = {
     "nose_tip": "face_30", "nose_bridge": "face_27", "chin": "face_08", "left_mouth": "face_54",
@@ -48,32 +52,35 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
     notes = [] if stature else [f"stature not told: {person_of(sex).stature:.2f} m of the free body, {sex}"]
     fit = _Fit(work)
     found: dict[str, FittedVideo] = {}
+    person = person_of(sex, stature)
+    phone = phone_of(scan)
+    footages = {part: footage_in(video, phone) for part, video in scan.videos.items()}
+    for part, footage in footages.items():
+        check_footage(part, footage)
+    check_upright(footages["body"])
+    if any(video.focal is None for video in scan.videos.values()):
+        phone = fit.focal(person, {part: tracked_in(video, phone) for part, video in scan.videos.items()})
+        pixels = phone.shorter_sides * min(scan.videos["body"].size)
+        notes.append(
+            f"focal length not told: {pixels:.0f} pixels ({100 * phone.doubt:.1f} % unsure) found from the videos"
+        )
+        phone = replace(phone, doubt=FOUND)
+        footages = {part: footage_in(video, phone) for part, video in scan.videos.items()}
 
-    video = scan.videos["body"]
-    focal = video.focal or FOCAL * min(video.size)
-    footage = footage_of(video.keypoints, video.masks, body.body_names(), body.MOVING, focal=focal,
-                         focal_doubt=TOLD if video.focal else GUESSED)  # fmt: skip
-    check_footage("body", footage)
-    check_upright(footage)
-    estimate = fit.step("body", person_of(sex, stature), np.zeros(0), footage,
+    footage = footages["body"]
+    estimate = fit.step("body", person, np.zeros(0), footage,
                         lambda person, g, report: body.fit_body(person, footage, report))  # fmt: skip
     # sides that the detector exchanged are of no account here
     usable = check_fit("body", estimate, body.sides_restored(estimate, footage))
     found["body"] = posed_video(estimate, footage, usable, level=True)
-    if not video.focal:
-        notes.append(f"focal length not told: {estimate.lens(footage).focal:.0f} pixels found from the body's video")
-    phone = estimate.lens(footage).focal / min(video.size)
 
     for part in ("hand_left", "hand_right"):
-        side = part.removeprefix("hand_")
-        footage = _close_up(scan.videos[part], hand.hand_names(side), hand.hand_joints(side), phone)
-        check_footage(part, footage)
+        side, footage = part.removeprefix("hand_"), footages[part]
         estimate = fit.step(part, estimate.person, estimate.g, footage, lambda person, g, report:
                             hand.fit_hand(person, g, footage, side, report))  # fmt: skip
         found[part] = posed_video(estimate, footage, check_fit(part, estimate, footage), level=False)
 
-    footage = _close_up(scan.videos["head"], head.NAMES, np.zeros(0, np.int64), phone)
-    check_footage("head", footage)
+    footage = footages["head"]
     estimate = fit.step("head", estimate.person, estimate.g, footage,
                         lambda person, g, report: head.fit_head(person, g, footage, report))  # fmt: skip
     lens = estimate.lens(footage)
@@ -114,17 +121,55 @@ class _Fit:
         self.progress.update(self.done, part)
         return estimate
 
+    def focal(self, person: Person, footages: Mapping[str, Footage]) -> Focal:
+        """The focal length of all videos."""
+        inputs = fingerprint(footages["body"], *(fingerprint(footages[part]) for part in PARTS), person.body.name,
+                             person.stature)  # fmt: skip
+        path = None if self.work is None else self.work / "focal.npz"
+        found = None if path is None else read_focal(path, inputs)
+        if found is None:
+            found = focal_of_videos(person, footages, lambda note: self.report(f"focal length: {note}"))
+            if path is not None:
+                write_focal(path, found, inputs)
+        self.done = STEPS["focal"]
+        self.progress.update(self.done, "focal length")
+        return found
+
     def report(self, note: str) -> None:
         self.done += 1
         self.progress.update(self.done, note)
 
 
-def _close_up(video: RawVideo, names: tuple[str, ...], moving: Array, phone: float) -> Footage:
-    """The footage of a hand or the head, filmed by the phone that filmed the body."""
-    focal = video.focal or phone * min(video.size)
-    return footage_of(
-        video.keypoints, video.masks, names, moving, focal=focal, focal_doubt=TOLD if video.focal else FOUND
-    )
+def phone_of(scan: RawScan) -> Focal:
+    """The focal length that is begun with: what the phone wrote into its files, else what is usual."""
+    written = [video.focal_written / min(video.size) for video in scan.videos.values() if video.focal_written]
+    return Focal(float(np.median(written)), WRITTEN) if written else Focal(FOCAL, GUESSED)
+
+
+def names_and_joints(part: str) -> tuple[tuple[str, ...], Int[Array, "joints"]]:
+    """The named points that a part's video is fitted to, and the joints that turn in it."""
+    if part == "body":
+        return body.body_names(), body.MOVING
+    if part == "head":
+        return head.NAMES, np.zeros(0, np.int64)
+    side = part.removeprefix("hand_")
+    return hand.hand_names(side), hand.hand_joints(side)
+
+
+def footage_in(video: RawVideo, phone: Focal) -> Footage:
+    """The frames kept of one video; its own focal length, where told, else the phone's."""
+    told = video.focal is not None
+    focal = video.focal if video.focal is not None else phone.shorter_sides * min(video.size)
+    return footage_of(video.keypoints, video.masks, *names_and_joints(video.part), focal=focal,
+                      focal_doubt=TOLD if told else phone.doubt)  # fmt: skip
+
+
+def tracked_in(video: RawVideo, phone: Focal) -> Footage:
+    """The points of more frames of one video; its masks are empty."""
+    points = video.keypoints if video.track is None else video.track
+    masks = np.broadcast_to(np.uint8(0), (len(points.pixels), *video.size[::-1]))
+    return footage_of(points, masks, *names_and_joints(video.part), focal=phone.shorter_sides * min(video.size),
+                      focal_doubt=phone.doubt)  # fmt: skip
 
 
 def opencv_camera(lens: Lens, camera_from_world: Float[Array, "4 4"], size: tuple[int, int]) -> Camera:

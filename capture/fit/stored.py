@@ -7,6 +7,7 @@ import numpy as np
 
 from avatar.files import whole_file
 from avatar.npz import read_npz
+from capture.fit.focal import Focal
 from capture.fit.footage import Estimate, Footage
 from capture.fit.person import Person
 
@@ -14,7 +15,7 @@ Array = np.ndarray
 
 ARRAYS = ("g", "bias", "mean", "root", "heading", "angles")
 # raised whenever a step of the fit would answer otherwise: what an older one found is then not gone on from
-METHOD = 2
+METHOD = 3
 FIELDS = (*ARRAYS, "offsets", "log_focal", "inputs")
 
 
@@ -42,3 +43,19 @@ def read_estimate(path: Path, person: Person, inputs: str) -> Estimate | None:
         return None
     arrays = {name: fields[name] for name in ARRAYS}
     return Estimate(person.with_offsets(fields["offsets"]), log_focal=float(fields["log_focal"]), **arrays)
+
+
+def write_focal(path: Path, focal: Focal, inputs: str) -> None:
+    """Keep the focal length that all videos tell."""
+    with whole_file(path) as file:
+        np.savez(file, shorter_sides=focal.shorter_sides, doubt=focal.doubt, inputs=inputs)
+
+
+def read_focal(path: Path, inputs: str) -> Focal | None:
+    """The focal length, if it was found and from the same."""
+    if not path.is_file():
+        return None
+    fields = read_npz(path, "a step of a fit", ("shorter_sides", "doubt", "inputs"))
+    if str(fields["inputs"]) != inputs:
+        return None
+    return Focal(float(fields["shorter_sides"]), float(fields["doubt"]))

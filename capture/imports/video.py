@@ -30,6 +30,8 @@ from capture.raw.video_file import open_video, read_frames, saved
 from capture.raw_scan import FittedScan, FittedVideo, RawScan, RawVideo
 
 Array = np.ndarray
+# most frames whose points alone are used, and seconds from one to the next: a detector's errors last about as long
+TRACK, APART = 120, 0.1
 # what was filmed and a folder for finished steps, to the person
 Fit = Callable[[RawScan, Path], FittedScan]
 
@@ -114,7 +116,10 @@ def _prepared(given: VideoImport, judged: Judged, chosen: Selection, work: Path)
     else:
         _own_masks(judged, pictures, keypoints, paths)
     soft = np.stack([read_picture(path, "L") for path in paths])
-    return RawVideo(at.part, at.video.size, at.video.rate, chosen.frames, tuple(pictures), soft, keypoints, given.focal)
+    many = max(given.frames, min(TRACK, round(float(at.times[-1]) / APART)))
+    track = at.keypoints.of_frames(select(judged, many).frames)
+    return RawVideo(at.part, at.video.size, at.video.rate, chosen.frames, tuple(pictures), soft, keypoints, given.focal,
+                    at.video.focal, track)  # fmt: skip
 
 
 def _own_masks(judged: Judged, pictures: list[Path], keypoints: Keypoints, paths: list[Path]) -> None:

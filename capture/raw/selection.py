@@ -17,6 +17,10 @@ STEADY = 0.4
 OUTLIER = 6.0
 # of the eyes' usual opening: below it they blink
 BLINK = 0.55
+# of the height that the body's points fill: how far trunk and legs may be to the side of where they usually are; beyond
+# it the person steps in or out, which is no turn
+ASIDE = 0.12
+UPRIGHT = ("hip", "shoulder", "knee", "ankle")
 # points of the eyes: corner, two above, corner, two below
 EYES = tuple(tuple(f"face_{k}" for k in range(first, first + 6)) for first in (36, 42))
 
@@ -41,13 +45,13 @@ def select(judged: Judged, most: int) -> Selection:
     found = at.found
     usual = np.median(at.sharpness[found]) if found.any() else 0.0
     blurred = found & (at.sharpness < BLURRED * usual)
-    astray, blinking = _astray(at) & found, _blinks(at)
+    astray, blinking, aside = _astray(at) & found, _blinks(at), _aside(at)
     left_out = {
         "blurred": int(blurred.sum()), "with closed eyes": int((blinking & ~blurred).sum()),
-        "whose keypoints jump": int((astray & ~blurred).sum()),
+        "whose keypoints jump": int((astray & ~blurred).sum()), "of stepping in": int((aside & judged.usable).sum()),
         "cut off or with somebody else": int((found & ~judged.usable & ~blurred).sum()),
     }  # fmt: skip
-    good = judged.usable & ~blurred & ~astray & ~blinking
+    good = judged.usable & ~blurred & ~astray & ~blinking & ~aside
     # where all would go, harm is taken over nothing
     if good.sum() < min(most, 0.3 * judged.usable.sum()):
         good = judged.usable
@@ -101,6 +105,20 @@ def _astray(at: Glance) -> Bool[Array, "frames"]:
     if not rows.any():
         return rows
     return rows & (middle > OUTLIER * np.median(middle[rows]) + 1)
+
+
+def _aside(at: Glance) -> Bool[Array, "frames"]:
+    """Frames of the body's video in which the person is not yet, or no longer, where the turn is."""
+    out = np.zeros(len(at.times), bool)
+    rows = [k for k, name in enumerate(at.keypoints.names) if name.endswith(UPRIGHT)]
+    sure = at.keypoints.confidence[:, rows] > SURE
+    seen = sure.any(1)
+    if at.part != "body" or not seen.any():
+        return out
+    middle = np.nanmedian(np.where(sure, at.keypoints.pixels[:, rows, 0], np.nan)[seen], axis=1)
+    height = float(np.nanmedian(at.boxes[:, 3] - at.boxes[:, 1]))
+    out[seen] = np.abs(middle - np.median(middle)) > ASIDE * height
+    return out
 
 
 def _blinks(at: Glance) -> Bool[Array, "frames"]:

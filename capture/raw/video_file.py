@@ -1,6 +1,6 @@
 """Reading a video file: what it is, and its frames one after the other, upright, in constant memory."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +17,9 @@ Array = np.ndarray
 WHAT = "a video (H.264 or H.265 in .mp4 or .mov, as a phone writes it)"
 # an hour at 60 frames a second: as many are counted
 MOST_FRAMES = 216_000
+EQUIVALENT = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
+# millimetres: diagonal of 36 x 24, and lenses that are believed
+DIAGONAL_35, LENSES = 43.27, (8.0, 400.0)
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,8 @@ class VideoFile:
     quarter_turns: int  # counterclockwise, that make a stored frame upright
     rate: float  # frames per second, on average
     frames: int  # as the file tells, or by its length; what is decoded counts
+    # pixels, by what the phone wrote of its lens; None: it wrote nothing
+    focal: float | None = None
 
     @property
     def name(self) -> str:
@@ -64,6 +69,7 @@ def open_video(path: Path | str) -> VideoFile:
             rate = float(stream.average_rate or stream.guessed_rate or 0)
             count = stream.frames or round(rate * float(container.duration or 0) / 1e6)
             first = next(container.decode(stream), None)
+            written = {**container.metadata, **stream.metadata}
     except (FFmpegError, ValueError, OSError) as error:
         raise AssetError(f"{path}: expected {WHAT}: {getattr(error, 'strerror', None) or error}") from None
     if first is None:
@@ -72,7 +78,22 @@ def open_video(path: Path | str) -> VideoFile:
         raise AssetError(f"{path}: expected 1 to 1000 frames a second, found {rate:g}")
     turns = round(first.rotation / 90) % 4
     size = (first.width, first.height) if turns % 2 == 0 else (first.height, first.width)
-    return VideoFile(path, size, turns, rate, max(count, 1))
+    return VideoFile(path, size, turns, rate, max(count, 1), focal_written(written, size))
+
+
+def focal_written(metadata: Mapping[str, str], size: tuple[int, int]) -> float | None:
+    """Focal length in pixels by the 35 mm equivalent that Apple's phones write; None: none, or no lens of a phone's.
+
+    Equivalent is the angle over the diagonal (CIPA DCG-001): f / diagonal of the picture = f35 / 43.27 mm. It is in
+    whole millimetres, and of the whole sensor: what a video's stabiliser cuts off makes it longer.
+    """
+    try:
+        equivalent = float(metadata.get(EQUIVALENT, "nan"))
+    except ValueError:
+        return None
+    if not LENSES[0] <= equivalent <= LENSES[1]:
+        return None
+    return equivalent / DIAGONAL_35 * float(np.hypot(*size))
 
 
 def read_frames(

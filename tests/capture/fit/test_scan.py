@@ -10,9 +10,10 @@ from avatar.errors import AssetError
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARTS, joint_transforms
 from capture.fit import body, hand, head
+from capture.fit.focal import Focal, focal_of_videos
 from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import projected
-from capture.fit.scan import fit_scan
+from capture.fit.scan import FOCAL, GUESSED, WRITTEN, fit_scan, footage_in, phone_of, tracked_in
 from capture.fit.solve import posed_frames
 from capture.keypoints.record import Keypoints
 from capture.raw_scan import RawScan, RawVideo
@@ -103,3 +104,34 @@ def test_video_without_confident_hand_points_is_refused(filmed):
     blind = replace(one.keypoints, confidence=np.zeros_like(one.keypoints.confidence))
     with pytest.raises(AssetError, match="body video: keypoints should show 6 points"):
         fit_scan(RawScan({**scan.videos, "body": replace(one, keypoints=blind)}))
+
+
+def test_four_videos_together_tell_the_focal_length(filmed):
+    """Each errs by some per cent; all together err less than the guess, and say by how much."""
+    truth, scan = filmed
+    true = scan.videos["body"].focal / SIZE
+    guess = Focal(1.15 * true, GUESSED)
+    found = focal_of_videos(truth.person, {part: tracked_in(video, guess) for part, video in scan.videos.items()},
+                            lambda note: None)  # fmt: skip
+    away = np.log(found.shorter_sides / true)
+    assert abs(away) < 0.07 and abs(away) < 3 * found.doubt < 0.3
+
+
+def test_points_of_more_frames_than_are_kept_serve_the_focal_length(filmed):
+    _, scan = filmed
+    video = scan.videos["body"]
+    few = replace(video.keypoints, pixels=video.keypoints.pixels[:3], confidence=video.keypoints.confidence[:3])
+    assert len(tracked_in(video, Focal(1.2, 0.1)).pixels) == FRAMES
+    tracked = tracked_in(replace(video, track=few, focal=None), Focal(1.2, 0.1))
+    assert tracked.pixels.shape[0] == 3 and tracked.focal == pytest.approx(1.2 * SIZE)
+    assert tracked.size == footage_in(video, Focal(1.2, 0.1)).size
+    # what the user tells stands
+    assert footage_in(video, Focal(1.2, 0.1)).focal == video.focal
+
+
+def test_what_the_phone_wrote_of_its_lens_is_begun_with(filmed):
+    _, scan = filmed
+    assert phone_of(scan) == Focal(FOCAL, GUESSED)
+    written = {part: replace(video, focal_written=1.3 * SIZE) for part, video in scan.videos.items()}
+    found = phone_of(RawScan(written))
+    assert found.shorter_sides == pytest.approx(1.3) and found.doubt == WRITTEN < GUESSED

@@ -1,5 +1,7 @@
 """Videos of a painted figure: read, judged, frames chosen, masks against the truth."""
 
+from dataclasses import replace
+
 import av
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from capture.raw.limbs import hull, lines
 from capture.raw.masks import soft_mask
 from capture.raw.plate import plate_of_empty, plate_of_free
 from capture.raw.selection import movement, select
-from capture.raw.video_file import open_video, read_frames
+from capture.raw.video_file import EQUIVALENT, open_video, read_frames
 
 
 def judged(folder, part="body", name="body", keypoints_of=None):
@@ -67,6 +69,19 @@ def test_a_video_held_upright_is_turned_as_its_file_says(tmp_path):
     assert frame.picture[:30, 26:].mean() > 240 and frame.picture[:30, :22].mean() < 15
 
 
+@pytest.mark.parametrize(("written", "focal"), [("26", 26 / 43.27 * 80), (None, None), ("wide", None), ("0", None)])
+def test_the_lens_is_read_from_what_the_phone_wrote(tmp_path, written, focal):
+    path = tmp_path / "body.mp4"
+    with av.open(str(path), "w", options={"movflags": "use_metadata_tags"}) as container:
+        if written:
+            container.metadata[EQUIVALENT] = written
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="rgb24")))
+        container.mux(stream.encode(None))
+    assert open_video(path).focal == (None if focal is None else pytest.approx(focal))
+
+
 @pytest.mark.parametrize(
     ("content", "said"), [(b"", "expected a video"), (b"no video" * 99, "expected a video"), (None, "body.mp4")]
 )
@@ -92,6 +107,19 @@ def test_chosen_frames_are_even_over_the_turn_and_sharp(body):
     assert chosen.left_out["blurred"] == 2 and "2 blurred" in chosen.line("body.mp4")
     steps = np.diff(movement(at.glance)[chosen.frames])
     assert steps.max() < 3.5 * np.median(steps)
+
+
+def test_frames_of_stepping_in_are_left_out(body):
+    at = body[2]
+    points = at.glance.keypoints
+    pixels = points.pixels.copy()
+    walking = np.arange(ABSENT, ABSENT + 6)
+    pixels[walking, :, 0] -= np.linspace(90, 40, 6)[:, None]
+    beside = replace(at, glance=replace(at.glance, keypoints=replace(points, pixels=pixels)))
+    chosen = select(beside, 20)
+    assert chosen.left_out["of stepping in"] == np.count_nonzero(at.usable[walking]) > 0
+    assert not set(walking.tolist()) & set(chosen.frames.tolist())
+    assert select(at, 20).left_out["of stepping in"] == 0
 
 
 @pytest.mark.parametrize("plate", ["empty", "free"])
