@@ -87,7 +87,7 @@ def pose_rows(
     # (a x r) . c = a . (r x c)
     turn = np.cross(arm, c[:, None])
     rows = np.einsum("nmi,mij->nmj", turn, frame.axes[joints])
-    return np.concatenate([c, rows.reshape(len(c), -1)], 1)
+    return np.concatenate([c, rows.reshape(len(c), 3 * len(joints))], 1)
 
 
 def shape_rows(frame: Posed, points: SkinnedPoints, c: Float[Array, "n 3"]) -> Float[Array, "n g"]:

@@ -72,6 +72,16 @@ def test_cost_changes_as_the_equations_say(what):
         assert told == pytest.approx(seen, rel=tolerance)
 
 
+def test_an_outline_none_of_whose_points_is_near_says_nothing():
+    estimate, footage = turning_twin(3)
+    priors = standing(estimate, footage)
+    nothing = Pairs(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
+    cost = assemble(estimate, footage, priors, 1e6, ())[1]
+    equations, with_outline = assemble(estimate, footage, priors, 1e6, (Outlines(footage).term([nothing] * 3, 1.0),))
+    assert with_outline == cost
+    assert np.isfinite(equations.solve(1.0)[0]).all()
+
+
 def test_points_of_the_skin_move_with_pose_and_shape_as_told():
     rng = np.random.default_rng(1)
     truth, footage = turning_twin(3)
