@@ -15,6 +15,7 @@ from capture.check.face import FaceReport, close_ups, face_line
 from capture.check.keypoints import Followed, compare_keypoints, keypoint_findings, keypoint_lines
 from capture.check.raw_videos import examine_videos, usable, verdict_line, video_lines
 from capture.check.report import CaptureReport, PartReport, examine, report_facts
+from capture.check.second_opinion import SecondOpinion, ask_colmap
 from capture.check.sheet import contact_sheet, overlay
 from capture.check.silhouette import even
 from capture.check.verdict import Verdict, verdict
@@ -44,6 +45,10 @@ class CheckCommand:
         "for each frame of the capture: do the poses follow them? Of videos as filmed DIR/head too (default: keypoints "
         "in the folder beside them)",
     ] = None
+    colmap: Annotated[
+        bool,
+        "a second opinion on the head's cameras: COLMAP's, from the pictures alone (extra `colmap`; a second a frame)",
+    ] = False
     json: Annotated[Path | None, Option(metavar="FILE"), "write everything measured and the verdict to FILE"] = None
 
 
@@ -64,8 +69,8 @@ def main(argv: list[str]) -> int:
         check_file(arguments.json)
     if arguments.out and not arguments.out.is_dir():
         check_folder(arguments.out)
-    first, *more = arguments.capture
-    if more or holds_videos(first):
+    first, *others = arguments.capture
+    if others or holds_videos(first):
         return _check_videos(arguments)
     capture = read_capture(first)
     try:
@@ -74,11 +79,14 @@ def main(argv: list[str]) -> int:
         raise AssetError(f"{capture.path / 'head' / 'landmarks.json'}: {error}") from None
     judged = verdict(report)
     followed = compare_keypoints(capture, arguments.keypoints, report) if arguments.keypoints else ()
-    judged = Verdict(tuple(sorted((*judged.findings, *keypoint_findings(followed)), key=lambda f: not f.fatal)))
-    print("\n".join(lines(report, judged, followed)))
+    opinion = ask_colmap(capture.videos["head"]) if arguments.colmap else None
+    more = (*keypoint_findings(followed), *(opinion.findings() if opinion else ()))
+    judged = Verdict(tuple(sorted((*judged.findings, *more), key=lambda f: not f.fatal)))
+    print("\n".join(lines(report, judged, followed, opinion)))
     facts = {"capture": str(capture.path), "usable": judged.usable, "verdict": judged.line(),
              "findings": [vars(finding) for finding in judged.findings],
-             "keypoints": [vars(part) for part in followed], **report_facts(report)}  # fmt: skip
+             "keypoints": [vars(part) for part in followed], "colmap": vars(opinion) if opinion else None,
+             **report_facts(report)}  # fmt: skip
     files = [arguments.json] if arguments.json else []
     if arguments.out:
         out = arguments.out
@@ -111,7 +119,9 @@ def _check_videos(arguments: CheckCommand) -> int:
     return 0 if usable(judged) else 1
 
 
-def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...] = ()) -> list[str]:
+def lines(
+    report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...] = (), opinion: SecondOpinion | None = None
+) -> list[str]:
     """The report for reading."""
     out = [
         f"template {report.height:.2f} m tall; head frame by {report.landmarks} landmarks, "
@@ -134,6 +144,8 @@ def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...]
         out += ["", face_line(report.face)]
     if followed:
         out += ["", *keypoint_lines(followed)]
+    if opinion is not None:
+        out += ["", opinion.line()]
     if report.unseen:
         out += ["", "hardly seen; the avatar gets the color of what lies round it there:"]
         out += [f"  {place.line()}" for place in report.unseen]
