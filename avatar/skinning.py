@@ -30,6 +30,10 @@ class SkinWeights(NamedTuple):
     joints: Int[Array, "points 4"]
     weights: Float[Array, "points 4"]
 
+    def of(self, points: Array) -> "SkinWeights":
+        """Those of some points, by index or mask."""
+        return SkinWeights(self.joints[points], self.weights[points])
+
 
 def strongest_four(dense: Float[Array, "points bones"]) -> SkinWeights:
     """The four largest weights of each row, largest first, scaled to sum to 1.

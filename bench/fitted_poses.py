@@ -5,7 +5,8 @@ limbs and fingers bent, by what a detector and a mask say of the picture (its ca
 
 1. the body's view: place, heading and 21 joints (capture/fit/picture.py);
 2. a hand's close-up: where the hand is, wrist and fingers; the arm follows from the body's view of the same pose;
-3. the head's close-up: where the head is.
+3. the head's close-up: where the head is;
+4. each picture's outline again, now that of what was trained (bench/trained_outline.py).
 
 Each picture is then drawn and measured in its own fit; the body's view takes the fingers of the close-ups of its pose.
 """
@@ -22,6 +23,8 @@ from avatar.progress import progress
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND, joint_transforms
 from avatar.skinning import SkinWeights
+from bench.posed_field import PosableSurface
+from bench.trained_outline import TrainedOutline
 from capture.fit import hand, head
 from capture.fit.body import CUTS, hand_vertices
 from capture.fit.directions import all_turns, find_directions, place_of
@@ -35,6 +38,7 @@ from capture.fit.solve import assemble, solve
 from capture.folder import CaptureSubject
 from capture.held_out import HeldOutView
 from capture.imports.template import Template
+from player.raster import Rasteriser
 
 Array = np.ndarray
 
@@ -191,10 +195,15 @@ def moved(view: HeldOutView, T: Float[Array, "4 4"]) -> HeldOutView:
 
 
 def fitted_views(
-    subject: CaptureSubject, held_out: Mapping[str, Sequence[HeldOutView]]
+    subject: CaptureSubject,
+    held_out: Mapping[str, Sequence[HeldOutView]],
+    trained: PosableSurface | None = None,
+    raster: Rasteriser | None = None,
 ) -> dict[str, list[HeldOutView]]:
-    """The views of all sets in the same order, in the poses that `subject`, a template, is fitted to them in."""
+    """The views of all sets in the same order, in the poses that `subject`, a template, is fitted to them in, and then
+    the surface that was `trained` from it, if there is one (and a `raster` to draw it with)."""
     fitter, out = Fitter(subject), {}
+    outlines = None if trained is None or raster is None else TrainedOutline(trained, raster)
     for name, views in held_out.items():
         groups: dict[int, list[HeldOutView]] = {}
         for view in views:
@@ -202,6 +211,8 @@ def fitted_views(
         steps = progress(groups.items(), f"fitting {name}", len(groups))
         fitted = {index: fitter.fitted(group) for index, group in steps}
         out[name] = [fitted[view.pose_index][view.view] for view in views]
+        if outlines is not None:
+            out[name] = [outlines.refined(view) for view in progress(out[name], f"outlines of {name}", len(views))]
     return out
 
 

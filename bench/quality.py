@@ -104,7 +104,7 @@ def evaluate(
             if kind != "given":
                 assert template is not None
                 print_stage(f"{kind}: poses fitted to {sum(map(len, held_out.values()))} held-out pictures")
-                held_out = fitted_views(template, filmed)
+                held_out = fitted_views(template, filmed, drawer.surface, drawer.raster)
             ours = None if kind == "given" else held_out
             own_run = path if drawer.field is not None else run
             run_facts = {} if own_run is None else read_json_object(own_run / "run.json", "the facts of a run")

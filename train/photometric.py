@@ -23,6 +23,7 @@ from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.folder import CaptureSubject, PartVideo
 from capture.repair.increments import project_derivative
+from capture.repair.pixels import compare_pixels
 from geometry.icp import Anchors
 from geometry.rasterise import rasterise
 
@@ -179,14 +180,12 @@ def _add_frame(
     def add(
         drawn: Float[Array, "height width"], seen: Float[Array, "height width"], where: Bool[Array, "n"]
     ) -> tuple[float, int]:
-        at = y[where], x[where]
-        slope_y, slope_x = np.gradient(drawn)
-        r = (seen - drawn)[at]
-        J = -(slope_x[at][:, None] * motion[where, 0] + slope_y[at][:, None] * motion[where, 1])
-        weight = 1 / (1 + (r / OUTLIER) ** 2) ** 2 / PIXEL**2
+        found = compare_pixels(drawn, seen, (y[where], x[where]), OUTLIER)
+        J = np.einsum("ni,nij->nj", found.slope, motion[where])
+        weight = found.weight / PIXEL**2
         H[...] += (J * weight[:, None]).T @ J
-        b[...] += (J * weight[:, None]).T @ r
-        return float((r**2 / (1 + (r / OUTLIER) ** 2)).sum()), len(r)
+        b[...] += (J * weight[:, None]).T @ found.residual
+        return found.cost, len(weight)
 
     error, count = add(_blurred(coverage[..., 0], 1.0), _blurred(mask, 1.0), np.ones(len(y), bool))
     deep = np.asarray(ndimage.binary_erosion(own[..., 0] > 0.99, iterations=2), bool)

@@ -200,6 +200,7 @@ def _add_outline(
     vertices that they belong to.
     """
     template, camera, cut = view.outline, scene.video.cameras[f], tolerance.cut
+    subject = scene.subject
     if len(template.at) == 0 or len(mask.at) == 0:
         return np.inf, np.zeros(0), np.zeros(0, int)
     there, d_there = template.nearest(mask, cut)
@@ -217,12 +218,12 @@ def _add_outline(
     if view.slid.any():
         weight = weight * scene.near[face]
     # stands for the pixel: its derivative varies slowly over a face
-    corner = scene.subject.faces[face, 0]
+    corner = subject.faces[face, 0]
     moves = project_derivative(camera, view.posed[corner])
     pixels = np.linalg.norm(moves[:, 0], axis=1)  # of a metre
     away, r = r / pixels, r - beyond[corner] * pixels
     g = np.einsum("ni,nij->nj", n, moves)
-    J = increments_moved(scene.subject, corner, view.G, view.B, g, scene.moving)
+    J = increments_moved(subject.vertices[corner], subject.skin.of(corner), view.G, view.B, g, scene.moving)
     equations.H[f] += (J * weight[:, None]).T @ J
     equations.b[f] += (J * weight[:, None]).T @ r
     close = scene.near[face] & np.isfinite(length)
@@ -296,7 +297,7 @@ def _add_colors(equations: _Equations, scene: _Scene, views: list[_DrawnTemplate
         dy, dx = (_bilinear(slope, pixels) for slope in np.gradient(image, axis=(0, 1)))
         for c in range(3):
             g = np.einsum("ni,nij->nj", np.stack([dx[:, c], dy[:, c]], 1), jac)
-            J = increments_moved(subject, at, views[f].G, views[f].B, g, scene.moving)
+            J = increments_moved(subject.vertices[at], subject.skin.of(at), views[f].G, views[f].B, g, scene.moving)
             equations.H[f] += (J * weight[:, None]).T @ J
             equations.b[f] += (J * weight[:, None]).T @ r[:, c]
 

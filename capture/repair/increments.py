@@ -30,7 +30,7 @@ def moving_joints(subject: CaptureSubject, part: int, video: PartVideo, *, least
     """Joints whose turning shows in the video: some vertex of the part moves `least` pixels a radian or more."""
     assert video.axis_angle is not None and video.root is not None
     chosen = np.ones(len(subject.rest), bool) if part == 0 else subject.part == part
-    skin = SkinWeights(subject.skin.joints[chosen], subject.skin.weights[chosen])
+    skin = subject.skin.of(chosen)
     share = np.zeros((int(chosen.sum()), 52))
     np.put_along_axis(share, skin.joints, skin.weights, 1)
     # how much of a vertex follows joint j
@@ -42,14 +42,14 @@ def moving_joints(subject: CaptureSubject, part: int, video: PartVideo, *, least
 
 
 def increments_moved(
-    subject: CaptureSubject, vertices: Int[Array, "n"], G: Float[Array, "52 4 4"], B: Float[Array, "52 4 4"],
+    points: Float[Array, "n 3"], skin: SkinWeights, G: Float[Array, "52 4 4"], B: Float[Array, "52 4 4"],
     g: Float[Array, "n 3"], moving: Int[Array, "m"],
 ) -> Float[Array, "n p"]:  # fmt: skip
-    """Derivative of g . x, x skinned template vertices, to the increments of the moving joints and of the root.
+    """Derivative of g . x, x skinned `points`, to the increments of the moving joints and of the root.
 
     dx / dd_j = sum_k w_k [k hangs from j] (G_j e) x (B_k x - position of j)
     """
-    joints, weights, points = subject.skin.joints[vertices], subject.skin.weights[vertices], subject.vertices[vertices]
+    joints, weights = skin.joints, skin.weights
     placed = np.einsum("nkij,nj->nki", B[joints, :3, :3], points) + B[joints, :3, 3]
     hangs = DESCENDS[joints][:, :, moving] * weights[:, :, None]  # n 4 m
     arm = np.einsum("nkm,nki->nmi", hangs, placed) - hangs.sum(1)[:, :, None] * G[moving, :3, 3]
@@ -57,6 +57,16 @@ def increments_moved(
     turn = np.cross(arm, g[:, None])
     turned = np.einsum("nmi,mij->nmj", turn, G[moving, :3, :3])
     return np.concatenate([turned.reshape(len(points), -1), g], 1)
+
+
+def joints_moved(
+    G: Float[Array, "52 4 4"], g: Float[Array, "52 3"], moving: Int[Array, "m"]
+) -> Float[Array, "52 p"]:  # fmt: skip
+    """Derivative of g . x, x the posed joints, to the increments of the moving joints and of the root."""
+    place = G[:, :3, 3]
+    arm = (place[:, None] - place[moving]) * DESCENDS[:, moving, None]
+    turned = np.einsum("kmi,mij->kmj", np.cross(arm, g[:, None]), G[moving, :3, :3])
+    return np.concatenate([turned.reshape(52, -1), g], 1)
 
 
 def project_derivative(camera: Camera, points: Float[Array, "n 3"]) -> Float[Array, "n 2 3"]:

@@ -147,7 +147,7 @@ def test_derivative_of_the_increments_is_that_of_the_kinematic_chain(capture):
         return (g * skin_points(subject.vertices, subject.skin, B)[vertices]).sum(1)
 
     J = increments_moved(
-        subject, vertices, joint_transforms(axis_angle, subject.joints, root),
+        subject.vertices[vertices], subject.skin.of(vertices), joint_transforms(axis_angle, subject.joints, root),
         skin_transforms(axis_angle, subject.joints, root), g, moving,
     )  # fmt: skip
     count = 3 * len(moving) + 3
