@@ -9,11 +9,13 @@ import pytest
 
 from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar, write_avatar
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms
 from bench.drawer import Drawer
 from bench.fitted_poses import fitted_views
 from bench.quality import evaluate, measured, template_of_run
 from bench.quality_table import table_rows
+from bench.trained_outline import TrainedOutline
 from capture.folder import read_subject
 from capture.held_out import read_held_out
 from capture.input_kind import input_kind
@@ -55,6 +57,32 @@ def test_the_bodys_view_takes_the_fingers_of_the_close_ups(fits):
     body, close = first["body"], first["hand_left"]
     np.testing.assert_array_equal(body.axis_angle[bent], close.axis_angle[bent])
     assert 0.4 < np.linalg.norm(body.axis_angle[bent]) < 1.2  # .8 radians in truth
+
+
+@pytest.mark.parametrize(
+    ("part", "joint", "left"), [("body", "left_elbow", 0.5), ("hand_left", "left_wrist", 0.7), ("head", "pelvis", 0.5)]
+)
+def test_the_outline_of_what_was_trained_takes_out_small_turns_and_keeps_depth(oracle, fits, part, joint, left):
+    """From the truth, a joint turned by four degrees in the picture's plane, which moves what hangs from it there."""
+    capture, avatar, _ = oracle
+    view = next(v for v in read_held_out(capture, "novel_pose") if v.view == part)
+    R = matrix_from_axis_angle(view.axis_angle)
+    joints = fits[0].joints
+    k, axis = JOINTS.index(joint), view.camera.camera_from_world[2, :3]
+    inwards = joint_transforms(view.axis_angle, joints, view.root)[k, :3, :3].T @ axis
+    R[k] = R[k] @ matrix_from_axis_angle(np.radians(4.0 if part != "head" else 1.0) * inwards)
+    turned = replace(view, axis_angle=axis_angle_from_matrix(R))
+    drawer = Drawer(avatar)
+    try:
+        found = TrainedOutline(drawer.surface, drawer.raster).refined(turned)
+    finally:
+        drawer.release()
+    seen = {"body": "left_wrist", "hand_left": "left_middle3", "head": "head"}[part]
+    true, before, after = (
+        joint_transforms(v.axis_angle, joints, v.root)[JOINTS.index(seen), :3, 3] for v in (view, turned, found)
+    )
+    assert np.linalg.norm(after - true) < left * np.linalg.norm(before - true)
+    assert abs(axis @ (after - before)) < 0.005
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import skin_points
 from capture.folder import read_capture
 from capture.repair.align import AlignSettings, _share_of_pixel, align, outline_offset
-from capture.repair.increments import increments_moved, moving_joints
+from capture.repair.increments import increments_moved, joints_moved, moving_joints
 from capture.repair.masks import regrown
 from capture.repair.outline import Outline, ShapeCells, placement
 from capture.repair.refine import (
@@ -275,3 +275,19 @@ def test_refined_poses_are_read_back_and_a_broken_file_is_refused(folder, captur
     np.savez(refined_path(tmp_path, "body"), frames=np.array([99]), masks_off=np.array(0.0))
     with pytest.raises(AssetError, match=r"refined_body\.npz: frames should be of the video's 4"):
         with_refined(capture, tmp_path)
+
+
+def test_posed_joints_move_with_the_increments_as_told(capture):
+    joints = capture.subject.joints
+    rng = np.random.default_rng(1)
+    axis_angle, root = 0.4 * rng.standard_normal((52, 3)), rng.standard_normal(3)
+    R, moving, g = matrix_from_axis_angle(axis_angle), np.array([0, 3, 13, 16, 18, 22]), rng.standard_normal((52, 3))
+
+    def moved(d):
+        turned = R.copy()
+        turned[moving] = turned[moving] @ matrix_from_axis_angle(d[:-3].reshape(-1, 3))
+        return (g * joint_transforms(axis_angle_from_matrix(turned), joints, root + d[-3:])[:, :3, 3]).sum(1)
+
+    J = joints_moved(joint_transforms(axis_angle, joints, root), g, moving)
+    numeric = np.stack([(moved(1e-6 * e) - moved(-1e-6 * e)) / 2e-6 for e in np.eye(3 * len(moving) + 3)], 1)
+    np.testing.assert_allclose(J, numeric, rtol=0, atol=1e-6)
