@@ -161,6 +161,16 @@ def nearest_axis_angle(axis_angle: Float[Array, "*b 3"], reference: Float[Array,
     return v + 2 * np.pi * turns * axis
 
 
+def nearest_rotation(matrix: Float[Array, "*b 3 3"]) -> Float[Array, "*b 3 3"]:
+    """The rotation R nearest to a matrix, never a mirror: min |R - M|^2 (Kabsch 1976).
+
+    Of M = sum_i b_i a_i^T it is the one for which R a_i lies nearest to b_i, both about their means.
+    """
+    u, _, vt = np.linalg.svd(np.asarray(matrix, np.float64))
+    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
+    return u @ vt
+
+
 def rotation_between(a: Float[Array, "*b 3"], b: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
     """The smallest rotation that takes unit vector a to unit vector b.
 

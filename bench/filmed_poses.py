@@ -34,13 +34,21 @@ REGIONS = {
 
 
 class FilmedPoses(NamedTuple):
-    """Placements by part; none, and the reason, where the videos or their truth are not at hand."""
+    """Placements by part, a whole video each; none, and the reason, where videos or their truth are not at hand."""
 
     by_part: dict[str, list[Placement]]
     reason: str = ""
 
     def placements(self) -> list[Placement]:
         return [placement for part in self.by_part.values() for placement in part]
+
+    def some(self) -> "FilmedPoses":
+        """FRAMES of each video: surfaces are slow to measure."""
+        few = {
+            part: [found[i] for i in np.unique(np.linspace(0, len(found), FRAMES[part], endpoint=False).astype(int))]
+            for part, found in self.by_part.items()
+        }
+        return FilmedPoses(few, self.reason)
 
 
 def filmed_poses(run: Path | None, facts: Mapping[str, Any], scan: Path) -> FilmedPoses:
@@ -74,7 +82,7 @@ def filmed_poses(run: Path | None, facts: Mapping[str, Any], scan: Path) -> Film
 
 
 def _placements(filmed: Path, video: PartVideo, rows: Int[np.ndarray, "frames"]) -> list[Placement]:
-    """Some frames of a video; `rows` are theirs in the truth."""
+    """The frames of a video; `rows` are theirs in the truth."""
     path = filmed / "truth" / video.part / "video.npz"
     shapes = {"poses": ("n", 52, 3), "root": ("n", 3), "K": (3, 3), "camera_from_world": (4, 4), "size": (2,)}
     true = read_arrays(path, shapes)
@@ -86,8 +94,7 @@ def _placements(filmed: Path, video: PartVideo, rows: Int[np.ndarray, "frames"])
     camera = Camera(true["K"], true["camera_from_world"], (int(true["size"][0]), int(true["size"][1])))
     assert video.axis_angle is not None and video.root is not None
     found = []
-    for i in np.unique(np.linspace(0, len(rows), FRAMES[video.part], endpoint=False).astype(int)):
-        row = int(rows[i])
+    for i, row in enumerate(int(row) for row in rows):
         truth = HeldOutView(path.parent, f"{row:06d}", video.part, row, true["poses"][row], true["root"][row], camera)
         ours = in_world(truth, video.cameras[i].camera_from_world, video.axis_angle[i], video.root[i])
         found.append(Placement(truth, {REGIONS[video.part]: ours}))

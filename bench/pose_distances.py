@@ -10,10 +10,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from avatar.progress import progress
-from avatar.skeleton import JOINTS, joint_transforms
 from bench.picture_scores import VIEW_REGION
 from bench.posed_field import PosableSurface
 from bench.posed_geometry import SAMPLES, Distances, GeometryCase, PosedPair, alignment, measure_pose, posed_pair
@@ -24,10 +22,6 @@ from geometry.closest import triangle_index
 
 # rows beside the main ones take each 4th sample, in every pose
 BESIDE = 4
-
-
-LIMBS = [JOINTS.index(f"{side}_{name}") for side in ("left", "right")
-         for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")]  # fmt: skip
 
 
 class Placement(NamedTuple):
@@ -75,19 +69,6 @@ def fitted_poses(views: Sequence[HeldOutView], ours: Sequence[HeldOutView]) -> l
         regions = ("total", "skin_beside_hair") if region == "total" else (region,)
         found.setdefault(view.pose_index, Placement(view, {})).ours[regions] = own
     return list(found.values())
-
-
-def limbs_off(
-    placements: Sequence[Placement], truth: Float[np.ndarray, "52 3"], ours: Float[np.ndarray, "52 3"]
-) -> float:
-    """Centimetres, mean, of limb joints from the true ones, in place in the bodies' views; both skeletons in pose 0."""
-    found = []
-    for placement in placements:
-        true, own = placement.truth, next(own for part, own in placement.ours.items() if "total" in part)
-        G = [joint_transforms(view.axis_angle, joints, view.root)[LIMBS, :3, 3]
-             for view, joints in ((true, truth), (own, ours))]  # fmt: skip
-        found.append(np.linalg.norm(G[0] - G[1], axis=1).mean())
-    return round(100 * float(np.mean(found)), 3)
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,6 @@ from bench.pose_distances import (
     PoseDistances,
     distinct_poses,
     fitted_poses,
-    limbs_off,
     measure_poses,
     same_poses,
 )
@@ -59,6 +58,7 @@ from bench.posed_geometry import (
 from bench.quality_table import PAPER, markdown, print_table
 from bench.region_scores import regions_of, without_eyes
 from bench.remeasure import remeasured
+from bench.skeleton_distance import BODY, HANDS, LIMBS, joints_off, posed_skeletons, turned_off
 from bench.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import CaptureSubject, read_subject
 from capture.held_out import SETS, HeldOutView, read_held_out, read_truth_facts
@@ -255,7 +255,10 @@ def measured(
             beside["own_weights"] = None if what.own is None else regions_of(distances.own)
             beside["poses"] = len(placements)
             if ours is not None and template is not None:
-                beside["fitted"] = {"total": limbs_off(placements, truth.joints, template.joints)}
+                seen = [(p.truth, own) for p in placements for part, own in p.ours.items() if "total" in part]
+                posed = posed_skeletons([own for _, own in seen], [true for true, _ in seen], template.joints,
+                                        truth.joints)  # fmt: skip
+                beside["fitted"] = {"total": round(joints_off(posed, LIMBS, aligned=False), 3)}
             beside["stretched_at_hair"] = stretched_at_hair(truth, surface, [own_views[i] for i in kept])
             away = skin_to_surface(truth, surface.vertices, surface.faces) if ours is None else None
             beside["skin_beside_hair_to_surface_cm"] = None if away is None else round(100 * away, 4)
@@ -273,7 +276,7 @@ def in_filmed_poses(what: Measured, videos: FilmedPoses, joints: np.ndarray) -> 
     """The rows of the person's own videos, each region aligned by itself; `joints` are our skeleton's, pose 0."""
     if not videos.by_part:
         return {"filmed": None, "filmed_reason": videos.reason}
-    placements = videos.placements()
+    placements = videos.some().placements()
     print_stage(f"the person's own videos: {len(placements)} posed surfaces")
     distances = measure_poses(what, placements, frozenset(), "filmed surfaces", beside=True)
     rows = {
@@ -286,8 +289,32 @@ def in_filmed_poses(what: Measured, videos: FilmedPoses, joints: np.ndarray) -> 
         rows = {name: row for name, row in rows.items() if "zero_steps" not in name}
     return {
         **{name: regions_of(row) for name, row in rows.items()},
-        "filmed_joints": {"total": limbs_off(videos.by_part["body"], what.truth.joints, joints)},
-        "filmed_frames": {part: len(found) for part, found in videos.by_part.items()},
+        **in_filmed_skeletons(videos, joints, what.truth.joints),
+        "filmed_frames": {part: len(found) for part, found in videos.some().by_part.items()},
+    }
+
+
+def in_filmed_skeletons(videos: FilmedPoses, joints: np.ndarray, true_joints: np.ndarray) -> dict[str, Any]:
+    """Limb joints of the body's video, fingers of the hands' own, in all frames: cm and degrees."""
+    posed = {}
+    for part, found in videos.by_part.items():
+        ours = [own for placement in found for own in placement.ours.values()]
+        posed[part] = posed_skeletons(ours, [placement.truth for placement in found], joints, true_joints)
+    body, hands = posed["body"], [(posed[part], which) for part, which in HANDS.items()]
+    of_hands = lambda measure: round(float(np.mean([measure(*hand) for hand in hands])), 3)
+    return {
+        "filmed_joints": {
+            "total": round(joints_off(body, LIMBS, aligned=False), 3),
+            "hands": of_hands(lambda hand, which: joints_off(hand, which, aligned=False)),
+        },
+        "filmed_joints_aligned": {
+            "total": round(joints_off(body, LIMBS, aligned=True), 3),
+            "hands": of_hands(lambda hand, which: joints_off(hand, which, aligned=True)),
+        },
+        "filmed_degrees": {
+            "total": round(turned_off(body, BODY), 3),
+            "hands": of_hands(lambda hand, which: turned_off(hand, which[1:])),
+        },
     }
 
 

@@ -3,11 +3,11 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
-from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
-from avatar.skeleton import JOINTS, joint_transforms, skin_transforms
+from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import skin_points
+from bench.skeleton_distance import BODY, LIMBS, PosedSkeletons, joints_off, turned_off
 from capture.fit.footage import Estimate, Footage
 from capture.fit.scan import posed_video, template_of
 from geometry.closest import closest_points, triangle_index
@@ -17,8 +17,6 @@ from synth.subject import SynthSubject
 
 Array = np.ndarray
 
-LIMBS = [JOINTS.index(f"{side}_{name}") for side in ("left", "right")
-         for name in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")]  # fmt: skip
 # frames that surfaces are compared in, and points in each
 MEASURED, POINTS = 3, 1000
 
@@ -49,7 +47,7 @@ def scores(estimate: Estimate, footage: Footage, truth: Truth) -> dict[str, floa
     theirs = (M @ joint_transforms(shots.axis_angle[frames], joints, shots.root[frames]))[..., :3, 3]
     placed = joint_transforms(video.axis_angle, template.joints, video.root)
     ours = np.stack([c.camera_from_world @ G for c, G in zip(video.cameras, placed)])[..., :3, 3]
-    aligned = np.stack([_aligned(a, b) for a, b in zip(ours[:, LIMBS], theirs[:, LIMBS])])
+    posed = PosedSkeletons(ours, theirs, video.axis_angle, shots.axis_angle[frames])
     size = [np.linalg.norm(x - x.mean(1, keepdims=True), axis=(1, 2)) for x in (ours[:, LIMBS], theirs[:, LIMBS])]
     scale = size[0] / size[1]
 
@@ -68,27 +66,13 @@ def scores(estimate: Estimate, footage: Footage, truth: Truth) -> dict[str, floa
         surface.append((near.mean(), closest_points(true, index).distance.mean()))
     p2s, p2s_in_place = 100 * np.mean(surface, axis=0)
     found = {
-        "joints": 100 * np.linalg.norm(aligned - theirs[:, LIMBS], axis=2).mean(),
-        "joints_in_place": 100 * np.linalg.norm(ours - theirs, axis=2)[:, LIMBS].mean(),
+        "joints": joints_off(posed, LIMBS, aligned=True),
+        "joints_in_place": joints_off(posed, LIMBS, aligned=False),
         "p2s": p2s,
         "p2s_in_place": p2s_in_place,
         "depth": 100 * (theirs - ours)[:, LIMBS, 2].mean(),
-        "degrees": _degrees(video.axis_angle, shots.axis_angle[frames]),
+        "degrees": turned_off(posed, BODY),
         "scale": scale.mean(),
         "focal": estimate.lens(footage).focal / shots.camera.K[0, 0],
     }
     return {name: round(float(value), 4) for name, value in found.items()}
-
-
-def _aligned(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """Points after the best rigid motion onto `target` (Kabsch 1976)."""
-    a, b = points - points.mean(0), target - target.mean(0)
-    U, _, Vt = np.linalg.svd(b.T @ a)
-    return a @ (U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt).T + target.mean(0)
-
-
-def _degrees(ours: Float[Array, "frames 52 3"], theirs: Float[Array, "frames 52 3"]) -> np.floating:
-    """Mean angle by which joints of the body are turned wrongly, each joint's own mean removed."""
-    turned = np.swapaxes(matrix_from_axis_angle(theirs[:, 1:22]), -1, -2) @ matrix_from_axis_angle(ours[:, 1:22])
-    off = axis_angle_from_matrix(turned)
-    return np.degrees(np.linalg.norm(off - off.mean(0), axis=-1)).mean()

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from avatar.rotation import matrix_from_axis_angle
+from avatar.rotation import matrix_from_axis_angle, nearest_rotation
 from avatar.similarity import Registration
 from geometry.closest import TriangleIndex, closest_points
 
@@ -154,8 +154,7 @@ def rigid_icp(source: Float[Array, "n 3"], target: TriangleIndex, *, rounds: int
     for _ in range(rounds):
         nearest = closest_points(moved, target).point
         middle, aim = moved.mean(0), nearest.mean(0)
-        U, _, Vt = np.linalg.svd((nearest - aim).T @ (moved - middle))
-        R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        R = nearest_rotation((nearest - aim).T @ (moved - middle))
         step = np.eye(4)
         step[:3, :3], step[:3, 3] = R, aim - R @ middle
         moved = moved @ R.T + step[:3, 3]

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from avatar.camera import Camera, look_at, project
+from avatar.rotation import nearest_rotation
 from avatar.srgb import linear_from_srgb, srgb_from_linear
 from geometry.mesh import neighbour_matrix, vertex_normals
 from geometry.sample import fibonacci_sphere
@@ -188,8 +189,7 @@ def ambient(
 def turn_between(source: Float[Array, "vertices 3"], target: Float[Array, "vertices 3"]) -> Float[Array, "3 3"] | None:
     """The rotation that brings one body onto the other (Kabsch 1976), None where no rotation does."""
     a, b = source - source.mean(0), target - target.mean(0)
-    U, _, Vt = np.linalg.svd(b.T @ a)
-    turn = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+    turn = nearest_rotation(b.T @ a)
     return turn if np.abs(a @ turn.T - b).max() < SAME_BODY else None
 
 

@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from avatar.body import Body, builtin_body, shaped
-from avatar.rotation import rotation_between
+from avatar.rotation import nearest_rotation, rotation_between
 from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, PARTS, RIGHT_HAND
 from avatar.skinning import SkinWeights, skin_points
 from capture.eyes import RADIUS, body_sockets, fit_sphere
@@ -257,8 +257,7 @@ def _carry_limbs(body: Body, joints: Float[np.ndarray, "52 3"]) -> Float[np.ndar
             stretch[k] = np.eye(3) + (np.linalg.norm(new) / length - 1) * np.outer(axis, axis)
         elif len(moved) > 1:
             old, new = body.joints[moved] - body.joints[k], goal[moved] - goal[k]
-            U, S, Vt = np.linalg.svd(new.T @ old)
-            turn[k] = U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+            turn[k] = nearest_rotation(new.T @ old)
             stretch[k] = np.eye(3) * np.sqrt((new**2).sum() / (old**2).sum())
     transforms = np.tile(np.eye(4), (len(JOINTS), 1, 1))
     transforms[:, :3, :3] = turn @ stretch

@@ -23,7 +23,13 @@ from avatar.errors import AssetError
 from avatar.motion.directions import unit_or_zero
 from avatar.motion.rest_pose import Alignment, RestBones, axis_name, below_elbow, cosine, frame_of, snapped, unit
 from avatar.motion.rig import AnimatedRig, JointMap
-from avatar.rotation import axis_angle_from_matrix, matrix_from_quaternion, quaternion_from_matrix, slerp
+from avatar.rotation import (
+    axis_angle_from_matrix,
+    matrix_from_quaternion,
+    nearest_rotation,
+    quaternion_from_matrix,
+    slerp,
+)
 from avatar.skeleton import JOINTS
 
 Array = np.ndarray
@@ -154,8 +160,7 @@ def _foot(bones: RestBones, sampled: Sampled, side: str, shin: Float[Array, "3 3
 
 def _mean_relative(theirs: Float[Array, "frames 3 3"], ours: Float[Array, "frames 3 3"]) -> Float[Array, "3 3"]:
     """The A for which theirs @ A is nearest to ours, in the mean of squares (Procrustes)."""
-    u, _, vt = np.linalg.svd((np.swapaxes(theirs, -1, -2) @ ours).mean(0))
-    return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    return nearest_rotation((np.swapaxes(theirs, -1, -2) @ ours).mean(0))
 
 
 def near_axes(R: Float[Array, "3 3"]) -> Float[Array, "3 3"]:

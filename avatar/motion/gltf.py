@@ -26,6 +26,7 @@ from avatar.motion.retarget import retarget
 from avatar.motion.smplh_rig import LIMBS, is_smplh, off_t_pose, read_exactly
 from avatar.rotation import (
     matrix_from_quaternion,
+    nearest_rotation,
     normalised_quaternion,
     quaternion_from_matrix,
     slerp,
@@ -372,16 +373,10 @@ def _rest(
         unit = np.linalg.norm(at[anchor] - at[hip]) / mine
         bound_R, bound_at = R.copy(), at.copy()
         for k, frame in frames.items():
-            bound_R[k] = _rotation(frame[:3, :3])
+            bound_R[k] = nearest_rotation(frame[:3, :3])
             bound_at[k] = frame[:3, 3] * unit
         off = off_t_pose(bound_at, place)
         if off < best - BIND_CLOSER:
             notes.append(f"rest pose: the skin's bind pose ({off:.0f} degrees off a T-pose, the nodes {best:.0f})")
             return bound_R, bound_at
     return R, at
-
-
-def _rotation(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """The rotation nearest to a matrix with positive determinant."""
-    u, _, vt = np.linalg.svd(matrix)
-    return u @ vt

@@ -28,6 +28,7 @@ from avatar.rotation import (
     axis_angle_from_matrix,
     matrix_from_axis_angle,
     matrix_from_quaternion,
+    nearest_rotation,
     quaternion_from_matrix,
     rotation_between,
     slerp,
@@ -174,9 +175,7 @@ def _face(P: Float[Array, "frames 33 3"]) -> Float[Array, "frames 3 3"]:
     """The rotation that lays a face at rest best over the points of theirs."""
     theirs = P[:, FACE] - P[:, FACE].mean(1, keepdims=True)
     rest = FACE_AT_REST - FACE_AT_REST.mean(0)
-    u, _, vt = np.linalg.svd(np.swapaxes(theirs, -1, -2) @ rest)
-    u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
-    return u @ vt
+    return nearest_rotation(np.swapaxes(theirs, -1, -2) @ rest)
 
 
 def _hand(

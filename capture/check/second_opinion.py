@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from PIL import Image
 
 from avatar.camera import Camera
 from avatar.errors import AssetError
-from avatar.rotation import axis_angle_from_matrix
+from avatar.rotation import axis_angle_from_matrix, nearest_rotation
 from capture.check.verdict import Finding
 from capture.folder import PartVideo
 from capture.imports.colmap import read_colmap
@@ -90,16 +90,10 @@ def compared(video: PartVideo, found: dict[int, Camera]) -> SecondOpinion:
         return SecondOpinion(len(video.cameras), (), ())
     theirs = np.stack([found[f].camera_from_world[:3, :3] for f in frames])
     own = np.stack([video.cameras[f].camera_from_world[:3, :3] for f in frames])
-    common = _nearest_rotation(np.einsum("fji,fjk->ik", theirs, own))
+    common = nearest_rotation(np.einsum("fji,fjk->ik", theirs, own))
     away = axis_angle_from_matrix(np.swapaxes(own, 1, 2) @ theirs @ common)
     degrees = np.degrees(np.linalg.norm(away, axis=-1))
     return SecondOpinion(len(video.cameras), frames, tuple(float(d) for d in degrees))
-
-
-def _nearest_rotation(M: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """The rotation nearest to a matrix (Kabsch 1976)."""
-    U, _, Vt = np.linalg.svd(M)
-    return U @ np.diag([1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt
 
 
 def _by_colmap(video: PartVideo, folder: Path) -> dict[str, Camera]:

@@ -9,6 +9,7 @@ from avatar.rotation import (
     matrix_from_axis_angle,
     matrix_from_quaternion,
     nearest_axis_angle,
+    nearest_rotation,
     quaternion_from_axis_angle,
     quaternion_from_matrix,
     quaternion_product,
@@ -35,6 +36,15 @@ def test_every_representation_round_trips(random):
     np.testing.assert_allclose(axis_angle_from_quaternion(quaternion_from_axis_angle(v)), v, atol=2e-14)
     R = matrix_from_axis_angle(v)
     np.testing.assert_allclose(matrix_from_quaternion(quaternion_from_matrix(R)), R, atol=1e-14)
+
+
+def test_the_nearest_rotation_lays_points_over_points_and_is_never_a_mirror(random):
+    R = matrix_from_axis_angle(random.normal(size=(20, 3)))
+    a = random.normal(size=(20, 6, 3))
+    b = a @ np.swapaxes(R, 1, 2)
+    np.testing.assert_allclose(nearest_rotation(np.swapaxes(b, 1, 2) @ a), R, atol=1e-12)
+    mirrored = nearest_rotation(np.diag([1.0, 1.0, -0.5]))
+    np.testing.assert_allclose(mirrored, np.eye(3), atol=1e-12)
 
 
 def test_slerp_runs_at_constant_speed(random):

@@ -102,9 +102,9 @@ def test_frames_that_an_import_took_are_found_in_the_truth_and_in_its_world(impo
     run, facts, scan = imported
     found = filmed_poses(run, facts, scan)
     assert found.reason == ""
+    assert [p.truth.pose_index for p in found.some().by_part["hand_left"]] == TAKEN[[0, 1, 3, 4]].tolist()
     for part, placements in found.by_part.items():
-        taken = TAKEN if part == "body" else TAKEN[[0, 1, 3, 4]]
-        assert [placement.truth.pose_index for placement in placements] == taken.tolist()
+        assert [placement.truth.pose_index for placement in placements] == TAKEN.tolist()
         for placement in placements:
             (ours,) = placement.ours.values()
             np.testing.assert_allclose(ours.root, placement.truth.root, atol=1e-12)
@@ -118,7 +118,8 @@ def test_a_perfect_avatar_in_exact_poses_has_no_distance_and_hands_are_those_of_
     for row in ("filmed", "filmed_aligned", "filmed_zero_steps", "filmed_zero_steps_aligned"):
         assert result[row]["head"]["p2s_cm"] < 0.03 and result[row]["hands"]["p2s_cm"] < 0.03
         assert 0.02 < result[row]["total"]["p2s_cm"] < 0.5
-    assert result["filmed_joints"]["total"] < 1e-6
+    for row in ("filmed_joints", "filmed_joints_aligned", "filmed_degrees"):
+        assert result[row]["total"] < 1e-6 and result[row]["hands"] < 1e-6
     assert result["filmed_frames"] == {"body": 6, "hand_left": 4, "hand_right": 4}
     empty = {"novel_pose": {"head": {}}, "novel_view": {}, "beside": result, "input": "from pixels"}
     assert {"poses of the person's own videos: total", "own videos, ICP-aligned: head"} <= {
@@ -136,6 +137,7 @@ def test_a_person_too_far_from_the_camera_is_off_in_place_and_not_aligned(import
     facts = {"capture_at": capture_place(run.parent / "capture", run)}
     result = in_filmed_poses(measuring[0], filmed_poses(run, facts, scan), measuring[1])
     assert result["filmed_joints"]["total"] == pytest.approx(3.0, abs=1e-3)
+    assert result["filmed_joints_aligned"]["total"] < 1e-6 and result["filmed_degrees"]["total"] < 1e-6
     for region in ("head", "hands"):
         assert result["filmed"][region]["p2s_cm"] > 0.5
         # ICP slides a round head slowly
