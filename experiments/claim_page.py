@@ -67,8 +67,8 @@ def numbers(values: dict[str, float | None], digits: int) -> str:
     return "-" if all(x is None for x in values.values()) else three(values, digits)
 
 
-def page(found: dict[str, dict[str, Result]], facts: dict[str, Any]) -> str:
-    """The tables of everybody, the mean first where there are several."""
+def page(found: dict[str, dict[str, Result]], facts: dict[str, Any], *, each: bool = True) -> str:
+    """The tables of everybody, the mean first where there are several; without `each`, the mean alone."""
     results = [result for person in found.values() for result in person.values()]
     commits = sorted({str(_machine(result, "commit")) for result in results})
     machines = sorted({f"{_machine(result, 'cpu')}, {_machine(result, 'cores')} cores" for result in results})
@@ -83,14 +83,14 @@ def page(found: dict[str, dict[str, Result]], facts: dict[str, Any]) -> str:
         "",
         "*Own videos*: the avatar in poses of its own videos, which were estimated from all frames together, against",
         "the truth of the same frames; total and head in the body's video, hands in theirs. In place: in the world of",
-        "that video's camera. *Held-out poses*: poses of estimated skeletons are fitted to each held-out picture, from",
-        "its keypoints and mask, never told: first the template's outline, then that of what was trained. One picture",
-        "leaves the depth of limbs open: those of the true skeleton end 3.5 cm from the truth there, so these totals",
-        "measure that fit more than the avatar. Aligned: after ICP, head and hands by themselves (held-out poses of",
-        "*given*: with the whole person). Joints and turns of own videos: all frames; limbs stand as total, fingers as",
-        "hands; turns with each joint's own mean removed. *0 steps*: the template before training, which has no",
-        "colors. PSNR of the field. The paper's people and crops are others, and it was given nothing: its numbers",
-        "stand beside the last two columns alone.",
+        "that video's camera. *Held-out poses*: poses of estimated skeletons are fitted to each held-out picture,",
+        "from its keypoints and mask, never told: first the template's outline, then that of what was trained.",
+        "One picture leaves the depth of limbs open: those of the true skeleton end 3.5 cm from the truth there, so",
+        "these totals measure that fit more than the avatar. Aligned: after ICP, head and hands by themselves",
+        "(held-out poses of *given*: with the whole person). Joints and turns of own videos: all frames; limbs stand as",
+        "total, fingers as hands; turns with each joint's own mean removed. *0 steps*: the template before training,",
+        "which has no colors. PSNR of the field. The paper's people and crops are others, and it was given nothing:",
+        "its numbers stand beside the last two columns alone.",
         "",
         f"{facts['share']}; {facts['frames']} frames of each video, {facts['size']} px, {facts['light']} light, seed",
         f"{facts['seed']}; {facts['poses']} poses of each held-out set. {'; '.join(machines)},",
@@ -101,7 +101,7 @@ def page(found: dict[str, dict[str, Result]], facts: dict[str, Any]) -> str:
         # people who lack a column are missing from none of the others: there is no mean then
         whole = {kind: [p[kind] for p in found.values()] for kind in INPUTS if all(kind in p for p in found.values())}
         lines += [f"## Mean of {len(found)} people", "", *table(whole), ""]
-    for name, person in found.items():
+    for name, person in found.items() if each or len(found) == 1 else ():
         lines += [f"## {name}", "", *table({kind: [result] for kind, result in person.items()}), ""]
     return "\n".join(lines).rstrip("\n") + "\n"
 

@@ -10,7 +10,9 @@ from typing import Any
 
 from avatar.errors import AssetError
 from avatar.files import whole_file
+from avatar.input_file import read_json_object
 from bench.quality_table import COLUMNS, MODES, PAPER, cells, number
+from experiments.claim_page import FORMAT, page
 
 
 def light_of_facts(facts: dict[str, Any]) -> str:
@@ -110,9 +112,22 @@ def view_table(results: list[dict[str, Any]]) -> list[str]:
     ]
 
 
+def claim_section(path: Path) -> str:
+    """The three kinds of input side by side, mean of their people, a heading lower than in a page of its own.
+
+    Raises:
+        AssetError: the file is none of experiments.claim.
+    """
+    told = read_json_object(path, "what experiments.claim found")
+    if told.get("format") != FORMAT:
+        raise AssetError(f"{path}: format should be {FORMAT!r}, is {told.get('format')!r}")
+    return page(told["people"], told["options"], each=False).replace("## ", "### ").replace("# From", "## From", 1)
+
+
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m experiments.quality_page", description="Quality of many people.")
     parser.add_argument("results", nargs="+", type=Path, metavar="JSON", help="files of `selfscan eval --json`")
+    parser.add_argument("--claim", type=Path, metavar="JSON", help="of experiments.claim: its mean comes last")
     parser.add_argument("-o", dest="out", type=Path, required=True, metavar="TABLE.md")
     options = parser.parse_args(argv)
     results = []
@@ -121,8 +136,11 @@ def main(argv: list[str] | None = None) -> int:
             results.append(json.loads(path.read_text("utf-8")))
         except (OSError, ValueError) as error:
             raise AssetError(f"{path}: expected a result of `selfscan eval --json`, found: {error}") from None
+    text = people_table(results)
+    if options.claim is not None:
+        text += "\n" + claim_section(options.claim)
     with whole_file(options.out, "w") as file:
-        file.write(people_table(results))
+        file.write(text)
     return 0
 
 

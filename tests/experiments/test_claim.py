@@ -9,6 +9,7 @@ import experiments.claim
 from avatar.errors import AssetError
 from experiments.claim import collect, main, person_and_sex
 from experiments.claim_page import page
+from experiments.quality_page import claim_section
 
 
 def result(kind: str, p2s: float) -> dict:
@@ -119,6 +120,14 @@ def test_the_mean_is_of_all_people_or_of_nobody():
     text = page(people, facts)
     mean = text[text.index("## Mean of 2 people") : text.index("## He")]
     assert "| held-out poses: P2S in place, cm | 1.50 / 1.50 / 1.50 | - | - | - |" in mean
+
+
+def test_the_quality_page_ends_with_the_mean(made, tmp_path):
+    _, out = made
+    with pytest.raises(AssetError, match="format should be 'selfscan-claim', is None"):
+        claim_section(out / "options.json")
+    text = claim_section(out / "claim.json")
+    assert text.startswith("## From pixels, beside what is given") and "\n### builtin\n" in text
 
 
 def test_a_person_is_named_as_synth_takes_them():
