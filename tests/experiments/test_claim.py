@@ -122,8 +122,9 @@ def test_the_mean_is_of_all_people_or_of_nobody():
     assert "| held-out poses: P2S in place, cm | 1.50 / 1.50 / 1.50 | - | - | - |" in mean
 
 
-def test_the_quality_page_ends_with_the_mean(made, tmp_path):
+def test_the_quality_page_ends_with_the_mean(made):
     _, out = made
+    assert main(["builtin", "-o", str(out), *WORDS]) == 0
     with pytest.raises(AssetError, match="format should be 'selfscan-claim', is None"):
         claim_section(out / "options.json")
     text = claim_section(out / "claim.json")
