@@ -37,14 +37,19 @@ def _eroded(area: Bool[Array, "height width"]) -> Bool[Array, "height width"]:
 def contact_sheet(rows: list[list[tuple[str, UInt8[Array, "height width 3"]]]], side: int = 320) -> Image.Image:
     """Pictures in rows, each with its caption above."""
     line = 16
-    columns = max(len(row) for row in rows)
-    sheet = Image.new("RGB", (columns * side, len(rows) * (side + line)))
+    fitted = [[(caption, _fitted(picture, side)) for caption, picture in row] for row in rows]
+    heights = [line + max(image.height for _, image in row) for row in fitted]
+    sheet = Image.new("RGB", (max(map(len, rows)) * side, sum(heights)))
     draw = ImageDraw.Draw(sheet)
-    for r, row in enumerate(rows):
-        for c, (caption, picture) in enumerate(row):
-            image = Image.fromarray(picture)
-            scale = side / max(image.size)
-            image = image.resize((round(image.width * scale), round(image.height * scale)))
-            sheet.paste(image, (c * side, r * (side + line) + line))
-            draw.text((c * side + 3, r * (side + line) + 2), caption, fill=(255, 255, 255))
+    for row, top in zip(fitted, np.cumsum([0, *heights[:-1]]).tolist()):
+        for c, (caption, image) in enumerate(row):
+            sheet.paste(image, (c * side, top + line))
+            draw.text((c * side + 3, top + 2), caption, fill=(255, 255, 255))
     return sheet
+
+
+def _fitted(picture: UInt8[Array, "height width 3"], side: int) -> Image.Image:
+    """The picture, its longer side as long as told."""
+    image = Image.fromarray(picture)
+    scale = side / max(image.size)
+    return image.resize((round(image.width * scale), round(image.height * scale)))
