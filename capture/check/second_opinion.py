@@ -101,7 +101,7 @@ def _by_colmap(video: PartVideo, folder: Path) -> dict[str, Camera]:
     try:
         import pycolmap
     except ImportError:
-        raise AssetError("--colmap needs pycolmap: pip install 'selfscan[colmap]'") from None
+        raise AssetError("--colmap needs pycolmap: pip install pycolmap") from None
     from scipy.ndimage import binary_erosion
 
     (folder / "images").mkdir()

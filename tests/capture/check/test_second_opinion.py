@@ -93,7 +93,7 @@ def test_structure_from_motion_agrees_about_a_ball_that_turns(video):
 
 def test_without_pycolmap_it_says_what_to_install(video, monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
-    with pytest.raises(AssetError, match="pip install 'selfscan\\[colmap\\]'"):
+    with pytest.raises(AssetError, match="--colmap needs pycolmap: pip install pycolmap"):
         ask_colmap(video)
 
 
