@@ -139,11 +139,12 @@ def settle(out: Path, options: Options) -> None:
         json.dump(said, file, indent=1)
 
 
-def run_all(options: Options, people: Sequence[str], out: Path) -> list[str]:
-    """Every column of every person; what could not be made, in words."""
+def run_all(options: Options, people: Sequence[str], out: Path, kinds: Sequence[str] = INPUTS) -> list[str]:
+    """The columns `kinds` of every person; what could not be made, in words."""
     absent = []
     columns = [(name, kind, todo) for name in people
-               for kind, todo in stages(options, name, out / folder_of(name)).items()]  # fmt: skip
+               for kind, todo in stages(options, name, out / folder_of(name)).items()
+               if kind == "raw" or kind in kinds]  # fmt: skip
     for number, (name, kind, todo) in enumerate(columns):
         later = [stage for _, _, others in columns[number + 1 :] for stage in others]
         after = sum((stage.minutes for stage in later if not stage.product.exists()), 0.0)
@@ -191,6 +192,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--frames", type=int, default=40, help="used of each video (default: 40)")
     parser.add_argument("--seed", type=int, default=0, help="of filming and training (default: 0)")
     parser.add_argument("--poses", type=int, default=20, help="of each held-out set (default: 20, all)")
+    parser.add_argument("--only", choices=INPUTS, action="append", metavar="COLUMN",
+                        help="make no other column (may be given again); what is there stays in the table")  # fmt: skip
     parser.add_argument("--light", default="room", help="of everything that is filmed (default: room)")
     given = parser.parse_args(argv)
     for name, least in (("steps", 1), ("poses", 1), ("frames", 8), ("size", 96)):
@@ -203,7 +206,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = Options(given.preset, given.steps, given.size, given.seconds, given.frames, given.seed, given.poses,
                       given.light)  # fmt: skip
     settle(given.out, options)
-    absent = run_all(options, given.people, given.out)
+    absent = run_all(options, given.people, given.out, given.only or INPUTS)
     found = collect(given.out)
     facts = asdict(options) | {"share": share_in_words(options.preset, options.steps)}
     with whole_file(given.out / "claim.json", "w") as file:

@@ -80,6 +80,13 @@ def test_one_person_is_filmed_once_and_judged_in_three_columns_on_the_same_pictu
     assert "200 steps a part, 16% of those of preset demo" in text
 
 
+def test_a_column_alone_is_made(made):
+    calls, out = made
+    assert main(["builtin", "-o", str(out), *WORDS, "--only", "given"]) == 0
+    assert [call[1] for call in calls] == ["synth", "synth", "train", "eval"]
+    assert "| 0.50 / 0.50 / 0.50 | - | - | 1.84" in (out / "claim.md").read_text()
+
+
 def test_what_is_there_is_kept_and_other_settings_go_elsewhere(made, capsys):
     calls, out = made
     assert main(["builtin", "-o", str(out), *WORDS]) == 0
