@@ -4,6 +4,7 @@ import io
 import json
 import math
 import os
+import re
 import stat
 from pathlib import Path
 from typing import Any, NoReturn
@@ -131,3 +132,9 @@ def _finite(digits: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"the number {digits[:20]}, which is beyond floats")
     return value
+
+
+def name_order(name: str) -> tuple[list[tuple[str, int]], str]:
+    """What names are sorted by: frame_9 comes before frame_10."""
+    parts = re.findall(r"([^0-9]*)([0-9]{0,18})", name)
+    return [(text, int(digits) if digits else -1) for text, digits in parts], name

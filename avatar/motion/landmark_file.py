@@ -25,10 +25,9 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.errors import AssetError
-from avatar.input_file import MAX_JSON_BYTES, parse_json, read_bytes, read_json
+from avatar.input_file import MAX_JSON_BYTES, name_order, parse_json, read_bytes, read_json
 from avatar.motion.landmark_pose import BODY_POINTS, HAND_POINTS, curl_sign
 from avatar.motion.protobuf_text import read_protobuf_text
-from avatar.motion.sam3d_body import name_order
 
 Array = np.ndarray
 

@@ -10,7 +10,6 @@ way the camera leaned is not known: its up is taken for the world's. A photo has
 """
 
 import os
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,6 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.errors import AssetError
+from avatar.input_file import name_order
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton
 from avatar.motion.mhr_rig import MHR_JOINTS, NUMBERS, MhrRig, mhr_alignment, off_bones
 from avatar.motion.retarget import retarget
@@ -118,12 +118,6 @@ def _files(folder: Path) -> list[Path]:
     if not names:
         raise AssetError(f"{folder}: expected results of SAM 3D Body (.npz), found none")
     return [folder / name for name in sorted(names, key=name_order)]
-
-
-def name_order(name: str) -> tuple[list[tuple[str, int]], str]:
-    """What names are sorted by: frame_9 comes before frame_10."""
-    parts = re.findall(r"([^0-9]*)([0-9]{0,18})", name)
-    return [(text, int(digits) if digits else -1) for text, digits in parts], name
 
 
 def _key(npz: NpzFile, names: tuple[str, ...]) -> str | None:

@@ -1,6 +1,6 @@
 """Four videos to a person: body, hands, head, each from what the ones before it found."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,7 +53,7 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
     fit = _Fit(work)
     found: dict[str, FittedVideo] = {}
     person = person_of(sex, stature)
-    phone = phone_of(scan)
+    phone = phone_of(scan.videos.values())
     footages = {part: footage_in(video, phone) for part, video in scan.videos.items()}
     for part, footage in footages.items():
         check_footage(part, footage)
@@ -140,9 +140,9 @@ class _Fit:
         self.progress.update(self.done, note)
 
 
-def phone_of(scan: RawScan) -> Focal:
+def phone_of(videos: Iterable[RawVideo]) -> Focal:
     """The focal length that is begun with: what the phone wrote into its files, else what is usual."""
-    written = [video.focal_written / min(video.size) for video in scan.videos.values() if video.focal_written]
+    written = [video.focal_written / min(video.size) for video in videos if video.focal_written]
     return Focal(float(np.median(written)), WRITTEN) if written else Focal(FOCAL, GUESSED)
 
 

@@ -11,6 +11,7 @@ from PIL import Image
 from avatar.camera import Camera, project, write_cameras
 from avatar.errors import AssetError
 from avatar.files import whole_file, whole_folder
+from avatar.input_file import name_order
 from avatar.picture import read_picture
 from avatar.progress import Progress
 from avatar.skeleton import PARTS, joint_transforms
@@ -120,16 +121,16 @@ def read_mask(path: Path, size: tuple[int, int], *, any_value: bool) -> Bool[Arr
 
 
 def pictures_in(folder: Path) -> list[Path]:
-    """The pictures of a folder in the order of their names; AssetError where there are none."""
+    """The pictures of a folder in the order of their names (`name_order`); AssetError where there are none."""
     try:
-        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
+        found = [path for path in folder.iterdir() if path.suffix.lower() in PICTURES]
     except FileNotFoundError:
         raise AssetError(f"{folder}: no such folder; expected the frames of a video") from None
     except OSError as error:
         raise AssetError(f"{folder}: cannot be read: {error.strerror}") from None
     if not found:
         raise AssetError(f"{folder}: expected frames ({', '.join(PICTURES)}), found none")
-    return found
+    return sorted(found, key=lambda path: name_order(path.name))
 
 
 def chosen_frames(count: int, most: int, given: tuple[int, int, int] | None, place: str) -> Array:

@@ -4,9 +4,8 @@ import os
 from pathlib import Path
 
 from avatar.errors import AssetError
-from avatar.input_file import read_json
+from avatar.input_file import name_order, read_json
 from avatar.motion.landmark_file import TEXT, is_mediapipe, read_landmarks
-from avatar.motion.sam3d_body import name_order
 from capture.keypoints.coco_wholebody import is_wholebody, wholebody_keypoints
 from capture.keypoints.mediapipe import mediapipe_keypoints
 from capture.keypoints.openpose import is_openpose, openpose_keypoints

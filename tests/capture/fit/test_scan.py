@@ -131,7 +131,7 @@ def test_points_of_more_frames_than_are_kept_serve_the_focal_length(filmed):
 
 def test_what_the_phone_wrote_of_its_lens_is_begun_with(filmed):
     _, scan = filmed
-    assert phone_of(scan) == Focal(FOCAL, GUESSED)
+    assert phone_of(scan.videos.values()) == Focal(FOCAL, GUESSED)
     written = {part: replace(video, focal_written=1.3 * SIZE) for part, video in scan.videos.items()}
-    found = phone_of(RawScan(written))
+    found = phone_of(written.values())
     assert found.shorter_sides == pytest.approx(1.3) and found.doubt == WRITTEN < GUESSED
