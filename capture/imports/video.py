@@ -61,6 +61,8 @@ def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
     judged = judge_videos(videos, keypoints, work)
     why = refusal(judged)
     if why is not None:
+        # others will be filmed: nothing of these is worth keeping
+        shutil.rmtree(work)
         raise AssetError(why)
     notes = [remark.line(videos[part].name) for part, at in judged.items() for remark in at.remarks]
     raw = {}
