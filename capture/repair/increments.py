@@ -56,7 +56,7 @@ def increments_moved(
     # (w x a) . g = w . (a x g)
     turn = np.cross(arm, g[:, None])
     turned = np.einsum("nmi,mij->nmj", turn, G[moving, :3, :3])
-    return np.concatenate([turned.reshape(len(points), -1), g], 1)
+    return np.concatenate([turned.reshape(len(points), 3 * len(moving)), g], 1)
 
 
 def joints_moved(

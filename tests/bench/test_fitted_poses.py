@@ -85,6 +85,22 @@ def test_the_outline_of_what_was_trained_takes_out_small_turns_and_keeps_depth(o
     assert abs(axis @ (after - before)) < 0.005
 
 
+def test_a_hand_that_the_fit_put_outside_its_picture_leaves_the_pose_alone(oracle, fits):
+    """The chest is where the hand was: the picture is full, and none of it is the hand's."""
+    capture, avatar, _ = oracle
+    view = next(v for v in read_held_out(capture, "novel_pose") if v.view == "hand_left")
+    G = joint_transforms(view.axis_angle, fits[0].joints, view.root)[:, :3, 3]
+    beside = replace(view, root=view.root + G[JOINTS.index("left_middle1")] - G[JOINTS.index("spine3")])
+    drawer = Drawer(avatar)
+    try:
+        found = TrainedOutline(drawer.surface, drawer.raster).refined(beside)
+    finally:
+        drawer.release()
+    np.testing.assert_allclose(found.root, beside.root, atol=1e-9)
+    turned = np.swapaxes(matrix_from_axis_angle(beside.axis_angle), 1, 2) @ matrix_from_axis_angle(found.axis_angle)
+    assert np.abs(axis_angle_from_matrix(turned)).max() < 1e-6
+
+
 @pytest.fixture(scope="module")
 def scored(oracle, fits):
     capture, avatar, _ = oracle
