@@ -4,6 +4,7 @@ import ast
 import importlib
 import json
 import re
+from inspect import signature
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,24 @@ def test_what_an_example_imports_is_there_even_where_it_is_not_run():
                 module = importlib.import_module(node.module or "")
                 for alias in node.names:
                     assert hasattr(module, alias.name), f"{node.module}.{alias.name}"
+
+
+def test_what_an_example_calls_takes_such_arguments_even_where_it_is_not_run():
+    checked = 0
+    for wanted, code in blocks("docs/python.md"):
+        if wanted:
+            continue
+        tree = ast.parse(code)
+        imported = {
+            alias.name: getattr(importlib.import_module(node.module or ""), alias.name)
+            for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names
+        }  # fmt: skip
+        for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+            if isinstance(call.func, ast.Name) and call.func.id in imported:
+                named = {keyword.arg: None for keyword in call.keywords if keyword.arg}
+                signature(imported[call.func.id]).bind(*call.args, **named)
+                checked += 1
+    assert checked >= 5
 
 
 @pytest.mark.parametrize("package", ["avatar", "player"])
