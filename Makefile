@@ -1,4 +1,4 @@
-# Two commands: `make demo` (the whole path on the built-in subject) and `make test`.
+# Three commands: `make demo` (the whole path on the built-in subject), `make test` and, with all slow tests, `make test-all`.
 # Where you have an index with CPU-only torch (it saves 4 GB), name it: make demo TORCH_INDEX=https://...
 
 PYTHON ?= $(shell for p in python3.12 python3.11 python3.13 python3; do command -v $$p >/dev/null 2>&1 && \
@@ -8,13 +8,20 @@ RUN = $(VENV)/bin/python
 TORCH_INDEX ?=
 JOBS ?= 2  # test processes side by side
 
-.PHONY: demo test hard-cases setup system lint clean
+.PHONY: demo test test-all hard-cases setup system lint clean
 
 demo: setup
 	$(RUN) -m bench.demo out/demo
 
+PYTEST = OMP_WAIT_POLICY=PASSIVE $(RUN) -m pytest -q -n $(JOBS) --dist worksteal --durations=40
+
+# tests/README.md says which tests are slow.
 test: setup lint
-	OMP_WAIT_POLICY=PASSIVE $(RUN) -m pytest -q -n $(JOBS) --dist loadfile
+	$(PYTEST) -m "not slow"
+
+# Slow tests are whole paths: they run without the hook that checks shapes and types at every call.
+test-all: test
+	$(PYTEST) -m slow --jaxtyping-packages=
 
 # Runs the hard cases and writes docs/hard-cases.md: case, bound, measured worst error, rasteriser.
 hard-cases: setup

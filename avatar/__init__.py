@@ -40,19 +40,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from avatar.baked_avatar import Avatar
     from avatar.camera import Camera, look_at, pinhole
-    from avatar.errors import AssetError
     from avatar.gltf.avatar_file import read_avatar, write_avatar
     from avatar.motion.amass import write_amass
     from avatar.motion.clip import Clip, Motion, resample
     from avatar.motion.read import read_motion
     from avatar.skeleton import JOINTS
+    from command.errors import AssetError
 
 _PUBLIC = {
     "Avatar": "avatar.baked_avatar",
     "Camera": "avatar.camera",
     "look_at": "avatar.camera",
     "pinhole": "avatar.camera",
-    "AssetError": "avatar.errors",
+    "AssetError": "command.errors",
     "read_avatar": "avatar.gltf.avatar_file",
     "write_avatar": "avatar.gltf.avatar_file",
     "write_amass": "avatar.motion.amass",

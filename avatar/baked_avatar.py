@@ -19,7 +19,7 @@ from avatar.helper_joints import BONES, CARRIER
 from avatar.light import CaptureLight
 from avatar.skeleton import JOINTS
 from avatar.skinning import SkinWeights
-from avatar.springs import Springs, check_springs
+from files.input_file import JsonObject
 
 VIEW_MODES = ("network", "linear", "off")
 
@@ -64,14 +64,12 @@ class Level:
     base_color: UInt8[np.ndarray, "height width 3"]  # sRGB
     # 4 or 8, linear, f = value / 255
     features: UInt8[np.ndarray, "feature_height feature_width planes"] | None
-    # mean S and H (avatar/light.py) that the base colour shows; None: they are not told from the albedo
+    # mean S and H (avatar/light.py) that the base colour shows; None: they are not separated from the albedo
     light: Float32[np.ndarray, "vertices 2"] | None = None
     # None: the file has no helper joints
     twist: TwistSkin | None = None
     # 0 where it is skin, 1 where it hangs far off the body: hair, skirts, sleeves; None: nothing is loose
     loose: Float32[np.ndarray, "vertices"] | None = None
-    # chains that hang on the body, of a .vrm; None: it has none
-    springs: Springs | None = None
 
     @property
     def drawn_skin(self) -> tuple[UInt8[np.ndarray, "vertices 4"], UInt8[np.ndarray, "vertices 4"]]:
@@ -137,14 +135,12 @@ class Avatar:
     amplitude: float
     default_view: Literal["network", "linear", "off"]
     # preset, data, body licence, measured accuracy ...: anything JSON holds
-    provenance: dict[str, Any]
+    provenance: JsonObject
     # the capture's, in the world where the camera stands before the T-pose; levels say what of it is in their base
-    # colour. None: light is not told from albedo
+    # colour. None: light is not separated from albedo
     light: CaptureLight | None = None
     # how far bend joints are pushed (avatar/bend.py), metres, only beside twist joints; None: the file has none
     bend: Float[np.ndarray, "bends"] | None = None
-    # what was assumed in reading a file that is not an avatar's own; not stored
-    notes: tuple[str, ...] = ()
 
     def level(self, number: int) -> Level:
         """A level of detail, 0 the finest; the coarsest where there are fewer."""
@@ -187,8 +183,6 @@ def check_level(level: Mapping[str, Any], where: str) -> None:
     if loose is not None:
         _check_array(loose, f"{where}.loose", "float32", (len(level["positions"]),))
         _check_rows((loose >= 0) & (loose <= 1), f"{where}.loose", "from 0 to 1", loose)
-    if level.get("springs") is not None:
-        check_springs(level["springs"], len(level["positions"]), f"{where}.springs")
     features = level["features"]
     if features is not None and features.shape[2] not in FEATURES:
         raise ValueError(f"{where}.features should be 4 or 8 a texel, are {features.shape[2]}")
@@ -229,7 +223,7 @@ def _check_twist(twist: TwistSkin, joints: np.ndarray, weights: np.ndarray, wher
     _check_rows(same, f"{where}.twist.weights", "those of the 52 joints, divided", twist.weights)
 
 
-def check_network(network: Mapping[str, Any], where: str = "network") -> None:
+def check_network(network: Mapping[str, np.ndarray | None], where: str = "network") -> None:
     """Refuse weights of a view network that have another shape than one of its two sizes, or are not finite."""
     arrays = NETWORK_ARRAYS[4 if network.get("w3") is None else 8]
     for name, shape in arrays.items():
@@ -293,6 +287,10 @@ def check_avatar(avatar: Avatar) -> None:
         json.dumps(avatar.provenance, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"provenance should be what JSON holds: {error}") from None
+    _check_default_view(avatar)
+
+
+def _check_default_view(avatar: Avatar) -> None:
     if avatar.default_view not in VIEW_MODES:
         raise ValueError(f"default_view should be one of {VIEW_MODES}, is {avatar.default_view!r}")
     if avatar.default_view != "off":

@@ -2,7 +2,7 @@
 
 Linear blending of two bones that differ by an angle t draws a section half way between them in to cos(t / 2) of its
 thickness, and the way round a bend gets shorter besides. A bend joint stands where joint J does, turns by half of J's
-swing S (avatar/twist.py tells it from the twist about J's bone), and is pushed out of the bend, in the frame of J's
+swing S (avatar/twist.py separates it from the twist about J's bone), and is pushed out of the bend, in the frame of J's
 parent:
 
     S^1/2 about J, then moved by c (e - S e)        e the unit vector along J's bone, pose 0; c in metres, J's own
@@ -46,7 +46,7 @@ BENDS: dict[str, Bend] = {
 BEND_JOINTS: tuple[str, ...] = tuple(
     f"{name}_bend{k}" for name, bend in BENDS.items() for k in ((0, 1) if bend.both else (1,))
 )
-# of each bend joint: which of BENDS, and whether it is the child of the joint itself
+# for each bend joint: which of BENDS, and whether it is the child of the joint itself
 _OF = np.array([k for k, bend in enumerate(BENDS.values()) for _ in range(1 + bend.both)])
 _OWN = np.array([name.endswith("1") for name in BEND_JOINTS])
 _JOINT = np.array([bend.joint for bend in BENDS.values()])
@@ -91,7 +91,7 @@ class BendJoints:
         half, outwards = self._halves(pose)
         K = (half[:, :3] @ _LEVI_CIVITA.reshape(3, 9)).reshape(-1, 3, 3)
         local = np.zeros((len(_JOINT), 4, 4))
-        # of a unit quaternion (u, w): I + 2 w [u]x + 2 [u]x^2
+        # rotation of a unit quaternion (u, w): I + 2 w [u]x + 2 [u]x^2
         local[:, :3, :3] = np.eye(3) + 2 * (half[:, 3:, None] * K + K @ K)
         local[:, :3, 3], local[:, 3, 3] = self._places + outwards, 1
         # both of a hinge stand in the same place

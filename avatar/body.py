@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from avatar.errors import AssetError
-from avatar.npz import field, read_npz
 from avatar.skeleton import JOINTS, PARENTS
 from avatar.skinning import SkinWeights, strongest_four
-from avatar.unpickle import read_pickle
+from command.errors import AssetError
+from files.npz import field, read_npz
+from files.unpickle import read_pickle
 
 Array = np.ndarray
 
@@ -77,7 +77,7 @@ def read_body(path: Path | str) -> Body:
     """Read an SMPL+H model (.npz, .pkl) or a body of ours: v_template, f, weights, J or J_regressor, shapedirs, ...
 
     SMPL+H itself is licensed and must be obtained by the user (mano.is.tue.mpg.de); the format is read here.
-    Nothing in a .pkl is run (avatar/unpickle.py). A model with hands_meanl/r and hands_componentsl/r has `hands`.
+    Nothing in a .pkl is run (files/unpickle.py). A model with hands_meanl/r and hands_componentsl/r has `hands`.
 
     Raises:
         AssetError: a field is absent, misshapen or not finite, or the tree is not SMPL+H's. File and field named.
@@ -121,20 +121,11 @@ def read_body(path: Path | str) -> Body:
     if "vt" in fields and "ft" in fields:
         uv = field(path, fields, "vt", (None, 2)) * [1, -1] + [0, 1]  # the file's v runs up
         uv_faces = field(path, fields, "ft", (len(faces), 3)).astype(np.int64)
+    licence = "the licence of your own model file"
     return Body(
-        path.stem,
-        vertices - joints[0],
-        faces,
-        skin,
-        joints - joints[0],
-        shapes,
-        joint_directions,
-        uv,
-        uv_faces,
-        "the licence of your own model file",
-        joints[0],
-        _hand_space(path, fields),
-    )
+        path.stem, vertices - joints[0], faces, skin, joints - joints[0], shapes, joint_directions, uv, uv_faces,
+        licence, joints[0], _hand_space(path, fields),
+    )  # fmt: skip
 
 
 def _model_fields(path: Path) -> dict[str, Array]:

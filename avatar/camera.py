@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
-from avatar.input_file import read_json_object
-from avatar.npz import read_npz
+from command.errors import AssetError
+from files.input_file import read_json_object
+from files.npz import read_npz
+from files.whole import whole_file
 
 Array = np.ndarray
 Vector = Sequence[float | int] | Array
 
-# of a camera file
+# the largest camera file
 MAX_BYTES = 1 << 20
 # pixels and metres that leave every product of them finite
 LARGEST = 1e9
@@ -88,7 +88,7 @@ def orbit_camera(
 def project(camera: Camera, points: Float[Array, "n 3"]) -> tuple[Float[Array, "n 2"], Float[Array, "n"]]:
     """Pixel positions and depths (metres along the optical axis) of world points, distortion included.
 
-    Points at depth <= 0 are behind the camera; their pixels are not a number one can use, their depth tells.
+    Points at depth <= 0 are behind the camera; their pixels are meaningless, as their depth shows.
     """
     local = points @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     depth = local[:, 2]

@@ -24,7 +24,7 @@ BLOCK = 32
 CHUNK = 8192
 
 
-class Hull(NamedTuple):
+class BodyHull(NamedTuple):
     """The outer points of a body, in the pose it rests in."""
 
     points: Float[Array, "points 3"]
@@ -33,19 +33,19 @@ class Hull(NamedTuple):
     rest: Float[Array, "52 3"]  # the pose of the points, axis-angle
 
 
-def hull_of(avatar: Avatar) -> Hull:
+def hull_of(avatar: Avatar) -> BodyHull:
     """The outer points of an avatar's finest level, which every reading of a file has."""
     level = avatar.levels[0]
     skin = SkinWeights(level.joints, level.weights.astype(np.float32) / 255)
     return _hull(level.positions, skin, avatar.joint_positions, avatar.canonical_pose)
 
 
-def body_hull(body: Body) -> Hull:
+def body_hull(body: Body) -> BodyHull:
     """The outer points of a body model."""
     return _hull(body.vertices, body.skin, body.joints, np.zeros((52, 3)))
 
 
-def _hull(points: Array, skin: SkinWeights, joints: Array, rest: Array) -> Hull:
+def _hull(points: Array, skin: SkinWeights, joints: Array, rest: Array) -> BodyHull:
     points = points.astype(np.float64)
     strongest = np.take_along_axis(skin.joints, skin.weights.argmax(1)[:, None], 1)[:, 0]
     chosen: list[Array] = []
@@ -55,11 +55,11 @@ def _hull(points: Array, skin: SkinWeights, joints: Array, rest: Array) -> Hull:
             chosen.append(mine[outermost(points[mine], DIRECTIONS)])
     outer = np.concatenate(chosen)
     own = SkinWeights(skin.joints[outer].astype(np.int64), skin.weights[outer])
-    return Hull(points[outer], own, joints.astype(np.float64), rest.astype(np.float64))
+    return BodyHull(points[outer], own, joints.astype(np.float64), rest.astype(np.float64))
 
 
 def posed_hull(
-    hull: Hull, axis_angle: Float[Array, "frames 52 3"], root: Float[Array, "frames 3"]
+    hull: BodyHull, axis_angle: Float[Array, "frames 52 3"], root: Float[Array, "frames 3"]
 ) -> Float[Array, "frames points 3"]:
     """The outer points in each frame, in the world: linear blend skinning."""
     out = np.zeros((len(root), len(hull.points), 3))
@@ -80,7 +80,7 @@ def posed_hull(
 
 
 def lowest_points(
-    hull: Hull, axis_angle: Float[Array, "frames 52 3"], root: Float[Array, "frames 3"]
+    hull: BodyHull, axis_angle: Float[Array, "frames 52 3"], root: Float[Array, "frames 3"]
 ) -> Float[Array, "frames"]:
     """Height of the lowest outer point in each frame: the y of `posed_hull` alone, in an eighth of its time."""
     lowest = np.zeros(len(root))

@@ -7,16 +7,18 @@
 n is the posed unit normal, v the unit direction from the surface towards the eye, both in the frame in which the
 light stands still (`frame`); share_k is the lamp's part of the lamps' strength. The light is grey. `gamma` is the
 space in which it multiplies: 1, display values themselves; 2.2, about linear light. Mean S over what the videos saw
-is 1, so albedo is about as bright as the person was. A lamp that no surface facing the camera can tell (behind the
+is 1, so albedo is about as bright as the person was. A lamp that no surface facing the camera shows (behind the
 person) is not known. Cast shadows are not part of it.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
+
+from files.input_file import Json, JsonObject
 
 Array = np.ndarray
 Frame = Literal["camera", "world"]
@@ -47,7 +49,7 @@ class CaptureLight:
 
     ambient: float
     lamps: tuple[Lamp, ...] = ()
-    # of the highlight, in the space of gamma; 0: none
+    # strength of the highlight, in the space of gamma; 0: none
     gloss: float = 0.0
     exponent: float = EXPONENT
     gamma: float = 1.0
@@ -123,7 +125,7 @@ class CaptureLight:
         lamps = lamps_of(self.directions, self.strengths * factor)
         return replace(self, ambient=self.ambient * factor, lamps=lamps)
 
-    def json(self) -> dict[str, Any]:
+    def json(self) -> JsonObject:
         """What JSON holds of it; `light_from_json` gives it back exactly."""
         return {
             "ambient": self.ambient,
@@ -141,7 +143,7 @@ def lamps_of(directions: Float[Array, "lamps 3"], strengths: Float[Array, "lamps
     return tuple(Lamp((float(x), float(y), float(z)), float(s)) for (x, y, z), s in zip(unit, strengths, strict=True))
 
 
-def light_from_json(content: Any) -> CaptureLight:
+def light_from_json(content: Json) -> CaptureLight:
     """Read what `CaptureLight.json` wrote.
 
     Raises:
@@ -161,7 +163,7 @@ def light_from_json(content: Any) -> CaptureLight:
     )  # fmt: skip
 
 
-def _lamp_from_json(content: Any) -> Lamp:
+def _lamp_from_json(content: Json) -> Lamp:
     _check_keys("a lamp", content, ("direction", "strength"))
     direction = content["direction"]
     if not isinstance(direction, Sequence) or isinstance(direction, str) or len(direction) != 3:
@@ -170,13 +172,13 @@ def _lamp_from_json(content: Any) -> Lamp:
     return Lamp((x, y, z), _number("lamp strength", content["strength"]))
 
 
-def _check_keys(what: str, content: Any, names: Sequence[str]) -> None:
+def _check_keys(what: str, content: Json, names: Sequence[str]) -> None:
     if not isinstance(content, Mapping) or set(content) != set(names):
         found = sorted(map(str, content)) if isinstance(content, Mapping) else _short(content)
         raise ValueError(f"{what} should hold {', '.join(names)}, is {found}")
 
 
-def _number(name: str, value: Any) -> float:
+def _number(name: str, value: Json) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name} should be a number, is {_short(value)}")
     try:
@@ -191,5 +193,5 @@ def _check_number(name: str, value: float, least: float, most: float) -> None:
         raise ValueError(f"{name} should be from {least:g} to {most:g}, is {value}")
 
 
-def _short(value: Any) -> str:
+def _short(value: Json) -> str:
     return repr(value)[:80]

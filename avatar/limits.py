@@ -44,7 +44,7 @@ from avatar.skeleton import JOINTS
 
 Array = np.ndarray
 
-# of the swing's outline: 2 is an ellipse, infinity a box
+# exponent of the swing's outline: 2 is an ellipse, infinity a box
 POWER = 4
 FREE = 180.0
 

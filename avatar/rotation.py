@@ -185,3 +185,35 @@ def rotation_between(a: Float[Array, "*b 3"], b: Float[Array, "*b 3"]) -> Float[
     usable = sine > 1e-12
     axis = np.where(usable, cross / np.where(usable, sine, 1.0), orthogonal)
     return matrix_from_axis_angle(axis * np.arctan2(sine, cosine))
+
+
+def unit_or_zero(v: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
+    """Unit vectors; those without length stay 0."""
+    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    return v / np.where(length > 0, length, 1)
+
+
+def left_up_frame(left: Float[Array, "*b 3"], up: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """Rotations with columns left, up, forward; up is kept, left made square to it."""
+    up = unit_or_zero(up)
+    left = unit_or_zero(left - up * np.sum(left * up, -1, keepdims=True))
+    return np.stack([left, up, np.cross(left, up)], -1)
+
+
+def palm_frame(along: Float[Array, "*b 3"], across: Float[Array, "*b 3"]) -> Float[Array, "*b 3 3"]:
+    """Rotations with x from the wrist to the middle finger (`along`) and z towards the forefinger's side (`across`)."""
+    x = unit_or_zero(along)
+    z = unit_or_zero(across - x * np.sum(x * across, -1, keepdims=True))
+    return np.stack([x, np.cross(z, x), z], -1)
+
+
+def axis_name(direction: Float[Array, "3"]) -> str:
+    """ "+x", "-z" ...: the axis that a direction lies along."""
+    axis = int(np.argmax(np.abs(direction)))
+    return "+-"[int(direction[axis] < 0)] + "xyz"[axis]
+
+
+def turned(axis_angle: Float[Array, "*b 3"], turn: Float[Array, "4"]) -> Float[Array, "*b 3"]:
+    """Each rotation followed by `turn`, a quaternion."""
+    q = quaternion_from_axis_angle(axis_angle)
+    return axis_angle_from_quaternion(quaternion_product(np.broadcast_to(turn, q.shape), q))

@@ -18,7 +18,7 @@ JOINTS: tuple[str, ...] = tuple(
 )
 LEFT_HAND, RIGHT_HAND = slice(22, 37), slice(37, 52)
 
-# of the person, each with a video and a field of its own; the index is the part's number everywhere
+# parts of the person, each with a video and a field of its own; the index is the part's number everywhere
 PARTS = ("body", "head", "hand_left", "hand_right")
 
 

@@ -1,5 +1,5 @@
-"""Reading a texture in NumPy, exactly as OpenGL's bilinear filter reads it,
-and its mipmaps as the player draws them.
+"""Textures in NumPy: samples exactly as OpenGL's bilinear filter reads them, mipmaps as the player draws them, and the
+sRGB curve: what a byte of a picture means in linear light (IEC 61966-2-1).
 """
 
 import numpy as np
@@ -7,7 +7,7 @@ from jaxtyping import Float, Shaped, UInt8
 from PIL import Image
 
 Array = np.ndarray
-# of a size of its own
+# an image of any size
 Texels = UInt8[Array, "_ _ channels"]
 
 
@@ -45,7 +45,7 @@ def mipmaps(image: Texels, levels: int) -> list[Texels]:
     if image.shape[2] > 4:
         first, second = (mipmaps(part, levels) for part in (image[..., :4], image[..., 4:]))
         return [np.concatenate(pair, axis=2) for pair in zip(first, second, strict=True)]
-    # of RGBA Pillow would weight the texels by the last one
+    # Pillow would weight RGBA texels by the last channel
     mode = {1: "L", 3: "RGB", 4: "RGBX"}[image.shape[2]]
     out = [image]
     current = Image.frombuffer(mode, image.shape[1::-1], np.ascontiguousarray(image), "raw", mode, 0, 1)
@@ -55,3 +55,20 @@ def mipmaps(image: Texels, levels: int) -> list[Texels]:
         current = current.reduce((across, down), whole)
         out.append(np.array(current).reshape(current.height, current.width, image.shape[2]))
     return out
+
+
+def linear_from_srgb(shown: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Linear light, 0 to 1, of sRGB values 0 to 1; negative values are taken for 0."""
+    shown = np.maximum(shown, 0)
+    return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+
+
+def srgb_from_linear(linear: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """sRGB values of linear light, the inverse of `linear_from_srgb`; what is over 1 stays over 1."""
+    linear = np.maximum(linear, 0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def bytes_of(picture: Float[Array, "*shape"]) -> UInt8[Array, "*shape"]:
+    """Colors in [0, 1] as 0 to 255, rounded; beyond the ends the end's own."""
+    return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)

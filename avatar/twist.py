@@ -66,7 +66,7 @@ _CARRIED = np.array([float(s.carried) for s in SEGMENTS.values() for _ in s.shar
 TWIST_CARRIER = _JOINT
 TWIST_CARRIER.setflags(write=False)
 _SEGMENT = np.array([k for k, s in enumerate(SEGMENTS.values()) for _ in s.shares])
-# of all segments the joint, then of all the child
+# the joint of every segment, then the child of every segment
 _ENDS = np.array([s.joint for s in SEGMENTS.values()] + [s.child for s in SEGMENTS.values()])
 
 
@@ -82,7 +82,7 @@ class TwistJoints:
         self.offsets = _SHARE[:, None] * along
         first = np.searchsorted(_SEGMENT, np.arange(len(SEGMENTS)))
         self._axes_of_ends = np.concatenate([self.axes[first], self.axes[first]])
-        # of Rodrigues' formula: R = I + sin t K + (1 - cos t) K^2
+        # Rodrigues' formula: R = I + sin t K + (1 - cos t) K^2
         x, y, z, o = *self.axes.T, np.zeros(len(self.axes))
         self._K = np.stack([o, -z, y, z, o, -x, -y, x, o], -1).reshape(-1, 3, 3)
         self._K2 = self._K @ self._K

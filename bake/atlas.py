@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Integer
 
-from avatar.errors import AssetError
-from avatar.npz import read_npz
+from command.errors import AssetError
+from files.npz import read_npz
 
 
 class Unwrapped(NamedTuple):
@@ -25,7 +25,7 @@ class Unwrapped(NamedTuple):
     # the vertex each atlas vertex copies
     source: Integer[np.ndarray, "corners"]
     uv: Float[np.ndarray, "corners 2"]  # [0, 1], v down as in glTF
-    # of atlas vertices; the order is the input's, part by part
+    # atlas vertices; the order is the input's, part by part
     faces: Integer[np.ndarray, "faces 3"]
     face_part: Integer[np.ndarray, "faces"]
     charts: int
@@ -59,7 +59,7 @@ def unwrap(
         try:
             done = subprocess.run(
                 [sys.executable, "-m", "bake.atlas", str(given), str(found), str(int(np.ceil(seconds)))],
-                # of the clock, which on a busy machine says little of the mesh
+                # the wall clock, which on a busy machine says little of the mesh
                 timeout=10 * seconds,
                 capture_output=True,
                 text=True,

@@ -1,17 +1,15 @@
 """Run folder -> avatar file, in order: surface, decimation, atlas, skin, cone, color, network, measurement."""
 
-import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
 from scipy.spatial import KDTree
 
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import Avatar, write_avatar
 from avatar.light import CaptureLight
 from avatar.rotation import matrix_from_axis_angle
@@ -23,28 +21,37 @@ from bake.field import NumpyField, numpy_field
 from bake.layers import Layer, collapsed, extract_layers, layered_data, layers_of
 from bake.level import (
     BakedLevel,
+    PlacesOnFinest,
     SourceSurface,
     TransferredData,
     bake_level,
     enlargements,
+    field_picture,
     level_line,
+    places_on_finest,
     rounded,
     surface_points,
     with_features,
+    with_features_of,
+    with_picture,
+    with_prior,
 )
 from bake.loose import looseness
 from bake.network import AMPLITUDE, Distilled, distil, write_onnx
 from bake.options import BakeOptions
-from bake.promises import missed_promises
+from bake.promises import Facts, missed_promises
 from bake.run_capture import RunVideos, run_videos
+from bake.texture.pixel_reads import view_change
+from bake.texture.video_texture import with_video_textures
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
 from bake.twist import with_twist
-from bake.video_texture import with_video_textures
-from bake.view_change import view_change
 from capture.check.unseen import UnseenPlace, unseen_places
+from capture.folder import CaptureSubject
+from command.errors import AssetError
 from geometry.isosurface import Extraction
 from geometry.mesh import TriangleMesh, enclosed_volume
-from train.field_onnx import is_exportable, write_field
+from train.run import BakeSource, read_run
+from train.surface import Surface
 
 # triangles of the levels beside the finest, and by what the side of its atlas is divided
 COARSER = ((10_000, 2), (3_000, 4), (1_000, 8))
@@ -66,8 +73,6 @@ def bake(
     Raises:
         AssetError: the videos are asked for and nowhere, or the run or the capture is unusable.
     """
-    from train.run import read_run
-
     given = None if capture is None else Path(capture)
     by_field = options.texture_from == "field"
     # with nothing else to take from the capture, its truth is what was meant
@@ -75,43 +80,85 @@ def bake(
     if given is not None and (by_field or (given / "truth" / "novel_pose").is_dir()):
         true = read_true_views(given, options.truth_poses)
     run = read_run(Path(run_path))
-    videos = None if by_field else run_videos(run, given)
-    avatar = bake_run(run, Path(out), options, progress, true, videos)
-    write_field_beside(run, progress)
-    return avatar
-
-
-def write_field_beside(run: Any, report: Callable[[str], None]) -> None:
-    """RUN/fields.onnx, where it is not there yet and the run's networks are known to the export."""
-    path = Path(run.path) / "fields.onnx"
-    if path.exists():
-        return
-    if not is_exportable(run.field):
-        why = "only the networks of preset demo can be exported"
-        if getattr(run.field, "seen", None) is not None:
-            why = "a field whose light is a factor of its own cannot be exported (train --without light makes one)"
-        report(f"{path}: not written, {why}")
-    elif not os.access(run.path, os.W_OK):
-        report(f"{path}: not written, the run folder is read-only")
-    else:
-        write_field(path, run.field)
-        report(f"{path}: {path.stat().st_size / 1e6:.0f} MB, the field for ONNX Runtime")
+    videos = None if by_field else run_videos(run.path, run.provenance, given)
+    return bake_run(run.bake_source, Path(out), options, progress, true, videos)
 
 
 def bake_run(
-    run: Any,
+    run: BakeSource,
     out: Path,
     options: BakeOptions,
     report: Callable[[str], None] = print,
     true: TrueViews | None = None,
     videos: RunVideos | None = None,
 ) -> Avatar:
-    """As `bake`, for a run already read: .field, .surface, .subject.joints, .provenance; without `videos` the textures
-    are the field's."""
+    """As `bake`, for a run already read; without `videos` the textures are the field's."""
+    if videos is None:
+        options = replace(options, texture_from="field")
     clock = _Clock(report)
     field = numpy_field(run.field)
     joints = np.asarray(run.subject.joints, np.float64)
     origin = run_surface(run.surface, len(joints))
+    layers, extraction = extracted(run, origin, field, options, clock)
+    fine = layered_data(origin, extraction.mesh, extraction.normals, extraction.layer)
+    seen = float((origin.cone.seen > 0.5).mean())
+    clock(f"statistics: {seen * 100:.0f} % of the surface seen, skin and cone carried over")
+
+    baked = bake_levels(extraction, layers, origin, field, joints, options, clock)
+    levels, distilled = [loosened(level, run.subject) for level in baked.levels], baked.distilled
+    facts: Facts = {
+        "faces": options.faces,
+        "texture": options.texture,
+        "quality": options.quality,
+        "seed": options.seed,
+        "surface": {
+            "triangles": len(extraction.mesh.faces),
+            "residual_mm": rounded(extraction.residual * 1e3),
+            "islands_dropped": extraction.islands,
+            "island_area_share": rounded(extraction.island_area),
+        },
+        "seen_share": rounded(seen),
+        "distilled_db": {k: rounded(v) for k, v in distilled.decibels.items()},
+        "missed": [],
+    }
+    avatar = Avatar(
+        name=str(run.provenance.get("subject", out.stem)),
+        joint_positions=joints,
+        canonical_pose=np.asarray(BIG_POSE, np.float64),
+        levels=tuple(level.level for level in levels),
+        network=distilled.network,
+        linear=distilled.linear,
+        amplitude=AMPLITUDE,
+        default_view=distilled.default_view,
+        provenance={**run.provenance, "baked": facts},
+        light=avatar_light(run.world_light, run.provenance),
+    )
+    # with the field's own textures, whatever the file will hold
+    facts["against_field"] = compared_with_field(avatar, extraction, fine, field, options, clock)
+    facts["texture_from"] = options.texture_from
+    if videos is not None:
+        change = None if distilled.default_view == "off" else view_change(field, levels[0].charted)
+        levels, facts["videos"] = with_video_textures(levels, baked.places, joints, videos, clock.report, change)
+        avatar = replace(avatar, levels=tuple(level.level for level in levels))
+        facts["unseen"] = [place.line() for place in unseen_on_surface(run.surface)]
+        for line in facts["unseen"]:
+            clock.report(f"  {line}")
+    facts["levels"] = [level.facts for level in levels]
+    clock(f"textures from the {facts['texture_from']}: chart edges step {edge_steps(levels)}")
+    view, facts["default_view"] = chosen_view(avatar, distilled, true)
+    clock(f"default view: {view} ({facts['default_view']['reason']})")
+    avatar = replace(avatar, default_view=view)
+    return written(avatar, out, facts, options, clock)
+
+
+def extracted(
+    run: BakeSource, origin: SourceSurface, field: NumpyField, options: BakeOptions, clock: "_Clock"
+) -> tuple[list[Layer], Extraction]:
+    """The layers of a run and their zero sets as one mesh.
+
+    Raises:
+        AssetError: a part of the run's surface has none of it near.
+    """
     layers = layers_of(field, run.subject, origin)
     extraction = extract_layers(
         layers,
@@ -127,81 +174,35 @@ def bake_run(
         f"{extraction.residual * 1e3:.3f} mm, {extraction.queries / 1e6:.1f} M distances, "
         f"{extraction.islands} islands dropped)"
     )
+    return layers, extraction
 
-    fine = layered_data(origin, extraction.mesh, extraction.normals, extraction.layer)
-    seen = float((origin.cone.seen > 0.5).mean())
-    clock(f"statistics: {seen * 100:.0f} % of the surface seen, skin and cone carried over")
 
-    levels, distilled = bake_levels(extraction, layers, origin, field, joints, options, clock)
-    levels = [loosened(baked, run.subject) for baked in levels]
-    facts: dict[str, Any] = {
-        "faces": options.faces,
-        "texture": options.texture,
-        "quality": options.quality,
-        "seed": options.seed,
-        "surface": {
-            "triangles": len(extraction.mesh.faces),
-            "residual_mm": rounded(extraction.residual * 1e3),
-            "islands_dropped": extraction.islands,
-            "island_area_share": rounded(extraction.island_area),
-        },
-        "levels": [baked.facts for baked in levels],
-        "seen_share": rounded(seen),
-        "distilled_db": {k: rounded(v) for k, v in distilled.decibels.items()},
-    }
-    avatar = Avatar(
-        name=str(run.provenance.get("subject", out.stem)),
-        joint_positions=joints,
-        canonical_pose=np.asarray(BIG_POSE, np.float64),
-        levels=tuple(baked.level for baked in levels),
-        network=distilled.network,
-        linear=distilled.linear,
-        amplitude=AMPLITUDE,
-        default_view=distilled.default_view,
-        provenance={**run.provenance, "baked": facts},
-        light=avatar_light(run),
-    )
-    facts["missed"] = []
-    # with the field's own textures, whatever the file will hold
-    facts["against_field"] = compared_with_field(avatar, extraction, fine, field, options, clock)
-    facts["texture_from"] = "field" if videos is None else "videos"
-    if videos is not None:
-        change = None if distilled.default_view == "off" else view_change(field, levels[0].charted)
-        levels, facts["videos"] = with_video_textures(levels, joints, videos, clock.report, change)
-        facts["levels"] = [baked.facts for baked in levels]
-        avatar = replace(avatar, levels=tuple(baked.level for baked in levels))
-        places = unseen_on_surface(run.surface)
-        facts["unseen"] = [place.line() for place in places]
-        for place in places:
-            clock.report(f"  {place.line()}")
-        clock(f"textures from the videos: chart edges step p99 {video_steps(levels)} of 255")
-    view, facts["default_view"] = chosen_view(avatar, distilled, true)
-    clock(f"default view: {view} ({facts['default_view']['reason']})")
-    avatar = replace(avatar, default_view=view, provenance={**run.provenance, "baked": facts})
+def written(avatar: Avatar, out: Path, facts: Facts, options: BakeOptions, clock: "_Clock") -> Avatar:
+    """Write the avatar with its facts and, where it has one, its network; say which promises it missed."""
     if options.twist:
         facts["twist"] = True
         avatar = with_twist(avatar)
+    avatar = replace(avatar, provenance={**avatar.provenance, "baked": facts})
     write_avatar(out, avatar)
     facts["missed"] = missed_promises(facts, options, out.stat().st_size)
     if facts["missed"]:
-        avatar = replace(avatar, provenance={**run.provenance, "baked": facts})
         write_avatar(out, avatar)
-    if distilled.network is not None:
-        write_onnx(out.with_suffix(".onnx"), distilled.network)
+    if avatar.network is not None:
+        write_onnx(out.with_suffix(".onnx"), avatar.network)
     clock(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
     for line in facts["missed"]:
-        report(f"missed: {line}")
+        clock.report(f"missed: {line}")
     return avatar
 
 
-def loosened(baked: BakedLevel, subject: Any) -> BakedLevel:
+def loosened(baked: BakedLevel, subject: CaptureSubject) -> BakedLevel:
     """The level with what of it is loose."""
     level = baked.level
     found = looseness(level.positions.astype(np.float64), level.faces.astype(np.int64), level.skin, subject)
     return baked._replace(level=replace(level, loose=found))
 
 
-def unseen_on_surface(surface: Any) -> tuple[UnseenPlace, ...]:
+def unseen_on_surface(surface: Surface) -> tuple[UnseenPlace, ...]:
     """Sides of limbs of a run's surface that hardly any frame shows, with what to film."""
     skin = SkinWeights(np.asarray(surface.skin.joints), np.asarray(surface.skin.weights))
     vertices, faces = np.asarray(surface.vertices, np.float64), np.asarray(surface.faces, np.int64)
@@ -210,22 +211,22 @@ def unseen_on_surface(surface: Any) -> tuple[UnseenPlace, ...]:
     return unseen_places(vertices, faces, skin, np.asarray(surface.view_count, np.float64))
 
 
-def video_steps(levels: list[BakedLevel]) -> str:
-    """The steps across chart edges of each level, as its facts have them."""
-    return " / ".join(f"{level.facts['seam_step']['p99']:.1f}" for level in levels)
+def edge_steps(levels: list[BakedLevel]) -> str:
+    """How far the steps across chart edges of each level exceed its picture's own."""
+    steps = " / ".join(f"{level.facts['seam_step']['seen_p99']:.1f}" for level in levels)
+    return f"p99 {steps} of 255 beyond the picture's own"
 
 
-def avatar_light(run: Any) -> CaptureLight | None:
+def avatar_light(light: CaptureLight | None, provenance: Facts) -> CaptureLight | None:
     """The capture's light in the avatar's world: the camera's heading is taken off, it stands before the T-pose."""
-    light: CaptureLight | None = getattr(run, "world_light", None)
     if light is None:
         return None
-    backwards = np.array(run.provenance.get("light_camera", [0.0, 0.0, 1.0]), np.float64)
+    backwards = np.array(provenance.get("light_camera", [0.0, 0.0, 1.0]), np.float64)
     heading = float(np.arctan2(backwards[0], backwards[2]))
     return light.turned(matrix_from_axis_angle(np.array([0.0, -heading, 0.0])), "world")
 
 
-def chosen_view(avatar: Avatar, distilled: Distilled, true: TrueViews | None) -> tuple[Mode, dict[str, Any]]:
+def chosen_view(avatar: Avatar, distilled: Distilled, true: TrueViews | None) -> tuple[Mode, Facts]:
     """The default view mode, and what the file says about it: by the truth where it is known, else the field."""
     if true is None:
         return distilled.default_view, {
@@ -237,7 +238,7 @@ def chosen_view(avatar: Avatar, distilled: Distilled, true: TrueViews | None) ->
     return mode, {"mode": mode, **facts, "richest": distilled.reason}
 
 
-def run_surface(surface: Any, joint_count: int) -> SourceSurface:
+def run_surface(surface: Surface, joint_count: int) -> SourceSurface:
     """The run's surface in double precision, its triangles facing outwards, and its view statistics as cones."""
     vertices = np.asarray(surface.vertices, np.float64)
     faces = np.asarray(surface.faces, np.int64)
@@ -283,6 +284,14 @@ def level_plan(options: BakeOptions) -> list[tuple[int, int]]:
     return [(options.faces, options.texture), *coarser]
 
 
+class BakedLevels(NamedTuple):
+    """All levels, finest first, with the field's colors, and what was distilled on the finest."""
+
+    levels: list[BakedLevel]
+    places: list[PlacesOnFinest]  # one for each coarser level
+    distilled: Distilled
+
+
 def bake_levels(
     extraction: Extraction,
     layers: list[Layer],
@@ -291,33 +300,37 @@ def bake_levels(
     joints: Float[np.ndarray, "52 3"],
     options: BakeOptions,
     clock: "_Clock",
-) -> tuple[list[BakedLevel], Distilled]:
-    """All levels, finest first: the view network is distilled on the finest and gives each its features."""
+) -> BakedLevels:
+    """All levels: the field colors the finest, whose picture and features the others show as well.
+
+    The edges of charts are closed where the textures stay the field's; else they are in the videos' equations.
+    """
     parts = enlargements(joints, options, field.details)
     levels: list[BakedLevel] = []
-    distilled: Distilled | None = None
-    for number, (count, size) in enumerate(level_plan(options)):
+    for count, size in level_plan(options):
         surface = collapsed(extraction, layers, count, parts, clock.report)
         data = layered_data(origin, surface.mesh, surface.normals, surface.layer)
-        baked = bake_level(surface, data, field, size, options)
-        if distilled is None:
-            points = surface_points(field, baked.level, origin, options)
-            clock(level_line(number, baked.facts))
-            distilled = distil(
-                field.color,
-                points,
-                high=options.quality == "high",
-                seed=options.seed,
-                steps=options.steps,
-                report=clock.report,
-            )
-            clock(f"view dependence: the richest mode worth its place is {distilled.default_view}")
-        baked = with_features(baked, distilled, field)
-        if number:
-            clock(level_line(number, baked.facts))
-        levels.append(baked)
-    assert distilled is not None
-    return levels, distilled
+        levels.append(bake_level(surface, data, field, size, options))
+        clock(level_line(len(levels) - 1, levels[-1].facts))
+    finest, picture, texels = levels[0], *field_picture(levels[0], field, options.texel_samples)
+    clock(f"colors of the field at {len(texels.index) / 1e6:.1f} M texels")
+    distilled = distil(
+        field.color,
+        surface_points(field, finest.level, origin, options),
+        high=options.quality == "high",
+        seed=options.seed,
+        steps=options.steps,
+        report=clock.report,
+    )
+    clock(f"view dependence: the richest mode worth its place is {distilled.default_view}")
+    colored = with_picture if options.texture_from == "field" else with_prior
+    levels[0] = colored(with_features(finest, picture, distilled, field), picture, texels)
+    places = [places_on_finest(baked, finest) for baked in levels[1:]]
+    for number, place in enumerate(places, 1):
+        baked = colored(levels[number], place.read(picture), place.texels)
+        levels[number] = with_features_of(baked, levels[0].level.features, place)
+    clock("colors and features of the coarser levels")
+    return BakedLevels(levels, places, distilled)
 
 
 def compared_with_field(
@@ -327,7 +340,7 @@ def compared_with_field(
     field: NumpyField,
     options: BakeOptions,
     clock: "_Clock",
-) -> dict[str, Any]:
+) -> Facts:
     """What baking lost, in decibels, as the file's provenance says it."""
     joints = avatar.joint_positions
     drawn = measure.FieldSurface(
@@ -356,7 +369,7 @@ def compared_with_field(
     }
 
 
-def score_json(score: measure.Score) -> dict[str, Any]:
+def score_json(score: measure.Score) -> Facts:
     """A score as the file holds it: dB of paper mode against the paper field, of each mode against the cone field."""
     groups = {
         group: {

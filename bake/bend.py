@@ -16,7 +16,7 @@ from avatar.twist import TWIST_JOINTS
 
 Array = np.ndarray
 
-# of 255: a joint is not left with less than this beside its bend joint, for that would take a slot
+# bytes: a joint is not left with less than this beside its bend joint, for that would take a slot
 LEAST = 4
 # metres round a joint whose volume is kept: of a limb along its bone, of a shoulder all round
 REACH = {"elbow": 0.08, "knee": 0.08, "shoulder": 0.12}
@@ -27,7 +27,7 @@ TURNS = {"elbow": ((0, -1, 0),), "knee": ((1, 0, 0),), "shoulder": ((0, 0, -1), 
 DEGREES = 90.0
 # pushes that are tried, metres
 PUSHES = np.arange(81) * 1e-3
-# of the volume may be lost; less push is less of a point where skin weights change over a short way
+# share of the volume that may be lost; less push is less of a point where skin weights change over a short way
 LOST = 0.03
 
 

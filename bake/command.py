@@ -1,9 +1,13 @@
 """selfscan bake: run folder -> avatar file."""
 
-from avatar.errors import AssetError
-from avatar.files import check_file
-from avatar.settings import Help, parse
-from bake.options import BakeCommand
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from bake.options import BakeOptions
+from command.command_line import Help, Option, parse
+from command.errors import AssetError
+from files.whole import check_file
 
 HELP = """Bake a trained run into one avatar file.
 
@@ -12,13 +16,30 @@ level, skin weights for the 52 joints, and, where the person's look really depen
 The file is a plain glTF binary that any viewer opens. What baking lost is measured and written into the file.
 
 With --capture (a capture that holds the truth, as `selfscan synth` writes it) every view mode of the file is
-compared with true pictures that training never saw, and the best becomes the file's default; the file says so.
-RUN/fields.onnx, the field itself for ONNX Runtime, is written into the run folder when it is not there yet."""
+compared with true pictures that training never saw, and the best becomes the file's default; the file says so."""
 
 
 ABOUT = Help(
     "selfscan bake", HELP, "example: selfscan bake out/run -o me.glb --capture out/capture && selfscan play me.glb"
 )
+
+
+@dataclass(frozen=True)
+class BakeCommand:
+    """`selfscan bake`."""
+
+    run: Annotated[Path, Option(positional=True, metavar="RUN"), "run folder, as `selfscan train` writes it"]
+    out: Annotated[Path, Option(("-o",), "NAME.glb"), "avatar file to write"]
+    options: Annotated[BakeOptions, "how it is baked"]
+    capture: Annotated[
+        Path | None,
+        Option(metavar="CAPTURE"),
+        "its videos, where run.json does not find them; where it holds the truth, that chooses the default view mode",
+    ] = None
+
+    def __post_init__(self):
+        if self.out.suffix.lower() != ".glb":
+            raise ValueError(f"-o should name a .glb file, is {self.out}")
 
 
 def main(argv: list[str]) -> int:

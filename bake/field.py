@@ -1,22 +1,14 @@
 """The field that is baked: asked with NumPy arrays, in pieces."""
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
 from geometry.isosurface import Detail
-
-
-@runtime_checkable
-class Field(Protocol):
-    """What is baked: the fused field of a run, canonical frame, torch float32."""
-
-    def distance(self, points: torch.Tensor) -> torch.Tensor: ...
-    def normal(self, points: torch.Tensor) -> torch.Tensor: ...
-    def color(self, points: torch.Tensor, directions: torch.Tensor) -> torch.Tensor: ...
+from train.fused import CanonicalField
 
 
 class NumpyField(NamedTuple):
@@ -33,7 +25,7 @@ class NumpyField(NamedTuple):
     details: tuple[Detail, ...] = ()
 
 
-def numpy_field(field: Field, *, piece: int = 1 << 16) -> NumpyField:
+def numpy_field(field: CanonicalField, *, piece: int = 1 << 16) -> NumpyField:
     """The field behind functions that take and give float64, `piece` points at a time."""
 
     def ask(function: Callable[..., torch.Tensor], *arrays: np.ndarray) -> np.ndarray:
@@ -43,13 +35,12 @@ def numpy_field(field: Field, *, piece: int = 1 << 16) -> NumpyField:
             pieces.append(function(*tensors).detach().cpu().numpy().astype(np.float64))
         return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
-    factor = getattr(field, "seen", None) is not None
-    seen, lit = ((getattr(field, name) if factor else None) for name in ("seen_light", "light_normal"))
+    seen, lit = field.seen_light, field.light_normal
     return NumpyField(
         lambda points: ask(field.distance, points).reshape(-1),
         lambda points: ask(field.normal, points),
         lambda points, directions: ask(field.color, points, directions),
         None if seen is None else lambda points, normals: ask(seen, points, normals),
         None if lit is None else lambda points: ask(lit, points),
-        tuple(getattr(field, "details", list)()),
+        field.details,
     )

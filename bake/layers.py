@@ -4,31 +4,32 @@ A person without hanging hair has one layer, which is the field as it is.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 
 from bake.cone import ViewCone
 from bake.field import NumpyField
 from bake.level import LayeredMesh, SourceSurface, TransferredData, transferred_data
-from capture.solid import solid_inside, template_behind_cloth
+from capture.folder import CaptureSubject
+from capture.template.layers import BODY, HAIR, LEAST_HAIR, hair_layers
+from capture.template.solid import solid_inside, template_behind_cloth
 from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged
 from geometry.isosurface import Detail, Extraction, PointFunction, extract
 from geometry.mesh import TriangleMesh, compact, component_labels, concatenated, face_areas, vertex_normals
-from train.layers import BODY, HAIR, LEAST_HAIR, hair_layers
 
 
 class Layer(NamedTuple):
     """One layer of a person as functions of canonical points."""
 
-    # made solid deep inside (capture/solid.py): for extraction
+    # made solid deep inside (capture/template/solid.py): for extraction
     solid: PointFunction
     distance: PointFunction
     normal: PointFunction
 
 
-def layers_of(field: NumpyField, subject: Any, origin: SourceSurface) -> list[Layer]:
+def layers_of(field: NumpyField, subject: CaptureSubject, origin: SourceSurface) -> list[Layer]:
     """The layers of a run's surface, the body first."""
     whole = solid_inside(field.distance, subject)
     distance = template_behind_cloth(field.distance, subject)
@@ -42,8 +43,8 @@ def layers_of(field: NumpyField, subject: Any, origin: SourceSurface) -> list[La
 
 
 def extract_layers(
-    layers: list[Layer], origin: SourceSurface, fine: Any, *, coarse_step: float, fine_step: float,
-    details: Sequence[Detail] = (),
+    layers: list[Layer], origin: SourceSurface, fine: Bool[np.ndarray, "vertices"], *, coarse_step: float,
+    fine_step: float, details: Sequence[Detail] = (),
 ) -> Extraction:  # fmt: skip
     """The zero sets of all layers as one mesh; vertices know their layer. Details are the body's."""
     found = []
@@ -123,12 +124,12 @@ def layered_data(
     return TransferredData(weights, cone, part, filled)
 
 
-def _part_of(mesh: TriangleMesh, own: Any) -> TriangleMesh:
+def _part_of(mesh: TriangleMesh, own: Bool[np.ndarray, "vertices"]) -> TriangleMesh:
     index = np.cumsum(own) - 1
     return TriangleMesh(mesh.vertices[own], index[mesh.faces[own[mesh.faces[:, 0]]]])
 
 
-def _only(origin: SourceSurface, own: Any) -> SourceSurface:
+def _only(origin: SourceSurface, own: Bool[np.ndarray, "vertices"]) -> SourceSurface:
     index = np.cumsum(own) - 1
     faces = index[origin.faces[own[origin.faces[:, 0]]]]
     return SourceSurface(

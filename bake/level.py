@@ -2,24 +2,24 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Integer
+from jaxtyping import Float, Float32, Integer, UInt8
 
 from avatar.gltf.avatar_file import Level
 from avatar.skeleton import BIG_POSE, PARTS, joint_transforms
-from avatar.texture import mip_levels, mipmaps
+from avatar.texture import mip_levels, mipmaps, sample_texture
 from bake import measure
 from bake.atlas import Unwrapped, unwrap
 from bake.cone import ViewCone, interpolated
 from bake.field import NumpyField
 from bake.network import Distilled, SurfacePoints
 from bake.options import BakeOptions
-from bake.promises import SEAM_STEP
-from bake.seams import ChartEdges, chart_edges, seam_steps, solve_seams
+from bake.promises import Facts
 from bake.skin import quantised, transferred_weights
-from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
+from bake.texture.seams import ChartEdges, chart_edges, seam_steps, seen_steps, solve_seams
+from bake.texture.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from geometry.closest import match_surface
 from geometry.decimate import Enlargement, Magnifier, magnified
 from geometry.isosurface import Detail, PointFunction, project_to_zero
@@ -44,18 +44,18 @@ class BakedLevel(NamedTuple):
     level: Level
     charted: Charted
     edges: ChartEdges
-    facts: dict[str, Any]
+    facts: Facts
 
 
 class SourceSurface(NamedTuple):
-    """The run's own surface, which carries what was learnt per vertex."""
+    """The run's own surface, which carries what training found per vertex."""
 
     vertices: Float[np.ndarray, "vertices 3"]
     faces: Integer[np.ndarray, "faces 3"]
     part: Integer[np.ndarray, "vertices"]
     cone: ViewCone
     weights: Float[np.ndarray, "vertices joints"]
-    layer: Integer[np.ndarray, "vertices"]  # train/layers.py
+    layer: Integer[np.ndarray, "vertices"]  # capture/template/layers.py
 
 
 class LayeredMesh(NamedTuple):
@@ -113,7 +113,7 @@ def enlargements(
 def bake_level(
     surface: LayeredMesh, data: TransferredData, field: NumpyField, size: int, options: BakeOptions
 ) -> BakedLevel:
-    """One level of `size` texels a side of a collapsed mesh, still without its features."""
+    """One level of `size` texels a side of a collapsed mesh, still without colors and features."""
     mesh, normals = surface.mesh, surface.normals
 
     # the middle one of three is the majority's, or between
@@ -128,11 +128,6 @@ def bake_level(
     joints, weights = quantised(data.weights[chart.source])
     charted = Charted(chart.uv, chart.faces, mesh.vertices[chart.source], normals[chart.source], cone)
 
-    texels = rasterise_charts(chart.uv, chart.faces, size)
-    edges = chart_edges(chart.uv, chart.faces, chart.source)
-    image = spread(texel_colors(field, charted, texels, options.texel_samples), texels)
-    closed = solve_seams(image, texels, chart.uv, edges, mip_levels(image.shape), goal=SEAM_STEP)
-    base = bytes_from_unit(closed)
     facing, light = light_at(field, charted)
     level = Level(
         positions=charted.points.astype(np.float32),
@@ -144,12 +139,70 @@ def bake_level(
         view_dir=cone.direction.astype(np.float32),
         view_q=cone.metric.astype(np.float32),
         view_seen=cone.seen.astype(np.float32),
-        base_color=base,
+        base_color=np.zeros((size, size, 3), np.uint8),
         features=None,
         light=light,
     )
-    facts = level_facts(level, surface, face_part, chart, edges)
+    facts = level_facts(level, surface, face_part, chart)
+    edges = chart_edges(chart.uv, chart.faces, chart.source)
     return BakedLevel(level, charted, edges, {**facts, "weights_filled": data.filled})
+
+
+def level_of_file(level: Level) -> BakedLevel:
+    """A level of an avatar file as the bake had it, but for its facts."""
+    uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
+    cone = ViewCone(*(values.astype(np.float64) for values in (level.view_dir, level.view_q, level.view_seen)))
+    charted = Charted(uv, faces, level.positions.astype(np.float64), level.normals.astype(np.float64), cone)
+    _, source = np.unique(level.positions, axis=0, return_inverse=True)
+    return BakedLevel(level, charted, chart_edges(uv, faces, source.reshape(-1)), {})
+
+
+def field_picture(
+    baked: BakedLevel, field: NumpyField, samples: int
+) -> tuple[Float[np.ndarray, "size size 3"], TexelMap]:
+    """The atlas of a level as the field colors it, its chart edges not closed yet, and its texels."""
+    texels = rasterise_charts(baked.charted.uv, baked.charted.faces, len(baked.level.base_color))
+    return spread(texel_colors(field, baked.charted, texels, samples), texels), texels
+
+
+def with_picture(baked: BakedLevel, picture: Float[np.ndarray, "size size 3"], texels: TexelMap) -> BakedLevel:
+    """The level with a picture as its base color, its chart edges closed in every mip that the player draws."""
+    image = solve_seams(picture, texels, baked.charted.uv, baked.edges, mip_levels(picture.shape))
+    level = replace(baked.level, base_color=bytes_from_unit(image))
+    steps = seam_facts(level, baked.edges, bytes_from_unit(picture))
+    return baked._replace(level=level, facts={**baked.facts, "seam_step": steps})
+
+
+def with_prior(baked: BakedLevel, picture: Float[np.ndarray, "size size 3"], texels: TexelMap) -> BakedLevel:
+    """The level with a picture as its base color that the videos are going to replace: chart edges stay as they are."""
+    return baked._replace(level=replace(baked.level, base_color=bytes_from_unit(picture)))
+
+
+class PlacesOnFinest(NamedTuple):
+    """Where the texels of a coarser level lie in the atlas of the finest."""
+
+    texels: TexelMap
+    uv: Float[np.ndarray, "texels 2"]
+
+    def read(self, image: Float[np.ndarray, "size size channels"]) -> Float[np.ndarray, "own own channels"]:
+        """An image of the finest level as the coarser one shows it, averaged over what one of its texels covers."""
+        while len(image) >= 2 * self.texels.size:
+            image = halved(image)
+        return spread(sample_texture(image, self.uv), self.texels)
+
+
+def places_on_finest(baked: BakedLevel, finest: BakedLevel) -> PlacesOnFinest:
+    """The texels of a level at the nearest place of the finest that faces the same way."""
+    texels = rasterise_charts(baked.charted.uv, baked.charted.faces, len(baked.level.base_color))
+    points, facing, _ = surface_at(baked.charted, texels, np.zeros(2))
+    match = match_surface(points, facing, finest.charted.points, finest.charted.faces)
+    uv = finest.charted.uv[finest.charted.faces[match.face]]
+    return PlacesOnFinest(texels, (match.barycentric[:, :, None] * uv).sum(1))
+
+
+def halved(image: Float[np.ndarray, "size size channels"]) -> Float[np.ndarray, "half half channels"]:
+    """Means of two by two texels."""
+    return 0.25 * (image[::2, ::2] + image[1::2, ::2] + image[::2, 1::2] + image[1::2, 1::2])
 
 
 def surface_at(
@@ -234,8 +287,7 @@ def level_facts(
     surface: LayeredMesh,
     face_part: Integer[np.ndarray, "faces"],
     chart: Unwrapped,
-    edges: ChartEdges,
-) -> dict[str, Any]:
+) -> Facts:
     """What the file's provenance says of a level; `surface` is its mesh before the atlas split vertices."""
     size, mesh = len(level.base_color), surface.mesh
     away = measure.field_to_mesh(surface.away, mesh)
@@ -249,21 +301,23 @@ def level_facts(
         "field_to_mesh_mm": {"mean": rounded(away.mean() * 1e3), "max": rounded(away.max() * 1e3)},
         "open_edges": fault.open_edges,
         "non_manifold_edges": fault.crowded_edges,
-        "seam_step": seam_facts(level, edges),
         "faces_by_part": {name: int((face_part == part).sum()) for part, name in enumerate(PARTS)},
         "texel_mm_by_part": _texel_sizes(chart, mesh, face_part, size),
         "triangle_mm_by_part": _triangle_sizes(mesh, face_part),
     }
 
 
-def seam_facts(level: Level, edges: ChartEdges) -> dict[str, Any]:
-    """Color steps across chart edges (of 255) in every mip that the player draws; the worst mip's first."""
-    mips = []
-    for image in mipmaps(level.base_color, mip_levels(level.base_color.shape)):
-        steps = seam_steps(level.uv.astype(np.float64), edges, image)
+def seam_facts(level: Level, edges: ChartEdges, picture: UInt8[np.ndarray, "size size 3"]) -> Facts:
+    """Color steps across chart edges (of 255) in every mip that the player draws, and what is seen of them beyond what
+    the `picture` that the edges were closed in steps at the same places; the worst mip's first."""
+    uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
+    mips, count = [], mip_levels(level.base_color.shape)
+    for image in mipmaps(level.base_color, count):
+        steps = seam_steps(uv, edges, image)
         at = np.quantile(steps, [0.5, 0.99]) if len(steps) else np.zeros(2)
-        mips.append({"median": rounded(float(at[0])), "p99": rounded(float(at[1]))})
-    return {key: max(mip[key] for mip in mips) for key in ("median", "p99")} | {"mips": mips}
+        seen = float(np.quantile(seen_steps(uv, faces, edges, image, picture), 0.99)) if len(steps) else 0.0
+        mips.append({"median": rounded(float(at[0])), "p99": rounded(float(at[1])), "seen_p99": rounded(seen)})
+    return {key: max(mip[key] for mip in mips) for key in ("median", "p99", "seen_p99")} | {"mips": mips}
 
 
 def _triangle_sizes(mesh: TriangleMesh, part: Integer[np.ndarray, "faces"]) -> dict[str, float | None]:
@@ -305,40 +359,47 @@ def surface_points(field: NumpyField, level: Level, origin: SourceSurface, optio
     return SurfacePoints(points, normals, field.color(points, local.direction), local)
 
 
-def with_features(baked: BakedLevel, distilled: Distilled, field: NumpyField) -> BakedLevel:
-    """The level with its feature texture, half as wide as the base color's."""
+def with_features(
+    baked: BakedLevel, picture: Float[np.ndarray, "size size 3"], distilled: Distilled, field: NumpyField
+) -> BakedLevel:
+    """The finest level, which the field colors as in `picture`, with its feature texture, half as wide."""
     if distilled.features is None:
         return baked
-    level = baked.level
-    half = len(level.base_color) // 2
-    texels = rasterise_charts(level.uv.astype(np.float64), level.faces.astype(np.int64), half)
-    count = len(texels.index)
-    pieces = [np.arange(start, min(start + (1 << 18), count)) for start in range(0, count, 1 << 18)]
-    values = [distilled.features(_shown_by(baked, field, texels.rows(piece))) for piece in pieces]
-    image = spread(np.concatenate(values) / 255.0, texels)
-    uv = level.uv.astype(np.float64)
-    features = bytes_from_unit(solve_seams(image, texels, uv, baked.edges, mip_levels(image.shape)))
-    return baked._replace(level=replace(level, features=features))
+    half = len(picture) // 2
+    texels = rasterise_charts(baked.charted.uv, baked.charted.faces, half)
+    base = halved(picture).reshape(-1, 3)[texels.index]
+    values = []
+    for start in range(0, len(base), 1 << 18):
+        piece = slice(start, start + (1 << 18))
+        points, facing, local = surface_at(baked.charted, texels.rows(np.arange(len(base))[piece]), np.zeros(2))
+        points, _ = lifted(field, points, facing)
+        values.append(distilled.features(SurfacePoints(points, facing, base[piece], local)))
+    return with_feature_image(baked, spread(np.concatenate(values) / 255.0, texels), texels)
 
 
-def _shown_by(baked: BakedLevel, field: NumpyField, texels: TexelMap) -> SurfacePoints:
-    """The surface under texels of a map that may be coarser than the base color's."""
-    points, facing, local = surface_at(baked.charted, texels, np.zeros(2))
-    points, _ = lifted(field, points, facing)
-    size = len(baked.level.base_color)
-    scale = size // texels.size
-    row, column = texels.index // texels.size, texels.index % texels.size
-    base = baked.level.base_color[row * scale + scale // 2, column * scale + scale // 2] / 255.0
-    return SurfacePoints(points, facing, base, local)
+def with_features_of(
+    baked: BakedLevel, features: UInt8[np.ndarray, "size size features"] | None, place: PlacesOnFinest
+) -> BakedLevel:
+    """A coarser level with the `features` of the finest, where that has any."""
+    if features is None:
+        return baked
+    texels = rasterise_charts(baked.charted.uv, baked.charted.faces, place.texels.size // 2)
+    return with_feature_image(baked, halved(place.read(features / np.float64(255))), texels)
 
 
-def level_line(number: int, facts: dict[str, Any]) -> str:
+def with_feature_image(
+    baked: BakedLevel, image: Float[np.ndarray, "half half features"], texels: TexelMap
+) -> BakedLevel:
+    """The level with an image of features as its feature texture, its chart edges closed."""
+    image = solve_seams(image, texels, baked.charted.uv, baked.edges, mip_levels(image.shape))
+    return baked._replace(level=replace(baked.level, features=bytes_from_unit(image)))
+
+
+def level_line(number: int, facts: Facts) -> str:
     """One line of progress on a level."""
     return (
         f"level {number}: {facts['faces']} triangles, {facts['charts']} charts in {facts['texture']} px, "
-        f"{facts['field_to_mesh_mm']['mean']:.3f} mm from the field, chart edges step "
-        f"{facts['seam_step']['median']:.1f} "
-        f"(p99 {facts['seam_step']['p99']:.1f}) of 255"
+        f"{facts['field_to_mesh_mm']['mean']:.3f} mm from the field"
     )
 
 

@@ -1,7 +1,7 @@
 """How loose each vertex of a baked surface is: skirts, hanging hair, wide sleeves stand far off the body under them.
 
-With d the distance to the body's own template, without what was carved from the masks and joined to it (train/hull.py,
-train/clothes.py), looseness is 0 up to NEAR and 1 from FAR on, smooth in between, so that cloth fades into what holds
+With d the distance to the body's own template, without what was carved from the masks and joined to it (hull.py,
+clothes.py), looseness is 0 up to NEAR and 1 from FAR on, smooth in between, so that cloth fades into what holds
 it. Hands and feet hold nothing loose: gloves and heels are no skirts. Islets are none either.
 """
 

@@ -9,10 +9,11 @@ from scipy.ndimage import binary_erosion
 
 from avatar.camera import Camera, orbit_camera, pixel_rays
 from avatar.gltf.avatar_file import Avatar
+from avatar.psnr import PooledError, error_between, pooled
 from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import SkinWeights, blended_rotations, skin_points, strongest_four
 from bake.cone import ColorFunction, ViewCone, clamped_tangent, cone_direction, interpolated
-from bake.truth import Errors, errors_of, modes_of, sum_of
+from bake.truth import modes_of
 from geometry.isosurface import PointFunction, project_to_zero
 from geometry.mesh import TriangleMesh
 from geometry.sample import stratified_samples
@@ -148,13 +149,6 @@ class Score(NamedTuple):
     pixels: int
 
 
-def decibels(errors: Errors) -> float:
-    """PSNR of the pooled mean square; infinite when there is no error, NaN of no pixels."""
-    if errors.count == 0:
-        return float("nan")
-    return float("inf") if errors.square == 0 else -10 * float(np.log10(errors.square / errors.count))
-
-
 def compare(
     avatar: Avatar,
     surface: FieldSurface,
@@ -167,12 +161,12 @@ def compare(
 
     `modes` are all that the file holds unless given; views are drawn at the size of their cameras.
     """
-    from player.context import open_context
-    from player.raster import Rasteriser
-    from player.renderer import Renderer
+    from player.draw.raster import Rasteriser
+    from player.gl.context import open_context
+    from player.scene.renderer import Renderer
 
     modes = modes_of(avatar) if modes is None else modes
-    errors = {view.group: dict.fromkeys(["paper", *modes], Errors()) for view in views}
+    errors = {view.group: dict.fromkeys(["paper", *modes], PooledError()) for view in views}
     per_view = {}
     context = open_context()
     try:
@@ -190,21 +184,21 @@ def compare(
             for mode, renderer in renderers.items():
                 image = renderer.draw([(view.axis_angle, view.root)], view.camera)[..., :3] / 255.0
                 if mode == "off":
-                    error = errors_of((image - np.round(field.paper * 255) / 255)[inside])
+                    error = error_between(image, np.round(field.paper * 255) / 255, inside)
                     into["paper"] = into["paper"].plus(error)
-                    per_view[view.name] = decibels(error)
+                    per_view[view.name] = error.psnr()
                     if keep is not None:
                         keep[f"{view.name} field"], keep[f"{view.name} baked"] = field.paper, image
                 if field.cone is not None:
-                    into[mode] = into[mode].plus(errors_of((image - field.cone)[inside]))
+                    into[mode] = into[mode].plus(error_between(image, field.cone, inside))
         for renderer in renderers.values():
             renderer.release()
         rasteriser.release()
     finally:
         context.release()
-    groups = {group: {m: decibels(e) for m, e in one.items() if e.count} for group, one in errors.items()}
-    together = {m: sum_of(one[m] for one in errors.values()) for m in ["paper", *modes]}
-    db = {mode: decibels(e) for mode, e in together.items() if e.count}
+    groups = {group: {m: e.psnr() for m, e in one.items() if e.count} for group, one in errors.items()}
+    together = {m: pooled(one[m] for one in errors.values()) for m in ["paper", *modes]}
+    db = {mode: e.psnr() for mode, e in together.items() if e.count}
     paper = db.pop("paper", float("nan"))
     return Score(paper, db, groups, per_view, together["paper"].count // 3)
 

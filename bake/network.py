@@ -18,11 +18,11 @@ import torch
 
 # now, before any GL context: it loads an LLVM that crashes when Mesa's came first
 import torch._dynamo
-from jaxtyping import Float, Integer, UInt8
+from jaxtyping import Bool, Float, Integer, UInt8
 from torch import nn
 
-from avatar.files import whole_file
 from avatar.gltf.avatar_file import ViewNetwork
+from avatar.psnr import decibels
 from bake.cone import (
     ColorFunction,
     ViewCone,
@@ -31,6 +31,7 @@ from bake.cone import (
     matrix_from_six,
     tangent_frame,
 )
+from files.whole import whole_file
 
 AMPLITUDE = 0.6
 # what a mode must gain over the simpler one to be shipped
@@ -55,7 +56,7 @@ class Distilled(NamedTuple):
     linear: Float[np.ndarray, "features 3 3"] | None
     default_view: Literal["network", "linear", "off"]
     features: Callable[[SurfacePoints], UInt8[np.ndarray, "n features"]] | None
-    # of each mode against the cone field, on samples kept out of training
+    # each mode against the cone field, on samples kept out of training
     decibels: dict[str, float]
     # why this is the default
     reason: str = ""
@@ -131,12 +132,6 @@ def linear_residual(
     return np.einsum("nf,fij,nj->ni", features, linear, tangent)
 
 
-def decibels(error: Float[np.ndarray, "*n"]) -> float:
-    """PSNR of an error in [0, 1] units; infinite when there is none."""
-    mse = float(np.mean(np.square(error)))
-    return float("inf") if mse == 0 else -10 * float(np.log10(mse))
-
-
 def fit_linear(
     features: Float[np.ndarray, "n features"], tangent: Float[np.ndarray, "n 3"], residual: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "features 3 3"]:
@@ -176,26 +171,59 @@ def distil(
     paper = color(surface.points, surface.cone.direction)
     residual = color(surface.points, cone_direction(tangent, surface.cone)) - paper
     kept = rng.random(len(usable)) < 0.125
-    scores = {"off": decibels(residual[kept])}
+    scores = {"off": decibels(float(np.mean(np.square(residual[kept]))))}
     report(f"cone field against its paper mode: {scores['off']:.1f} dB")
     if scores["off"] >= INVISIBLE_DB:
         reason = f"within the cone the field is {scores['off']:.1f} dB near its own paper mode: nothing to be seen"
         return Distilled(None, None, "off", None, scores, reason)
 
-    torch.manual_seed(seed)
     count = 8 if high else 4
+    samples = ResidualSamples(surface, tangent, residual, kept)
+    encoder, linears = trained(samples, count, rng=rng, seed=seed, steps=steps, batch=batch)
+
+    def features_of(points: SurfacePoints) -> UInt8[np.ndarray, "n features"]:
+        encoded = []
+        with torch.no_grad():
+            for chunk in torch.from_numpy(_encoder_inputs(points)).split(1 << 16):
+                encoded.append(torch.round(encoder(chunk) * 255).to(torch.uint8).numpy())
+        return np.concatenate(encoded) if encoded else np.zeros((0, count), np.uint8)
+
+    network = ViewNetwork(*(p.detach().numpy().copy() for one in linears for p in (one.weight, one.bias)))
+    features = features_of(surface) / 255.0
+    linear = fit_linear(features[~kept], tangent[~kept], residual[~kept])
+    held = features[kept], tangent[kept]
+    scores["linear"] = decibels(float(np.mean(np.square(linear_residual(linear, *held) - residual[kept]))))
+    scores["network"] = decibels(float(np.mean(np.square(network_residual(network, *held) - residual[kept]))))
+    report(f"linear {scores['linear']:.1f} dB, network {scores['network']:.1f} dB on samples kept out")
+    return choose(scores, network, linear, features_of)
+
+
+class ResidualSamples(NamedTuple):
+    """What the network is trained on: the cone field's residual at points of the surface."""
+
+    surface: SurfacePoints
+    tangent: Float[np.ndarray, "n 3"]  # t'
+    residual: Float[np.ndarray, "n 3"]
+    kept: Bool[np.ndarray, "n"]  # kept out of training
+
+
+def trained(
+    samples: ResidualSamples, count: int, *, rng: np.random.Generator, seed: int, steps: int, batch: int
+) -> tuple[FeatureEncoder, list[nn.Linear]]:
+    """The encoder of `count` features and the layers of the network, fitted together with a linear residual."""
+    torch.manual_seed(seed)
     encoder = FeatureEncoder(count)
-    sizes = (count + 4, 16, 16, 3) if high else (count + 4, 16, 3)
+    sizes = (count + 4, 16, 16, 3) if count == 8 else (count + 4, 16, 3)
     linears = [nn.Linear(*pair) for pair in pairwise(sizes)]
     layers = nn.Sequential(*[stage for linear in linears for stage in (linear, nn.ReLU())][:-1])
     matrices = nn.Parameter(torch.zeros(count, 3, 3))
-    inputs = torch.from_numpy(_encoder_inputs(surface))
-    tangents = torch.from_numpy(tangent.astype(np.float32))
-    targets = torch.from_numpy(residual.astype(np.float32))
-    bases = torch.from_numpy(surface.base.astype(np.float32))
+    inputs = torch.from_numpy(_encoder_inputs(samples.surface))
+    tangents = torch.from_numpy(samples.tangent.astype(np.float32))
+    targets = torch.from_numpy(samples.residual.astype(np.float32))
+    bases = torch.from_numpy(samples.surface.base.astype(np.float32))
+    train = np.flatnonzero(~samples.kept)
     optimiser = torch.optim.Adam([*encoder.parameters(), *layers.parameters(), matrices], lr=3e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, max_lr=6e-3, total_steps=steps)
-    train = np.flatnonzero(~kept)
     for _ in range(steps):
         pick = torch.from_numpy(rng.choice(train, min(batch, len(train))))
         features, t = encoder(inputs[pick]), tangents[pick]
@@ -210,22 +238,7 @@ def distil(
         loss.backward()
         optimiser.step()
         schedule.step()
-
-    def features_of(points: SurfacePoints) -> UInt8[np.ndarray, "n features"]:
-        encoded = []
-        with torch.no_grad():
-            for chunk in torch.from_numpy(_encoder_inputs(points)).split(1 << 16):
-                encoded.append(torch.round(encoder(chunk) * 255).to(torch.uint8).numpy())
-        return np.concatenate(encoded) if encoded else np.zeros((0, count), np.uint8)
-
-    network = ViewNetwork(*(p.detach().numpy().copy() for one in linears for p in (one.weight, one.bias)))
-    features = features_of(surface) / 255.0
-    linear = fit_linear(features[~kept], tangent[~kept], residual[~kept])
-    held = features[kept], tangent[kept]
-    scores["linear"] = decibels(linear_residual(linear, *held) - residual[kept])
-    scores["network"] = decibels(network_residual(network, *held) - residual[kept])
-    report(f"linear {scores['linear']:.1f} dB, network {scores['network']:.1f} dB on samples kept out")
-    return choose(scores, network, linear, features_of)
+    return encoder, linears
 
 
 def choose(

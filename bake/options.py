@@ -1,10 +1,10 @@
 """Settings of a bake, and of its command line."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Literal
 
-from avatar.settings import AtLeast, AtMost, Hidden, Option, check
+from command.command_line import Hidden
+from command.settings import AtLeast, AtMost, check
 
 
 @dataclass(frozen=True)
@@ -46,21 +46,3 @@ class BakeOptions:
             raise ValueError(f"texture: expected a power of two from 64 to 8192, found {self.texture}")
         if self.quality not in ("normal", "high"):
             raise ValueError(f"quality: expected normal or high, found {self.quality!r}")
-
-
-@dataclass(frozen=True)
-class BakeCommand:
-    """`selfscan bake`."""
-
-    run: Annotated[Path, Option(positional=True, metavar="RUN"), "run folder, as `selfscan train` writes it"]
-    out: Annotated[Path, Option(("-o",), "NAME.glb"), "avatar file to write"]
-    options: Annotated[BakeOptions, "how it is baked"]
-    capture: Annotated[
-        Path | None,
-        Option(metavar="CAPTURE"),
-        "its videos, where run.json does not find them; where it holds the truth, that chooses the default view mode",
-    ] = None
-
-    def __post_init__(self):
-        if self.out.suffix.lower() != ".glb":
-            raise ValueError(f"-o should name a .glb file, is {self.out}")

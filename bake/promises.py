@@ -1,12 +1,15 @@
 """What a bake promises, and what it says at its end where it missed one: plain lines, each with what to do."""
 
-from typing import Any
+from typing import Any, TypeAlias
 
 from bake.options import BakeOptions
 
-# PSNR of the baked avatar against its field, paper mode
+# what the file's provenance says of a bake: JSON's values by name
+Facts: TypeAlias = dict[str, Any]
+
+# PSNR of the baked avatar against its field, paper mode, where the file holds the field's own colors
 PAPER_DB = 40.0
-# bytes: 99 of 100 color steps across chart edges are below it in every mip
+# bytes: 99 of 100 color steps across chart edges exceed what the picture itself steps there by less, in every mip
 SEAM_STEP = 3.8
 # bytes of the avatar file, with the options as they are by default
 FILE_SIZE = 12e6
@@ -14,11 +17,12 @@ FILE_SIZE = 12e6
 PERSON_MM = 1700.0
 
 
-def missed_promises(facts: dict[str, Any], options: BakeOptions, size: int) -> list[str]:
+def missed_promises(facts: Facts, options: BakeOptions, size: int) -> list[str]:
     """The promises that a bake missed; `facts` as provenance.baked holds them, `size` the file's bytes."""
     lines = []
     against = facts["against_field"]
-    if against["paper_db"] is not None and against["paper_db"] < PAPER_DB:
+    by_field = facts["texture_from"] == "field"
+    if by_field and against["paper_db"] is not None and against["paper_db"] < PAPER_DB:
         views = against["per_view_db"]
         worst = min((name for name, db in views.items() if db is not None), key=lambda name: views[name])
         lines.append(
@@ -26,16 +30,22 @@ def missed_promises(facts: dict[str, Any], options: BakeOptions, size: int) -> l
             f"{views[worst]:.1f} dB): try --faces {2 * options.faces}; `selfscan inspect` shows where it differs"
         )
     for number, level in enumerate(facts["levels"]):
-        steps = [mip["p99"] for mip in level["seam_step"]["mips"]]
+        steps = [mip["seen_p99"] for mip in level["seam_step"]["mips"]]
         wide = [mip for mip, step in enumerate(steps) if step > SEAM_STEP]
         if wide:
             texel = level["texel_mm_by_part"].get("body") or 1.0
             pixels = PERSON_MM / (texel * 2 ** wide[0])
             missed = ", ".join(f"mip {mip} {steps[mip]:.1f}" for mip in wide)
             lines.append(
-                f"level {number}: 1 in 100 points on chart edges steps by more than {SEAM_STEP:g} of 255 ({missed}): "
-                f"faint lines may show where the person is less than {pixels:.0f} px tall; closing them further "
-                "would blur what lies beside them, `selfscan inspect` shows them"
+                f"level {number}: 1 in 100 points on chart edges steps by more than {SEAM_STEP:g} of 255 beyond what "
+                f"the picture steps there ({missed}): faint lines may show where the person is less than {pixels:.0f} "
+                "px tall; `selfscan inspect` shows them"
+            )
+    for part, fit in facts.get("videos", {}).items():
+        if isinstance(fit, dict) and fit["rms_after"] > fit["rms_before"]:
+            lines.append(
+                f"{part}: its video differs by {fit['rms_after']:.1f} of 255 from the texture made of it, "
+                f"{fit['rms_before']:.1f} from the field's: try --texture-from field"
             )
     limit = file_limit(options)
     if size > limit:

@@ -2,15 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
 from avatar.light import CaptureLight
+from bake.promises import Facts
+from capture.fit.refine import with_refined
 from capture.folder import PartVideo, read_capture
-from capture.repair.refine import with_refined
+from command.errors import AssetError
+from train.run import lights_of, matrix_of
 from train.session import capture_digest
 
 Array = np.ndarray
@@ -27,7 +28,7 @@ class RunVideos:
     # run folder with refined poses of just these videos; None: the capture's own poses
     refined: Path | None
     head_from_canonical: Float[Array, "4 4"]
-    # of each video, by part; empty: what is seen holds the light
+    # by the part of each video; empty: what is seen holds the light
     lights: dict[str, CaptureLight]
     # poses were estimated, not made: frames may show things beside their places
     estimated: bool
@@ -40,8 +41,8 @@ class RunVideos:
         return capture.videos[part]
 
 
-def run_videos(run: Any, given: Path | None) -> RunVideos:
-    """The videos of a run (as train.run.read_run gives it): in the folder `given`, else where run.json says.
+def run_videos(path: Path, facts: Facts, given: Path | None) -> RunVideos:
+    """The videos of the run folder `path`, whose run.json holds `facts`: in the folder `given`, else where it says.
 
     A capture that is given may be another one of the same person, say of larger frames; its own poses are taken then.
 
@@ -49,27 +50,23 @@ def run_videos(run: Any, given: Path | None) -> RunVideos:
         AssetError: the capture is nowhere, or another one lies there; or the head of the one that is given lies
             elsewhere than the run's.
     """
-    path, facts = Path(run.path), run.provenance
     said = facts.get("capture_at")
     ways = "name the videos with --capture FOLDER, or take the field's colors with --texture-from field"
-    if given is None and not (isinstance(said, dict) and isinstance(said.get("folder"), str)):
+    recorded = said.get("folder") if isinstance(said, dict) else None
+    if given is None and not isinstance(recorded, str):
         raise AssetError(f"{path / 'run.json'}: capture_at should say where the run's capture lies, is absent: {ways}")
-    folder = Path(given) if given is not None else path / said["folder"]
+    folder = given if given is not None else path / str(recorded)
     if not (folder / "capture.json").is_file():
         raise AssetError(f"{folder}: expected the capture folder that {path} was trained on, found none: {ways}")
     digest = said.get("digest") if isinstance(said, dict) else None
     same = digest == capture_digest(folder)
     if given is None and not same:
         raise AssetError(f"{folder}: expected the capture that {path} was trained on ({digest}), found another: {ways}")
-    from train.run import matrix_of
-
-    # older runs say nothing of their capture: what is given is theirs when it says the same of itself
-    own = same or (digest is None and facts.get("capture") == read_capture(folder, parts=()).facts)
     videos = RunVideos(
-        folder, path if own else None, matrix_of(path, facts, "head_from_canonical"), dict(getattr(run, "lights", {})),
+        folder, path if same else None, matrix_of(path, facts, "head_from_canonical"), lights_of(path, facts),
         estimated=read_capture(folder, parts=()).facts.get("pose_noise_deg") != 0,
     )  # fmt: skip
-    if not own:
+    if not same:
         _check_head(videos, path)
     return videos
 

@@ -1,23 +1,24 @@
 """Which view mode shows the person best: every mode drawn beside true pictures that training never saw.
 
-One fixed light ties what is seen to where it is seen from: a residual learnt from one turning person can be wrong
+One fixed light ties what is seen to where it is seen from: a residual trained on one turning person can be wrong
 under a camera that moves. So where the truth is known it decides, not the distance to the field.
 """
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from scipy.ndimage import binary_erosion
 
 from avatar.baked_avatar import Avatar
-from avatar.errors import AssetError
+from avatar.psnr import PooledError, error_between, pooled
 from avatar.skeleton import PARTS
+from bake.promises import Facts
 from capture.held_out import SETS, HeldOutView, read_capture_facts, read_held_out
-from player.context import Context, open_context
-from player.renderer import Renderer
+from command.errors import AssetError
+from player.gl.context import Context, open_context
+from player.scene.renderer import Renderer
 
 Mode = Literal["off", "linear", "network"]
 MODES: tuple[Mode, ...] = ("off", "linear", "network")  # simplest first
@@ -38,7 +39,7 @@ IDENTITY = ("subject", "light", "sheen", "seed")
 class TrueViews(NamedTuple):
     """Held-out pictures of a capture and what it says of itself."""
 
-    facts: dict[str, Any]
+    facts: Facts
     sets: dict[str, list[HeldOutView]]  # novel_pose, novel_view
 
 
@@ -73,45 +74,15 @@ def modes_of(avatar: Avatar) -> list[str]:
     return held if len(held) == 1 else [held[0], "vertex", *held[1:]]
 
 
-class Errors(NamedTuple):
-    """Sum of squares and count of errors in [0, 1] units, over pixels and channels."""
-
-    square: float = 0.0
-    count: int = 0
-
-    def plus(self, other: "Errors") -> "Errors":
-        return Errors(self.square + other.square, self.count + other.count)
-
-    @property
-    def db(self) -> float | None:
-        """PSNR of the pooled error; None of nothing, or of no error at all."""
-        if self.count == 0 or self.square == 0:
-            return None
-        return round(-10 * float(np.log10(self.square / self.count)), 3)
-
-
-def errors_of(difference: Float[np.ndarray, "pixels 3"]) -> Errors:
-    """Sum of squares and count of a difference of colors."""
-    return Errors(float(np.square(difference).sum()), difference.size)
-
-
-def sum_of(errors: Iterable[Errors]) -> Errors:
-    """All of them together."""
-    total = Errors()
-    for one in errors:
-        total = total.plus(one)
-    return total
-
-
 def mode_errors(
     context: Context, avatar: Avatar, views: Sequence[HeldOutView], modes: Sequence[str]
-) -> dict[str, dict[str, Errors]]:
+) -> dict[str, dict[str, PooledError]]:
     """Color errors by mode and region against true pictures, the same pixels for every mode.
 
     Pixels: those of the region's true part (the whole person on the body view), one pixel off its outline, that
     the avatar covers: silhouettes are geometry, which no view mode changes.
     """
-    found = {mode: dict.fromkeys(REGIONS, Errors()) for mode in modes}
+    found = {mode: dict.fromkeys(REGIONS, PooledError()) for mode in modes}
     by_size: dict[tuple[int, int], list[HeldOutView]] = {}
     for view in views:
         by_size.setdefault(view.camera.size, []).append(view)
@@ -126,35 +97,35 @@ def mode_errors(
                 for mode, renderer in renderers.items():
                     image = renderer.draw([(view.axis_angle, view.root)], view.camera)
                     scored = inside & (image[..., 3] == 255)
-                    error = image[..., :3][scored] / np.float64(255) - truth[scored]
-                    found[mode][region] = found[mode][region].plus(errors_of(error))
+                    error = error_between(image[..., :3][scored] / np.float64(255), truth[scored])
+                    found[mode][region] = found[mode][region].plus(error)
         finally:
             for renderer in renderers.values():
                 renderer.release()
     return found
 
 
-def decibels_by_region(errors: dict[str, Errors]) -> dict[str, float | None]:
+def decibels_by_region(errors: dict[str, PooledError]) -> dict[str, float | None]:
     """Decibels by region, hands together, and of all pictures."""
     hands = errors["left_hand"].plus(errors["right_hand"])
     by_region = {
         "total": errors["total"],
         "head": errors["head"],
         "hands": hands,
-        "all": sum_of(errors.values()),
+        "all": pooled(errors.values()),
     }
-    return {name: one.db for name, one in by_region.items()}
+    return {name: one.rounded(3) for name, one in by_region.items()}
 
 
 def scores_by_mode(
     context: Context, avatar: Avatar, sets: dict[str, list[HeldOutView]], modes: Sequence[str] | None = None
-) -> dict[str, Any]:
+) -> Facts:
     """{set: {mode: {total, head, hands, all}}} in decibels, and the pooled {mode: db} over both sets as `all`."""
     modes = modes_of(avatar) if modes is None else modes
     errors = {name: mode_errors(context, avatar, views, modes) for name, views in sets.items()}
-    out: dict[str, Any] = {name: {m: decibels_by_region(errors[name][m]) for m in modes} for name in sets}
-    together = {m: sum_of(e for one in errors.values() for e in one[m].values()) for m in modes}
-    return out | {"all": {m: one.db for m, one in together.items()}}
+    out: Facts = {name: {m: decibels_by_region(errors[name][m]) for m in modes} for name in sets}
+    together = {m: pooled(e for one in errors.values() for e in one[m].values()) for m in modes}
+    return out | {"all": {m: one.rounded(3) for m, one in together.items()}}
 
 
 def better_mode(scores: dict[str, float | None]) -> tuple[Mode, str]:
@@ -165,14 +136,14 @@ def better_mode(scores: dict[str, float | None]) -> tuple[Mode, str]:
         if db is not None:
             known[mode] = db
     if not known:
-        return "off", "the true pictures show nobody, so nothing could be measured"
+        return "off", "the true pictures show no person, so nothing could be measured"
     best = max(known.values())
     nearest: list[Mode] = [mode for mode in known if known[mode] >= best - TIE_DB]
     scores_text = ", ".join(f"{mode} {db:.3f} dB" for mode, db in known.items())
     return nearest[0], f"nearest to the true pictures: {scores_text}"
 
 
-def measured_default(avatar: Avatar, true: TrueViews) -> tuple[Mode, dict[str, Any]]:
+def measured_default(avatar: Avatar, true: TrueViews) -> tuple[Mode, Facts]:
     """The view mode that the truth prefers among those in the file, with numbers and reason for its provenance.
 
     Half of the poses choose; what the file says of the modes, `psnr_db`, is measured on the other half.

@@ -1,5 +1,5 @@
-"""Skin weights for helper joints: bend joints take theirs first (bake/bend.py), then a joint's share of a vertex goes
-to the one or two twist joints beside its place."""
+"""Skin weights for helper joints: bend joints take their share first (bake/bend.py), then what a joint has of a vertex
+goes to the one or two twist joints beside its place."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ Array = np.ndarray
 NOTICED = 0.1
 # percentile of the vertices that others hold, at which a segment's twist begins and ends: stray ones do not count
 STRAY = 3.0
-# of a segment's length: twist is never spread over less
+# share of a segment's length: twist is never spread over less
 LEAST = 0.2
 
 

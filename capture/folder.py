@@ -11,24 +11,27 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from avatar.camera import Camera, project, read_cameras
-from avatar.errors import AssetError
-from avatar.files import whole_file
-from avatar.input_file import read_json_object
-from avatar.npz import field, read_npz
-from avatar.picture import read_picture
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from capture.frame_files import FrameFiles, Frames
 from capture.videos import Videos
+from command.errors import AssetError
+from files.input_file import read_json_object
+from files.npz import field, read_npz
+from files.picture import read_picture
+from files.whole import whole_file
 
 Array = np.ndarray
 
 SUBJECT = ("v_template", "faces", "joints", "skin_joints", "skin_weights", "part", "hair")
 # metres: from an infant to the tallest man measured
 HEIGHT = (0.4, 2.7)
-# metres between camera and person; beyond it the unit is in doubt
+# metres between camera and person; beyond it the unit is uncertain
 FARTHEST = 60.0
-# values of a mask between which a pixel shows the person and what lies behind: neither colour is learnt there
+# given: template registered to the true mesh, its joints, exact poses and cameras; shape only: a free body's shape
+# coefficients, estimated joints, no hair label; from pixels: raw videos and a detector's keypoints
+INPUTS = ("given", "shape only", "from pixels")
+# values of a mask between which a pixel shows the person and what lies behind: neither color is learned there
 MIXED = (12, 243)
 
 
@@ -44,15 +47,15 @@ class CaptureSubject:
     joints: Float[Array, "52 3"]  # pose 0
     part: Int[Array, "vertices"]  # index into PARTS
     hair: Bool[Array, "vertices"]
-    # centre and radius of the eyeballs, left then right, in pose 0, metres; None: not stated (capture/eyes.py)
+    # centre and radius of the eyeballs, left then right, in pose 0, metres; None: not stated (capture/template/eyes.py)
     eyes: Float[Array, "2 4"] | None = None
-    # skin that carved hair covers (train/hull.py): no outer surface, but what lies under the hair
+    # skin that carved hair covers (capture/template/hull.py): no outer surface, but what lies under the hair
     under_hair: Int[Array, "k 3"] = dataclass_field(default_factory=lambda: np.zeros((0, 3), np.int64))
     # carved vertices of hair: the first, and the one after the last
     carved: tuple[int, int] = (0, 0)
     # metres under the lowest skin of the head that the head's field takes from the body's (train/parts.py)
     head_reach: float = 0.0
-    # vertices that carved clothes hide from every side (train/clothes.py): their inside, and the body there; None: none
+    # vertices that carved clothes hide from every side (clothes.py): their inside, and the body there; None: none
     behind_cloth: Bool[Array, "vertices"] | None = None
 
 
@@ -79,7 +82,7 @@ class Capture:
     path: Path
     facts: dict
     subject: CaptureSubject
-    # of the parts that were read; from a folder one at a time (capture/videos.py)
+    # by part, those that were read; from a folder one at a time (capture/videos.py)
     videos: Mapping[str, PartVideo]
 
 
@@ -337,3 +340,15 @@ def _read_frames(
             raise AssetError(f"{path}: should be {expected} pixels as the first frame, is {size}")
         frames[i] = frame
     return [path.name for path in paths], frames
+
+
+def input_kind(facts: dict[str, Any], place: str = "capture.json") -> str:
+    """The kind of a capture, by its capture.json; synthetic captures that say nothing are *given*.
+
+    Raises:
+        AssetError: another kind is named.
+    """
+    kind = str(facts.get("input", "from pixels" if "source" in facts else "given")).replace("_", " ")
+    if kind not in INPUTS:
+        raise AssetError(f"{place}: input should be one of {', '.join(INPUTS)}, is {facts['input']!r}")
+    return kind

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 from jaxtyping import Int, UInt8
 
-from avatar.errors import AssetError
-from avatar.picture import read_picture
+from command.errors import AssetError
+from files.picture import read_picture
 
 Array = np.ndarray
 

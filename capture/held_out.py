@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from avatar.camera import Camera
-from avatar.errors import AssetError
-from avatar.input_file import read_json_object
-from avatar.npz import read_npz
-from avatar.picture import read_picture
 from avatar.skeleton import PARTS
 from capture.keypoints.read import read_keypoints
 from capture.keypoints.record import Keypoints
+from command.errors import AssetError
+from files.input_file import read_json_object
+from files.npz import read_npz
+from files.picture import read_picture
 
 SETS = ("novel_pose", "novel_view")
 
@@ -41,7 +41,7 @@ class HeldOutView:
         return self.pixels("masks", "L") > 127
 
     def parts(self) -> UInt8[np.ndarray, "height width"]:
-        """Part id + 1 of each pixel, 0 where there is nobody."""
+        """Part id + 1 of each pixel, 0 where there is no person."""
         return self.pixels("parts", "L")
 
     def keypoints(self) -> Keypoints:
@@ -54,7 +54,7 @@ class HeldOutView:
         if not path.exists():
             raise AssetError(
                 f"{path}: expected keypoints of the held-out picture, found none: an estimated skeleton is fitted to "
-                f"pictures, never told the truth's poses; film the truth by `selfscan synth --raw --keypoints`"
+                "pictures, it never reads the truth's poses; film by `selfscan synth --raw --keypoints --held-out`"
             )
         return read_keypoints(path, size=self.camera.size)
 
@@ -100,6 +100,8 @@ def read_held_out(capture: Path, name: str) -> list[HeldOutView]:
     """
     folder = Path(capture) / "truth" / name
     path = folder / "views.npz"
+    if not path.exists() and (folder.parent / "raw.json").exists():
+        raise AssetError(f"{path}: no such file: `selfscan synth --raw` films held-out pictures with --held-out")
     shapes = {"pose": ("n",), "view": ("n",), "poses": ("p", 52, 3), "root": ("p", 3), "K": ("n", 3, 3)}
     fields = read_arrays(path, shapes | {"camera_from_world": ("n", 4, 4), "size": (2,)})
     size = (int(fields["size"][0]), int(fields["size"][1]))

@@ -18,7 +18,7 @@ class Videos(Mapping[str, "PartVideo"]):
     def __init__(self, read: Mapping[str, Callable[[], "PartVideo"]], recent: "list[PartVideo] | None" = None):
         self.read = dict(read)
         self._alive: WeakValueDictionary[str, PartVideo] = WeakValueDictionary()
-        # of all that are made from the same, or each would keep its own
+        # one list for all that are made from the same, or each would keep its own
         self.recent: list[PartVideo] = [] if recent is None else recent
 
     def __getitem__(self, part: str) -> "PartVideo":
@@ -40,7 +40,7 @@ class Videos(Mapping[str, "PartVideo"]):
         return len(self.read)
 
     def let_go(self) -> None:
-        """Keep none that nobody holds."""
+        """Keep none that has no other holder."""
         self.recent.clear()
 
 
@@ -66,7 +66,7 @@ def only(videos: Mapping[str, "PartVideo"], parts: Sequence[str]) -> Mapping[str
 
 
 def let_go(videos: Mapping[str, "PartVideo"]) -> None:
-    """Free the videos that can be read again and nobody holds."""
+    """Free the videos that can be read again and have no other holder."""
     if isinstance(videos, Videos):
         videos.let_go()
 

@@ -24,12 +24,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
 from bake.options import BakeOptions
-from bench.machine import commit, cpu_name
+from bench.ladder.machine import commit, cpu_name
+from command.errors import AssetError
 from experiments.short_training import read_kept
 from experiments.table_row import digest
+from files.whole import whole_file
 from train.run import read_facts
 
 FORMAT = "selfscan-baking-row"
@@ -156,9 +156,9 @@ def bake_apart(run: Path, capture: Path | None, out: Path, options: BakeOptions,
 
     clock = StageClock()
     trained = read_run(run)
-    videos = None if options.texture_from == "field" else run_videos(trained, capture)
+    videos = None if options.texture_from == "field" else run_videos(run, trained.provenance, capture)
     clock.ended("reading the run")
-    avatar = bake_run(trained, out, options, clock, videos=videos)
+    avatar = bake_run(trained.bake_source, out, options, clock, videos=videos)
     facts = avatar.provenance["baked"]
     told = {"stages": clock.stages, "view": avatar.default_view, "distilled_db": facts["distilled_db"]}
     told |= {"field_to_mesh_mm": facts["levels"][0]["field_to_mesh_mm"]["mean"]}

@@ -22,13 +22,13 @@ from avatar.baked_avatar import Avatar, ViewNetwork
 from avatar.camera import Camera
 from avatar.gltf.avatar_file import read_avatar
 from avatar.texture import mip_levels, mipmaps
-from bench.rung_scores import compared, crop_of
+from bench.ladder.rung_scores import compared, crop_of
 from experiments.baking_scores import FRAME_SIZE, References, timed_in_turns
-from player.constants import avatar_constants
-from player.context import Context, opened
-from player.posing import PosedBones, Poser
-from player.renderer import Pose, Renderer
-from player.shader import uniform
+from player.draw.posing import PosedBones, Poser
+from player.gl.constants import avatar_constants
+from player.gl.context import Context, opened
+from player.gl.shader import uniform
+from player.scene.renderer import Pose, Renderer
 
 SHIPPED = "as shipped"
 # metres from the world's origin that a person stands in the rows on posing
@@ -156,7 +156,7 @@ def with_float_features(drawn: Callable[[Avatar], Renderer], avatar: Avatar, dty
             texture.anisotropy = 8.0
         return texture
 
-    with patch("player.passes.view.image_texture", float_texture):
+    with patch("player.effects.view.image_texture", float_texture):
         return drawn(avatar)
 
 
@@ -168,7 +168,7 @@ def with_uniforms(drawn: Callable[[Avatar], Renderer], avatar: Avatar) -> Render
         for text in avatar_constants(avatar).values()
         for _, name, numbers in CONSTANT.findall(text)
     }
-    with patch("player.passes.view.avatar_constants", lambda _: written):
+    with patch("player.effects.view.avatar_constants", lambda _: written):
         renderer = drawn(avatar)
     found = 0
     for handle in renderer.plan.handles:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from avatar.files import whole_file
-from bench.rung_page import number
+from bench.report.writer import markdown_table, number
 from experiments.short_training import three
+from files.whole import whole_file
 
 Row = Mapping[str, Any]
 NAMES = {"truth": "true pictures", "field": "the field"}
@@ -120,15 +120,12 @@ def frame_words(frames: Mapping[str, Any]) -> str:
 
 def row_table(rows: Sequence[Row], reference: str) -> list[str]:
     default = rows[0]
-    lines = [
-        "| | processor s | clock s | MB | view | frame | FLIP | change | PSNR dB | SSIM |",
-        "|-|-|-|-|-|-|-|-|-|-|",
-    ]
+    table = []
     for row in rows:
         scores = row["scores"][reference]
         values = {key: {region: one[key] for region, one in scores.items()} for key in ("flip", "psnr_mask_db", "ssim")}
         mean, error = change(row, default, reference)
-        cells = [
+        table.append([
             row["words"],
             f"{row['cpu_seconds']:.0f}",
             f"{row['seconds']:.0f}",
@@ -139,9 +136,9 @@ def row_table(rows: Sequence[Row], reference: str) -> list[str]:
             "" if row is default else f"{mean:+.4f} ± {error:.4f}",
             three(values["psnr_mask_db"], 2),
             three(values["ssim"], 3),
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return lines
+        ])  # fmt: skip
+    head = ["", "processor s", "clock s", "MB", "view", "frame", "FLIP", "change", "PSNR dB", "SSIM"]
+    return markdown_table(head, table)
 
 
 def frame_cell(frame: Mapping[str, Any]) -> str:
@@ -156,16 +153,13 @@ def stage_table(rows: Sequence[Row]) -> list[str]:
     large = [
         name for name in names if any(row["stages"].get(name, 0) > LEAST_SHARE * row["cpu_seconds"] for row in rows)
     ]
-    lines = [
-        "", "## Where the seconds go", "", "Processor seconds of stages as `selfscan bake` reports them.", "",
-        "| | " + " | ".join(large) + " | the rest |", "|-|" + "-|" * (len(large) + 1),
-    ]  # fmt: skip
+    table = []
     for row in rows:
         own = [row["stages"].get(name) for name in large]
         rest = row["cpu_seconds"] - sum(value or 0 for value in own)
-        cells = ["-" if value is None else f"{value:.0f}" for value in own]
-        lines.append(f"| {row['words']} | {' | '.join(cells)} | {rest:.0f} |")
-    return lines
+        table.append([row["words"], *(number(value, 0) for value in own), f"{rest:.0f}"])
+    lines = ["", "## Where the seconds go", "", "Processor seconds of stages as `selfscan bake` reports them.", ""]
+    return lines + markdown_table(["", *large, "the rest"], table)
 
 
 def format_table(result: Mapping[str, Any]) -> list[str]:
@@ -177,16 +171,15 @@ def format_table(result: Mapping[str, Any]) -> list[str]:
         "head. Rows without a time run the programs of another row."
     )
     lines = ["", "## Number formats of what is drawn", "", textwrap.fill(about, WIDTH), ""]
-    lines += ["| | frame | FLIP | PSNR dB | largest |", "|-|-|-|-|-|"]
+    rows = []
     for row in formats["rows"]:
         frame = "" if row["frame"] is None else frame_cell(row["frame"])
-        if "flip" not in row:
-            lines.append(f"| {row['name']} | {frame} | | | |")
-            continue
-        equal = row["largest"] == 0
-        psnr = "same" if equal else number(row["psnr_mask_db"], 1)
-        lines.append(f"| {row['name']} | {frame} | {number(row['flip'] or 0.0, 5)} | {psnr} | {row['largest']} |")
-    return lines
+        scores = ["", "", ""]
+        if "flip" in row:
+            psnr = "same" if row["largest"] == 0 else number(row["psnr_mask_db"], 1)
+            scores = [number(row["flip"] or 0.0, 5), psnr, str(row["largest"])]
+        rows.append([row["name"], frame, *scores])
+    return lines + markdown_table(["", "frame", "FLIP", "PSNR dB", "largest"], rows)
 
 
 def plot(result: Mapping[str, Any], path: Path) -> None:

@@ -18,22 +18,22 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation
 
 from avatar.camera import Camera
-from avatar.files import whole_file
 from avatar.gltf.avatar_file import Avatar, read_avatar
-from avatar.progress import progress
 from bake.measure import test_views
 from bake.truth import some_poses
-from bench.drawer import FILMED, Drawer
-from bench.picture_scores import DILATION, VIEW_REGION, region_of
-from bench.posed_field import averaged
-from bench.quiet import Quiet
-from bench.rung_scores import compared, crop_of, median_interval
+from bench.field.drawer import FILMED, Drawer
+from bench.field.posed_field import averaged
+from bench.ladder.quiet import Quiet
+from bench.ladder.rung_scores import compared, crop_of, median_interval
+from bench.score.picture_scores import DILATION, VIEW_REGION, region_of
 from capture.held_out import SETS, read_capture_facts, read_held_out
+from command.progress import progress
 from experiments.alternating import Times, alternate, here
 from experiments.short_training import read_kept
 from experiments.table_row import digest
-from player.context import Context, opened
-from player.renderer import Pose, Renderer
+from files.whole import whole_file
+from player.gl.context import Context, opened
+from player.scene.renderer import Pose, Renderer
 
 FORMAT = "selfscan-baking-scores"
 REGIONS = ("total", "head", "hands")

@@ -16,12 +16,12 @@ from avatar.camera import Camera, clip_from_view
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_normals, skin_points
 from avatar.texture import mip_levels
-from player.context import Context
-from player.mesh import draw_order, interleaved
-from player.posing import Poser, screen_bounds
-from player.raster import clip_planes
-from player.renderer import Pose
-from player.texture import read_finer_mip
+from player.draw.mesh import draw_order, interleaved
+from player.draw.posing import Poser, screen_bounds
+from player.draw.raster import clip_planes
+from player.gl.context import Context
+from player.gl.texture import read_finer_mip
+from player.scene.renderer import Pose
 
 FRAGMENT = """#version 330
 uniform sampler2D base_color;

@@ -17,18 +17,18 @@ import numpy as np
 import trimesh
 from jaxtyping import UInt8
 
-from avatar.errors import AssetError
-from avatar.files import check_folder, whole_file, whole_folder
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip
-from avatar.progress import Progress
-from bench.contact import save_sheet, sheet
+from bench.report.contact import save_sheet, sheet
 from capture.fit.body_alone import BodyAlone, fit_body_alone, pictures_of_body
 from capture.fit.refusals import misfits
 from capture.fit.scan import STEPS
-from capture.imports.template import write_template
-from capture.raw_scan import RawVideo
+from capture.raw.scan import RawVideo
+from capture.read.template import write_template
+from command.errors import AssetError
+from command.progress import Progress
 from experiments.fitting_pictures import overlay, shown_frames
+from files.whole import check_folder, whole_file, whole_folder
 
 # of a motion whose pictures have no times
 RATE = 30.0
@@ -51,7 +51,7 @@ def write_fit(out: Path, video: RawVideo, found: BodyAlone) -> None:
         save_sheet(folder / "overlays.png", sheet([tiles], [titles], str(out), columns=1))
         facts = {
             "stature": float(np.ptp(template.vertices[:, 1])),
-            "focal": estimate.lens(footage).focal,
+            "focal": float(estimate.camera(footage).K[0, 0]),
             "distance": float(-estimate.root[:, 2].mean()),
             "keypoints_off_pixels": float(np.nanmedian(misfits(estimate, footage))),
             "left_out": [video.pictures[i].name for i in np.flatnonzero(~found.video.usable)],

@@ -13,17 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from avatar.files import whole_file
 from avatar.gltf.avatar_file import read_avatar
-from bench.machine import machine
-from bench.quiet import Quiet, warning
-from bench.rung_pictures import motion_frames
-from player.arguments import parse_size
+from bench.ladder.machine import machine
+from bench.ladder.quiet import Quiet, warning
+from bench.ladder.rung_pictures import motion_frames
+from files.whole import whole_file
 from player.budget.measure import BudgetScene, frame_ms, price
-from player.budget.rungs import PricedRung, bought, frontier, scene_rungs
-from player.context import Context, opened
-from player.passes.background import Background
-from player.scenes.effects import PLAIN
+from player.budget.rungs import PricedRung, best_within, frontier, scene_rungs
+from player.effects.background import Background
+from player.gl.context import Context, opened
+from player.scene.arguments import parse_size
+from player.scene.effects import PLAIN
 
 
 def tried_budgets(
@@ -42,7 +42,7 @@ def tried(
 ) -> dict[str, Any]:
     """What a budget buys from a table, and what every rung of the frontier takes now."""
     front = frontier(bought_from)
-    chosen = bought(bought_from, budget)
+    chosen = best_within(bought_from, budget)
     p95 = np.percentile(frame_ms(context, scene, [one.rung for one in front], frames), 95, axis=0)
     taken = {one.rung: ms for one, ms in zip(front, p95.tolist(), strict=True)}
     place = front.index(chosen)

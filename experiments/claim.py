@@ -19,13 +19,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
 from bench.demo import Stage, command, run_stages
-from capture.input_kind import INPUTS
+from capture.folder import INPUTS
+from command.errors import AssetError
 from experiments.claim_page import FORMAT, page
 from experiments.light import folder_name
 from experiments.short_training import begun, share_in_words, total_steps, training_words
+from files.whole import whole_file
 from train.preset import PRESETS
 
 # minutes on two idle cores: of the raw videos, a second of turn at 360 px; of held-out pictures; of an import, a frame
@@ -68,8 +68,8 @@ def folder_of(name: str) -> str:
 def stature_of(person: str) -> float:
     """What somebody knows of themselves: metres from the floor to the skull."""
     from experiments.fitting import Filming
-    from player.context import open_context
-    from player.raster import Rasteriser
+    from player.draw.raster import Rasteriser
+    from player.gl.context import open_context
 
     context = open_context()
     rasteriser = Rasteriser(context)
@@ -86,7 +86,8 @@ def stages(options: Options, name: str, out: Path) -> dict[str, list[Stage]]:
     raw = out / "raw"
     same = ["--size", str(options.size), "--seed", str(options.seed), "--light", options.light]
     fine = (options.size / 360) ** 2
-    film = command("selfscan", "synth", person, raw, "--raw", "--keypoints", "--seconds", f"{options.seconds:g}", *same)
+    filmed = ["--raw", "--keypoints", "--held-out", "--seconds", f"{options.seconds:g}"]
+    film = command("selfscan", "synth", person, raw, *filmed, *same)
     minutes = HELD_OUT + FILMING * fine * (options.seconds + 2.4)
     found = {"raw": [Stage("film four raw videos", raw / "truth" / "raw.json", film, minutes)]}
     exact = ["selfscan", "synth", person]

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.quality_table import PAPER
-from capture.input_kind import INPUTS
+from bench.report.writer import markdown_table
+from bench.score.quality_table import PAPER
+from capture.folder import INPUTS
 from experiments.short_training import three
 
 FORMAT = "selfscan-claim"
@@ -54,12 +55,12 @@ def value(results: Sequence[Result], keys: tuple[str, ...], region: str) -> floa
 
 def table(by_kind: dict[str, list[Result]]) -> list[str]:
     """One line for each number, total / head / hands; a column for each kind of input."""
-    lines = ["| total / head / hands | " + " | ".join(INPUTS) + " | paper |", "|-" * (len(INPUTS) + 2) + "|"]
+    rows = []
     for heading, keys, digits, in_paper in ROWS:
         cells = [numbers({r: value(by_kind.get(kind, []), keys, r) for r in REGIONS}, digits) for kind in INPUTS]
         paper = numbers({r: PAPER[r].get(in_paper) if in_paper else None for r in REGIONS}, digits)
-        lines.append(f"| {heading} | {' | '.join(cells)} | {paper} |")
-    return lines
+        rows.append([heading, *cells, paper])
+    return markdown_table(["total / head / hands", *INPUTS, "paper"], rows)
 
 
 def numbers(values: dict[str, float | None], digits: int) -> str:

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from avatar.files import whole_file
+from files.whole import whole_file
 from train.run import read_facts
 
 

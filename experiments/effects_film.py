@@ -14,14 +14,15 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from avatar.files import whole_file
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip
 from avatar.motion.read import builtin_motion
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
-from player.arguments import parse_size
-from player.filming.film import Film
-from player.render_command import render_main
+from files.input_file import open_film
+from files.whole import whole_file
+from player.film.command import render_main
+from player.film.film import Film
+from player.scene.arguments import parse_size
 
 SCENES = ("nothing", "everything")
 FOLDER = Path(__file__).parent.parent / "docs" / "scenes"
@@ -59,9 +60,7 @@ def scene_text(name: str, avatar: Path, size: tuple[int, int], rate: float, samp
 
 
 def frames_of(film: Path) -> list[np.ndarray]:
-    import av
-
-    with av.open(str(film)) as container:
+    with open_film(film) as container:
         return [frame.to_ndarray(format="rgba") for frame in container.decode(video=0)]
 
 

@@ -12,8 +12,8 @@ from capture.keypoints.record import Keypoints
 from capture.raw.masks import soft_mask
 from capture.raw.plate import plate_of_empty
 from capture.raw.video_file import open_video, read_frames
-from player.filming.encoder import X264, encode
-from synth.light import Light, light_of
+from player.film.encoder import X264, encode
+from synth.light import StudioLight, light_of
 from synth.photo import Studio
 from synth.raw.backdrop import backdrop
 from synth.raw.film import RATE, taken
@@ -44,7 +44,7 @@ def filmed_masks(
     empty = np.flatnonzero(~shots.present)[:EMPTY_FRAMES]
     assert len(empty), "the film begins with an empty room"
     light = light_of("even", shots.part, 0)
-    assert isinstance(light, Light)
+    assert isinstance(light, StudioLight)
     behind = backdrop(shots.camera, shots.floor, False, seed[0])
     phone = phone_of(np.arange(len(shots.root)) / RATE, faults.exposure, faults.noise, seed)
     frame = np.full((*shots.camera.size[::-1], 4), 255, np.uint8)

@@ -21,24 +21,24 @@ from jaxtyping import Int, UInt8
 from scipy.ndimage import distance_transform_edt
 
 from avatar.body import builtin_body
-from avatar.errors import AssetError
-from avatar.files import whole_file
-from avatar.input_file import read_json_object
 from avatar.skeleton import PARTS
-from bench.machine import commit
+from bench.ladder.machine import commit
 from capture.fit import body
 from capture.fit.focal import Focal, focal_of_videos
 from capture.fit.footage import Estimate, Footage, footage_of
 from capture.fit.person import person_of
-from capture.fit.scan import FOCAL, FOUND, GUESSED, TOLD, names_and_joints
-from capture.imports.video import TRACK
+from capture.fit.scan import FOCAL, FOUND, GIVEN, GUESSED, names_and_joints
 from capture.keypoints.openpose import NAMES
 from capture.keypoints.record import Keypoints, keypoints_of
+from capture.read.video import TRACK
+from command.errors import AssetError
 from experiments.filmed_masks import Faults, filmed_masks
 from experiments.fitting_pictures import write_pictures
 from experiments.fitting_scores import Truth, scores
-from player.context import open_context
-from player.raster import Rasteriser
+from files.input_file import read_json_object
+from files.whole import whole_file
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
 from synth.command import load_subject
 from synth.cutout import cut_out
 from synth.photo import Studio
@@ -127,10 +127,10 @@ class Filming:
             for mask, f in zip(masks, chosen):
                 vertices = self.studio.posed(shots.axis_angle[f], shots.root[f])
                 mask[:] = self._mask(shots, vertices, source.rim * size / 1080)
-        focal, doubt = float(shots.camera.K[0, 0]), TOLD
+        focal, doubt = float(shots.camera.K[0, 0]), GIVEN
         if not source.told:
             focal, doubt = self._focal(source, seed, wide).shorter_sides * min(wide), FOUND
-        footage = footage_of(keypoints, masks, body.body_names(), body.MOVING, focal=focal, focal_doubt=doubt)
+        footage = footage_of(keypoints, masks, body.body_names(), body.MOVING, focal=focal, focal_sigma=doubt)
         truth = Truth(self.studio.subject, self.visible, shots, chosen)
         return Seen(footage, truth, self.stature + source.wrong_stature)
 
@@ -159,7 +159,7 @@ class Filming:
             _, _, keypoints = self._looked(source, part, seed, TRACK, size)
             masks = np.broadcast_to(np.uint8(0), (TRACK, size[1], size[0]))
             footages[part] = footage_of(keypoints, masks, *names_and_joints(part), focal=FOCAL * min(size),
-                                        focal_doubt=GUESSED)  # fmt: skip
+                                        focal_sigma=GUESSED)  # fmt: skip
         person = person_of(self.sex, self.stature + source.wrong_stature)
         return focal_of_videos(person, footages, lambda note: None)
 

@@ -7,13 +7,12 @@ from jaxtyping import Bool, UInt8
 from PIL import Image, ImageDraw
 from scipy import ndimage
 
-from avatar.camera import Camera
+from avatar.camera import project
+from avatar.kinematics import skinned
 from avatar.skeleton import PARENTS
-from bench.contact import save_sheet, sheet
+from bench.report.contact import save_sheet, sheet
 from capture.fit.body import MOVING
 from capture.fit.footage import Estimate, Footage
-from capture.fit.kinematics import carried, seen_at, skinned
-from capture.fit.scan import OPENCV
 from capture.fit.solve import posed_frames
 from experiments.fitting_scores import Truth
 from geometry.rasterise import rasterise
@@ -36,17 +35,14 @@ def shown_frames(footage: Footage) -> list[int]:
 def overlay(picture: UInt8[np.ndarray, "height width 3"], estimate: Estimate, footage: Footage, frame: int
             ) -> UInt8[np.ndarray, "height width 3"]:  # fmt: skip
     """The picture of a frame with the estimate drawn over it."""
-    posed, points, lens = posed_frames(estimate)[frame], estimate.skin(), estimate.lens(footage)
-    K = np.array([[lens.focal, 0, lens.centre[0]], [0, lens.focal, lens.centre[1]], [0, 0, 1.0]])
-    view = np.eye(4)
-    view[:3, :3] = OPENCV
-    body = rasterise(skinned(points, carried(posed, points)), estimate.person.body.faces, Camera(K, view, footage.size))
+    posed, points, camera = posed_frames(estimate)[frame], estimate.skin(), estimate.camera(footage)
+    body = rasterise(skinned(posed, points), estimate.person.body.faces, camera)
     inside: Bool[np.ndarray, "height width"] = body.face >= 0
     drawn = picture.copy()
     drawn[np.asarray(ndimage.binary_dilation(inside, iterations=WIDE), bool) & ~inside] = OUTLINE
     page = Image.fromarray(drawn)
     pen = ImageDraw.Draw(page)
-    joints = seen_at(lens, posed.place)
+    joints = project(camera, posed.place)[0]
     for joint in MOVING:
         pen.line([tuple(joints[PARENTS[joint]]), tuple(joints[joint])], BONES, WIDE)
     for (x, y), sure in zip(footage.pixels[frame], footage.sure[frame]):

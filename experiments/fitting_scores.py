@@ -7,7 +7,7 @@ from jaxtyping import Bool, Int
 
 from avatar.skeleton import joint_transforms, skin_transforms
 from avatar.skinning import skin_points
-from bench.skeleton_distance import BODY, LIMBS, PosedSkeletons, joints_off, turned_off
+from bench.score.skeleton_distance import BODY, LIMBS, PosedSkeletons, joints_off, turned_off
 from capture.fit.footage import Estimate, Footage
 from capture.fit.scan import posed_video, template_of
 from geometry.closest import closest_points, triangle_index
@@ -73,6 +73,6 @@ def scores(estimate: Estimate, footage: Footage, truth: Truth) -> dict[str, floa
         "depth": 100 * (theirs - ours)[:, LIMBS, 2].mean(),
         "degrees": turned_off(posed, BODY),
         "scale": scale.mean(),
-        "focal": estimate.lens(footage).focal / shots.camera.K[0, 0],
+        "focal": estimate.camera(footage).K[0, 0] / shots.camera.K[0, 0],
     }
     return {name: round(float(value), 4) for name, value in found.items()}

@@ -13,12 +13,12 @@ from jaxtyping import UInt8
 
 from avatar import read_avatar
 from avatar.camera import orbit_camera
-from avatar.errors import AssetError
-from avatar.files import whole_file
 from avatar.skeleton import JOINTS, PARTS, joint_transforms
 from capture.check.sheet import contact_sheet
 from capture.raw.four_videos import find_videos
 from capture.raw.video_file import open_video, read_frames
+from command.errors import AssetError
+from files.whole import whole_file
 from player import OffscreenRenderer, motion_for
 
 Array = np.ndarray

@@ -19,12 +19,12 @@ from typing import Any
 # before any GL context: it loads an LLVM that crashes when Mesa's came first
 import torch._dynamo  # noqa: F401
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
 from bench.demo import command
+from command.errors import AssetError
 from experiments.light_scores import FORMAT, REGIONS, measured, stamp
 from experiments.short_training import begun, read_kept, share_in_words, three, training_words
-from synth.light import MODES
+from files.whole import whole_file
+from synth.options import MODES
 from train.preset import PRESETS
 
 # dB that a light may cost on held-out pictures, total, head and hands

@@ -7,7 +7,6 @@ held-out sets, so that all lights of a person are compared on the same pixels.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +14,20 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from avatar.light import CaptureLight, lamps_of
+from avatar.psnr import decibels
 from bake.truth import some_poses
-from bench.drawer import Drawer
-from bench.field_view import FieldAnswers, one_thread
-from bench.machine import machine
-from bench.picture_scores import SAMPLES, VIEW_REGION, region_of
+from bench.field.drawer import Drawer
+from bench.field.posed_field import one_thread
+from bench.ladder.machine import machine
+from bench.score.picture_scores import SAMPLES, VIEW_REGION, region_of
 from capture.folder import read_capture
 from capture.held_out import SETS, HeldOutView, read_held_out
 from experiments.table_row import digest
 from geometry.mesh import vertex_normals
-from player.raster import Rasteriser
+from player.draw.raster import Rasteriser
 from synth.command import load_subject
 from synth.cutout import cut_out
-from synth.light import Light, light_of
+from synth.light import StudioLight, light_of
 from synth.photo import Studio
 from synth.room import Room
 from train.run import Run, read_run
@@ -36,8 +36,8 @@ Array = np.ndarray
 FORMAT = "selfscan-light-scores"
 REGIONS = ("total", "head", "hands")
 # a lamp from a side where no light of synth's stands
-KEY = Light(0.35, 0.65, (-0.8, 0.2, 0.55))
-EVEN = Light(1.0, 0.0, (0.0, 0.0, 1.0))
+KEY = StudioLight(0.35, 0.65, (-0.8, 0.2, 0.55))
+EVEN = StudioLight(1.0, 0.0, (0.0, 0.0, 1.0))
 # cosine between normal and the body's camera, under which no standing camera sees a person who turns before it
 TURNED_AWAY = 0.1
 
@@ -57,7 +57,7 @@ class Errors:
     def decibels(self, which: int) -> float | None:
         if self.pixels[which] == 0 or self.squared[which] == 0:
             return None
-        return round(float(-10 * np.log10(self.squared[which] / self.pixels[which])), 2)
+        return round(decibels(float(self.squared[which] / self.pixels[which])), 2)
 
     def rms(self, which: int) -> float | None:
         if self.pixels[which] == 0:
@@ -113,10 +113,15 @@ def _body_axis(capture: Path) -> Float[Array, "3"]:
 
 
 def compare(
-    drawer: Drawer, run: Run, studio: Studio, view: HeldOutView, light: Light | Room, camera_axis: Float[Array, "3"]
+    drawer: Drawer,
+    run: Run,
+    studio: Studio,
+    view: HeldOutView,
+    light: StudioLight | Room,
+    camera_axis: Float[Array, "3"],
 ) -> Compared:
     """One picture drawn by us and by the truth in each light; the drawer draws the run."""
-    shown, answers = drawer.field, FieldAnswers(run.field)
+    shown = drawer.field
     assert shown is not None
     vertices = studio.posed(view.axis_angle, view.root)
     mask = region_of(view, VIEW_REGION[view.view]).mask
@@ -124,14 +129,14 @@ def compare(
         name: studio.take(vertices, view.camera, one, 0.0).image[mask] / 255
         for name, one in (("captured", light), ("albedo", EVEN), ("key", KEY))
     }
-    own, before = run.world_light, shown.lit
+    own, before = run.world_light, shown.light
 
     def ours(light: CaptureLight | None) -> Float[Array, "n 3"]:
-        shown.lit = None if light is None else partial(answers.lit, light)
+        shown.light = light
         try:
             return drawer.draw(view.axis_angle, view.root, view.camera, SAMPLES, mask).color[mask].astype(np.float64)
         finally:
-            shown.lit = before
+            shown.light = before
 
     gamma = 1.0 if own is None else own.gamma
     bare = ours(CaptureLight(1.0, gamma=gamma, frame="world"))
@@ -193,7 +198,7 @@ def common_gain(compared: list[Compared]) -> float:
     return float((true * ours).sum() / max(float(np.square(ours).sum()), 1e-12))
 
 
-def found_light(found: CaptureLight | None, true: Light | Room) -> str:
+def found_light(found: CaptureLight | None, true: StudioLight | Room) -> str:
     """What was found beside what there was, in words."""
     if isinstance(true, Room):
         there = {f"source {i + 1}": np.array(source.direction) for i, source in enumerate(true.sources)}
@@ -203,7 +208,7 @@ def found_light(found: CaptureLight | None, true: Light | Room) -> str:
         return "none" if not there else f"none, there were {', '.join(there)}"
     off = {name: _degrees(found, direction) for name, direction in there.items()}
     words = [f"{name} {least:.1f} degrees off" for name, least in off.items()] or ["there was none"]
-    if isinstance(true, Light) and true.key:
+    if isinstance(true, StudioLight) and true.key:
         strength = found.strengths.max()
         words.append(f"ambient / key {found.ambient / strength:.2f} for {true.ambient / true.key:.2f}")
     lamps = "a lamp" if len(found.lamps) == 1 else f"{len(found.lamps)} lamps"

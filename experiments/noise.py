@@ -17,12 +17,12 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from avatar.errors import AssetError
-from avatar.files import whole_file, whole_folder
-from avatar.npz import read_npz
-from avatar.picture import read_picture
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import PARTS
+from command.errors import AssetError
+from files.npz import read_npz
+from files.picture import read_picture
+from files.whole import whole_file, whole_folder
 
 # dB that a noise may cost with refinement on
 ALLOWED = 0.5

@@ -22,15 +22,16 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
+from avatar.psnr import decibels
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
-from bench.machine import commit, cpu_name
+from bench.ladder.machine import commit, cpu_name
 from capture.folder import read_capture
+from command.errors import AssetError
+from files.whole import whole_file
 from train.field import PartField
 from train.objective import Batch, RayTensors, beta_at, functions_of, render_rays
-from train.part_job import PartJob, part_ready
+from train.part_job import PartJob, part_untrained
 from train.prefit import fit_template
 from train.preset import PRESETS, PartPreset, Preset
 from train.trainer import FieldTraining, Watch, peak_memory, train_field
@@ -73,7 +74,7 @@ def held_out_psnr(
         middle = torch.full((len(part),), 0.5, device=part.device)
         color = render_rays(functions_of(field), rays, Batch(part, middle, beta), preset, create_graph=False).color
         squared += float((color - rays.color[part]).square().sum())
-    return -10 * math.log10(max(squared / (3 * len(rays.frame)), 1e-10))
+    return decibels(max(squared / (3 * len(rays.frame)), 1e-10))
 
 
 def checkpoints(iterations: int) -> list[int]:
@@ -108,7 +109,7 @@ def one_preset(
     )  # fmt: skip
     torch.set_num_threads(threads)
     torch.manual_seed(seed * 4 + index)
-    ready = part_ready(job, capture, lambda share: None)
+    ready = part_untrained(job, capture, lambda share: None)
     field = ready.field
     fitted = time.monotonic()
     if preset.prefit:

@@ -14,15 +14,15 @@ from scipy.ndimage import binary_erosion, gaussian_filter
 
 from avatar.camera import Camera, look_at
 from avatar.gltf.avatar_file import Avatar
-from avatar.picture import read_picture
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from avatar.texture import sample_texture
-from bench.true_mesh import read_true_mesh
+from bench.score.true_mesh import read_true_mesh
 from capture.held_out import read_arrays
+from files.picture import read_picture
 from geometry.mesh import face_normals
-from player.context import Context
-from player.raster import Fragments, Rasteriser
+from player.draw.raster import Fragments, Rasteriser
+from player.gl.context import Context
 
 Array = np.ndarray
 

@@ -8,11 +8,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
-from avatar.input_file import read_json_object
-from bench.quality_table import COLUMNS, MODES, PAPER, cells, number
+from bench.report.writer import markdown_table, number
+from bench.score.metrics import METRICS
+from bench.score.quality_table import MODES, PAPER, cells
+from command.errors import AssetError
 from experiments.claim_page import FORMAT, page
+from files.input_file import read_json_object
+from files.whole import whole_file
 
 
 def light_of_facts(facts: dict[str, Any]) -> str:
@@ -65,14 +67,11 @@ def people_table(results: list[dict[str, Any]]) -> str:
 
 def region_table(results: list[dict[str, Any]], region: str) -> list[str]:
     """One region of people in one light: each, the mean, the paper, ceilings where they were measured."""
-    keys = ("p2s_cm", "chamfer_cm", "psnr_db", "psnr_mask_db", "ssim", "flip", "lpips")
     ours = [result["novel_pose"][region] for result in results]
-    shown = [c for c in COLUMNS if c[1] in keys and (c[1] != "lpips" or any(o.get("lpips") for o in ours))]
-    lines = [f"### {region.capitalize()}, novel poses", "", "| | " + " | ".join(c[0] for c in shown) + " |"]
-    lines += ["|-|" + "-|" * len(shown)]
+    shown = [m for m in METRICS if m.key != "lpips" or any(o.get("lpips") for o in ours)]
     labels = [str(result["capture"]["subject"]) for result in results]
     mean = {}
-    for key in keys:
+    for key in (metric.key for metric in METRICS):
         values = [scores[key] for scores in ours if scores.get(key) is not None]
         mean[key] = sum(values) / len(values) if values else None
     rows = [*zip(labels, ours), ("**mean**", mean)]
@@ -81,7 +80,8 @@ def region_table(results: list[dict[str, Any]], region: str) -> list[str]:
     for label, result in zip(labels, results):
         if result["beside"].get("ceiling"):
             rows.append((f"ceiling: {label}", result["beside"]["ceiling"][region]))
-    return lines + ["| " + " | ".join([label, *cells(scores, shown)]) + " |" for label, scores in rows] + [""]
+    table = markdown_table(["", *(m.title for m in shown)], [[label, *cells(scores, shown)] for label, scores in rows])
+    return [f"### {region.capitalize()}, novel poses", "", *table, ""]
 
 
 def view_table(results: list[dict[str, Any]]) -> list[str]:
@@ -107,7 +107,7 @@ def view_table(results: list[dict[str, Any]]) -> list[str]:
         "*field*, *cone*: PSNR of the baked avatar against its own field,",
         "as the paper has it (one direction a point) and inside the cone of directions that training saw.",
         "",
-        *("| " + " | ".join(row) + " |" for row in (heads, ["-"] * len(heads), *rows)),
+        *markdown_table(heads, rows),
         "",
     ]
 

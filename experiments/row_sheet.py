@@ -12,16 +12,17 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image
 
 from avatar.camera import Camera, orbit_camera
-from avatar.files import whole_file
-from avatar.picture import read_picture
 from avatar.skeleton import JOINTS
-from bench.ceiling import true_subject
-from bench.contact import VIEW_TITLE, cropped, save_sheet, sheet, spread_poses, square_about
-from bench.drawer import Drawer
-from bench.picture_scores import is_t_pose
-from bench.true_mesh import TrueMesh
+from avatar.texture import bytes_of
+from bench.field.drawer import Drawer
+from bench.report.contact import VIEW_TITLE, cropped, save_sheet, sheet, spread_poses, square_about
+from bench.score.ceiling import true_subject
+from bench.score.picture_scores import is_t_pose
+from bench.score.true_mesh import TrueMesh
 from capture.held_out import HeldOutView
-from player.raster import Rasteriser
+from files.picture import read_picture
+from files.whole import whole_file
+from player.draw.raster import Rasteriser
 from synth.light import light_of
 from synth.photo import Studio
 
@@ -92,7 +93,7 @@ def close_ups(
             tiles["truth", place, "shape"] = lit_shape(drawer.raster, posed, truth.faces, camera)
     for place, camera in cameras(drawer.surface.joints).items():
         colour = drawer.draw(*pose, camera, 2).color
-        tiles[out.name, place, "colour"] = np.round(np.clip(colour, 0, 1) * 255).astype(np.uint8)
+        tiles[out.name, place, "colour"] = bytes_of(colour)
         posed = drawer.surface.posed(*pose)
         tiles[out.name, place, "shape"] = lit_shape(drawer.raster, posed, drawer.surface.faces, camera)
     if out.name == "ours":

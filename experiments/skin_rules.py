@@ -16,14 +16,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 from scipy.spatial import KDTree
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
 from avatar.gltf.avatar_file import Avatar, read_avatar
 from avatar.motion.read import read_motion
-from avatar.progress import progress
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, dense_weights, skin_points
 from bake.skin import quantised
+from command.errors import AssetError
+from command.progress import progress
+from files.whole import whole_file
 from geometry.mesh import half_edges
 
 # an edge longer or shorter than this many times its rest length counts as torn or crushed

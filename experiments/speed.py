@@ -21,22 +21,22 @@ import numpy as np
 
 from avatar.baked_avatar import Avatar, ViewNetwork
 from avatar.camera import Camera
-from avatar.errors import AssetError
-from avatar.files import whole_file, whole_folder
 from avatar.gltf.avatar_file import read_avatar
-from bench.machine import machine
-from bench.quiet import Quiet, warning
+from bench.ladder.machine import machine
+from bench.ladder.quiet import Quiet, warning
+from command.errors import AssetError
 from experiments import speed_peers, speed_rows
 from experiments.alternating import alternate, here
 from experiments.bare_draw import BareDraw, coverage
 from experiments.speed_page import markdown, plot
-from player.arguments import parse_size
-from player.context import Context, opened
-from player.framing import extent, facing, fitted_camera
-from player.ladder import views_of
-from player.motions import motion_for
-from player.renderer import Pose, Renderer
-from player.rung import VIEW_NAMES
+from files.whole import whole_file, whole_folder
+from player.budget.ladder import views_of
+from player.budget.rung import VIEW_NAMES
+from player.gl.context import Context, opened
+from player.scene.arguments import parse_size
+from player.scene.framing import extent, facing, fitted_camera
+from player.scene.motions import motion_for
+from player.scene.renderer import Pose, Renderer
 
 SIZES = ((640, 640), (1280, 720), (1920, 1080))
 # of the counting clip, drawn in turn

@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from avatar.files import whole_file
+from bench.report.writer import markdown_table, number
+from files.whole import whole_file
 
 
 def markdown(result: dict[str, Any]) -> str:
@@ -24,12 +25,9 @@ def markdown(result: dict[str, Any]) -> str:
     ]
     promised = [row for row in (*result["bars"], *result["rows"]) if row.get("bar")]
     if promised:
-        lines += ["", "## What is promised", "", "| | found | promised | |", "|-|-|-|-|"]
-        lines += [
-            f"| {r['name']} | {value(r)} | {' '.join((r['bar'], r['unit'])).strip()} | "
-            f"{'met' if r['met'] else '**not met**'} |"
-            for r in promised
-        ]
+        rows = [[r["name"], value(r), " ".join((r["bar"], r["unit"])).strip(), "met" if r["met"] else "**not met**"]
+                for r in promised]  # fmt: skip
+        lines += ["", "## What is promised", "", *markdown_table(["", "found", "promised", ""], rows)]
     for size in result["sizes"]:
         width, height = size["size"]
         lines += [
@@ -37,23 +35,20 @@ def markdown(result: dict[str, Any]) -> str:
             f"## {width} x {height}, {100 * size['coverage']:.1f} % covered, {size['frames']} frames each",
             "",
         ]
-        lines += [
-            "| | ms median | p95 | ± | CPU ms | frames/s | of the bare skinned draw | of its CPU time |",
-            "|-|-|-|-|-|-|-|-|",
-        ]
+        head = ["", "ms median", "p95", "±", "CPU ms", "frames/s", "of the bare skinned draw", "of its CPU time"]
+        rows = []
         for r in size["rows"]:
             share = r["of_bare_skinned"]
-            lines.append(
-                f"| {r['name']} | {r['ms_median']:.2f} | {r['ms_p95']:.2f} | {r['ms_spread']:.2f} | "
-                f"{r['cpu_ms_median']:.2f} | {r['fps']:.0f} | {share['wall']:.2f} ± {share['spread']:.2f} | "
-                f"{share['cpu']:.2f} |"
-            )
+            times = [number(r[key]) for key in ("ms_median", "ms_p95", "ms_spread", "cpu_ms_median")]
+            shares = [f"{share['wall']:.2f} ± {share['spread']:.2f}", number(share["cpu"])]
+            rows.append([r["name"], *times, number(r["fps"], 0), *shares])
+        lines += markdown_table(head, rows)
     if result["peers"]:
         lines += peers_table(result["peers"])
     rest = [row for row in (*result["bars"], *result["rows"]) if row.get("value") is None or row.get("detail")]
     if rest:
-        lines += ["", "## Details", "", "| | value | |", "|-|-|-|"]
-        lines += [f"| {r['name']} | {value(r)} | {r['detail']} |" for r in rest]
+        details = markdown_table(["", "value", ""], [[r["name"], value(r), r["detail"]] for r in rest])
+        lines += ["", "## Details", "", *details]
     return "\n".join([*lines, "", "![frames a second](speed.png)", ""])
 
 
@@ -74,16 +69,15 @@ def peers_table(peers: dict[str, Any]) -> list[str]:
         "Each in turns with ours. *default*: as the library comes, without shadows; *lightest*: normals given, "
         "antialiasing off where it can be. Ours textured, posed and skinned, without antialiasing.",
         "",
-        "| | settings | covered | ms median | p95 | CPU ms | frames/s | ours faster: wall (CPU) |",
-        "|-|-|-|-|-|-|-|-|",
     ]
+    rows = []
     for r in peers["rows"]:
         faster = "; ".join(f"{n} {f['wall']:.1f} ({f['cpu']:.1f})" for n, f in r["ours_faster"].items())
-        lines.append(
-            f"| {r['name']} {r['version']}, {r['style']} | {r['settings']} | {100 * r['coverage']:.1f} % | "
-            f"{r['ms_median']:.1f} | "
-            f"{r['ms_p95']:.1f} | {r['cpu_ms_median']:.1f} | {r['fps']:.1f} | {faster} |"
-        )
+        times = [number(r[key], 1) for key in ("ms_median", "ms_p95", "cpu_ms_median", "fps")]
+        name = f"{r['name']} {r['version']}, {r['style']}"
+        rows.append([name, r["settings"], f"{100 * r['coverage']:.1f} %", *times, faster])
+    head = ["", "settings", "covered", "ms median", "p95", "CPU ms", "frames/s", "ours faster: wall (CPU)"]
+    lines += markdown_table(head, rows)
     return lines + [f"\n{name} was not timed: {why}" for name, why in peers["failed"].items()]
 
 

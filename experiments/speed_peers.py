@@ -16,10 +16,10 @@ import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
-from avatar.errors import AssetError
+from command.errors import AssetError
 from experiments.alternating import Turn
 from experiments.bare_draw import posed_vertices
-from player.renderer import Pose
+from player.scene.renderer import Pose
 
 SCRIPTS = Path(__file__).parent / "peers"
 PACKAGES = {

@@ -19,18 +19,19 @@ import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar
+from command.errors import AssetError
 from experiments.alternating import Turn, alternate
+from experiments.gl_counts import counting, counts_of
 from experiments.live_sender import sending
-from player.address import Address
-from player.context import Context
-from player.filming.film import Film
+from player.film.film import Film
+from player.gl.context import Context, opened
 from player.live.inbox import Inbox
 from player.live.latency import Latency
 from player.live.playback import LivePlayback
 from player.live.receiver import listen
-from player.renderer import Pose, Renderer
+from player.scene.address import Address
+from player.scene.renderer import Pose, Renderer
 
 Row = dict[str, Any]
 MIB = 1 << 20
@@ -233,7 +234,7 @@ def live_latency(
     renderer = Renderer(context, [avatar], camera.size)
     listener = listen(Address("vmc", "127.0.0.1", 0), inbox)
     try:
-        playback = LivePlayback(inbox, listener.address, [avatar], [np.zeros(3)], latency=latency)
+        playback = LivePlayback(inbox, listener.address, [avatar], latency=latency)
         image = renderer.draw(playback.poses(), camera)
 
         def draw_for(duration: float) -> tuple[float, int]:
@@ -283,25 +284,26 @@ def live_latency(
 # a long run
 
 
-def long_run(
-    context: Context, avatar: Avatar, poses: Sequence[Pose], *, frames: int = 10_000, size=(320, 320)
-) -> list[Row]:
+def long_run(avatar: Avatar, poses: Sequence[Pose], *, frames: int = 10_000, size=(320, 320)) -> list[Row]:
     """Growth of GL objects, GL memory and resident memory over many frames of the dearest view mode."""
-    from player.framing import fitted_camera
-    from player.ladder import views_of
+    from player.budget.ladder import views_of
+    from player.scene.framing import fitted_camera
 
     camera = fitted_camera(np.array([p[1] for p in poses]) + [[0, 0.9, 0]], 0.0, size)
-    renderer = Renderer(context, [avatar], size, view=views_of(avatar)[0])
+    with counting():
+        context = opened("auto", None)
+    counts = counts_of(context)
     try:
+        renderer = Renderer(context, [avatar], size, view=views_of(avatar)[0])
         for n in range(SETTLED):
             renderer.draw([poses[n % len(poses)]], camera)
-        objects, held, memory = context.counts.objects(), context.counts.live_bytes, resident()
+        objects, held, memory = counts.objects(), counts.live_bytes, resident()
         for n in range(frames):
             renderer.draw([poses[n % len(poses)]], camera)
-        grown = sum(context.counts.objects().values()) - sum(objects.values())
-        memory_grown, gl_grown = resident() - memory, context.counts.live_bytes - held
+        grown = sum(counts.objects().values()) - sum(objects.values())
+        memory_grown, gl_grown = resident() - memory, counts.live_bytes - held
     finally:
-        renderer.release()
+        context.release()
     return [
         row(f"{frames} frames: GL objects more", grown, "", f"{sum(objects.values())} live", most=0),
         row(f"{frames} frames: GL memory more", gl_grown / MIB, "MiB", f"{held / MIB:.1f} MiB live", most=0),
@@ -327,7 +329,7 @@ def measure(kinds: Sequence[str], path: Path, context: Context, poses: Sequence[
         "install": installed,
         "film": lambda: film_ratio(context, avatar, poses, camera),
         "live": lambda: live_latency(context, avatar, camera),
-        "long": lambda: long_run(context, avatar, poses),
+        "long": lambda: long_run(avatar, poses),
     }
     rows: list[Row] = []
     for kind in kinds:

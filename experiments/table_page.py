@@ -10,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.paper_tables import (
+from bench.report.writer import markdown_table
+from bench.report.writer import number as rounded
+from bench.score.quality_table import (
     GEOMETRY,
     PAPER_GEOMETRY,
     PAPER_IMAGE,
@@ -72,8 +74,7 @@ def light_of_result(result: dict[str, Any]) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    lines = ["| " + " | ".join(head) + " |", "|-|" + "-|" * (len(head) - 1)]
-    return lines + ["| " + " | ".join(row) + " |" for row in rows] + [""]
+    return [*markdown_table(head, rows), ""]
 
 
 def columns(metrics: Sequence[str]) -> list[str]:
@@ -84,8 +85,7 @@ def paper_cells(scores: dict[str, dict[str, float]], metrics: Sequence[str]) -> 
     out = []
     for region in REGIONS:
         for metric in metrics:
-            value = scores[region].get(metric)
-            out.append("-" if value is None else f"{value:.{SHOWN[metric][2]}f}")
+            out.append(rounded(scores[region].get(metric), SHOWN[metric][2]))
     return out
 
 

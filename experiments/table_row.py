@@ -16,23 +16,23 @@ from typing import Any
 
 import numpy as np
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
-from bench.drawer import Drawer
-from bench.field_view import one_thread
-from bench.lpips import read_perceptual
-from bench.machine import machine
-from bench.picture_scores import Perceive, is_t_pose, score_images
-from bench.pose_distances import distinct_poses
-from bench.posed_field import Directions
-from bench.posed_geometry import SAMPLES, Distances, measure_pose, posed_pair
-from bench.quality import CAPTURE_FACTS, evaluate, seen_case, some_poses
-from bench.region_scores import regions_of
-from bench.true_mesh import TrueMesh, read_true_mesh
+from bench.field.drawer import Drawer
+from bench.field.posed_field import Directions, one_thread
+from bench.ladder.machine import machine
+from bench.score.lpips import read_perceptual
+from bench.score.metrics import Perceive
+from bench.score.picture_scores import PictureJudge, is_t_pose, score_images
+from bench.score.pose_distances import distinct_poses
+from bench.score.posed_geometry import SAMPLES, Distances, measure_pose, posed_pair
+from bench.score.quality import CAPTURE_FACTS, evaluate, seen_case, some_poses
+from bench.score.region_scores import regions_of
+from bench.score.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import read_capture
 from capture.held_out import HeldOutView, read_capture_facts, read_held_out
+from command.errors import AssetError
 from experiments.row_sheet import write_sheet
 from experiments.variants import VARIANTS, seam_steps, variant
+from files.whole import whole_file
 from train.run import Run, read_run
 
 FORMAT = "selfscan-table-row"
@@ -40,15 +40,16 @@ FORMAT = "selfscan-table-row"
 
 @dataclass(frozen=True)
 class Training:
-    """One training of a person, as `selfscan train` is asked for it."""
+    """One training of a person, as its command is asked for it."""
 
     # behind the capture's name in the folder of runs
     suffix: str = ""
     words: tuple[str, ...] = ()
+    command: tuple[str, ...] = ("selfscan", "train")
 
 
 PARTS_TRAINING = Training()
-SINGLE = Training("_single", ("--single",))
+SINGLE = Training("_single", command=("experiments.single",))
 LIGHT_OFF = Training("_light_off", ("--without", "light"))
 
 
@@ -186,7 +187,7 @@ def measured_row(
     drawer: Drawer, truth: TrueMesh, views: list[HeldOutView], geometry: bool, perceive: Perceive | None
 ) -> dict[str, Any]:
     """Novel poses only, without what `selfscan eval` puts beside them; distances where the surface is not ours."""
-    images = score_images(views, truth, drawer.draw, "pictures", t_pose_apart=True, perceive=perceive)
+    images = score_images(PictureJudge(truth, drawer.draw, perceive), views, "pictures", t_pose_apart=True)
     if not geometry:
         return {"novel_pose": regions_of({}, images.scored), "geometry": "as ours"}
     case = seen_case(drawer, truth, drawer.surface)

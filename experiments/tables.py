@@ -16,12 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
 from bench.demo import command
 from capture.held_out import read_capture_facts
+from command.errors import AssetError
 from experiments.table_page import page
 from experiments.table_row import FORMAT, PARTS_TRAINING, ROWS, SINGLE, Row, Training, finished, stamp
+from files.whole import whole_file
 from train.preset import PRESETS
 
 SAME = (
@@ -64,9 +64,9 @@ def run_of(options: Options, capture: Path, seed: int, training: Training) -> Pa
 
 
 def train(options: Options, capture: Path, seed: int, training: Training) -> Callable[[], int]:
-    """`selfscan train` of one run, going on where an interrupted one stopped."""
+    """The training of one run, going on where an interrupted one stopped."""
     run = run_of(options, capture, seed, training)
-    words: list[str | Path] = ["selfscan", "train", capture, "-o", run, "--preset", options.preset]
+    words: list[str | Path] = [*training.command, capture, "-o", run, "--preset", options.preset]
     words += ["--seed", str(seed), *training.words]
     if training == SINGLE:
         ours = run_of(options, capture, seed, PARTS_TRAINING)

@@ -14,46 +14,27 @@ import resource
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import Any
 
 # before any GL context: it loads an LLVM that crashes when Mesa's came first
 import torch._dynamo  # noqa: F401
 
-from avatar.gltf.avatar_file import Avatar, Level, read_avatar, write_avatar
+from avatar.gltf.avatar_file import Avatar, read_avatar, write_avatar
 from bake.bake import with_video_textures
-from bake.cone import ViewCone
-from bake.level import BakedLevel, Charted
+from bake.level import level_of_file, places_on_finest
 from bake.run_capture import run_videos
-from bake.seams import chart_edges
 from bake.truth import decibels_by_region, mode_errors, read_true_views
 from experiments.print_bands import print_bands
-from player.context import open_context
-from train.run import lights_of, read_facts
+from player.gl.context import open_context
+from train.run import read_facts
 
 
-class RunFacts(NamedTuple):
-    """Of a run only what its videos need."""
-
-    path: Path
-    provenance: dict[str, Any]
-    lights: dict[str, Any]
-
-
-def baked_level(level: Level) -> BakedLevel:
-    """A level of a file as the bake had it."""
-    uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
-    cone = ViewCone(*(a.astype(np.float64) for a in (level.view_dir, level.view_q, level.view_seen)))
-    charted = Charted(uv, faces, level.positions.astype(np.float64), level.normals.astype(np.float64), cone)
-    _, source = np.unique(level.positions, axis=0, return_inverse=True)
-    return BakedLevel(level, charted, chart_edges(uv, faces, source.reshape(-1)), {})
-
-
-def retextured(avatar: Avatar, run: RunFacts, capture: Path | None) -> tuple[Avatar, dict[str, Any]]:
+def retextured(avatar: Avatar, run: Path, capture: Path | None) -> tuple[Avatar, dict[str, Any]]:
     """The avatar with its textures solved against the videos, and what the solve says of itself."""
-    levels = [baked_level(level) for level in avatar.levels]
-    levels, facts = with_video_textures(levels, avatar.joint_positions, run_videos(run, capture), print)
+    levels = [level_of_file(level) for level in avatar.levels]
+    places = [places_on_finest(level, levels[0]) for level in levels[1:]]
+    videos = run_videos(run, read_facts(run), capture)
+    levels, facts = with_video_textures(levels, places, avatar.joint_positions, videos, print)
     facts["seam_steps"] = [level.facts["seam_step"]["mips"] for level in levels]
     return replace(avatar, levels=tuple(level.level for level in levels)), facts
 
@@ -68,10 +49,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--poses", type=int, help="of each held-out set (default: all)")
     options = parser.parse_args(argv)
     avatar = read_avatar(options.avatar)
-    facts = read_facts(options.run)
-    run = RunFacts(options.run, facts, lights_of(options.run, facts))
     began = time.process_time()
-    new, found = retextured(avatar, run, options.capture)
+    new, found = retextured(avatar, options.run, options.capture)
     found["cpu_seconds"] = round(time.process_time() - began, 1)
     found["peak_memory_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10
     if options.out:

@@ -6,7 +6,7 @@
     no_codes_no_fusion   every part with the mean of its own codes (no Eq. 8), colour switched, not blended (no Eq. 9)
     no_fusion            matched codes, colour switched
     filled_eyes          round the eyes the surface as the head's field learnt it, without train/eye_grid.py
-    one_surface          hair and body as one surface, without train/layers.py (ours where no hair hangs)
+    one_surface          hair and body as one surface, without capture/template/layers.py (ours where no hair hangs)
 
 Switched: the part of the largest weight gives all of the colour, so the border lies in the middle of the overlap,
 where both fields are equally at home. (At the border of the part's box, where the authors' code switches, the
@@ -25,13 +25,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from avatar.skeleton import PARTS
+from capture.fit.refine import with_refined
 from capture.folder import Capture
-from capture.repair.refine import with_refined
-from capture.views import statistics
+from capture.template.parts import part_boxes
+from capture.template.views import statistics
 from train.compose import displayed_surface, view_sums, with_views
 from train.field import PartField
 from train.fused import FusedField
-from train.parts import eq9_shares, part_boxes
+from train.parts import eq9_shares
 from train.run import Run, read_part
 from train.union import in_overlap
 
@@ -68,7 +69,7 @@ def variant(run: Run, capture: Capture, name: str) -> Run:
     if name == "landmarks_only":
         correction = np.asarray(facts["canonical_from_head_field"], np.float64)
         canonical_from_head = np.linalg.solve(correction, canonical_from_head)
-        # the field is learnt where its own video put it (train/head_consistency.py): back to the landmarks' place
+        # the field is learnt where its own video put it (head_consistency.py): back to the landmarks' place
         moved = np.asarray(facts.get("registration", {}).get("own_video", {}).get("moved", np.eye(4)), np.float64)
         canonical_from_head = np.linalg.solve(moved, canonical_from_head)
         head_from_canonical = torch.as_tensor(moved, dtype=torch.float32)

@@ -99,7 +99,7 @@ def closest_points(points: Float[Array, "n 3"], index: TriangleIndex) -> Closest
             first = np.cumsum(counts[piece]) - counts[piece]
             least = np.repeat(np.minimum.reduceat(distance, first), counts[piece])
             hit = np.flatnonzero(distance == least)
-            # of faces equally near the first
+            # the first of faces that are equally near
             row, chosen = np.unique(of[hit], return_index=True)
             best = hit[chosen]
             found.point[row], found.distance[row], found.face[row] = nearest[best], distance[best], tried[best]

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from avatar.errors import AssetError
+from command.errors import AssetError
 from geometry.isosurface import PointFunction
 from geometry.mesh import TriangleMesh, area_normals, compact, component_labels, face_areas, largest_component
 from geometry.repair import find_faults, repair, split_nonmanifold
@@ -117,7 +117,7 @@ def decimate(
     )
 
 
-# of the target, in this order
+# multiples of the target, in this order
 RETRIES = (1.0, 1.03, 0.96, 1.1, 1.2, 0.9)
 # shares of the area
 LOST = 0.003

@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Integer
 from scipy.sparse import diags
 
+from geometry.least_squares import factorised
 from geometry.mesh import component_labels, neighbour_matrix
-from geometry.symmetric import factorised
 
 Array = np.ndarray
 

@@ -22,7 +22,7 @@ class Anchors(NamedTuple):
 
 
 INDEPENDENT = (
-    # a surface learnt from pictures is off in patches: it says about as much as so many free points
+    # a surface trained from pictures is off in patches: it says about as much as so many free points
     50
 )
 
@@ -48,7 +48,7 @@ def refine_by_surfaces(
     surfaces do not determine (a sphere, a plane) is left at zero by truncating the system's small eigenvalues.
 
     With `anchors` the landmarks stay in the sum, each coordinate over its variance, the surfaces as INDEPENDENT
-    points with theirs, and the scale, which Eq. 6 took from a few noisy landmarks, is solved for as well. Under long
+    points with the template's, and the scale, which Eq. 6 took from a few noisy landmarks, is solved too. Under long
     hair little of a head is left to hold the rotation: without them it turned by 2.7 degrees.
 
     Raises:
@@ -103,7 +103,7 @@ def _anchored_step(
     """The small similarity that lowers the sum over surfaces and anchors the most, and how far it moves points."""
     centre = points.mean(0)
     size = max(float(np.abs(points - centre).max()), 1e-12)
-    # of a surface point, from the median of |r|
+    # spread of a surface point, from the median of |r|
     spread = max(1.48 * residual, 1e-4)
     w = w * (INDEPENDENT / w.sum() / spread**2)
     about = (points - centre) / size

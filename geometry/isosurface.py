@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
-from avatar.errors import AssetError
+from command.errors import AssetError
 from geometry.mesh import (
     TriangleMesh,
     concatenated,
@@ -51,7 +51,7 @@ class Extraction(NamedTuple):
     residual: float
     # grid samples of air that were filled
     slits: int
-    # of each vertex; extract makes one layer, numbered 0
+    # the layer of each vertex; extract makes one layer, numbered 0
     layer: Integer[np.ndarray, "vertices"]
 
 
@@ -172,7 +172,7 @@ def front_samples(
 def slits_filled(
     volume: Float[np.ndarray, "x y z"], axes: tuple[np.ndarray, ...], *, reach: float = 2.5
 ) -> tuple[Float[np.ndarray, "x y z"], int]:
-    """Slits of air that end where the field was made solid (capture/solid.py), filled; and how many samples.
+    """Slits of air that end where the field was made solid (capture/template/solid.py), filled; and how many samples.
 
     A sheet inside the body that is joined to the skin is no component of its own. Its air is at most
     2 `reach` samples wide and ends in a jump: there the distance changes sign by far more than the samples are
@@ -240,7 +240,7 @@ def project_to_zero(
     The distance's slope along the normal is one only where the Eikonal term held, so the slope is taken
     from the last two values (Newton with a measured derivative); a step leaves neither `reach` (metres)
     nor the bracket found. The best point visited is returned with its |distance|: a point whose field has
-    no zero within reach stays where it was least far, and its distance tells.
+    no zero within reach stays where it was least far, and its distance shows it.
     """
     n = len(points)
     if directions is None:
@@ -319,7 +319,7 @@ def extract(
         raise AssetError("fused field: distance should change sign, it is positive everywhere (no surface)")
     if not (volume > 0).any():
         raise AssetError("fused field: distance should change sign, it is negative everywhere (no surface)")
-    # before the box's faces are looked at: off the template's band nobody learnt that there is air
+    # before the box's faces are looked at: off the template's band the field was never trained to be air
     if facing is not None:
         volume[front_samples(volume, axes, hints, facing, coarse_step)] = 0.5 * fine_step
     border = min(volume[i, :, :].min() for i in (0, -1))

@@ -1,7 +1,7 @@
 """Triangle meshes: the record, normals, areas, and which vertices hang together."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -76,13 +76,13 @@ def half_edges(faces: Integer[Array, "faces 3"]) -> Integer[Array, "3*faces 2"]:
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
-def neighbour_matrix(faces: Integer[Array, "faces 3"], count: int) -> Any:
+def neighbour_matrix(faces: Integer[Array, "faces 3"], count: int) -> sparse.csr_matrix:
     """Sparse symmetric (count, count) matrix, 1 where two vertices share an edge."""
     edges = half_edges(faces)
     rows, columns = np.concatenate([edges, edges[:, ::-1]]).T
     matrix = sparse.coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
     matrix.data[:] = 1.0
-    return matrix
+    return sparse.csr_matrix(matrix)
 
 
 def component_labels(faces: Integer[Array, "faces 3"], count: int) -> Integer[Array, "vertices"]:

@@ -13,7 +13,7 @@ Array = np.ndarray
 CANDIDATES = 1 << 20
 
 
-class Fragments(NamedTuple):
+class FaceBuffer(NamedTuple):
     """What each pixel centre sees."""
 
     # -1 where there is nothing
@@ -24,7 +24,7 @@ class Fragments(NamedTuple):
 
 def rasterise(
     vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], camera: Camera, *, near: float = 1e-3
-) -> Fragments:
+) -> FaceBuffer:
     """The nearest triangle through every pixel centre; both sides are drawn.
 
     1/depth is linear on the image of a triangle, so it is what is interpolated and compared. Triangles with a
@@ -48,7 +48,7 @@ def rasterise(
     for chosen in np.split(drawn, np.flatnonzero(np.diff(group)) + 1):
         _draw(face, closeness, chosen, corner, 1 / np.maximum(z, near), area, low, size, width)
     with np.errstate(divide="ignore"):
-        return Fragments(face.reshape(height, width), (1 / closeness).reshape(height, width))
+        return FaceBuffer(face.reshape(height, width), (1 / closeness).reshape(height, width))
 
 
 def _draw(

@@ -1,6 +1,6 @@
 """Closed, oriented 2-manifolds: what keeps a mesh from being one, and its repair.
 
-trimesh tells whether a mesh is watertight and fills holes of three or four edges; it neither finds vertices at which
+trimesh reports whether a mesh is watertight and fills holes of three or four edges; it neither finds vertices at which
 two fans touch nor separates sheets that share an edge.
 """
 
@@ -11,7 +11,7 @@ from jaxtyping import Integer
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from avatar.errors import AssetError
+from command.errors import AssetError
 from geometry.mesh import TriangleMesh, half_edges, largest_component
 
 

@@ -7,19 +7,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from player.filming.render import render
-    from player.motions import motion_for
-    from player.offscreen import OffscreenRenderer
-    from player.render_command import RenderCommand
-    from player.scenes.effects import Background, Effects
+    from player.film.command import RenderCommand
+    from player.film.render import render
+    from player.scene.effects import Background, Effects
+    from player.scene.motions import motion_for
+    from player.scene.offscreen import OffscreenRenderer
 
 _PUBLIC = {
-    "motion_for": "player.motions",
-    "OffscreenRenderer": "player.offscreen",
-    "RenderCommand": "player.render_command",
-    "render": "player.filming.render",
-    "Background": "player.scenes.effects",
-    "Effects": "player.scenes.effects",
+    "motion_for": "player.scene.motions",
+    "OffscreenRenderer": "player.scene.offscreen",
+    "RenderCommand": "player.film.command",
+    "render": "player.film.render",
+    "Background": "player.scene.effects",
+    "Effects": "player.scene.effects",
 }
 __all__ = ["Background", "Effects", "OffscreenRenderer", "RenderCommand", "motion_for", "render"]
 

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from avatar.camera import Camera, orbit_camera
-from avatar.errors import AssetError
-from player.context import Context, Egl, EglDevice, NoContextError, _library, open_context
+from command.errors import AssetError
+from player.gl.context import Context, Egl, EglDevice, NoContextError, _library, open_context
 
 # what lacks when a library does not load: its package on Debian and Ubuntu, Fedora, Arch; what it is for
 LIBRARIES = {
@@ -38,7 +38,7 @@ EXTRAS = {
     "live": ("websockets",),
     "cluster": ("distributed",),
     "train": ("torch", "scipy", "skimage", "trimesh", "rtree"),
-    "bake": ("xatlas", "fast_simplification", "onnx", "onnxruntime"),
+    "bake": ("xatlas", "fast_simplification", "onnx"),
     "bench": ("matplotlib", "flip_evaluator"),
     "inspect": ("pyvista",),
 }
@@ -121,7 +121,7 @@ def distribution(release: Path = Path("/etc/os-release")) -> int:
 
 
 def vendor_files() -> list[Path]:
-    """The files that tell libEGL which drivers there are, as libglvnd finds them."""
+    """The files that name libEGL's drivers, as libglvnd finds them."""
     named = os.environ.get(VENDOR_VARIABLES[0])
     if named:
         return [Path(name) for name in named.split(":") if name]
@@ -186,7 +186,7 @@ def hints(
 
 def encoders() -> list[str]:
     """Which H.264 encoder a film takes, and why not the ones before it."""
-    from player.filming.encoder import chosen_encoder
+    from player.film.encoder import chosen_encoder
 
     encoder, refused = chosen_encoder(".mp4", "auto", (640, 640))
     return [encoder.name, *refused]
@@ -246,8 +246,8 @@ def compare(avatar_path: str | None = None, size: int = 512) -> dict[str, Any]:
     Equal means: no channel differs by more than 1/255 outside the pixels at the silhouette. The window is a real
     one where there is a display, and glfw's null platform with OSMesa.
     """
-    from player.ladder import views_of
-    from player.scenes.opened import opened_avatar
+    from player.budget.ladder import views_of
+    from player.scene.opened import opened_avatar
 
     avatar = opened_avatar(avatar_path or "mannequin")
     views = views_of(avatar)
@@ -295,7 +295,7 @@ def _pose() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _off_screen(kind: str, avatar: Any, view: str, camera: Camera) -> DrawnFrame:
-    from player.renderer import Renderer
+    from player.scene.renderer import Renderer
 
     with open_context(kind) as context:
         renderer = Renderer(context, [avatar], camera.size, view=view)
@@ -305,7 +305,7 @@ def _off_screen(kind: str, avatar: Any, view: str, camera: Camera) -> DrawnFrame
 def _in_window(avatar: Any, views: Sequence[str], camera: Camera, *, null: bool) -> list[DrawnFrame]:
     import glfw
 
-    from player.renderer import Renderer
+    from player.scene.renderer import Renderer
     from player.window.screen import ScreenReader, open_window, window_context
 
     glfw.init_hint(glfw.PLATFORM, glfw.PLATFORM_NULL if null else glfw.ANY_PLATFORM)

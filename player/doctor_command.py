@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from avatar.files import whole_file
-from avatar.settings import Help, Option, parse
+from command.command_line import Help, Option, parse
+from files.whole import whole_file
 
 
 @dataclass(frozen=True)

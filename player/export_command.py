@@ -6,19 +6,20 @@ from typing import Annotated
 
 import numpy as np
 
-from avatar.errors import AssetError
-from avatar.files import check_file
 from avatar.gltf.animation import write_animated
 from avatar.gltf.avatar_file import read_avatar
 from avatar.motion.amass import write_amass
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip, Motion
 from avatar.motion.hands import HANDS
-from avatar.progress import counted, progress
-from avatar.settings import Help, OneOf, Option, parse
-from player.arguments import GROUND_HELP, HANDS_HELP, parse_frames
-from player.motions import BLOCK, frame_range, ground_for, motion_for
-from player.scenes.scene import GROUNDS
+from command.command_line import Help, Option, parse
+from command.errors import AssetError
+from command.progress import plural, progress
+from command.settings import OneOf
+from files.whole import check_file
+from player.scene.arguments import GROUND_HELP, HANDS_HELP, parse_frames
+from player.scene.motions import BLOCK, frame_range, ground_for, motion_for
+from player.scene.scene import GROUNDS
 
 EXAMPLES = """examples
   selfscan export me.glb --motion counting -o me_counting.glb     for Blender, three.js and others
@@ -99,7 +100,7 @@ def export_main(argv: list[str]) -> int:
         print(note)
     seconds = (stop - start) / motion.rate
     size = out.stat().st_size / 1e6
-    print(f"{out}: {counted(stop - start, 'frame')} at {motion.rate:g} per second ({seconds:.1f} s), {size:.1f} MB")
+    print(f"{out}: {plural(stop - start, 'frame')} at {motion.rate:g} per second ({seconds:.1f} s), {size:.1f} MB")
     return 0
 
 

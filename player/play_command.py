@@ -9,24 +9,37 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from avatar.baked_avatar import Avatar
-from avatar.errors import AssetError
-from avatar.interrupt import deferred_stop
 from avatar.motion.hands import HANDS
-from avatar.settings import AtLeast, Help, OneOf, Option, parse
 from avatar.skeleton import PARTS
-from player.address import Address, parse_address
-from player.arguments import EFFECTS, GROUND_HELP, HANDS_HELP, parse_background, parse_size, with_effects
+from command.command_line import Help, Option, parse
+from command.errors import AssetError
+from command.interrupt import deferred_stop
+from command.settings import AtLeast, OneOf
 from player.budget.rungs import parse_budget
-from player.context import NoContextError
+from player.effects.background import Background
+from player.gl.context import NoContextError
 from player.live.command import LiveCommand
-from player.motions import beside
-from player.passes.background import Background
-from player.scenes.scene import GROUNDS, Scene, SceneAvatar, SceneCamera
+from player.scene.address import Address, parse_address
+from player.scene.arguments import (
+    CAMERA,
+    EFFECTS,
+    GROUND_HELP,
+    HANDS_HELP,
+    LOOKS,
+    MACHINE,
+    TIME,
+    WHO,
+    parse_background,
+    parse_size,
+    with_effects,
+)
+from player.scene.motions import beside
+from player.scene.scene import GROUNDS, Scene, SceneAvatar, SceneCamera
 from player.window.help import command_line_help
 
 if TYPE_CHECKING:
-    from player.gui.panels import Panels
-    from player.window.parts import Parts
+    from player.window.panels.panels import Panels
+    from player.window.parts import WindowParts
 
 EXAMPLES = """examples
   selfscan play me.glb                                      the counting motion
@@ -59,67 +72,65 @@ class PlayCommand:
     """
 
     avatar: Annotated[
-        tuple[str, ...],
-        Option(positional=True, metavar="AVATAR", several=True),
-        "avatar file (.glb) or .vrm; several stand side by side",
+        tuple[str, ...], Option(positional=True, metavar="AVATAR", several=True),
+        "avatar file (.glb); several stand side by side"
     ] = ()
     scene: Annotated[
-        str | None, Option(metavar="FILE"), "scene file (.toml) instead of AVATAR, --motion and --live"
+        str | None, WHO, Option(metavar="FILE"), "scene file (.toml) instead of AVATAR, --motion and --live"
     ] = None
     motion: Annotated[
-        tuple[str, ...],
-        Option(metavar="FILE", repeated=True),
-        "pose file, folder of frames, counting (default) or walking: one for all avatars, or once for each, in order",
+        tuple[str, ...], WHO, Option(metavar="FILE", repeated=True),
+        "pose file, folder of frames, counting (default) or walking: one for all avatars, or once for each, in order"
     ] = ()
     at: Annotated[
-        tuple[tuple[float, float, float, float], ...],
+        tuple[tuple[float, float, float, float], ...], WHO.rare,
         Option(metavar="X,Y,Z[,DEG]", parse=parse_place, repeated=True),
-        "where an avatar stands, metres, and how it is turned; once for each, in order",
+        "where an avatar stands, metres, and how it is turned; once for each, in order"
     ] = ()
     capture: Annotated[
-        str | None,
-        Option(metavar="CAPTURE"),
-        "look through the cameras of this capture, its video behind the avatar",
+        str | None, WHO, Option(metavar="CAPTURE"),
+        "look through the cameras of this capture, its video behind the avatar"
     ] = None
-    part: Annotated[str, OneOf(PARTS), "which video of the capture"] = "body"
-    camera_path: Annotated[str | None, Option(metavar="FILE"), "a path of camera keys (.json) to look along"] = None
+    part: Annotated[str, WHO.rare, OneOf(PARTS), "which video of the capture"] = "body"
+    camera_path: Annotated[
+        str | None, CAMERA.rare, Option(metavar="FILE"), "a path of camera keys (.json) to look along"
+    ] = None
     body: Annotated[
-        str | None, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
+        str | None, WHO.rare, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
     ] = None
-    hands: Annotated[str, OneOf(HANDS), HANDS_HELP] = "file"
-    ground: Annotated[str, OneOf(GROUNDS), GROUND_HELP] = "auto"
+    hands: Annotated[str, WHO.rare, OneOf(HANDS), HANDS_HELP] = "file"
+    ground: Annotated[str, WHO.rare, OneOf(GROUNDS), GROUND_HELP] = "auto"
     size: Annotated[
-        tuple[int, int] | None,
-        AtLeast(1),
-        Option(metavar="WxH", parse=parse_size),
-        "of the window (default: 1280x800)",
+        tuple[int, int] | None, MACHINE.rare, AtLeast(1), Option(metavar="WxH", parse=parse_size),
+        "of the window (default: 1280x800)"
     ] = None
-    effects: Annotated[Mapping[str, Any], EFFECTS, "what is asked of the effects, by field"] = field(
+    effects: Annotated[Mapping[str, Any], LOOKS, EFFECTS, "what is asked of the effects, by field"] = field(
         default_factory=dict
     )
     background: Annotated[
-        Background | None,
-        Option(metavar="#rrggbb|FILE", parse=parse_background),
-        "colour (default #2b2d33), a picture, film or panorama (.hdr)",
+        Background | None, LOOKS, Option(metavar="#rrggbb|FILE", parse=parse_background),
+        "colour (default #2b2d33), a picture, film or panorama (.hdr)"
     ] = None
     budget: Annotated[
-        float | None,
-        Option(metavar="8ms", parse=parse_budget),
-        "view mode and level are the most exact whose frames take no longer on this machine, and follow how busy it is",
+        float | None, TIME, Option(metavar="8ms", parse=parse_budget),
+        "view mode and level are the most exact whose frames take no longer on this machine, and follow how busy it is"
     ] = None
-    level_by_size: Annotated[bool, "coarser levels of detail for avatars that are small on the screen"] = False
-    gui: Annotated[bool, Option(("--no-gui",)), "no panels, only keys and a line of text (as without imgui-bundle)"] = (
-        True
-    )
-    platform: Annotated[str, OneOf(("auto", "null")), "null: no display, drawn by OSMesa in memory (for tests)"] = (
-        "auto"
-    )
+    level_by_size: Annotated[
+        bool, TIME.rare, "coarser levels of detail for avatars that are small on the screen"
+    ] = False
+    gui: Annotated[
+        bool, MACHINE.rare, Option(("--no-gui",)), "no panels, only keys and a line of text (as without imgui-bundle)"
+    ] = True
+    platform: Annotated[
+        str, MACHINE.rare, OneOf(("auto", "null")), "null: no display, drawn by OSMesa in memory (for tests)"
+    ] = "auto"
     script: Annotated[
-        str | None,
-        Option(metavar="WORDS"),
-        "words done one a frame, as 'space . click:300:200'; then the window closes",
+        str | None, MACHINE.rare, Option(metavar="WORDS"),
+        "words done one a frame, as 'space . click:300:200'; then the window closes"
     ] = None
-    screenshot: Annotated[str | None, Option(metavar="FILE"), "write the last frame shown to a .png"] = None
+    screenshot: Annotated[
+        str | None, MACHINE.rare, Option(metavar="FILE"), "write the last frame shown to a .png"
+    ] = None
     source: Annotated[LiveCommand, "live poses"] = field(default_factory=LiveCommand)
 
     def __post_init__(self):
@@ -142,7 +153,8 @@ class PlayCommand:
 PLAY = Help(
     "selfscan play",
     "Avatars in a window: orbit, scrub, pick, film, compare with the video.",
-    f"{EXAMPLES}\n{command_line_help()}\ndocs/play.md has more",
+    f"{EXAMPLES}\nh in the window lists keys and gestures; docs/play.md has more",
+    command_line_help(),
 )
 
 
@@ -158,7 +170,7 @@ def play_main(argv: list[str]) -> int:
 def scene_of(command: PlayCommand) -> Scene:
     """The scene that the command asks for; its options override what a scene file says."""
     if command.scene:
-        from player.scenes.scene_file import read_scene
+        from player.scene.scene_file import read_scene
 
         scene = read_scene(command.scene)
     else:
@@ -198,7 +210,7 @@ def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:
 
 def play_scene(scene: Scene, command: PlayCommand) -> int:
     """Open the scene's files and sources, then the window."""
-    from player.scenes.opened import opened_avatars
+    from player.scene.opened import opened_avatars
     from player.window.show import opened_show
 
     # glfw only when a window is asked for
@@ -222,16 +234,15 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             script=None if command.script is None else command.script.split(),
             screenshot=command.screenshot,
             budget=None if command.budget is None else (command.budget, [entry.path for entry in scene.avatars]),
-            level_by_size=scene.level_by_size,
         )
 
 
-def installed_panels() -> "Callable[[Parts], Panels] | None":
+def installed_panels() -> "Callable[[WindowParts], Panels] | None":
     """What makes the panels; None where imgui-bundle is not installed: then there are keys and a line of text."""
     try:
         # an exception from a signal handler inside the extension's initialisation would abort the process
         with deferred_stop() as stop:
-            from player.gui.panels import Panels
+            from player.window.panels.panels import Panels
         stop.check()
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] != "imgui_bundle":
@@ -263,4 +274,4 @@ def _listening(address: Address, command: PlayCommand, avatars: Sequence[Avatar]
         latency=live.latency,
         calibrate_after=live.calibrate,
     )
-    return live_session(asked, avatars, [np.zeros(3)] * len(avatars))  # places are the scene's
+    return live_session(asked, avatars)

@@ -5,16 +5,17 @@ from pathlib import Path
 from typing import Annotated
 
 from avatar.baked_avatar import Avatar
-from avatar.errors import AssetError
-from avatar.files import check_file, whole_file
 from avatar.motion.clip import Motion
 from avatar.motion.hands import HANDS
-from avatar.progress import counted
-from avatar.settings import Help, OneOf, Option, parse
-from player.arguments import GROUND_HELP, HANDS_HELP, parse_frames
-from player.motions import frame_range, ground_for, motion_for
-from player.scenes.opened import opened_avatar
-from player.scenes.scene import GROUNDS
+from command.command_line import Help, Option, parse
+from command.errors import AssetError
+from command.progress import plural
+from command.settings import OneOf
+from files.whole import check_file, whole_file
+from player.scene.arguments import GROUND_HELP, HANDS_HELP, parse_frames
+from player.scene.motions import frame_range, ground_for, motion_for
+from player.scene.opened import opened_avatar
+from player.scene.scene import GROUNDS
 
 EXAMPLES = """examples
   selfscan web me.glb -o me.html                                  the counting motion
@@ -73,7 +74,7 @@ def web_main(argv: list[str]) -> int:
     for note in motion.notes:
         print(note)
     size = command.output.stat().st_size / 1e6
-    print(f"{command.output}: {size:.1f} MB, {counted(stop - start, 'frame')}; {parts_summary(written)}")
+    print(f"{command.output}: {size:.1f} MB, {plural(stop - start, 'frame')}; {parts_summary(written)}")
     return 0
 
 

@@ -8,8 +8,8 @@ import tempfile
 import traceback
 from difflib import get_close_matches
 
-from avatar.errors import AssetError, missing_package
-from avatar.interrupt import StopRequest, prompt_stop
+from command.errors import AssetError, missing_package
+from command.interrupt import StopRequest, prompt_stop
 from selfscan.streams import exit_code, guard_streams
 
 USAGE = """usage: selfscan COMMAND ...
@@ -40,7 +40,8 @@ judge it
 shows where an error arose. Try `selfscan render avatar.glb --motion counting -o film.mp4`.
 """
 COMMANDS = re.findall(r"^  ([a-z]+) ", USAGE, re.MULTILINE)
-PACKAGES = ("avatar", "geometry", "capture", "train", "player", "bake", "shaders", "synth", "bench", "experiments")
+PACKAGES = ("files", "command", "avatar", "geometry", "capture", "train", "player", "bake", "shaders", "synth", "bench",
+            "experiments")
 # what a command needs beyond the base install
 EXTRAS = {
     "synth": "bench", "import": "train", "check": "train", "train": "train",
@@ -132,21 +133,21 @@ def _dispatch(name: str, rest: list[str]) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         if name == "synth":
-            from synth.command import main as run
+            from synth.options import main as run
         elif name == "import":
-            from capture.imports.command import main as run
+            from capture.read.command import main as run
         elif name == "check":
-            from capture.check.command import main as run
+            from capture.check.options import main as run
         elif name == "train":
             from train.command import main as run
         elif name == "bake":
             from bake.command import main as run
         elif name == "eval":
-            from bench.quality import eval_main as run
+            from bench.eval_command import eval_main as run
         elif name == "bench":
-            from bench.report import bench_main as run
+            from bench.bench_command import bench_main as run
         elif name == "render":
-            from player.render_command import render_main as run
+            from player.film.command import render_main as run
         elif name == "play":
             from player.play_command import play_main as run
         elif name == "export":
@@ -154,7 +155,7 @@ def _dispatch(name: str, rest: list[str]) -> int:
         elif name == "web":
             from player.web_command import web_main as run
         elif name == "inspect":
-            from bench.inspect.command import inspect_main as run
+            from bench.inspect.options import inspect_main as run
         elif name == "stream":
             from player.live.command import stream_main as run
         elif name == "doctor":
@@ -164,15 +165,16 @@ def _dispatch(name: str, rest: list[str]) -> int:
             meant = f"did you mean {near[0]}? " if near else ""
             print(f"selfscan: no command {name!r}; {meant}`selfscan --help` lists all", file=sys.stderr)
             return 2
+        if name in DRAWING:
+            from player.gl.memory import give_back_freed_memory
+
+            give_back_freed_memory()
+        # a command imports what it needs once its arguments are read
+        return run(rest)
     except ModuleNotFoundError as error:
         if error.name and error.name.split(".")[0] in PACKAGES:
             raise
         raise missing_package(error.name, EXTRAS.get(name, "gui")) from None
-    if name in DRAWING:
-        from player.memory import give_back_freed_memory
-
-        give_back_freed_memory()
-    return run(rest)
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""GLSL only: .glsl is included, .vert and .frag are compiled. Read by player/shader.py."""
+"""GLSL only: .glsl is included, .vert and .frag are compiled. Read by player/gl/shader.py."""

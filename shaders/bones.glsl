@@ -1,4 +1,4 @@
-// Bones of the one avatar that is drawn. Mirrored by player/blocks.py, BONES; of many copies: copies_bones.glsl.
+// Bones of the one avatar that is drawn. Mirrored by player/gl/blocks.py, BONES.
 #include "bone_count.glsl"
 
 layout(std140, row_major) uniform Bones {

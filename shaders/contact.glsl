@@ -1,5 +1,5 @@
-// How much of the sky above a surface a body's capsules leave, player/contact_capsules.py. View space, metres.
-// Mirrored by player/blocks.py, CAPSULES.
+// How much of the sky above a surface a body's capsules leave, player/effects/contact_capsules.py. View space, metres.
+// Mirrored by player/gl/blocks.py, CAPSULES.
 layout(std140) uniform Capsules {
     vec4 capsule_start[16];  // and its radius; 0: there is none
     vec4 capsule_along[16];  // to its other end; 1 / its length squared

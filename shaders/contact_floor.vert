@@ -1,6 +1,6 @@
 #version 330
-// The cells of the ground that a body's capsules can darken: corners of a grid, of which player/passes/contact.py lists
-// the triangles. What is high above the ground hides the sky smoothly from cell to cell: it is looked at here.
+// The cells of the ground that a body's capsules can darken: corners of a grid, of which player/effects/contact.py
+// lists the triangles. What is high above the ground hides the sky smoothly from cell to cell: it is looked at here.
 #include "contact.glsl"
 
 const int CELLS = 24;  // each way; mirrored there

@@ -1,5 +1,4 @@
-// t q / 2 of the bones of the one avatar that is drawn, xyzw. Mirrored by player/blocks.py, DUALS; of many copies:
-// copies_duals.glsl.
+// t q / 2 of the bones of the one avatar that is drawn, xyzw. Mirrored by player/gl/blocks.py, DUALS.
 #include "bone_count.glsl"
 
 layout(std140) uniform Duals {

@@ -1,4 +1,4 @@
-// Per-frame constants, one copy for every pass. Mirrored by player/blocks.py, FRAME.
+// Per-frame constants, one copy for every pass. Mirrored by player/gl/blocks.py, FRAME.
 // View space is the world seen from the eye: right-handed, +y up, looking down -z, metres. All posing goes
 // straight into it (skinning.glsl), in double precision up to the last step, so a body 10 km from the origin
 // of the world does not tremble.

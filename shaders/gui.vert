@@ -1,5 +1,5 @@
 #version 330
-// Triangles of the panels, in window coordinates from the upper left corner. player/gui/draw.py.
+// Triangles of the panels, in window coordinates from the upper left corner. player/window/panels/draw.py.
 
 uniform vec4 window;  // left, top, width, height in window coordinates
 

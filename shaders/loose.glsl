@@ -1,8 +1,8 @@
-// Hair, skirts and sleeves: how far a vertex is moved from where it is skinned to (player/loose_motion.py).
+// Hair, skirts and sleeves: how far a vertex is moved from where it is skinned to (player/effects/loose_motion.py).
 //
 //     x_view = skinned(x) + sum_k f_k o_k      o_k: offset of the k-th particle near it, f_k: how far it follows
 //
-// Mirrored by player/blocks.py, LOOSE. Skin follows by 0.
+// Mirrored by player/gl/blocks.py, LOOSE. Skin follows by 0.
 layout(std140) uniform Loose {
     vec4 loose_offset[300];  // view, metres; w unused
 };

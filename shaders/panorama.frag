@@ -1,6 +1,6 @@
 #version 330
 // The surroundings as the camera sees them: a panorama (equirectangular, linear light) looked up along each pixel's
-// ray. Drawn when the camera turns, at the size of the image; frames copy the result. player/passes/panorama.py.
+// ray. Drawn when the camera turns, at the size of the image; frames copy the result. player/effects/panorama.py.
 //
 //     d = world_from_camera K^-1 (x, y, 1)
 //     u = 1/2 + atan(d_x, -d_z) / 2 pi      v = 1/2 - asin(d_y) / pi      (v down; the middle looks along -z)

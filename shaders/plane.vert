@@ -1,5 +1,5 @@
 #version 330
-// A rectangle of a level plane. Mirrored by player/ground_plane.py, which multiplies in double precision.
+// A rectangle of a level plane. Mirrored by player/effects/ground_plane.py, which multiplies in double precision.
 
 uniform vec4 clip_from_plane[3];  // of x, of z, of the anchor
 uniform vec4 reach;               // x0, z0, x1, z1 about the anchor, metres

@@ -1,5 +1,5 @@
 #version 330
-// Measuring rasteriser: which triangle covers a pixel, where on it, and how deep. player/raster.py, Rasteriser.
+// Measuring rasteriser: which triangle covers a pixel, where on it, and how deep. player/draw/raster.py, Rasteriser.
 // Vertices come unshared, three per triangle, already in view space (+y up, looking down -z, metres).
 
 uniform mat4 clip_from_view;

@@ -1,6 +1,6 @@
 #version 330
 // The cells of a shadow mask that a shadow can reach, one an instance, on a level plane: in software a pixel of shadow
-// costs more than the body's, and most of the mask is empty. Mirrored by player/passes/ground.py.
+// costs more than the body's, and most of the mask is empty. Mirrored by player/effects/shadow.py.
 const int CELL = 4;  // mip whose texels are the cells
 
 uniform vec4 clip_from_plane[3];  // as in plane.vert

@@ -1,5 +1,5 @@
 #version 330
-// Rectangles of the image, one an instance, each pixel in one of them at most. player/tiles.py makes them.
+// Rectangles of the image, one an instance, each pixel in one of them at most. player/gl/tiles.py makes them.
 
 uniform vec2 image_size;  // pixels
 

@@ -1,5 +1,5 @@
-// Rotations of the bones of the one avatar that is drawn, quaternions xyzw. Mirrored by player/blocks.py, TURNS; of
-// many copies: copies_turns.glsl.
+// Rotations of the bones of the one avatar that is drawn, quaternions xyzw. Mirrored by
+// player/gl/blocks.py, TURNS.
 #include "bone_count.glsl"
 
 layout(std140) uniform Turns {

@@ -1,5 +1,5 @@
 // Linear view dependence:  residual = (sum_i f_i M_i) t'  with four global 3x3 matrices over the four features.
-// LINEAR_0 .. LINEAR_3 are constants of one avatar, written by player/constants.py.
+// LINEAR_0 .. LINEAR_3 are constants of one avatar, written by player/gl/constants.py.
 #include "linear_constants.glsl"
 
 vec3 view_residual(vec4 features, vec3 tangent) {

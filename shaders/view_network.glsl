@@ -3,7 +3,7 @@
 //     x = [features, t', |t'|]    h = max(W1 x + b1, 0)    y = W2 h + b2    residual = A |t'| y / (1 + |y|)
 //
 // At t' = 0 the residual is 0 whatever the weights, and it never exceeds A |t'|: softsign has no exponential to
-// overflow. The weights are constants of one avatar, written by player/constants.py: literals measured 3-6 times
+// overflow. The weights are constants of one avatar, written by player/gl/constants.py: literals measured 3-6 times
 // faster than uniforms on a software rasteriser.
 #include "network_constants.glsl"
 

@@ -1,99 +1,38 @@
 """`selfscan synth`: the four self-scan videos of a person whose mesh is known, and the truth to measure against."""
 
 import json
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
 from avatar.camera import write_cameras
-from avatar.errors import AssetError
-from avatar.files import check_folder, whole_file, whole_folder
-from avatar.progress import Progress
 from avatar.rotation import matrix_from_axis_angle
-from avatar.settings import AtLeast, AtMost, Help, OneOf, Option, check, parse, settings_json
 from avatar.skeleton import PARENTS, PARTS
-from player.context import open_context
-from player.raster import Rasteriser
+from command.errors import AssetError
+from command.progress import Progress
+from command.settings import settings_json
+from files.whole import check_folder, whole_file, whole_folder
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
 from synth.cutout import cut_out
 from synth.film import Shots, disturbed, plan_videos, write_frames
 from synth.head_frame import cameras_in_head_frame, landmarks, scale_of, seeded_similarity
-from synth.light import MODES, light_of
+from synth.light import light_of
+from synth.options import RawConfig, SynthConfig
 from synth.photo import Studio
-from synth.raw.film import FILES, RawConfig, film_raw, mistakes_of, write_truth
+from synth.raw.film import FILES, film_raw, mistakes_of, write_truth
 from synth.subject import SynthSubject, read_subject
-from synth.template import Template, register, shape_only
+from synth.template import RegisteredTemplate, register, shape_only
 from synth.truth import DetectorOf, novel_poses, novel_views, take_set, write_photo, write_rest
 from synth.visibility import visible_faces
 
 # frames per second that the videos claim: a turn of 36 or 72 degrees a second
 RATE = 10.0
-
-
-@dataclass(frozen=True)
-class SynthConfig:
-    """How a self-scan is filmed."""
-
-    size: Annotated[
-        int | None,
-        AtLeast(32),
-        AtMost(4096),
-        "pixels, both sides of every video (default: 256); with --raw the shorter side (1080)",
-    ] = None
-    frames: Annotated[int, AtLeast(4), AtMost(100_000), "frames in each of the four videos"] = 40
-    light: Annotated[
-        str | None,
-        OneOf(MODES),
-        "even: base colour; soft: .75 ambient + .25 key; fixed: .45 + .55 and a highlight; varied: another light in "
-        "each video; room: a window, a lamp, shadows and a camera's exposure (default: even; with --raw room)",
-    ] = None
-    sheen: Annotated[float, AtLeast(0), AtMost(1), Option(metavar="0..1"), "view-dependent shine"] = 0.0
-    pose_noise: Annotated[
-        float, AtLeast(0), AtMost(30), Option(metavar="DEG"), "noise on the poses as written, degrees"
-    ] = 0.0
-    seed: Annotated[int, AtLeast(0), AtMost(2**32 - 1), "of everything drawn by chance"] = 0
-    template: Annotated[
-        str,
-        OneOf(("registered", "shape")),
-        "registered: the free body laid onto the person's surface, with the person's joints and hair; shape: its shape "
-        "coefficients alone, with the joints that they have",
-    ] = "registered"
-    truth: Annotated[bool, Option(("--no-truth",)), "leave out held-out pictures and the subject's mesh"] = True
-
-    def __post_init__(self):
-        check(self)
-
-
-@dataclass(frozen=True)
-class SynthCommand:
-    """`selfscan synth`."""
-
-    subject: Annotated[
-        str,
-        Option(positional=True, metavar="SUBJECT"),
-        "builtin, builtin:female, or a rigged humanoid .glb, .gltf, .vrm",
-    ]
-    out: Annotated[
-        Path,
-        Option(positional=True, metavar="OUT"),
-        "capture folder to write; replaced if synth wrote it before",
-    ]
-    config: Annotated[SynthConfig, "how it is filmed"]
-    raw: Annotated[RawConfig, "how a phone films it"]
-
-
-ABOUT = Help(
-    "selfscan synth",
-    """Film a self-scan of a person whose mesh is known: four videos (body turning in a T-pose, head, each hand) with
-masks, cameras and poses, the registered template, and held-out pictures to measure with. With --raw four video files
-as a phone writes them, for `selfscan import video`: a room behind, noise, a person who sways.""",
-    "example: selfscan synth builtin out/capture && selfscan train out/capture -o out/run",
-)
 
 
 def synth(subject: str, out: Path, config: SynthConfig) -> dict:
@@ -123,7 +62,8 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
             _write_template(folder / "subject.npz", template)
             _film(folder, studio, template, videos, config)
             if config.truth:
-                _take_truth(folder / "truth", studio, visible, config)
+                write_rest(folder / "truth", person, visible)
+                _take_held_out(folder / "truth", studio, config)
             with whole_file(folder / "capture.json", "w") as file:
                 json.dump(facts, file, indent=1)
     for part, shots in videos.items():
@@ -134,7 +74,8 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
 
 
 def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> dict:
-    """Write the four raw videos of a subject, with the truth in out/truth; returns its raw.json.
+    """Write the four raw videos of a subject, with the truth in out/truth, held-out pictures where they are asked for;
+    returns its raw.json.
 
     Raises:
         AssetError: the subject cannot be read, or the folder not be written.
@@ -148,9 +89,10 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
     with _rasteriser() as rasteriser, whole_folder(out) as folder:
         plan = film_raw(folder, Studio(rasteriser, person, 2), lights, config.size, raw, config.seed)
         if config.truth:
-            visible = visible_faces(rasteriser, person.vertices, person.faces)
-            looks = DetectorOf(mistakes_of(raw), config.seed) if raw.keypoints else None
-            _take_truth(folder / "truth", Studio(rasteriser, person), visible, config, looks)
+            write_rest(folder / "truth", person, visible_faces(rasteriser, person.vertices, person.faces))
+            if raw.held_out:
+                looks = DetectorOf(mistakes_of(raw), config.seed) if raw.keypoints else None
+                _take_held_out(folder / "truth", Studio(rasteriser, person), config, looks)
         write_truth(folder, plan, facts)
     for part, shots in plan.items():
         width, height = shots.camera.size
@@ -193,7 +135,7 @@ def load_subject(name: str) -> SynthSubject:
     return replace(person, name=f"builtin:{sex}", notes=())
 
 
-def _facts(person: SynthSubject, template: Template, config: SynthConfig) -> dict:
+def _facts(person: SynthSubject, template: RegisteredTemplate, config: SynthConfig) -> dict:
     return {
         "format": "selfscan-capture",
         "version": 1,
@@ -216,7 +158,7 @@ def _facts(person: SynthSubject, template: Template, config: SynthConfig) -> dic
     }
 
 
-def _write_template(path: Path, template: Template) -> None:
+def _write_template(path: Path, template: RegisteredTemplate) -> None:
     # any, as savez has a keyword that is no array
     fields: dict[str, Any] = {
         "v_template": template.vertices,
@@ -236,7 +178,9 @@ def _write_template(path: Path, template: Template) -> None:
         np.savez_compressed(file, **fields)
 
 
-def _film(folder: Path, studio: Studio, template: Template, videos: dict[str, Shots], config: SynthConfig) -> None:
+def _film(
+    folder: Path, studio: Studio, template: RegisteredTemplate, videos: dict[str, Shots], config: SynthConfig
+) -> None:
     """Take the four videos and write them with the cameras, poses and facts that training reads."""
     done, report = 0, Progress("filming", sum(len(shots.root) for shots in videos.values()))
     for part, shots in videos.items():
@@ -273,11 +217,8 @@ def _film(folder: Path, studio: Studio, template: Template, videos: dict[str, Sh
             )
 
 
-def _take_truth(
-    folder: Path, studio: Studio, visible: np.ndarray, config: SynthConfig, looks: DetectorOf | None = None
-) -> None:
-    """The subject's mesh and the held-out pictures, in the light of the body video; keypoints where a detector is."""
-    write_rest(folder, studio.subject, visible)
+def _take_held_out(folder: Path, studio: Studio, config: SynthConfig, looks: DetectorOf | None = None) -> None:
+    """The held-out pictures, in the light of the body video; keypoints where a detector is."""
     light = light_of(config.light or "even", "body", config.seed)
     sets = {"novel_pose": novel_poses(config.seed), "novel_view": novel_views(config.seed)}
     finer = Studio(studio.rasteriser, studio.subject, supersample=2)
@@ -288,17 +229,3 @@ def _take_truth(
         ):
             done += 1
             report.update(done, picture)
-
-
-def main(argv: Sequence[str]) -> int:
-    """The command line; see `selfscan synth --help`."""
-    command = parse(SynthCommand, argv, ABOUT)
-    began = time.monotonic()
-    if command.raw.raw:
-        synth_raw(command.subject, command.out, command.config, command.raw)
-        print(f"{command.out}: four videos in {time.monotonic() - began:.0f} s")
-        return 0
-    synth(command.subject, command.out, command.config)
-    count = 4 * command.config.frames + (120 if command.config.truth else 0)
-    print(f"{command.out}: {count} pictures in {time.monotonic() - began:.0f} s")
-    return 0

@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.camera import Camera, look_at
-from avatar.files import whole_file
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND, joint_transforms
+from files.whole import whole_file
 from synth.photo import Studio
 from synth.subject import SynthSubject
 

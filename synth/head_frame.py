@@ -15,7 +15,7 @@ from avatar.camera import Camera
 from avatar.rotation import matrix_from_quaternion
 from avatar.skeleton import JOINTS, joint_transforms
 from synth.film import Shots
-from synth.template import Template
+from synth.template import RegisteredTemplate
 
 LANDMARK_NOISE = 0.002  # metres, each axis
 
@@ -41,7 +41,7 @@ def cameras_in_head_frame(
     """The cameras of a video as the head sees them, in the head frame."""
     head = JOINTS.index("head")
     G = joint_transforms(shots.axis_angle, joints.astype(np.float64), shots.root)[:, head]
-    # of what moves with the head: x_world = R (x - J_head) + G_head
+    # what moves with the head: x_world = R (x - J_head) + G_head
     world_from_canonical = G.copy()
     world_from_canonical[:, :3, 3] -= G[:, :3, :3] @ joints[head].astype(np.float64)
     scale = scale_of(head_from_canonical)
@@ -56,7 +56,7 @@ def cameras_in_head_frame(
     return tuple(cameras)
 
 
-def landmark_vertices(template: Template) -> dict[str, int]:
+def landmark_vertices(template: RegisteredTemplate) -> dict[str, int]:
     """Template vertices of a dozen places that a person can point at in pictures of a head; none under hair."""
     rest = template.vertices.astype(np.float64)
     candidates = np.flatnonzero((template.part == 1) & ~template.hair)
@@ -90,7 +90,9 @@ def landmark_vertices(template: Template) -> dict[str, int]:
     return found
 
 
-def landmarks(template: Template, head_from_canonical: Float[np.ndarray, "4 4"], seed: int) -> dict[str, dict]:
+def landmarks(
+    template: RegisteredTemplate, head_from_canonical: Float[np.ndarray, "4 4"], seed: int
+) -> dict[str, dict]:
     """landmarks.json: points in the head frame, LANDMARK_NOISE off, and the template vertices they belong to."""
     vertices = landmark_vertices(template)
     assert len(vertices) >= 6, f"only {sorted(vertices)} of the landmarks are free of hair"

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from synth.options import MODES
 from synth.room import ROOM, Room
-
-MODES = ("even", "soft", "fixed", "varied", "room")
 
 
 @dataclass(frozen=True)
-class Light:
+class StudioLight:
     """A light that stands still in the world while the person moves."""
 
     ambient: float
@@ -25,7 +24,7 @@ class Light:
     specular: float = 0.0
 
 
-def light_of(mode: str, video: str, seed: int) -> Light | Room:
+def light_of(mode: str, video: str, seed: int) -> StudioLight | Room:
     """The light of one video. "varied" gives every video another light; the others share one.
 
     Raises:
@@ -33,17 +32,17 @@ def light_of(mode: str, video: str, seed: int) -> Light | Room:
     """
     front = (0.45, 0.65, 0.6)
     if mode == "even":
-        return Light(1.0, 0.0, front)
+        return StudioLight(1.0, 0.0, front)
     if mode == "soft":
-        return Light(0.75, 0.25, front)
+        return StudioLight(0.75, 0.25, front)
     if mode == "fixed":
-        return Light(0.45, 0.55, front, specular=0.1)
+        return StudioLight(0.45, 0.55, front, specular=0.1)
     if mode == "varied":
         rng = np.random.default_rng([seed, *video.encode()])
         azimuth, elevation = rng.uniform(-1.2, 1.2), rng.uniform(0.2, 1.0)
         x, y = np.sin(azimuth) * np.cos(elevation), np.sin(elevation)
         ambient = float(rng.uniform(0.45, 0.8))
-        return Light(ambient, 1 - ambient, (float(x), float(y), float(np.cos(azimuth) * np.cos(elevation))), 0.05)
+        return StudioLight(ambient, 1 - ambient, (float(x), float(y), float(np.cos(azimuth) * np.cos(elevation))), 0.05)
     if mode == "room":
         return ROOM
     raise ValueError(f"light should be one of {MODES}, is {mode!r}")
@@ -53,7 +52,7 @@ def shade(
     base: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
     towards_eye: Float[np.ndarray, "n 3"],
-    light: Light,
+    light: StudioLight,
     sheen: float,
 ) -> Float[np.ndarray, "n 3"]:
     """Shown colour, 0-255, of points with base colour `base` (0-255); normals and directions are unit vectors.

@@ -13,8 +13,8 @@ from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from avatar.texture import sample_texture
 from geometry.mesh import vertex_normals, weld
-from player.raster import Rasteriser
-from synth.light import Light, shade, sheen_of
+from player.draw.raster import Rasteriser
+from synth.light import StudioLight, shade, sheen_of
 from synth.room import Room, RoomLighting, VertexLight, shade_in_room
 from synth.subject import SynthSubject
 
@@ -30,7 +30,7 @@ class Photo(NamedTuple):
     ]  # 1 + part (index in PARTS) that covers most of the pixel, 0 outside the mask
 
 
-class Exposure(NamedTuple):
+class ExposedPicture(NamedTuple):
     """A picture to lay over another one: color + (1 - coverage) * what lies behind."""
 
     color: Float[np.ndarray, "height width 3"]  # sRGB 0 to 255, times coverage
@@ -55,7 +55,7 @@ class Studio:
         return skin_points(self.subject.vertices, self.subject.skin, transforms)
 
     def take(
-        self, vertices: Float[np.ndarray, "vertices 3"], camera: Camera, light: Light | Room, sheen: float
+        self, vertices: Float[np.ndarray, "vertices 3"], camera: Camera, light: StudioLight | Room, sheen: float
     ) -> Photo:
         """A picture of posed vertices."""
         n = self.supersample
@@ -72,21 +72,21 @@ class Studio:
         self,
         vertices: Float[np.ndarray, "vertices 3"],
         camera: Camera,
-        light: Light | Room,
+        light: StudioLight | Room,
         sheen: float,
         lit: VertexLight | None = None,
-    ) -> Exposure:
+    ) -> ExposedPicture:
         """A picture to lay over another one; `lit`: light in a room that was found before."""
         n = self.supersample
         samples, hit, _ = self._samples(vertices, camera, light, sheen, lit)
         coverage = _block_sum(hit.astype(np.float32), n) / n**2
-        return Exposure(_block_sum(samples, n) / n**2, coverage)
+        return ExposedPicture(_block_sum(samples, n) / n**2, coverage)
 
     def _samples(
         self,
         vertices: Float[np.ndarray, "vertices 3"],
         camera: Camera,
-        light: Light | Room,
+        light: StudioLight | Room,
         sheen: float,
         lit: VertexLight | None,
     ) -> tuple[Float[np.ndarray, "height width 3"], Bool[np.ndarray, "height width"], Int[np.ndarray, "hits"]]:

@@ -18,10 +18,10 @@ from jaxtyping import Bool, Float, Int
 
 from avatar.camera import Camera, look_at, project
 from avatar.rotation import nearest_rotation
-from avatar.srgb import linear_from_srgb, srgb_from_linear
+from avatar.texture import linear_from_srgb, srgb_from_linear
 from geometry.mesh import neighbour_matrix, vertex_normals
 from geometry.sample import fibonacci_sphere
-from player.raster import Rasteriser
+from player.draw.raster import Rasteriser
 
 Array = np.ndarray
 
@@ -35,18 +35,18 @@ OPEN_SIZE = 192
 LIFT = 1.5
 # metres: poses that differ by less are the same body, turned
 SAME_BODY = 2e-5
-# of an ordinary surface seen straight on (Schlick 1994)
+# reflectance of an ordinary surface seen straight on (Schlick 1994)
 REFLECTANCE = 0.04
 
 
 @dataclass(frozen=True)
-class Source:
+class LightSource:
     """A light far off that covers an ellipse of the sky, brightness the same all over it."""
 
     direction: tuple[float, float, float]  # world, towards its middle; of any length
     width: float  # degrees, level
     height: float  # degrees
-    # of a surface that faces a source as strong of no extent; 1 shows the base colour at exposure 1
+    # irradiance of a surface that faces a point source as strong; 1 shows the base colour at exposure 1
     irradiance: float
     # directions that it is cut into, each with a shadow of its own
     samples: int
@@ -70,7 +70,7 @@ class Source:
 class Room:
     """What lights the person, in linear light, and how the camera is exposed (locked, the same for all videos)."""
 
-    sources: tuple[Source, ...]
+    sources: tuple[LightSource, ...]
     # radiance straight above and straight below, linear between by height; 1 all round lights to 1
     ceiling: float
     floor: float
@@ -80,8 +80,8 @@ class Room:
 # a window in front to the left of the camera, a lamp above to the right; a white cloth turned to the window is clipped
 ROOM = Room(
     sources=(
-        Source((-0.75, 0.35, 0.60), width=55.0, height=40.0, irradiance=0.62, samples=12, gloss=14.0),
-        Source((0.60, 0.75, 0.40), width=9.0, height=9.0, irradiance=0.28, samples=3, gloss=60.0),
+        LightSource((-0.75, 0.35, 0.60), width=55.0, height=40.0, irradiance=0.62, samples=12, gloss=14.0),
+        LightSource((0.60, 0.75, 0.40), width=9.0, height=9.0, irradiance=0.28, samples=3, gloss=60.0),
     ),
     ceiling=0.30,
     floor=0.10,
@@ -97,7 +97,7 @@ class Openness(NamedTuple):
     whole: Float[Array, "points 4"]
 
 
-class Lit(NamedTuple):
+class ReceivedLight(NamedTuple):
     """Light at points of a picture."""
 
     irradiance: Float[Array, "n"]
@@ -108,14 +108,14 @@ class VertexLight(NamedTuple):
     """Light on both sides of every vertex: first where normals point to, then behind."""
 
     irradiance: Float[Array, "2 vertices"]  # linear, ambient and sources
-    # of each source, the share of it that is seen
+    # the share of each source that is seen
     seen: Float[Array, "sources 2 vertices"]
 
-    def at(self, corners: Int[Array, "n 3"], weights: Float[Array, "n 3"], behind: Bool[Array, "n"]) -> Lit:
+    def at(self, corners: Int[Array, "n 3"], weights: Float[Array, "n 3"], behind: Bool[Array, "n"]) -> ReceivedLight:
         """Interpolated to points on triangles, of which some are seen from behind."""
         side = behind.astype(np.int64)[:, None]
         irradiance = (self.irradiance[side, corners] * weights).sum(1)
-        return Lit(irradiance, np.stack([(seen[side, corners] * weights).sum(1) for seen in self.seen]))
+        return ReceivedLight(irradiance, np.stack([(seen[side, corners] * weights).sum(1) for seen in self.seen]))
 
 
 def sunlit_share(
@@ -178,7 +178,7 @@ def ambient(
     """Irradiance of ceiling, walls and floor; `up` is the world's +y in the frame of normals and openness.
 
     Unoccluded, radiance a + b d.y gives a + 2/3 b n.y (Ramamoorthi and Hanrahan 2001, Eq. 8); the directions taken
-    tell only which share of it arrives.
+    give only which share of it arrives.
     """
     mean, slope = (room.ceiling + room.floor) / 2, (room.ceiling - room.floor) / 2
     sky = np.append(mean, slope * up)
@@ -253,7 +253,7 @@ def shade_in_room(
     base: Float[Array, "n 3"],
     normals: Float[Array, "n 3"],
     towards_eye: Float[Array, "n 3"],
-    lit: Lit,
+    lit: ReceivedLight,
     room: Room,
 ) -> Float[Array, "n 3"]:
     """Shown colour, 0-255, of points with base colour `base` (0-255, sRGB); clipped where the camera would.

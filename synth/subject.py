@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from avatar.gltf.base_color import read_base_color
 from avatar.gltf.document import Gltf, read_gltf
 from avatar.gltf.rigged import read_rigged
+from avatar.gltf.scene import read_base_color
 from avatar.skeleton import JOINTS, PARTS
 from avatar.skinning import SkinWeights
-from capture.imports.template import part_of
+from capture.read.template import part_of
 
 HAIR_NAME = re.compile(r"wig|hair|ponytail|afro|beard", re.IGNORECASE)
 # eyeballs; lids, lashes, brows and glasses are called after the eye as well
@@ -46,7 +46,7 @@ class SynthSubject:
     licence: str
     # what was assumed in reading, printed by the command
     notes: tuple[str, ...] = ()
-    # vertices of the eyeballs; None: the file does not tell them apart
+    # vertices of the eyeballs; None: the file does not separate them
     eye: Bool[np.ndarray, "vertices"] | None = None
 
 

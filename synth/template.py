@@ -22,12 +22,12 @@ from avatar.body import Body, builtin_body, shaped
 from avatar.rotation import nearest_rotation, rotation_between
 from avatar.skeleton import JOINTS, LEFT_HAND, PARENTS, PARTS, RIGHT_HAND
 from avatar.skinning import SkinWeights, skin_points
-from capture.eyes import RADIUS, body_sockets, fit_sphere
+from capture.template.eyes import RADIUS, body_sockets, fit_sphere
 from geometry.closest import closest_points, triangle_index
-from geometry.mesh import face_normals, vertex_normals
+from geometry.least_squares import factorised
+from geometry.mesh import face_normals, neighbour_matrix, vertex_normals
 from geometry.sample import stratified_samples
-from geometry.symmetric import factorised
-from player.raster import Rasteriser
+from player.draw.raster import Rasteriser
 from synth.subject import SynthSubject, part_of
 from synth.visibility import view_counts
 
@@ -55,7 +55,7 @@ _LIMBS += list(range(LEFT_HAND.start, RIGHT_HAND.stop))
 
 
 @dataclass(frozen=True)
-class Template:
+class RegisteredTemplate:
     """The registered body: what a real self-scan would have as its fitted body model."""
 
     vertices: Float[np.ndarray, "vertices 3"]
@@ -70,13 +70,13 @@ class Template:
     body_licence: str
     # centimetres, mean distance from the subject's visible surface
     residual: dict[str, float]
-    # centre and radius of the eyeballs, left then right; None: the subject's mesh does not tell them apart
+    # centre and radius of the eyeballs, left then right; None: the subject's mesh does not separate them
     eyes: Float[np.ndarray, "2 4"] | None = None
     # the template's pelvis joint from the subject's, pose 0
     pelvis: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def register(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], rasteriser: Rasteriser) -> Template:
+def register(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], rasteriser: Rasteriser) -> RegisteredTemplate:
     """The template of a subject; `visible` are the faces that can be seen from outside.
 
     Both free bodies are tried; the one whose first fit is closer goes on.
@@ -91,7 +91,7 @@ def register(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], rasteris
     hair = _under_hair(subject, vertices, body.faces)
     # the built-in bodies have both
     assert body.uv is not None and body.uv_faces is not None
-    return Template(
+    return RegisteredTemplate(
         vertices=vertices.astype(np.float32),
         faces=body.faces.astype(np.int32),
         skin=body.skin,
@@ -107,7 +107,7 @@ def register(subject: SynthSubject, visible: Bool[np.ndarray, "faces"], rasteris
     )
 
 
-def shape_only(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> Template:
+def shape_only(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> RegisteredTemplate:
     """A free body's ten shape coefficients, size and place fitted to the surface as it is seen, hair and clothes
     included; its joints are where its shape has them. What a person's scan in a T-pose would give without offsets,
     a rig or labels.
@@ -117,7 +117,7 @@ def shape_only(subject: SynthSubject, visible: Bool[np.ndarray, "faces"]) -> Tem
     body = min(fits, key=lambda fit: fit[1])[0]
     assert body.uv is not None and body.uv_faces is not None
     pelvis = body.joints[0]
-    return Template(
+    return RegisteredTemplate(
         vertices=(body.vertices - pelvis).astype(np.float32),
         faces=body.faces.astype(np.int32),
         skin=body.skin,
@@ -346,10 +346,7 @@ def _smooth_offsets(
     """
     V = len(start)
     faces = body.faces
-    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1), axis=0)
-    ones = np.ones(len(edges))
-    adjacency = coo_matrix((ones, (edges[:, 0], edges[:, 1])), shape=(V, V))
-    adjacency = adjacency + adjacency.T
+    adjacency = neighbour_matrix(faces, V)
     degree = np.asarray(adjacency.sum(1)).ravel()
     laplacian = csr_matrix(diags(degree) - adjacency)
     # bending carries a slope on past the last vertex that is held, and would blow the mouth's inside up into the

@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float, UInt8
 from PIL import Image
 
 from avatar.camera import Camera
-from avatar.files import whole_file
 from avatar.motion.read import builtin_motion
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, LEFT_HAND, PARTS, RIGHT_HAND
+from files.whole import whole_file
 from synth.film import FINEST_PIXEL, frame_points, rotation
-from synth.light import Light
+from synth.light import StudioLight
 from synth.photo import Photo, Studio
 from synth.raw.detector import Detector, Mistakes
 from synth.room import Room
@@ -187,14 +187,14 @@ class DetectorOf(NamedTuple):
     """The detector that looked at a person's videos."""
 
     mistakes: Mistakes
-    seed: int  # of the person's bias
+    seed: int  # seed of the person's bias
 
 
 def take_set(
     studio: Studio,
     stands: list[Stand],
     folder: Path,
-    light: Light | Room,
+    light: StudioLight | Room,
     sheen: float,
     seed: int,
     looks: DetectorOf | None = None,

@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 
 from avatar.camera import Camera, look_at, project
 from geometry.sample import fibonacci_sphere
-from player.raster import Rasteriser
+from player.draw.raster import Rasteriser
 
 # orthographic directions from which a face may be seen (FRAMES.md, Evaluation)
 VIEWS = 64

@@ -4,7 +4,6 @@ It stands in for a trained run, so that baking is tested without training: same 
 """
 
 from dataclasses import dataclass
-from types import SimpleNamespace
 
 import numpy as np
 import torch
@@ -15,6 +14,9 @@ from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
 from geometry.isosurface import extract
 from geometry.mesh import TriangleMesh
+from train.fused import CanonicalField
+from train.run import BakeSource
+from train.surface import Surface
 
 BODY, HEAD, LEFT, RIGHT = range(4)
 
@@ -33,7 +35,6 @@ class CapsuleField:
     ends: torch.Tensor
     radii: torch.Tensor
     sheen: float = 0.0
-    calls: int = 0
 
     def each(self, points):
         along = self.ends - self.starts
@@ -42,7 +43,6 @@ class CapsuleField:
         return ((points[:, None] - nearest).square().sum(-1) + 1e-12).sqrt() - self.radii
 
     def distance(self, points):
-        self.calls += len(points)
         return -0.002 * torch.logsumexp(-self.each(points) / 0.002, 1)
 
     def normal(self, points):
@@ -79,7 +79,7 @@ def capsule_field(sheen: float = 0.0) -> tuple[CapsuleField, np.ndarray, np.ndar
     return CapsuleField(*as_torch, sheen=sheen), joints, owners
 
 
-def make_run(sheen: float = 0.0, step: float = 0.010, fine: float = 0.005) -> SimpleNamespace:
+def make_run(sheen: float = 0.0, step: float = 0.010, fine: float = 0.005) -> BakeSource:
     field, joints, owners = capsule_field(sheen)
 
     def distance(points):
@@ -114,13 +114,13 @@ def make_run(sheen: float = 0.0, step: float = 0.010, fine: float = 0.005) -> Si
     mean = np.where(seen[:, None], 0.9 * flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9), 0)
     across = np.cross(mean, [0, 1.0, 0])
     variance = 0.15 * across[:, :, None] * across[:, None, :] + 0.01 * np.diag([0, 1.0, 0])
-    surface = SimpleNamespace(
+    surface = Surface(
         vertices=vertices,
         faces=faces,
         normals=found.normals,
-        part=part,
+        part=part.astype(np.int64),
         skin=SkinWeights(order, (weights / weights.sum(1, keepdims=True)).astype(np.float32)),
-        view_count=np.where(seen, 40, 0),
+        view_count=np.where(seen, 40.0, 0.0),
         view_mean=mean,
         view_covariance=variance.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]],
         layer=np.zeros(len(part), np.int64),
@@ -135,8 +135,8 @@ def make_run(sheen: float = 0.0, step: float = 0.010, fine: float = 0.005) -> Si
         part.astype(np.int64),
         np.zeros(len(vertices), bool),
     )
-    provenance = {"subject": "capsules", "preset": "analytic"}
-    return SimpleNamespace(field=field, surface=surface, subject=subject, provenance=provenance)
+    functions = CanonicalField(field.distance, field.normal, field.color)
+    return BakeSource(functions, surface, subject, {"subject": "capsules", "preset": "analytic"})
 
 
 def sphere(radius: float, centre=(0.0, 0.0, 0.0)):

@@ -1,9 +1,11 @@
-"""What all tests share: where the sample data is, and the report of the hard cases."""
+"""What all tests share: the sample data, what is made once for all processes, and the report of the hard cases."""
 
 import contextlib
+import fcntl
 import os
 import platform
 from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +32,65 @@ def data() -> Path:
             pytest.fail(message)
         pytest.skip(message)
     return found
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """once(name, make): the path that make(path) filled, in one process of pytest-xdist for all; only to read."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def once(name: str, make: Callable[[Path], object]) -> Path:
+        place, unfinished = shared / "made" / name, shared / "unfinished" / name
+        for folder in (place.parent, unfinished.parent):
+            folder.mkdir(exist_ok=True)
+        with open(unfinished.with_suffix(".lock"), "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not place.exists():
+                make(unfinished)
+                unfinished.rename(place)
+        return place
+
+    return once
+
+
+@pytest.fixture(scope="session")
+def tiny_capture(made_once) -> Path:
+    """A capture folder of the painted body, four frames of 48 pixels for each part."""
+    from painted_capture import write_capture
+
+    return made_once("capture", write_capture)
+
+
+@pytest.fixture(scope="session")
+def tiny_run(made_once, tiny_capture) -> Path:
+    """The run folder of a training on `tiny_capture` by the preset of tiny.py, seed 1."""
+    from tiny import tiny_training
+
+    return made_once("run", lambda out: tiny_training(tiny_capture, out, "--seed", "1"))
+
+
+@pytest.fixture(scope="session")
+def tiny_avatar_file(made_once, tiny_run) -> Path:
+    """The avatar that was baked from `tiny_run`."""
+    from selfscan.__main__ import main
+
+    def bake(out: Path) -> None:
+        assert main(["bake", str(tiny_run), "-o", str(out), "--faces", "3000", "--texture", "256"]) == 0
+
+    return made_once("someone.glb", bake)
+
+
+@pytest.fixture(scope="session")
+def filmed_four(made_once) -> Path:
+    """A folder of four raw videos of a painted figure, with keypoints (filmed_figure.py)."""
+    from filmed_figure import film_all
+
+    def film(folder: Path) -> None:
+        folder.mkdir()
+        film_all(folder)
+
+    return made_once("filmed", film)
 
 
 @pytest.fixture
@@ -103,7 +164,7 @@ class HardCases:
 
 
 def rasteriser() -> str:
-    from player.context import open_context
+    from player.gl.context import open_context
 
     try:
         context = open_context()
@@ -112,6 +173,24 @@ def rasteriser() -> str:
     name = f"{context.renderer} ({context.kind})"
     context.release()
     return name
+
+
+@pytest.fixture(scope="session", autouse=True)
+def counted_contexts():
+    """Every OpenGL context of this process is counted: `context.counts` (experiments/gl_counts.py)."""
+    from experiments.gl_counts import counting, counts_of
+    from player.gl.context import Context
+
+    Context.counts = property(counts_of)
+    with counting():
+        yield
+
+
+def pytest_collection_modifyitems(items):
+    """All of tests/experiments is slow: what it tests is not installed (tests/README.md)."""
+    for item in items:
+        if ROOT / "tests" / "experiments" in item.path.parents:
+            item.add_marker(pytest.mark.slow)
 
 
 def pytest_configure(config):

@@ -3,7 +3,7 @@
 import moderngl
 import numpy as np
 
-from player.shader import compile_program
+from player.gl.shader import compile_program
 
 WIDTH = 256
 TYPES = {1: "float", 2: "vec2", 3: "vec3", 4: "vec4"}

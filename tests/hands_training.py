@@ -6,19 +6,15 @@ usage: python tests/hands_training.py CAPTURE -o RUN [options of selfscan train]
 import os
 import shutil
 import sys
-from dataclasses import replace
+
+from tiny import tiny
 
 from selfscan.__main__ import main
 from train import preset, stages
-from train.networks.triplane import TriPlaneNetworks
 
 STEPS = int(os.environ.get("SELFSCAN_TEST_STEPS", "240"))
 HANDS = ("hand_left", "hand_right")
-SMALL = replace(
-    preset.DEMO, rays=64, rays_per_frame=300, warm_up=5,
-    parts=tuple(replace(p, iterations=STEPS, cell=max(p.cell, 0.006), spacing=max(p.spacing, 0.006),
-                        networks=TriPlaneNetworks(plane_size=16, color_size=16)) for p in preset.DEMO.parts),
-)  # fmt: skip
+SMALL = tiny(preset.DEMO, iterations=STEPS)
 
 
 def two_hands() -> None:
@@ -30,13 +26,15 @@ def two_hands() -> None:
 
     def copy_parts(training, *rest):
         session = training.session
+        if not training.ranks.writes:
+            return
         session.out.mkdir(exist_ok=True)
         for name in (*(f"{hand}.pt" for hand in HANDS), "logs", "preview"):
             copy = shutil.copytree if (session.partial / name).is_dir() else shutil.copyfile
             copy(session.partial / name, session.out / name)
         shutil.rmtree(session.partial)
 
-    stages._compose = copy_parts
+    stages.finish = copy_parts
 
 
 if __name__ == "__main__":

@@ -1,5 +1,8 @@
 """MediaPipe's landmarks made from poses of our own skeleton."""
 
+import json
+import re
+
 import numpy as np
 from mhr_twin import world
 
@@ -46,3 +49,21 @@ def points(array, visibility=None):
         {"x": float(x), "y": float(y), "z": float(z)} | ({} if visibility is None else {"visibility": visibility})
         for x, y, z in array
     ]
+
+
+def from_text(source, path):
+    """A stored result of MediaPipe in protobuf's text format as the JSON of its Python API, one frame."""
+    text = source.read_text()
+    names = {"landmarks": "hand_landmarks", "world_landmarks": "hand_world_landmarks"}
+    frame = {}
+    for name, body in re.findall(r"^(\w+) \{\n(.*?)^\}", text, re.MULTILINE | re.DOTALL):
+        rows = [dict(re.findall(r"(\w+): (\S+)", row)) for row in re.findall(r"landmark \{(.*?)\}", body, re.DOTALL)]
+        if rows and "x" in rows[0]:
+            # protobuf leaves a 0 out
+            filled = [{"z": 0.0} | {key: float(value) for key, value in row.items()} for row in rows]
+            frame[names.get(name, name)] = filled
+        elif name == "classifications":
+            label = re.search(r'label: "(\w+)"', body)[1]
+            frame["handedness"] = [[{"category_name": label}]]
+    path.write_text(json.dumps({"frames": [frame]}))
+    return path

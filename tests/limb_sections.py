@@ -8,7 +8,7 @@ from avatar.baked_avatar import Avatar, Level
 from avatar.helper_joints import HelperJoints
 from avatar.skeleton import joint_transforms, rigid_inverse
 from avatar.skinning import SkinWeights, skin_points, skin_points_dual_quaternion
-from player.mannequin import mannequin
+from player.scene.mannequin import mannequin
 
 WRIST = {"left": (18, 20), "right": (19, 21)}
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.skeleton import BIG_POSE, joint_transforms
-from player.mannequin import mannequin
+from player.scene.mannequin import mannequin
 
 ROWS, ROUND = 14, 48
 HEAD = 15

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from player.loose_motion import LooseMotion
-from player.passes.secondary_motion import SecondaryMotion
+from player.effects.loose_motion import LooseMotion
+from player.effects.secondary_motion import SecondaryMotion
 
 SETTINGS = SecondaryMotion()
 

@@ -8,13 +8,13 @@ from PIL import Image
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, pinhole, pixel_rays, write_cameras
-from avatar.files import whole_folder
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_normals, skin_points
 from capture.folder import read_subject
-from capture.template import surface_cloud
-from train.rays import Band, march
+from capture.template.surface import surface_cloud
+from files.whole import whole_folder
+from train.rays import Band, Samples, march
 
 
 def write_capture(out: Path, *, size: int = 48, frames: int = 4) -> Path:
@@ -57,7 +57,7 @@ def _write_video(folder: Path, subject, cloud, index: int, size: int, frames: in
         camera = Camera(K, look_at(target + [0, 0.1, distance], target), (size, size))
         origins, directions = pixel_rays(camera)
         points, normals = skin_points(cloud.points, cloud.skin, B), skin_normals(cloud.normals, cloud.skin, B)
-        ray, _, s, sample = march(origins, directions, points, normals, cloud.gap, Band(0.03, 0.02, 0.005))
+        ray, _, s, sample = march(origins, directions, Samples(points, normals, cloud.gap), Band(0.03, 0.02, 0.005))
         image = np.zeros((size * size, 3))
         inside = np.flatnonzero(s < 0)[::-1]  # the first step inside is written last
         image[ray[inside]] = 0.5 + 0.4 * np.sin(20 * cloud.points[sample[inside]])

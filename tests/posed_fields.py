@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from avatar.body import builtin_body
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import skin_points
-from bench.field_view import field_view
+from bench.field.posed_field import PosedField
 from capture.folder import CaptureSubject
 from train.fused import FusedField
 from train.preset import DEMO
@@ -17,7 +17,7 @@ from train.run import Run
 from train.surface import Surface
 
 
-def view_of(make_field):
+def run_of(make_field):
     """The built-in body as a run's surface, over a field made for its canonical vertices."""
     body = builtin_body("male")
     transforms = skin_transforms(BIG_POSE, body.joints, body.joints[0], rest=np.zeros((52, 3)))
@@ -36,7 +36,12 @@ def view_of(make_field):
         layer=np.zeros(count, np.int64),
     )
     subject = CaptureSubject("body", body.vertices, canonical, body.faces, body.skin, body.joints, part, hair)
-    return field_view(Run(Path("run"), make_field(canonical, body.faces), surface, subject, DEMO, {}))
+    return Run(Path("run"), make_field(canonical, body.faces), surface, subject, DEMO, {})
+
+
+def view_of(make_field):
+    """The same ready for drawing."""
+    return PosedField(run_of(make_field))
 
 
 class NearField(FusedField):
@@ -48,6 +53,7 @@ class NearField(FusedField):
         normals = np.zeros_like(vertices)
         np.add.at(normals, faces, np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, None])
         self.tree, self.at = KDTree(vertices), vertices
+        self.register_buffer("weights", torch.zeros(1000))
         self.normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
     def distance(self, points, *, grad=False):

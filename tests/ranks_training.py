@@ -10,7 +10,7 @@ import torch
 
 from train.distributed import join_ranks, leave_ranks
 from train.field import PartField
-from train.networks.triplane import TriPlaneNetworks, build
+from train.networks.triplane import TriPlaneNetworks
 from train.objective import RayTensors
 from train.preset import DEMO
 from train.template_grid import TemplateGrid
@@ -25,7 +25,7 @@ def small_field() -> PartField:
     axis = torch.arange(9) * 0.05 - 0.2
     grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1).norm(dim=-1) - 0.1
     low, high = torch.full((3,), -0.2), torch.full((3,), 0.2)
-    networks = build(TriPlaneNetworks(plane_size=8, color_size=8), 2, 0.5 * (high - low), 0.01)
+    networks = TriPlaneNetworks(plane_size=8, color_size=8).build(2, 0.5 * (high - low), 0.01)
     return PartField(TemplateGrid(grid, low, 0.05), low, high, networks)
 
 

@@ -11,13 +11,12 @@ from avatar.skeleton import JOINTS, PARENTS, joint_transforms, skin_transforms
 from avatar.skinning import skin_points
 
 
-def rig(names=JOINTS, pose=None, turn=None, every=25) -> tuple[dict, np.ndarray]:
-    """glTF JSON of one in `every` of the free body's triangles, bound in `pose` and standing as `turn` says; its
-    vertices."""
+def rig(names=JOINTS, pose=None, turn=None) -> tuple[dict, np.ndarray]:
+    """glTF JSON of a few of the free body's triangles, bound in `pose` and standing as `turn` says; its vertices."""
     body = builtin_body("male")
     pose = np.zeros((52, 3)) if pose is None else pose
     turn = np.eye(3) if turn is None else turn
-    faces = body.faces[::every]
+    faces = body.faces[::25]
     used, faces = np.unique(faces, return_inverse=True)
     points = skin_points(body.vertices, body.skin, skin_transforms(pose, body.joints, rest=np.zeros((52, 3))))
     points = (points @ turn.T)[used].astype("<f4")

@@ -5,16 +5,16 @@ import json
 import numpy as np
 import pytest
 
-import bench.posed_geometry
-import bench.quality
+import bench.score.posed_geometry
+import bench.score.quality
 import synth.truth
 import synth.visibility
 from avatar.body import builtin_body
 from avatar.gltf.avatar_file import Avatar, Level, write_avatar
 from avatar.skeleton import BIG_POSE, JOINTS, PARENTS, skin_transforms
 from avatar.skinning import SkinWeights, dense_weights, skin_points
-from player.context import open_context
-from player.raster import Rasteriser
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
 from synth.light import light_of
 from synth.photo import Studio
 from synth.raw.detector import Mistakes
@@ -123,18 +123,23 @@ def small_pictures():
         small.setattr(synth.visibility, "VIEWS", 20)
         small.setattr(synth.visibility, "VIEW_SIZE", 512)
         samples = {"total": 1500, "head": 500, "left_hand": 400, "right_hand": 400}
-        small.setattr(bench.posed_geometry, "SAMPLES", samples)
-        small.setattr(bench.quality, "SAMPLES", samples)
+        small.setattr(bench.score.posed_geometry, "SAMPLES", samples)
+        small.setattr(bench.score.quality, "SAMPLES", samples)
         yield
 
 
 @pytest.fixture(scope="session")
-def oracle(tmp_path_factory, small_pictures):
-    """(capture folder, oracle avatar file, subject)"""
-    folder = tmp_path_factory.mktemp("oracle")
+def oracle(made_once, small_pictures):
+    """(capture folder, oracle avatar file, subject); only to read."""
+    folder = made_once("oracle", film_oracle)
+    return folder / "capture", folder / "oracle.glb", striped_subject()
+
+
+def film_oracle(folder):
+    """Writes the capture with its truth and the avatar."""
     subject = striped_subject()
     capture = folder / "capture"
-    capture.mkdir()
+    capture.mkdir(parents=True)
     facts = {"format": "selfscan-capture", "version": 1, "subject": "striped", "light": "even", "seed": 0}
     (capture / "capture.json").write_text(json.dumps(facts))
     write_template(capture / "subject.npz")
@@ -157,4 +162,3 @@ def oracle(tmp_path_factory, small_pictures):
     raster.release()
     context.release()
     write_avatar(folder / "oracle.glb", oracle_avatar(subject))
-    return capture, folder / "oracle.glb", subject

@@ -15,6 +15,8 @@ from avatar.skeleton import JOINTS, PARTS
 from selfscan.__main__ import main
 from train.preset import DEMO, PRESETS
 
+pytestmark = pytest.mark.slow
+
 COARSE = replace(
     DEMO, rays_per_frame=2000, warm_up=5, appearance_steps=20, surface_cells=(0.02, 0.01, 0.006),
     union=replace(DEMO.union, iterations=10),

@@ -11,6 +11,8 @@ import pytest
 ROOT = Path(__file__).parents[1]
 # what each package may import of the others
 MAY = {
+    "command": set(),
+    "files": {"command"},
     "avatar": set(),
     "geometry": {"avatar"},
     "capture": {"avatar", "geometry"},
@@ -44,6 +46,9 @@ def imported(name: str, path: Path, known: dict[str, Path], *, lazily: bool) -> 
     return {other for other in found if other in known and other != name}
 
 
+# any package may read files and settings
+BASE = {"files", "command"}
+MAY = {package: may if package in BASE else may | BASE for package, may in MAY.items()}
 EVERY = {name: path for package in (*MAY, "experiments") for name, path in modules(package).items()}
 
 
@@ -54,6 +59,26 @@ def test_a_package_imports_only_what_lies_below_it(package):
         for name, path in modules(package).items()
         for other in sorted(imported(name, path, EVERY, lazily=True))
         if other.split(".")[0] not in MAY[package] | {package}
+    ]
+    assert not wrong
+
+
+# inside the player, from the lowest; the commands stand above all
+RANK = {"gl": 0, "draw": 1, "pose": 1, "effects": 2, "scene": 3, "budget": 4, "film": 5, "web": 5, "live": 5,
+        "window": 6}
+
+
+def test_the_player_imports_one_way():
+    """What stands at the top of a module: gl <- draw <- effects <- scene <- budget <- film, web, live <- window."""
+
+    def rank(name: str) -> int:
+        return RANK.get(name.split(".")[1], 7) if name.count(".") > 1 else 7
+
+    wrong = [
+        f"{name} imports {other}"
+        for name, path in modules("player").items()
+        for other in sorted(imported(name, path, EVERY, lazily=False))
+        if other.startswith("player.") and rank(other) > rank(name)
     ]
     assert not wrong
 
@@ -82,7 +107,7 @@ print(json.dumps(sorted({name.split(".")[0] for name in sys.modules})))
 """
 
 
-@pytest.mark.parametrize("package", ["avatar", "geometry", "capture", "player", "synth"])
+@pytest.mark.parametrize("package", ["files", "command", "avatar", "geometry", "capture", "player", "synth"])
 def test_a_package_without_learning_loads_no_torch(package):
     """Every module of it, in a fresh process: nothing that lies above it comes along either."""
     names = [name for name in modules(package) if not name.endswith("__main__")]
@@ -91,5 +116,5 @@ def test_a_package_without_learning_loads_no_torch(package):
     loaded = set(json.loads(ran.stdout))
     forbidden = {"torch", "experiments", *MAY} - MAY[package] - {package}
     assert not loaded & forbidden
-    if package in ("avatar", "player"):
+    if package in ("files", "command", "avatar", "player"):
         assert not loaded & {"scipy", "trimesh", "skimage"}

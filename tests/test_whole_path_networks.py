@@ -2,31 +2,21 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import pytest
-import torch
-from painted_capture import write_capture
 from striped_oracle import oracle, small_pictures
+from tiny import tiny, tiny_training
 
 from avatar.gltf.avatar_file import read_avatar
 from selfscan.__main__ import main
 from train.networks.hash import HashNetworks
 from train.networks.paper import PaperNetworks
-from train.preset import FAST, PAPER, PRESETS
+from train.preset import FAST, PAPER
 from train.run import read_run
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["oracle", "small_pictures"]
-
-
-def tiny(preset, networks, **changes):
-    """A preset of small networks and few steps: it shows little more than the template."""
-    parts = (replace(p, iterations=6, networks=networks, cell=max(p.cell, 0.006), spacing=max(p.spacing, 0.006))
-             for p in preset.parts)  # fmt: skip
-    return replace(
-        preset, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(0.03, 0.015, 0.008),
-        union=replace(preset.union, iterations=6), parts=tuple(parts), **changes,
-    )  # fmt: skip
 
 
 PAPER_NETWORKS = PaperNetworks(
@@ -34,29 +24,19 @@ PAPER_NETWORKS = PaperNetworks(
 )
 TINY = {
     "fast": tiny(FAST, HashNetworks(cell=0.01, levels=4, rows=2**10, width=16, feature=7)),
-    "paper": tiny(PAPER, PAPER_NETWORKS, prefit=150, sections=12, shaded=12),
+    "paper": tiny(PAPER, networks=PAPER_NETWORKS, prefit=150, sections=12, shaded=12),
 }
 
 
 @pytest.mark.parametrize("name", TINY)
-def test_a_run_of_these_networks_is_composed_baked_evaluated_and_inspected(name, oracle, tmp_path, monkeypatch, capsys):
-    capture = write_capture(tmp_path / "person")
+def test_a_run_of_these_networks_is_composed_baked_evaluated_and_inspected(name, oracle, tiny_capture, tmp_path):
+    capture, run, avatar = tmp_path / "person", tmp_path / "run", tmp_path / "a.glb"
+    shutil.copytree(tiny_capture, capture)
     shutil.copytree(oracle[0] / "truth", capture / "truth")
-    monkeypatch.setitem(PRESETS, name, TINY[name])
-    run, avatar, threads = tmp_path / "run", tmp_path / "a.glb", torch.get_num_threads()
-    words = ["--preset", name, "--preview", "0", "--refine-poses", "off"]
-    with monkeypatch.context() as patch:
-        patch.setattr("os.cpu_count", lambda: 1)
-        assert main(["train", str(capture), "-o", str(run), *words]) == 0
-    torch.set_num_threads(threads)
+    tiny_training(capture, run, "--preview", "0", "--refine-poses", "off", preset=TINY[name])
     assert read_run(run).preset == TINY[name]
 
-    capsys.readouterr()
     assert main(["bake", str(run), "-o", str(avatar), "--faces", "3000", "--texture", "256"]) == 0
-    said = capsys.readouterr()
-    lines = [line for line in (said.out + said.err).splitlines() if "fields.onnx" in line]
-    assert len(lines) == 1 and "only the networks of preset demo can be exported" in lines[0]
-    assert not (run / "fields.onnx").exists()
     assert len(read_avatar(avatar).levels[0].faces) > 1000
 
     for subject in (run, avatar):

@@ -4,13 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from avatar.camera import Camera
+from avatar.kinematics import skinned
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS
 from capture.fit.body import MOVING, body_names
 from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import projected
-from capture.fit.kinematics import carried, skinned
 from capture.fit.person import person_of
 from capture.fit.solve import posed_frames
 from geometry.rasterise import rasterise
@@ -68,11 +67,8 @@ def turning_twin(
 def mask_of(truth: Estimate, footage: Footage, i: int) -> Array:
     """The silhouette of one frame."""
     points = truth.skin()
-    x = skinned(points, carried(posed_frames(truth)[i], points))
-    lens = truth.lens(footage)
-    K = np.array([[lens.focal, 0, lens.centre[0]], [0, lens.focal, lens.centre[1]], [0, 0, 1.0]])
-    camera = Camera(K, np.diag([1.0, -1, -1, 1]), footage.size)
-    return (255 * (rasterise(x, truth.person.body.faces, camera).face >= 0)).astype(np.uint8)
+    x = skinned(posed_frames(truth)[i], points)
+    return (255 * (rasterise(x, truth.person.body.faces, truth.camera(footage)).face >= 0)).astype(np.uint8)
 
 
 def limb_error(truth: Estimate, found: Estimate) -> float:

@@ -18,7 +18,7 @@ class CodeSteps:
 
     count: int
     rate: float = 1e-2
-    # of the first, reached exponentially
+    # share of the first rate that the last one is, reached exponentially
     last_rate: float = 1.0
     batch: int = 1024  # points
     seed: int = 0
@@ -56,8 +56,8 @@ def match_appearance(
         min over l of |C_body(x, d, l_body) - C_part(x, d, l)|
 
     `points` lie on the surface inside the overlap and `directions` are those that the body's video saw them from
-    (`overlap_rays`); there C is the colour, of the body with its mean code. The code starts at the mean of the part's
-    trained codes and is pulled towards it: the colour network
+    (`overlap_rays`); there C is the color, of the body with its mean code. The code starts at the mean of the part's
+    trained codes and is pulled towards it: the color network
     has only seen codes near there. Sets the part's reference code; returns the difference before and after.
     """
     part = field.field(index)

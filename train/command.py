@@ -1,19 +1,64 @@
-"""`selfscan train`: the command line of train/stages.py, made from train/options.py."""
+"""`selfscan train`: its options, written once for command line, help and checks, and the command itself.
+
+torch is imported only after the command line was read.
+"""
 
 import shlex
 import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
 
-import torch
+from command.command_line import Help, Option, parse
+from command.errors import AssetError
+from command.interrupt import Stopped
+from command.settings import AtLeast, AtMost, OneOf
 
-from avatar.errors import AssetError
-from avatar.interrupt import Stopped
-from avatar.settings import Help, parse
-from train.distributed import leave_ranks
-from train.options import TrainOptions
-from train.stages import train
+MOST_STEPS = 100_000_000
+# the presets of train/preset.py, which needs torch: a command line is read without it
+PRESET_NAMES = ("demo", "fast", "paper")
+ITEM_NAMES = ("light", "hair", "clothes", "eyes")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions:
+    """One training: which capture, into which folder, and how."""
+
+    capture: Annotated[
+        Path, Option(positional=True, metavar="CAPTURE"), "folder made by `selfscan synth` or `selfscan import`"
+    ]
+    out: Annotated[Path, Option(("-o", "--out"), metavar="RUN"), "run folder to write, whole or not at all"]
+    preset: Annotated[str, OneOf(PRESET_NAMES), "see above"] = "demo"
+    device: Annotated[Literal["cpu", "cuda"], "where to compute"] = "cpu"
+    resume: Annotated[bool, "go on from the checkpoints of an interrupted training"] = False
+    force: Annotated[bool, "begin anew; an existing RUN is replaced once the new one is complete"] = False
+    seed: Annotated[int, AtLeast(0), AtMost(2**32 - 1), "of all random numbers"] = 0
+    iterations: Annotated[
+        int | None, AtLeast(1), AtMost(MOST_STEPS), "optimiser steps per part, instead of the preset's"
+    ] = None
+    save_every: Annotated[float, AtLeast(0), AtMost(1e9), Option(metavar="SECONDS"), "between checkpoints"] = 120.0
+    preview: Annotated[int, AtLeast(0), AtMost(MOST_STEPS), Option(metavar="STEPS"), "between previews, 0 for none"] = (
+        250
+    )
+    refine_poses: Annotated[
+        str, OneOf(("auto", "on", "off")),
+        "move noisy poses onto the masks first, then learn what is left with the field; "
+        "auto: videos whose outlines do not meet",
+    ] = "auto"  # fmt: skip
+    without: Annotated[
+        tuple[str, ...], OneOf(ITEM_NAMES), Option(several=True),
+        "leave out what the preset adds to the paper: light (fitted on the skin before training, where there is any; "
+        "albedo is learned), hair (its placement, hollows and a layer of its own), clothes (that stand off the body), "
+        "eyes (open, with eyeballs, as the template has them)",
+    ] = ()  # fmt: skip
+
+    def __post_init__(self):
+        if self.resume and self.force:
+            raise ValueError("--resume goes on, --force begins anew: choose one")
+
 
 DESCRIPTION = """\
-Learn a person from a capture folder: one signed distance and colour field for each of body, head and hands, fused
+Learn a person from a capture folder: one signed distance and color field for each of body, head and hands, fused
 into one. Writes a run folder, which `selfscan bake` turns into an avatar.
 
 presets
@@ -49,6 +94,11 @@ examples:
 def main(argv: list[str]) -> int:
     """Parse the command line and train; 128 + the signal's number when stopped by one."""
     options = parse(TrainOptions, argv, Help("selfscan train", DESCRIPTION, EPILOG))
+    import torch
+
+    from train.distributed import leave_ranks
+    from train.stages import train
+
     if options.device == "cuda" and not torch.cuda.is_available():
         raise AssetError("--device cuda: this machine has no CUDA device that torch can use")
     try:

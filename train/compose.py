@@ -1,12 +1,13 @@
 """The composition of four trained parts into one person with one surface (TotalSelfScan, 3.3).
 
 In order: the head's place on the body (Eq. 5, then the body's pixels), the body refined to meet the parts (stage 2,
-Eq. 7 and 13), the
-fused field's zero set as a mesh, the directions it was seen from (Eq. 14), and the parts' appearance codes (Eq. 8).
+Eq. 7 and 13), the fused field's zero set as a mesh, the directions it was seen from (Eq. 14), and the parts'
+appearance codes (Eq. 8).
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -19,20 +20,21 @@ from avatar.similarity import Registration
 from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
 from capture.folder import Capture, CaptureSubject
-from capture.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
+from capture.register.head_consistency import place_by_consistency
+from capture.register.head_height import height_by_outline
+from capture.register.photometric import ColoredHead, refine_on_video
+from capture.template.layers import BODY, rigid_weights, without_hair
+from capture.template.parts import part_boxes
+from capture.template.views import ViewStatistics, ViewSums, fused_statistics, part_views, statistics
 from geometry.icp import Anchors, refine_by_surfaces
 from geometry.mesh import vertex_normals
 from train.appearance import CodeSteps, match_appearance, overlap_rays
 from train.eye_grid import OpenEyes, filmed_eyes
 from train.field import PartField
 from train.fused import FusedField
-from train.head_consistency import place_by_consistency
-from train.head_height import height_by_outline
-from train.layers import BODY, rigid_weights, without_hair
 from train.light import SeenTensors, VideoLight, light_facts, seen_lights_from_json, seen_tensors
 from train.objective import RayTensors
-from train.parts import eq9_shares, part_boxes, part_weight
-from train.photometric import ColoredHead, refine_on_video
+from train.parts import eq9_shares, part_weight
 from train.preset import Preset
 from train.skin import CanonicalSkin
 from train.surface import Surface, extract_surface, fill_from_neighbours
@@ -48,8 +50,8 @@ Say = Callable[[str], None]
 class HeadPlacement:
     """Where the head's video and the head's field lie on the body."""
 
-    # from the head's video frame to where the head's field is learnt: Eq. 6, refined on the head's own video where
-    # the preset says so (train/head_consistency.py, train/head_height.py); the residual is Eq. 6's
+    # from the head's video frame to where the head's field is learned: Eq. 6, refined on the head's own video where
+    # the preset says so (head_consistency.py, head_height.py); the residual is Eq. 6's
     landmarks: Registration
     # Eq. 5, then the body's pixels: canonical_from_head_field, a similarity near the identity
     correction: Float[Array, "4 4"]
@@ -70,13 +72,20 @@ class TrainedParts:
     fields: list[PartField]
     # the body's; None for a single network
     rays: RayTensors | None
-    # before composition only Eq. 6 is known of the parts' head; a single network learnt it where it lies in the end
+    # before composition only Eq. 6 is known of the parts' head; a single network learned it where it lies in the end
     head: HeadPlacement
     seed: int
-    # of each part's video, where the fields' colours are albedo; empty: they are what was shown
+    # those of the parts' videos, where the fields' colors are albedo; empty: they are what was shown
     lights: Mapping[str, VideoLight]
-    # of each part, and of each step of composition, which are added
+    # what each part took, and each step of composition, which are added
     seconds: dict[str, float]
+
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        """The seconds of the block are kept under this name."""
+        began = time.monotonic()
+        yield
+        self.seconds[name] = time.monotonic() - began
 
 
 @dataclass(frozen=True)
@@ -85,7 +94,7 @@ class Composition:
 
     # with its fused statistics
     surface: Surface
-    # that the surface shows; None: the head's field as it was learnt
+    # that the surface shows; None: the head's field as it was learned
     eyes: OpenEyes | None
     # each part's own statistics
     tables: list[ViewStatistics]
@@ -101,65 +110,52 @@ def compose(
 
     `checkpoints` and `watch` are stage 2's. A single network has nothing to register, refine or match.
     """
-    subject, rays, seconds = capture.subject, parts.rays, parts.seconds
-    began = time.monotonic()
+    subject, rays, timed = capture.subject, parts.rays, parts.timed
     head, head_from_field = parts.head, np.eye(4)
-    lights = light_facts(capture, parts.lights) if parts.lights else {}
-    seen = seen_tensors(seen_lights_from_json("light_seen", lights["light_seen"])) if lights else None
-    if rays is not None:
-        head = place_head(capture, parts.fields, head, say, seen, outlines=preset.hair.consistency)
-        head_from_field = head.correction
-    facts = placement_facts(head, head_from_field) | lights
-    fused = FusedField(
-        parts.fields, part_boxes(subject), torch.tensor(np.linalg.inv(head_from_field), dtype=torch.float32)
-    )
-    fused.seen = seen
-    seconds["registration"] = time.monotonic() - began
+    with timed("registration"):
+        lights = light_facts(capture, parts.lights) if parts.lights else {}
+        seen = seen_tensors(seen_lights_from_json("light_seen", lights["light_seen"])) if lights else None
+        if rays is not None:
+            head = place_head(capture, parts.fields, head, say, seen, outlines=preset.hair.consistency)
+            head_from_field = head.correction
+        facts = placement_facts(head, head_from_field) | lights
+        inverse = torch.tensor(np.linalg.inv(head_from_field), dtype=torch.float32)
+        fused = FusedField(parts.fields, part_boxes(subject), inverse)
+        fused.seen = seen
     if preset.open_eyes and rays is not None:
-        began = time.monotonic()
-        closed = fused.field(PARTS.index("head")).template.cpu()
-        filmed = filmed_eyes(subject, closed, capture.videos["head"], head.canonical_from_head)
+        with timed("eyes"):
+            closed = fused.field(PARTS.index("head")).template.cpu()
+            filmed = filmed_eyes(subject, closed, capture.videos["head"], head.canonical_from_head)
         fused.eyes = filmed.eyes
         if filmed.fit is not None:
             facts["iris"] = filmed.fit.facts()
-        seconds["eyes"] = time.monotonic() - began
         say(f"eyes: {filmed.in_words()}")
     fused.to(device).eval().requires_grad_(False)
 
     if rays is not None and preset.union.iterations:
-        began = time.monotonic()
         say(f"stage 2: the body meets the parts (Eq. 7, 13), {preset.union.iterations} steps")
         parts.fields[0].light = parts.lights["body"].tensors(torch.device(device)) if parts.lights else None
-        facts["union"] = train_union(
-            fused, subject, rays, preset, seed=parts.seed, checkpoints=checkpoints, watch=watch
-        )
+        with timed("union"):
+            union = train_union(fused, subject, rays, preset, seed=parts.seed, checkpoints=checkpoints, watch=watch)
         parts.fields[0].light = None
-        seconds["union"] = time.monotonic() - began
-        for name, step in facts["union"]["step_mm_after"].items():
-            before = facts["union"]["step_mm_before"][name]
+        facts["union"] = union
+        for name, step in union["step_mm_after"].items():
+            before = union["step_mm_before"][name]
             say(f"{name}: body {before:.2f} -> {step:.2f} mm from the part's surface in the overlap")
 
-    began = time.monotonic()
-    shown = displayed_surface(fused, subject, preset.surface_cells)
-    vertices, faces = shown.vertices, shown.faces
-    seconds["surface"] = time.monotonic() - began
-    say(f"surface: {len(vertices)} vertices, {len(faces)} faces")
-
-    began = time.monotonic()
-    points = torch.as_tensor(vertices, dtype=torch.float32)
-    shares = eq9_shares(points, part_boxes(subject)).numpy()
-    sums = view_sums(capture, shown, shares, head.canonical_from_head)
-    tables = [statistics(s) for s in sums]
-    surface = with_views(shown, shares, tables)
-    seconds["views"] = time.monotonic() - began
+    with timed("surface"):
+        shown = displayed_surface(fused, subject, preset.surface_cells)
+    say(f"surface: {len(shown.vertices)} vertices, {len(shown.faces)} faces")
+    with timed("views"):
+        points = torch.as_tensor(shown.vertices, dtype=torch.float32)
+        shares = eq9_shares(points, part_boxes(subject)).numpy()
+        tables = [statistics(s) for s in view_sums(capture, shown, shares, head.canonical_from_head)]
+        surface = with_views(shown, shares, tables)
     say(f"view directions (Eq. 14): {float((surface.view_count > 0).mean()):.1%} of the vertices seen")
-
     if rays is not None:
-        began = time.monotonic()
-        facts["appearance"] = match_appearances(
-            fused, rays, surface.vertices, tables, code_steps(preset, parts.seed), say
-        )
-        seconds["appearance"] = time.monotonic() - began
+        with timed("appearance"):
+            steps = code_steps(preset, parts.seed)
+            facts["appearance"] = match_appearances(fused, rays, surface.vertices, tables, steps, say)
     fused.cpu()
     return Composition(surface, fused.eyes, tables, facts)
 
@@ -227,7 +223,7 @@ def place_head(
 ) -> HeadPlacement:  # fmt: skip
     """The head's place by the surfaces of body and head, the first two fields (Eq. 5), then by the body's pixels.
 
-    `seen`, the parts' seen lights, where their colours are albedo; `outlines`, its height by its own video's outlines.
+    `seen`, the parts' seen lights, where their colors are albedo; `outlines`, its height by its own video's outlines.
     """
     landmarks, facts = start.landmarks, dict(start.facts)
     anchors = landmark_anchors(capture, landmarks)
@@ -254,7 +250,7 @@ class DisplayedSurface(NamedTuple):
     faces: Int[Array, "faces 3"]
     normals: Float[Array, "vertices 3"]
     skin: SkinWeights
-    layer: Int[Array, "vertices"]  # train/layers.py
+    layer: Int[Array, "vertices"]  # capture/template/layers.py
 
 
 def displayed_surface(fused: FusedField, subject: CaptureSubject, cells: Sequence[float]) -> DisplayedSurface:
@@ -329,7 +325,7 @@ def match_appearances(
             continue
         before, after = match_appearance(fused, index, points, directions, steps)
         matched[PARTS[index]] = {"before": round(before, 4), "after": round(after, 4), "rays": len(points)}
-        say(f"{PARTS[index]}: overlap colours (Eq. 8) {before:.3f} -> {after:.3f} of the body's, {len(points)} rays")
+        say(f"{PARTS[index]}: overlap colors (Eq. 8) {before:.3f} -> {after:.3f} of the body's, {len(points)} rays")
     return matched
 
 

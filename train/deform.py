@@ -1,6 +1,7 @@
 """Part deformation: observed points to canonical ones (TotalSelfScan, 3.2, Eq. 3 and 4)."""
 
 from collections.abc import Callable
+from math import pi
 
 import numpy as np
 import torch
@@ -8,7 +9,6 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from avatar.skinning import SINGULAR, SkinWeights, blended_transforms
-from train.encoding import positional_encoding
 
 Array = np.ndarray
 
@@ -96,6 +96,16 @@ def _turned(directions: Tensor, weights: Tensor, bones: Tensor, sign: float) -> 
     v, w = sign * q[:, :3], q[:, 3:]  # the conjugate turns back
     t = 2 * torch.linalg.cross(v, directions)
     return directions + w * t + torch.linalg.cross(v, t)
+
+
+def positional_encoding(x: Float[Tensor, "n c"], frequencies: int) -> Float[Tensor, "n d"]:
+    """x, sin(2^k pi x), cos(2^k pi x) for k < frequencies (Mildenhall et al. 2020).
+
+    c (1 + 2 frequencies) numbers; x is of order one.
+    """
+    scales = pi * 2.0 ** torch.arange(frequencies, device=x.device, dtype=x.dtype)
+    angles = (x[:, None, :] * scales[:, None]).flatten(1)
+    return torch.cat([x, angles.sin(), angles.cos()], -1)
 
 
 class Displacement(nn.Module):

@@ -19,7 +19,7 @@ import torch.distributed
 from jaxtyping import Float, Shaped
 from torch import Tensor, nn
 
-from avatar.errors import AssetError
+from command.errors import AssetError
 
 T = TypeVar("T")
 

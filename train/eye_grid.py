@@ -2,13 +2,13 @@
 
 A field fills the recess between the lids, 3 to 5 mm in front of the eyeballs: color says little of depth there, and its
 planes and sections are several times as wide as a lid is thick. So round the opening between the lids the distance that
-is shown is the template's with its sockets open, joined with the eyeballs (capture/eyes.py):
+is shown is the template's with its sockets open, joined with the eyeballs (capture/template/eyes.py):
 
     F(x) = (1 - share(x)) F_s(x) + share(x) E(x)
 
 share is 1 within OWN of the opening and 0 from OTHER on. E lies on a grid with cells a third as large as the head's
 template grid; what the lids hide (between them and the ball, behind it) is filled. Eyeballs are flat at the iris
-(train/iris.py).
+(capture/register/iris.py).
 """
 
 from typing import NamedTuple
@@ -20,11 +20,12 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from capture.eyes import EyeSpheres, eye_openings, eye_spheres, hidden_lengths
 from capture.folder import CaptureSubject, PartVideo
+from capture.register.iris import FlatIris, IrisFit, fit_iris
+from capture.template.eyes import EyeSpheres, eye_openings, eye_spheres, hidden_lengths
+from geometry.isosurface import Detail
 from geometry.mesh import face_normals
 from geometry.sample import lattice_samples
-from train.iris import FlatIris, IrisFit, fit_iris
 from train.template_grid import TemplateGrid, interpolated, sampled
 
 Array = np.ndarray
@@ -39,13 +40,6 @@ LIDS, SKIN = 0.006, 0.01
 OVERLAP = 0.001
 # metres off the opening: cells and triangles of the surface are as small as E's here
 DETAIL = 0.004
-
-
-class Box(NamedTuple):
-    """An axis-aligned box, metres."""
-
-    low: Float[Array, "3"]
-    high: Float[Array, "3"]
 
 
 class OpenEyes(torch.nn.Module):
@@ -91,25 +85,23 @@ class OpenEyes(torch.nn.Module):
             turned = slope[rows] + share[:, None] * (own - slope[rows]) + apart[:, None] * rise
             return field.index_put((rows,), field[rows] + share * apart), slope.index_put((rows,), turned)
 
-    def details(self) -> list[Box]:
+    def details(self) -> tuple[Detail, ...]:
         """Boxes round what lies within DETAIL of each opening, where the surface needs cells as small as these."""
         # the share falls by half per half of the way between OWN and OTHER, but is 1 up to OWN
         share = self.share.cpu().numpy()
         near = np.zeros(share.shape, np.int32)
         ndimage.label(share > _share(np.array([DETAIL]))[0] - 1e-3, output=near)
         low = self.low.double().cpu().numpy()
-        found = []
-        for piece in ndimage.find_objects(near):
-            first, last = (np.array([getattr(one, end) for one in piece], float) for end in ("start", "stop"))
-            found.append(Box(low + self.cell * first, low + self.cell * (last - 1)))
-        return found
+        boxes = np.array([[(one.start, one.stop - 1) for one in piece] for piece in ndimage.find_objects(near)], float)
+        return tuple(Detail(low + self.cell * box[:, 0], low + self.cell * box[:, 1], self.cell) for box in boxes)
 
 
 class FilmedEyes(NamedTuple):
     """Eyes as the head's video has them."""
 
     eyes: OpenEyes | None  # None: there are none to open
-    fit: IrisFit | None  # of their irises; None: too little of them was filmed
+    # how flat their irises are; None: too little of them was filmed
+    fit: IrisFit | None
 
     def in_words(self) -> str:
         """For the log."""

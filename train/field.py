@@ -1,4 +1,4 @@
-"""One part of the person: signed distance and colour in the canonical frame (TotalSelfScan, Eq. 1 and 2)."""
+"""One part of the person: signed distance and color in the canonical frame (TotalSelfScan, Eq. 1 and 2)."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from train.networks import PartNetworks
 from train.pose_correction import PoseCorrection
 from train.template_grid import TemplateGrid
 
-# of the template's normal in those that light falls on
+# share of the template's normal in the normals that light falls on
 TEMPLATE_SHARE = 0.7
 
 
@@ -19,7 +19,7 @@ class FieldSample(NamedTuple):
     """F_s at a point."""
 
     distance: Float[Tensor, "n"]  # metres, negative inside
-    # geometry feature, read by the colour network
+    # geometry feature, read by the color network
     feature: Float[Tensor, "n z"]
 
 
@@ -39,7 +39,7 @@ class PartField(nn.Module):
     reference: Float[Tensor, "l"]
     # learned with the field where poses are refined; None once they are known
     poses: PoseCorrection | None
-    # of the part's video, while it is learnt: F_c is albedo then; None: F_c is the colour as it is shown
+    # the video's, while the part is trained: F_c is albedo then; None: F_c is the color as it is shown
     light: LightTensors | None
 
     def __init__(
@@ -91,8 +91,8 @@ class PartField(nn.Module):
     def light_normal(self, points: Float[Tensor, "n 3"], gradient: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Unit normals that light falls on, where F_s has this gradient; no graph.
 
-        F_s follows the colours and wrinkles by 5 to 7 degrees; on such normals a lamp's shading and highlight show
-        wrinkles that nobody has. The template is smoother than a person and about as right: both are taken together.
+        F_s follows the colors and wrinkles by 5 to 7 degrees; on such normals a lamp's shading and highlight show
+        wrinkles that are not there. The template is smoother than a person and about as right: both are taken together.
         """
         facing = unit_normals(self.template.smooth_gradient(points))
         return unit_normals(TEMPLATE_SHARE * facing + (1 - TEMPLATE_SHARE) * unit_normals(gradient.detach()))

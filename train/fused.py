@@ -1,29 +1,48 @@
 """The whole person as one field: four parts, fused in space (TotalSelfScan, 3.3)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from capture.template.parts import Part
 from geometry.isosurface import Detail
 from train.eye_grid import OpenEyes
 from train.field import FieldSample, PartField, unit_normals
 from train.light import SeenTensors
-from train.parts import Part, eq9_shares
+from train.parts import eq9_shares
+
+
+class CanonicalField(NamedTuple):
+    """A person as functions of canonical points, metres: torch, float32."""
+
+    # signed, metres
+    distance: Callable[[Float[Tensor, "n 3"]], Float[Tensor, "n"]]
+    # unit
+    normal: Callable[[Float[Tensor, "n 3"]], Float[Tensor, "n 3"]]
+    # sRGB of points seen along unit directions, from the camera to the point
+    color: Callable[[Float[Tensor, "n 3"], Float[Tensor, "n 3"]], Float[Tensor, "n 3"]]
+    # mean S and H in that color, of points with their normals; None: light is no factor of its own
+    seen_light: Callable[[Float[Tensor, "n 3"], Float[Tensor, "n 3"]], Float[Tensor, "n 2"]] | None = None
+    # the normals that this light fell on; None as well
+    light_normal: Callable[[Float[Tensor, "n 3"]], Float[Tensor, "n 3"]] | None = None
+    # where the surface has smaller features than a part's cells: the eyes
+    details: tuple[Detail, ...] = ()
 
 
 class FusedField(nn.Module):
-    """F(x + mean over frames of T_nr(x, code)), distance and colour blended with Eq. 9's weights.
+    """F(x + mean over frames of T_nr(x, code)), distance and color blended with Eq. 9's weights.
 
     Everything is canonical, metres, float32. `head_from_canonical` is the correction of Eq. 5, a similarity: the
     head field lives where the landmarks (Eq. 6) put it; points, directions, normals and distances are moved there
     and back inside.
-    Colours use each part's reference code. A person of one field (a single network) has weight 1 everywhere.
+    Colors use each part's reference code. A person of one field (a single network) has weight 1 everywhere.
 
     Round the eyes the head's distance may be the template's (`eyes`, train/eye_grid.py).
 
-    With `switch` the colour does not blend: the part of the largest weight gives all of it (ablation of Eq. 9).
+    With `switch` the color does not blend: the part of the largest weight gives all of it (ablation of Eq. 9).
     """
 
     head_from_canonical: Float[Tensor, "4 4"]
@@ -42,9 +61,17 @@ class FusedField(nn.Module):
         self.switch = switch
         # None: the field's own distance everywhere
         self.eyes: OpenEyes | None = None
-        # of each part's video, where the parts' colours are albedo; None: they are what was shown
+        # each part's video's, where the parts' colors are albedo; None: they are what was shown
         self.seen: tuple[SeenTensors, ...] | None = None
         self.register_buffer("head_from_canonical", head_from_canonical.float())
+
+    def functions(self) -> CanonicalField:
+        """The person's functions alone, as baking takes them."""
+        factor = self.seen is not None
+        return CanonicalField(
+            self.distance, self.normal, self.color, self.seen_light if factor else None,
+            self.light_normal if factor else None, self.details(),
+        )  # fmt: skip
 
     def field(self, index: int) -> PartField:
         """The field of part `index`, in its own frame."""
@@ -57,54 +84,46 @@ class FusedField(nn.Module):
         return eq9_shares(points, self.parts)
 
     def color_shares(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n p"]:
-        """Each part's share of the colour: Eq. 9's, or with `switch` all for the part of the largest weight."""
+        """Each part's share of the color: Eq. 9's, or with `switch` all for the part of the largest weight."""
         shares = self.shares(points)
         if not self.switch:
             return shares
         return torch.nn.functional.one_hot(shares.argmax(1), shares.shape[1]).to(shares.dtype)
 
+    def blend(
+        self, shares: Callable[[Tensor], Tensor], of_part: Callable[..., Tensor], *columns: Tensor,
+        width: tuple[int, ...] = (3,), most: int = 32768,
+    ) -> Tensor:  # fmt: skip
+        """The sum over the parts of their shares times of_part(index, *columns), asked where a part has a share.
+
+        The first of the columns are canonical points, `most` of which are asked at once; `width` is the values' shape.
+        """
+        out = []
+        for piece in zip(*(column.split(most) for column in columns)):
+            weights = shares(piece[0])
+            total = piece[0].new_zeros(len(piece[0]), *width)
+            for index in range(len(self.fields)):
+                chosen = weights[:, index] > 0
+                if chosen.any():
+                    own = weights[chosen, index].view(-1, *(1 for _ in width))
+                    values = of_part(index, *(column[chosen] for column in piece))
+                    total = total.index_put((chosen,), own * values, True)
+            out.append(total)
+        return torch.cat(out)
+
     def distance(self, points: Float[Tensor, "n 3"], *, grad: bool = False) -> Float[Tensor, "n"]:
         """Signed distance, metres."""
-        out = []
         with torch.set_grad_enabled(grad):
-            for piece in points.split(65536):
-                shares = self.shares(piece)
-                total = torch.zeros(len(piece), device=piece.device)
-                for index in range(len(self.fields)):
-                    chosen = shares[:, index] > 0
-                    if chosen.any():
-                        own = shares[chosen, index] * self.part_distance(index, piece[chosen])
-                        total = total.index_put((chosen,), own, True)
-                out.append(total)
-        return torch.cat(out) if out else points.new_zeros(0)
+            return self.blend(self.shares, self.part_distance, points, width=(), most=65536)
 
     def normal(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Unit gradient of the distance: the parts' gradients blended with Eq. 9's weights."""
-        out = []
-        for piece in points.split(32768):
-            shares = self.shares(piece)
-            total = torch.zeros_like(piece)
-            for index in range(len(self.fields)):
-                chosen = shares[:, index] > 0
-                if chosen.any():
-                    _, gradient = self.part_gradient(index, piece[chosen])
-                    total[chosen] += shares[chosen, index, None] * gradient
-            out.append(unit_normals(total))
-        return torch.cat(out) if out else torch.zeros_like(points)
+        return unit_normals(self.blend(self.shares, lambda index, at: self.part_gradient(index, at)[1], points))
 
     def light_normal(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
         """Unit normals that light falls on (PartField.light_normal), blended with Eq. 9's weights."""
-        out = []
-        for piece in points.split(32768):
-            shares = self.shares(piece)
-            total = torch.zeros_like(piece)
-            for index in range(len(self.fields)):
-                chosen = shares[:, index] > 0
-                if chosen.any():
-                    _, gradient = self.part_gradient(index, piece[chosen])
-                    total[chosen] += shares[chosen, index, None] * self._lit_at(index, piece[chosen], gradient)
-            out.append(unit_normals(total))
-        return torch.cat(out) if out else torch.zeros_like(points)
+        lit = lambda index, at: self._lit_at(index, at, self.part_gradient(index, at)[1])
+        return unit_normals(self.blend(self.shares, lit, points))
 
     def _lit_at(self, index: int, points: Tensor, gradient: Tensor) -> Tensor:
         """PartField.light_normal of one part, the gradient of its F_s given; canonical."""
@@ -115,7 +134,7 @@ class FusedField(nn.Module):
             return self.field(index).light_normal(local, gradient @ R.T) @ R
 
     def albedo(self, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-        """Colour without its light, where that is a factor of its own, else `color`."""
+        """Color without its light, where that is a factor of its own, else `color`."""
         seen, self.seen = self.seen, None
         try:
             return self.color(points, directions)
@@ -135,17 +154,7 @@ class FusedField(nn.Module):
 
         Where light is a factor of its own it is the mean of what the parts' videos saw (train/light.py).
         """
-        out = []
-        for piece, seen in zip(points.split(32768), directions.split(32768)):
-            shares = self.color_shares(piece)
-            total = torch.zeros_like(piece)
-            for index in range(len(self.fields)):
-                chosen = shares[:, index] > 0
-                if chosen.any():
-                    color = self.part_shown(index, piece[chosen], seen[chosen])
-                    total[chosen] += shares[chosen, index, None] * color
-            out.append(total)
-        return torch.cat(out) if out else torch.zeros_like(points)
+        return self.blend(self.color_shares, self.part_shown, points, directions)
 
     def part_distance(self, index: int, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
         """Signed distance of one part, without the others, metres, at canonical points."""
@@ -155,11 +164,9 @@ class FusedField(nn.Module):
             distance = self.eyes.distance(points, distance)
         return distance
 
-    def details(self) -> list[Detail]:
+    def details(self) -> tuple[Detail, ...]:
         """Where the surface has smaller features than the parts' cells, canonical."""
-        if self.eyes is None:
-            return []
-        return [Detail(box.low, box.high, self.eyes.cell) for box in self.eyes.details()]
+        return () if self.eyes is None else self.eyes.details()
 
     @property
     def device(self) -> torch.device:
@@ -175,7 +182,7 @@ class FusedField(nn.Module):
     def part_shown(
         self, index: int, points: Float[Tensor, "n 3"], directions: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "n 3"]:
-        """Colour of one part as its video showed it on average."""
+        """Color of one part as its video showed it on average."""
         if self.seen is None:
             return self.part_color(index, points, directions)
         sample, gradient = self.part_gradient(index, points)

@@ -1,4 +1,4 @@
-"""The light of a video as a factor of what its part shows: the colour network learns albedo (Eq. 2), light is fixed.
+"""The light of a video as a factor of what its part shows: the color network learns albedo (Eq. 2), light is fixed.
 
 While a part learns, each section's albedo is lit at its posed normal, in the frame where the light stands still. The
 finished person has no frame: it is shown under the *seen light*, the mean of S and H over the frames that saw a
@@ -14,11 +14,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from avatar.errors import AssetError
 from avatar.light import CaptureLight
 from avatar.skeleton import JOINTS, PARTS, skin_transforms
 from capture.folder import Capture
 from capture.light.frames import light_from_video
+from command.errors import AssetError
 
 Array = np.ndarray
 # numbers of a seen light: spherical harmonics to degree 4
@@ -66,7 +66,7 @@ class LightTensors(NamedTuple):
         towards_eye: Float[Tensor, "b 3"],
         frame: Int[Tensor, "b"],
     ) -> Float[Tensor, "b k 3"]:
-        """Display colour of sections; normals and directions lie where the rays do."""
+        """Display color of sections; normals and directions lie where the rays do."""
         lamps = self.lamps[frame]
         shading = self.light.ambient + (normals @ lamps.transpose(1, 2)).clamp_min(0) @ self.strengths
         highlight = torch.zeros_like(shading)

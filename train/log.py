@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
+from command.errors import AssetError
+from files.whole import whole_file
 
 Array = np.ndarray
 

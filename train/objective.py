@@ -1,6 +1,5 @@
 """What one training step minimises: Eq. 10 of TotalSelfScan, section 3.4, over a batch of rays."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,7 +9,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from capture.template import SurfaceCloud
+from avatar.psnr import decibels
+from capture.template.surface import SurfaceCloud
 from train.deform import canonical_directions, posed_directions
 from train.field import FieldSample, PartField, unit_normals
 from train.light import LightTensors
@@ -22,7 +22,6 @@ from train.loss import (
     mask_logit_loss,
     mask_loss,
 )
-from train.networks.paper import PaperGeometry
 from train.preset import PartPreset, Preset
 from train.rays import TrainingRays
 from train.render import crossing, density_weights, jittered, section_lengths, section_weights
@@ -42,7 +41,7 @@ class RayTensors:
     color: Float[Tensor, "rays 3"]
     mask: Float[Tensor, "rays"]
     bones: Float[Tensor, "frames 52 4"] | None
-    # of the template samples, heaviest bone first
+    # the template samples' skin, heaviest bone first
     joints: Int[Tensor, "samples 4"]
     weights: Float[Tensor, "samples 4"]
 
@@ -115,7 +114,7 @@ class Batch(NamedTuple):
     # in [0, 1), each ray's jitter
     u: Float[Tensor, "b"]
     beta: float  # width of the surface, metres
-    # of L_mask as the paper prints it
+    # the rho of L_mask as the paper prints it
     rho: float = 50.0
 
 
@@ -169,7 +168,7 @@ def functions_of(field: PartField) -> FieldFunctions:
         gradient=field.with_gradient,
         color=color,
         posed=field.poses,
-        density_width=field.geometry.density_width if isinstance(field.geometry, PaperGeometry) else None,
+        density_width=field.geometry.density_width,
         light=field.light,
         light_normal=field.light_normal,
     )
@@ -181,11 +180,11 @@ class Rendered(NamedTuple):
     color: Float[Tensor, "b 3"]  # on black
     # opacity = 1 - exp of it
     log_transmittance: Float[Tensor, "b"]
-    # of each shaded section; sums to 1
+    # each shaded section's; rows sum to 1
     share: Float[Tensor, "b k"]
     ends: Float[Tensor, "b ends 3"]  # canonical, after T_nr
     distance: Float[Tensor, "b ends"]  # F_s there
-    # points that were given a colour, b k of them
+    # points that were given a color, b k of them
     shaded: Float[Tensor, "n 3"]
     shaded_distance: Float[Tensor, "n"]
     gradient: Float[Tensor, "n 3"]  # grad F_s there
@@ -198,9 +197,9 @@ def render_rays(
 ) -> Rendered:
     """Volume rendering of a batch of rays (Eq. 1-4).
 
-    With VolSDF's density F_s, normal and colour are evaluated once, where each section begins, and the density's width
-    is the geometry's own. With NeuS's, F_s is evaluated at all section ends (values only). Normal, Eikonal and colour
-    are evaluated in the `shaded` sections with the largest weights; their colours are scaled to the opacity of the
+    With VolSDF's density F_s, normal and color are evaluated once, where each section begins, and the density's width
+    is the geometry's own. With NeuS's, F_s is evaluated at all section ends (values only). Normal, Eikonal and color
+    are evaluated in the `shaded` sections with the largest weights; their colors are scaled to the opacity of the
     whole ray.
     """
     chosen = batch.chosen
@@ -228,8 +227,7 @@ def render_rays(
     opacity = -torch.expm1(rendered.log_transmittance)
 
     top, section = rendered.weights.topk(min(preset.shaded, count - 1), dim=1)
-    # attached, the crossing moves along the ray with the distances at both ends of its section
-    places = crossing(distance if preset.attached else distance.detach(), ends)
+    places = crossing(distance.detach(), ends)
     points = places.gather(1, section[..., None].expand(-1, -1, 3)).reshape(-1, 3)
     sample, gradient = field.gradient(points, create_graph=create_graph)
     directions = directions_at(rays, chosen, rays.row[chosen].gather(1, section)).reshape(-1, 3)
@@ -297,7 +295,7 @@ def losses(
             eikonal=L_E.item(),
             displacement=L_nr.item(),
             extra=0.0 if L_extra is None else L_extra.item(),
-            psnr=-10 * math.log10(max(error.item(), 1e-10)),
+            psnr=decibels(max(error.item(), 1e-10)),
             slope=drawn.gradient.norm(dim=-1).mean().item(),
             saturated=far.float().mean().item(),
         )

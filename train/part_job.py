@@ -10,70 +10,35 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from avatar.files import whole_file
-from avatar.progress import Reporter
-from avatar.skeleton import PARTS
-from capture.folder import Capture, CaptureSubject, PartVideo, read_capture, read_subject
-from capture.repair.refine import poses_refined, with_refined, write_learned
-from capture.template import SurfaceCloud, neck_height, surface_cloud, visible_faces
+from capture.fit.refine import poses_refined, with_refined, write_learned
+from capture.folder import Capture, PartVideo, read_capture, read_subject
+from capture.template.clothes import THICK
+from capture.template.parts import part_boxes
+from capture.template.surface import neck_height, surface_cloud, visible_faces
+from command.progress import Reporter
+from files.whole import whole_file
 from train import run as run_folder
-from train.checkpoint import Position
-from train.clothes import THICK
 from train.distributed import ONE_PROCESS, Ranks
 from train.field import PartField
 from train.light import VideoLight
 from train.log import TrainingLog
 from train.objective import RayTensors, StepReport, ray_tensors
-from train.parts import part_boxes
 from train.pose_correction import PoseCorrection
 from train.prefit import fit_template
 from train.preset import PartPreset, Preset
 from train.preview import Preview, part_preview
-from train.rays import Focus, part_rays
-from train.single import part_names, part_presets, show_as_in_the_body_video, single_rays, single_template
+from train.rays import FilmedPart, RaySettings, part_rays
 from train.template_grid import template_grid
-from train.trainer import Checkpoints, FieldTraining, Watch, peak_memory, train_field
+from train.trainer import Checkpoints, FieldTraining, Position, Watch, peak_memory, train_field
 from train.union import write_rays
 
 Array = np.ndarray
 
-# of the preparation, where a template fit follows the rays
+# share of the preparation that the rays take where a template fit follows
 RAYS_SHARE = 0.3
 
 
-@dataclass(frozen=True, kw_only=True)
-class PartJob:
-    """The training of one part, for a worker process."""
-
-    capture: str
-    index: int  # into PARTS
-    preset: Preset
-    canonical_from_head: Array
-    # gets the part, its checkpoints, logs and previews; holds the template and what was refined
-    folder: str
-    device: str
-    threads: int
-    # of its video, where it is a factor of its own
-    light: VideoLight | None = None
-    ranks: Ranks = ONE_PROCESS
-    seed: int = 0
-    resume: bool = False
-    save_every: float = 120.0  # seconds between checkpoints
-    # steps between previews; 0: none
-    preview_every: int = 0
-
-    @property
-    def name(self) -> str:
-        """What files and reports call it."""
-        return part_names(self.preset)[self.index]
-
-    @property
-    def settings(self) -> PartPreset:
-        """The part's own numbers."""
-        return part_presets(self.preset)[self.index]
-
-
-class Ready(NamedTuple):
+class Untrained(NamedTuple):
     """A part before its first step."""
 
     field: PartField
@@ -83,78 +48,88 @@ class Ready(NamedTuple):
     preview: Preview | None
 
 
+@dataclass(frozen=True, kw_only=True)
+class PartJob:
+    """The training of one part, for a worker process."""
+
+    capture: str
+    index: int  # into the preset's parts
+    preset: Preset
+    canonical_from_head: Array
+    # gets the part, its checkpoints, logs and previews; holds the template and what was refined
+    folder: str
+    device: str
+    threads: int
+    # its video's, where light is a factor of its own
+    light: VideoLight | None = None
+    ranks: Ranks = ONE_PROCESS
+    seed: int = 0
+    resume: bool = False
+    save_every: float = 120.0  # seconds between checkpoints
+    # steps between previews; 0: none
+    preview_every: int = 0
+    # videos that it learns from; None: the part's own
+    videos: tuple[str, ...] | None = None
+    # what makes the part; None: `part_untrained`
+    make: Callable[["PartJob", Capture, Callable[[float], None]], Untrained] | None = None
+
+    @property
+    def name(self) -> str:
+        """What files and reports call it."""
+        return self.preset.names[self.index]
+
+    @property
+    def settings(self) -> PartPreset:
+        """The part's own numbers."""
+        return self.preset.parts[self.index]
+
+    def read_capture(self) -> Capture:
+        """The part's videos as refined, each picture read when its rays are drawn, on the training's template.
+
+        One video at 1080p may be a gigabyte: a part reads only its own.
+        """
+        videos, folder = self.videos or (self.name,), Path(self.folder)
+        capture = with_refined(read_capture(self.capture, parts=videos, frames_on_demand=True), folder)
+        return replace(capture, subject=read_subject(folder / "subject.npz", capture.subject.name))
+
+
 def train_part(job: PartJob, reporter: Reporter) -> dict:
     """Train one part from its video and leave PART.pt and PART.ckpt; returns what run.json says of it."""
-    name, folder, preset, part_preset = job.name, Path(job.folder), job.preset, job.settings
-    checkpoint, done = folder / f"{name}.ckpt", folder / f"{name}.json"
+    name, folder, steps = job.name, Path(job.folder), job.settings.iterations
+    done = folder / f"{name}.json"
     if job.resume and done.exists():
         return json.loads(done.read_text("utf-8"))
     torch.set_num_threads(job.threads)
     began, cpu = time.monotonic(), time.process_time()
-    # one video at 1080p may be a gigabyte: a part reads only its own, and each picture when its rays are drawn
-    parts = PARTS if preset.single else (name,)
-    capture = with_refined(read_capture(job.capture, parts=parts, frames_on_demand=True), folder)
-    capture = replace(capture, subject=read_subject(folder / "subject.npz", capture.subject.name))
+    capture = job.read_capture()
     torch.manual_seed(job.seed * 4 + job.index)
-    prefit = preset.prefit and not (job.resume and checkpoint.exists())
-    rays_prepared = lambda share: reporter.prepare(share * (RAYS_SHARE if prefit else 1))
-    ready = (single_ready if preset.single else part_ready)(job, capture, rays_prepared)
-    field, rays, frames = ready.field, ready.rays, len(ready.field.appearance.weight)
-    # a single network's rays are of four videos: as aligned
-    if not preset.single and poses_refined(folder, name):
-        field.poses = PoseCorrection(capture.videos[name], capture.subject).to(rays.ends.device)
-    if prefit:
-        fitted = lambda share: reporter.prepare(RAYS_SHARE + (1 - RAYS_SHARE) * share)
-        off = fit_template(field, preset.prefit, seed=job.seed, done=fitted)
-        reporter.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
-    if name == "body" and job.ranks.writes:
-        # for stage 2 and Eq. 8
-        write_rays(folder / "body.rays", rays)
+    part = _untrained(job, capture, reporter)
+    field, rays = part.field, part.rays
     prepared, prepared_cpu = time.monotonic() - began, time.process_time() - cpu
     reporter.say(
-        f"{name}: {len(rays.ends)} rays of {frames} frames, {ready.flagged:.1%} left out as ambiguous, "
-        f"{ready.lost:.2%} of the person's pixels meet no template, prepared in {prepared:.0f} s"
+        f"{name}: {len(rays.ends)} rays of {len(field.appearance.weight)} frames, {part.flagged:.1%} left out as "
+        f"ambiguous, {part.lost:.2%} of the person's pixels meet no template, prepared in {prepared:.0f} s"
     )
-    last: dict[str, float] = {}
-
-    def report(iteration: int, step: StepReport) -> None:
-        last.update(vars(step))
-        reporter.step(iteration, step_note(step))
-
-    at = Position()
-    log = TrainingLog(folder / "logs", name) if job.ranks.writes else None
-    try:
-        train_field(
-            field, rays, FieldTraining(part=part_preset, preset=preset, seed=job.seed, ranks=job.ranks),
-            checkpoints=Checkpoints(path=checkpoint, resume=job.resume, every=job.save_every),
-            watch=Watch(report=report, log=log, preview=ready.preview), at=at,
-        )  # fmt: skip
-    finally:
-        if log is not None:
-            log.close()
+    at, last = _trained(job, part, reporter)
     memory = peak_memory(job.device)
     facts = {
         "rays": len(rays.ends),
-        "flagged": round(ready.flagged, 5),
-        "lost": round(ready.lost, 5),
-        "steps": part_preset.iterations,
+        "flagged": round(part.flagged, 5),
+        "lost": round(part.lost, 5),
+        "steps": steps,
         "skipped": at.skipped,
         "last": {key: round(value, 5) for key, value in last.items()},
         "seconds": round(prepared + at.seconds, 1),
         "seconds_preparing": round(prepared, 1),
-        # of the last sitting, as is what it holds of preparing
+        # the last sitting's, as is what it holds of preparing
         "cpu_seconds": round(time.process_time() - cpu, 1),
         "cpu_seconds_preparing": round(prepared_cpu, 1),
         "peak_memory_mb": megabytes(memory),
     }
-    if preset.single:
-        show_as_in_the_body_video(field, capture)
     if field.poses is not None:
-        facts["poses_learned_deg"] = round(field.poses.degrees(), 3)
+        degrees = facts["poses_learned_deg"] = round(field.poses.degrees(), 3)
         _keep_poses(job, field, rays, capture.videos[name])
-        reporter.say(
-            f"{name}: poses learned with the field, {facts['poses_learned_deg']:.2f} degrees from the aligned ones"
-        )
+        reporter.say(f"{name}: poses learned with the field, {degrees:.2f} degrees from the aligned ones")
     if job.ranks.writes:
         field.light = None
         run_folder.write_part(folder / f"{name}.pt", field.cpu())
@@ -162,11 +137,48 @@ def train_part(job: PartJob, reporter: Reporter) -> dict:
         with whole_file(done, "w") as file:
             json.dump(facts, file)
     psnr = f"PSNR {last['psnr']:.1f} dB, " if last else ""
-    reporter.say(
-        f"{name}: {part_preset.iterations} steps, {psnr}{at.skipped} skipped, {facts['seconds']:.0f} s, "
-        f"{memory_text(memory)}"
-    )
+    reporter.say(f"{name}: {steps} steps, {psnr}{at.skipped} skipped, {facts['seconds']:.0f} s, {memory_text(memory)}")
     return facts
+
+
+def _untrained(job: PartJob, capture: Capture, reporter: Reporter) -> Untrained:
+    """The part with its rays, its poses where they are learned too, and F_s fitted to the template where it must be."""
+    name, folder, preset = job.name, Path(job.folder), job.preset
+    prefit = preset.prefit and not (job.resume and (folder / f"{name}.ckpt").exists())
+    rays_prepared = lambda share: reporter.prepare(share * (RAYS_SHARE if prefit else 1))
+    part = (job.make or part_untrained)(job, capture, rays_prepared)
+    if poses_refined(folder, name):
+        part.field.poses = PoseCorrection(capture.videos[name], capture.subject).to(part.rays.ends.device)
+    if prefit:
+        fitted = lambda share: reporter.prepare(RAYS_SHARE + (1 - RAYS_SHARE) * share)
+        off = fit_template(part.field, preset.prefit, seed=job.seed, done=fitted)
+        reporter.say(f"{name}: F_s fitted to the template in {preset.prefit} steps, {off * 1000:.1f} mm off")
+    if name == "body" and job.ranks.writes:
+        # for stage 2 and Eq. 8
+        write_rays(folder / "body.rays", part.rays)
+    return part
+
+
+def _trained(job: PartJob, part: Untrained, reporter: Reporter) -> tuple[Position, dict[str, float]]:
+    """The part trained in place: how far it is, and the numbers of its last step."""
+    last: dict[str, float] = {}
+
+    def report(iteration: int, step: StepReport) -> None:
+        last.update(vars(step))
+        reporter.step(iteration, step_note(step))
+
+    at, folder = Position(), Path(job.folder)
+    log = TrainingLog(folder / "logs", job.name) if job.ranks.writes else None
+    try:
+        train_field(
+            part.field, part.rays, FieldTraining(part=job.settings, preset=job.preset, seed=job.seed, ranks=job.ranks),
+            checkpoints=Checkpoints(path=folder / f"{job.name}.ckpt", resume=job.resume, every=job.save_every),
+            watch=Watch(report=report, log=log, preview=part.preview), at=at,
+        )  # fmt: skip
+    finally:
+        if log is not None:
+            log.close()
+    return at, last
 
 
 def _keep_poses(job: PartJob, field: PartField, rays: RayTensors, video: PartVideo) -> None:
@@ -181,12 +193,10 @@ def _keep_poses(job: PartJob, field: PartField, rays: RayTensors, video: PartVid
     write_learned(Path(job.folder), job.name, poses.corrected(video))
 
 
-def part_ready(job: PartJob, capture: Capture, prepared: Callable[[float], None]) -> Ready:
+def part_untrained(job: PartJob, capture: Capture, prepared: Callable[[float], None]) -> Untrained:
     """A part's untrained field in its box, and the rays of its video."""
-    name, preset, settings, device = job.name, job.preset, job.settings, torch.device(job.device)
-    subject, part = capture.subject, part_boxes(capture.subject)[job.index]
-    canonical_from_head = job.canonical_from_head if name == "head" else None
-    video = capture.videos[name]
+    name, settings, device = job.name, job.settings, torch.device(job.device)
+    subject, part, video = capture.subject, part_boxes(capture.subject)[job.index], capture.videos[name]
     visible, cell = visible_faces(subject), settings.cell
     cloud = surface_cloud(subject, job.index, visible, settings.spacing)
     if name == "body" and subject.behind_cloth is not None:
@@ -195,40 +205,30 @@ def part_ready(job: PartJob, capture: Capture, prepared: Callable[[float], None]
                              (subject, neck_height(subject)) if name == "head" else None)  # fmt: skip
     if subject.behind_cloth is not None:
         # or rays would look for surfaces behind the cloth, with a fourth of their sections on it
-        cloud = surface_cloud(
-            subject, job.index, visible & ~subject.behind_cloth[subject.faces].all(1), settings.spacing
-        )
+        shown = visible & ~subject.behind_cloth[subject.faces].all(1)
+        cloud = surface_cloud(subject, job.index, shown, settings.spacing)
     field = run_folder.build_field(subject, job.index, settings, template, len(video.images)).to(device)
     field.light = None if job.light is None else job.light.tensors(device)
-    rays = part_rays(
-        video, subject, cloud, part, settings.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame,
-        canonical_from_head=canonical_from_head, rng=np.random.default_rng([job.seed, job.index]),
-        background=settings.background, prepared=prepared,
-        focus=None if settings.focus == 0 else Focus(template, settings.focus),
-    )  # fmt: skip
-    preview = _preview(job, video, subject, cloud, canonical_from_head)
-    return Ready(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost, preview)
+    filmed = FilmedPart(part, video, subject, cloud, job.canonical_from_head if name == "head" else None)
+    generator = np.random.default_rng([job.seed, job.index])
+    rays = part_rays(filmed, ray_settings(settings, job.preset), generator, prepared)
+    return Untrained(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost, job_preview(job, filmed))
 
 
-def single_ready(job: PartJob, capture: Capture, prepared: Callable[[float], None]) -> Ready:
-    """The single network (ablation), untrained, and the rays of all four videos; its preview is the body's."""
-    device = torch.device(job.device)
-    frames = sum(len(video.images) for video in capture.videos.values())
-    rays, cloud, flagged, lost = single_rays(capture, job.preset, job.canonical_from_head, job.seed, device, prepared)
-    template = single_template(capture, cloud, job.settings.cell)
-    field = run_folder.build_field(capture.subject, 0, job.settings, template, frames).to(device)
-    preview = _preview(job, capture.videos["body"], capture.subject, cloud, None)
-    return Ready(field, rays, flagged, lost, preview)
+def ray_settings(part: PartPreset, preset: Preset) -> RaySettings:
+    """How a preset takes a part's rays."""
+    return RaySettings(
+        band=part.band, ends=preset.sections + 2, per_frame=preset.rays_per_frame, background=part.background
+    )
 
 
-def _preview(
-    job: PartJob, video: PartVideo, subject: CaptureSubject, cloud: SurfaceCloud, canonical_from_head: Array | None
-) -> Preview | None:
+def job_preview(job: PartJob, filmed: FilmedPart) -> Preview | None:
+    """What draws the part while it learns; None where none was asked for."""
     if not (job.preview_every and job.ranks.writes):
         return None
     path = Path(job.folder) / "preview" / f"{job.name}.png"
-    return part_preview(path, video, subject, cloud, part_boxes(subject)[job.index], job.settings.band, job.preset,
-                        canonical_from_head, torch.device(job.device), job.preview_every)  # fmt: skip
+    settings = ray_settings(job.settings, job.preset)
+    return part_preview(path, filmed, settings, torch.device(job.device), job.preview_every)
 
 
 def step_note(step: StepReport) -> str:

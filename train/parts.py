@@ -1,85 +1,12 @@
-"""The four parts: their canonical boxes, and their weights where two of them overlap (TotalSelfScan, 3.3, Eq. 9)."""
+"""The weights of the parts where two of them overlap (TotalSelfScan, 3.3, Eq. 9)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
-from avatar.skeleton import PARTS
-from capture.folder import CaptureSubject
-
-Array = np.ndarray
-
-
-@dataclass(frozen=True)
-class Box:
-    """An axis-aligned box of the canonical frame, metres."""
-
-    low: Float[Array, "3"]
-    high: Float[Array, "3"]
-
-    def contains(self, points: Float[Array, "n 3"]) -> Bool[Array, "n"]:
-        """Which points lie in the box or on its border."""
-        return np.all((points >= self.low) & (points <= self.high), axis=-1)
-
-    def padded(self, margin: float) -> "Box":
-        """The box grown by `margin` metres on every side."""
-        return Box(self.low - margin, self.high + margin)
-
-
-@dataclass(frozen=True)
-class Part:
-    """Where a part's field lives and where it takes over from the body.
-
-    `extent` is the box its networks are scaled to; nothing outside it is learnt. `blend_box` is the box of Eq. 9:
-    at its border the part's weight is 0 and the body's 1, `overlap` metres inside it the other way round.
-    """
-
-    name: str
-    extent: Box
-    # None: the body, which covers everyone
-    blend_box: Box | None
-    overlap: float  # d_s, metres
-
-
-def part_boxes(subject: CaptureSubject) -> tuple[Part, ...]:
-    """The boxes of the four parts, from the template's labelled vertices.
-
-    Hands begin 10 cm up the forearm, the head 3 cm under its lowest labelled skin, or lower by the subject's
-    `head_reach`; there the overlap lies. The other faces of `blend_box` stand off by d_s more than the surface
-    needs, so that Eq. 9's weight is 1 at the fingertips and continuous everywhere.
-    """
-    everyone = Box(subject.vertices.min(0), subject.vertices.max(0))
-    parts = [Part("body", everyone.padded(0.08), None, 0.0)]
-    for index, name in enumerate(PARTS[1:], start=1):
-        vertices = subject.vertices[(subject.part == index) & ~subject.hair]
-        covered = subject.vertices[subject.part == index]
-        overlap = 0.05 if name == "head" else 0.10
-        low, high = covered.min(0).copy(), covered.max(0).copy()
-        stand_off = overlap + 0.03
-        if name == "head":
-            # and the networks' box reaches as far: no part has a weight where it learnt nothing
-            stand_off = overlap + 0.02
-            # the neck below: Eq. 9 starts under the lowest skin of the head, hair hanging deeper or not
-            low[1] = max(low[1], vertices[:, 1].min()) - subject.head_reach
-            blend_low, blend_high = low - stand_off, high + stand_off
-            blend_low[1] = low[1] - overlap + 0.02
-            low[1] = blend_low[1] - 0.02
-            extent = Box(low - [stand_off, 0.0, stand_off], high + stand_off)
-        else:
-            inner = 0 if name == "hand_left" else 1  # the left hand's wrist is its low x
-            blend_low, blend_high = low - stand_off, high + stand_off
-            if inner == 0:
-                blend_low[0] = low[0] - overlap
-                extent = Box(np.array([blend_low[0] - 0.02, low[1] - 0.03, low[2] - 0.03]), high + 0.03)
-            else:
-                blend_high[0] = high[0] + overlap
-                extent = Box(low - 0.03, np.array([blend_high[0] + 0.02, high[1] + 0.03, high[2] + 0.03]))
-        parts.append(Part(name, extent, Box(blend_low, blend_high), overlap))
-    return tuple(parts)
+from capture.template.parts import Part
 
 
 def part_weight(points: Float[Tensor, "n 3"], part: Part) -> Float[Tensor, "n"]:

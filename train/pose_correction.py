@@ -1,4 +1,4 @@
-"""Poses learned with the field: what is left of pose errors after alignment (capture/repair/align.py) is taken out
+"""Poses learned with the field: what is left of pose errors after alignment (capture/fit/align.py) is taken out
 by gradients.
 
 Section ends of a video's rays are canonical and cached, so a correction of a frame's pose has to move them there. With
@@ -23,10 +23,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from avatar.kinematics import DESCENDS, turned
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import PARTS, joint_transforms, skin_transforms
+from capture.fit.align import metres_of_a_pixel, moving_joints
 from capture.folder import CaptureSubject, PartVideo
-from capture.repair.increments import DESCENDS, metres_of_a_pixel, moving_joints
 
 Array = np.ndarray
 
@@ -78,7 +79,7 @@ class PoseCorrection(nn.Module):
         assert video.axis_angle is not None and video.root is not None
         d, moving = self.centred().cpu().numpy().astype(np.float64), self.moving.cpu().numpy()
         R = matrix_from_axis_angle(video.axis_angle)
-        R[:, moving] = R[:, moving] @ matrix_from_axis_angle(d[:, :-3].reshape(len(d), -1, 3))
+        R[:, moving] = turned(R[:, moving], d[:, :-3].reshape(len(d), -1, 3))
         return replace(video, axis_angle=axis_angle_from_matrix(R), root=video.root + d[:, -3:])
 
     @torch.no_grad()

@@ -21,8 +21,8 @@ def fit_template(
     """Fit F_s to the template's signed distance, mean |F_s - template|; returns the last step's, metres.
 
     Half of the points of a step lie anywhere in the part's box, half are the ones of as many again that lie
-    closest to the template. Without this start, volume rendering of a sphere finds no person in time. `done` hears
-    the share of the steps done.
+    closest to the template. Without this start, volume rendering of a sphere finds no person in time. `done` is
+    called with the share of the steps done.
     """
     parameters = list(field.geometry.parameters())
     optimiser = torch.optim.Adam(parameters, lr=rate)

@@ -2,12 +2,19 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
+from avatar.skeleton import PARTS
+from command.settings import Kinds, Rows
+from train.command import PRESET_NAMES, TrainOptions
 from train.networks.hash import HashNetworks
 from train.networks.paper import PaperNetworks
 from train.networks.triplane import TriPlaneNetworks
 from train.rays import Band
+
+# all kinds
+Networks = TriPlaneNetworks | HashNetworks | PaperNetworks
+KIND = Kinds({sizes.kind: sizes for sizes in get_args(Networks)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,11 +31,9 @@ class PartPreset:
     displacement_reach: float  # |T_nr| at most, metres
     # lambda_2, per metre of T_nr (supplement: .01, hands .001)
     displacement_weight: float
-    networks: TriPlaneNetworks | HashNetworks | PaperNetworks
+    networks: Annotated[Networks, KIND]
     # share of the cached pixels that may lie beside the person, at most
     background: float = 1.0
-    # metres off the template over which the sections of a ray grow to twice their shortest; 0: all are even
-    focus: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,21 +42,21 @@ class UnionPreset:
 
     iterations: int = 200
     rate: float = 0.1  # first learning rates, of stage 1's
-    last_rate: float = 0.2  # of these, reached exponentially
+    last_rate: float = 0.2  # share of these that the last rates are, reached exponentially
     warm_up: int = 20  # steps
     consistency: float = 3.0  # weight of L_g's first term, per metre
-    surface: float = 3.0  # of its second
+    surface: float = 3.0  # weight of L_g's second term, per metre
 
 
 @dataclass(frozen=True, kw_only=True)
 class HairPreset:
     """What is done for heads with hair before and after training; the paper does none of it."""
 
-    # the head's place by its own video before anything is carved or learnt (train/head_consistency.py), after Eq. 6
+    # the head's place by its own video before anything is carved or learned (head_consistency.py), after Eq. 6
     consistency: bool = False
-    # hollows between hair and neck carved by colours (train/hollows.py)
+    # hollows between hair and neck carved by colors (capture/template/hollows.py)
     hollows: bool = False
-    # where hair hangs below the rigid head, hair is a surface of its own, with its own skin weights (train/layers.py)
+    # where hair hangs below the rigid head, hair is a surface of its own, with its own skin weights (layers.py)
     layers: bool = False
     # metres under the lowest skin of the head: so much lower the head's field ends, whose video holds neck and collar
     # as still as the head and shows them several times finer than the body's
@@ -63,8 +68,8 @@ class Preset:
     """Settings of a training run."""
 
     name: str
-    # in the order of avatar.skeleton.PARTS
-    parts: tuple[PartPreset, ...]
+    # in the order of avatar.skeleton.PARTS; one alone: a person of one network (experiments/single.py)
+    parts: Annotated[tuple[PartPreset, ...], Rows("parts", 1, len(PARTS))]
     density: Literal["neus", "volsdf"] = "neus"  # train/render.py; VolSDF's width is learned
     # L_rgb: mean |difference|, or Eq. 11 as printed
     color_loss: Literal["absolute", "norm"] = "absolute"
@@ -73,30 +78,28 @@ class Preset:
     rays: int = 1024  # per step
     # all rays of a step from one frame, or from any
     one_frame: bool = False
-    # cached of each frame; a texture between the pixels of fewer is never learnt
+    # rays cached of each frame; a texture between the pixels of fewer is never learned
     rays_per_frame: int = 8000
     sections: int = 12  # per ray
-    # sections with the largest weights get normal and colour
+    # sections with the largest weights get normal and color
     shaded: int = 3
     # T_nr is evaluated at every n-th section end and linear between
     displaced_every: int = 4
     # learning rate of planes or hash tables
     grid_rate: float = 4e-3
-    # of the networks and codes
+    # that of the networks and codes
     network_rate: float = 2e-3
-    # of T_nr and its codes: geometry settles first
+    # that of T_nr and its codes: geometry settles first
     displacement_rate: float = 3e-4
-    # of poses, where they are refined: pixels, of a point a metre from its joint
+    # that of poses, where they are refined: pixels that a point a metre from its joint moves
     pose_rate: float = 0.1
-    # share of the steps before they move: first the field shows somebody
+    # share of the steps before poses move: first the field must show a person
     pose_begin: float = 0.15
-    pose_weight: float = 0.1  # of their prior
+    pose_weight: float = 0.1  # weight of the poses' prior
     # round the opening between the lids the surface is the template's, with its eyeballs (train/eye_grid.py)
     open_eyes: bool = True
-    # photometric gradients move the surface within a section
-    attached: bool = False
     warm_up: int = 100  # steps
-    # of the first, reached exponentially
+    # share of the first rates that the last ones are, reached exponentially
     last_rate: float = 0.05
     beta_until: float = 0.8  # share of the steps over which beta shrinks
     clip: float = 1.0  # gradient norm
@@ -107,18 +110,25 @@ class Preset:
     # steps that fit F_s to the template before training, where it does not begin there
     prefit: int = 0
     surface_cells: tuple[float, float, float] = (0.006, 0.0035, 0.0025)  # metres: body, head, hands
-    # clothes beyond the body's band are carved from the masks and joined to the template (train/clothes.py)
+    # clothes beyond the body's band are carved from the masks and joined to the template (capture/template/clothes.py)
     clothes: bool = True
     # the capture's light is fitted first and F_c learns albedo (capture/light, train/light.py)
     light: bool = False
-    # one network for everyone (train/single.py), instead of four parts
-    single: bool = False
     hair: HairPreset = HairPreset()
     union: UnionPreset = UnionPreset()
     appearance_steps: int = 200  # Eq. 8, per part
     appearance_rate: float = 1e-2  # its learning rate
-    # of the first, reached exponentially
+    # share of the first rate that the last one is, reached exponentially
     appearance_last_rate: float = 1.0
+
+    def __post_init__(self):
+        if len(self.parts) not in (1, len(PARTS)):
+            raise ValueError(f"parts should be {len(PARTS)}, or 1 for a person of one network, are {len(self.parts)}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the parts are called; each is a file of the run folder."""
+        return PARTS if len(self.parts) == len(PARTS) else ("single",)
 
 
 _DEMO_BODY = PartPreset(
@@ -224,7 +234,7 @@ PAPER = Preset(
     appearance_last_rate=0.1,
 )
 
-PRESETS = {preset.name: preset for preset in (DEMO, FAST, PAPER)}
+PRESETS: dict[str, Preset] = dict(zip(PRESET_NAMES, (DEMO, FAST, PAPER), strict=True))
 
 
 def shortened(preset: Preset, iterations: int) -> Preset:
@@ -252,3 +262,11 @@ def without(preset: Preset, items: Iterable[str]) -> Preset:
     for item in items:
         preset = ITEMS[item](preset)
     return preset
+
+
+def chosen_preset(options: TrainOptions) -> Preset:
+    """The preset of a command line, with what its options change of it."""
+    preset = PRESETS[options.preset]
+    if options.iterations is not None:
+        preset = shortened(preset, options.iterations)
+    return without(preset, options.without)

@@ -8,17 +8,15 @@ import torch
 from jaxtyping import Float, Int, UInt8
 
 from avatar.camera import Camera, project
-from avatar.files import whole_file
-from avatar.png import encode_png
 from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from capture.folder import CaptureSubject, PartVideo
-from capture.template import SurfaceCloud
+from capture.folder import PartVideo
+from files.picture import encode_png
+from files.whole import whole_file
 from train.field import PartField, unit_normals
 from train.objective import Batch, RayTensors, functions_of, ray_tensors, render_rays
-from train.parts import Part
 from train.preset import Preset
-from train.rays import Band, part_rays
+from train.rays import FilmedPart, RaySettings, part_rays
 
 Array = np.ndarray
 
@@ -30,7 +28,7 @@ class Preview:
     """Draws a part by volume rendering of cached rays, as it learns.
 
     Rays of pixels that do not supervise the part (the body's, in a picture of a hand) are not cast; they are
-    black, and so is the background. Normals are canonical, n / 2 + 1 / 2 as a colour.
+    black, and so is the background. Normals are canonical, n / 2 + 1 / 2 as a color.
     """
 
     def __init__(
@@ -62,31 +60,24 @@ class Preview:
         return image
 
 
-def part_preview(
-    path: Path, video: PartVideo, subject: CaptureSubject, cloud: SurfaceCloud, part: Part, band: Band, preset: Preset,
-    canonical_from_head: Float[Array, "4 4"] | None, device: torch.device, every: int,
-) -> Preview:  # fmt: skip
+def part_preview(path: Path, filmed: FilmedPart, settings: RaySettings, device: torch.device, every: int) -> Preview:
     """The rays of a pixel grid over the part, in the first frame that shows it about as large as any.
 
     Raises:
         ValueError: no pixel of that frame supervises the part.
     """
-    frame, box = _view(video, subject, cloud, PARTS.index(part.name), canonical_from_head)
-    small = _thinned(video, frame, box)
-    camera = small.cameras[0]
-    everything = len(small.masks[0].ravel())
-    rays = part_rays(
-        small, subject, cloud, part, band, ends=preset.sections + 2, per_frame=2 * everything,
-        canonical_from_head=canonical_from_head, rng=np.random.default_rng(0),
-    )  # fmt: skip
+    frame, box = _view(filmed)
+    small = _thinned(filmed.video, frame, box)
+    camera, canonical_from_head = small.cameras[0], filmed.canonical_from_head
+    everything = replace(settings, per_frame=2 * small.masks[0].size, background=1.0)
+    rays = part_rays(replace(filmed, video=small), everything, np.random.default_rng(0))
     # a ray does not hold its pixel; its direction leads back to it
     directions = rays.direction.astype(np.float64)
     if canonical_from_head is not None:
-        turn = canonical_from_head[:3, :3] / np.cbrt(np.linalg.det(canonical_from_head[:3, :3]))
-        directions = directions @ turn
+        directions = directions @ (canonical_from_head[:3, :3] / filmed.scale)
     at, _ = project(camera, camera.eye + directions)
     pixels = np.floor(at).astype(np.int64)[:, ::-1]
-    tensors = ray_tensors(rays, cloud, device)
+    tensors = ray_tensors(rays, filmed.cloud, device)
     bones = tensors.bones
     # the codes of T_nr and F_c are the video's: so are the frame numbers
     if bones is not None:
@@ -96,20 +87,19 @@ def part_preview(
     return Preview(path, tensors, pixels, observed, every)
 
 
-def _view(
-    video: PartVideo, subject: CaptureSubject, cloud: SurfaceCloud, index: int, canonical_from_head: Array | None
-) -> tuple[int, tuple[int, int, int, int]]:
+def _view(filmed: FilmedPart) -> tuple[int, tuple[int, int, int, int]]:
     """A frame, and the rows and columns (first, past the last) of its image that show the part."""
+    video, cloud, index = filmed.video, filmed.cloud, PARTS.index(filmed.part.name)
     own = np.flatnonzero(cloud.part == index if index else np.ones(len(cloud.points), bool))
     own = own[:: max(len(own) // 500, 1)]
     skin = SkinWeights(cloud.skin.joints[own], cloud.skin.weights[own])
     counts, boxes = [], []
     for i, camera in enumerate(video.cameras):
-        if canonical_from_head is not None:
-            points = np.c_[cloud.points[own], np.ones(len(own))] @ np.linalg.inv(canonical_from_head)[:3].T
+        if filmed.canonical_from_head is not None:
+            points = np.c_[cloud.points[own], np.ones(len(own))] @ np.linalg.inv(filmed.canonical_from_head)[:3].T
         else:
             assert video.axis_angle is not None and video.root is not None
-            B = skin_transforms(video.axis_angle[i], subject.joints, video.root[i])
+            B = skin_transforms(video.axis_angle[i], filmed.subject.joints, video.root[i])
             points = skin_points(cloud.points[own], skin, B)
         pixels, depth = project(camera, points)
         height, width = video.masks[i].shape

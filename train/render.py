@@ -28,7 +28,7 @@ class Weights(NamedTuple):
     """What each section of a ray contributes."""
 
     weights: Float[Tensor, "rays sections"]
-    # of the whole ray; opacity = 1 - exp of it
+    # the whole ray's; opacity = 1 - exp of it
     log_transmittance: Float[Tensor, "rays"]
 
 
@@ -97,7 +97,7 @@ def crossing(
 ) -> Float[Tensor, "rays sections 3"]:
     """The point of each section that is shaded: where the distance, taken as linear, is zero; else its middle.
 
-    Sections are several millimetres long, the colour changes faster; at the crossing a wide section shows the
+    Sections are several millimetres long, the color changes faster; at the crossing a wide section shows the
     same texel as a narrow one.
     """
     s0, s1 = distance[:, :-1], distance[:, 1:]

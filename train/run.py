@@ -2,39 +2,47 @@
 
 import dataclasses
 import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
-from avatar.errors import AssetError
-from avatar.input_file import read_json
 from avatar.light import CaptureLight, light_from_json
-from avatar.npz import field as field_of
-from avatar.npz import read_npz
 from avatar.skeleton import PARTS
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject, read_subject
-from capture.views import ViewStatistics
+from capture.template.parts import part_boxes
+from capture.template.views import ViewStatistics
+from command.errors import AssetError
+from command.settings import SettingsSource, record_of
+from files.input_file import read_json
+from files.npz import field as field_of
+from files.npz import read_npz
 from train.eye_grid import OpenEyes
 from train.field import PartField
-from train.fused import FusedField
+from train.fused import CanonicalField, FusedField
 from train.light import seen_lights_from_json, seen_tensors
-from train.networks import hash, paper, triplane
-from train.networks.hash import HashNetworks
-from train.networks.paper import PaperNetworks
-from train.networks.triplane import TriPlaneNetworks
-from train.parts import part_boxes
 from train.preset import PartPreset, Preset
-from train.single import part_names, part_presets
-from train.stored_preset import preset_from_json
 from train.surface import Surface
 from train.template_grid import TemplateGrid
 
 FORMAT, VERSION = "selfscan-run", 1
+
+
+@dataclass(frozen=True)
+class BakeSource:
+    """What baking takes from a trained person."""
+
+    field: CanonicalField
+    surface: Surface
+    subject: CaptureSubject
+    # run.json: passed on to the avatar file
+    provenance: dict[str, Any]
+    # the body video's, in the world of the poses; None: the field's colors hold the light
+    world_light: CaptureLight | None = None
 
 
 @dataclass(frozen=True)
@@ -47,16 +55,21 @@ class Run:
     subject: CaptureSubject
     # what it was trained with, as run.json holds it
     preset: Preset
-    provenance: dict  # all of run.json
-    # of each video, by part; empty: the fields' colours hold the light
+    provenance: dict[str, Any]  # all of run.json
+    # the videos', by part; empty: the fields' colors hold the light
     lights: dict[str, CaptureLight] = dataclasses.field(default_factory=dict)
 
     # the body video's, in the world of the poses
     world_light: CaptureLight | None = None
 
     @property
+    def bake_source(self) -> BakeSource:
+        """The run as `selfscan bake` takes it."""
+        return BakeSource(self.field.functions(), self.surface, self.subject, self.provenance, self.world_light)
+
+    @property
     def light(self) -> CaptureLight | None:
-        """The body video's light, which is everyone's reference; None: it was not told from the albedo."""
+        """The body video's light, which is everyone's reference; None: light is no factor of its own."""
         return self.lights.get("body")
 
 
@@ -67,13 +80,7 @@ def build_field(
     extent = part_boxes(subject)[index].extent
     low, high = (torch.tensor(edge, dtype=torch.float32) for edge in (extent.low, extent.high))
     half = 0.5 * (high - low)
-    match preset.networks:
-        case TriPlaneNetworks():
-            networks = triplane.build(preset.networks, frames, half, preset.displacement_reach)
-        case HashNetworks():
-            networks = hash.build(preset.networks, frames, half, preset.displacement_reach)
-        case PaperNetworks():
-            networks = paper.build(preset.networks, frames, half, preset.displacement_reach)
+    networks = preset.networks.build(frames, half, preset.displacement_reach)
     return PartField(template, low, high, networks)
 
 
@@ -110,9 +117,9 @@ def read_part(path: Path, subject: CaptureSubject, index: int, preset: PartPrese
 
 def write_eyes(path: Path, eyes: OpenEyes) -> None:
     """eyes.npz: the open eyes that the surface shows."""
-    arrays = {name: getattr(eyes, name).cpu().numpy() for name in ("values", "share", "low")}
+    values, share, low = (grid.cpu().numpy() for grid in (eyes.values, eyes.share, eyes.low))
     with open(path, "wb") as file:
-        np.savez(file, cell=np.float64(eyes.cell), **arrays)
+        np.savez(file, cell=np.float64(eyes.cell), values=values, share=share, low=low)
 
 
 def read_eyes(path: Path) -> OpenEyes | None:
@@ -168,7 +175,7 @@ def write_surface(path: Path, surface: Surface, per_part: list[ViewStatistics]) 
 
 SURFACE = {
     "vertices": (3,), "faces": (3,), "normals": (3,), "part": (), "skin_joints": (4,), "skin_weights": (4,),
-    "view_count": (), "view_mean": (3,), "view_covariance": (6,),
+    "view_count": (), "view_mean": (3,), "view_covariance": (6,), "layer": (),
 }  # fmt: skip
 
 
@@ -178,7 +185,7 @@ def read_surface(path: Path) -> Surface:
     Raises:
         AssetError: a field is absent or misshapen.
     """
-    fields = read_npz(path, "a surface", SURFACE, ("layer",))
+    fields = read_npz(path, "a surface", SURFACE)
     count = len(field_of(path, fields, "vertices", (None, 3)))
     for name, columns in SURFACE.items():
         field_of(path, fields, name, (None if name == "faces" else count, *columns))
@@ -188,12 +195,10 @@ def read_surface(path: Path) -> Surface:
     if bones.min(initial=0) < 0 or bones.max(initial=0) > 51:
         raise AssetError(f"{path}: skin_joints should be 0..51, holds {int(bones.min())}..{int(bones.max())}")
     skin = SkinWeights(bones, fields["skin_weights"])
-    # runs of earlier versions have one layer
-    layer = field_of(path, fields, "layer", (count,)) if "layer" in fields else np.zeros(count)
     return Surface(
         fields["vertices"].astype(np.float64), fields["faces"].astype(np.int64), fields["normals"].astype(np.float64),
         fields["part"].astype(np.int64), skin, fields["view_count"], fields["view_mean"], fields["view_covariance"],
-        layer.astype(np.int64),
+        fields["layer"].astype(np.int64),
     )  # fmt: skip
 
 
@@ -261,14 +266,12 @@ def read_run(path: Path | str, device: str = "cpu") -> Run:
     path = Path(path)
     facts = read_facts(path)
     try:
-        preset, assumed = preset_from_json(facts.get("settings"), facts.get("preset"))
+        preset = record_of(Preset, facts.get("settings"), SettingsSource(whole=True), ("settings",))
     except ValueError as error:
         raise AssetError(f"{path / 'run.json'}: {error}") from None
-    if assumed:
-        print(f"{path / 'run.json'}: no {', '.join(assumed)}; taken as they are today", file=sys.stderr)
     subject = read_subject(path / "subject.npz", name=str(facts.get("subject", "")))
-    parts = zip(part_names(preset), part_presets(preset), strict=True)
-    fields = [read_part(path / f"{name}.pt", subject, i, own) for i, (name, own) in enumerate(parts)]
+    parts = enumerate(zip(preset.names, preset.parts, strict=True))
+    fields = [read_part(path / f"{name}.pt", subject, i, own) for i, (name, own) in parts]
     correction = matrix_of(path, facts, "canonical_from_head_field")
     inverse = torch.tensor(np.linalg.inv(correction), dtype=torch.float32)
     field = FusedField(fields, part_boxes(subject), inverse).to(device).eval().requires_grad_(False)

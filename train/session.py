@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from avatar.errors import AssetError
-from avatar.files import check_folder, whole_file
+from command.errors import AssetError
+from files.whole import check_folder, whole_file
 
 FILE = "session.json"
 

@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from capture.folder import CaptureSubject
-from capture.template import blend_skin, visible_faces
+from capture.template.surface import blend_skin, visible_faces
 from geometry.closest import closest_on_triangles
 from geometry.harmonic import anchored, fill_harmonic
 from geometry.mesh import vertex_normals

@@ -5,54 +5,56 @@ import os
 import platform
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 import torch
 
-from avatar.errors import AssetError
-from avatar.files import whole_folder
-from avatar.interrupt import prompt_stop
 from avatar.light import CaptureLight
-from avatar.progress import Progress, ProgressBoard, Reporter
 from avatar.similarity import Registration, similarity_from_landmarks
 from avatar.skeleton import PARTS
+from capture.fit.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
 from capture.folder import Capture, CaptureSubject, read_capture, write_subject
 from capture.light.fit import fit_capture_light, light_line
-from capture.repair.refine import ROUNDS, RefineJob, copy_refined, refine_capture, with_learned, with_refined
+from capture.register.rigid import with_rigid_head
+from capture.template.clothes import with_clothes
+from capture.template.hull import with_hair
 from capture.videos import let_go
+from command.errors import AssetError
+from command.interrupt import prompt_stop
+from command.progress import Progress, ProgressBoard, Reporter
+from command.settings import settings_json
+from files.whole import whole_folder
 from train import run as run_folder
-from train.clothes import with_clothes
+from train.command import TrainOptions
 from train.compose import (
     HeadPlacement,
     TrainedParts,
     compose,
     consistent_placement,
     landmark_placement,
-    place_head,
 )
 from train.distributed import Ranks, join_ranks
 from train.field import PartField
-from train.hull import with_hair
 from train.light import VideoLight, video_light
 from train.log import tensorboard_installed
-from train.options import TrainOptions
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
-from train.preset import Preset
-from train.rigid import with_rigid_head
+from train.preset import Preset, chosen_preset
 from train.session import Session, capture_digest, capture_place, digest_of, exclusive_lock, open_session
-from train.single import part_names, part_presets
-from train.stored_preset import preset_json
 from train.trainer import Checkpoints, Watch, peak_memory
 from train.union import read_rays
 from train.workers import run_jobs
 
 # time of what follows stage 1, as a share of it, for the time left; demo on two cores
 AFTER = 0.2
+# the order of the parts in which two workers end together
+HEAVIEST_FIRST = (1, 0, 2, 3)
+
+T = TypeVar("T")
 
 
 class Clocks(NamedTuple):
@@ -72,7 +74,7 @@ class Clocks(NamedTuple):
 
 
 @dataclass(frozen=True)
-class _Training:
+class Training:
     """A training under way: what its stages share."""
 
     options: TrainOptions
@@ -83,12 +85,15 @@ class _Training:
     ranks: Ranks
     # this rank's
     device: str
-    # where the head's video lies on the template before anything is learnt
+    # where the head's video lies on the template before anything is learned
     head: HeadPlacement
     say: Callable[[str], None]
-    # of each video; empty: light is no factor of its own
+    began: Clocks
+    # each video's; empty: light is no factor of its own
     lights: dict[str, CaptureLight] = field(default_factory=dict)
-    # of what is done before the parts are trained, by name
+    # what was done to poses and masks, for run.json
+    refined: dict[str, Any] = field(default_factory=dict)
+    # seconds of what is done before the parts are trained, by name
     seconds: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
@@ -97,6 +102,10 @@ class _Training:
         began = time.monotonic()
         yield
         self.seconds[name] = time.monotonic() - began
+
+    def from_writer(self, make: Callable[[], T]) -> T:
+        """What `make` gives on the rank that writes, for all ranks."""
+        return self.ranks.broadcast(make() if self.ranks.writes else cast(T, None))
 
     def video_light(self, part: str, canonical_from_head: np.ndarray) -> VideoLight | None:
         """A video's light as its part's rays meet it; None where light is no factor."""
@@ -111,71 +120,82 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
     torchrun one after the other, each on all ranks. Checkpoints, logs and previews lie beside the run folder, in
     RUN.partial, until the run is complete. A signal raises `Stopped` once they are saved.
     """
-    preset = options.chosen_preset() if preset is None else preset
-    with prompt_stop(), ExitStack() as held:
-        ranks, device = join_ranks(options.device)
-        say: Callable[[str], None] = _say if ranks.writes else lambda text: None
-        capture, out = read_capture(options.capture), options.out
-        session = None
-        if ranks.writes:
-            held.enter_context(exclusive_lock(out))
-            decides = _what_decides(options, preset, capture)
-            session = open_session(out, decides, resume=options.resume, force=options.force, say=say)
-        session = ranks.broadcast(session)
-        if session is None:
-            return out
-        began = Clocks.now()
-        if ranks.writes and not tensorboard_installed():
-            say("logs: CSV only; `pip install tensorboard` adds events for it")
+    with ExitStack() as held:
+        training = begin(options, chosen_preset(options) if preset is None else preset, held)
+        if training is not None:
+            training = prepared(training)
+            jobs = [part_job(training, training.session.partial, index) for index in HEAVIEST_FIRST]
+            finish(training, train_parts(training, jobs))
+    return options.out
 
-        head = landmark_placement(_register_landmarks(capture, say))
-        training = _Training(options, preset, capture, session, ranks, device, head, say)
-        say(
-            f"stage 1: {', '.join(part_names(preset))} by volume rendering of signed distance (Eq. 10-12), "
-            f"preset {preset.name}"
-        )
-        say(f"logs, previews and checkpoints: {session.partial}")
-        with training.timed("poses and masks"):
-            refined = _refine(training)
-        # from here on there is no other: frames that were left out are in nobody's count
-        training = replace(training, capture=with_refined(capture, session.partial))
-        training = _with_light(_with_own_template(_with_consistent_head(training)))
-        head = _head_of_single(training) if preset.single else training.head
-        facts = _train_parts(training, session.partial, head.canonical_from_head)
-        if ranks.writes:
-            _compose(training, head, facts, refined, began)
-    return out
+
+def begin(
+    options: TrainOptions, preset: Preset, held: ExitStack, decides: dict[str, Any] | None = None
+) -> Training | None:
+    """A training with its capture and session; None where --resume finds it finished.
+
+    `held` keeps the lock on the run folder and what signals do. `decides` is what else decides the result.
+    """
+    held.enter_context(prompt_stop())
+    ranks, device = join_ranks(options.device)
+    say: Callable[[str], None] = _say if ranks.writes else lambda text: None
+    capture, session = read_capture(options.capture), None
+    if ranks.writes:
+        held.enter_context(exclusive_lock(options.out))
+        settings = _what_decides(options, preset, capture) | (decides or {})
+        session = open_session(options.out, settings, resume=options.resume, force=options.force, say=say)
+    session = ranks.broadcast(session)
+    if session is None:
+        return None
+    began = Clocks.now()
+    if ranks.writes and not tensorboard_installed():
+        say("logs: CSV only; `pip install tensorboard` adds events for it")
+    head = landmark_placement(_register_landmarks(capture, say))
+    say(f"stage 1: {', '.join(preset.names)} by volume rendering of signed distance (Eq. 10-12), preset {preset.name}")
+    say(f"logs, previews and checkpoints: {session.partial}")
+    return Training(options, preset, capture, session, ranks, device, head, say, began)
+
+
+def prepared(training: Training) -> Training:
+    """The training with refined poses and masks, the head's place, its own template and its light."""
+    with training.timed("poses and masks"):
+        refined = _refine(training)
+    # frames that were left out count nowhere from here on
+    capture = with_refined(training.capture, training.session.partial)
+    return _with_light(_with_own_template(_with_consistent_head(replace(training, capture=capture, refined=refined))))
 
 
 def _what_decides(options: TrainOptions, preset: Preset, capture: Capture) -> dict[str, Any]:
     """What decides the result of a training: --resume needs the same again."""
-    placed = None if options.head_from is None else _place_read_from(options.head_from, capture).canonical_from_head
     return {
         "capture": capture_digest(capture.path),
         "preset": preset.name,
         "iterations": [part.iterations for part in preset.parts],
         "seed": options.seed,
-        "numbers": digest_of(preset_json(preset)),
+        "numbers": digest_of(settings_json(preset)),
         "refine_poses": options.refine_poses,
-        "single": preset.single,
-        "head_from": None if placed is None else digest_of({"canonical_from_head": placed.tolist()}),
     }
 
 
-def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], refined: dict, began: Clocks) -> None:
-    """From trained parts to the run folder; under torchrun the work of one rank."""
+def finish(training: Training, facts: dict[str, dict]) -> None:
+    """From trained parts to the run folder; under torchrun the work of one rank.
+
+    A preset of one part is a person of one network, which has no other part to meet; `facts` are the parts'.
+    """
+    if not training.ranks.writes:
+        return
     preset, device, out, partial = training.preset, training.device, training.session.out, training.session.partial
-    capture = with_learned(training.capture, partial)
+    capture, head = with_learned(training.capture, partial), training.head
     seconds = training.seconds | {name: fact["seconds"] for name, fact in facts.items()}
-    names = part_names(preset)
-    fields = _read_fields(training, partial, len(names))
+    fields = read_fields(training, partial)
     torch.set_num_threads(os.cpu_count() or 1)
     progress = Progress("body, stage 2", preset.union.iterations)
+    alone = len(fields) == 1
     with whole_folder(out) as folder:
-        rays = None if preset.single else read_rays(partial / "body.rays", torch.device(device))
         lit = {part: training.video_light(part, head.canonical_from_head) for part in training.lights}
         parts = TrainedParts(
-            fields=fields, rays=rays, head=head, seed=training.options.seed, seconds=seconds,
+            fields=fields, rays=None if alone else read_rays(partial / "body.rays", torch.device(device)), head=head,
+            seed=training.options.seed, seconds=seconds,
             lights={part: light for part, light in lit.items() if light is not None},
         )  # fmt: skip
         person = compose(
@@ -183,10 +203,10 @@ def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], r
             checkpoints=Checkpoints(path=partial / "union.ckpt", resume=training.session.resumed),
             watch=Watch(report=lambda step, report: progress.update(step, step_note(report))),
         )  # fmt: skip
-        if not preset.single:
+        if not alone:
             shutil.copyfile(partial / "body.pt", folder / "body_stage1.pt")
-        run_folder.write_codes(folder / "codes.npz", dict(zip(names, fields)))
-        for name, field in zip(names, fields):
+        run_folder.write_codes(folder / "codes.npz", dict(zip(preset.names, fields)))
+        for name, field in zip(preset.names, fields):
             run_folder.write_part(folder / f"{name}.pt", field)
         copy_refined(partial, folder)
         for name in ("logs", "preview"):
@@ -196,43 +216,43 @@ def _compose(training: _Training, head: HeadPlacement, facts: dict[str, dict], r
         if person.eyes is not None:
             run_folder.write_eyes(folder / "eyes.npz", person.eyes)
         shutil.copyfile(partial / "subject.npz", folder / "subject.npz")
-        spent = began.since()
-        seconds["all"] = spent.wall
-        memory = peak_memory(device)
-        run_folder.write_json(
-            folder / "run.json",
-            {
-                "subject": capture.subject.name,
-                "preset": preset.name,
-                "settings": preset_json(preset),
-                "seed": training.options.seed,
-                "device": device,
-                "machine": f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}",
-                "capture": capture.facts,
-                "capture_at": capture_place(capture.path, out),
-                "body_licence": capture.facts.get("body_licence", "not stated by the capture"),
-                "subject_licence": capture.facts.get("subject_licence", "not stated by the capture"),
-                "canonical_pose": "hips opened 30 degrees about z (avatar.skeleton.BIG_POSE)",
-                "seconds": {name: round(value, 1) for name, value in seconds.items()},
-                # with its workers', without other ranks'; of the last sitting, as the seconds are
-                "cpu_seconds": round(spent.processor, 1),
-                "resumed": training.session.resumed,
-                "peak_memory_mb": {name: fact["peak_memory_mb"] for name, fact in facts.items()}
-                | {"composition": megabytes(memory)},
-                "parts": facts,
-                "refined": refined,
-                "light": None,
-                **person.facts,
-            },
-        )
+        seconds["all"] = training.began.since().wall
+        run_folder.write_json(folder / "run.json", _run_facts(training, facts, seconds) | person.facts)
     shutil.rmtree(partial, ignore_errors=True)
-    vertices = len(person.surface.vertices)
-    training.say(f"{out}: {vertices} surface vertices, {seconds['all']:.0f} s, {memory_text(memory)}")
+    memory = memory_text(peak_memory(device))
+    training.say(f"{out}: {len(person.surface.vertices)} surface vertices, {seconds['all']:.0f} s, {memory}")
 
 
-def _read_fields(training: _Training, folder: Path, count: int) -> list[PartField]:
-    """The first `count` trained parts, from a folder."""
-    parts = list(zip(part_names(training.preset), part_presets(training.preset), strict=True))[:count]
+def _run_facts(training: Training, parts: dict[str, dict], seconds: dict[str, float]) -> dict[str, Any]:
+    """What run.json says of the training; composition adds to it."""
+    preset, facts = training.preset, training.capture.facts
+    memory = {name: fact["peak_memory_mb"] for name, fact in parts.items()}
+    return {
+        "subject": training.capture.subject.name,
+        "preset": preset.name,
+        "settings": settings_json(preset),
+        "seed": training.options.seed,
+        "device": training.device,
+        "machine": f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}",
+        "capture": facts,
+        "capture_at": capture_place(training.capture.path, training.session.out),
+        "body_licence": facts.get("body_licence", "not stated by the capture"),
+        "subject_licence": facts.get("subject_licence", "not stated by the capture"),
+        "canonical_pose": "hips opened 30 degrees about z (avatar.skeleton.BIG_POSE)",
+        "seconds": {name: round(value, 1) for name, value in seconds.items()},
+        # with its workers', without other ranks'; of the last sitting, as the seconds are
+        "cpu_seconds": round(training.began.since().processor, 1),
+        "resumed": training.session.resumed,
+        "peak_memory_mb": memory | {"composition": megabytes(peak_memory(training.device))},
+        "parts": parts,
+        "refined": training.refined,
+        "light": None,
+    }
+
+
+def read_fields(training: Training, folder: Path, count: int | None = None) -> list[PartField]:
+    """The first `count` trained parts, or all, from a folder."""
+    parts = list(zip(training.preset.names, training.preset.parts, strict=True))[:count]
     subject = training.capture.subject
     return [run_folder.read_part(folder / f"{name}.pt", subject, index, own) for index, (name, own) in enumerate(parts)]
 
@@ -251,63 +271,19 @@ def _register_landmarks(capture: Capture, say: Callable[[str], None]) -> Registr
     return landmarks
 
 
-def _place_read_from(run: Path, capture: Capture) -> HeadPlacement:
-    """Where a finished run of four parts on the same capture has the head.
-
-    Raises:
-        AssetError: it is no such run.
-    """
-    facts = run_folder.read_facts(run)
-    if "single" in facts.get("parts", {}):
-        raise AssetError(f"{run}: is a single network; --head-from needs a run of four parts")
-    if facts.get("capture") != capture.facts:
-        raise AssetError(f"{run}: was trained on another capture; --head-from needs a run on {capture.path}")
-    final = np.linalg.inv(run_folder.matrix_of(run, facts, "head_from_canonical"))
-    correction = run_folder.matrix_of(run, facts, "canonical_from_head_field")
-    landmarks = Registration(np.linalg.solve(correction, final), float("nan"))
-    return HeadPlacement(landmarks, correction, {**facts.get("registration", {}), "from": "a run of four parts"})
-
-
-def _head_of_single(training: _Training) -> HeadPlacement:
-    """Where the single network gets the head: where four parts have it, by a finished run or by placing it now."""
-    options, partial = training.options, training.session.partial
-    if options.head_from is not None:
-        training.say(f"head: where {options.head_from} has it")
-        return _place_read_from(options.head_from, training.capture)
-    training.say("head: body and head are trained as parts and placed first; --head-from RUN takes a finished run's")
-    folder = partial / "placement"
-    if training.ranks.writes:
-        folder.mkdir(exist_ok=True)
-        for path in (partial / "subject.npz", *sorted(partial.glob("refined_*.npz"))):
-            shutil.copyfile(path, folder / path.name)
-    training.ranks.broadcast(None)
-    parts = replace(training, preset=replace(training.preset, single=False))
-    _train_parts(parts, folder, training.head.canonical_from_head, order=(1, 0))
-    head = None
-    if training.ranks.writes:
-        capture = with_learned(training.capture, folder)
-        head = place_head(capture, _read_fields(parts, folder, 2), training.head, training.say,
-                          outlines=training.preset.hair.consistency)  # fmt: skip
-        head = replace(head, facts={**head.facts, "from": "body and head trained for it"})
-    head = training.ranks.broadcast(head)
-    assert head is not None
-    return head
-
-
-def _with_consistent_head(training: _Training) -> _Training:
+def _with_consistent_head(training: Training) -> Training:
     """The head placed by its own video, where the preset says so."""
     if not training.preset.hair.consistency:
         return training
-    head = None
-    if training.ranks.writes:
+
+    def placed() -> HeadPlacement:
         with training.timed("head by its own video"):
-            head = consistent_placement(training.capture, training.head.landmarks, training.say)
-    head = training.ranks.broadcast(head)
-    assert head is not None
-    return replace(training, head=head)
+            return consistent_placement(training.capture, training.head.landmarks, training.say)
+
+    return replace(training, head=training.from_writer(placed))
 
 
-def _with_own_template(training: _Training) -> _Training:
+def _with_own_template(training: Training) -> Training:
     """The template with a rigid head and with standing hair and loose clothes joined to it, written for workers and
     run folder.
     """
@@ -344,71 +320,70 @@ def _dressed(subject: CaptureSubject, capture: Capture, say: Callable[[str], Non
         return subject
 
 
-def _with_light(training: _Training) -> _Training:
-    """The capture's light, told from albedo before training, where the preset asks for it and there is one."""
+def _with_light(training: Training) -> Training:
+    """The capture's light, apart from albedo, before training, where the preset asks for it and there is one."""
     if not training.preset.light:
         return training
-    lights = None
-    if training.ranks.writes:
+
+    def fitted() -> dict[str, CaptureLight]:
         with training.timed("light"):
             found = fit_capture_light(training.capture, seed=training.options.seed)
         training.say(f"{light_line(found)}, {training.seconds['light']:.0f} s")
-        lights = found.lights
-    return replace(training, lights=training.ranks.broadcast(lights) or {})
+        return found.lights
+
+    return replace(training, lights=training.from_writer(fitted))
 
 
-def _refine(training: _Training) -> dict:
+def _refine(training: Training) -> dict:
     """Refined poses and masks into the session's folder, two videos at a time; what was found."""
-    found = None
-    if training.ranks.writes:
-        workers = min(2, os.cpu_count() or 1) if _on_one_cpu(training) else 1
+    workers = min(2, os.cpu_count() or 1) if _on_one_cpu(training) else 1
 
-        def run(jobs: Mapping[str, RefineJob], work: Callable[[RefineJob, Reporter], dict]) -> dict[str, dict]:
-            # each worker reads its own
-            let_go(training.capture.videos)
-            board = ProgressBoard(dict.fromkeys(jobs, ROUNDS), workers)
-            try:
-                return run_jobs(jobs, work, board, workers) if jobs else {}
-            finally:
-                board.close()
+    def run(jobs: Mapping[str, RefineJob], work: Callable[[RefineJob, Reporter], dict]) -> dict[str, dict]:
+        # each worker reads its own
+        let_go(training.capture.videos)
+        board = ProgressBoard(dict.fromkeys(jobs, ROUNDS), workers)
+        try:
+            return run_jobs(jobs, work, board, workers) if jobs else {}
+        finally:
+            board.close()
 
-        partial, choice, capture = training.session.partial, training.options.refine_poses, training.capture
+    def refined() -> dict:
+        choice, capture = training.options.refine_poses, training.capture
         if training.preset.clothes and choice != "off":
             # or the outline of a skirt would be taken for that of legs that stand elsewhere
             capture = replace(capture, subject=_dressed(capture.subject, capture, training.say))
-        found = refine_capture(capture, partial, choice, training.say, run)
-    return training.ranks.broadcast(found) or {}
+        return refine_capture(capture, training.session.partial, choice, training.say, run)
+
+    return training.from_writer(refined)
 
 
-def _on_one_cpu(training: _Training) -> bool:
+def _on_one_cpu(training: Training) -> bool:
     return training.device == "cpu" and training.ranks.count == 1
 
 
-def _train_parts(
-    training: _Training, folder: Path, canonical_from_head: np.ndarray, order: tuple[int, ...] = (1, 0, 2, 3)
-) -> dict[str, dict]:
-    """Stage 1 for the parts of `order`, heavier ones first so that two workers end together."""
-    options, preset, ranks = training.options, training.preset, training.ranks
+def part_job(training: Training, folder: Path, index: int) -> PartJob:
+    """Stage 1 of one part, which leaves what it learned in `folder`."""
+    options, place = training.options, training.head.canonical_from_head
+    return PartJob(
+        capture=str(training.capture.path), index=index, preset=training.preset, canonical_from_head=place,
+        folder=str(folder), device=training.device, threads=1, ranks=training.ranks, seed=options.seed,
+        light=training.video_light(PARTS[index], place), resume=training.session.resumed,
+        save_every=options.save_every, preview_every=options.preview,
+    )  # fmt: skip
+
+
+def train_parts(training: Training, jobs: Sequence[PartJob]) -> dict[str, dict]:
+    """Stage 1 of the jobs, two workers at most; what run.json says of each."""
     cores = os.cpu_count() or 1
-    order = (0,) if preset.single else order
-    workers = min(2, cores, len(order)) if _on_one_cpu(training) else 1
-    threads = 1 if workers > 1 else max(cores // ranks.count, 1)
-    jobs = {
-        part_names(preset)[index]: PartJob(
-            capture=str(training.capture.path), index=index, preset=preset, canonical_from_head=canonical_from_head,
-            folder=str(folder), device=training.device, threads=threads, ranks=ranks, seed=options.seed,
-            light=training.video_light(PARTS[index], canonical_from_head),
-            resume=training.session.resumed, save_every=options.save_every, preview_every=options.preview,
-        )
-        for index in order
-    }  # fmt: skip
+    workers = min(2, cores, len(jobs)) if _on_one_cpu(training) else 1
+    threads = 1 if workers > 1 else max(cores // training.ranks.count, 1)
+    by_name = {job.name: replace(job, threads=threads) for job in jobs}
     # each worker reads its own video; those of this process would lie beside them for as long as they learn
     let_go(training.capture.videos)
-    totals = {name: job.settings.iterations for name, job in jobs.items()}
-    stream = None if ranks.writes else io.StringIO()
-    board = ProgressBoard(totals, workers, after=AFTER, stream=stream)
+    totals = {name: job.settings.iterations for name, job in by_name.items()}
+    board = ProgressBoard(totals, workers, after=AFTER, stream=None if training.ranks.writes else io.StringIO())
     try:
-        return run_jobs(jobs, train_part, board, workers)
+        return run_jobs(by_name, train_part, board, workers)
     finally:
         board.close()
 

@@ -10,19 +10,19 @@ from scipy import sparse
 
 from avatar.skinning import SkinWeights
 from capture.folder import CaptureSubject
-from capture.solid import solid_inside
+from capture.template.layers import HAIR, LEAST_HAIR, hair_layers
+from capture.template.parts import Part
+from capture.template.solid import solid_inside
 from geometry.isosurface import Detail, zero_set_mesh
 from geometry.mesh import TriangleMesh, concatenated, half_edges, largest_component, separate_pieces
 from train.fused import FusedField
-from train.layers import HAIR, LEAST_HAIR, hair_layers
-from train.parts import Part
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Mesh of the fused field in the canonical frame, with Eq. 14's statistics (capture/views.py)."""
+    """Mesh of the fused field in the canonical frame, with Eq. 14's statistics (capture/template/views.py)."""
 
     vertices: Float[Array, "vertices 3"]
     faces: Int[Array, "faces 3"]
@@ -35,7 +35,7 @@ class Surface:
     view_mean: Float[Array, "vertices 3"]
     # xx xy xz yy yz zz, across the mean direction
     view_covariance: Float[Array, "vertices 6"]
-    # 0 the body, 1 hair that is a surface of its own (train/layers.py)
+    # 0 the body, 1 hair that is a surface of its own (capture/template/layers.py)
     layer: Int[Array, "vertices"]
 
 
@@ -70,7 +70,7 @@ def extract_surface(
     hand_cell: float,
     near: float = 0.02,
 ) -> tuple[TriangleMesh, Int[Array, "vertices"]]:
-    """Marching cubes on a rectilinear grid, and the layer of each vertex (train/layers.py).
+    """Marching cubes on a rectilinear grid, and the layer of each vertex (capture/template/layers.py).
 
     The body is the largest connected piece, facing outwards; where hair is a layer of its own its pieces follow.
     The field is asked only at grid points within `near` of a coarse pass (every fourth line) that found the

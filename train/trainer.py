@@ -10,13 +10,13 @@ from pathlib import Path
 
 import torch
 
-from avatar.interrupt import Stopped, deferred_stop
-from train.checkpoint import Position, load_checkpoint, save_checkpoint
+from command.errors import AssetError
+from command.interrupt import Stopped, deferred_stop
+from files.whole import whole_file
 from train.distributed import ONE_PROCESS, Ranks
 from train.field import PartField
 from train.log import TrainingLog
-from train.networks.hash import HashGrid, open_levels
-from train.networks.triplane import TriPlane
+from train.networks import FeatureGrid
 from train.objective import Batch, Extra, RayTensors, StepReport, beta_at, choose_rays, losses, rho_at
 from train.preset import PartPreset, Preset
 from train.preview import Preview
@@ -30,10 +30,14 @@ def rate_at(iteration: int, part: PartPreset, preset: Preset) -> float:
     return warm * preset.last_rate ** (iteration / part.iterations)
 
 
+def grids_of(field: PartField) -> list[FeatureGrid]:
+    """The grids of a part's networks."""
+    return [module for module in field.modules() if isinstance(module, FeatureGrid)]
+
+
 def optimiser_of(field: PartField, preset: Preset) -> torch.optim.Adam:
     """Adam, one rate each for grids, displacement and the rest; no weight decay, cells never seen stay as they are."""
-    grids = [table for module in field.modules() if isinstance(module, TriPlane | HashGrid)
-             for table in module.parameters(recurse=False)]  # fmt: skip
+    grids = [table for grid in grids_of(field) for table in grid.parameters(recurse=False)]
     moves = list(field.displacement.parameters())
     poses = [] if field.poses is None else list(field.poses.parameters())
     taken = {id(p) for p in grids + moves + poses}
@@ -88,6 +92,49 @@ class Watch:
 UNSAVED, UNWATCHED = Checkpoints(), Watch()
 
 
+@dataclass
+class Position:
+    """How far a training is."""
+
+    iteration: int = 0
+    # steps that were not finite
+    skipped: int = 0
+    seconds: float = 0.0  # training, over all sittings
+
+
+def save_checkpoint(
+    path: Path, field: PartField, optimiser: torch.optim.Optimizer, generator: torch.Generator, position: Position
+) -> None:
+    """Write weights, optimiser, random state and position, whole or not at all."""
+    state = {
+        "field": field.state_dict(),
+        "optimiser": optimiser.state_dict(),
+        "generator": generator.get_state(),
+        "position": vars(position),
+    }
+    with whole_file(path) as file:
+        torch.save(state, file)
+
+
+def load_checkpoint(
+    path: Path, field: PartField, optimiser: torch.optim.Optimizer, generator: torch.Generator, position: Position
+) -> None:
+    """Put a checkpoint back, all in place.
+
+    Raises:
+        AssetError: the file is broken, or of another network.
+    """
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        field.load_state_dict(state["field"])
+        optimiser.load_state_dict(state["optimiser"])
+        generator.set_state(state["generator"])
+        position.__init__(**state["position"])
+    except Exception as error:  # torch.load raises whatever the broken pickle or zip leads to
+        message = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise AssetError(f"{path}: expected a checkpoint of this training, found: {message}") from None
+
+
 def train_field(
     field: PartField, rays: RayTensors, training: FieldTraining, *, checkpoints: Checkpoints = UNSAVED,
     watch: Watch = UNWATCHED, at: Position | None = None,
@@ -99,64 +146,30 @@ def train_field(
     after `stop_after` steps, and at Ctrl-C or SIGTERM, which then raise `Stopped`; resuming from it equals never
     having stopped, bit for bit on one thread. `at` counts the steps for the caller.
     """
-    part, preset, ranks, extra = training.part, training.preset, training.ranks, training.extra
-    log, preview, report = watch.log, watch.preview, watch.report
-    modules = {"field": field}
-    optimiser = optimiser_of(field, preset)
-    first_rates = [group["lr"] for group in optimiser.param_groups]
-    parameters = [p for group in optimiser.param_groups for p in group["params"]]
-    generator = torch.Generator(device="cpu").manual_seed(training.seed)
     at = Position() if at is None else at
-    if checkpoints.resume and checkpoints.path is not None and checkpoints.path.exists():
-        load_checkpoint(checkpoints.path, modules, optimiser, generator, at)
-    if log is not None:
-        log.begin(at.iteration)
-    device, weight = rays.ends.device, ranks.weight(preset.rays)
-    frame_counts = torch.bincount(rays.frame).cpu()
+    steps = _Steps(field, rays, training)
+    path, kept = checkpoints.path, (field, steps.optimiser, steps.generator, at)
+    if checkpoints.resume and path is not None and path.exists():
+        load_checkpoint(path, *kept)
+    if watch.log is not None:
+        watch.log.begin(at.iteration)
     began = time.monotonic() - at.seconds
     saved = time.monotonic()
 
     def save() -> None:
         at.seconds = time.monotonic() - began
-        if checkpoints.path is not None and ranks.writes:
-            save_checkpoint(checkpoints.path, modules, optimiser, generator, at)
+        if path is not None and training.ranks.writes:
+            save_checkpoint(path, *kept)
 
     with deferred_stop() as stop, flushed_denormals():
-        while at.iteration < part.iterations:
-            # stage 2 stays where the ladders ended
-            rung = at.iteration if extra is None else part.iterations
-            scale, beta = rate_at(at.iteration, part, preset), beta_at(rung, part, preset)
-            for group, rate in zip(optimiser.param_groups, first_rates):
-                waits = at.iteration < group.get("begin", 0.0) * part.iterations
-                group["lr"] = 0.0 if waits else rate * scale
-            open_levels(field, rung / part.iterations)
-            chosen = choose_rays(frame_counts, preset, generator)
-            u = torch.rand(preset.rays, generator=generator)
-            chosen, u = ranks.share(chosen).to(device), ranks.share(u).to(device)
-            batch = Batch(chosen, u, beta, rho_at(rung, part))
-            loss, describe = losses(field, rays, batch, part, preset, extra=extra)
-            optimiser.zero_grad(set_to_none=True)
-            loss.backward()
-            loss, stopping = ranks.combine(parameters, weight, loss, stop.asked)
-            norm = torch.nn.utils.clip_grad_norm_(parameters, preset.clip)
-            if torch.isfinite(loss) and torch.isfinite(norm):
-                optimiser.step()
-            else:
+        while at.iteration < training.part.iterations:
+            finite, describe, stopping = steps.take(at.iteration, stop.asked)
+            if not finite:
                 at.skipped += 1
-                if at.skipped > max(0.01 * part.iterations, 1):
+                if at.skipped > max(0.01 * training.part.iterations, 1):
                     raise FloatingPointError(f"{at.skipped} of {at.iteration + 1} steps were not finite, more than 1 %")
             at.iteration += 1
-            last = at.iteration == part.iterations
-            if (log is not None or report is not None) and (at.iteration % REPORT_EVERY == 0 or last):
-                step = StepReport(*ranks.mean(astuple(describe()), weight, device))
-                if log is not None and ranks.writes:
-                    log.row(at.iteration, time.monotonic() - began, scale, vars(step))
-                if report is not None:
-                    report(at.iteration, step)
-            if preview is not None and (at.iteration % preview.every == 0 or last):
-                image = preview.draw(field, beta, preset)
-                if log is not None:
-                    log.image(at.iteration, image)
+            _show(steps, watch, describe, at.iteration, time.monotonic() - began)
             if stopping or at.iteration == checkpoints.stop_after:
                 save()
                 if stopping:
@@ -173,6 +186,64 @@ def train_field(
     if stop.number is not None:
         raise Stopped(stop.number)
     return at.skipped
+
+
+class _Steps:
+    """What takes the steps of a training: the optimiser, the random state, and where the ladders stand."""
+
+    def __init__(self, field: PartField, rays: RayTensors, training: FieldTraining):
+        self.field, self.rays, self.training = field, rays, training
+        self.optimiser = optimiser_of(field, training.preset)
+        self.first_rates = [group["lr"] for group in self.optimiser.param_groups]
+        self.parameters = [p for group in self.optimiser.param_groups for p in group["params"]]
+        self.generator = torch.Generator(device="cpu").manual_seed(training.seed)
+        self.weight = training.ranks.weight(training.preset.rays)
+        self.frame_counts = torch.bincount(rays.frame).cpu()
+        # against its first value, and metres: as the last step had them
+        self.rate = self.beta = 0.0
+
+    def take(self, iteration: int, stop: bool) -> tuple[bool, Callable[[], StepReport], bool]:
+        """One step: whether it was finite, what describes it, and whether any rank wants to `stop`."""
+        part, preset, ranks = self.training.part, self.training.preset, self.training.ranks
+        self.rate = rate_at(iteration, part, preset)
+        for group, rate in zip(self.optimiser.param_groups, self.first_rates):
+            waits = iteration < group.get("begin", 0.0) * part.iterations
+            group["lr"] = 0.0 if waits else rate * self.rate
+        # stage 2 stays where the ladders ended
+        rung = iteration if self.training.extra is None else part.iterations
+        for grid in grids_of(self.field):
+            grid.open_for(rung / part.iterations)
+        chosen = choose_rays(self.frame_counts, preset, self.generator)
+        u = torch.rand(preset.rays, generator=self.generator)
+        chosen, u = (ranks.share(drawn).to(self.rays.ends.device) for drawn in (chosen, u))
+        self.beta = beta_at(rung, part, preset)
+        batch = Batch(chosen, u, self.beta, rho_at(rung, part))
+        loss, describe = losses(self.field, self.rays, batch, part, preset, extra=self.training.extra)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        loss, stopping = ranks.combine(self.parameters, self.weight, loss, stop)
+        norm = torch.nn.utils.clip_grad_norm_(self.parameters, preset.clip)
+        finite = bool(torch.isfinite(loss) and torch.isfinite(norm))
+        if finite:
+            self.optimiser.step()
+        return finite, describe, stopping
+
+
+def _show(steps: _Steps, watch: Watch, describe: Callable[[], StepReport], iteration: int, seconds: float) -> None:
+    """Log, report and draw a step that was taken, where it is its turn."""
+    training, log, preview = steps.training, watch.log, watch.preview
+    last = iteration == training.part.iterations
+    if (log is not None or watch.report is not None) and (iteration % REPORT_EVERY == 0 or last):
+        ranks = training.ranks
+        step = StepReport(*ranks.mean(astuple(describe()), steps.weight, steps.rays.ends.device))
+        if log is not None and ranks.writes:
+            log.row(iteration, seconds, steps.rate, vars(step))
+        if watch.report is not None:
+            watch.report(iteration, step)
+    if preview is not None and (iteration % preview.every == 0 or last):
+        image = preview.draw(steps.field, steps.beta, training.preset)
+        if log is not None:
+            log.image(iteration, image)
 
 
 @contextmanager

@@ -11,11 +11,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject
-from capture.template import visible_faces
+from capture.template.surface import visible_faces
+from command.errors import AssetError
+from files.whole import whole_file
 from geometry.mesh import face_normals
 from geometry.sample import lattice_samples
 from train.fused import FusedField
@@ -101,8 +101,8 @@ def geometry_loss(
                 local, _ = fused.local(index, shown[chosen])
                 away = fused.field(index).template(local)
                 band = parts[index].band
-                learnt = (away < band.outside) & (away > -band.inside)
-                chosen, local = chosen[learnt], local[learnt]
+                supervised = (away < band.outside) & (away > -band.inside)
+                chosen, local = chosen[supervised], local[supervised]
                 other = fused.field(index)(local).distance / fused.scale(index)
             apart = apart + (distance[chosen] - other).abs().sum()
             count += len(chosen)

@@ -8,13 +8,14 @@ import os
 import signal
 import traceback
 from collections.abc import Callable, Mapping
+from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from avatar.errors import AssetError
-from avatar.interrupt import Stopped, deferred_stop, prompt_stop, signals_arrive, signals_wait
-from avatar.progress import ProgressBoard, Reporter
+from command.errors import AssetError
+from command.interrupt import Stopped, deferred_stop, prompt_stop, signals_arrive, signals_wait
+from command.progress import ProgressBoard, Reporter
 
 T = TypeVar("T")
 
@@ -42,72 +43,86 @@ def run_jobs(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: i
 
 
 def _in_processes(jobs: Mapping[str, T], work: Work, board: ProgressBoard, workers: int) -> dict[str, dict]:
-    # a forked torch may hang
-    context = multiprocessing.get_context("spawn")
-    waiting = list(jobs)
-    busy: dict[Connection, tuple[str, BaseProcess]] = {}
-    results: dict[str, dict] = {}
-    failure: BaseException | None = None
-    content: list[Any]
-    stopping = False
+    crew, waiting, stopping = _Crew(work, board), list(jobs), False
     try:
         with deferred_stop() as stop:
-            while busy or (waiting and not stop.asked and failure is None):
-                while waiting and len(busy) < workers and not stop.asked and failure is None:
+            while crew.busy or (waiting and not stop.asked and crew.failure is None):
+                while waiting and len(crew.busy) < workers and not stop.asked and crew.failure is None:
                     name = waiting.pop(0)
-                    ours, theirs = context.Pipe()
-                    process = context.Process(target=_worker, args=(work, jobs[name], theirs), name=name)
-                    # its start would let signals through
-                    multiprocessing.resource_tracker.ensure_running()
-                    with signals_wait():
-                        process.start()
-                    theirs.close()
-                    busy[ours] = (name, process)
-                    board.begin(name)
-                if (stop.asked or failure is not None) and not stopping:
+                    crew.start(name, jobs[name])
+                if (stop.asked or crew.failure is not None) and not stopping:
                     stopping = True
-                    for _, process in busy.values():
-                        if process.is_alive() and process.pid is not None:
-                            os.kill(process.pid, signal.SIGTERM)
-                for connection in multiprocessing.connection.wait(list(busy), timeout=0.2):
+                    crew.stop()
+                for connection in multiprocessing.connection.wait(list(crew.busy), timeout=0.2):
                     assert isinstance(connection, Connection)
-                    name, process = busy[connection]
-                    try:
-                        kind, *content = connection.recv()
-                    except EOFError:
-                        process.join()
-                        kind, content = "lost", [process.exitcode]
-                    if kind == "say":
-                        board.say(*content)
-                        continue
-                    if kind == "step":
-                        board.update(name, *content)
-                        continue
-                    if kind == "prepare":
-                        board.prepare(name, *content)
-                        continue
-                    if kind == "done":
-                        results[name] = content[0]
-                        board.end(name)
-                    elif kind == "failed":
-                        failure = failure or content[0]
-                    elif kind == "lost":
-                        failure = failure or _lost(name, content[0])
-                    elif not stop.asked:  # a signal sent only to the worker
-                        stop.ask(content[0])
-                    del busy[connection]
-                    connection.close()
-                    process.join()
+                    number = crew.receive(connection)
+                    # a signal sent only to the worker
+                    if number is not None and not stop.asked:
+                        stop.ask(number)
                 board.refresh()
     finally:
         # only after a second Ctrl-C or an error here
-        for _, process in busy.values():
+        for _, process in crew.busy.values():
             process.kill()
-    if failure is not None:
-        raise failure
+    if crew.failure is not None:
+        raise crew.failure
     if stop.number is not None:
         raise Stopped(stop.number)
-    return results
+    return crew.results
+
+
+class _Crew:
+    """Worker processes at their jobs, by the connection that they report on; what jobs gave, and the first failure."""
+
+    def __init__(self, work: Work, board: ProgressBoard):
+        self.work, self.board = work, board
+        # a forked torch may hang
+        self.context = multiprocessing.get_context("spawn")
+        self.busy: dict[Connection, tuple[str, BaseProcess]] = {}
+        self.results: dict[str, dict] = {}
+        self.failure: BaseException | None = None
+
+    def start(self, name: str, job: object) -> None:
+        """A process that does the job."""
+        here, there = self.context.Pipe()
+        process = self.context.Process(target=_worker, args=(self.work, job, there), name=name)
+        # its start would let signals through
+        multiprocessing.resource_tracker.ensure_running()
+        with signals_wait():
+            process.start()
+        there.close()
+        self.busy[here] = (name, process)
+        self.board.begin(name)
+
+    def stop(self) -> None:
+        """Ask all to save and end."""
+        for _, process in self.busy.values():
+            if process.is_alive() and process.pid is not None:
+                os.kill(process.pid, signal.SIGTERM)
+
+    def receive(self, connection: Connection) -> int | None:
+        """Take one message of a worker; the number of the signal that stopped it, where one did."""
+        name, process = self.busy[connection]
+        content: list
+        try:
+            kind, *content = connection.recv()
+        except EOFError:
+            process.join()
+            kind, content = "lost", [process.exitcode]
+        update, prepare = partial(self.board.update, name), partial(self.board.prepare, name)
+        shown = {"say": self.board.say, "step": update, "prepare": prepare}
+        if kind in shown:
+            shown[kind](*content)
+            return None
+        if kind == "done":
+            self.results[name] = content[0]
+            self.board.end(name)
+        elif kind != "stopped":
+            self.failure = self.failure or (content[0] if kind == "failed" else _lost(name, content[0]))
+        del self.busy[connection]
+        connection.close()
+        process.join()
+        return content[0] if kind == "stopped" else None
 
 
 def _lost(name: str, code: int | None) -> AssetError:
@@ -139,11 +154,8 @@ def _worker(work: Work, job: object, connection: Connection) -> None:
     except Exception as error:
         if not isinstance(error, (AssetError, FloatingPointError)):
             traceback.print_exc()
-        _send_outcome(
-            connection,
-            "failed",
-            type(error)(str(error)) if len(error.args) == 1 else RuntimeError(repr(error)),
-        )
+        sent = type(error)(str(error)) if len(error.args) == 1 else RuntimeError(repr(error))
+        _send_outcome(connection, "failed", sent)
 
 
 def _send_outcome(connection: Connection, *message) -> None:

@@ -9,13 +9,11 @@ of their places: what moves them in ours (avatar/helper_joints.py) moves them in
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float32
 
 from avatar.bend import BENDS
-from avatar.files import whole_file
 from avatar.gltf.avatar_write import EXTENSION
 from avatar.gltf.document import Gltf, read_gltf
 from avatar.gltf.scene import read_skin
@@ -24,6 +22,8 @@ from avatar.helper_joints import HelperJoints
 from avatar.motion.clip import Clip
 from avatar.rotation import normalised_quaternion, quaternion_from_axis_angle
 from avatar.skeleton import JOINTS
+from files.input_file import JsonObject
+from files.whole import whole_file
 
 Array = np.ndarray
 
@@ -44,7 +44,7 @@ def write_animated(path: Path | str, avatar_path: Path | str, clip: Clip, *, nam
     gltf = read_gltf(avatar_path)
     helpers = _helper_joints(gltf)
     nodes = _joint_nodes(gltf, helpers)
-    document: dict[str, Any] = json.loads(json.dumps(gltf.json))
+    document: JsonObject = json.loads(json.dumps(gltf.json))
     builder = _kept(document, bytes(gltf.buffers[0]))
     document["animations"] = [_animation(builder, nodes, clip, name, helpers)]
     data = builder.to_bytes(document)
@@ -88,7 +88,7 @@ def rotation_keys(axis_angle: Float[Array, "frames n 3"]) -> Float32[Array, "fra
 
 def _animation(
     builder: GltfBuilder, nodes: list[int], clip: Clip, name: str, helpers: HelperJoints | None
-) -> dict[str, Any]:
+) -> JsonObject:
     count = len(clip.root)
     if not count or not (np.isfinite(clip.axis_angle).all() and np.isfinite(clip.root).all()):
         raise ValueError(f"a clip of {count} frames should have some, all finite")
@@ -102,7 +102,7 @@ def _animation(
     rotations, places = rotation_keys(turns), clip.root.astype(np.float32)
     times = (np.arange(len(places)) / float(clip.rate)).astype(np.float32)
     if (np.diff(times) <= 0).any():
-        raise ValueError(f"{count} frames at {clip.rate:g} per second are more than float32 seconds tell apart")
+        raise ValueError(f"{count} frames at {clip.rate:g} per second are more than float32 seconds can separate")
     every = builder.add_accessor(times, bounds=True)
     once = builder.add_accessor(times[:1], bounds=True)
     channels, samplers = [], []
@@ -119,7 +119,7 @@ def _animation(
     return {"name": name, "channels": channels, "samplers": samplers, **height}
 
 
-def _kept(document: dict[str, Any], binary: bytes) -> GltfBuilder:
+def _kept(document: JsonObject, binary: bytes) -> GltfBuilder:
     """A builder that holds what the file has; taken out of `document`, where to_bytes puts it back.
 
     An old animation goes, with its accessors and bytes where they stand at the end, as they are written here.

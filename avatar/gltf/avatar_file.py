@@ -8,7 +8,7 @@ view network, the canonical pose and provenance. docs/avatar-format.md is the by
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from avatar.baked_avatar import (
     check_network,
 )
 from avatar.bend import BENDS
-from avatar.errors import AssetError
 from avatar.gltf.avatar_write import (
     ATTRIBUTES,
     EXTENSION,
@@ -47,24 +46,27 @@ from avatar.gltf.scene import (
 )
 from avatar.helper_joints import CARRIER
 from avatar.light import light_from_json
-from avatar.png import decode_png, png_pixels
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+from command.errors import AssetError
+from files.input_file import JsonObject
+from files.picture import decode_png, png_pixels
 
 __all__ = ["Avatar", "Level", "ViewNetwork", "read_avatar", "write_avatar"]
 
 T = TypeVar("T")
 MAX_LEVELS = 8
-# extensions that tell a .vrm from any other glTF
+# people that `selfscan synth` films by these names
+FILMED = ("builtin", "builtin:female")
+# extensions by which a .vrm differs from any other glTF
 VRM = ("VRMC_vrm", "VRM")
 # images that are unpacked at once
 DECODERS = 3
-# of all images together: 200 MB decoded
+# pixels of all images together: 200 MB decoded
 MAX_PIXELS = 1 << 26
 
 
 def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
-    """Read an avatar file, or a .vrm as it is (avatar/gltf/vrm_avatar.py), and check every promise that `Avatar` and
-    `Level` make.
+    """Read an avatar file, and check every promise that `Avatar` and `Level` make.
 
     With `levels` only that many of the finest are decoded: a picture needs one, and the others' atlases cost a third
     of the time that reading takes. Of the rest only what the file says of them is checked.
@@ -72,18 +74,8 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
     Raises:
         AssetError: the file is no avatar, or a field is not as promised.
     """
-    gltf = read_gltf(path)
-    extension = gltf.extensions(gltf.json, "glTF").get(EXTENSION)
+    gltf, extension = _extension(path)
     where = f"extensions.{EXTENSION}"
-    if extension is None and any(name in gltf.extensions(gltf.json, "glTF") for name in VRM):
-        # only where it is asked for
-        from avatar.gltf.vrm_avatar import read_vrm
-
-        return read_vrm(gltf)
-    if not isinstance(extension, dict):
-        raise gltf.error(where, "there: an avatar comes from `selfscan bake`, or is a .vrm", extension)
-    if extension.get("version") != VERSION:
-        raise gltf.error(f"{where}.version", f"{VERSION}", extension.get("version"))
     for key, kind in (("name", str), ("defaultView", str), ("provenance", dict)):
         if not isinstance(extension.get(key), kind):
             raise gltf.error(f"{where}.{key}", f"a {kind.__name__}", extension.get(key))
@@ -122,7 +114,29 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
     return avatar
 
 
-def _read_network(gltf: Gltf, extension: dict[str, Any]) -> ViewNetwork | None:
+def _extension(path: str | Path) -> tuple[Gltf, JsonObject]:
+    """The file, and the extension that makes it an avatar's."""
+    if str(path) in FILMED and not Path(path).exists():
+        raise AssetError(
+            f"{path}: a person to film, no avatar yet; `make demo` makes out/demo/avatar.glb of builtin, or selfscan "
+            f"synth {path} CAPTURE, train CAPTURE -o RUN and bake RUN -o NAME.glb; mannequin is the bare body"
+        )
+    gltf = read_gltf(path)
+    extension = gltf.extensions(gltf.json, "glTF").get(EXTENSION)
+    where = f"extensions.{EXTENSION}"
+    if extension is None and any(name in gltf.extensions(gltf.json, "glTF") for name in VRM):
+        raise AssetError(
+            f"{gltf.path}: a VRM person, not a baked avatar: `selfscan synth {gltf.path} OUT` films it as a subject, "
+            f"`--motion {gltf.path}` plays its animation on an avatar"
+        )
+    if not isinstance(extension, dict):
+        raise gltf.error(where, "there: an avatar comes from `selfscan bake`", extension)
+    if extension.get("version") != VERSION:
+        raise gltf.error(f"{where}.version", f"{VERSION}", extension.get("version"))
+    return gltf, extension
+
+
+def _read_network(gltf: Gltf, extension: JsonObject) -> ViewNetwork | None:
     network, where = extension.get("network"), f"extensions.{EXTENSION}.network"
     if network is None:
         return None
@@ -137,15 +151,13 @@ def _read_network(gltf: Gltf, extension: dict[str, Any]) -> ViewNetwork | None:
     return ViewNetwork(**arrays)
 
 
-def _matrices(extension: dict[str, Any]) -> int:
+def _matrices(extension: JsonObject) -> int:
     """How many 3 x 3 matrices `linear` holds: 8 when it has as many numbers, else 4 are expected."""
     values = extension["linear"]
     return FEATURES[1] if isinstance(values, list) and len(values) == 9 * FEATURES[1] else FEATURES[0]
 
 
-def _read_levels(
-    gltf: Gltf, extension: dict[str, Any], wanted: int | None, *, twisted: bool = False
-) -> tuple[Level, ...]:
+def _read_levels(gltf: Gltf, extension: JsonObject, wanted: int | None, *, twisted: bool = False) -> tuple[Level, ...]:
     """The levels, each with a mesh and images of its own; of more than `wanted` the finest."""
     items, where = extension.get("levels"), f"extensions.{EXTENSION}.levels"
     if not isinstance(items, list) or not 1 <= len(items) <= MAX_LEVELS:
@@ -176,7 +188,7 @@ def _read_levels(
             if len({four.shape for four in fours}) > 1:
                 found = [four.shape[:2] for four in fours]
                 raise gltf.error(f"images[{feature_images[1]}]", f"of the size of images[{feature_images[0]}]", found)
-            fields: dict[str, Any] = {**arrays, "features": np.concatenate(fours, axis=2) if fours else None}
+            fields: JsonObject = {**arrays, "features": np.concatenate(fours, axis=2) if fours else None}
             if twisted:
                 fields["twist"] = _twist_skin(gltf, mesh, arrays)
                 fields["joints"], fields["weights"] = fields["twist"].folded()
@@ -237,12 +249,10 @@ def _read_surface(gltf: Gltf, mesh: int) -> dict[str, np.ndarray]:
     if gltf.items("accessors")[accessors["WEIGHTS_0"]].get("normalized") is not True:
         raise gltf.error(f"{where}.WEIGHTS_0", "normalised bytes", "not normalised")
     arrays = {field: gltf.accessor(accessors[name]) for field, name in ATTRIBUTES.items()}
-    # one number in older files
     seen = arrays["view_seen"]
-    if seen.ndim == 2:
-        if seen.shape[1] != 3 or seen[:, 1:].any():
-            raise gltf.error(f"{where}._VIEW_SEEN", "v, 0, 0 for each vertex", seen.shape)
-        arrays["view_seen"] = np.ascontiguousarray(seen[:, 0])
+    if seen.ndim != 2 or seen.shape[1] != 3 or seen[:, 1:].any():
+        raise gltf.error(f"{where}._VIEW_SEEN", "v, 0, 0 for each vertex", seen.shape)
+    arrays["view_seen"] = np.ascontiguousarray(seen[:, 0])
     q0, q1 = gltf.accessor(accessors["_VIEW_Q0"]), gltf.accessor(accessors["_VIEW_Q1"])
     if q0.shape != q1.shape or q0.ndim != 2:
         raise gltf.error(f"{where}._VIEW_Q1", f"of the shape of _VIEW_Q0 {q0.shape}", q1.shape)

@@ -1,17 +1,17 @@
 """Writing the avatar file. docs/avatar-format.md describes the result; `avatar/gltf/avatar_file.py` reads it."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar, Level, check_avatar
-from avatar.files import whole_file
 from avatar.gltf.write import INDICES, VERTICES, GltfBuilder
 from avatar.helper_joints import CARRIER, HelperJoints
-from avatar.png import encode_png
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+from files.input_file import JsonObject
+from files.picture import encode_png
+from files.whole import whole_file
 
 EXTENSION = "SELFSCAN_avatar"
 VERSION = 1
@@ -78,11 +78,11 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
                 title = f"{name} features" + (f" {first} to {first + 3}" if first else "")
                 levels[i][key] = builder.add_image(encode_png(planes), title)
 
-    nodes: list[dict[str, Any]] = []
+    nodes: list[JsonObject] = []
     for joint, name in enumerate(JOINTS):
         parent = PARENTS[joint]
         offset = avatar.joint_positions[joint] - (avatar.joint_positions[parent] if parent >= 0 else 0)
-        node: dict[str, Any] = {"name": name, "translation": [float(x) for x in offset]}
+        node: JsonObject = {"name": name, "translation": [float(x) for x in offset]}
         children = [int(child) for child in np.flatnonzero(joint == PARENTS)]
         children += [numbers[bone] for bone in np.flatnonzero(joint == CARRIER[: len(numbers)]) if bone >= 52]
         nodes.append(node | ({"children": children} if children else {}))
@@ -93,7 +93,7 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
             for name, offset in zip(helpers.names, helpers.offsets, strict=True)
         ]
 
-    extension: dict[str, Any] = {
+    extension: JsonObject = {
         "version": VERSION,
         "name": avatar.name,
         "jointPositions": _flat(avatar.joint_positions),
@@ -131,7 +131,7 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
     )
 
 
-def _add_surface(builder: GltfBuilder, level: Level) -> dict[str, Any]:
+def _add_surface(builder: GltfBuilder, level: Level) -> JsonObject:
     """The attributes and indices of a level's one primitive."""
     q = level.view_q
     arrays = {name: getattr(level, field) for field, name in ATTRIBUTES.items()}

@@ -5,12 +5,11 @@ import binascii
 import reprlib
 import struct
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote
 
-from avatar import input_file
-from avatar.errors import AssetError
-from avatar.input_file import read_bytes
+from command.errors import AssetError
+from files import input_file
+from files.input_file import JsonObject, read_bytes
 
 # a file, and all buffers together; text and base64 are held a few times over
 MAX_BYTES = 1 << 28
@@ -51,7 +50,7 @@ def glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:
     return chunks[0][1], chunks[1][1] if has_binary else None
 
 
-def parse_json(path: Path, text: memoryview) -> dict[str, Any]:
+def parse_json(path: Path, text: memoryview) -> JsonObject:
     """A JSON object, with as many values as a small part of the memory holds, and no NaN or Infinity."""
     document = input_file.parse_json(bytes(text), str(path), "glTF")
     if not isinstance(document, dict):

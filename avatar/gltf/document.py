@@ -12,12 +12,12 @@ import shlex
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from avatar.errors import AssetError
 from avatar.gltf.container import MAX_BYTES, file_bytes, glb_chunks, parse_json, short, uri_bytes
+from command.errors import AssetError
+from files.input_file import JsonObject
 
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 ELEMENT_SHAPES = {
@@ -72,18 +72,18 @@ class Gltf:
     """One file: its JSON, and the bytes of its buffers, already known to be as long as the JSON says."""
 
     path: Path
-    json: dict[str, Any]
+    json: JsonObject
     buffers: tuple[memoryview, ...]
 
     def error(self, field: str, expected: str, found: object) -> AssetError:
         """The error to raise for a field that is not what it should be."""
         return AssetError(f"{self.path}: {field} should be {expected}, is {short(found)}")
 
-    def items(self, collection: str) -> list[dict[str, Any]]:
+    def items(self, collection: str) -> list[JsonObject]:
         """A top-level list of objects (`nodes`, `meshes` ...), empty where the file has none."""
         return self.json.get(collection, [])
 
-    def item(self, collection: str, index: object, field: str) -> dict[str, Any]:
+    def item(self, collection: str, index: object, field: str) -> JsonObject:
         """The object that `index`, found at `field`, refers to."""
         return self.items(collection)[self.index(collection, index, field)]
 
@@ -94,14 +94,14 @@ class Gltf:
             raise self.error(field, f"an index below {count} ({collection})", index)
         return index
 
-    def integer(self, holder: dict[str, Any], key: str, field: str, *, low: int = 0, default: int | None = None) -> int:
+    def integer(self, holder: JsonObject, key: str, field: str, *, low: int = 0, default: int | None = None) -> int:
         """A whole number of at least `low`; absent means `default` where there is one."""
         value = holder.get(key, default)
         if type(value) is not int or not low <= value <= MAX_BYTES:
             raise self.error(f"{field}.{key}", f"a whole number from {low} to {MAX_BYTES}", value)
         return value
 
-    def numbers(self, holder: dict[str, Any], key: str, field: str, shape: tuple[int, ...]) -> np.ndarray:
+    def numbers(self, holder: JsonObject, key: str, field: str, shape: tuple[int, ...]) -> np.ndarray:
         """A flat JSON list of finite numbers as a float64 array of `shape`."""
         value = holder.get(key)
         size = prod(shape)
@@ -122,7 +122,7 @@ class Gltf:
             raise self.error(f"{where} end", f"within its buffer of {len(buffer)} bytes", offset + length)
         return buffer[offset : offset + length]
 
-    def extensions(self, holder: dict[str, Any], field: str) -> dict[str, Any]:
+    def extensions(self, holder: JsonObject, field: str) -> JsonObject:
         """The `extensions` object of any glTF object, empty where it has none."""
         extensions = holder.get("extensions", {})
         if not isinstance(extensions, dict):
@@ -169,7 +169,7 @@ class Gltf:
         return values.swapaxes(-1, -2) if len(shape) == 2 else values
 
     def _elements(
-        self, holder: dict[str, Any], dtype: np.dtype, shape: tuple[int, ...], count: int, where: str
+        self, holder: JsonObject, dtype: np.dtype, shape: tuple[int, ...], count: int, where: str
     ) -> np.ndarray:
         """`count` elements of a buffer view, as a view of its bytes, bounds checked."""
         data = self.view(holder.get("bufferView"), f"{where}.bufferView")

@@ -6,10 +6,11 @@ that is not a humanoid is refused instead of being guessed at.
 
 import re
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from avatar.errors import AssetError
 from avatar.skeleton import JOINTS
+from command.errors import AssetError
+from files.input_file import Json, JsonObject
 
 FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 
@@ -55,7 +56,7 @@ def mixamo_names() -> dict[str, str]:
 def vrm_names(version: int) -> dict[str, str]:
     """VRM's name of each joint, version 0 or 1."""
     names = dict(_VRM_BODY)
-    # VRM 1 renamed the thumb's bones; the other fingers kept theirs
+    # VRM 1 renamed the thumb's bones; the other fingers kept their names
     thumb = ("Metacarpal", "Proximal", "Distal") if version == 1 else ("Proximal", "Intermediate", "Distal")
     for side in ("left", "right"):
         names |= {f"{side}_{joint}": side + name for joint, name in _VRM_SIDE.items()}
@@ -66,7 +67,7 @@ def vrm_names(version: int) -> dict[str, str]:
     return names
 
 
-def find_naming(path: Path, document: dict[str, Any]) -> Naming:
+def find_naming(path: Path, document: JsonObject) -> Naming:
     """The naming that fits most joints of the file, and the nodes it finds; perhaps not all, perhaps none.
 
     Raises:
@@ -98,7 +99,7 @@ def _fitted(name: str, names: dict[str, str], node_of: dict[str, int]) -> Naming
     return Naming(name, names, {joint: node_of[n] for joint, n in names.items() if n in node_of})
 
 
-def _humanoid_bones(path: Path, extension: Any, name: str, count: int) -> dict[str, int]:
+def _humanoid_bones(path: Path, extension: Json, name: str, count: int) -> dict[str, int]:
     """VRM's own list of bones: an object by bone (VRM 1) or a list (VRM 0)."""
     humanoid = extension.get("humanoid", {}) if isinstance(extension, dict) else None
     bones = humanoid.get("humanBones", {}) if isinstance(humanoid, dict) else None

@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from avatar.errors import AssetError
-from avatar.gltf.base_color import base_texture, material_of
 from avatar.gltf.document import Gltf
 from avatar.gltf.humanoid import find_joints
 from avatar.gltf.scene import (
+    base_texture,
+    material_of,
     node_parents,
     parents_first,
     primitives,
@@ -33,6 +33,7 @@ from avatar.gltf.scene import (
 from avatar.rotation import axis_angle_from_matrix, rotation_between
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points, strongest_four
+from command.errors import AssetError
 
 # an arm this close to horizontal is a T-pose as animators leave it: turning it would only stretch the shoulders
 REST_ARM_DEGREES = 8.0
@@ -46,9 +47,6 @@ class RiggedPart:
     faces: Int[np.ndarray, "faces 3"]
     uv: Float[np.ndarray, "vertices 2"]
     weights: Float[np.ndarray, "vertices 52"]
-    # the file's own nodes that move each vertex, and how much of it; rows sum to 1
-    nodes: Int[np.ndarray, "vertices slots"]
-    shares: Float[np.ndarray, "vertices slots"]
     material: int  # glTF material, -1: none
     # names of node, mesh and material
     called: str
@@ -59,24 +57,12 @@ class Rigged:
     """All of a file's parts as one person in pose 0."""
 
     parts: list[RiggedPart]
-    tree: "NodeTree"
-    # of all parts, one after the other
+    # the vertices of all parts, one after the other
     vertices: Float[np.ndarray, "vertices 3"]
     skin: SkinWeights
     joints: Float[np.ndarray, "52 3"]
     # what was assumed in reading
     notes: list[str]
-    # the pelvis in the file's world, and the turn that makes the person face +z
-    pelvis: Float[np.ndarray, "3"]
-    upright: Float[np.ndarray, "3 3"]
-    # from there to pose 0, of each joint
-    lifted: Float[np.ndarray, "52 4 4"]
-
-    def placed(self, points: Float[np.ndarray, "n 3"], joints: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
-        """Points of the bind pose, in the file's world, in pose 0; each is carried by one joint."""
-        upright = (points - self.pelvis) @ self.upright.T
-        moved = self.lifted[joints]
-        return np.einsum("nij,nj->ni", moved[:, :3, :3], upright) + moved[:, :3, 3]
 
 
 def read_rigged(gltf: Gltf) -> Rigged:
@@ -116,9 +102,9 @@ def read_rigged(gltf: Gltf) -> Rigged:
         raise AssetError(f"{path}: POSITION: expected a person 0.5 to 3 metres tall, found {height:.3g} metres")
 
     skin = strongest_four(np.concatenate([part.weights for part in parts]))
-    vertices, joints, lifted, posed = _arms_horizontal(vertices, joints, skin)
+    vertices, joints, posed = _arms_horizontal(vertices, joints, skin)
     notes.append(posed)
-    return Rigged(parts, rig, vertices, skin, joints, notes, frames[0, :3, 3], upright, lifted)
+    return Rigged(parts, vertices, skin, joints, notes)
 
 
 class NodeTree:
@@ -179,7 +165,6 @@ def _read_mesh_node(rig: NodeTree, node: int) -> list[RiggedPart]:
     number = gltf.index("meshes", described["mesh"], f"nodes[{node}].mesh")
     skinned = "skin" in described
     place, column = rig.bind_skin(described["skin"]) if skinned else (rig.place_rigid(node), np.zeros(1, np.int64))
-    own = np.array(read_skin(gltf, described["skin"]).nodes if skinned else [node])
     meshes = []
     for i in range(len(primitives(gltf, number))):
         field = f"meshes[{number}].primitives[{i}]"
@@ -187,7 +172,6 @@ def _read_mesh_node(rig: NodeTree, node: int) -> list[RiggedPart]:
         attributes = primitive.attributes
         count = len(attributes["POSITION"])
         weights = np.zeros((count, len(JOINTS)))
-        moved_by, shares = [np.full((count, 1), node)] * (not skinned), [np.ones((count, 1))] * (not skinned)
         if skinned:
             if "JOINTS_0" not in attributes or "WEIGHTS_0" not in attributes:
                 raise gltf.error(f"{field}.attributes", "with JOINTS_0 and WEIGHTS_0", sorted(attributes))
@@ -201,13 +185,10 @@ def _read_mesh_node(rig: NodeTree, node: int) -> list[RiggedPart]:
                 if index.max() >= len(column):
                     raise gltf.error(f"{field}.JOINTS_{k}", f"joints below {len(column)}", int(index.max()))
                 np.add.at(weights, (np.arange(count)[:, None], column[index]), weight)
-                moved_by.append(own[index])
-                shares.append(weight)
             total = weights.sum(1)
             if (weights < 0).any() or (total < 1e-6).any():
                 raise gltf.error(f"{field}.WEIGHTS_0", "positive on every vertex", float(total.min()))
             weights /= total[:, None]
-            shares = [share / total[:, None] for share in shares]
         else:
             weights[:, rig.joint_of_node[node]] = 1
         material = -1 if primitive.material is None else primitive.material
@@ -221,8 +202,7 @@ def _read_mesh_node(rig: NodeTree, node: int) -> list[RiggedPart]:
             faces = faces[:, ::-1]
         names = (described, gltf.items("meshes")[number], material_of(gltf, material))
         called = " ".join(str(named.get("name", "")) for named in names)
-        nodes, shares = np.concatenate(moved_by, 1), np.concatenate(shares, 1)
-        meshes.append(RiggedPart(vertices, faces, uv, weights, nodes, shares, material, called))
+        meshes.append(RiggedPart(vertices, faces, uv, weights, material, called))
     return meshes
 
 
@@ -256,8 +236,8 @@ def _upright(path: Path, joints: Float[np.ndarray, "52 3"]) -> tuple[Float[np.nd
 def _arms_horizontal(vertices, joints, skin: SkinWeights):
     """Pose 0 from the rest pose: arms along x, if they rest further from it than REST_ARM_DEGREES.
 
-    Returns vertices, joints, what moved each joint's points, and a note. An A-pose is skinned to the T-pose with the
-    rig's own weights; the upper arm, the forearm and the hand are each turned the shortest way.
+    Returns vertices, joints and a note. An A-pose is skinned to the T-pose with the rig's own weights; the upper arm,
+    the forearm and the hand are each turned the shortest way.
     """
     number = {name: i for i, name in enumerate(JOINTS)}
     pose = np.zeros((len(JOINTS), 3))
@@ -276,13 +256,11 @@ def _arms_horizontal(vertices, joints, skin: SkinWeights):
             pose[upper] = axis_angle_from_matrix(accumulated.T @ turn)
             accumulated = turn
     if worst <= REST_ARM_DEGREES:
-        kept = np.tile(np.eye(4), (len(JOINTS), 1, 1))
-        return vertices, joints, kept, f"arms rest {worst:.1f} degrees from horizontal: kept as pose 0"
+        return vertices, joints, f"arms rest {worst:.1f} degrees from horizontal: kept as pose 0"
     transforms = skin_transforms(pose, joints, rest=np.zeros((len(JOINTS), 3)))
     posed = np.einsum("kij,kj->ki", transforms[:, :3, :3], joints) + transforms[:, :3, 3]
     return (
         skin_points(vertices, skin, transforms),
         posed,
-        transforms,
         f"arms rested {worst:.0f} degrees from horizontal: skinned to a T-pose",
     )

@@ -6,11 +6,11 @@ the same calls give the same bytes.
 
 import json
 import struct
-from typing import Any
 
 import numpy as np
 
 from avatar.gltf.document import COMPONENT_TYPES, ELEMENT_SHAPES
+from files.input_file import JsonObject
 
 VERTICES, INDICES = 34962, 34963  # bufferView.target: ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
 
@@ -19,9 +19,9 @@ class GltfBuilder:
     """The binary part of a file under construction."""
 
     def __init__(self) -> None:
-        self.accessors: list[dict[str, Any]] = []
-        self.views: list[dict[str, Any]] = []
-        self.images: list[dict[str, Any]] = []
+        self.accessors: list[JsonObject] = []
+        self.views: list[JsonObject] = []
+        self.images: list[JsonObject] = []
         self.binary = bytearray()
 
     def add_accessor(
@@ -36,7 +36,7 @@ class GltfBuilder:
         if component is None or kind is None or len(values) == 0:
             raise ValueError(f"glTF cannot hold an array of shape {values.shape} and dtype {values.dtype}")
         stored = values.swapaxes(-1, -2) if kind.startswith("MAT") else values
-        accessor: dict[str, Any] = {
+        accessor: JsonObject = {
             "bufferView": self._add_view(np.ascontiguousarray(stored).tobytes(), target),
             "componentType": component,
             "count": len(values),
@@ -64,7 +64,7 @@ class GltfBuilder:
         self.binary.extend(data)
         return len(self.views) - 1
 
-    def to_bytes(self, document: dict[str, Any]) -> bytes:
+    def to_bytes(self, document: JsonObject) -> bytes:
         """The GLB of `document` (nodes, meshes ...) with what was added here."""
         document = document | {"accessors": self.accessors, "bufferViews": self.views, "images": self.images}
         document["buffers"] = [{"byteLength": len(self.binary)}] if self.binary else []

@@ -12,7 +12,7 @@ Arrays are never unpickled and are read row by row out of the archive, deflated 
 """
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,27 +20,25 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.body import Body
-from avatar.errors import AssetError
-from avatar.files import whole_file
 from avatar.motion.clip import Clip, Motion, checked_pelvis_height, checked_rate
-from avatar.motion.file_body import LARGEST_BETA, USUAL_PELVIS, given_pelvis, usual_pelvis
 from avatar.motion.pose_vector import (
     FULL_HANDS,
     LARGEST,
+    LARGEST_BETA,
     REFUSED_COLUMNS,
-    Layout,
+    USUAL_PELVIS,
+    PoseLayout,
     check_numbers,
     expanded,
+    given_pelvis,
     pose_layout,
     readable,
+    usual_pelvis,
 )
-from avatar.npz import NpzFile, NpzMember
-from avatar.rotation import (
-    axis_angle_from_quaternion,
-    quaternion_from_axis_angle,
-    quaternion_inverse,
-    quaternion_product,
-)
+from avatar.rotation import quaternion_inverse, turned
+from command.errors import AssetError
+from files.npz import NpzFile, NpzMember
+from files.whole import whole_file
 
 Array = np.ndarray
 
@@ -53,9 +51,9 @@ Y_FROM_Z = np.array([-np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
 @dataclass(frozen=True)
 class _Part:
     rows: NpzMember
-    joints: slice  # of the 52
-    # of whole pose vectors; None: three numbers a joint
-    layout: Layout | None = None
+    joints: slice  # a range of the 52
+    # the layout of whole pose vectors; None: three numbers a joint
+    layout: PoseLayout | None = None
 
 
 def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
@@ -108,17 +106,11 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
         root = root + pelvis
         if turn:
             root = np.stack([root[:, 0], root[:, 2], -root[:, 1]], -1)
-            pose[:, 0] = _turned(pose[:, 0], Y_FROM_Z)
+            pose[:, 0] = turned(pose[:, 0], Y_FROM_Z)
         return pose, root
 
     own = "pelvis_height" in npz.names
     return Motion(path.name, frames, rate, tuple(notes), block, height, grounded=own)
-
-
-def _turned(axis_angle: Float[Array, "frames 3"], turn: Float[Array, "4"]) -> Float[Array, "frames 3"]:
-    """Each rotation followed by `turn`, a quaternion."""
-    q = quaternion_from_axis_angle(axis_angle)
-    return axis_angle_from_quaternion(quaternion_product(np.broadcast_to(turn, q.shape), q))
 
 
 def _pose_parts(npz: NpzFile, body: Body | None, notes: list[str]) -> tuple[list[_Part], int]:
@@ -254,7 +246,7 @@ def write_amass(
         if not (np.isfinite(pose).all() and np.isfinite(root).all()):
             raise ValueError(f"a clip of {frames} frames should have some, all finite")
         if up == "z":
-            pose[:, 0] = _turned(pose[:, 0], quaternion_inverse(Y_FROM_Z))
+            pose[:, 0] = turned(pose[:, 0], quaternion_inverse(Y_FROM_Z))
             root = np.stack([root[:, 0], -root[:, 2], root[:, 1]], -1)
         return {"poses": pose.reshape(len(pose), 156).astype(dtype), "trans": (root - J0).astype(dtype)}
 
@@ -272,11 +264,21 @@ def write_amass(
         if taken:
             raise ValueError(f"{sorted(taken)} beside a clip are names of its own")
         fields |= beside
-    # the members that NumPy writes, the first two by rows
+    _write_members(path, frames, rows, np.dtype(dtype), fields)
+
+
+def _write_members(
+    path: Path | str,
+    frames: int,
+    rows: Callable[[int, int], dict[str, Array]],
+    dtype: np.dtype,
+    fields: Mapping[str, Array],
+) -> None:
+    """The archive's members as NumPy writes them, poses and trans by rows; whole or not at all."""
     with whole_file(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, width in (("poses", 156), ("trans", 3)):
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                descr = np.lib.format.dtype_to_descr(np.dtype(dtype))
+                descr = np.lib.format.dtype_to_descr(dtype)
                 header = {"descr": descr, "fortran_order": False, "shape": (frames, width)}
                 np.lib.format.write_array_header_1_0(member, header)
                 for start in range(0, frames, WRITTEN_AT_ONCE):

@@ -12,10 +12,10 @@ from typing import BinaryIO
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
-from avatar.input_file import open_input
 from avatar.motion.clip import Motion, RestSkeleton, checked_rate
 from avatar.rotation import matrix_from_axis_angle
+from command.errors import AssetError
+from files.input_file import open_input
 
 Array = np.ndarray
 
@@ -23,7 +23,7 @@ Array = np.ndarray
 INDEX_STEP = 64
 MOST_JOINTS = 10_000
 LONGEST_LINE = 1 << 20  # bytes
-# of any number, so that what is made of it is finite
+# the largest number, so that what is computed from it is finite
 LARGEST = 1e9
 # frames are read in blocks: a file may be longer than memory
 MAX_BYTES = 1 << 40
@@ -156,6 +156,7 @@ class _Lines:
         self.path, self.file, self.number, self.byte = path, file, 0, 0
 
     def next(self) -> list[str]:
+        """The words of the next line that is not empty; AssetError at the end of the file."""
         while True:
             self.byte = self.file.tell()
             line = self.file.readline(LONGEST_LINE)

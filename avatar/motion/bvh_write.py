@@ -19,15 +19,15 @@ from typing import IO
 import numpy as np
 from jaxtyping import Float
 
-from avatar.files import whole_file
 from avatar.motion.clip import Clip, Motion
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS
+from files.whole import whole_file
 
 Array = np.ndarray
 
 BLOCK = 256  # frames in memory at once
-# cos b below which a and c are not told apart; float64 leaves 1e-9 of a degree to a + c
+# cos b below which a and c cannot be separated; float64 leaves 1e-9 of a degree to a + c
 GIMBAL = 1e-7
 # length of a fingertip, as a part of the bone before
 LAST_BONE = 0.8

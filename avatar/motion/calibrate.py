@@ -1,4 +1,4 @@
-"""How an avatar's rest bones lie along those of a rig whose rest pose is nobody's, found from its motion.
+"""How an avatar's rest bones lie along those of a rig in whose rest pose no person stands, found from its motion.
 
 Bandai Namco's and LaFAN1's rigs have every bone along its own x axis: with all rotations 0 the skeleton is a stick,
 and the rest pose says neither where the knees point nor where the chest faces. What does not depend on the rest pose:
@@ -19,18 +19,20 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
-from avatar.motion.directions import unit_or_zero
-from avatar.motion.rest_pose import Alignment, RestBones, axis_name, below_elbow, cosine, frame_of, snapped, unit
+from avatar.motion.rest_pose import Alignment, RestBones, below_elbow, cosine, snapped, unit
 from avatar.motion.rig import AnimatedRig, JointMap
 from avatar.rotation import (
     axis_angle_from_matrix,
+    axis_name,
+    left_up_frame,
     matrix_from_quaternion,
     nearest_rotation,
     quaternion_from_matrix,
     slerp,
+    unit_or_zero,
 )
 from avatar.skeleton import JOINTS
+from command.errors import AssetError
 
 Array = np.ndarray
 
@@ -38,7 +40,7 @@ J = {name: index for index, name in enumerate(JOINTS)}
 NEAR_AXES = np.radians(25.0)
 # mean of the sines of a hinge's angle under which it says nothing, and the share of it that must agree
 LEAST_BEND, LEAST_AGREEMENT = 0.05, 0.7
-# of the frames, those with the ankle lowest: the foot stands
+# the share of frames with the ankle lowest, in which the foot stands
 LOWEST = 20.0  # percent
 
 
@@ -48,7 +50,7 @@ class Sampled:
 
     rotations: Float[Array, "frames joints 3 3"]  # turns away from rest, in the file's world
     places: Float[Array, "frames joints 3"]
-    up: Float[Array, "3"]  # of the file's world
+    up: Float[Array, "3"]  # up axis of the file's world
 
     def mean_direction(self, joint: int, a: Array, b: Array) -> Float[Array, "3"]:
         """Mean direction from a to b (frames 3) as the joint's frame sees it."""
@@ -74,7 +76,7 @@ def calibrated_alignment(
                 f"{rig.path}: the rest pose is no person's, and the motion does not show the sides of "
                 f"{rig.names[joint]}; expected a rig that rests in T-pose, or a motion of a standing person"
             )
-        return near_axes(frame_of(left, up))
+        return near_axes(left_up_frame(left, up))
 
     pelvis = torso(joints.pelvis, "hip", sampled.mean_direction(joints.pelvis, hips, shoulders))
     chest_up = sampled.mean_direction(joints.chest, shoulders, at[:, joints.head])
@@ -121,16 +123,16 @@ def _limb(
     turn, (joint, end) = bones.joints.turns[chain[0]], (bones.joints.places[name] for name in chain[1:])
     lower = unit_or_zero(sampled.places[:, end] - sampled.places[:, joint])[..., None]
     # how far the lower bone has swung from where it lies with its rotations 0, as the upper one's frame sees it
-    straight = unit_or_zero(bones.theirs(chain[1], chain[2]))
+    straight = unit_or_zero(bones.rig_bone(chain[1], chain[2]))
     hinges = np.cross(straight, (np.swapaxes(sampled.rotations[:, turn], -1, -2) @ lower)[..., 0])
     sines = np.linalg.norm(hinges, axis=1)
     # wide bends count most: knees that are no hinge, or knock a little, tilt the axis of small ones
     hinge, agreement = (hinges * sines[:, None]).sum(0), (sines * sines).sum()
-    theirs = bones.theirs(chain[0], chain[1])
-    agrees = np.linalg.norm(hinge) > LEAST_AGREEMENT * agreement and abs(cosine(hinge, theirs)) < 0.7
+    upper = bones.rig_bone(chain[0], chain[1])
+    agrees = np.linalg.norm(hinge) > LEAST_AGREEMENT * agreement and abs(cosine(hinge, upper)) < 0.7
     if sines.mean() > LEAST_BEND and agrees:
         ours = OUR_HINGES[chain[0]]
-        return frame_of(hinge, theirs) @ frame_of(ours, bones.ours(chain[0], chain[1])).T
+        return left_up_frame(hinge, upper) @ left_up_frame(ours, bones.ours(chain[0], chain[1])).T
     notes.append(f"{chain[1]}: it hardly bends, so the limb's own turn is only guessed")
     return bones.aligned(_mean_relative(sampled.rotations[:, turn], above), chain[0], chain[1])
 
@@ -143,7 +145,7 @@ OUR_HINGES = {
 
 
 def _foot(bones: RestBones, sampled: Sampled, side: str, shin: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """A of an ankle: the avatar's foot is flat where theirs stands."""
+    """A of an ankle: the avatar's foot is flat where the rig's stands."""
     ankle, foot = f"{side}_ankle", f"{side}_foot"
     toe, mine = bones.toe(side), bones.ours(ankle, foot)
     across = shin[:, 0]
@@ -155,12 +157,12 @@ def _foot(bones: RestBones, sampled: Sampled, side: str, shin: Float[Array, "3 3
     pitch = float(np.median(np.arcsin(np.clip(directions @ sampled.up, -1, 1))))
     heading = unit(mine * [1, 0, 1])
     pitched = np.cos(pitch) * heading + np.sin(pitch) * np.array([0.0, 1, 0])
-    return frame_of(across, toe) @ frame_of(np.cross([0.0, 1, 0], heading), pitched).T
+    return left_up_frame(across, toe) @ left_up_frame(np.cross([0.0, 1, 0], heading), pitched).T
 
 
-def _mean_relative(theirs: Float[Array, "frames 3 3"], ours: Float[Array, "frames 3 3"]) -> Float[Array, "3 3"]:
-    """The A for which theirs @ A is nearest to ours, in the mean of squares (Procrustes)."""
-    return nearest_rotation((np.swapaxes(theirs, -1, -2) @ ours).mean(0))
+def _mean_relative(rig: Float[Array, "frames 3 3"], ours: Float[Array, "frames 3 3"]) -> Float[Array, "3 3"]:
+    """The A for which rig @ A is nearest to ours, in the mean of squares (Procrustes)."""
+    return nearest_rotation((np.swapaxes(rig, -1, -2) @ ours).mean(0))
 
 
 def near_axes(R: Float[Array, "3 3"]) -> Float[Array, "3 3"]:

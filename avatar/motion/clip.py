@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.body import Body, builtin_body
-from avatar.errors import AssetError
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+from command.errors import AssetError
 
 Array = np.ndarray
 

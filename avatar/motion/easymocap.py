@@ -8,34 +8,33 @@ the pelvis of the file's shaped body,
 J0 comes from the user's model (`--body`), else it is the usual one, and the notes say so. `poses` may carry a
 root of its own (66, 72, 78, 87, 156, 165 numbers), which turns about the pelvis before Rh and is zero in
 practice, or none (63, 69, 75, 84, 153, 162). Hands are in `poses` or apart, in handl and handr: PCA coefficients, or
-45 numbers that are offsets from the mean. EasyMocap adds MANO's mean to both unless told `use_flat_mean`.
+45 numbers that are offsets from the mean. EasyMocap adds MANO's mean to both unless `use_flat_mean` is set.
 Newer files put the list under "annots". The files do not know their frame rate.
 """
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from avatar.body import Body
-from avatar.errors import AssetError
-from avatar.input_file import read_json
 from avatar.motion.clip import Motion
-from avatar.motion.file_body import given_pelvis, usual_pelvis
 from avatar.motion.pose_vector import (
     NEEDS_MODEL,
-    Layout,
+    TURNS,
+    PoseLayout,
     expanded,
+    given_pelvis,
     hand_from_coefficients,
     pose_layout,
     readable,
+    up_axis,
+    usual_pelvis,
 )
-from avatar.motion.up_axis import TURNS, up_axis
 from avatar.rotation import (
     axis_angle_from_matrix,
     axis_angle_from_quaternion,
@@ -44,10 +43,12 @@ from avatar.rotation import (
     quaternion_from_axis_angle,
     quaternion_product,
 )
+from command.errors import AssetError
+from files.input_file import JsonObject, read_json
 
 Array = np.ndarray
 
-MAX_BYTES = 1 << 24  # of one frame's file
+MAX_BYTES = 1 << 24  # one frame's file
 # looked at for the up axis
 SAMPLED_FRAMES = 30
 ASSUMED_RATE = 30.0
@@ -108,7 +109,7 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
 
 
 @dataclass(frozen=True)
-class Fit:
+class EasyMocapFit:
     """EasyMocap's fit of one person to chosen frames, in the world of its cameras."""
 
     axis_angle: Float[Array, "frames 52 3"]  # the world's rotation in the root
@@ -124,7 +125,7 @@ def frame_numbers(path: Path) -> dict[int, Path]:
     return {int(name_of(k).stem): name_of(k) for k in range(count)}
 
 
-def read_fit(files: Sequence[Path], *, body: Body) -> Fit:
+def read_fit(files: Sequence[Path], *, body: Body) -> EasyMocapFit:
     """The frames in `files` as they are: nothing is turned to y-up; `body` expands the hands, and has their mean.
 
     Raises:
@@ -144,10 +145,10 @@ def read_fit(files: Sequence[Path], *, body: Body) -> Fit:
         pose[:, 0] = axis_angle_from_matrix(R)
     else:
         pose[:, 0] = values["Rh"]
-    return Fit(pose, values["Rh"], values["Th"], values.get("shapes", np.zeros((len(files), 0))), tuple(notes))
+    return EasyMocapFit(pose, values["Rh"], values["Th"], values.get("shapes", np.zeros((len(files), 0))), tuple(notes))
 
 
-def _lengths(path: Path, person: dict[str, Any]) -> dict[str, int]:
+def _lengths(path: Path, person: JsonObject) -> dict[str, int]:
     """How many numbers each field has."""
     return {
         key: len(_numbers(path, person, key))
@@ -172,7 +173,7 @@ def _rows(files: Sequence[Path], person: int, lengths: dict[str, int]) -> dict[s
 
 
 def _joint_poses(
-    values: dict[str, Array], layout: Layout, apart: int, body: Body | None
+    values: dict[str, Array], layout: PoseLayout, apart: int, body: Body | None
 ) -> Float[Array, "frames 52 3"]:
     """Axis-angle vectors of all joints; the hands' mean is added here, once."""
     pose = expanded(values["poses"], layout, body)
@@ -188,7 +189,7 @@ def _joint_poses(
     return pose
 
 
-def _frames(path: Path, notes: list[str]) -> tuple[Any, int]:
+def _frames(path: Path, notes: list[str]) -> tuple[Callable[[int], Path], int]:
     """The file of each frame (a function of its number) and how many there are."""
     if path.is_file():
         return (lambda frame: path), 1
@@ -214,7 +215,7 @@ def _frames(path: Path, notes: list[str]) -> tuple[Any, int]:
     return (lambda frame: path / f"{numbers[frame]:0{widths[frame]}d}.json"), len(numbers)
 
 
-def _people(path: Path) -> dict[int, dict[str, Any]]:
+def _people(path: Path) -> dict[int, JsonObject]:
     """The people of one frame by their id."""
     content = read_json(path, "a frame of EasyMocap", most=MAX_BYTES)
     people = content
@@ -222,7 +223,7 @@ def _people(path: Path) -> dict[int, dict[str, Any]]:
         people = content.get("annots", [content])
     if not isinstance(people, list) or not all(isinstance(person, dict) for person in people):
         raise AssetError(f"{path}: expected a list of people or an object with annots")
-    found: dict[int, dict[str, Any]] = {}
+    found: dict[int, JsonObject] = {}
     for person in people:
         number = person.get("id", person.get("personID", 0))
         if type(number) is not int or number in found:
@@ -233,7 +234,7 @@ def _people(path: Path) -> dict[int, dict[str, Any]]:
     return found
 
 
-def _numbers(path: Path, person: dict[str, Any], key: str) -> Array:
+def _numbers(path: Path, person: JsonObject, key: str) -> Array:
     """A field as a row of finite numbers: [[...]] and [...] alike."""
     if key not in person:
         raise AssetError(f"{path}: no {key}; the person has {sorted(map(str, person))[:12]}")
@@ -247,7 +248,7 @@ def _numbers(path: Path, person: dict[str, Any], key: str) -> Array:
     return np.array(value, np.float64)
 
 
-def _layout(path: Path, lengths: dict[str, int], body: Body | None, notes: list[str]) -> tuple[Layout, int]:
+def _layout(path: Path, lengths: dict[str, int], body: Body | None, notes: list[str]) -> tuple[PoseLayout, int]:
     """Layout of `poses`, and how many numbers handl and handr have (0: the hands are not apart)."""
     count = lengths["poses"]
     layout = pose_layout(count, root_apart=True)

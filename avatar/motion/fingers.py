@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.body import builtin_body
-from avatar.motion.directions import unit_or_zero
-from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, unit_or_zero
 from avatar.skeleton import JOINTS
 
 Array = np.ndarray

@@ -12,12 +12,10 @@ directions of the bones. Channels are sampled as glTF 2.0, appendix C has it: ST
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
 from avatar.gltf.document import Gltf, read_gltf
 from avatar.gltf.humanoid import Naming, find_naming
 from avatar.gltf.scene import node_parents, parents_first, read_skin
@@ -32,12 +30,14 @@ from avatar.rotation import (
     slerp,
 )
 from avatar.skeleton import JOINTS
+from command.errors import AssetError
+from files.input_file import JsonObject
 
 Array = np.ndarray
 
 PATHS = {"rotation": 4, "translation": 3}  # numbers a key
 LONGEST = 1e6  # seconds
-# of all samplers together; accessors may share their bytes
+# bytes of all samplers together; accessors may share their bytes
 MAX_KEY_BYTES = 1 << 28
 # frames per second of keys that are taken for the file's own frames
 SLOWEST, FASTEST = 10.0, 480.0
@@ -85,7 +85,7 @@ class GltfRig:
     """The nodes that move a humanoid, parents first; a Rig for avatar/motion/retarget.py."""
 
     path: Path
-    # of JOINTS, or "__..." for the nodes between them
+    # names of JOINTS, or "__..." for the nodes between them
     names: tuple[str, ...]
     parents: tuple[int, ...]
     translation: Float[Array, "nodes 3"]
@@ -283,14 +283,14 @@ def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple
     return channels
 
 
-def _objects(gltf: Gltf, holder: dict[str, Any], key: str, where: str) -> list[dict[str, Any]]:
+def _objects(gltf: Gltf, holder: JsonObject, key: str, where: str) -> list[JsonObject]:
     value = holder.get(key)
     if not isinstance(value, list) or not value or not all(isinstance(v, dict) for v in value):
         raise gltf.error(f"{where}.{key}", "a list of objects", value)
     return value
 
 
-def _channel(gltf: Gltf, sampler: dict[str, Any], path: str, where: str) -> Channel:
+def _channel(gltf: Gltf, sampler: JsonObject, path: str, where: str) -> Channel:
     interpolation = sampler.get("interpolation", "LINEAR")
     if interpolation not in ("LINEAR", "STEP", "CUBICSPLINE"):
         raise gltf.error(f"{where}.interpolation", "LINEAR, STEP or CUBICSPLINE", interpolation)
@@ -363,7 +363,7 @@ def _rest(
                     )
                 frames[order.index(node)] = np.linalg.inv(joint_from_mesh)
         anchor = place["head"]
-        # the mesh's own units against the world's: told by the distance of the hips to the head
+        # the mesh's own units against the world's: found by the distance of the hips to the head
         hip = place["left_hip"]
         if anchor not in frames or hip not in frames:
             continue

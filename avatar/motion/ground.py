@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
-from avatar.hull import Hull, lowest_points
+from avatar.hull import BodyHull, lowest_points
 from avatar.motion.clip import Motion
+from command.errors import AssetError
 
 Array = np.ndarray
 
@@ -27,40 +27,40 @@ Array = np.ndarray
 SAMPLED_FRAMES, RUN, LOOKED_AT = 256, 4, 36_000
 LOWEST = 5.0  # percent of the frames, which may sink in
 BAND = 0.03  # metres of play of a standing foot
-LEAST_SHARE = 0.1  # of the frames that must stand
+LEAST_SHARE = 0.1  # the share of frames that must stand
 # metres by which a motion is moved that knows its ground, for feet of another shape
 SHOES = 0.1
-# metres below which nobody sees it
+# metres below which it is not visible
 UNSEEN = 0.0005
 
 
-class Ground(NamedTuple):
+class GroundLevel(NamedTuple):
     """What is added to the heights of a motion, and why."""
 
     lift: float  # metres
     note: str
 
 
-def find_ground(motion: Motion, hull: Hull) -> Ground:
+def find_ground(motion: Motion, hull: BodyHull) -> GroundLevel:
     """The ground of a motion that was fitted to this body."""
     heights = _lowest_points(motion, hull)
     if not len(heights):
-        return Ground(0.0, "ground: not looked for, no frame could be read")
+        return GroundLevel(0.0, "ground: not looked for, no frame could be read")
     low = float(np.percentile(heights, LOWEST))
     standing = heights[(heights >= low) & (heights <= low + BAND)]
     touching = float((heights <= low + BAND).mean())
     level = float(np.median(standing)) if len(standing) else low
     if touching < LEAST_SHARE:
-        return Ground(0.0, "ground: the body never stands, so the file's heights are kept")
+        return GroundLevel(0.0, "ground: the body never stands, so the file's heights are kept")
     if motion.grounded and abs(level) > SHOES:
-        return Ground(0.0, f"ground: the file's own; the lowest point stays {_length(level)} {_side(level)} it")
+        return GroundLevel(0.0, f"ground: the file's own; the lowest point stays {_length(level)} {_side(level)} it")
     if abs(level) < UNSEEN:
-        return Ground(0.0, "ground: the soles touch it as they are")
+        return GroundLevel(0.0, "ground: the soles touch it as they are")
     moved = "lowered" if level > 0 else "raised"
-    return Ground(-level, f"ground: the motion is {moved} by {_length(level)} so that the soles touch it")
+    return GroundLevel(-level, f"ground: the motion is {moved} by {_length(level)} so that the soles touch it")
 
 
-def on_ground(motion: Motion, hull: Hull) -> Motion:
+def on_ground(motion: Motion, hull: BodyHull) -> Motion:
     """The motion, moved up or down as a whole so that the soles of this body stand at y = 0, with a note."""
     lift, note = find_ground(motion, hull)
     notes = (*motion.notes, note)
@@ -74,7 +74,7 @@ def on_ground(motion: Motion, hull: Hull) -> Motion:
     return replace(motion, notes=notes, block=block)
 
 
-def _lowest_points(motion: Motion, hull: Hull) -> Float[Array, "frames"]:
+def _lowest_points(motion: Motion, hull: BodyHull) -> Float[Array, "frames"]:
     """Height of the body's lowest point in frames spread over the motion; frames that cannot be read are left out."""
     count = min(motion.frames, LOOKED_AT)
     if count <= SAMPLED_FRAMES:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from avatar.body import Body
-from avatar.errors import AssetError
 from avatar.motion.clip import Motion
 from avatar.motion.fingers import relaxed_hands
+from command.errors import AssetError
 
 Array = np.ndarray
 

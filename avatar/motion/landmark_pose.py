@@ -21,17 +21,19 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from avatar.limits import axis_angle_from_joint_angles, clamped_angles, joint_angles, limits
-from avatar.motion.directions import left_up_frame, palm_frame, unit_or_zero
 from avatar.motion.fingers import FINGERS
 from avatar.motion.mhr_rig import HINGES, twist_about
 from avatar.rotation import (
     axis_angle_from_matrix,
+    left_up_frame,
     matrix_from_axis_angle,
     matrix_from_quaternion,
     nearest_rotation,
+    palm_frame,
     quaternion_from_matrix,
     rotation_between,
     slerp,
+    unit_or_zero,
 )
 from avatar.skeleton import JOINTS, PARENTS
 
@@ -60,7 +62,7 @@ class Points(NamedTuple):
     body: Float[Array, "frames 33 3"]
     left_hand: Float[Array, "frames 21 3"]
     right_hand: Float[Array, "frames 21 3"]
-    # of the body's 33
+    # which of the body's 33 points are seen
     seen: Bool[Array, "33"]
 
 
@@ -108,8 +110,8 @@ def _body(P: Float[Array, "frames 33 3"], ours: Array, seen: Bool[Array, "33"]) 
     up, rest_up = _middle(at["shoulder"]) - _middle(at["hip"]), _middle(rest["shoulder"]) - _middle(rest["hip"])
 
     def trunk(name: str) -> Array:
-        theirs = left_up_frame(at[name][0] - at[name][1], up)
-        return theirs @ left_up_frame(rest[name][0] - rest[name][1], rest_up).T
+        seen = left_up_frame(at[name][0] - at[name][1], up)
+        return seen @ left_up_frame(rest[name][0] - rest[name][1], rest_up).T
 
     R = np.tile(np.eye(3), (len(P), 52, 1, 1))
     bottom, top = trunk("hip"), trunk("shoulder")
@@ -172,10 +174,10 @@ def _limb(
 
 
 def _face(P: Float[Array, "frames 33 3"]) -> Float[Array, "frames 3 3"]:
-    """The rotation that lays a face at rest best over the points of theirs."""
-    theirs = P[:, FACE] - P[:, FACE].mean(1, keepdims=True)
+    """The rotation that lays a face at rest best over the points."""
+    seen = P[:, FACE] - P[:, FACE].mean(1, keepdims=True)
     rest = FACE_AT_REST - FACE_AT_REST.mean(0)
-    return nearest_rotation(np.swapaxes(theirs, -1, -2) @ rest)
+    return nearest_rotation(np.swapaxes(seen, -1, -2) @ rest)
 
 
 def _hand(

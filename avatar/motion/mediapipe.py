@@ -1,9 +1,9 @@
 """MediaPipe's landmarks as a motion (avatar/motion/landmark_file.py has the files).
 
 In the picture y goes down and z away from the camera: a half turn about x makes our axes of it. Points in parts of the
-picture are stretched by its size, or, where that is not told, by the one of the usual shapes in which the limbs keep a
+picture are stretched by its size, or, where that is not known, by the one of the usual shapes in which the limbs keep a
 body's proportions best. Where the person is comes from the picture, as far as it shows: sideways and up, never in
-depth; without pictures' points the lower foot stays on the ground. Gaps are filled and told.
+depth; without pictures' points the lower foot stays on the ground. Gaps are filled, and noted.
 """
 
 from pathlib import Path
@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from avatar.errors import AssetError
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, checked_rate
-from avatar.motion.landmark_file import Frame, Told, read_landmarks
+from avatar.motion.landmark_file import WHAT, FilmFacts, Frame, is_mediapipe, read_landmarks
 from avatar.motion.landmark_pose import BODY_POINTS, HAND_POINTS, PAIRS, Points, pose_from_points
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS
+from command.errors import AssetError
+from files.input_file import read_json
 
 Array = np.ndarray
 J = {name: index for index, name in enumerate(JOINTS)}
@@ -27,18 +28,23 @@ ASSUMED_RATE = 30.0
 SHAPES = (9 / 16, 2 / 3, 3 / 4, 4 / 5, 1.0, 5 / 4, 4 / 3, 3 / 2, 16 / 9)
 # what depths may have to be multiplied by, and the part of the misfit that must be left for it
 DEPTHS = (1.0, 0.85, 0.7, 0.55, 0.4)
-DEPTH_TELLS = 0.9
+DEPTH_GAIN = 0.9
 # frames that a gap may have to be filled from both of its ends
 LONGEST_GAP = 15
 UNSEEN = 0.3  # median visibility below which a point is not used
 PIXELS = 5.0  # parts of a picture are never so large
-# of the length of the trunk, of a limb that has a direction
+# the least length of a limb that has a direction, in lengths of the trunk
 SHORTEST = 1e-3
 FLIP = np.array([1.0, -1, -1])
 
 
+def is_mediapipe_file(path: Path) -> bool:
+    """Whether a JSON file holds landmarks; AssetError where it is no JSON."""
+    return is_mediapipe(read_json(path, f"a frame of EasyMocap, or {WHAT}"))
+
+
 def read_mediapipe(path: Path | str, skeleton: RestSkeleton | None = None) -> Motion:
-    """Open landmarks of MediaPipe: a .pbtxt, .json or .jsonl, or a folder of frames.
+    """Open landmarks of MediaPipe.
 
     Raises:
         AssetError: no landmarks, lists of other lengths than 33 or 21, numbers that are not finite, a body or a hand
@@ -46,17 +52,17 @@ def read_mediapipe(path: Path | str, skeleton: RestSkeleton | None = None) -> Mo
     """
     path = Path(path)
     notes: list[str] = []
-    frames, told = read_landmarks(path, notes)
+    frames, facts = read_landmarks(path, notes)
     skeleton = builtin_skeleton() if skeleton is None else skeleton
     ours = skeleton.joints.astype(np.float64)
-    rate = checked_rate(f"{path}: fps", told.fps) if told.fps is not None else ASSUMED_RATE
-    picture = _picture(frames, told, ours, notes)
+    rate = checked_rate(f"{path}: fps", facts.fps) if facts.fps is not None else ASSUMED_RATE
+    picture = _picture(frames, facts, ours, notes)
     body, seen, hips = _bodies(path, frames, picture, notes)
     left, right = _hand_points(path, frames, picture, notes)
     points = Points(body, left, right, seen)
     pose = pose_from_points(points, ours)
     root = _root(body, hips, ours, pose, notes)
-    if len(frames) > 1 and told.fps is None:
+    if len(frames) > 1 and facts.fps is None:
         notes.append(f"no frame rate in the file: {ASSUMED_RATE:g} frames per second assumed")
 
     def block(start: int, stop: int) -> tuple[Array, Array]:
@@ -72,30 +78,30 @@ class Picture(NamedTuple):
     depth: float
 
 
-def _picture(frames: list[Frame], told: Told, ours: Array, notes: list[str]) -> Picture:
-    """The shape of the picture and the scale of depth, told or as a body's proportions have it."""
+def _picture(frames: list[Frame], facts: FilmFacts, ours: Array, notes: list[str]) -> Picture:
+    """The shape of the picture and the scale of depth, from the file or as a body's proportions have it."""
     poses = [f.pose[:, :3] for f in frames if f.pose is not None]
-    flat = [points for f in frames for points, metric in f.hands.values() if not metric]
+    flat = [points for f in frames for points in f.hands.values()]
     if not poses and not flat:
         return Picture(1.0, 1.0)
     shapes, known = SHAPES, False
     if any(np.abs(points[:, :2]).max() > PIXELS for points in [*poses, *(points[:, :3] for points in flat)]):
         notes.append("landmarks: in pixels, z taken as pixels too")
         shapes, known = (1.0,), True
-    elif told.width is not None and told.height is not None:
-        shapes, known = (told.width / told.height,), True
+    elif facts.width is not None and facts.height is not None:
+        shapes, known = (facts.width / facts.height,), True
     if not poses:
         if not known:
-            notes.append("picture: its size is not told, taken as square")
+            notes.append("picture: its size is not known, taken as square")
         return Picture(shapes[0] if known else 1.0, 1.0)
     sample = np.stack(poses[:: max(1, len(poses) // 100)])
     off = {(a, z): _off_proportions(sample, Picture(a, z), ours) for a in shapes for z in DEPTHS}
     best = min(off, key=lambda pair: off[pair])
     plain = min(((a, 1.0) for a in shapes), key=lambda pair: off[pair])
-    # depth is a guess of the detector's; it is only corrected where that tells
-    chosen = Picture(*(best if off[best] < DEPTH_TELLS * off[plain] else plain))
+    # depth is a guess of the detector's; it is only corrected where that matters
+    chosen = Picture(*(best if off[best] < DEPTH_GAIN * off[plain] else plain))
     if not known:
-        notes.append(f"picture: size not told, width / height {chosen.aspect:.2f} fits a body's proportions best")
+        notes.append(f"picture: size not known, width / height {chosen.aspect:.2f} fits a body's proportions best")
     if chosen.depth != 1:
         notes.append(f"depth: multiplied by {chosen.depth:g}, which fits a body's proportions best")
     return chosen
@@ -107,8 +113,8 @@ def _off_proportions(P: Float[Array, "frames 33 3"], picture: Picture, ours: Arr
     ratios = []
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")):
         for n, side in enumerate(("left", "right")):
-            theirs = np.median(np.linalg.norm(at[:, PAIRS[b][n]] - at[:, PAIRS[a][n]], axis=-1))
-            ratios.append(theirs / np.linalg.norm(ours[J[f"{side}_{b}"]] - ours[J[f"{side}_{a}"]]))
+            found = np.median(np.linalg.norm(at[:, PAIRS[b][n]] - at[:, PAIRS[a][n]], axis=-1))
+            ratios.append(found / np.linalg.norm(ours[J[f"{side}_{b}"]] - ours[J[f"{side}_{a}"]]))
     trunk = at[:, list(PAIRS["shoulder"])].mean(1) - at[:, list(PAIRS["hip"])].mean(1)
     shoulders = (ours[J["left_shoulder"]] + ours[J["right_shoulder"]] - ours[J["left_hip"]] - ours[J["right_hip"]]) / 2
     ratios.append(np.median(np.linalg.norm(trunk, axis=-1)) / np.linalg.norm(shoulders))
@@ -191,10 +197,13 @@ def _hand_points(
     for side in ("left", "right"):
         hand = np.full((len(frames), HAND_POINTS, 3), np.nan)
         for k, f in enumerate(frames):
-            if side in f.hands:
-                points, metric = f.hands[side]
-                hand[k] = _upright(points, None if metric else picture._replace(depth=1.0))
-                _check_hand(path, k, side, hand[k])
+            if side in f.hands_world:
+                hand[k] = _upright(f.hands_world[side])
+            elif side in f.hands:
+                hand[k] = _upright(f.hands[side], picture._replace(depth=1.0))
+            else:
+                continue
+            _check_hand(path, k, side, hand[k])
         found = np.isfinite(hand[:, 0, 0])
         hand = _filled(hand, LONGEST_GAP)
         missing = int((~np.isfinite(hand[:, 0, 0])).sum())

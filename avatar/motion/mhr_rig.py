@@ -11,7 +11,7 @@ neck and head, 0.3 for knees and spine.
     spine               x up, y forward, z to the left, without any curve at rest; neck 19, head 2.2 degrees forward
     right               R_right = -M R_left with M = diag(-1, 1, 1)
 
-A bone is laid along theirs with its hinge on their hinge, so an elbow that bends there bends here, about the same axis.
+A bone is laid along the rig's, hinge on hinge, so an elbow that bends there bends here, about the same axis.
 Hands follow the palm that the joints span (wrist, forefinger, middle and little finger), not the wrist's own rotation:
 in real results the rotations of one hand may be older than its joints, which are what was fitted to the picture. Then
 the fingers' rotations are carried along with the palm. The forearm's turn is shared out evenly between elbow and wrist.
@@ -24,17 +24,23 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from avatar.motion.directions import palm_frame, unit_or_zero
 from avatar.motion.fingers import FINGERS, MIRROR, finger_axes
-from avatar.motion.rest_pose import Alignment, frame_of
-from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix, rotation_between
+from avatar.motion.rest_pose import Alignment
+from avatar.rotation import (
+    left_up_frame,
+    matrix_from_axis_angle,
+    palm_frame,
+    quaternion_from_matrix,
+    rotation_between,
+    unit_or_zero,
+)
 from avatar.skeleton import JOINTS
 
 Array = np.ndarray
 J = {name: index for index, name in enumerate(JOINTS)}
 
 MHR_JOINTS = 127
-# of the left side: ours -> the joint that turns it, the joint that places it
+# our joint of the left side -> the joint that turns it, the joint that places it
 _LEFT: dict[str, tuple[int, int]] = {
     "hip": (2, 2), "knee": (3, 3), "ankle": (7, 5), "foot": (8, 8),
     "collar": (74, 74), "shoulder": (75, 75), "elbow": (76, 76), "wrist": (78, 78),
@@ -60,7 +66,7 @@ _UPRIGHT = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
 NECK_TILT, HEAD_TILT = np.radians(19.0), np.radians(2.2)
 # the palm's frame as the left wrist sees it where rotations and joints agree
 _PALM = np.array([[0.999, 0.045, 0.008], [0.046, -0.991, -0.124], [0.002, 0.124, -0.992]])
-# of the forearm's turn, the elbow's part
+# the elbow's part of the forearm's turn
 ELBOW_SHARE = 0.5
 # the knee bends about +x, the left elbow about -y, the right one about +y (avatar/motion/calibrate.py)
 HINGES = {"hip": (1.0, 0, 0), "knee": (1.0, 0, 0), "shoulder": (0, -1.0, 0), "elbow": (0, -1.0, 0)}
@@ -114,7 +120,7 @@ class MhrRig:
     rate: float
     # (start, stop) -> rotations and places of MHR's joints in our world, metres
     read: Callable[[int, int], tuple[Float[Array, "frames 127 3 3"], Float[Array, "frames 127 3"]]] = field(repr=False)
-    joints: Float[Array, "52 3"]  # of the skeleton that is to move
+    joints: Float[Array, "52 3"]  # the skeleton that is to move
     names: tuple[str, ...] = NAMES
     parents: tuple[int, ...] = tuple(-1 if n == "pelvis" else NAMES.index(_parent(n)) for n in NAMES)
     ends: tuple[tuple[int, tuple[float, float, float]], ...] = ()
@@ -149,8 +155,8 @@ class MhrRig:
                 G[:, joints] = carried[:, None] @ G[:, joints]
             for bone in BONES:
                 joint = NAMES.index(f"{side}_{bone[0]}")
-                theirs = at[:, _end(side, bone[1])] - places[:, joint]
-                G[:, joint] = along_bone(G[:, joint], theirs, side)
+                bone_way = at[:, _end(side, bone[1])] - places[:, joint]
+                G[:, joint] = along_bone(G[:, joint], bone_way, side)
             self._share_forearm(G, side)
         return G, places
 
@@ -245,7 +251,7 @@ def _end(side: str, name: str) -> int:
 
 def _hinged(bone: Float[Array, "3"], hinge: Float[Array, "3"], side: str) -> Float[Array, "3 3"]:
     """The turn that lays our bone along x, and our hinge on z."""
-    return frame_of(np.array([0.0, 0, 1]), np.array([sign(side), 0, 0])) @ frame_of(hinge, bone).T
+    return left_up_frame(np.array([0.0, 0, 1]), np.array([sign(side), 0, 0])) @ left_up_frame(hinge, bone).T
 
 
 def _our_palm(ours: Float[Array, "52 3"], side: str) -> Float[Array, "3 3"]:

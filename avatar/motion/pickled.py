@@ -6,37 +6,34 @@
     shape     betas | shape_est_betas                rate: mocap_framerate | mocap_frame_rate | fps | ...
 
 A file of several people (3DPW: a list for each key) gives the first. The pickle is never run
-(avatar/unpickle.py). It is read whole: a sequence longer than memory belongs into an .npz.
+(files/unpickle.py). It is read whole: a sequence longer than memory belongs into an .npz.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from avatar.body import Body
-from avatar.errors import AssetError
 from avatar.motion.clip import Motion, checked_rate
-from avatar.motion.file_body import LARGEST_BETA, given_pelvis, usual_pelvis
 from avatar.motion.pose_vector import (
     FULL_HANDS,
+    LARGEST_BETA,
     NEEDS_MODEL,
     REFUSED_COLUMNS,
-    Layout,
+    TURNS,
+    PoseLayout,
     check_numbers,
     expanded,
+    given_pelvis,
     pose_layout,
     readable,
+    up_axis,
+    usual_pelvis,
 )
-from avatar.motion.up_axis import TURNS, up_axis
-from avatar.rotation import (
-    axis_angle_from_quaternion,
-    matrix_from_quaternion,
-    quaternion_from_axis_angle,
-    quaternion_product,
-)
-from avatar.unpickle import read_pickle
+from avatar.rotation import matrix_from_quaternion, turned
+from command.errors import AssetError
+from files.unpickle import Value, read_pickle
 
 Array = np.ndarray
 
@@ -48,7 +45,7 @@ BOTH = ("pose_hand", "hand_pose", "poses_hand")
 PLACE = ("trans", "transl", "pose_est_trans")
 SHAPE = ("betas", "shape_est_betas", "beta")
 RATE = ("mocap_framerate", "mocap_frame_rate", "mosh_framerate", "framerate", "frame_rate", "fps")
-# of a field that is lists of numbers: 300 MB as Python holds them
+# the most numbers in a field of lists: 300 MB as Python holds them
 MAX_NUMBERS = 10_000_000
 # looked at for the up axis
 SAMPLED_FRAMES = 200
@@ -102,15 +99,14 @@ def read_pickled_motion(path: Path | str, *, body: Body | None = None) -> Motion
             check_numbers(path, str(place_name), at[:, None], start)
             root = at + pelvis
         if axis != "+y":
-            q = quaternion_from_axis_angle(pose[:, 0])
-            pose[:, 0] = axis_angle_from_quaternion(quaternion_product(np.broadcast_to(turn, q.shape), q))
+            pose[:, 0] = turned(pose[:, 0], turn)
             root = root @ R.T
         return pose, root
 
     return Motion(path.name, frames, rate, tuple(notes), block, height)
 
 
-def _person(path: Path, content: Any) -> dict[str, Any]:
+def _person(path: Path, content: Value) -> dict[str, Value]:
     """The dict of fields, directly or as the first of a list or dict of people."""
     for _ in range(2):
         if type(content) is dict and _is_sequence(content):
@@ -131,11 +127,11 @@ def _arrays(value: list) -> bool:
     return bool(value) and all(isinstance(v, Array) and v.ndim >= 2 for v in value)
 
 
-def _present(fields: dict[str, Any], names: tuple[str, ...]) -> str | None:
+def _present(fields: dict[str, Value], names: tuple[str, ...]) -> str | None:
     return next((name for name in names if fields.get(name) is not None), None)
 
 
-def _numbers(path: Path, fields: dict[str, Any], name: str) -> Array:
+def _numbers(path: Path, fields: dict[str, Value], name: str) -> Array:
     """A field as an array of numbers; lists of equally long lists count."""
     value = fields[name]
     if not isinstance(value, Array):
@@ -150,7 +146,7 @@ def _numbers(path: Path, fields: dict[str, Any], name: str) -> Array:
     return value
 
 
-def _numbers_within(value: Any, counted: dict[int, int]) -> int:
+def _numbers_within(value: Value, counted: dict[int, int]) -> int:
     """How many numbers lists of lists (or arrays) hold; one that is there twice counts twice, but is walked once."""
     if isinstance(value, Array) and value.dtype.kind in "biuf":
         return value.size
@@ -163,7 +159,7 @@ def _numbers_within(value: Any, counted: dict[int, int]) -> int:
     return counted[id(value)]
 
 
-def _flat(path: Path, fields: dict[str, Any], name: str, frames: int | None = None) -> Array:
+def _flat(path: Path, fields: dict[str, Value], name: str, frames: int | None = None) -> Array:
     """A field as rows, one a frame."""
     value = _numbers(path, fields, name)
     if value.ndim == 1:
@@ -174,7 +170,7 @@ def _flat(path: Path, fields: dict[str, Any], name: str, frames: int | None = No
     return value.reshape(len(value), int(np.prod(value.shape[1:])))
 
 
-def _rows(path: Path, fields: dict[str, Any], notes: list[str]) -> tuple[str, Array, Layout]:
+def _rows(path: Path, fields: dict[str, Value], notes: list[str]) -> tuple[str, Array, PoseLayout]:
     """Pose vectors with the root in front, their name, and their layout."""
     name, root_name, body_name = (_present(fields, names) for names in (WHOLE, ROOT, BODY))
     apart = root_name is not None and body_name is not None
@@ -213,14 +209,14 @@ def _rows(path: Path, fields: dict[str, Any], notes: list[str]) -> tuple[str, Ar
         parts.append(both_hands)
         count = 0 if n == 90 else n // 2
         note = f"hands: 2 x {count} PCA coefficients, expanded, mean added" if count else FULL_HANDS
-        layout = Layout(66 + n, True, slice(66, 66 + n), count, note)
+        layout = PoseLayout(66 + n, True, slice(66, 66 + n), count, note)
     else:
-        layout = Layout(66, True, None, 0, "hands: none in the file, flat")
+        layout = PoseLayout(66, True, None, 0, "hands: none in the file, flat")
     notes.append(layout.note)
     return str(body_name), np.concatenate(parts, 1), layout
 
 
-def _rate(path: Path, fields: dict[str, Any], notes: list[str]) -> float:
+def _rate(path: Path, fields: dict[str, Value], notes: list[str]) -> float:
     name = _present(fields, RATE)
     if name is None:
         notes.append(f"no frame rate ({', '.join(RATE)}): 30 frames per second assumed")
@@ -231,7 +227,7 @@ def _rate(path: Path, fields: dict[str, Any], notes: list[str]) -> float:
     return checked_rate(f"{path}: {name}", float(value.reshape(())))
 
 
-def _betas(path: Path, fields: dict[str, Any]) -> Float[Array, "n"]:
+def _betas(path: Path, fields: dict[str, Value]) -> Float[Array, "n"]:
     """One body's shape; a row a frame counts as its first row."""
     name = _present(fields, SHAPE)
     if name is None:
@@ -243,7 +239,7 @@ def _betas(path: Path, fields: dict[str, Any]) -> Float[Array, "n"]:
     return value
 
 
-def _up(path: Path, fields: dict[str, Any], rows: Array, name: str, notes: list[str]) -> str:
+def _up(path: Path, fields: dict[str, Value], rows: Array, name: str, notes: list[str]) -> str:
     if "up_axis" in fields:
         axis = fields["up_axis"]
         if not isinstance(axis, str) or axis not in ("y", "z"):

@@ -9,6 +9,11 @@
 
 Where the root is given apart (EasyMocap's Rh, root_orient) the vector may lack it: 63, 69, 75, 84, 153, 162.
 Coefficients need the components and the mean of the MANO hand, which are licensed: the user's own model has them.
+
+Also what such files leave open: which way is up, and J0, where the pelvis of the file's own body rests (trans + J0 =
+pelvis). Bodies stand along the vertical most of the time: the axis that the pelvis's own up direction is nearest to, on
+average, is up. z-up files (AMASS, calibrated rooms) turn about x, and so do y-down ones (fits in an OpenCV camera's
+frame), so that a person who faced the camera faces +z.
 """
 
 from pathlib import Path
@@ -17,9 +22,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from avatar.body import Body
-from avatar.errors import AssetError
+from avatar.body import Body, shaped
+from avatar.rotation import axis_name, matrix_from_axis_angle
 from avatar.skeleton import JOINTS
+from command.errors import AssetError
 
 Array = np.ndarray
 
@@ -40,7 +46,7 @@ REFUSED_COLUMNS = {
 }
 
 
-class Layout(NamedTuple):
+class PoseLayout(NamedTuple):
     """How the numbers of one frame are laid out."""
 
     columns: int
@@ -52,27 +58,27 @@ class Layout(NamedTuple):
     note: str
 
 
-def pose_layout(columns: int, *, root_apart: bool = False) -> Layout | None:
+def pose_layout(columns: int, *, root_apart: bool = False) -> PoseLayout | None:
     """The layout of rows of this length, None where there is none that is certain."""
     rooted = not (root_apart and columns + 3 in (66, 72, 78, 87, 156, 165))
     full = columns if rooted else columns + 3
     start = 66 if rooted else 63
     if full in (66, 72):
         extra = "; SMPL's two hand joints left out" if full == 72 else ""
-        return Layout(columns, rooted, None, 0, f"hands: none in the file ({columns} columns), flat{extra}")
+        return PoseLayout(columns, rooted, None, 0, f"hands: none in the file ({columns} columns), flat{extra}")
     if full in (78, 87):
         face = ", jaw and eyes left out" if full == 87 else ""
         note = f"hands: 2 x 6 PCA coefficients ({columns} columns), expanded, mean added{face}"
-        return Layout(columns, rooted, slice(start, start + 12), 6, note)
+        return PoseLayout(columns, rooted, slice(start, start + 12), 6, note)
     if full == 156:
-        return Layout(columns, rooted, slice(start, start + 90), 0, FULL_HANDS)
+        return PoseLayout(columns, rooted, slice(start, start + 90), 0, FULL_HANDS)
     if full == 165:
         note = f"{FULL_HANDS}; {columns} columns are SMPL-X: jaw and eyes left out"
-        return Layout(columns, rooted, slice(start + 9, start + 99), 0, note)
+        return PoseLayout(columns, rooted, slice(start + 9, start + 99), 0, note)
     return None
 
 
-def readable(layout: Layout, body: Body | None) -> bool:
+def readable(layout: PoseLayout, body: Body | None) -> bool:
     """Whether the body has what the layout's hands need."""
     return layout.components == 0 or (
         body is not None and body.hands is not None and body.hands.components.shape[1] >= layout.components
@@ -80,7 +86,7 @@ def readable(layout: Layout, body: Body | None) -> bool:
 
 
 def expanded(
-    values: Float[Array, "frames columns"], layout: Layout, body: Body | None = None
+    values: Float[Array, "frames columns"], layout: PoseLayout, body: Body | None = None
 ) -> Float[Array, "frames 52 3"]:
     """Axis-angle vectors of rows in a layout; coefficients are expanded with the body's hands."""
     pose = np.zeros((len(values), 52, 3))
@@ -126,3 +132,46 @@ def check_numbers(
         value = values[frame, joint, axis]
         found = f"{value:.3g}, expected below {LARGEST:g}," if np.isfinite(value) else "not finite"
         raise AssetError(f"{path}: {name} is {found} at frame {start + frame}, joint {JOINTS[first_joint + joint]}")
+
+
+H = np.sqrt(0.5)
+TURNS = {  # quaternion xyzw that takes the axis to +y
+    "+y": (0.0, 0, 0, 1), "-y": (1.0, 0, 0, 0), "+z": (-H, 0, 0, H), "-z": (H, 0, 0, H),
+    "+x": (0, 0, H, H), "-x": (0, 0, -H, H),
+}  # fmt: skip
+
+
+def up_axis(root: Float[Array, "frames 3"], notes: list[str]) -> str:
+    """ "+y", "-y", "+z" ...: the axis that the bodies with these pelvis rotations mostly stand along."""
+    name = axis_name(matrix_from_axis_angle(root)[:, :, 1].mean(0))
+    turned = "" if name == "+y" else ", turned to y"
+    notes.append(f"up: {name}, the axis the body mostly stands along (the file does not say){turned}")
+    return name
+
+
+# J0 of SMPL(+H) bodies of mean shape, good to about 2 cm
+USUAL_PELVIS = np.array([-0.002, -0.233, 0.028])
+# coefficients of people lie within 5
+LARGEST_BETA = 1e3
+
+
+def given_pelvis(
+    betas: Float[Array, "n"], body: Body | None, notes: list[str], *, what: str = "trans + J0"
+) -> tuple[Float[Array, "3"], float] | None:
+    """J0 and pelvis height of the user's model in the file's shape; None where no model of the user's is given."""
+    if body is not None and not body.name.startswith("builtin"):
+        used = min(len(betas), body.shape_directions.shape[2])
+        own = shaped(body, betas[:used])
+        notes.append(f"pelvis: {what} of {body.name} with {used} of the file's {len(betas)} betas")
+        return own.origin, float(-own.vertices[:, 1].min())
+    if np.any(betas):
+        notes.append("betas ignored: they belong to SMPL's shape space, not to the built-in body's")
+    return None
+
+
+def usual_pelvis(notes: list[str], *, what: str = "trans +") -> Float[Array, "3"]:
+    """The usual J0, for a file without `--body`."""
+    notes.append(
+        f"pelvis: {what} {tuple(USUAL_PELVIS.tolist())}, the usual J0 of SMPL+H (2 cm; --body gives it exactly)"
+    )
+    return USUAL_PELVIS

@@ -1,31 +1,68 @@
-"""Opening a motion: which reader a file, a folder or a built-in name goes to. Each reader is a file beside this one."""
+"""Opening a motion: which reader a file, a folder or a built-in name goes to.
+
+A reader is a file beside this one and a line of READERS.
+"""
 
 import os
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
+from typing import NamedTuple
 
 from avatar.body import Body
-from avatar.errors import AssetError
-from avatar.input_file import read_json
 from avatar.motion.clip import Motion, RestSkeleton
+from command.errors import AssetError
 
 BUILTIN_MOTIONS = ("counting", "walking")
 MOTIONS_FOLDER = Path(str(files("avatar") / "data" / "motions"))
-LANDMARK_FILES = (".pbtxt", ".prototxt", ".textproto", ".jsonl")
-MOTION_FILES = (
-    "a motion (.npz AMASS or SAM 3D Body, .pkl, .bvh, .glb .gltf .vrm .vrma, .json EasyMocap or MediaPipe, .pbtxt, a "
-    "folder of them)"
+
+
+class PoseReader(NamedTuple):
+    """A kind of pose file, and its reader in the file `module` beside this one, imported when it is needed."""
+
+    # "*.npz": a folder with such files
+    suffixes: tuple[str, ...]
+    # how messages name it
+    name: str
+    module: str
+    read: str
+    # the argument beside the path: "body" or "skeleton"
+    takes: str
+    # the function that recognises it among files of the same suffix; none: every other file is one
+    recognised: str = ""
+
+
+# the first that recognises a file reads it
+READERS = (
+    PoseReader((".npz", "*.npz"), "SAM 3D Body", "sam3d_body", "read_sam3d_body", "skeleton", "is_sam3d_body"),
+    PoseReader((".npz",), "AMASS", "amass", "read_amass", "body"),
+    PoseReader((".pkl",), "", "pickled", "read_pickled_motion", "body"),
+    PoseReader((".bvh",), "", "bvh", "read_bvh", "skeleton"),
+    PoseReader((".glb", ".gltf", ".vrm", ".vrma"), "", "gltf", "read_gltf_motion", "skeleton"),
+    PoseReader((".json",), "MediaPipe", "mediapipe", "read_mediapipe", "skeleton", "is_mediapipe_file"),
+    PoseReader((".json", "*.json"), "EasyMocap", "easymocap", "read_easymocap", "body"),
 )
 
 
-def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestSkeleton | None = None) -> Motion:
-    """Open a motion: a pose file, a folder of them, or the name of a built-in one.
+def _described() -> str:
+    """The suffixes that are read, each with the names of its readers, the general one first."""
+    names: dict[str, list[str]] = {}
+    for reader in READERS:
+        suffixes = " ".join(suffix for suffix in reader.suffixes if suffix[0] == ".")
+        names.setdefault(suffixes, []).insert(0, reader.name)
+    kinds = [f"{suffixes} {' or '.join(found)}".rstrip() for suffixes, found in names.items()]
+    return f"a motion ({', '.join(kinds)}, a folder of frames)"
 
-    .npz (AMASS; SAM 3D Body), .pkl (SMPL+H, MoSh, 3DPW), .bvh, .glb .gltf .vrm .vrma (animation), .json (EasyMocap;
-    MediaPipe's landmarks, also .pbtxt and .jsonl), or a folder with a file a frame. `body` is the body the file was
-    made for; it settles where `trans` puts the pelvis and what hand coefficients mean. `skeleton` is the one that the
-    motion is to move (default: the built-in man's): its bones take the directions of another
-    rig's. What had to be assumed is in `notes`.
+
+MOTION_FILES = _described()
+
+
+def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestSkeleton | None = None) -> Motion:
+    """Open a motion: a pose file of READERS, a folder with a file a frame, or the name of a built-in one.
+
+    `body` is the body the file was made for; it settles where `trans` puts the pelvis and what hand coefficients mean.
+    `skeleton` is the one that the motion is to move (default: the built-in man's): its bones take the directions of
+    another rig's. What had to be assumed is in `notes`.
 
     Raises:
         AssetError: the file is absent, of an unknown kind, or holds what cannot be explained.
@@ -35,63 +72,24 @@ def read_motion(source: Path | str, *, body: Body | None = None, skeleton: RestS
     path = Path(source)
     if not path.exists():
         raise AssetError(f"{path}: no such file; expected {MOTION_FILES}, or one of {', '.join(BUILTIN_MOTIONS)}")
-    suffix = path.suffix.lower()
-    if path.is_dir():
-        return _read_folder(path, body, skeleton)
-    if suffix == ".json":
-        from avatar.motion.easymocap import read_easymocap
-        from avatar.motion.landmark_file import WHAT, is_mediapipe
-        from avatar.motion.mediapipe import read_mediapipe
-
-        if is_mediapipe(read_json(path, f"a frame of EasyMocap, or {WHAT}")):
-            return read_mediapipe(path, skeleton)
-        return read_easymocap(path, body=body)
-    if suffix in LANDMARK_FILES:
-        from avatar.motion.mediapipe import read_mediapipe
-
-        return read_mediapipe(path, skeleton)
-    if suffix == ".npz":
-        from avatar.motion.amass import read_amass
-        from avatar.motion.sam3d_body import is_sam3d_body, read_sam3d_body
-
-        if is_sam3d_body(path):
-            return read_sam3d_body(path, skeleton)
-        return read_amass(path, body=body)
-    if suffix == ".pkl":
-        from avatar.motion.pickled import read_pickled_motion
-
-        return read_pickled_motion(path, body=body)
-    if suffix == ".bvh":
-        from avatar.motion.bvh import read_bvh
-
-        return read_bvh(path, skeleton)
-    if suffix in (".glb", ".gltf", ".vrm", ".vrma"):
-        from avatar.motion.gltf import read_gltf_motion
-
-        return read_gltf_motion(path, skeleton)
+    suffix = _folder_suffix(path) if path.is_dir() else path.suffix.lower()
+    for reader in READERS:
+        if suffix in reader.suffixes:
+            module = import_module(f"avatar.motion.{reader.module}")
+            if suffix[0] == "*" or not reader.recognised or getattr(module, reader.recognised)(path):
+                return getattr(module, reader.read)(
+                    path, **{reader.takes: body if reader.takes == "body" else skeleton}
+                )
     raise AssetError(f"{path}: expected {MOTION_FILES}, found '{path.suffix}'")
 
 
-def _read_folder(path: Path, body: Body | None, skeleton: RestSkeleton | None) -> Motion:
-    """A folder of frames: what its files are decides who made it."""
-    from avatar.motion.easymocap import read_easymocap
-    from avatar.motion.landmark_file import WHAT, is_mediapipe
-    from avatar.motion.mediapipe import read_mediapipe
-    from avatar.motion.sam3d_body import read_sam3d_body
-
+def _folder_suffix(path: Path) -> str:
+    """What the files of a folder of frames are: "*.npz" or "*.json"."""
     try:
-        names = sorted(name for name in os.listdir(path) if not name.startswith("."))
+        names = [name.lower() for name in os.listdir(path) if not name.startswith(".")]
     except OSError as error:
         raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
-    kinds = {Path(name).suffix.lower() for name in names}
-    if ".npz" in kinds:
-        return read_sam3d_body(path, skeleton)
-    if kinds & set(LANDMARK_FILES):
-        return read_mediapipe(path, skeleton)
-    first = next((name for name in names if name.lower().endswith(".json")), None)
-    if first is not None and is_mediapipe(read_json(path / first, f"a frame of EasyMocap, or {WHAT}")):
-        return read_mediapipe(path, skeleton)
-    return read_easymocap(path, body=body)
+    return "*.npz" if any(name.endswith(".npz") for name in names) else "*.json"
 
 
 def builtin_motion(name: str) -> Motion:

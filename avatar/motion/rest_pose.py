@@ -9,15 +9,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
 from avatar.motion.rig import FINGER_NAMES, AnimatedRig, JointMap
-from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
+from avatar.rotation import (
+    axis_angle_from_matrix,
+    axis_name,
+    left_up_frame,
+    matrix_from_axis_angle,
+    rotation_between,
+)
 from avatar.skeleton import JOINTS
+from command.errors import AssetError
 
 Array = np.ndarray
 
 J = {name: index for index, name in enumerate(JOINTS)}
-# cosine of a thigh to the way from hips to head, above which nobody stands: it points up, or sideways like a split
+# cosine of a thigh to the way from hips to head, above which no person stands: it points up, or sideways like a split
 THIGH_UP = -0.2
 
 
@@ -25,9 +31,9 @@ THIGH_UP = -0.2
 class Alignment:
     """The constant turns A_k between a rig's rest pose and ours."""
 
-    # of our limb joints by name
+    # by name of our limb joints
     limbs: dict[str, Float[Array, "3 3"]]
-    # of the rig's own joints from the pelvis to the head
+    # by the rig's own joints, from the pelvis to the head
     column: dict[int, Float[Array, "3 3"]]
 
 
@@ -38,7 +44,7 @@ class RestBones:
         self.joints, self.rest, self._ours = joints, rig.rest_positions(), ours
         self._ends = dict(rig.ends)
 
-    def theirs(self, a: str, b: str) -> Float[Array, "3"]:
+    def rig_bone(self, a: str, b: str) -> Float[Array, "3"]:
         """From joint a to joint b at rest, in the rig's axes."""
         return self.rest[self.joints.places[b]] - self.rest[self.joints.places[a]]
 
@@ -51,15 +57,15 @@ class RestBones:
         ankle, foot = f"{side}_ankle", f"{side}_foot"
         places = self.joints.places
         if foot in places and places[foot] != places[ankle]:
-            return self.theirs(ankle, foot)
+            return self.rig_bone(ankle, foot)
         return np.array(self._ends.get(places[ankle], (0.0, 0.0, 0.0)))
 
     def aligned(self, base: Float[Array, "3 3"], a: str, b: str) -> Float[Array, "3 3"]:
-        """`base`, turned by the least that lays our bone from a to b along theirs."""
-        theirs = self.theirs(a, b)
-        if np.linalg.norm(theirs) < 1e-9:
+        """`base`, turned by the least that lays our bone from a to b along the rig's."""
+        bone = self.rig_bone(a, b)
+        if np.linalg.norm(bone) < 1e-9:
             return base
-        return rotation_between(unit(base @ self.ours(a, b)), unit(theirs)) @ base
+        return rotation_between(unit(base @ self.ours(a, b)), unit(bone)) @ base
 
 
 def rests_standing(rig: AnimatedRig, joints: JointMap) -> bool:
@@ -84,7 +90,7 @@ def rest_alignment(
     rest, places = bones.rest, joints.places
     left = rest[places["left_hip"]] - rest[places["right_hip"]]
     up = rest[places["head"]] - (rest[places["left_hip"]] + rest[places["right_hip"]]) / 2
-    root = snapped(frame_of(left, up))
+    root = snapped(left_up_frame(left, up))
     notes.append(f"rest pose: up {axis_name(root[:, 1])}, facing {axis_name(root[:, 2])}")
     A: dict[str, Array] = {}
     flat: dict[str, Array] = {}
@@ -99,9 +105,9 @@ def rest_alignment(
         collar, shoulder, elbow = (f"{side}_{n}" for n in ("collar", "shoulder", "elbow"))
         A[collar] = root
         if collar in places:
-            mine, theirs = root @ bones.ours(collar, shoulder), bones.theirs(collar, shoulder)
+            mine, bone = root @ bones.ours(collar, shoulder), bones.rig_bone(collar, shoulder)
             # it rests raised, not sideways
-            if np.linalg.norm(theirs) > 0 and cosine(mine, theirs) < 0.5:
+            if np.linalg.norm(bone) > 0 and cosine(mine, bone) < 0.5:
                 A[collar] = bones.aligned(root, collar, shoulder)
         A[shoulder] = bones.aligned(root, shoulder, elbow)
         A |= below_elbow(bones, side, A[shoulder])
@@ -120,13 +126,13 @@ def below_elbow(bones: RestBones, side: str, upper_arm: Float[Array, "3 3"]) -> 
     elbow, wrist = f"{side}_elbow", f"{side}_wrist"
     A = {elbow: bones.aligned(upper_arm, elbow, wrist) if wrist in places else upper_arm}
     A[wrist] = A[elbow]
-    if f"{side}_index1" in places and f"{side}_pinky1" in places and f"{side}_middle1" in places:
-        names = [f"{side}_{n}" for n in ("middle1", "index1", "pinky1")]
+    names = [f"{side}_{n}" for n in ("middle1", "index1", "pinky1")]
+    if all(name in places for name in (wrist, *names)):
         mine = _palm(bones.ours(wrist, names[0]), bones.ours(names[2], names[1]))
-        theirs = _palm(bones.theirs(wrist, names[0]), bones.theirs(names[2], names[1]))
+        bone = _palm(bones.rig_bone(wrist, names[0]), bones.rig_bone(names[2], names[1]))
         # finger joints at one place span no palm
-        if np.isfinite(theirs).all():
-            A[wrist] = theirs @ mine.T
+        if np.isfinite(bone).all():
+            A[wrist] = bone @ mine.T
     for finger in FINGER_NAMES:
         base = A[wrist]
         for n in (1, 2, 3):
@@ -147,13 +153,6 @@ def cosine(a: Float[Array, "3"], b: Float[Array, "3"]) -> float:
     return float(a @ b) / length if length > 0 else 0.0
 
 
-def frame_of(left: Float[Array, "3"], up: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """The rotation with columns left, up, forward; up is kept, left made square to it."""
-    up = unit(up)
-    left = unit(left - up * (left @ up))
-    return np.stack([left, up, np.cross(left, up)], -1)
-
-
 def snapped(R: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     """The rotation onto the axes that lies nearest, up before left."""
     out = np.zeros((3, 3))
@@ -163,12 +162,6 @@ def snapped(R: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         out[row, column] = np.sign(R[row, column])
     out[:, 2] = np.cross(out[:, 0], out[:, 1])
     return out
-
-
-def axis_name(direction: Float[Array, "3"]) -> str:
-    """ "+x", "-z" ...: the axis that a direction lies along."""
-    axis = int(np.argmax(np.abs(direction)))
-    return "+-"[int(direction[axis] < 0)] + "xyz"[axis]
 
 
 def check_torso(rig: AnimatedRig, left: Array, up: Array) -> None:
@@ -191,9 +184,9 @@ def _palm(along: Array, across: Array) -> Float[Array, "3 3"]:
     return np.stack([x, np.cross(z, x), z], -1)
 
 
-def _heading(ours: Array, theirs: Array) -> Float[Array, "3 3"]:
-    """Turn about our up axis that gives our foot their heading; both in our rest frame."""
-    if np.hypot(theirs[0], theirs[2]) < 1e-9:
+def _heading(ours: Array, foot: Array) -> Float[Array, "3 3"]:
+    """Turn about our up axis that gives our foot the rig's heading; both in our rest frame."""
+    if np.hypot(foot[0], foot[2]) < 1e-9:
         return np.eye(3)
-    angle = np.arctan2(theirs[0], theirs[2]) - np.arctan2(ours[0], ours[2])
+    angle = np.arctan2(foot[0], foot[2]) - np.arctan2(ours[0], ours[2])
     return matrix_from_axis_angle(np.array([0, angle, 0]))

@@ -8,13 +8,12 @@ so each of our bones gets a constant A_k that lays the avatar's rest bone along 
 W turns their world's up axis to +y. A_k starts as the turn between the two rest frames (up axis, facing) and is
 passed down each limb with the smallest turn that aligns the bone (rotation_between), so twist is carried along.
 Spine and neck chains of any length are interpolated along their length. Lengths scale by the ratio of the legs.
-A rig whose rest pose is nobody's (every bone along +x) gets its A_k from its motion: avatar/motion/calibrate.py.
+A rig whose rest pose is no person's (every bone along +x) gets its A_k from its motion: avatar/motion/calibrate.py.
 """
 
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
 from avatar.motion.calibrate import Sampled, calibrated_alignment
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton
 from avatar.motion.rest_pose import Alignment, check_torso, rest_alignment, rests_standing
@@ -27,6 +26,7 @@ from avatar.rotation import (
     slerp,
 )
 from avatar.skeleton import JOINTS, PARENTS
+from command.errors import AssetError
 
 Array = np.ndarray
 
@@ -46,7 +46,7 @@ def retarget(
     """The motion on our skeleton, with the bones of `skeleton` (the built-in man's where none is given).
 
     `up_known` says that the file's world is y-up by its format; `assumed` are the reader's own notes, put first.
-    `alignment` is given where it is known how the rig's axes lie; else its rest pose or its motion tells.
+    `alignment` is given where it is known how the rig's axes lie; else it comes from its rest pose or its motion.
     The root keeps the file's heights: avatar/motion/ground.py finds the ground.
 
     Facts and assumptions are in the notes: joints not found, rest pose, up axis, scale, calibration frame.
@@ -83,7 +83,7 @@ def retarget(
         scale = _scale(rig, joints.places, ours, notes)
     if not known:
         _note_calibration(rig, joints, notes)
-    # of the middle of the hips from the pelvis joint, in its frame
+    # from the pelvis joint to the middle of the hips, in the pelvis's frame
     offset = (ours[J["left_hip"]] + ours[J["right_hip"]]) / 2
 
     def block(start: int, stop: int) -> tuple[Array, Array]:
@@ -135,11 +135,11 @@ def _scale(rig: AnimatedRig, places: dict[str, int], ours: Array, notes: list[st
         pairs = [(f"{s}_{a}", f"{s}_{b}") for s in ("left", "right") for a, b in (("hip", "knee"), ("knee", "ankle"))]
         return sum(float(np.linalg.norm(at[index[b]] - at[index[a]])) for a, b in pairs) / 2
 
-    theirs, mine = leg(rig.rest_positions(), places), leg(ours, J)
-    if not theirs > 0:
+    rig_leg, mine = leg(rig.rest_positions(), places), leg(ours, J)
+    if not rig_leg > 0:
         raise AssetError(f"{rig.path}: the legs have no length")
-    notes.append(f"scale: leg {theirs:.4g} units -> {mine:.3f} m, root scaled by {mine / theirs:.5g}")
-    return mine / theirs
+    notes.append(f"scale: leg {rig_leg:.4g} units -> {mine:.3f} m, root scaled by {mine / rig_leg:.5g}")
+    return mine / rig_leg
 
 
 def _world_turn(upright: Array, notes: list[str]) -> Float[Array, "3 3"]:
@@ -156,7 +156,7 @@ def _world_turn(upright: Array, notes: list[str]) -> Float[Array, "3 3"]:
 def _flatter(joints: JointMap, G: Array, W: Array, with_leg: Alignment, flat: Alignment, notes: list[str]) -> Alignment:
     """Settle how the foot is rolled at rest: with the leg (CMU rests on spread legs) or flat on the ground.
 
-    The direction ankle to toe cannot tell; the choice is the one whose soles lie flatter over the sampled
+    The direction ankle to toe cannot decide it; the choice is the one whose soles lie flatter over the sampled
     frames (median tilt of the foot's up axis).
     """
 

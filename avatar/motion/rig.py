@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
+from command.errors import AssetError
 
 # Names of one side, without "left" or "right", lower case; the earliest that is present is taken.
 LIMB_NAMES = {
@@ -47,7 +47,7 @@ class AnimatedRig(Protocol):
     # -1 for a root; parents come first
     def parents(self) -> tuple[int, ...]: ...
     @property
-    # of joints without a child
+    # the ends of joints without a child
     def ends(self) -> tuple[tuple[int, tuple[float, float, float]], ...]: ...
     @property
     def frames(self) -> int: ...

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
-from avatar.input_file import name_order
 from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton
 from avatar.motion.mhr_rig import MHR_JOINTS, NUMBERS, MhrRig, mhr_alignment, off_bones
 from avatar.motion.retarget import retarget
-from avatar.npz import NpzFile
+from command.errors import AssetError
+from files.input_file import name_order
+from files.npz import NpzFile
 
 Array = np.ndarray
 
@@ -31,13 +31,14 @@ JOINTS_KEYS = ("pred_joint_coords", "joint_coords")
 TURNS_KEYS = ("pred_global_rots", "joint_global_rots", "joint_rots")
 CAMERA_KEYS = ("pred_cam_t", "cam_t")
 LARGEST = 1e6  # metres
-# of R^T R from the identity
+# the largest difference of R^T R from the identity
 NOT_A_ROTATION = 0.01
 ASSUMED_RATE = 30.0
 SAMPLED_FRAMES = 30
 # from the camera's axes, y down, to ours
 FLIP = np.array([1.0, -1, -1])
-# degrees between bones and rotations: of arms and legs, above which the fields are not of one body; of hands, told
+# degrees between bones and rotations: of arms and legs, above which the fields are not of one body; of hands,
+# above which a note says so
 MOST_OFF, HANDS_OFF = 15.0, 5.0
 # metres, of a bone that has a direction
 SHORTEST = 1e-5

@@ -66,7 +66,7 @@ def leg_length(at: Float[Array, "nodes 3"], place: dict[str, int]) -> float:
 def read_exactly(rig: AnimatedRig, notes: list[str], unit: float = 1.0, pelvis_height: float | None = None) -> Motion:
     """The motion of a rig that `is_smplh`; `unit` is the metres of one unit of the file.
 
-    `pelvis_height` is the rig's own, metres above the soles, where the file tells it; else it is the built-in
+    `pelvis_height` is the rig's own, metres above the soles, where the file has it; else it is the built-in
     body's in the ratio of the legs.
     """
     place = {name: k for k, name in enumerate(rig.names) if name in J}

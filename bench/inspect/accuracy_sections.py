@@ -1,18 +1,22 @@
 """Sections on accuracy: distance to the field and to the truth, and what the file says of itself."""
 
-import numpy as np
+from collections.abc import Callable
+from pathlib import Path
 
-from avatar.skeleton import PARTS
+import numpy as np
+from jaxtyping import Float
+
+from avatar.baked_avatar import Avatar, Level
+from avatar.skeleton import PARTS, skin_transforms
+from avatar.skinning import skin_points
 from bench.inspect import mesh_facts
-from bench.inspect.colors import (
-    DIVERGING,
-    SEQUENTIAL,
-    Legend,
-    ramp,
-    ticks,
-)
+from bench.inspect.colors import DIVERGING, SEQUENTIAL, Legend, ramp, ticks
 from bench.inspect.inspection import Inspector
-from bench.inspect.page import PagePicture, Section, flattened, png
+from bench.inspect.page import PageSection, flattened, picture
+from bench.score.surface_distance import check_same_unit
+from bench.score.true_mesh import read_true_mesh
+from command.errors import AssetError
+from geometry.closest import closest_points, triangle_index
 
 FIELD_MEAN = 0.5  # millimetres
 MOST_BYTES = 12e6
@@ -21,7 +25,7 @@ PAPER_DB = 40.0
 FIELD_RANGE, TRUTH_RANGE = 2.0, 10.0
 
 
-def field_distance(inspector: Inspector) -> Section | None:
+def field_distance(inspector: Inspector) -> PageSection | None:
     """Mesh against the field of the run."""
     if inspector.measured.field is None:
         return None
@@ -35,24 +39,17 @@ def field_distance(inspector: Inspector) -> Section | None:
         mean <= FIELD_MEAN,
     )
     image = inspector.draw(ramp(signed, -FIELD_RANGE, FIELD_RANGE, DIVERGING))
-    return Section(
+    return PageSection(
         "field",
         "Distance to the field",
         "Of each triangle's centre and corners the one farthest from the field's surface. Red stands "
         "outside of it, blue inside.",
-        [
-            PagePicture(
-                "field",
-                png(image),
-                "png",
-                f"signed distance, millimetres, largest {np.abs(signed).max():.2f}",
-            )
-        ],
+        [picture("field", image, f"signed distance, millimetres, largest {np.abs(signed).max():.2f}")],
         Legend(DIVERGING, ticks(-FIELD_RANGE, FIELD_RANGE, suffix=" mm")),
     )
 
 
-def truth_distance(inspector: Inspector) -> Section | None:
+def truth_distance(inspector: Inspector) -> PageSection | None:
     """Mesh against the true surface of the capture."""
     if inspector.measured.truth is None:
         return None
@@ -75,19 +72,19 @@ def truth_distance(inspector: Inspector) -> Section | None:
         None,
     )
     image = inspector.draw(ramp(millimetres, 0.0, TRUTH_RANGE))
-    return Section(
+    return PageSection(
         "truth",
         "Distance to the truth",
         "Each vertex to the nearest point of the subject's own visible surface, both in T-pose. All "
         "of the mesh counts here, hidden "
         "folds too; `selfscan eval` scores what can be seen, over the test poses.",
-        [PagePicture("truth", png(image), "png", "P2S, millimetres")],
+        [picture("truth", image, "P2S, millimetres")],
         Legend(SEQUENTIAL, ticks(0.0, TRUTH_RANGE, suffix=" mm")),
         rows,
     )
 
 
-def provenance(inspector: Inspector) -> list[Section]:
+def provenance(inspector: Inspector) -> list[PageSection]:
     """What baking and training wrote into the file."""
     baked = inspector.avatar.provenance.get("baked", {})
     against = baked.get("against_field") if isinstance(baked, dict) else None
@@ -104,16 +101,56 @@ def provenance(inspector: Inspector) -> list[Section]:
     inspector.facts["bytes"] = size
     rest = {key: value for key, value in inspector.avatar.provenance.items() if key != "baked"}
     return [
-        Section(
+        PageSection(
             "accuracy",
             "Measured while baking",
             "As written into the file; paths are those of its JSON.",
             rows=[("what", "value"), *flattened(baked)] if baked else [],
         ),
-        Section(
+        PageSection(
             "provenance",
             "Provenance",
             "Where the avatar comes from.",
             rows=[("what", "value"), *flattened(rest)],
         ),
     ]
+
+
+def from_run(level: Level, run: Path) -> Float[np.ndarray, "faces"]:
+    """`from_field` with the field of a run folder."""
+    # torch: imported before anything draws
+    from bake.field import numpy_field
+    from train.run import read_run
+
+    return from_field(level, numpy_field(read_run(run).field.functions()).distance)
+
+
+def from_field(level: Level, distance: Callable[[np.ndarray], np.ndarray]) -> Float[np.ndarray, "faces"]:
+    """Signed distance of a field, millimetres, on each triangle: of centre and corners the farthest.
+
+    Positive where the triangle lies outside of the field's surface.
+    """
+    points = level.positions.astype(np.float64)
+    corners = np.asarray(distance(points), np.float64)[level.faces]
+    middle = np.asarray(distance(points[level.faces].mean(1)), np.float64)
+    every = np.concatenate([corners, middle[:, None]], axis=1)
+    farthest = np.abs(every).argmax(1)
+    return 1e3 * every[np.arange(len(every)), farthest]
+
+
+def from_truth(avatar: Avatar, level: Level, capture: Path) -> Float[np.ndarray, "vertices"]:
+    """P2S at each vertex, millimetres: to the visible surface of the subject, both in pose 0."""
+    truth = read_true_mesh(capture)
+    transforms = skin_transforms(
+        np.zeros((52, 3)),
+        avatar.joint_positions.astype(np.float64),
+        truth.joints[0],
+        rest=avatar.canonical_pose.astype(np.float64),
+    )
+    points = skin_points(level.positions.astype(np.float64), level.skin, transforms)
+    try:
+        check_same_unit(truth.vertices, points)
+    except ValueError as error:
+        raise AssetError(f"{capture}: {error}") from None
+    index = triangle_index(truth.vertices, truth.faces[truth.visible])
+    return 1e3 * closest_points(points, index).distance

@@ -1,29 +1,39 @@
-"""Sections that our own renderer draws: the avatar as it looks."""
+"""Sections that our own renderer draws: the avatar as it looks, standing, in strained poses, on a turntable."""
+
+from collections.abc import Iterator
 
 import numpy as np
+from jaxtyping import UInt8
 
-from bench.inspect import looks as pictures_of
+from avatar.baked_avatar import Avatar
+from avatar.motion.clip import Clip
+from avatar.psnr import decibels
+from avatar.skeleton import JOINTS
 from bench.inspect.inspection import Inspector
-from bench.inspect.page import PagePicture, Section, animation, png
-from bench.inspect.views import strip
+from bench.inspect.page import PagePicture, PageSection, animation, picture
+from bench.inspect.views import InspectView, strip
+from player.gl.context import Context
+from player.scene.framing import extent, facing, fitted_camera, orbit
+from player.scene.motions import motion_for
+from player.scene.renderer import Pose, Renderer
 
+BACKGROUND = (0.965, 0.965, 0.957, 1.0)
+J = {name: index for index, name in enumerate(JOINTS)}
 # times that view dependence is shown
 CHANGE = 8
 
 
-def looks(inspector: Inspector) -> Section:
+def looks(inspector: Inspector) -> PageSection:
     """As drawn, in the canonical pose."""
-    plain = strip(pictures_of.standing(inspector.context, inspector.avatar, inspector.views, "off"))
-    pictures = [PagePicture("look_off", png(plain), "png", "the paper's colors")]
+    plain = strip(standing(inspector.context, inspector.avatar, inspector.views, "off"))
+    pictures = [picture("look_off", plain, "the paper's colors")]
     mode = inspector.avatar.default_view
     if mode != "off":
-        image = strip(pictures_of.standing(inspector.context, inspector.avatar, inspector.views, mode))
-        pictures.append(PagePicture(f"look_{mode}", png(image), "png", f"with view dependence ({mode})"))
+        image = strip(standing(inspector.context, inspector.avatar, inspector.views, mode))
+        pictures.append(picture(f"look_{mode}", image, f"with view dependence ({mode})"))
         change = np.clip(128 + CHANGE * (image.astype(float) - plain), 0, 255).astype(np.uint8)
-        pictures.append(
-            PagePicture("look_change", png(change), "png", f"what view dependence adds, {CHANGE} times, on grey")
-        )
-    return Section(
+        pictures.append(picture("look_change", change, f"what view dependence adds, {CHANGE} times, on grey"))
+    return PageSection(
         "look",
         "As drawn",
         "The finest level in the pose it is stored in. Look for blur, colors of one part on "
@@ -33,15 +43,15 @@ def looks(inspector: Inspector) -> Section:
     )
 
 
-def posed(inspector: Inspector) -> Section:
+def posed(inspector: Inspector) -> PageSection:
     """Poses that strain the skin."""
     pictures = [
-        PagePicture(f"pose_{name.replace(' ', '_')}", png(image), "png", name, width=380)
-        for name, image in pictures_of.posed(
+        picture(f"pose_{name.replace(' ', '_')}", image, name, width=380)
+        for name, image in strained(
             inspector.context, inspector.avatar, max(inspector.size * 3 // 4, 64)
         ).items()
     ]
-    return Section(
+    return PageSection(
         "poses",
         "Posed",
         "Linear blend skinning in poses that strain it. Look for collapsed elbows and knees, armpits "
@@ -51,12 +61,12 @@ def posed(inspector: Inspector) -> Section:
     )
 
 
-def turntable(inspector: Inspector, frames: int) -> Section:
+def turntable(inspector: Inspector, frames: int) -> PageSection:
     """Once round."""
     size = (inspector.size * 3 // 4 // 2 * 2, inspector.size)
-    turn = animation(list(pictures_of.turntable(inspector.context, inspector.avatar, size, frames)), 6.0)
+    turn = animation(list(turning(inspector.context, inspector.avatar, size, frames)), 6.0)
     mode = inspector.avatar.default_view
-    return Section(
+    return PageSection(
         "turntable",
         "Turntable",
         f"The avatar at ease, as its file asks to be drawn (view dependence: {mode}).",
@@ -64,21 +74,21 @@ def turntable(inspector: Inspector, frames: int) -> Section:
     )
 
 
-def levels(inspector: Inspector) -> Section:
+def levels(inspector: Inspector) -> PageSection:
     """Levels of detail side by side."""
     pictures, rows = [], [("level", "triangles", "texture", "PSNR against the finest, dB")]
     first = None
     for number, level in enumerate(inspector.avatar.levels):
-        front, _, head, _, hand, _ = pictures_of.standing(
+        front, _, head, _, hand, _ = standing(
             inspector.context, inspector.avatar, inspector.views, "off", number
         )
         image = np.hstack([front, np.vstack([head, hand])])
         first = image if first is None else first
-        error = np.square((image.astype(float) - first) / 255).mean()
-        decibels = "same" if number == 0 else f"{-10 * np.log10(max(error, 1e-12)):.1f}"
-        rows.append((str(number), str(len(level.faces)), f"{level.base_color.shape[1]}", decibels))
-        pictures.append(PagePicture(f"level_{number}", png(image), "png", f"{len(level.faces)} triangles", width=380))
-    return Section(
+        error = float(np.square((image.astype(float) - first) / 255).mean())
+        db = "same" if number == 0 else f"{decibels(max(error, 1e-12)):.1f}"
+        rows.append((str(number), str(len(level.faces)), f"{level.base_color.shape[1]}", db))
+        pictures.append(picture(f"level_{number}", image, f"{len(level.faces)} triangles", width=380))
+    return PageSection(
         "levels",
         "Levels of detail",
         "The same views of each level, in the paper's colors, the background counted.",
@@ -86,3 +96,78 @@ def levels(inspector: Inspector) -> Section:
         None,
         rows,
     )
+
+
+def strained_poses(avatar: Avatar) -> dict[str, Pose]:
+    """Poses that show what skinning does at shoulders, elbows, hips, knees and fingers."""
+
+    def pose(**turns: tuple[float | int, ...]) -> Pose:
+        axis_angle = np.zeros((52, 3))
+        for name, turn in turns.items():
+            axis_angle[J[name]] = turn
+        return axis_angle, np.zeros(3)
+
+    counting = motion_for(avatar, "counting").read(205, 206)
+    walking = motion_for(avatar, "walking").read(12, 13)
+    fists = pose(
+        left_shoulder=(0, -0.9, -0.4),
+        right_shoulder=(0, 0.9, 0.4),
+        left_elbow=(0, -2.0, 0),
+        right_elbow=(0, 2.0, 0),
+    )
+    fists[0][22:37, 2], fists[0][37:52, 2] = -1.2, 1.2
+    fists[0][[34, 35, 36, 49, 50, 51]] = 0
+    return {
+        "arms up": pose(left_shoulder=(0, 0, 1.0), right_shoulder=(0, 0, -1.0), left_collar=(0, 0, 0.3),
+                        right_collar=(0, 0, -0.3)),
+        "arms down": pose(left_shoulder=(0, 0, -1.25), right_shoulder=(0, 0, 1.25)),
+        "fists": fists,
+        "squat": pose(left_hip=(-1.5, 0, 0.2), right_hip=(-1.5, 0, -0.2), left_knee=(2.0, 0, 0), right_knee=(2.0, 0, 0),
+                      spine1=(0.5, 0, 0)),
+        "walking": (walking.axis_angle[0], np.zeros(3)),
+        "counting": (counting.axis_angle[0], np.zeros(3)),
+    }  # fmt: skip
+
+
+def standing(
+    context: Context, avatar: Avatar, views: list[InspectView], mode: str, level: int = 0
+) -> list[UInt8[np.ndarray, "_ _ 3"]]:
+    """These views in the canonical pose, at one level and view mode."""
+    pose = np.asarray(avatar.canonical_pose, np.float64), np.asarray(avatar.joint_positions[0], np.float64)
+    pictures: list[np.ndarray] = []
+    renderer: Renderer | None = None
+    for view in views:
+        if renderer is None or renderer.target is None or renderer.target.size != view.camera.size:
+            if renderer is not None:
+                renderer.release()
+            renderer = Renderer(context, [avatar], view.camera.size, view=mode, level=level, background=BACKGROUND)
+        pictures.append(renderer.draw([pose], view.camera)[..., :3])
+    assert renderer is not None
+    renderer.release()
+    return pictures
+
+
+def strained(context: Context, avatar: Avatar, size: int) -> dict[str, UInt8[np.ndarray, "height width 3"]]:
+    """Each strained pose, a little from the side."""
+    renderer = Renderer(context, [avatar], (size, size), view="off", background=BACKGROUND)
+    pictures = {}
+    for name, (axis_angle, root) in strained_poses(avatar).items():
+        points = extent(avatar, Clip(axis_angle[None], root[None], 30.0))
+        side = facing(axis_angle, avatar.joint_positions.astype(np.float64)) + 0.45
+        camera = fitted_camera(points, side, (size, size))
+        pictures[name] = renderer.draw([(axis_angle, root)], camera)[..., :3]
+    renderer.release()
+    return pictures
+
+
+def turning(
+    context: Context, avatar: Avatar, size: tuple[int, int], frames: int
+) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    """One turn round the avatar at ease, as its file asks to be drawn."""
+    clip = motion_for(avatar, "counting").read(0, 1)
+    camera_at = orbit(extent(avatar, clip, following=True), 0.0, size)
+    renderer = Renderer(context, [avatar], size, view=avatar.default_view, background=BACKGROUND)
+    for frame in range(frames):
+        camera = camera_at(frame / frames, clip.root[0])
+        yield renderer.draw([(clip.axis_angle[0], clip.root[0])], camera)[..., :3]
+    renderer.release()

@@ -1,21 +1,33 @@
-"""One avatar under inspection: what its sections share, and what they give."""
+"""One avatar under inspection: what its sections share, what they give, and colored meshes drawn by PyVista off screen.
 
+VTK finds a context by itself, first on an X server. Without one it complains and goes on; so where our own context
+was reached through EGL, VTK has to take EGL at once, and where through OSMesa, OSMesa.
+"""
+
+import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from avatar.baked_avatar import Avatar, Level
-from bench.inspect.drawing import Studio
-from bench.inspect.page import Check, Section
-from bench.inspect.views import standard_views
-from player.context import Context
+from bench.inspect.page import Check, PageSection
+from bench.inspect.views import InspectView, standard_views, strip
+from bench.report.writer import Json
+from player.gl.context import Context
+
+WINDOWS = {"egl": "vtkEGLRenderWindow", "osmesa": "vtkOSOpenGLRenderWindow"}
+BACKGROUND = (246, 246, 244)
+GREY = (196, 196, 192)
+# metres that lines stand off the surface, so as not to sink into it
+LIFT = 0.0004
 
 
 @dataclass
-class Measured:
+class KnownDistances:
     """Distances to what only a run or a capture knows; None where they were not given."""
 
     field: Float[np.ndarray, "faces"] | None  # millimetres, signed, per triangle
@@ -27,25 +39,88 @@ class Inspection:
     """What the page shows and what the JSON holds."""
 
     checks: list[Check]
-    sections: list[Section]
-    facts: dict[str, Any]
+    sections: list[PageSection]
+    facts: Json
+
+
+class MeshPlotter:
+    """Draws meshes from the standard views; `kind` is how our own OpenGL context was reached."""
+
+    def __init__(self, views: list[InspectView], kind: str):
+        if sys.platform == "linux" and kind in WINDOWS:
+            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", WINDOWS[kind])
+        # VTK reads the variable as it is imported
+        import pyvista
+
+        self.pyvista, self.views = pyvista, views
+        self.plotters = {}
+        for size in {view.camera.size for view in views}:
+            plotter = pyvista.Plotter(off_screen=True, window_size=list(size), lighting="none")
+            plotter.renderer.SetBackground(*(c / 255 for c in BACKGROUND))
+            plotter.add_light(pyvista.Light(light_type="headlight", intensity=1.0))
+            plotter.enable_anti_aliasing("ssaa")
+            self.plotters[size] = plotter
+
+    def draw(
+        self,
+        points: Float[np.ndarray, "vertices 3"],
+        faces: Int[np.ndarray, "faces 3"],
+        colors: UInt8[np.ndarray, "n 3"],
+        *,
+        wire: bool = False,
+        lines: Int[np.ndarray, "edges 2"] | None = None,
+        line_colors: UInt8[np.ndarray, "edges 3"] | None = None,
+        normals: Float[np.ndarray, "vertices 3"] | None = None,
+    ) -> UInt8[np.ndarray, "height width 3"]:
+        """The strip of views; colors are one a vertex or one a triangle. `wire` draws the edges in close views."""
+        pv = self.pyvista
+        mesh = pv.PolyData.from_regular_faces(points.astype(np.float32), faces)
+        mesh["rgb"] = colors
+        shading = {"scalars": "rgb", "rgb": True, "ambient": 0.35, "diffuse": 0.65, "specular": 0.0}
+        edges = None
+        if lines is not None and len(lines):
+            raised = points if normals is None else points + LIFT * normals
+            table = np.concatenate([np.full((len(lines), 1), 2), lines], axis=1)
+            edges = pv.PolyData(raised.astype(np.float32), lines=table.ravel())
+            edges["rgb"] = line_colors
+        for plotter in self.plotters.values():
+            plotter.clear_actors()
+        near = min(size for size, _ in self.plotters)
+        for size, plotter in self.plotters.items():
+            plotter.add_mesh(mesh, show_edges=wire and size[0] == near, edge_color="#404040", line_width=1, **shading)
+            if edges is not None:
+                plotter.add_mesh(edges, scalars="rgb", rgb=True, line_width=3, lighting=False)
+        return strip([self._from(view) for view in self.views])
+
+    def _from(self, view: InspectView) -> UInt8[np.ndarray, "height width 3"]:
+        plotter = self.plotters[view.camera.size]
+        camera = plotter.camera
+        camera.position, camera.focal_point, camera.up = view.camera.eye, view.target, (0.0, 1.0, 0.0)
+        camera.view_angle = float(np.degrees(2 * np.arctan(0.5 * view.camera.size[1] / view.camera.K[1, 1])))
+        camera.clipping_range = (0.5, 12.0)
+        plotter.render()
+        return np.asarray(plotter.screenshot(return_img=True))[..., :3].copy()
+
+    def release(self) -> None:
+        for plotter in self.plotters.values():
+            plotter.close()
 
 
 class Inspector:
     """One avatar, drawn topic by topic; `size` is the side of the large views in pixels."""
 
-    def __init__(self, avatar: Avatar, path: Path, context: Context, measured: Measured, size: int):
+    def __init__(self, avatar: Avatar, path: Path, context: Context, measured: KnownDistances, size: int):
         self.avatar, self.path, self.context, self.measured = avatar, path, context, measured
         self.level, self.size = avatar.levels[0], size
         self.views = standard_views(avatar, size)
-        self.studio: Studio | None = None
+        self.studio: MeshPlotter | None = None
         self.checks: list[Check] = []
-        self.facts: dict[str, Any] = {"format": "selfscan-inspection", "version": 1, "avatar": path.name}
+        self.facts: Json = {"format": "selfscan-inspection", "version": 1, "avatar": path.name}
 
     def draw(self, colors: UInt8[np.ndarray, "n 3"], level: Level | None = None, **lines: Any) -> np.ndarray:
         level = self.level if level is None else level
         if self.studio is None:
-            self.studio = Studio(self.views, self.context.kind)
+            self.studio = MeshPlotter(self.views, self.context.kind)
         return self.studio.draw(level.positions.astype(np.float64), level.faces.astype(np.int64), colors, **lines)
 
     def check(self, what: str, value: str, expected: str, good: bool | None) -> None:

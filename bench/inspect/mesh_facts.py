@@ -13,7 +13,7 @@ from avatar.baked_avatar import Level
 from avatar.skeleton import JOINTS, LEFT_HAND, RIGHT_HAND
 from avatar.texture import mipmaps
 from bake.cone import matrix_from_six
-from bake.seams import chart_edges, seam_steps
+from bake.texture.seams import chart_edges, seam_steps
 
 MIPS = 4
 SAMPLES = 5  # along a seam edge
@@ -33,7 +33,7 @@ class Seams(NamedTuple):
 
     edges: Int[np.ndarray, "edges 2"]  # vertices of the level, on one side
     step: Float[np.ndarray, "mips edges"]  # largest difference of the two sides' colors along the edge, 0 to 255
-    # of all samples, as bake.seams.seam_steps
+    # a seam's samples, as bake.seams.seam_steps counts them
     steps: Float[np.ndarray, "mips samples"]
 
 

@@ -53,7 +53,7 @@ class PagePicture:
 
 
 @dataclass
-class Section:
+class PageSection:
     """A heading, what to look for, pictures with their legend, and a table."""
 
     key: str
@@ -72,7 +72,14 @@ class Check:
     what: str
     value: str
     expected: str
-    good: bool | None  # None: told, not judged
+    good: bool | None  # None: stated, not judged
+
+
+def picture(
+    name: str, image: UInt8[np.ndarray, "height width 3"], caption: str, width: int | None = None
+) -> PagePicture:
+    """A picture of the page as PNG."""
+    return PagePicture(name, png(image), "png", caption, width)
 
 
 def png(image: UInt8[np.ndarray, "height width 3"]) -> bytes:
@@ -92,7 +99,7 @@ def animation(frames: list[UInt8[np.ndarray, "height width 3"]], seconds: float)
     return out.getvalue()
 
 
-def page(name: str, lines: list[str], checks: list[Check], sections: list[Section]) -> str:
+def page(name: str, lines: list[str], checks: list[Check], sections: list[PageSection]) -> str:
     """The page as text."""
     parts = [
         '<!doctype html><html lang="en"><meta charset="utf-8">',

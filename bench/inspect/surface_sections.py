@@ -17,10 +17,9 @@ from bench.inspect.colors import (
     ramp,
     ticks,
 )
-from bench.inspect.drawing import GREY
-from bench.inspect.inspection import Inspector
+from bench.inspect.inspection import GREY, Inspector
 from bench.inspect.mesh_facts import MIPS, median_by_area
-from bench.inspect.page import PagePicture, Section, png
+from bench.inspect.page import PagePicture, PageSection, picture
 
 SEAM_MEDIAN, SEAM_P99 = 1.0, 4.0  # bytes
 SEAM_RANGE = 8.0  # bytes
@@ -28,44 +27,39 @@ CONE_RANGE = 60.0  # degrees
 ATLAS = 820  # pixels
 
 
-def parts(inspector: Inspector) -> Section:
+def parts(inspector: Inspector) -> PageSection:
     """Body, head and hands."""
     part = mesh_facts.vertex_parts(inspector.level)
     share = {name: mesh_facts.share_of_area(inspector.level, part == k) for k, name in enumerate(PARTS)}
     inspector.facts["area_share_by_part"] = share
     image = inspector.draw(part_colors(part.astype(np.int64)))
     named = tuple((color, f"{name} ({share[name]:.0%})") for color, name in zip(PART_COLORS, PARTS, strict=True))
-    return Section(
+    return PageSection(
         "parts",
         "Parts",
         "The part whose joints move a vertex most, with its share of the surface.",
-        [PagePicture("parts", png(image), "png", "parts")],
+        [picture("parts", image, "parts")],
         Legend(named=named),
     )
 
 
-def weights(inspector: Inspector, joints: list[str]) -> Section:
+def weights(inspector: Inspector, joints: list[str]) -> PageSection:
     """Skin weights: the heaviest joint, and single joints."""
     palette = categorical(52).astype(np.float64)
     share = inspector.level.skin.weights
     blended = np.einsum("vi,vic->vc", share, palette[inspector.level.joints])
     pictures = [
-        PagePicture(
-            "weights",
-            png(inspector.draw(np.round(blended).astype(np.uint8))),
-            "png",
-            "joints' colors blended by weight",
-        )
+        picture("weights", inspector.draw(np.round(blended).astype(np.uint8)), "joints' colors blended by weight")
     ]
     for name in joints:
         values = mesh_facts.joint_weight(inspector.level, JOINTS.index(name))
         image = inspector.draw(ramp(values, 0.0, 1.0))
-        pictures.append(PagePicture(f"weight_{name}", png(image), "png", f"{name}: weight 0 (dark) to 1 (bright)"))
+        pictures.append(picture(f"weight_{name}", image, f"{name}: weight 0 (dark) to 1 (bright)"))
     used = np.unique(mesh_facts.heaviest_joint(inspector.level))
     absent = [JOINTS[k] for k in range(52) if k not in used]
     inspector.facts["joints_that_move_nothing_most"] = absent
     named = tuple((hexadecimal(categorical(52)[k]), JOINTS[k]) for k in used)
-    return Section(
+    return PageSection(
         "weights",
         "Skin weights",
         "Soft borders run round a limb, never along it; left and right, and neighbouring fingers, do "
@@ -75,7 +69,7 @@ def weights(inspector: Inspector, joints: list[str]) -> Section:
     )
 
 
-def texels(inspector: Inspector) -> Section:
+def texels(inspector: Inspector) -> PageSection:
     """How fine the texture is where."""
     millimetres = mesh_facts.texel_millimetres(inspector.level)
     part, area = mesh_facts.face_parts(inspector.level), mesh_facts.areas(inspector.level)
@@ -88,12 +82,12 @@ def texels(inspector: Inspector) -> Section:
     image = inspector.draw(ramp(millimetres, 0.0, high))
     rows = [("part", "median side of a texel, mm")]
     rows += [(name, f"{value:.2f}" if value else "none") for name, value in by_part.items()]
-    return Section(
+    return PageSection(
         "texels",
         "Texel density",
         "Side of a texel on the surface. Head and hands should be darker (finer); a bright patch is "
         "stretched in the atlas.",
-        [PagePicture("texels", png(image), "png", "side of a texel, millimetres"), _atlas(inspector)],
+        [picture("texels", image, "side of a texel, millimetres"), _atlas(inspector)],
         Legend(SEQUENTIAL, ticks(0.0, high, suffix=" mm"), ((ABSENT, "no texels"),)),
         rows,
     )
@@ -110,10 +104,10 @@ def _atlas(inspector: Inspector) -> PagePicture:
     border, uses = np.unique(ends, axis=0, return_counts=True)
     for a, b in ATLAS * inspector.level.uv.astype(np.float64)[border[uses == 1]]:
         draw.line([tuple(a), tuple(b)], fill=(255, 0, 170), width=1)
-    return PagePicture("atlas", png(np.asarray(image)), "png", "base color, chart edges in pink", width=620)
+    return picture("atlas", np.asarray(image), "base color, chart edges in pink", width=620)
 
 
-def seams(inspector: Inspector) -> Section:
+def seams(inspector: Inspector) -> PageSection:
     """Steps of color across chart edges."""
     rows = [("level", "mip", "drawn by us", "median", "p99", "largest", "edges")]
     found = []
@@ -155,8 +149,8 @@ def seams(inspector: Inspector) -> Section:
             normals=inspector.level.normals.astype(np.float64),
         )
         near = "seen from near (mip 0)" if mip == 0 else f"seen from {2**mip} times as far (mip {mip})"
-        pictures.append(PagePicture(f"seams_mip{mip}", png(image), "png", f"color step of the finest level, {near}"))
-    return Section(
+        pictures.append(picture(f"seams_mip{mip}", image, f"color step of the finest level, {near}"))
+    return PageSection(
         "seams",
         "Chart seams",
         "Edges where the atlas was cut, colored by the largest difference of color between the two "
@@ -170,7 +164,7 @@ def seams(inspector: Inspector) -> Section:
     )
 
 
-def cones(inspector: Inspector) -> Section:
+def cones(inspector: Inspector) -> PageSection:
     """What training saw, and from how many sides."""
     degrees, never = mesh_facts.cone_degrees(inspector.level).mean(1), mesh_facts.unseen(inspector.level)
     seen = inspector.level.view_seen.astype(np.float64)
@@ -182,7 +176,7 @@ def cones(inspector: Inspector) -> Section:
     inspector.check("surface that a camera saw in training", f"{share:.1%}", "the rest keeps the paper's color", None)
     cone = inspector.draw(ramp(np.where(never, np.nan, degrees), 0.0, CONE_RANGE))
     sight = inspector.draw(ramp(np.where(never, np.nan, seen), 0.0, 1.0))
-    return Section(
+    return PageSection(
         "cones",
         "Cones and unseen regions",
         "How far color may follow the eye: the half-angle of directions that training saw, mean of "
@@ -190,14 +184,14 @@ def cones(inspector: Inspector) -> Section:
         "well the point was seen. Pink was never seen: armpits, between fingers, soles. Its color "
         "is the field's guess.",
         [
-            PagePicture("cones", png(cone), "png", f"half-angle of the cone, degrees, 0 to {CONE_RANGE:g}"),
-            PagePicture("seen", png(sight), "png", "how well a point was seen, 0 (dark) to 1 (bright)"),
+            picture("cones", cone, f"half-angle of the cone, degrees, 0 to {CONE_RANGE:g}"),
+            picture("seen", sight, "how well a point was seen, 0 (dark) to 1 (bright)"),
         ],
         Legend(SEQUENTIAL, ticks(0.0, CONE_RANGE, suffix="°"), ((ABSENT, "never seen"),)),
     )
 
 
-def triangles(inspector: Inspector) -> Section:
+def triangles(inspector: Inspector) -> PageSection:
     """Sizes of triangles, and whether the mesh is closed."""
     millimetres = mesh_facts.edge_millimetres(inspector.level)
     part, area = mesh_facts.face_parts(inspector.level), mesh_facts.areas(inspector.level)
@@ -234,13 +228,13 @@ def triangles(inspector: Inspector) -> Section:
     high = 2.0 * max([value for value in by_part.values() if value] or [1.0])
     image = inspector.draw(ramp(millimetres, 0.0, high, PALE), wire=True)
     text = ", ".join(f"{name} {value:.1f} mm" for name, value in by_part.items() if value)
-    return Section(
+    return PageSection(
         "triangles",
         "Triangles",
         f"Mean length of a triangle's edges (median: {text}); the close views show the edges. Slivers "
         "and sudden changes of size "
         "come out as lines in the light.",
-        [PagePicture("triangles", png(image), "png", "edge length, millimetres")],
+        [picture("triangles", image, "edge length, millimetres")],
         Legend(PALE, ticks(0.0, high, suffix=" mm")),
         rows,
     )

@@ -2,69 +2,26 @@
 
 import io
 import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 from PIL import Image
 
-from avatar.errors import AssetError
-from avatar.files import check_file, check_folder, whole_file
-from avatar.settings import Help, Option, parse
 from capture.check.face import FaceReport, close_ups, face_line
 from capture.check.keypoints import Followed, compare_keypoints, keypoint_findings, keypoint_lines
+from capture.check.options import CheckCommand
 from capture.check.raw_videos import examine_videos, usable, verdict_line, video_lines
 from capture.check.report import CaptureReport, PartReport, examine, report_facts
-from capture.check.second_opinion import SecondOpinion, ask_colmap
 from capture.check.sheet import contact_sheet, overlay
 from capture.check.silhouette import even
 from capture.check.verdict import Verdict, verdict
 from capture.folder import Capture, read_capture
 from capture.raw.four_videos import holds_videos
+from command.errors import AssetError
+from files.whole import check_file, check_folder, whole_file
 
 
-@dataclass(frozen=True)
-class CheckCommand:
-    """`selfscan check`."""
-
-    capture: Annotated[
-        tuple[Path, ...],
-        Option(positional=True, metavar="CAPTURE", several=True),
-        "folder made by `selfscan synth` or `selfscan import`; or videos as filmed: a folder with body.mp4, head.mp4, "
-        "left.mp4 and right.mp4, or the four files in that order",
-    ]
-    out: Annotated[
-        Path | None,
-        Option(("-o", "--out"), "DIR"),
-        "write DIR/check.json and, of a capture, DIR/overlays.png and DIR/face.png",
-    ] = None
-    keypoints: Annotated[
-        Path | None,
-        Option(metavar="DIR"),
-        "keypoints of the videos in DIR/body, DIR/hand_left, DIR/hand_right (OpenPose, COCO-WholeBody, MediaPipe), one "
-        "for each frame of the capture: do the poses follow them? Of videos as filmed DIR/head too (default: keypoints "
-        "in the folder beside them)",
-    ] = None
-    colmap: Annotated[
-        bool,
-        "a second opinion on the head's cameras: COLMAP's, from the pictures alone (extra `colmap`; a second a frame)",
-    ] = False
-    json: Annotated[Path | None, Option(metavar="FILE"), "write everything measured and the verdict to FILE"] = None
-
-
-ABOUT = Help(
-    "selfscan check",
-    """Look at a capture before training: does the posed template lie on the person in the video, are masks, units,
-frames, sharpness and view directions sound? Ends in a verdict: usable; usable, but ...; not usable because ...
-(exit code 1), each with what to do. Videos as filmed are looked at before any fit: is the person whole, alone and sharp
-in them, does the camera stand still, is there an empty second?""",
-    "example: selfscan check out/capture -o out/check, then look at out/check/overlays.png and face.png",
-)
-
-
-def main(argv: list[str]) -> int:
-    """Parse the command line, examine, print; 1 when the capture is not usable."""
-    arguments = parse(CheckCommand, argv, ABOUT)
+def check_capture(arguments: CheckCommand) -> int:
+    """Examine, print; 1 when the capture is not usable."""
     if arguments.json:
         check_file(arguments.json)
     if arguments.out and not arguments.out.is_dir():
@@ -79,21 +36,18 @@ def main(argv: list[str]) -> int:
         raise AssetError(f"{capture.path / 'head' / 'landmarks.json'}: {error}") from None
     judged = verdict(report)
     followed = compare_keypoints(capture, arguments.keypoints, report) if arguments.keypoints else ()
-    opinion = ask_colmap(capture.videos["head"]) if arguments.colmap else None
-    more = (*keypoint_findings(followed), *(opinion.findings() if opinion else ()))
-    judged = Verdict(tuple(sorted((*judged.findings, *more), key=lambda f: not f.fatal)))
-    print("\n".join(lines(report, judged, followed, opinion)))
+    judged = Verdict(tuple(sorted((*judged.findings, *keypoint_findings(followed)), key=lambda f: not f.fatal)))
+    print("\n".join(lines(report, judged, followed)))
     facts = {"capture": str(capture.path), "usable": judged.usable, "verdict": judged.line(),
              "findings": [vars(finding) for finding in judged.findings],
-             "keypoints": [vars(part) for part in followed], "colmap": vars(opinion) if opinion else None,
-             **report_facts(report)}  # fmt: skip
+             "keypoints": [vars(part) for part in followed], **report_facts(report)}  # fmt: skip
     files = [arguments.json] if arguments.json else []
     if arguments.out:
         out = arguments.out
         out.mkdir(exist_ok=True)
         files.append(out / "check.json")
         write_overlays(out / "overlays.png", capture, report)
-        print(f"{out / 'overlays.png'}: outline of the mask red, of the template's parts in other colours")
+        print(f"{out / 'overlays.png'}: outline of the mask red, of the template's parts in other colors")
         if report.face is not None and report.face.shown:
             write_face(out / "face.png", capture, report.face)
             print(f"{out / 'face.png'}: the face at 512 pixels, as the head's video shows it")
@@ -119,9 +73,7 @@ def _check_videos(arguments: CheckCommand) -> int:
     return 0 if usable(judged) else 1
 
 
-def lines(
-    report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...] = (), opinion: SecondOpinion | None = None
-) -> list[str]:
+def lines(report: CaptureReport, judged: Verdict, followed: tuple[Followed, ...] = ()) -> list[str]:
     """The report for reading."""
     out = [
         f"template {report.height:.2f} m tall; head frame by {report.landmarks} landmarks, "
@@ -144,8 +96,6 @@ def lines(
         out += ["", face_line(report.face)]
     if followed:
         out += ["", *keypoint_lines(followed)]
-    if opinion is not None:
-        out += ["", opinion.line()]
     if report.unseen:
         out += ["", "hardly seen; the avatar gets the color of what lies round it there:"]
         out += [f"  {place.line()}" for place in report.unseen]

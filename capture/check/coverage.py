@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
 from capture.check.silhouette import canonical_from_head
 from capture.folder import Capture
-from capture.views import part_views
+from capture.template.views import part_views
 from geometry.mesh import vertex_normals
 
 Array = np.ndarray

@@ -10,8 +10,8 @@ from PIL import Image
 from avatar.camera import project
 from avatar.skeleton import PARTS
 from capture.check.silhouette import canonical_from_head
-from capture.eyes import eye_openings, eye_spheres
 from capture.folder import Capture
+from capture.template.eyes import eye_openings, eye_spheres
 
 Array = np.ndarray
 
@@ -21,7 +21,7 @@ IRIS = 0.0117
 FRONT = 40.0
 # metres round the opening that landmarks may be off
 ROUND = 0.003
-# of the median contrast of the eyes in the other frames: under it the lids look closed
+# share of the median contrast of the eyes in the other frames: under it the lids look closed
 CLOSED = 0.45
 # pixels of a close-up
 SIDE = 512
@@ -50,7 +50,7 @@ class _Look(NamedTuple):
 
     frame: int
     scale: float  # metres a pixel
-    contrast: float  # of 255, between dark and bright
+    contrast: float  # out of 255, between dark and bright
     edge: float  # pixels
 
 

@@ -1,4 +1,4 @@
-"""Do the poses follow keypoints that a detector found? Outlines cannot tell an arm from its other side; points can.
+"""Do the poses follow keypoints that a detector found? Outlines of an arm's two sides look alike; points do not.
 
 Joints of the posed template are projected into each frame and compared with the points of the same names. Detectors
 place hips and shoulders some centimetres off a skeleton's, so only what is far off is a finding: all points (another
@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.camera import project
-from avatar.errors import AssetError
 from avatar.skeleton import JOINTS, joint_transforms
 from capture.check.report import CaptureReport
 from capture.check.verdict import Finding
 from capture.folder import Capture
 from capture.keypoints.read import read_keypoints
+from command.errors import AssetError
 
 Array = np.ndarray
 

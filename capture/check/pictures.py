@@ -16,11 +16,11 @@ AROUND = 4
 BLURRED = 0.3
 # mean difference of two frames, of 255, under which they are the same picture
 REPEATED = 0.05
-# of 255, in every channel: beyond it the sensor has nothing left to say
+# out of 255, in every channel: beyond it the sensor has nothing left to say
 BRIGHT, DARK = 254, 2
 
 
-class Exposure(NamedTuple):
+class Clipping(NamedTuple):
     """Shares of the person's pixels."""
 
     burnt: float
@@ -70,9 +70,9 @@ def missing(folder: Path) -> list[int]:
     return sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers)) if numbers else []
 
 
-def exposure(images: UInt8[Array, "frames height width 3"], masks: Bool[Array, "frames height width"]) -> Exposure:
+def exposure(images: UInt8[Array, "frames height width 3"], masks: Bool[Array, "frames height width"]) -> Clipping:
     """How much of the person is clipped, over all frames."""
     pixels = images[masks]
     if len(pixels) == 0:
-        return Exposure(0.0, 0.0)
-    return Exposure(float((pixels.min(1) >= BRIGHT).mean()), float((pixels.max(1) <= DARK).mean()))
+        return Clipping(0.0, 0.0)
+    return Clipping(float((pixels.min(1) >= BRIGHT).mean()), float((pixels.max(1) <= DARK).mean()))

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from avatar.errors import AssetError
 from capture.raw.four_videos import KEYPOINTS, find_videos, judge_videos, part_keypoints
 from capture.raw.judge import Judged
 from capture.raw.video_file import open_video
+from command.errors import AssetError
 
 
 def examine_videos(paths: Sequence[Path], keypoints: Path | None) -> dict[str, Judged]:
@@ -36,21 +36,21 @@ def video_lines(judged: Mapping[str, Judged]) -> list[str]:
         )
     out += ["", verdict_line(judged)]
     for at in judged.values():
-        out += [f"  {remark.line(at.glance.video.name)}" for remark in sorted(at.remarks, key=lambda r: not r.fatal)]
+        out += [f"  {problem.line(at.glance.video.name)}" for problem in sorted(at.problems, key=lambda r: not r.fatal)]
     return out
 
 
 def verdict_line(judged: Mapping[str, Judged]) -> str:
     """Usable; usable, but ...; not usable because ..., as for a capture folder."""
-    remarks = [(at.glance.video.name, remark) for at in judged.values() for remark in at.remarks]
-    fatal = [f"{name}: {remark.what}" for name, remark in remarks if remark.fatal]
+    problems = [(at.glance.video.name, problem) for at in judged.values() for problem in at.problems]
+    fatal = [f"{name}: {problem.what}" for name, problem in problems if problem.fatal]
     if fatal:
         return f"not usable because {'; '.join(fatal)}"
-    if remarks:
-        return f"usable, but {'; '.join(f'{name}: {remark.what}' for name, remark in remarks)}"
+    if problems:
+        return f"usable, but {'; '.join(f'{name}: {problem.what}' for name, problem in problems)}"
     return "usable"
 
 
 def usable(judged: Mapping[str, Judged]) -> bool:
-    """Whether nothing speaks against fitting these videos."""
-    return not any(remark.fatal for at in judged.values() for remark in at.remarks)
+    """Whether these videos can be fitted: none has a fatal problem."""
+    return not any(problem.fatal for at in judged.values() for problem in at.problems)

@@ -10,11 +10,11 @@ from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.check.coverage import Coverage, coverage
 from capture.check.face import FaceReport, face_report
-from capture.check.pictures import Exposure, blurred, exposure, missing, repeated, sharpness
-from capture.check.silhouette import Agreement, Outline, agreement, even, outline, posed_template
+from capture.check.pictures import Clipping, blurred, exposure, missing, repeated, sharpness
+from capture.check.silhouette import Agreement, TemplateOutline, agreement, even, outline, posed_template
 from capture.check.unseen import UnseenPlace, frames_that_see, unseen_places
 from capture.folder import Capture
-from capture.template import visible_faces
+from capture.template.surface import visible_faces
 
 Array = np.ndarray
 
@@ -34,7 +34,7 @@ class PartReport:
     metres_per_pixel: float  # at the part
     # metres, median of camera to the middle of the part
     distance: float
-    outlines: tuple[Outline, ...]
+    outlines: tuple[TemplateOutline, ...]
     # over the outlines; the head's is that of the hair as well
     mean: Agreement
     # frames, those with the largest outline error first
@@ -54,7 +54,7 @@ class PartReport:
     repeated: tuple[int, ...]
     # numbers that the file names leave out
     missing: tuple[int, ...]
-    exposure: Exposure
+    exposure: Clipping
     coverage: Coverage
 
 
@@ -126,7 +126,7 @@ def examine_part(capture: Capture, part: str, head_scale: float, visible: Bool[A
     )
 
 
-def _compared(mask: Array, o: Outline) -> Array:
+def _compared(mask: Array, o: TemplateOutline) -> Array:
     begin, (rows, columns) = o.step // 2, o.parts.shape
     return mask[begin :: o.step, begin :: o.step][:rows, :columns]
 
@@ -146,15 +146,15 @@ def _distance(capture: Capture, part: str) -> float:
     return float(np.median(depth))
 
 
-def _exchanged(capture: Capture, part: str, outlines: tuple[Outline, ...], mean: Agreement) -> bool:
+def _exchanged(capture: Capture, part: str, outlines: tuple[TemplateOutline, ...], mean: Agreement) -> bool:
     """Whether a hand video is that of the other hand: the other's masks fit its poses, or it shows the other."""
     if not part.startswith("hand") or mean.iou > 0.8:
         return False
     other = "hand_right" if part == "hand_left" else "hand_left"
-    mine, theirs = PARTS.index(part), PARTS.index(other)
-    shown = np.median([(o.parts == theirs).sum() > 4 * (o.parts == mine).sum() for o in outlines])
+    own, next_to = PARTS.index(part), PARTS.index(other)
+    shown = np.median([(o.parts == next_to).sum() > 4 * (o.parts == own).sum() for o in outlines])
     masks = capture.videos[other].masks
-    cross = [agreement(o.parts, _compared(masks[o.frame], o), mine).iou for o in outlines
+    cross = [agreement(o.parts, _compared(masks[o.frame], o), own).iou for o in outlines
              if o.frame < len(masks) and _compared(masks[o.frame], o).shape == o.parts.shape]  # fmt: skip
     return bool(shown) or (len(cross) > 0 and float(np.nanmedian(cross)) > mean.iou + 0.3)
 

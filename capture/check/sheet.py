@@ -49,7 +49,7 @@ def contact_sheet(rows: list[list[tuple[str, UInt8[Array, "height width 3"]]]], 
 
 
 def _fitted(picture: UInt8[Array, "height width 3"], side: int) -> Image.Image:
-    """The picture, its longer side as long as told."""
+    """The picture, its longer side at the given length."""
     image = Image.fromarray(picture)
     scale = side / max(image.size)
     return image.resize((round(image.width * scale), round(image.height * scale)))

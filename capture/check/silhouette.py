@@ -13,11 +13,11 @@ from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.folder import Capture, CaptureSubject
 from geometry.cells import distance_to, nearest_marked
-from geometry.rasterise import Fragments, rasterise
+from geometry.rasterise import FaceBuffer, rasterise
 
 Array = np.ndarray
 
-# Outline error of the worst posed part beyond which poses are worth refining, in pixels as `common` counts them.
+# outline error of the worst posed part beyond which poses are worth refining, in pixels as `common` counts them.
 # Measured on four people: exact poses 0.3-0.5; masks eroded by 3 px 0.5, dilated by 3 px 0.9; 2 degrees of pose noise
 # 2.2 on the body, 25-35 on the hands.
 MISALIGNED = 1.0
@@ -43,7 +43,7 @@ class Agreement(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Outline:
+class TemplateOutline:
     """The template drawn over one frame; pixels are the image's own."""
 
     frame: int
@@ -54,7 +54,7 @@ class Outline:
 
 
 def misalignment(capture: Capture, frames: int = 4) -> float:
-    """Outline error (`spread`) of the worst posed part over a few frames, in `common` pixels.
+    """TemplateOutline error (`spread`) of the worst posed part over a few frames, in `common` pixels.
 
     Beyond MISALIGNED the poses (or the template) do not explain the silhouettes. The head has no pose, and its
     outline is that of the hair, which no template has: it is left out.
@@ -87,7 +87,7 @@ def even(count: int, wanted: int) -> list[int]:
     return [int(i) for i in np.unique(np.linspace(0, count, wanted, endpoint=False).astype(int))]
 
 
-def outline(capture: Capture, part: str, frame: int) -> Outline:
+def outline(capture: Capture, part: str, frame: int) -> TemplateOutline:
     """The template drawn over one frame, and how its outline agrees with the mask's along the video's part."""
     video = capture.videos[part]
     mask, camera = video.masks[frame], video.cameras[frame]
@@ -102,7 +102,7 @@ def outline(capture: Capture, part: str, frame: int) -> Outline:
     parts = drawn_parts(drawn, capture.subject)
     found = agreement(parts, mask, PARTS.index(part))
     pixels = found._replace(edge=step * found.edge, offset=step * found.offset, spread=step * found.spread)
-    return Outline(frame, pixels, parts, step)
+    return TemplateOutline(frame, pixels, parts, step)
 
 
 def posed_template(capture: Capture, part: str, frame: int) -> Float[Array, "vertices 3"]:
@@ -127,7 +127,7 @@ def canonical_from_head(capture: Capture) -> Float[Array, "4 4"]:
     return similarity_from_landmarks(video.landmarks, target).transform
 
 
-def drawn_parts(drawn: Fragments, subject: CaptureSubject) -> Int[Array, "height width"]:
+def drawn_parts(drawn: FaceBuffer, subject: CaptureSubject) -> Int[Array, "height width"]:
     """Part of the template at each pixel, -1 where there is none."""
     # the majority of the three
     of_face = np.sort(subject.part[subject.faces], 1)[:, 1]

@@ -10,7 +10,7 @@ from avatar.skinning import SkinWeights
 from capture.check.coverage import ENOUGH
 from capture.check.silhouette import canonical_from_head
 from capture.folder import Capture
-from capture.views import part_views
+from capture.template.views import part_views
 from geometry.mesh import vertex_normals
 
 Array = np.ndarray

@@ -13,7 +13,7 @@ Frames = tuple[int, ...]
 
 # overlap of template and mask under which poses, cameras and masks are not of one video
 ELSEWHERE = 0.15
-# overlap above which the template follows the person and tells what the mask should show
+# overlap above which the template follows the person and says what the mask should show
 FOLLOWS = 0.6
 # common pixels: masks that much larger or smaller than the template all along
 OFFSET = 1.2
@@ -26,7 +26,7 @@ SEEN = (0.8, 0.6)
 IRIS_PIXELS = 6.0  # pixels across an iris under which iris, pupil and white run together
 GAP = 60.0  # degrees of the turn without a frame
 FEW = 16  # frames of a video
-# of the frames: so many bad ones are no accident
+# share of the frames: so many bad ones are no accident
 SHARE = 0.2
 # share of the person's pixels that are burnt out
 CLIPPED = 0.02
@@ -130,7 +130,7 @@ def _of_masks(part: PartReport) -> list[Finding]:
     found = []
     if part.empty:
         many = len(part.empty) > SHARE * part.frames
-        found.append(Finding(part.part, many, f"masks show nobody in frames {listed(part.empty)}",
+        found.append(Finding(part.part, many, f"masks show no person in frames {listed(part.empty)}",
                              "segment those frames again; they teach nothing"))  # fmt: skip
     if part.jumps and part.part != "head" and part.mean.iou > FOLLOWS:
         found.append(Finding(part.part, False, f"masks change size in frames {listed(part.jumps)}",
@@ -203,7 +203,7 @@ def _of_views(part: PartReport) -> list[Finding]:
                 part.part,
                 seen < SEEN[1],
                 f"{seen:.0%} of the surface is seen in 3 frames or more",
-                "film every side, from above and below as well; what nobody saw stays the template",
+                "film every side, from above and below as well; what no frame saw stays the template",
             )
         )
     return found

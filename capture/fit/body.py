@@ -6,22 +6,19 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Bool
 
-from avatar.rotation import axis_angle_from_matrix
-from avatar.skeleton import JOINTS, PARTS, joint_transforms
-from capture.fit.directions import find_directions, opposite, place_of, turns_about_y
-from capture.fit.footage import Estimate, Footage
-from capture.fit.joint_turns import rotations
-from capture.fit.offsets import STIFFNESS, dressed
-from capture.fit.outline_term import Outlines
+from avatar.skeleton import JOINTS, PARTS
+from capture.fit.directions import opposite, turns_about_y
+from capture.fit.footage import Estimate, Footage, unplaced
+from capture.fit.offsets import fit_dressed
 from capture.fit.person import Person
 from capture.fit.priors import FROZEN, Priors, standing
 from capture.fit.sides import exchanged_back, sides_restored
-from capture.fit.solve import solve
-from capture.imports.template import part_of
+from capture.fit.solve import placed_rigidly, solve
 from capture.keypoints.record import SIDES
+from capture.read.template import part_of
 
 Array = np.ndarray
-# told after each piece of work what it was
+# called after each piece of work with its name
 Report = Callable[[str], None]
 
 # joints that a body's video shows; its hands keep the rest pose
@@ -31,7 +28,7 @@ LIMBS = "hip knee ankle shoulder elbow wrist eye ear heel big_toe small_toe".spl
 SAG = 8.0
 # Geman and McClure's c, standard deviations: at first, then with all unknowns free
 FIRST, CUTS = 20.0, (10.0, 4.0)
-# of the outlines, one after the other
+# the outlines' weights, one after the other
 WEIGHTS = (0.02, 0.02, 0.02)
 
 
@@ -44,20 +41,12 @@ def body_names(*, hands: bool = True) -> tuple[str, ...]:
 
 def first_guess(person: Person, footage: Footage) -> tuple[Estimate, Footage]:
     """Heading and place in every frame, in a T-pose with arms a little low; and the footage with sides put right."""
-    g = np.zeros(len(person.sigma))
-    points = footage.points
     angles = np.zeros((52, 3))
     for side in ("left", "right"):
         angles[JOINTS.index(f"{side}_shoulder"), 0] = -np.radians(SAG)
-    vertices, joints = person.vertices(g), person.joints(g)
-    rest = np.stack([p.place(vertices, joints) for p in points])
-    bones = np.array([p.joint for p in points])
-    G = joint_transforms(axis_angle_from_matrix(rotations(angles)), joints, np.zeros(3))
-    x = np.einsum("nij,nj->ni", G[bones, :3, :3], rest - joints[bones]) + G[bones, :3, 3]
-    found = find_directions(x, footage.pixels, footage.sure > 0, turns_about_y(), opposite(footage.names))
-    root = place_of(found, footage.focal, footage.centre)
-    estimate = Estimate(person, g, np.zeros((len(points), 3)), 0.0, angles, root, found.rotation,
-                        np.tile(angles, (len(root), 1, 1)))  # fmt: skip
+    start = unplaced(person, np.zeros(len(person.sigma)), footage, angles)
+    estimate, found = placed_rigidly(start, footage, 0, turns_about_y(), footage.sure > 0,
+                                     mirrored=opposite(footage.names))  # fmt: skip
     return estimate, exchanged_back(footage, found.exchanged)
 
 
@@ -81,33 +70,19 @@ def fit_keypoints(person: Person, footage: Footage, report: Report) -> tuple[Est
     estimate, footage = first_guess(person, footage)
     report("first guess")
     priors = standing(estimate, footage)
-    estimate = solve(estimate, footage, rigid(priors), cut=FIRST, rounds=10)
+    estimate = solve(estimate, footage, rigid(priors), cuts=(FIRST,), rounds=10)
     footage = sides_restored(estimate, footage)
     for cut in CUTS:
-        estimate = solve(estimate, footage, priors, cut=cut, rounds=15)
+        estimate = solve(estimate, footage, priors, cuts=(cut,), rounds=15)
         footage = sides_restored(estimate, footage)
         report("keypoints")
     return estimate, footage
 
 
 def fit_outlines(estimate: Estimate, footage: Footage, report: Report) -> Estimate:
-    """What stands off the shape, then shape and poses from outlines and keypoints; in turn.
-
-    Clothes, hair and shoes come first: a bare body grows to fill the outline of a clothed one, and where its stature is
-    told, it comes nearer instead.
-    """
-    priors, outlines = standing(estimate, footage), Outlines(footage)
-    # a body's video shows hands as a few pixels: theirs have their own
-    hands = hand_vertices(estimate.person)
-    estimate = dressed(estimate, footage, outlines, ~hands, STIFFNESS)
-    report("offsets")
-    for weight in WEIGHTS:
-        term = outlines.term(outlines.pairs(estimate, footage, ~hands), weight)
-        estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
-        report("outlines")
-        estimate = dressed(estimate, footage, outlines, ~hands, STIFFNESS[-1:])
-        report("offsets")
-    return estimate
+    """`fit_dressed`; a body's video shows hands as a few pixels: the hands' own videos have their own fit."""
+    priors, hands = standing(estimate, footage), hand_vertices(estimate.person)
+    return fit_dressed(estimate, footage, priors, ~hands, WEIGHTS, CUTS[-1], report)
 
 
 def hand_vertices(person: Person, sides: tuple[str, ...] = ("left", "right")) -> Bool[Array, "vertices"]:

@@ -11,23 +11,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from avatar.errors import AssetError
-from avatar.picture import picture_size
 from capture.fit.body import fit_body, sides_restored
 from capture.fit.footage import Estimate, Footage
 from capture.fit.person import person_of
 from capture.fit.refusals import check_fit, check_footage, check_upright
 from capture.fit.scan import footage_in, phone_of, posed_video, template_of
-from capture.imports.folder import chosen_frames, pictures_in, read_mask
-from capture.imports.template import Template
 from capture.keypoints.read import read_keypoints
-from capture.raw_scan import FittedVideo, RawVideo
+from capture.raw.scan import FittedVideo, RawVideo
+from capture.read.folder import chosen_frames, pictures_in, read_mask
+from capture.read.template import TemplateMesh
+from command.errors import AssetError
+from files.picture import picture_size
 
 
 class BodyAlone(NamedTuple):
     """The person in pose 0, and poses and the camera of every picture; `estimate` and `footage` are the fit's own."""
 
-    template: Template
+    template: TemplateMesh
     video: FittedVideo
     estimate: Estimate
     footage: Footage
@@ -61,7 +61,7 @@ def pictures_of_body(
 def fit_body_alone(
     video: RawVideo, *, sex: str = "male", stature: float | None = None, report: Callable[[str], None] = lambda _: None
 ) -> BodyAlone:
-    """The person of a body's video or pictures. `sex` and `stature` as for `fit_scan`; `report` is told each step.
+    """The person of a body's video or pictures. `sex` and `stature` as for `fit_scan`; `report` follows each step.
 
     Raises:
         AssetError: too few points, points that are not of the masks' person, or a fit that explains too little.

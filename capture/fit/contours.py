@@ -1,5 +1,6 @@
 """Outlines: of masks to a fraction of a pixel, and of the posed template as vertices on its silhouette."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -7,25 +8,28 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy import ndimage
 from scipy.spatial import KDTree
 
-from avatar.camera import Camera
-from capture.fit.kinematics import Lens, seen_at
+from avatar.camera import Camera, project
 from geometry.mesh import vertex_normals
 from geometry.rasterise import rasterise
 
 Array = np.ndarray
 
-# the drawn template is this many pixels high; its own outline is exact, only what hides what is told by it
+# the drawn template is this many pixels high; its own outline is exact, only what hides what is read from it
 DRAWN = 360
 # samples of one frame
 SAMPLES = 300
 
 
+# a k-d tree moves a split beside equal points to the next float; next to 0 that is a denormal, and where those are
+# flushed (train.trainer.flushed_denormals) the tree would grow for ever: keep away from 0
+OFF_ZERO = 1e3
+
+
 class Contour(NamedTuple):
-    """Places where a mask passes one half, with outward normals."""
+    """Places on the edge of an area, with outward normals."""
 
     at: Float[Array, "n 2"]  # pixels
     normals: Float[Array, "n 2"]  # unit
-    tree: KDTree
 
     def nearest(
         self, at: Float[Array, "k 2"], normals: Float[Array, "k 2"], bend: float
@@ -34,15 +38,22 @@ class Contour(NamedTuple):
 
         A normal turned by one radian counts as `bend` pixels.
         """
-        index = np.asarray(self.tree.query(np.c_[at / bend, normals] + OFF_ZERO)[1])
+        tree = KDTree(np.c_[self.at / bend, self.normals] + OFF_ZERO)
+        index = np.asarray(tree.query(np.c_[at / bend, normals] + OFF_ZERO)[1])
         return index, np.linalg.norm(self.at[index] - at, axis=1)
 
 
-# a k-d tree splits beside equal points at the next float: keep away from 0, where that is a denormal
-OFF_ZERO = 1e3
+def pixel_contour(area: Bool[Array, "height width"]) -> Contour:
+    """The outermost pixels of an area, those at the border of the picture left out."""
+    row, column = np.nonzero(area & ~np.asarray(ndimage.binary_erosion(area, border_value=1), bool))
+    smooth = np.asarray(ndimage.gaussian_filter(area.astype(np.float32), 1.5, mode="nearest"))
+    down, right = np.gradient(smooth, axis=0), np.gradient(smooth, axis=1)
+    normals = -np.stack([right[row, column], down[row, column]], 1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-6)
+    return Contour(np.stack([column, row], 1) + 0.5, normals)
 
 
-def mask_contour(mask: UInt8[Array, "height width"] | Float[Array, "height width"], bend: float) -> Contour:
+def mask_contour(mask: UInt8[Array, "height width"] | Float[Array, "height width"]) -> Contour:
     """Where the smoothed mask crosses one half between neighbouring pixels (the corners of marching squares).
 
     Pixels at the border of the picture are no outline: the person goes on beyond it. Large masks are halved until their
@@ -73,7 +84,7 @@ def mask_contour(mask: UInt8[Array, "height width"] | Float[Array, "height width
     if len(place) == 0:
         # far away from everything: matches nothing
         place, normal = np.full((1, 2), -1e6), np.array([[1.0, 0.0]])
-    return Contour(place, normal, KDTree(np.c_[place / bend, normal] + OFF_ZERO))
+    return Contour(place, normal)
 
 
 class Silhouette(NamedTuple):
@@ -85,8 +96,8 @@ class Silhouette(NamedTuple):
 
 
 def silhouette(
-    x: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], lens: Lens, size: tuple[int, int],
-    chosen: Bool[Array, "vertices"], count: int = SAMPLES,
+    x: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], camera: Camera, chosen: Bool[Array, "vertices"],
+    count: int = SAMPLES,
 ) -> Silhouette:  # fmt: skip
     """Some of the `chosen` vertices on the outline, spread evenly.
 
@@ -98,16 +109,15 @@ def silhouette(
     seen[faces[front]] = True
     hidden[faces[~front]] = True
     rim = np.flatnonzero(seen & hidden & chosen & (x[:, 2] < -0.05))
-    at = seen_at(lens, x)
+    at, size = project(camera, x)[0], camera.size
     # perspective hardly matters for which way is out
     normals = vertex_normals(x, faces)[rim]
     flat = np.stack([normals[:, 0], -normals[:, 1]], 1)
     flat /= np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
     scale = min(1.0, DRAWN / max(float(np.ptp(at[:, 1].clip(0, size[1]))), 1.0))
     small = (max(int(scale * size[0]), 1), max(int(scale * size[1]), 1))
-    K = np.array([[lens.focal * scale, 0, lens.centre[0] * scale], [0, lens.focal * scale, lens.centre[1] * scale],
-                  [0, 0, 1.0]])  # fmt: skip
-    drawn = rasterise(x, faces[front], Camera(K, np.diag([1.0, -1, -1, 1]), small)).face >= 0
+    smaller = replace(camera, K=np.diag([scale, scale, 1]) @ camera.K, size=small)
+    drawn = rasterise(x, faces[front], smaller).face >= 0
     outside = (scale * at[rim] + 2.0 * flat).astype(int)
     inside = ((at[rim] > 1) & (at[rim] < np.array(size) - 1)).all(1)
     outside = np.clip(outside, 0, np.array(small) - 1)

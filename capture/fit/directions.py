@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from avatar.rotation import matrix_from_axis_angle
+from geometry.least_squares import robust_cost, robust_weight
 
 Array = np.ndarray
 
@@ -35,7 +36,7 @@ class Directions(NamedTuple):
 
 
 def turns_about_y(step: int = 5, leans: tuple[int, ...] = (-12, 0, 12)) -> Float[Array, "n 3 3"]:
-    """Headings of somebody who stands, degrees apart, leaning to and from the camera."""
+    """Headings of a person who stands, degrees apart, leaning to and from the camera."""
     turn = np.radians(np.arange(0, 360, step))
     about_y = matrix_from_axis_angle(turn[:, None] * np.array([0, 1.0, 0]))
     lean = matrix_from_axis_angle(np.radians(np.array(leans, float))[:, None] * np.array([1.0, 0, 0]))
@@ -101,8 +102,8 @@ def _fits(
             s = (weight * (a * b).sum(2)).sum(1) / np.maximum((weight * (a * a).sum(2)).sum(1), 1e-9)
             s = np.maximum(s, 1.0)
             e: Array = ((b / s[:, None, None] - a) ** 2).sum(2)
-            weight = 1 / (1 + e / (2 * slack) ** 2) ** 2
-        cost[f] = np.mean(4 * slack**2 * e / (4 * slack**2 + e), axis=1)
+            weight = robust_weight(e, 2 * slack)
+        cost[f] = robust_cost(e, 2 * slack).mean(1)
         scale[f] = s
         origin[f] = middle_q - s[:, None] * middle_p
     return cost, scale, origin
@@ -113,7 +114,7 @@ def _smooth_path(cost: Float[Array, "frames n"], candidates: Float[Array, "n 3 3
     flat = candidates.reshape(len(candidates), 9)
     angle = np.arccos(np.clip((flat @ flat.T - 1) / 2, -1, 1))
     turn = (angle / np.radians(TURN)) ** 2
-    # a jump costs no more than that: somebody may have turned quickly
+    # a jump costs no more than that: the person may have turned quickly
     turn = 16 * turn / (16 + turn)
     total, back = cost[0].copy(), []
     for row in cost[1:]:

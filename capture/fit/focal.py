@@ -1,6 +1,6 @@
-"""The focal length of a phone that nobody tells, from keypoints of all its videos.
+"""The focal length of a phone, found from keypoints of all its videos.
 
-Perspective tells it: what is nearer looks larger. Limbs that bend from frame to frame hide nearly all of that, so one
+Perspective shows it: what is nearer looks larger. Limbs that bend from frame to frame hide nearly all of that, so one
 video leaves it open by some per cent. The videos of body, hands and head err independently; each is fitted to keypoints
 alone with the focal length free, over more frames than are fitted later, and what they find is weighed by how sure
 each is:
@@ -30,14 +30,14 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Focal:
-    """A focal length and its doubt."""
+    """A focal length and how sure it is."""
 
-    shorter_sides: float  # of the picture
-    doubt: float  # relative standard deviation
+    shorter_sides: float  # lengths of the picture's shorter side
+    sigma: float  # relative standard deviation
 
 
 def focal_of_videos(person: Person, footages: Mapping[str, Footage], report: Report) -> Focal:
-    """The focal length of the phone that took all `footages`, whose guess and its doubt are the same in all.
+    """The focal length of the phone that took all `footages`, with the same guess and deviation in all.
 
     A footage's masks are not looked at.
     """
@@ -55,8 +55,8 @@ def focal_of_videos(person: Person, footages: Mapping[str, Footage], report: Rep
             estimate, priors = hand.fit_keypoints(bodily.person, bodily.g, footage, part.removeprefix("hand_"))
         found.append((estimate.log_focal, marginal(estimate, footage, priors)))
         report(part)
-    away, doubt = weighed(np.array(found), guess.focal_doubt)
-    return Focal(guess.focal * float(np.exp(away)) / min(guess.size), doubt)
+    away, sigma = weighed(np.array(found), guess.focal_sigma)
+    return Focal(guess.focal * float(np.exp(away)) / min(guess.size), sigma)
 
 
 def marginal(estimate: Estimate, footage: Footage, priors: Priors) -> float:
@@ -69,16 +69,16 @@ def marginal(estimate: Estimate, footage: Footage, priors: Priors) -> float:
     return float(np.sqrt(column[focal]))
 
 
-def weighed(found: Float[Array, "videos 2"], doubt: float) -> tuple[float, float]:
-    """Mean of values with standard deviations, all of which hold the same guess 0 of standard deviation `doubt`.
+def weighed(found: Float[Array, "videos 2"], guess_sigma: float) -> tuple[float, float]:
+    """Mean of values with standard deviations, all of which hold the same guess 0 of standard deviation `guess_sigma`.
 
     Returns the mean that holds it once, and its standard deviation.
     """
     value, sigma = found.T
-    own = np.maximum(1 / sigma**2 - 1 / doubt**2, 0)
+    own = np.maximum(1 / sigma**2 - 1 / guess_sigma**2, 0)
     # a video alone says this, without the guess
     alone = value / sigma**2 / np.maximum(own, 1e-12)
-    precision = own.sum() + 1 / doubt**2
+    precision = own.sum() + 1 / guess_sigma**2
     mean = float((own * alone).sum() / precision)
     contradiction = float((own * (alone - mean) ** 2).sum() / max(len(found) - 1, 1))
     return mean, float(np.sqrt(max(contradiction, 1.0) / precision))

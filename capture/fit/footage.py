@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from capture.fit.kinematics import Lens, Skeleton, SkinnedPoints
+from avatar.camera import Camera
+from avatar.kinematics import ShapedSkeleton, SkinnedPoints
 from capture.fit.person import Person
 from capture.fit.points import BodyPoint, body_points
 from capture.keypoints.record import Keypoints
@@ -17,7 +18,7 @@ SIGMA = 4.0
 # confidence under which a point is not used, and from which on it is sure
 LEAST, SURE = 0.1, 0.8
 # standard deviations that a point of no confidence has more
-DOUBT = 2.5
+UNSURE = 2.5
 
 
 @dataclass(frozen=True)
@@ -31,13 +32,18 @@ class Footage:
     masks: UInt8[Array, "frames height width"]
     focal: float  # pixels, the first guess
     # relative standard deviation of the guess
-    focal_doubt: float
+    focal_sigma: float
     moving: Int[Array, "m"]  # joints that turn, the pelvis left out
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the pictures."""
         return self.masks.shape[2], self.masks.shape[1]
+
+    @property
+    def turning(self) -> Int[Array, "m"]:
+        """Joints that turn, the pelvis first."""
+        return np.r_[0, self.moving]
 
     @property
     def centre(self) -> Float[Array, "2"]:
@@ -55,7 +61,7 @@ class Footage:
 
 def footage_of(
     keypoints: Keypoints, masks: UInt8[Array, "frames height width"], names: tuple[str, ...], moving: Int[Array, "m"],
-    *, focal: float, focal_doubt: float,
+    *, focal: float, focal_sigma: float,
 ) -> Footage:  # fmt: skip
     """The points of `names` that the detector has, and how sure they are."""
     table = body_points()
@@ -63,10 +69,10 @@ def footage_of(
     confidence = keypoints.confidence[:, chosen]
     pixels = np.nan_to_num(keypoints.pixels[:, chosen])
     sigma = SIGMA * min(masks.shape[1:]) / 1080
-    doubt = 1 + (DOUBT - 1) * np.clip((SURE - confidence) / (SURE - LEAST), 0, 1)
-    sure = np.where(confidence >= LEAST, 1 / (sigma * doubt), 0.0)
+    widening = 1 + (UNSURE - 1) * np.clip((SURE - confidence) / (SURE - LEAST), 0, 1)
+    sure = np.where(confidence >= LEAST, 1 / (sigma * widening), 0.0)
     named = tuple(keypoints.names[k] for k in chosen)
-    return Footage(named, pixels, sure, masks, focal, focal_doubt, moving)
+    return Footage(named, pixels, sure, masks, focal, focal_sigma, moving)
 
 
 @dataclass(frozen=True)
@@ -75,19 +81,25 @@ class Estimate:
 
     person: Person
     g: Float[Array, "g"]
-    # of each point from its place on the body, in the frame of its bone: what the detector does differently
+    # offset of each point from its place on the body, in the frame of its bone: what the detector does differently
     bias: Float[Array, "points 3"]
-    log_focal: float  # of the focal length over the guess
+    log_focal: float  # the focal length over the guess
     mean: Float[Array, "52 3"]  # joint angles
     root: Float[Array, "frames 3"]
-    heading: Float[Array, "frames 3 3"]  # of the pelvis
-    angles: Float[Array, "frames 52 3"]  # of the joints (avatar/limits.py)
+    heading: Float[Array, "frames 3 3"]  # the pelvis'
+    angles: Float[Array, "frames 52 3"]  # the joints' (avatar/limits.py)
 
-    def skeleton(self) -> Skeleton:
-        return Skeleton(self.person.joints(self.g), self.person.joint_directions)
+    def placed(self, root: Float[Array, "frames 3"], heading: Float[Array, "frames 3 3"]) -> "Estimate":
+        """The first pose in frames of other places and headings."""
+        return replace(self, root=root, heading=heading, angles=np.tile(self.angles[:1], (len(root), 1, 1)))
 
-    def lens(self, footage: Footage) -> Lens:
-        return Lens(footage.focal * float(np.exp(self.log_focal)), footage.centre)
+    def skeleton(self) -> ShapedSkeleton:
+        return ShapedSkeleton(self.person.joints(self.g), self.person.joint_directions)
+
+    def camera(self, footage: Footage) -> Camera:
+        """Square pixels, the axis through the middle of the picture."""
+        focal, (x, y) = footage.focal * float(np.exp(self.log_focal)), footage.centre
+        return Camera(np.array([[focal, 0, x], [0, focal, y], [0, 0, 1.0]]), np.diag([1.0, -1, -1, 1]), footage.size)
 
     def markers(self, footage: Footage) -> SkinnedPoints:
         """The named points, moved by their bias."""
@@ -103,3 +115,11 @@ class Estimate:
         person, skin = self.person, self.person.body.skin
         rest = person.vertices(self.g)[vertices]
         return SkinnedPoints(rest, person.vertex_directions[vertices], skin.joints[vertices], skin.weights[vertices])
+
+
+def unplaced(person: Person, g: Float[Array, "g"], footage: Footage, angles: Float[Array, "52 3"] | None = None
+             ) -> Estimate:  # fmt: skip
+    """One frame of a person of shape g at the origin; without angles in pose 0."""
+    angles = np.zeros((52, 3)) if angles is None else angles
+    return Estimate(person, g, np.zeros((len(footage.names), 3)), 0.0, angles, np.zeros((1, 3)), np.eye(3)[None],
+                    angles[None])  # fmt: skip

@@ -8,16 +8,16 @@ in a close-up, and nothing is trained there.
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from avatar.skeleton import JOINTS
 from capture.fit.body import CUTS, Report, hand_vertices, rigid
-from capture.fit.directions import all_turns, find_directions, place_of
-from capture.fit.footage import Estimate, Footage
-from capture.fit.offsets import STIFFNESS, dressed
-from capture.fit.outline_term import Outlines
+from capture.fit.directions import all_turns
+from capture.fit.footage import Estimate, Footage, unplaced
+from capture.fit.offsets import fit_dressed
 from capture.fit.person import Person
 from capture.fit.priors import FROZEN, Priors, bias_of
-from capture.fit.solve import solve
+from capture.fit.solve import placed_rigidly, solve
 from capture.keypoints.record import hand_points
 
 Array = np.ndarray
@@ -46,20 +46,14 @@ def hand_joints(side: str) -> np.ndarray:
     return np.array([JOINTS.index(f"{side}_wrist")] + [k for k in range(22, 52) if JOINTS[k].startswith(side)])
 
 
-def first_guess(person: Person, g: Array, footage: Footage, side: str) -> Estimate:
-    """A flat hand turned every way in every frame; the best path."""
-    wrist = JOINTS.index(f"{side}_wrist")
-    joints, vertices = person.joints(g), person.vertices(g)
-    points = footage.points
-    rest = np.stack([p.place(vertices, joints) for p in points]) - joints[wrist]
+def first_guess(
+    person: Person, g: Array, footage: Footage, side: str, angles: Float[Array, "52 3"] | None = None
+) -> Estimate:
+    """A stiff hand, flat without angles, turned every way in every frame; the best path."""
     # the elbow is far, and the wrist between them bends
-    of_hand = np.array([p.joint != JOINTS.index(f"{side}_elbow") for p in points])
-    found = find_directions(rest, footage.pixels, (footage.sure > 0) & of_hand, all_turns(), slack=SLACK)
-    place = place_of(found, footage.focal, footage.centre)
-    root = place - found.rotation @ joints[wrist]
-    angles = np.zeros((52, 3))
-    return Estimate(person, g, np.zeros((len(points), 3)), 0.0, angles, root, found.rotation,
-                    np.tile(angles, (len(root), 1, 1)))  # fmt: skip
+    of_hand = np.array([p.joint != JOINTS.index(f"{side}_elbow") for p in footage.points])
+    return placed_rigidly(unplaced(person, g, footage, angles), footage, JOINTS.index(f"{side}_wrist"), all_turns(),
+                          (footage.sure > 0) & of_hand, slack=SLACK)[0]  # fmt: skip
 
 
 def holding(estimate: Estimate, footage: Footage, side: str) -> Priors:
@@ -72,7 +66,7 @@ def holding(estimate: Estimate, footage: Footage, side: str) -> Priors:
     person = estimate.person
     g_sigma = np.where(person.fingers, BONE, FROZEN * person.sigma)
     # the pelvis swings about the hand: its path is not smooth
-    return Priors(centre, mean, own, estimate.g, g_sigma, footage.focal_doubt, bias_of(footage.names),
+    return Priors(centre, mean, own, estimate.g, g_sigma, footage.focal_sigma, bias_of(footage.names),
                   smooth=np.radians(3.0), smooth_heading=np.radians(15.0), smooth_root=1.0)  # fmt: skip
 
 
@@ -80,10 +74,8 @@ def fit_keypoints(person: Person, g: Array, footage: Footage, side: str) -> tupl
     """Place, wrist and fingers from keypoints alone; and what was believed before."""
     estimate = first_guess(person, g, footage, side)
     priors = holding(estimate, footage, side)
-    estimate = solve(estimate, footage, rigid(priors), cut=FIRST, rounds=10)
-    for cut in (FIRST, *CUTS):
-        estimate = solve(estimate, footage, priors, cut=cut, rounds=12)
-    return estimate, priors
+    estimate = solve(estimate, footage, rigid(priors), cuts=(FIRST,), rounds=10)
+    return solve(estimate, footage, priors, cuts=(FIRST, *CUTS), rounds=12), priors
 
 
 def fit_hand(person: Person, g: Array, footage: Footage, side: str, report: Report) -> Estimate:
@@ -91,13 +83,4 @@ def fit_hand(person: Person, g: Array, footage: Footage, side: str, report: Repo
     estimate, priors = fit_keypoints(person, g, footage, side)
     report("keypoints")
     priors = replace(priors, g=estimate.g, g_sigma=np.where(person.fingers, KNOWN, priors.g_sigma))
-    outlines, hand = Outlines(footage), hand_vertices(person, (side,))
-    estimate = dressed(estimate, footage, outlines, hand)
-    report("offsets")
-    for weight in WEIGHTS:
-        term = outlines.term(outlines.pairs(estimate, footage, hand), weight)
-        estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
-        report("outlines")
-        estimate = dressed(estimate, footage, outlines, hand, STIFFNESS[-1:])
-        report("offsets")
-    return estimate
+    return fit_dressed(estimate, footage, priors, hand_vertices(person, (side,)), WEIGHTS, CUTS[-1], report)

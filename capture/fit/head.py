@@ -9,15 +9,15 @@ from jaxtyping import Bool, Float
 
 from avatar.skeleton import JOINTS, PARTS
 from capture.fit.body import CUTS, Report
-from capture.fit.directions import find_directions, opposite, place_of, turns_about_y
-from capture.fit.footage import Estimate, Footage
+from capture.fit.directions import opposite, turns_about_y
+from capture.fit.footage import Estimate, Footage, unplaced
 from capture.fit.offsets import STIFFNESS, dressed
 from capture.fit.outline_term import Outlines
 from capture.fit.person import Person
 from capture.fit.priors import FROZEN, Priors, bias_of
-from capture.fit.solve import solve
-from capture.imports.template import part_of
+from capture.fit.solve import placed_rigidly, solve
 from capture.keypoints.record import FACE
+from capture.read.template import part_of
 
 Array = np.ndarray
 
@@ -32,23 +32,17 @@ NAMES = ("nose", "left_eye", "right_eye", "left_ear", "right_ear", "face_08", *F
 
 def first_guess(person: Person, g: Array, footage: Footage) -> Estimate:
     """The head's heading and place; where no point is seen, in between."""
-    joints, vertices = person.joints(g), person.vertices(g)
-    points = footage.points
-    rest = np.stack([p.place(vertices, joints) for p in points]) - joints[HEAD]
-    candidates = turns_about_y(6, (-32, -16, 0, 16, 32))
     seen = footage.sure > 0
     # two ears alone say nothing
     seen &= (seen.sum(1) >= 4)[:, None]
-    found = find_directions(rest, footage.pixels, seen, candidates, opposite(footage.names), slack=SLACK)
-    root = place_of(found, footage.focal, footage.centre) - found.rotation @ joints[HEAD]
-    angles = np.zeros((len(root), 52, 3))
-    return Estimate(person, g, np.zeros((len(points), 3)), 0.0, angles[0], root, found.rotation, angles)
+    return placed_rigidly(unplaced(person, g, footage), footage, HEAD, turns_about_y(6, (-32, -16, 0, 16, 32)), seen,
+                          mirrored=opposite(footage.names), slack=SLACK)[0]  # fmt: skip
 
 
 def turning(estimate: Estimate, footage: Footage) -> Priors:
     """Of a head that turns evenly."""
     still = np.full((52, 3), FROZEN)
-    return Priors(np.zeros((52, 3)), still, still, estimate.g, FROZEN * estimate.person.sigma, footage.focal_doubt,
+    return Priors(np.zeros((52, 3)), still, still, estimate.g, FROZEN * estimate.person.sigma, footage.focal_sigma,
                   bias_of(footage.names), smooth_heading=np.radians(5.0), smooth_path=0.13)  # fmt: skip
 
 
@@ -61,9 +55,7 @@ def fit_keypoints(person: Person, g: Array, footage: Footage) -> tuple[Estimate,
     """The head's heading and place from keypoints alone; and what was believed before."""
     estimate = first_guess(person, g, footage)
     priors = turning(estimate, footage)
-    for cut in (FIRST, *CUTS):
-        estimate = solve(estimate, footage, priors, cut=cut, rounds=10)
-    return estimate, priors
+    return solve(estimate, footage, priors, cuts=(FIRST, *CUTS), rounds=10), priors
 
 
 def fit_head(person: Person, g: Array, footage: Footage, report: Report) -> Estimate:
@@ -73,8 +65,7 @@ def fit_head(person: Person, g: Array, footage: Footage, report: Report) -> Esti
     outlines, head = Outlines(footage), head_vertices(person)
     for number in range(len(WEIGHTS) + ROUNDS):
         weight = WEIGHTS[min(number, len(WEIGHTS) - 1)]
-        term = outlines.term(outlines.pairs(estimate, footage, head), weight)
-        estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=3, terms=(term,))
+        estimate = outlines.fit(estimate, footage, priors, head, (weight,), cut=CUTS[-1])
         if number >= len(WEIGHTS) - 1:
             estimate = dressed(estimate, footage, outlines, head, STIFFNESS[2 * (number > len(WEIGHTS)) :])
         report("outlines")

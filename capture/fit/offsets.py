@@ -6,22 +6,24 @@ r the distance of the outline from the template without offsets along the outlin
 vertex. The bilaplacian L^T A^-1 L of the graph is sparse; one solve takes a fraction of a second.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy import sparse
 
+from avatar.kinematics import pixel_rows, skinned
 from capture.fit.footage import Estimate, Footage
-from capture.fit.kinematics import carried, pixel_rows, seen_at, skinned
 from capture.fit.outline_term import SIGMA, Outlines, Pairs
+from capture.fit.priors import Priors
 from capture.fit.solve import posed_frames
+from geometry.least_squares import factorised, robust_weight
 from geometry.mesh import face_areas, neighbour_matrix, vertex_normals
-from geometry.symmetric import factorised
 
 Array = np.ndarray
 
-# of the integral, from stiff to soft; once offsets are there, the softest is enough
+# weights of the integral, from stiff to soft; once offsets are there, the softest is enough
 STIFFNESS = (1000.0, 100.0, 30.0)
 # standard deviations beyond which a pair says little
 CUT = 8.0
@@ -56,15 +58,16 @@ def fit_offsets(
     normals = vertex_normals(bare, person.body.faces)
     start = (person.offsets * normals).sum(1)
     rows, columns, values = [], [], []
-    lens = estimate.lens(footage)
+    camera = estimate.camera(footage)
     for frame, pair in zip(posed_frames(estimate), pairs):
         points = estimate.skin(pair.vertices)
-        x = skinned(points, carried(frame, points))
-        c = np.einsum("ni,nij->nj", pair.normals, pixel_rows(lens, x))
+        x = skinned(frame, points)
+        at, moves = pixel_rows(camera, x)
+        c = np.einsum("ni,nij->nj", pair.normals, moves)
         n = normals[pair.vertices]
         out = np.einsum("nsij,nj,ns->ni", frame.R[points.joints], n, points.weights)
         slope = (c * out).sum(1)
-        rows.append(((pair.at - seen_at(lens, x)) * pair.normals).sum(1) + slope * start[pair.vertices])
+        rows.append(((pair.at - at) * pair.normals).sum(1) + slope * start[pair.vertices])
         columns.append(pair.vertices)
         values.append(slope)
     r, vertex, slope = np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
@@ -75,7 +78,7 @@ def fit_offsets(
     among, across = Q[free][:, free], Q[free][:, fixed] @ start[fixed]
     for stiff in stiffness:
         e = (r - slope * d[vertex]) ** 2 / sigma**2
-        weight = 1 / sigma**2 / (1 + e / CUT**2) ** 2
+        weight = robust_weight(e, CUT) / sigma**2
         H = np.bincount(vertex, weight * slope**2, minlength=len(d))
         b = np.bincount(vertex, weight * slope * r, minlength=len(d))
         A = stiff * among + sparse.diags(H[free] + BARELY)
@@ -91,3 +94,23 @@ def dressed(
     pairs = outlines.pairs(estimate, footage, chosen)
     offsets = fit_offsets(estimate, footage, outlines, pairs, ~chosen, stiffness)
     return replace(estimate, person=estimate.person.with_offsets(offsets))
+
+
+def fit_dressed(
+    estimate: Estimate, footage: Footage, priors: Priors, chosen: Bool[Array, "vertices"], weights: tuple[float, ...],
+    cut: float, report: Callable[[str], None],
+) -> Estimate:  # fmt: skip
+    """What stands off the shape of the `chosen` vertices, then shape and poses from outlines and keypoints; in turn.
+
+    Clothes, hair and shoes come first: a bare body grows to fill the outline of a clothed one, and where its stature is
+    known, it comes nearer instead.
+    """
+    outlines = Outlines(footage)
+    estimate = dressed(estimate, footage, outlines, chosen)
+    report("offsets")
+    for weight in weights:
+        estimate = outlines.fit(estimate, footage, priors, chosen, (weight,), cut=cut)
+        report("outlines")
+        estimate = dressed(estimate, footage, outlines, chosen, STIFFNESS[-1:])
+        report("offsets")
+    return estimate

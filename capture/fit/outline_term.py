@@ -12,16 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from avatar.kinematics import Posed, pixel_rows, pose_rows, shape_rows, skinned
 from capture.fit.contours import Contour, mask_contour, silhouette
-from capture.fit.equations import Equations
 from capture.fit.footage import Estimate, Footage
-from capture.fit.kinematics import Posed, carried, pixel_rows, pose_rows, seen_at, shape_rows, skinned
-from capture.fit.priors import shared_layout
-from capture.fit.solve import posed_frames
+from capture.fit.priors import Priors, shared_layout
+from capture.fit.solve import posed_frames, solve
+from geometry.least_squares import NormalEquations, robust_cost, robust_weight
 
 Array = np.ndarray
 
-# of a picture whose shorter side is 512, pixels
+# pixels in a picture whose shorter side is 512, pixels
 SIGMA = 0.7
 # a normal turned by a radian counts as that many pixels of a picture whose shorter side is 512
 BEND = 20.0
@@ -43,40 +43,48 @@ class Outlines:
 
     def __init__(self, footage: Footage):
         self.scale = min(footage.size) / 512
-        self.contours: list[Contour] = [mask_contour(mask, BEND * self.scale) for mask in footage.masks]
+        self.contours: list[Contour] = [mask_contour(mask) for mask in footage.masks]
 
     def pairs(self, estimate: Estimate, footage: Footage, chosen: Bool[Array, "vertices"]) -> list[Pairs]:
         """Pairs of all frames at an estimate; `chosen` vertices alone."""
-        points, lens, faces = estimate.skin(), estimate.lens(footage), estimate.person.body.faces
+        points, camera, faces = estimate.skin(), estimate.camera(footage), estimate.person.body.faces
         found = []
         for frame, contour in zip(posed_frames(estimate), self.contours):
-            x = skinned(points, carried(frame, points))
-            rim = silhouette(x, faces, lens, footage.size, chosen)
+            rim = silhouette(skinned(frame, points), faces, camera, chosen)
             index, length = contour.nearest(rim.at, rim.normals, BEND * self.scale)
             good = (length < 40 * self.scale) & ((rim.normals * contour.normals[index]).sum(1) > 0.5)
             found.append(Pairs(rim.vertices[good], contour.at[index[good]], contour.normals[index[good]]))
         return found
 
+    def fit(
+        self, estimate: Estimate, footage: Footage, priors: Priors, chosen: Bool[Array, "vertices"],
+        weights: tuple[float, ...], *, cut: float, rounds: int = 3,
+    ) -> Estimate:  # fmt: skip
+        """Keypoints and outlines, weighted more and more; pairs are found again for each weight."""
+        for weight in weights:
+            term = self.term(self.pairs(estimate, footage, chosen), weight)
+            estimate = solve(estimate, footage, priors, cuts=(cut,), rounds=rounds, terms=(term,))
+        return estimate
+
     def term(self, pairs: list[Pairs], weight: float):
         """The term for given pairs."""
         sigma = SIGMA * self.scale
 
-        def add(equations: Equations, estimate: Estimate, footage: Footage, frames: list[Posed]) -> float:
-            layout, lens, cost = shared_layout(estimate, footage), estimate.lens(footage), 0.0
+        def add(equations: NormalEquations, estimate: Estimate, footage: Footage, frames: list[Posed]) -> float:
+            layout, camera, cost = shared_layout(estimate, footage), estimate.camera(footage), 0.0
             for f, (frame, pair) in enumerate(zip(frames, pairs)):
                 points = estimate.skin(pair.vertices)
-                by_bone = carried(frame, points)
-                x = skinned(points, by_bone)
-                at = seen_at(lens, x)
+                x = skinned(frame, points)
+                at, moves = pixel_rows(camera, x)
                 r = ((pair.at - at) * pair.normals).sum(1)
                 e = r**2 / sigma**2
-                w = weight / sigma**2 / (1 + e / CUT**2) ** 2
-                cost += weight * float((CUT**2 * e / (CUT**2 + e)).sum())
-                c = np.einsum("ni,nij->nj", pair.normals, pixel_rows(lens, x))
+                w = weight / sigma**2 * robust_weight(e, CUT)
+                cost += weight * float(robust_cost(e, CUT).sum())
+                c = np.einsum("ni,nij->nj", pair.normals, moves)
                 shared = np.zeros((len(x), layout.count))
                 shared[:, layout.g] = shape_rows(frame, points, c)
-                shared[:, layout.focal] = ((at - lens.centre) * pair.normals).sum(1)
-                equations.add(f, pose_rows(frame, points, by_bone, c, footage.moving), shared, r, w)
+                shared[:, layout.focal] = ((at - footage.centre) * pair.normals).sum(1)
+                equations.add(f, pose_rows(frame, points, c, footage.turning), r, w, shared)
             return cost
 
         return add

@@ -16,9 +16,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from avatar.body import Body, builtin_body
+from avatar.kinematics import DESCENDS
 from avatar.skeleton import JOINTS, PARENTS
-from avatar.skinning import dense_weights
-from capture.repair.increments import DESCENDS
+from avatar.skinning import SkinWeights, dense_weights
+from capture.read.template import TemplateMesh
 
 Array = np.ndarray
 
@@ -26,10 +27,10 @@ Array = np.ndarray
 SHAPE = 1.0
 BONE = 0.02
 FINGER = 0.006
-# of the ball of the foot from the ankle: across, height, forwards. The stature counts from the soles: ankles that may
+# ball of the foot from the ankle: across, height, forwards. The stature counts from the soles: ankles that may
 # rise let the rest of the body shrink
 FOOT = (0.005, 0.004, 0.01)
-# of a joint in the flesh round it
+# metres, a joint's place in the flesh round it
 WITHIN = 0.015
 # bones that may only grow
 ALONG = ("knee", "ankle", "elbow", "wrist")
@@ -151,8 +152,11 @@ def _carried(sex: str) -> Float[Array, "vertices 52"]:
     return carried
 
 
-def known_person(body: Body) -> Person:
-    """Somebody whose shape is known: nothing of it is free."""
-    count, height = len(body.vertices), float(np.ptp(body.vertices[:, 1]))
-    return Person(body, np.zeros((count, 3, 0)), np.zeros((52, 3, 0)), np.zeros(0), np.zeros(0, bool), height,
-                  np.zeros_like(body.vertices))  # fmt: skip
+def known_person(template: TemplateMesh) -> Person:
+    """A person whose shape is known: nothing of it is free."""
+    count, height = len(template.vertices), float(np.ptp(template.vertices[:, 1]))
+    skin = SkinWeights(template.skin.joints, template.skin.weights.astype(np.float64))
+    nothing, no_joints = np.zeros((count, 3, 0)), np.zeros((52, 3, 0))
+    body = Body("known", template.vertices, template.faces, skin, template.joints, nothing, no_joints, None, None,
+                template.licence, np.zeros(3))  # fmt: skip
+    return Person(body, nothing, no_joints, np.zeros(0), np.zeros(0, bool), height, np.zeros((count, 3)))

@@ -1,4 +1,4 @@
-"""The pose of a known person in one picture: what a held-out picture is compared in, where nobody tells the pose.
+"""The pose of a known person in one picture: what a held-out picture is compared in, where its pose is not given.
 
 1. Trunk and head say which way the person faces. One picture leaves open whether a foreshortened arm or thigh points
    forwards or back; keypoints alone are fitted from several beginnings, and the one that ends at the lowest cost is
@@ -15,21 +15,20 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from avatar.body import Body
 from avatar.camera import Camera
 from avatar.limits import limits
 from avatar.skeleton import JOINTS
 from avatar.skinning import dense_weights
 from capture.fit.body import MOVING, body_names, hand_vertices
-from capture.fit.directions import find_directions, place_of, turns_about_y
-from capture.fit.footage import Estimate, Footage, footage_of
+from capture.fit.directions import turns_about_y
+from capture.fit.footage import Estimate, Footage, footage_of, unplaced
 from capture.fit.outline_term import Outlines
 from capture.fit.person import Person, known_person
 from capture.fit.priors import Priors, bias_of
 from capture.fit.scan import posed_video
-from capture.fit.solve import assemble, solve
-from capture.imports.template import Template
+from capture.fit.solve import assemble, placed_rigidly, solve
 from capture.keypoints.record import SIDES, Keypoints
+from capture.read.template import TemplateMesh
 from geometry.mesh import vertex_normals
 
 Array = np.ndarray
@@ -41,36 +40,31 @@ WEIGHTS = (0.01, 0.02, 0.02, 0.02)
 # degrees: shoulders forwards and raised, hips bent, that a fit begins from
 ARMS = ((0, 0), (60, 0), (0, -60), (40, -60))
 LEGS = (0, 70)
-# of a joint's range, its standard deviation: people rarely go to the ends, and a wide one lets limbs bend unseen
+# standard deviation as a share of a joint's range: people rarely go to the ends, and a wide one lets limbs bend unseen
 SHARE = 0.15
 OWN = np.radians(0.05)
-# of how far a detector may see points beside their places in a video: one picture does not tell that from a turn
+# share of a video's own detector bias: in one picture such a bias looks like a turn
 ONE_PICTURE = 0.2
 # joints whose surface is thicker or thinner together, and the standard deviation, metres
 REGIONS = (("neck", "head"), ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar"),
            *(tuple(f"{side}_{name}" for side in SIDES for name in names)
              for names in (("shoulder", "elbow"), ("hip", "knee"), ("ankle", "foot"))))  # fmt: skip
 THICKNESS = 0.01
-# metres: a thickness changes the height as well, which is not told here
+# metres: a thickness changes the height as well, which is unknown here
 ANY_HEIGHT = 10.0
 
 
 def fit_pose(
-    template: Template, keypoints: Keypoints, mask: UInt8[Array, "height width"], *, focal: float
+    template: TemplateMesh, keypoints: Keypoints, mask: UInt8[Array, "height width"], *, focal: float
 ) -> tuple[Camera, Float[Array, "52 3"], Float[Array, "3"]]:
     """Camera, axis-angle pose and root of a known person in one picture; `keypoints` holds one frame.
 
     The world is the camera's, +y up, the person at its origin.
     """
-    footage = footage_of(keypoints, mask[None], body_names(), MOVING, focal=focal, focal_doubt=1e-4)
-    nothing = np.zeros((len(template.vertices), 3, 0))
-    body = Body("known", template.vertices, template.faces, template.skin, template.joints, nothing,
-                np.zeros((52, 3, 0)), None, None, template.licence, np.zeros(3))  # fmt: skip
-    unplaced = Estimate(known_person(body), np.zeros(0), np.zeros((len(footage.names), 3)), 0.0, np.zeros((52, 3)),
-                        np.zeros((1, 3)), np.eye(3)[None], np.zeros((1, 52, 3)))  # fmt: skip
-    guess = _facing(unplaced, footage)
-    footage = _doubted(footage, float(-guess.root[0, 2]))
-    priors = _anyhow(footage)
+    footage = footage_of(keypoints, mask[None], body_names(), MOVING, focal=focal, focal_sigma=1e-4)
+    guess = _facing(unplaced(known_person(template), np.zeros(0), footage), footage)
+    footage = _less_sure(footage, float(-guess.root[0, 2]))
+    priors = anyhow(footage, SHARE)
     tried = [_from(guess, footage, priors, *start) for start in product(ARMS, LEGS)]
     best = min(tried, key=lambda estimate: assemble(estimate, footage, priors, CUTS[-1], ())[1])
     estimate = _outlined(best, footage, priors)
@@ -81,26 +75,24 @@ def fit_pose(
 
 def _facing(estimate: Estimate, footage: Footage) -> Estimate:
     """Heading and place, from trunk and head."""
-    rest = estimate.markers(footage).rest
     trunk = np.array([any(part in name for part in TRUNK) for name in footage.names])
-    found = find_directions(rest, footage.pixels, (footage.sure > 0) & trunk, turns_about_y(10, (-30, -15, 0, 15, 30)),
-                            slack=SLACK)  # fmt: skip
-    return replace(estimate, root=place_of(found, footage.focal, footage.centre), heading=found.rotation)
+    return placed_rigidly(estimate, footage, 0, turns_about_y(10, (-30, -15, 0, 15, 30)), (footage.sure > 0) & trunk,
+                          slack=SLACK)[0]  # fmt: skip
 
 
-def _doubted(footage: Footage, depth: float) -> Footage:
+def _less_sure(footage: Footage, depth: float) -> Footage:
     """The footage with the points' bias, seen from `depth` metres, among their uncertainty."""
     bias = footage.focal / depth * bias_of(footage.names)
     sigma = 1 / np.maximum(footage.sure, 1e-12)
     return replace(footage, sure=np.where(footage.sure > 0, 1 / np.hypot(sigma, bias), 0.0))
 
 
-def _anyhow(footage: Footage) -> Priors:
-    """Any pose within the joints' ranges."""
+def anyhow(footage: Footage, share: float) -> Priors:
+    """Any pose within the joints' ranges, whose standard deviation is a `share` of them."""
     table = limits()
     centre = np.clip(np.zeros((52, 3)), table.low, table.high)
-    spread = SHARE * (table.high - table.low)
-    return Priors(centre, spread, np.full((52, 3), OWN), np.zeros(0), np.zeros(0), footage.focal_doubt,
+    spread = share * (table.high - table.low)
+    return Priors(centre, spread, np.full((52, 3), OWN), np.zeros(0), np.zeros(0), footage.focal_sigma,
                   ONE_PICTURE * bias_of(footage.names))  # fmt: skip
 
 
@@ -111,9 +103,7 @@ def _from(guess: Estimate, footage: Footage, priors: Priors, arms: tuple[int, in
         angles[JOINTS.index(f"{side}_shoulder"), :2] = np.radians(arms[::-1])
         angles[JOINTS.index(f"{side}_hip"), 0] = angles[JOINTS.index(f"{side}_knee"), 0] = np.radians(hip)
     estimate = replace(guess, mean=angles, angles=angles[None])
-    for cut in CUTS:
-        estimate = solve(estimate, footage, priors, cut=cut, rounds=12)
-    return estimate
+    return solve(estimate, footage, priors, cuts=CUTS, rounds=12)
 
 
 def _outlined(estimate: Estimate, footage: Footage, priors: Priors) -> Estimate:
@@ -122,11 +112,7 @@ def _outlined(estimate: Estimate, footage: Footage, priors: Priors) -> Estimate:
     nothing = np.zeros(len(person.sigma))
     estimate = replace(estimate, person=person, g=nothing)
     priors = replace(priors, g=nothing, g_sigma=person.sigma, stature=ANY_HEIGHT)
-    outlines, hands = Outlines(footage), hand_vertices(person)
-    for weight in WEIGHTS:
-        term = outlines.term(outlines.pairs(estimate, footage, ~hands), weight)
-        estimate = solve(estimate, footage, priors, cut=CUTS[-1], rounds=4, terms=(term,))
-    return estimate
+    return Outlines(footage).fit(estimate, footage, priors, ~hand_vertices(person), WEIGHTS, cut=CUTS[-1], rounds=4)
 
 
 def with_thickness(person: Person) -> Person:

@@ -14,8 +14,8 @@ from jaxtyping import Float, Int
 from avatar.body import builtin_body
 from avatar.skeleton import JOINTS
 from avatar.skinning import dense_weights
-from capture.eyes import body_sockets
 from capture.keypoints.record import SIDES
+from capture.template.eyes import body_sockets
 from geometry.mesh import vertex_normals
 
 Array = np.ndarray

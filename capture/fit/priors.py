@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from avatar.kinematics import second_turns
 from avatar.limits import limits
-from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS
-from capture.fit.equations import Equations
 from capture.fit.footage import Estimate, Footage
+from geometry.least_squares import NormalEquations, robust_cost, robust_weight
 
 Array = np.ndarray
 
@@ -30,10 +30,10 @@ SMOOTH = 1.5
 BIAS = (("ear", 0.015), ("heel", 0.015), ("toe", 0.015), ("face", 0.007), ("nose", 0.007), ("eye", 0.007),
         *((finger, 0.004) for finger in ("thumb", "index", "middle", "ring", "pinky", "hand")))  # fmt: skip
 BIAS_JOINT = 0.01
-# of a degree beyond a joint's range
+# standard deviation of a degree beyond a joint's range
 BEYOND = 1.0
 FROZEN = 1e-3
-# of a second difference
+# coefficients of a second difference
 STEPS = (1.0, -2.0, 1.0)
 # standard deviations of the path's second difference from which on it says little (Geman-McClure's c)
 STEP_ASIDE = 4.0
@@ -43,9 +43,9 @@ STEP_ASIDE = 4.0
 class Priors:
     """Standard deviations, radians and metres."""
 
-    centre: Float[Array, "52 3"]  # of the mean pose
-    mean: Float[Array, "52 3"]  # of the mean pose round it
-    own: Float[Array, "52 3"]  # of each frame's pose round the mean
+    centre: Float[Array, "52 3"]  # expected mean pose
+    mean: Float[Array, "52 3"]  # deviation of the mean pose from it
+    own: Float[Array, "52 3"]  # deviation of each frame's pose from the mean
     g: Float[Array, "g"]  # the shape that is expected
     g_sigma: Float[Array, "g"]
     focal: float  # relative
@@ -54,24 +54,24 @@ class Priors:
     # second differences from frame to frame
     smooth: float = np.radians(SMOOTH)
     smooth_heading: float = np.radians(8.0)
-    # of the root's bearings and the logarithm of its distance: somebody who sways by a centimetre, half a second from
+    # the root's bearings and the logarithm of its distance: a person who sways by a centimetre, half a second from
     # frame to frame; a step to the side counts less
     smooth_path: float = 0.005
-    # of the root, metres, instead: of one that need not be before the camera
+    # metres, the root's own instead, where the person need not be before the camera
     smooth_root: float | None = None
 
 
 def standing(estimate: Estimate, footage: Footage) -> Priors:
-    """Of somebody who stands in the T-pose, arms a little low, and turns."""
+    """Priors of a person who stands in the T-pose, arms a little low, and turns."""
     centre = np.zeros((52, 3))
     mean, own = np.full((52, 3), np.radians(MEAN)), np.full((52, 3), np.radians(OWN))
     mean[SPINE], own[SPINE] = np.radians(MEAN_SPINE), np.radians(OWN_SPINE)
-    # knees lift and hips follow when somebody steps round
+    # knees lift and hips follow when a person steps round
     own[LEGS] = np.radians(OWN_LEGS)
     mean[:, 2] *= 0.5
     own[:, 2] *= 0.5
     expected = np.zeros_like(estimate.g)
-    return Priors(centre, mean, own, expected, estimate.person.sigma, footage.focal_doubt, bias_of(footage.names))
+    return Priors(centre, mean, own, expected, estimate.person.sigma, footage.focal_sigma, bias_of(footage.names))
 
 
 def bias_of(names: tuple[str, ...]) -> Float[Array, "points"]:
@@ -97,26 +97,26 @@ def shared_layout(estimate: Estimate, footage: Footage) -> Shared:
                   mean + 3 * len(footage.moving))  # fmt: skip
 
 
-def add_priors(equations: Equations, estimate: Estimate, footage: Footage, priors: Priors) -> float:
+def add_priors(equations: NormalEquations, estimate: Estimate, footage: Footage, priors: Priors) -> float:
     """Add all terms of this file; returns their cost."""
     shared, moving = shared_layout(estimate, footage), footage.moving
     cost = _add_shared(equations, estimate, footage, priors, shared)
-    # of the frame: root 3, pelvis 3, angles
+    # a frame's unknowns: root 3, pelvis 3, angles
     count = 3 * len(moving)
     own = priors.own[moving].ravel()
     away = estimate.angles[:, moving].reshape(len(estimate.root), count) - estimate.mean[moving].ravel()
     at, rows = np.arange(count), 6 + np.arange(count)
-    equations.near[0][:, rows, rows] += 1 / own**2
+    cost += equations.hold(rows, away, 1 / own**2)
     equations.border[:, rows, shared.mean.start + at] -= 1 / own**2
     equations.shared[shared.mean.start + at, shared.mean.start + at] += len(away) / own**2
-    equations.b[:, rows] -= away / own**2
     equations.b_shared[shared.mean] += (away / own**2).sum(0)
-    cost += float(((away / own) ** 2).sum())
     cost += _add_limits(equations, estimate, moving, rows)
     return cost + _add_smoothness(equations, estimate, footage, priors)
 
 
-def _add_shared(equations: Equations, estimate: Estimate, footage: Footage, priors: Priors, shared: Shared) -> float:
+def _add_shared(
+    equations: NormalEquations, estimate: Estimate, footage: Footage, priors: Priors, shared: Shared
+) -> float:
     H, b = equations.shared, equations.b_shared
     cost = 0.0
 
@@ -138,52 +138,38 @@ def _add_shared(equations: Equations, estimate: Estimate, footage: Footage, prio
     return cost + float((away / priors.stature) ** 2)
 
 
-def _add_limits(equations: Equations, estimate: Estimate, moving: Int[Array, "m"], rows: Int[Array, "k"]) -> float:
+def _add_limits(
+    equations: NormalEquations, estimate: Estimate, moving: Int[Array, "m"], rows: Int[Array, "k"]
+) -> float:
     """Angles beyond a joint's range are pulled back."""
     table = limits()
     angles = estimate.angles[:, moving]
     beyond = angles - np.clip(angles, table.low[moving], table.high[moving])
     beyond = beyond.reshape(len(angles), -1)
-    weight = np.where(beyond != 0, 1 / np.radians(BEYOND) ** 2, 0.0)
-    equations.near[0][:, rows, rows] += weight
-    equations.b[:, rows] -= weight * beyond
-    return float((weight * beyond**2).sum())
+    # held one by one: only those beyond
+    return equations.hold(rows, beyond, np.where(beyond != 0, 1 / np.radians(BEYOND) ** 2, 0.0))
 
 
-def _add_smoothness(equations: Equations, estimate: Estimate, footage: Footage, priors: Priors) -> float:
-    """Second differences of root, heading and angles are small.
-
-    Of the heading a_f = v_f - v_(f-1), v_f = log(R_f^T R_(f+1)): an increment d_f turns v_f by -R_(f,f+1)^T d_f and
-    v_(f-1) by d_f.
-    """
+def _add_smoothness(equations: NormalEquations, estimate: Estimate, footage: Footage, priors: Priors) -> float:
+    """Second differences of root, heading and angles are small."""
     frames, moving = len(estimate.root), footage.moving
     if frames < 3:
         return 0.0
-    count = 3 * len(moving)
-    values, place = estimate.angles[:, moving].reshape(frames, count), 6 + np.arange(count)
-    second = values[:-2] - 2 * values[1:-1] + values[2:]
-    for i in range(3):
-        equations.b[i : frames - 2 + i, place] -= STEPS[i] * second / priors.smooth**2
-        for j in range(i, 3):
-            block = equations.near[j - i][i : frames - 2 + i]
-            block[:, place, place] += STEPS[i] * STEPS[j] / priors.smooth**2
+    angles = estimate.angles[:, moving].reshape(frames, -1, 1)
+    second, one = angles[:-2] - 2 * angles[1:-1] + angles[2:], np.ones((1, 1, 1, 1))
+    weight = np.full((1, 1), 1 / priors.smooth**2)
+    equations.add_second_difference(
+        6 + np.arange(angles.shape[1])[:, None], second, [step * one for step in STEPS], weight
+    )
     cost = float((second**2).sum()) / priors.smooth**2 + _add_smooth_path(equations, estimate.root, priors)
-    between = np.swapaxes(estimate.heading[:-1], 1, 2) @ estimate.heading[1:]
-    v = axis_angle_from_matrix(between)
-    a = v[1:] - v[:-1]
-    eye = np.broadcast_to(np.eye(3), (frames - 2, 3, 3))
-    parts = [np.swapaxes(between[:-1], 1, 2), -np.swapaxes(between[1:], 1, 2) - eye, eye]
+    a, rows = second_turns(estimate.heading[:, None])
     # turns are quick at times: a jump counts less
-    weight = 1 / (1 + (a**2).sum(1) / np.radians(30.0) ** 2) ** 2 / priors.smooth_heading**2
-    for i in range(3):
-        equations.b[i : frames - 2 + i, 3:6] -= np.einsum("fji,fj->fi", parts[i], a) * weight[:, None]
-        for j in range(i, 3):
-            product = np.einsum("fki,fkj->fij", parts[i], parts[j]) * weight[:, None, None]
-            equations.near[j - i][i : frames - 2 + i, 3:6, 3:6] += product
-    return cost + float(((a**2).sum(1) * weight).sum())
+    weight = robust_weight((a**2).sum(2), np.radians(30.0)) / priors.smooth_heading**2
+    equations.add_second_difference(np.array([[3, 4, 5]]), a, rows, weight)
+    return cost + float(((a**2).sum(2) * weight).sum())
 
 
-def _add_smooth_path(equations: Equations, root: Float[Array, "frames 3"], priors: Priors) -> float:
+def _add_smooth_path(equations: NormalEquations, root: Float[Array, "frames 3"], priors: Priors) -> float:
     """Second differences of where the root is are small: of its bearings x / z, y / z and its distance's logarithm.
 
     In metres, a person who comes nearer, and is smaller, would move less: this would draw everybody nearer.
@@ -199,11 +185,6 @@ def _add_smooth_path(equations: Equations, root: Float[Array, "frames 3"], prior
     inner = len(root) - 2
     second = (path[:-2] - 2 * path[1:-1] + path[2:]) / sigma
     e = (second**2).sum(1)
-    weight = 1 / (1 + e / STEP_ASIDE**2)[:, None] ** 2
-    for i in range(3):
-        row = STEPS[i] * rows[i : inner + i] / sigma
-        equations.b[i : inner + i, :3] -= np.einsum("fki,fk->fi", row, weight * second)
-        for j in range(i, 3):
-            other = STEPS[j] * rows[j : inner + j] / sigma * weight[:, None]
-            equations.near[j - i][i : inner + i, :3, :3] += np.einsum("fki,fkj->fij", row, other)
-    return float((STEP_ASIDE**2 * e / (STEP_ASIDE**2 + e)).sum())
+    each = [STEPS[i] / sigma * rows[i : inner + i, None] for i in range(3)]
+    equations.add_second_difference(np.array([[0, 1, 2]]), second[:, None], each, robust_weight(e, STEP_ASIDE)[:, None])
+    return float(robust_cost(e, STEP_ASIDE).sum())

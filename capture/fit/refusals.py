@@ -4,10 +4,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy import ndimage
 
-from avatar.errors import AssetError
 from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import projected
 from capture.fit.solve import posed_frames
+from command.errors import AssetError
 
 Array = np.ndarray
 
@@ -15,7 +15,7 @@ Array = np.ndarray
 FRAMES, POINTS = 3, 6
 # share of the points that lie on the person, or nearly
 ON_PERSON = 0.6
-# of the picture's shorter side, that a point may lie beside the mask
+# share of the picture's shorter side, that a point may lie beside the mask
 BESIDE = 0.03
 # metres: median distance of points from the fit, of a part
 FAR = {"body": 0.06, "head": 0.025, "hand_left": 0.025, "hand_right": 0.025}
@@ -84,7 +84,7 @@ def check_fit(part: str, estimate: Estimate, footage: Footage) -> Bool[Array, "f
     if not (np.isfinite(estimate.g).all() and np.isfinite(estimate.root).all()):
         raise AssetError(f"{part} video: no person fits its keypoints: the equations have no finite solution")
     away = misfits(estimate, footage)
-    metre = estimate.lens(footage).focal / np.median(-estimate.root[:, 2])
+    metre = estimate.camera(footage).K[0, 0] / np.median(-estimate.root[:, 2])
     far = float(np.nanmedian(away)) / metre
     if not far <= FAR[part]:
         raise AssetError(

@@ -5,31 +5,29 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
-from avatar.camera import Camera
-from avatar.progress import Progress
+from avatar.limits import axis_angle_from_joint_angles
 from avatar.rotation import axis_angle_from_matrix, rotation_between
 from avatar.skeleton import PARTS
 from capture.fit import body, hand, head
 from capture.fit.focal import Focal, focal_of_videos
 from capture.fit.footage import Estimate, Footage, footage_of
-from capture.fit.joint_turns import rotations
-from capture.fit.kinematics import Lens
 from capture.fit.person import Person, person_of
 from capture.fit.points import body_points
 from capture.fit.refusals import check_fit, check_footage, check_upright
 from capture.fit.stored import fingerprint, read_estimate, read_focal, write_estimate, write_focal
-from capture.imports.template import Template
-from capture.raw_scan import FittedScan, FittedVideo, RawScan, RawVideo
+from capture.raw.scan import FittedScan, FittedVideo, RawScan, RawVideo
+from capture.read.template import TemplateMesh
+from command.progress import Progress
 
 Array = np.ndarray
 
-# of the shorter side of the picture: a phone's video, where nobody says
+# shorter sides of the picture: a phone's video, where its file does not say
 FOCAL = 1.5
-# relative standard deviations of the focal length: guessed, written by the phone, told by the user, and found in all
+# relative standard deviations of the focal length: guessed, written by the phone, given by the user, and found in all
 # videos, from which one alone would draw it away
-GUESSED, WRITTEN, TOLD, FOUND = 0.1, 0.05, 0.005, 0.003
+GUESSED, WRITTEN, GIVEN, FOUND = 0.1, 0.05, 0.005, 0.003
 # what each video's fit reports
 STEPS = {"focal": 4, "body": 10, "hand_left": 6, "hand_right": 6, "head": 8}
 OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -49,7 +47,7 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
     Raises:
         AssetError: a video has too few points, points that are not of its person, or a fit that explains too little.
     """
-    notes = [] if stature else [f"stature not told: {person_of(sex).stature:.2f} m of the free body, {sex}"]
+    notes = [] if stature else [f"stature not given: {person_of(sex).stature:.2f} m of the free body, {sex}"]
     fit = _Fit(work)
     found: dict[str, FittedVideo] = {}
     person = person_of(sex, stature)
@@ -62,9 +60,9 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
         phone = fit.focal(person, {part: tracked_in(video, phone) for part, video in scan.videos.items()})
         pixels = phone.shorter_sides * min(scan.videos["body"].size)
         notes.append(
-            f"focal length not told: {pixels:.0f} pixels ({100 * phone.doubt:.1f} % unsure) found from the videos"
+            f"focal length not given: {pixels:.0f} pixels ({100 * phone.sigma:.1f} % unsure) found from the videos"
         )
-        phone = replace(phone, doubt=FOUND)
+        phone = replace(phone, sigma=FOUND)
         footages = {part: footage_in(video, phone) for part, video in scan.videos.items()}
 
     footage = footages["body"]
@@ -83,8 +81,8 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
     footage = footages["head"]
     estimate = fit.step("head", estimate.person, estimate.g, footage,
                         lambda person, g, report: head.fit_head(person, g, footage, report))  # fmt: skip
-    lens = estimate.lens(footage)
-    cameras = tuple(opencv_camera(lens, pose, footage.size) for pose in head.camera_from_head(estimate))
+    camera = estimate.camera(footage)
+    cameras = tuple(replace(camera, camera_from_world=pose) for pose in head.camera_from_head(estimate))
     found["head"] = FittedVideo(cameras, None, None, check_fit("head", estimate, footage))
 
     for part, fitted in found.items():
@@ -157,11 +155,11 @@ def names_and_joints(part: str) -> tuple[tuple[str, ...], Int[Array, "joints"]]:
 
 
 def footage_in(video: RawVideo, phone: Focal) -> Footage:
-    """The frames kept of one video; its own focal length, where told, else the phone's."""
-    told = video.focal is not None
+    """The frames kept of one video; its own focal length, where given, else the phone's."""
+    given = video.focal is not None
     focal = video.focal if video.focal is not None else phone.shorter_sides * min(video.size)
     return footage_of(video.keypoints, video.masks, *names_and_joints(video.part), focal=focal,
-                      focal_doubt=TOLD if told else phone.doubt)  # fmt: skip
+                      focal_sigma=GIVEN if given else phone.sigma)  # fmt: skip
 
 
 def tracked_in(video: RawVideo, phone: Focal) -> Footage:
@@ -169,13 +167,7 @@ def tracked_in(video: RawVideo, phone: Focal) -> Footage:
     points = video.keypoints if video.track is None else video.track
     masks = np.broadcast_to(np.uint8(0), (len(points.pixels), *video.size[::-1]))
     return footage_of(points, masks, *names_and_joints(video.part), focal=phone.shorter_sides * min(video.size),
-                      focal_doubt=phone.doubt)  # fmt: skip
-
-
-def opencv_camera(lens: Lens, camera_from_world: Float[Array, "4 4"], size: tuple[int, int]) -> Camera:
-    """The camera of a picture."""
-    K = np.array([[lens.focal, 0, lens.centre[0]], [0, lens.focal, lens.centre[1]], [0, 0, 1.0]])
-    return Camera(K, camera_from_world, size)
+                      focal_sigma=phone.sigma)  # fmt: skip
 
 
 def posed_video(estimate: Estimate, footage: Footage, usable: Bool[Array, "frames"], *, level: bool) -> FittedVideo:
@@ -189,19 +181,17 @@ def posed_video(estimate: Estimate, footage: Footage, usable: Bool[Array, "frame
     camera_from_world = np.eye(4)
     camera_from_world[:3, :3] = OPENCV @ turn.T
     camera_from_world[:3, 3] = OPENCV @ middle
-    camera = opencv_camera(estimate.lens(footage), camera_from_world, footage.size)
-    local = rotations(estimate.angles)
-    local[:, 0] = turn @ estimate.heading
-    return FittedVideo(
-        (camera,) * len(usable), axis_angle_from_matrix(local), (estimate.root - middle) @ turn.T, usable
-    )
+    camera = replace(estimate.camera(footage), camera_from_world=camera_from_world)
+    axis_angle = axis_angle_from_joint_angles(estimate.angles)
+    axis_angle[:, 0] = axis_angle_from_matrix(turn @ estimate.heading)
+    return FittedVideo((camera,) * len(usable), axis_angle, (estimate.root - middle) @ turn.T, usable)
 
 
-def template_of(estimate: Estimate) -> Template:
+def template_of(estimate: Estimate) -> TemplateMesh:
     """The person in pose 0."""
     person = estimate.person
     base = person.body
     vertices, joints = person.vertices(estimate.g), person.joints(estimate.g)
-    return Template(
+    return TemplateMesh(
         vertices - joints[0], base.faces, base.skin, joints - joints[0], base.licence, base.uv, base.uv_faces
     )

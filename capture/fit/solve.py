@@ -4,23 +4,19 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from avatar.rotation import matrix_from_axis_angle
-from capture.fit.equations import Equations
+from avatar.kinematics import Posed, posed, skinned, turned
+from capture.fit.directions import SLACK, Directions, find_directions, place_of
 from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import add_keypoints
-from capture.fit.kinematics import Posed, posed
 from capture.fit.priors import Priors, add_priors, shared_layout
+from geometry.least_squares import NormalEquations, minimise
 
 Array = np.ndarray
 
 # a term adds itself to the equations and returns its cost
-Term = Callable[[Equations, Estimate, Footage, list[Posed]], float]
-# share of the cost by which a step has to lower it to be worth another
-SETTLED = 2e-4
-# share added to the diagonal at first
-DAMPING = 1e-4
+Term = Callable[[NormalEquations, Estimate, Footage, list[Posed]], float]
 # radians and metres that one step may change
 LONGEST = 0.5
 
@@ -31,35 +27,35 @@ def posed_frames(estimate: Estimate) -> list[Posed]:
     return [posed(skeleton, *frame) for frame in zip(estimate.root, estimate.heading, estimate.angles)]
 
 
-def solve(
-    estimate: Estimate, footage: Footage, priors: Priors, *, cut: float, rounds: int, terms: tuple[Term, ...] = ()
-) -> Estimate:
-    """Lower keypoints (Geman-McClure's c = `cut`), priors and other terms by at most `rounds` steps.
+def placed_rigidly(
+    estimate: Estimate, footage: Footage, joint: int, candidates: Float[Array, "n 3 3"],
+    seen: Bool[Array, "frames points"], *, mirrored: Int[Array, "points"] | None = None, slack: float = SLACK,
+) -> tuple[Estimate, Directions]:  # fmt: skip
+    """The first pose of an estimate, stiff, turned about a joint and placed as the points of every frame say."""
+    frame = posed_frames(estimate.placed(np.zeros((1, 3)), np.eye(3)[None]))[0]
+    x = skinned(frame, estimate.markers(footage)) - frame.place[joint]
+    found = find_directions(x, footage.pixels, seen, candidates, mirrored, slack)
+    root = place_of(found, footage.focal, footage.centre) - found.rotation @ frame.place[joint]
+    return estimate.placed(root, found.rotation), found
 
-    Levenberg and Marquardt's damping: a step that raises the cost is taken back and made shorter.
-    """
-    damping = DAMPING
-    equations, cost = assemble(estimate, footage, priors, cut, terms)
-    for _ in range(rounds):
-        tried = moved(estimate, footage, *equations.solve(damping))
-        others, other_cost = assemble(tried, footage, priors, cut, terms)
-        if other_cost > cost:
-            damping *= 20
-            continue
-        settled = cost - other_cost < SETTLED * cost
-        estimate, equations, cost = tried, others, other_cost
-        if settled:
-            break
-        damping = max(damping / 4, 1e-6)
+
+def solve(
+    estimate: Estimate, footage: Footage, priors: Priors, *, cuts: tuple[float, ...], rounds: int,
+    terms: tuple[Term, ...] = (),
+) -> Estimate:  # fmt: skip
+    """Lower keypoints, priors and other terms by at most `rounds` steps for each Geman-McClure's c of `cuts`."""
+    for cut in cuts:
+        estimate = minimise(estimate, lambda at, cut=cut: assemble(at, footage, priors, cut, terms),
+                            lambda at, own, shared: moved(at, footage, own, shared), rounds)  # fmt: skip
     return estimate
 
 
 def assemble(
     estimate: Estimate, footage: Footage, priors: Priors, cut: float, terms: tuple[Term, ...]
-) -> tuple[Equations, float]:
+) -> tuple[NormalEquations, float]:
     """The normal equations at an estimate, and its cost."""
     layout = shared_layout(estimate, footage)
-    equations = Equations(len(estimate.root), 6 + 3 * len(footage.moving), layout.count)
+    equations = NormalEquations(len(estimate.root), 6 + 3 * len(footage.moving), layout.count)
     frames = posed_frames(estimate)
     cost = add_priors(equations, estimate, footage, priors)
     cost += add_keypoints(equations, estimate, footage, frames, cut)
@@ -83,6 +79,6 @@ def moved(
         log_focal=estimate.log_focal + float(shared[layout.focal]),
         mean=mean,
         root=estimate.root + own[:, :3],
-        heading=estimate.heading @ matrix_from_axis_angle(own[:, 3:6]),
+        heading=turned(estimate.heading, own[:, 3:6]),
         angles=angles,
     )

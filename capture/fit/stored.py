@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from avatar.files import whole_file
-from avatar.npz import read_npz
 from capture.fit.focal import Focal
 from capture.fit.footage import Estimate, Footage
 from capture.fit.person import Person
+from files.npz import read_npz
+from files.whole import whole_file
 
 Array = np.ndarray
 
@@ -46,16 +46,16 @@ def read_estimate(path: Path, person: Person, inputs: str) -> Estimate | None:
 
 
 def write_focal(path: Path, focal: Focal, inputs: str) -> None:
-    """Keep the focal length that all videos tell."""
+    """Keep the focal length found from all videos."""
     with whole_file(path) as file:
-        np.savez(file, shorter_sides=focal.shorter_sides, doubt=focal.doubt, inputs=inputs)
+        np.savez(file, shorter_sides=focal.shorter_sides, sigma=focal.sigma, inputs=inputs)
 
 
 def read_focal(path: Path, inputs: str) -> Focal | None:
     """The focal length, if it was found and from the same."""
     if not path.is_file():
         return None
-    fields = read_npz(path, "a step of a fit", ("shorter_sides", "doubt", "inputs"))
+    fields = read_npz(path, "a step of a fit", ("shorter_sides", "sigma", "inputs"))
     if str(fields["inputs"]) != inputs:
         return None
-    return Focal(float(fields["shorter_sides"]), float(fields["doubt"]))
+    return Focal(float(fields["shorter_sides"]), float(fields["sigma"]))

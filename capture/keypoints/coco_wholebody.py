@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
 from capture.keypoints.numbers import checked, number, triples
 from capture.keypoints.record import FACE, Keypoints, hand_points, keypoints_of, largest
+from command.errors import AssetError
 
 Array = np.ndarray
 
@@ -42,13 +42,13 @@ def wholebody_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Key
     """The record of parsed files: one that holds all frames, or one a frame, in order.
 
     Raises:
-        AssetError: another number of points than 133, numbers that are not finite, nobody in any frame.
+        AssetError: another number of points than 133, numbers that are not finite, no person in any frame.
     """
     pictures: list[list[Float[Array, "133 3"]]] = []
     for path, content in frames:
         pictures += _pictures(path, content, one=len(frames) > 1)
     if not 0 < len(pictures) <= MOST_FRAMES or not any(pictures):
-        raise AssetError(f"{frames[0][0]}: nobody in any of {len(pictures)} frames")
+        raise AssetError(f"{frames[0][0]}: no person in any of {len(pictures)} frames")
     rows = np.zeros((len(pictures), len(NAMES), 3))
     others = np.zeros(len(rows))
     for k, people in enumerate(pictures):
@@ -56,7 +56,7 @@ def wholebody_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Key
             rows[k], others[k] = largest(people, notes)
     empty = sum(not people for people in pictures)
     if empty:
-        notes.append(f"nobody in {empty} of {len(pictures)} frames")
+        notes.append(f"no person in {empty} of {len(pictures)} frames")
     rows[:, :, :2] += 0.5
     return keypoints_of(NAMES, rows, None, notes, others)
 

@@ -1,6 +1,6 @@
 """Keypoints of a video by MediaPipe, where it is installed and the user has its model files.
 
-Its results are written as it writes them (avatar/motion/landmark_file.py) and read back like anybody's.
+Its results are written as avatar/motion/landmark_file.py has them, and read back like any other file.
 """
 
 import importlib
@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
+from command.errors import AssetError
+from files.whole import whole_file
 
 Array = np.ndarray
-# of each person the points
+# each person's points
 People = Sequence[Sequence[Any]]
 
 MODELS = {"pose": "pose_landmarker*.task", "hand": "hand_landmarker*.task", "face": "face_landmarker*.task"}
@@ -77,11 +77,13 @@ def detect(
 
 
 def frame_json(poses: People, hands: People, labels: Sequence[str], faces: People) -> dict:
-    """One frame in the layout of MediaPipe's files; points are objects with x, y, z and, of a pose, visibility."""
-    rows = lambda points: [[float(p.x), float(p.y), float(p.z)] for p in points]
+    """One frame of avatar/motion/landmark_file.py; points are objects with x, y, z and, of a pose, visibility."""
+    rows = lambda points: [{"x": float(p.x), "y": float(p.y), "z": float(p.z)} for p in points]
     out: dict[str, Any] = {}
     if poses:
-        out["pose_landmarks"] = [[[*row, float(p.visibility)] for row, p in zip(rows(pose), pose)] for pose in poses]
+        out["pose_landmarks"] = [
+            [row | {"visibility": float(p.visibility)} for row, p in zip(rows(pose), pose)] for pose in poses
+        ]
     for hand, label in zip(hands, labels):
         out[f"{_side(hand, label, poses)}_hand_landmarks"] = rows(hand)
     if faces:

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from avatar.errors import AssetError
-from avatar.motion.landmark_file import Frame, Told
+from avatar.motion.landmark_file import FilmFacts, Frame
 from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of
+from command.errors import AssetError
 
 Array = np.ndarray
 
-# of the 33; None: a point that no other detector has, or that its hand's own points are better for
+# names of the 33; None: a point that no other detector has, or that its hand's own points are better for
 POSE: tuple[str | None, ...] = (
     "nose", None, "left_eye", None, None, "right_eye", None, "left_ear", "right_ear", None, None,
     "left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
@@ -36,17 +36,17 @@ MESH = (
 
 
 def mediapipe_keypoints(
-    path: Path, frames: list[Frame], told: Told, size: tuple[int, int] | None, notes: list[str]
+    path: Path, frames: list[Frame], facts: FilmFacts, size: tuple[int, int] | None, notes: list[str]
 ) -> Keypoints:
-    """The record of frames of landmarks; `size` is the pictures' where the file does not tell it.
+    """The record of frames of landmarks; `size` is the pictures' where the file does not have it.
 
     Raises:
         AssetError: the size is not known, or only world landmarks are there, which are not in the picture.
     """
-    if told.width is not None and told.height is not None:
-        size = (round(told.width), round(told.height))
+    if facts.width is not None and facts.height is not None:
+        size = (round(facts.width), round(facts.height))
     if size is None:
-        raise AssetError(f"{path}: landmarks are parts of a picture whose size is not told (image_width, image_height)")
+        raise AssetError(f"{path}: landmarks are parts of a picture of unknown size (image_width, image_height)")
     rows = np.zeros((len(frames), len(NAMES), 3))
     for k, frame in enumerate(frames):
         if frame.pose is not None:
@@ -56,9 +56,9 @@ def mediapipe_keypoints(
             rows[k, : len(USED), :2] = frame.pose[USED, :2] * size
             rows[k, : len(USED), 2] = np.where(np.isfinite(visible), visible, 1.0)
         for n, side in enumerate(SIDES):
-            if side in frame.hands and not frame.hands[side][1]:
+            if side in frame.hands:
                 first = len(USED) + 21 * n
-                rows[k, first : first + 21, :2] = frame.hands[side][0][:, :2] * size
+                rows[k, first : first + 21, :2] = frame.hands[side][:, :2] * size
                 rows[k, first : first + 21, 2] = 1.0
         if frame.face is not None:
             rows[k, -len(FACE) :, :2] = frame.face[list(MESH), :2] * size

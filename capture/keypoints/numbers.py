@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
 from capture.keypoints.record import LARGEST
+from command.errors import AssetError
 
 Array = np.ndarray
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
 from capture.keypoints.numbers import triples
 from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of, largest
+from command.errors import AssetError
 
 Array = np.ndarray
 
@@ -34,7 +34,7 @@ def openpose_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Keyp
     """The record of parsed frames, in order.
 
     Raises:
-        AssetError: no frame of OpenPose, lists of other lengths, numbers that are not finite, nobody in any frame.
+        AssetError: no frame of OpenPose, lists of other lengths, numbers that are not finite, no person in any frame.
     """
     rows = np.zeros((len(frames), len(NAMES), 3))
     others = np.zeros(len(rows))
@@ -47,9 +47,9 @@ def openpose_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Keyp
             rows[k], others[k] = largest(people, notes)
         empty += not people
     if empty == len(frames):
-        raise AssetError(f"{frames[0][0].parent}: nobody in any of {len(frames)} frames")
+        raise AssetError(f"{frames[0][0].parent}: no person in any of {len(frames)} frames")
     if empty:
-        notes.append(f"nobody in {empty} of {len(frames)} frames")
+        notes.append(f"no person in {empty} of {len(frames)} frames")
     if rows[:, :, :2].max() <= 1:
         raise AssetError(f"{frames[0][0]}: expected pixels, found parts of the picture (OpenPose's keypoint_scale 3)")
     rows[:, :, :2] += 0.5

@@ -3,19 +3,19 @@
 import os
 from pathlib import Path
 
-from avatar.errors import AssetError
-from avatar.input_file import name_order, read_json
-from avatar.motion.landmark_file import TEXT, is_mediapipe, read_landmarks
+from avatar.motion.landmark_file import is_mediapipe, read_landmarks
 from capture.keypoints.coco_wholebody import is_wholebody, wholebody_keypoints
 from capture.keypoints.mediapipe import mediapipe_keypoints
 from capture.keypoints.openpose import is_openpose, openpose_keypoints
 from capture.keypoints.record import Keypoints
+from command.errors import AssetError
+from files.input_file import name_order, read_json
 
 WHAT = "keypoints (OpenPose, COCO-WholeBody, MediaPipe)"
 
 
 def read_keypoints(path: Path | str, *, size: tuple[int, int] | None = None) -> Keypoints:
-    """The keypoints of one video: OpenPose JSON, COCO-WholeBody JSON, or MediaPipe's landmarks, told by their content.
+    """The keypoints of one video: OpenPose JSON, COCO-WholeBody JSON, or MediaPipe's landmarks, by their content.
 
     A folder's files are frames in the order of their names (numbers count as numbers). `size` is the pictures', for
     formats in parts of it.
@@ -26,20 +26,16 @@ def read_keypoints(path: Path | str, *, size: tuple[int, int] | None = None) -> 
     path = Path(path)
     notes: list[str] = []
     files = _files(path)
-    if files[0].suffix.lower() in (*TEXT, ".jsonl"):
-        return _mediapipe(path, size, notes)
     first = read_json(files[0], WHAT)
     if is_openpose(first) or is_wholebody(first):
         frames = [(file, first if k == 0 else read_json(file, WHAT)) for k, file in enumerate(files)]
         return (openpose_keypoints if is_openpose(first) else wholebody_keypoints)(frames, notes)
     if is_mediapipe(first):
-        return _mediapipe(path, size, notes)
+        if len(files) > 1:
+            raise AssetError(f"{path}: expected all frames of MediaPipe in one file, found {len(files)} files")
+        frames, facts = read_landmarks(files[0], notes)
+        return mediapipe_keypoints(files[0], frames, facts, size, notes)
     raise AssetError(f"{files[0]}: expected {WHAT}, found JSON of another kind")
-
-
-def _mediapipe(path: Path, size: tuple[int, int] | None, notes: list[str]) -> Keypoints:
-    frames, told = read_landmarks(path, notes)
-    return mediapipe_keypoints(path, frames, told, size, notes)
 
 
 def _files(path: Path) -> list[Path]:
@@ -47,7 +43,7 @@ def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
     try:
-        names = [n for n in os.listdir(path) if n.lower().endswith((".json", *TEXT)) and n[0] != "."]
+        names = [n for n in os.listdir(path) if n.lower().endswith(".json") and n[0] != "."]
     except OSError as error:
         raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
     if not names:

@@ -33,7 +33,7 @@ class Keypoints:
     # x to the right, y down; the middle of the first pixel is (.5, .5)
     pixels: Float[Array, "frames points 2"]
     confidence: Float[Array, "frames points"]  # 0 to 1
-    size: tuple[int, int] | None  # of the pictures, where the files tell it
+    size: tuple[int, int] | None  # width and height of the pictures, where the files have them
     notes: tuple[str, ...] = ()  # what was assumed
     # size of the second largest person, of the largest one's; 0: alone. None: the files hold one person at most
     others: Float[Array, "frames"] | None = None

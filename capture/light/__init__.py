@@ -1,1 +1,1 @@
-"""The light of a capture, told from what the posed template shows of its videos."""
+"""The light of a capture, estimated from what the posed template shows of its videos."""

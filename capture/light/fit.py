@@ -5,7 +5,7 @@
 f is the template triangle that pixel i shows; its albedo A_f, one for all videos, is eliminated (variable projection,
 Golub and Pereyra 1973); what is left, a few numbers, is solved by Gauss-Newton with Cauchy's weights. A sheen that
 follows the eye is fitted beside them, or it would be taken for a lamp, and then left alone. The scale between light
-and albedo is nobody's to know: mean S over the pixels becomes 1.
+and albedo is not observable: mean S over the pixels becomes 1.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ Array = np.ndarray
 
 GAMMAS = (1.0, 1.4, 1.8, 2.2)
 ROUNDS = 14
-# of the albedo, in a triangle's sums: keeps a triangle with one dark pixel finite
+# added to the albedo's weight in a triangle's sums: keeps a triangle with one dark pixel finite
 TINY = 1e-9
 # Below this share of the residual that a light explains there is none; another lamp, another gamma, a light of each
 # video's own have to explain as much of what is left.
@@ -36,9 +36,9 @@ FAINT = 0.04
 DIRECTIONS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]) / 3**0.5
 # fewer pixels say nothing
 LEAST = 1000
-# of what is shown, robust: eight bits' own, in which no light is told
+# robust residual of what is shown: the rounding to eight bits, below which no light can be seen
 ROUNDING = 0.3 / 255
-# of a highlight: display values of a lamp seen in glass
+# largest highlight: display values of a lamp seen in glass
 MIRROR = 10.0
 # pixels a video for choosing, all of them for the last fit
 FEW = 6_000
@@ -50,7 +50,7 @@ class LightFit:
 
     # by part; empty: none was found, and nothing is to be divided out
     lights: dict[str, CaptureLight]
-    # robust residual in display values, of 255: of one colour a triangle, and with the lights
+    # robust residual in display values, of 255: of one color a triangle, and with the lights
     residual_without: float
     residual: float
     pixels: int
@@ -64,9 +64,9 @@ class LightFit:
 def light_line(fit: LightFit) -> str:
     """One line for people on what was found."""
     if fit.pixels < LEAST:
-        return f"light: taken as even, {fit.pixels} pixels show the template well where {LEAST} are needed to tell"
+        return f"light: taken as even, {fit.pixels} pixels show the template well where {LEAST} are needed"
     if not fit.lights:
-        return f"light: even, nothing to tell from the skin (a colour a triangle is {fit.residual:.1f} of 255 off)"
+        return f"light: even, none to separate from the skin (a color a triangle is {fit.residual:.1f} of 255 off)"
     body = fit.lights["body"]
     lamps = " and ".join(
         "a lamp of {:.2f} from ({:.2f}, {:.2f}, {:.2f})".format(lamp.strength, *lamp.direction) for lamp in body.lamps
@@ -74,7 +74,7 @@ def light_line(fit: LightFit) -> str:
     apart = "" if fit.shared else ", another in each video"
     return (
         f"light: ambient {body.ambient:.2f} and {lamps} ({body.frame}), highlight {body.gloss:.2f}, gamma "
-        f"{body.gamma:g}{apart}; a colour a triangle is {fit.residual_without:.1f} of 255 off without it, "
+        f"{body.gamma:g}{apart}; a color a triangle is {fit.residual_without:.1f} of 255 off without it, "
         f"{fit.residual:.1f} with"
     )
 
@@ -191,7 +191,7 @@ class _Problem:
         self.linear = pixels.color**gamma
         # display values a step of the linear one is worth; dark pixels would count without end
         self.slope = np.clip(pixels.color, 0.05, 1) ** (1 - gamma) / gamma
-        # (pixel, channel) by which residuals are judged: light on a black suit is not seen; some tell as much as all
+        # (pixel, channel) by which residuals are judged: light on a black suit is not seen; some say as much as all
         bright = np.argwhere(pixels.color > np.median(pixels.color))
         bright = bright if len(bright) else np.argwhere(pixels.color >= 0)
         self.judged = tuple(bright[:: max(len(bright) // 60_000, 1)].T)

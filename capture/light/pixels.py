@@ -1,4 +1,4 @@
-"""What the videos show of the template: colour, triangle, normal and direction of pixels well inside the person."""
+"""What the videos show of the template: color, triangle, normal and direction of pixels well inside the person."""
 
 from typing import NamedTuple
 
@@ -17,15 +17,15 @@ from geometry.rasterise import rasterise
 
 Array = np.ndarray
 
-# of 255: brighter ones may have been clipped, which looks like a darker skin
+# out of 255: brighter ones may have been clipped, which looks like a darker skin
 CLIPPED = 249
 # as dark as this is noise and the dirt between two pixels
 DARK = 3
-# of the angle between normal and eye: flatter ones show neither place nor normal well
+# cosine between normal and eye: flatter ones show neither place nor normal well
 GRAZING = 0.25
 # metres of depth between neighbours: an outline in the middle of the person
 JUMP = 0.02
-# of a video: half a turn apart twice over is enough
+# frames of a video: half a turn apart twice over is enough
 MOST_FRAMES = 16
 
 
@@ -33,7 +33,7 @@ class LitPixels(NamedTuple):
     """Pixels of all videos that show the template; n of them."""
 
     video: Int[Array, "n"]  # index into PARTS
-    face: Int[Array, "n"]  # of the template
+    face: Int[Array, "n"]  # the template's
     color: Float[Array, "n 3"]  # sRGB in [0, 1]
     normal: Float[Array, "n 3"]  # unit, where the light stands still
     towards_eye: Float[Array, "n 3"]  # the same

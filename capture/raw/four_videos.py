@@ -5,16 +5,16 @@ from pathlib import Path
 
 import numpy as np
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
-from avatar.npz import read_npz
-from avatar.progress import Progress
 from avatar.skeleton import PARTS
 from capture.keypoints.read import read_keypoints
 from capture.keypoints.record import Keypoints
 from capture.raw.glance import Glance, glance
 from capture.raw.judge import Judged, judge
 from capture.raw.video_file import VideoFile
+from command.errors import AssetError
+from command.progress import Progress
+from files.npz import read_npz
+from files.whole import whole_file
 
 # what files and folders of a part may be called
 NAMES = {
@@ -59,7 +59,7 @@ def part_keypoints(folder: Path, part: str, video: VideoFile) -> Keypoints:
         AssetError: there are none, or they are of pictures of another size.
     """
     for name in NAMES[part]:
-        for path in (folder / name, folder / f"{name}.json", folder / f"{name}.jsonl"):
+        for path in (folder / name, folder / f"{name}.json"):
             if path.exists():
                 found = read_keypoints(path, size=video.size)
                 if found.size is not None and found.size != video.size:

@@ -6,10 +6,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy import ndimage
 
-from avatar.errors import AssetError
-from avatar.progress import Progress
 from capture.keypoints.record import Keypoints
 from capture.raw.video_file import VideoFile, read_frames
+from command.errors import AssetError
+from command.progress import Progress
 
 Array = np.ndarray
 
@@ -41,12 +41,12 @@ class Glance:
 
     @property
     def found(self) -> Bool[Array, "frames"]:
-        """Whether somebody was found in a frame."""
+        """Whether a person was found in a frame."""
         return (self.keypoints.confidence > SURE).sum(1) >= FEWEST
 
     @property
     def boxes(self) -> Float[Array, "frames 4"]:
-        """Left, top, right, bottom of the sure points, pixels; NaN where nobody was found."""
+        """Left, top, right, bottom of the sure points, pixels; NaN where no person was found."""
         sure = (self.keypoints.confidence > SURE)[..., None]
         out = np.full((len(self.times), 4), np.nan)
         rows = self.found

@@ -12,7 +12,7 @@ from capture.raw.glance import SURE, Glance
 
 Array = np.ndarray
 
-# share of the frames with somebody in them from which something is said, and from which the video is refused
+# share of the frames with a person from which a problem is named, and from which the video is refused
 SOME, MOST = 0.05, 0.35
 # share of the picture's shorter side: a point nearer to the border is cut off
 BORDER = 0.012
@@ -26,9 +26,9 @@ EMPTY, BESIDE = 0.3, 0.35
 SAME = 6.0
 # frames that the camera's stand is looked at in
 STANDS = 24
-# of a video's usual sharpness: a frame below is blurred
+# share of a video's usual sharpness: a frame below is blurred
 BLURRED = 0.55
-# of the points, how many lie where the picture changed, or they belong to another video
+# share of the points that lie where the picture changed: with fewer they belong to another video
 ON_PERSON = 0.5
 LIMBS = {
     "body": ("nose", "left_wrist", "right_wrist", "left_ankle", "right_ankle", "left_heel", "right_heel"),
@@ -40,7 +40,7 @@ CALLED = {"body": "the body", "head": "the head", "hand_left": "the left hand", 
 
 
 @dataclass(frozen=True)
-class Remark:
+class Problem:
     """Something about a video."""
 
     part: str
@@ -49,7 +49,7 @@ class Remark:
     advice: str
 
     def line(self, name: str) -> str:
-        """The remark as a sentence about a file."""
+        """The problem as a sentence about a file."""
         return f"{name}: {self.what}; {self.advice}"
 
 
@@ -60,9 +60,9 @@ class Judged:
     glance: Glance
     # frames of the empty room; empty where there is none
     empty: Bool[Array, "frames"]
-    # frames that can be fitted: somebody is there, whole, and not alone in being so
+    # frames that can be fitted: one person is there, whole and sharp
     usable: Bool[Array, "frames"]
-    remarks: tuple[Remark, ...]
+    problems: tuple[Problem, ...]
 
     def facts(self) -> dict:
         """For check.json."""
@@ -72,16 +72,16 @@ class Judged:
             "frames": len(self.glance.times), "seconds": round(float(self.glance.times[-1]), 2),
             "with_person": int(self.glance.found.sum()), "empty": int(self.empty.sum()),
             "usable": int(self.usable.sum()),
-            "remarks": [vars(remark) for remark in self.remarks],
+            "problems": [vars(problem) for problem in self.problems],
         }  # fmt: skip
 
 
 def judge(at: Glance) -> Judged:
     """Everything that can be said of one video before it is fitted."""
-    remarks: list[Remark] = []
+    problems: list[Problem] = []
 
-    def remark(fatal: bool, what: str, advice: str) -> None:
-        remarks.append(Remark(at.part, fatal, what, advice))
+    def add(fatal: bool, what: str, advice: str) -> None:
+        problems.append(Problem(at.part, fatal, what, advice))
 
     part, found = at.part, at.found
     empty = empty_frames(at)
@@ -90,47 +90,47 @@ def judge(at: Glance) -> Judged:
     # from behind a head shows no face, but its outline
     whole = found if part == "head" else clear
     if not found.any():
-        remark(True, "nobody is found in any frame", "are these keypoints of this video?")
-        return Judged(at, empty, found, tuple(remarks))
+        add(True, "no person is found in any frame", "are these keypoints of this video?")
+        return Judged(at, empty, found, tuple(problems))
     if part in ("body", "head") and _upside_down(at):
-        remark(True, "the person stands on the head", "turn the video by half a turn and detect keypoints again")
+        add(True, "the person stands on the head", "turn the video by half a turn and detect keypoints again")
     if clear.sum() < 0.2 * found.sum() or clear.sum() < 8:
         other = _other_hand(at, clear)
         advice = (
             "is it the other hand's video? exchange LEFT and RIGHT" if other else "film again with it in the middle"
         )
-        remark(True, f"{CALLED[part]} is confidently found in {int(clear.sum())} of {int(found.sum())} frames", advice)
+        add(True, f"{CALLED[part]} is confidently found in {int(clear.sum())} of {int(found.sum())} frames", advice)
     several = _several_people(at)
     if several.mean() > MOST:
-        remark(True, f"two people are in view {_when(at, several)}", "film one person alone")
+        add(True, f"two people are in view {_when(at, several)}", "film one person alone")
     elif several.any() and several.mean() > SOME:
-        remark(False, f"somebody else seems to be in view {_when(at, several)}", "those frames are left out")
+        add(False, f"another person seems to be in view {_when(at, several)}", "those frames are left out")
     cut = _cut_off(at, own)
     share = float(cut[int(whole.argmax()) :].mean())
     if share > SOME:
         what = f"{CALLED[part]} leaves the picture at the {_side_of_cut(at, cut)} {_when(at, cut)}"
-        remark(share > MOST, what, "film again with it in the middle and more room round it")
+        add(share > MOST, what, "film again with it in the middle and more room round it")
     moved = camera_moves(at, empty)
     limit = STILL * min(at.video.size) / 1080
     if moved is not None and moved.max() > limit:
         first = float(at.times[_stands(at)[int(np.argmax(moved > limit))]])
-        remark(
+        add(
             True, f"the camera moves, by {moved.max():.0f} pixels from {first:.1f} s on", "put the phone on a tripod"
         )
     if not empty.any():
         advice = "masks without it are rough: film a second of it before you step in, or bring masks of another tool"
-        remark(False, "the empty room is in no frame", advice)
+        add(False, "the empty room is in no frame", advice)
     else:
         on = _on_changed(at, empty)
         if on is not None and on < ON_PERSON:
-            remark(
+            add(
                 True, f"only {on:.0%} of the keypoints lie where the picture differs from the empty room",
                 "are these keypoints of this video, frame by frame?",
             )  # fmt: skip
     blurred = whole & (at.sharpness < BLURRED * np.median(at.sharpness[whole])) if whole.any() else whole
     if blurred.sum() > 0.3 * whole.sum():
-        remark(False, f"{blurred.sum() / whole.sum():.0%} of the frames are blurred", "turn slower, or with more light")
-    return Judged(at, empty, whole & ~several & ~cut & ~blurred, tuple(remarks))
+        add(False, f"{blurred.sum() / whole.sum():.0%} of the frames are blurred", "turn slower, or with more light")
+    return Judged(at, empty, whole & ~several & ~cut & ~blurred, tuple(problems))
 
 
 def empty_frames(at: Glance) -> Bool[Array, "frames"]:
@@ -146,7 +146,7 @@ def empty_frames(at: Glance) -> Bool[Array, "frames"]:
     if run.stop - run.start < EMPTY * at.video.rate:
         return out
     frames = at.small[run].astype(np.float32)
-    # somebody whom the detector does not see yet changes a part of the picture
+    # a person whom the detector does not see yet changes a part of the picture
     room = np.median(frames[:: max(1, len(frames) // 15)], axis=0)
     changed = np.abs(frames - room)
     changed -= np.median(changed, axis=(1, 2), keepdims=True)
@@ -156,7 +156,7 @@ def empty_frames(at: Glance) -> Bool[Array, "frames"]:
 
 
 def camera_moves(at: Glance, empty: Bool[Array, "frames"]) -> Float[Array, "stands"] | None:
-    """How far the room has shifted at some frames through the video, pixels; None: it shows too little to tell.
+    """How far the room has shifted at some frames through the video, pixels; None: it shows too little.
 
     Least squares on brightness (Lucas and Kanade 1981), away from the person, with a gain for the exposure.
     """
@@ -178,7 +178,7 @@ def camera_moves(at: Glance, empty: Bool[Array, "frames"]) -> Float[Array, "stan
         if free.sum() < 800:
             continue
         a = np.stack([gx[free], gy[free], room[free], np.ones(int(free.sum()))], 1)
-        # along a direction without detail nothing is told
+        # along a direction without detail no shift is seen
         if np.linalg.eigvalsh(a[:, :2].T @ a[:, :2] / len(a)).min() < 0.3:
             continue
         b = ndimage.gaussian_filter(at.small[i].astype(np.float32), 0.5)[free]
@@ -245,7 +245,7 @@ def _cut_off(at: Glance, own: Bool[Array, "frames points"]) -> Bool[Array, "fram
     at_border, close = np.asarray((out & sure).any(1)), np.asarray((near & sure).any(1))
     count = own.sum(1)
     lost = count < 0.34 * np.median(count[count >= 3]) if (count >= 3).any() else np.zeros(len(count), bool)
-    # of every frame, the last one in which the part was found
+    # for every frame the last one in which the part was found
     last = np.maximum.accumulate(np.where(lost, -1, np.arange(len(count))))
     return at_border | (lost & (last >= 0) & close[last])
 
@@ -254,7 +254,7 @@ def _side_of_cut(at: Glance, frames: Bool[Array, "frames"]) -> str:
     """Where the person is nearest to the border in these frames."""
     names = [name for name in LIMBS[at.part] if name in at.keypoints.names]
     columns = [at.keypoints.names.index(name) for name in names]
-    # a little longer: where nothing is found any more, the frames before tell
+    # a little longer: where nothing is found any more, the frames before decide
     rows = np.asarray(ndimage.binary_dilation(frames, iterations=6), bool)
     sure = at.keypoints.confidence[rows][:, columns] > SURE
     x, y = at.keypoints.pixels[rows][:, columns][sure].T
@@ -296,7 +296,7 @@ def _when(at: Glance, frames: Bool[Array, "frames"]) -> str:
 def refusal(judged: Mapping[str, Judged]) -> str | None:
     """The first reason, as one line, why videos cannot be fitted; None: they can."""
     for at in judged.values():
-        for remark in at.remarks:
-            if remark.fatal:
-                return remark.line(str(at.glance.video.path))
+        for problem in at.problems:
+            if problem.fatal:
+                return problem.line(str(at.glance.video.path))
     return None

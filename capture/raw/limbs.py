@@ -1,4 +1,4 @@
-"""Where keypoints say that the person is: thin lines that surely are, and a wide hull outside of which nobody is."""
+"""Where keypoints say that the person is: thin lines that surely are, and a wide hull that holds all of it."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -9,7 +9,7 @@ from capture.raw.glance import SURE
 
 Array = np.ndarray
 
-# of the length of the trunk: the hull round limbs, and round a head; a line of limbs, of fingers
+# shares of the trunk's length: the hull round limbs, and round a head; a line of limbs, of fingers
 HULL, HEAD_HULL, CORE, FINGER_CORE = 0.42, 0.75, 0.05, 0.006
 # pixels of the pictures that lines are drawn in
 DRAWN = 240

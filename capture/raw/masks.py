@@ -1,9 +1,9 @@
-"""The person told from the room behind: a soft mask for every frame.
+"""The person separated from the room behind: a soft mask for every frame.
 
 Where the plate (the room without anybody) is known, a pixel is the person's as far as it differs from it, exposure and
-shadows allowed for. What that leaves open, a random walk that does not like to cross edges of colour decides
+shadows allowed for. What that leaves open, a random walk that does not like to cross edges of color decides
 (Grady 2006). At the rim a pixel is a mixture of the person beside it and of the plate, and its share follows from
-the three colours (Smith and Blinn, Blue Screen Matting, 1996):
+the three colors (Smith and Blinn, Blue Screen Matting, 1996):
 
     I = a F + (1 - a) B      a = (I - B).(F - B) / |F - B|^2
 """
@@ -32,13 +32,13 @@ EVEN, SHARP = 4.0, 1.0
 CERTAIN = 0.96
 # the darkest shadow that the floor may get, and the walls, as a share of their light
 DARKEST, WALL_DARKEST = 0.5, 0.92
-# beta of the walk, as in capture/repair/masks.py
+# beta of the walk, as in capture/fit/masks.py
 CONTRAST = 130.0
 # pixels of 1080 on either side of the edge in which pixels are mixtures
 RIM = 3.5
 # deviations between person and room from which the mixture can be read off
 APART = 7.0
-# of the person: smaller pieces are none of it, smaller holes are none
+# shares of the person's area: smaller pieces are none of it, smaller holes are none
 PIECE, HOLE = 0.01, 0.0006
 
 
@@ -113,7 +113,7 @@ def _differs(
     deviation = np.sqrt((0.8 * plate.noise) ** 2 + (0.012 * bright) ** 2 + (0.6 * plate.detail) ** 2)
     off = shown - behind
     apart = np.sqrt((off**2).mean(-1)) / deviation
-    # the room in shadow: the same colour, darker
+    # the room in shadow: the same color, darker
     ratio = (shown * behind).sum(-1) / np.maximum((behind**2).sum(-1), 1)
     darkest = np.full((len(image), 1), WALL_DARKEST)
     darkest[floor:] = DARKEST
@@ -130,7 +130,7 @@ def _by_color(
     room: Float[Array, "height width 3"],
     known: Bool[Array, "height width"],
 ) -> Float[Array, "height width"]:
-    """Probability by colour alone: those on the lines of limbs against those of the room."""
+    """Probability by color alone: those on the lines of limbs against those of the room."""
     bins = 16
 
     def histogram(colors: Float[Array, "n 3"]) -> Float[Array, "16 16 16"]:
@@ -163,7 +163,7 @@ def _walked(
     given = shrink(known.astype(np.float32)) > 0.5
     surely = np.where(given, small > CERTAIN, small > 0.88) | (line & (small > 0.3))
     beside = np.where(given, small < 1 - CERTAIN, small <= 0.0) & ~line
-    # lone pixels in a shirt of the wall's colour are no room
+    # lone pixels in a shirt of the wall's color are no room
     beside = np.asarray(ndimage.binary_opening(beside, iterations=2), bool) & ~line
     labels = np.where(surely, 1, np.where(beside, 2, 0))
     if not surely.any() or not beside.any():
@@ -213,7 +213,7 @@ def _rim(
     rim: float,
     apart: float,
 ) -> UInt8[Array, "height width"]:
-    """Mixtures along the edge, read off the colours on either side where those are more than `apart` grey levels apart;
+    """Mixtures along the edge, read off the colors on either side where those are more than `apart` grey levels apart;
     the edge itself moves to where they are even."""
     out = np.where(inside, 255, 0).astype(np.uint8)
     if inside.all() or not inside.any():
@@ -223,7 +223,7 @@ def _rim(
     if not person.any():
         return out
     away, nearest = distance_to(person), nearest_marked(person)
-    # the person's colour beside the rim, a little averaged
+    # the person's color beside the rim, a little averaged
     weight = ndimage.gaussian_filter(person.astype(np.float32), 1.0)
     front = np.stack([ndimage.gaussian_filter(image[..., c] * person, 1.0) for c in range(3)], -1)
     front /= np.maximum(weight, 1e-3)[..., None]
@@ -242,10 +242,10 @@ def _rim(
     length = (between**2).sum(1)
     share = np.clip(((image[y, x] - B) * between).sum(1) / np.maximum(length, 1e-6), 0, 1)
     clear = known[y, x] & (np.sqrt(length / 3) > apart)
-    # where colours say nothing the edge stays where it is, half a pixel soft
+    # where colors say nothing the edge stays where it is, half a pixel soft
     mixed = inside.astype(np.float32)
     mixed[y, x] = np.where(clear, share, np.clip(to_edge[y, x] / 1.5 + 0.5, 0, 1))
-    # a stripe of the wall's colour inside the rim is no room, nor a speck beside it the person
+    # a stripe of the wall's color inside the rim is no room, nor a speck beside it the person
     hard = mixed > 0.5
     lone = (~hard & ~_joined(~hard, ~band & ~inside)) | (hard & ~_joined(hard, person | (inside & ~band)))
     mixed[lone] = ~hard[lone]

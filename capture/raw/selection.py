@@ -15,9 +15,9 @@ Array = np.ndarray
 STEADY = 0.4
 # a frame's points off their own track, in units of what is usual, beyond which the frame is an outlier
 OUTLIER = 6.0
-# of the eyes' usual opening: below it they blink
+# share of the eyes' usual opening: below it they blink
 BLINK = 0.55
-# of the height that the body's points fill: how far trunk and legs may be to the side of where they usually are; beyond
+# share of the height of the body's points: how far trunk and legs may be to the side of where they usually are; beyond
 # it the person steps in or out, which is no turn
 ASIDE = 0.12
 UPRIGHT = ("hip", "shoulder", "knee", "ankle")
@@ -26,7 +26,7 @@ EYES = tuple(tuple(f"face_{k}" for k in range(first, first + 6)) for first in (3
 
 
 @dataclass(frozen=True)
-class Selection:
+class KeptFrames:
     """The frames of one video that are fitted."""
 
     frames: Int[Array, "kept"]
@@ -39,7 +39,7 @@ class Selection:
         return f"{name}: {len(self.frames)} frames kept" + (f"; left out: {out}" if out else "")
 
 
-def select(judged: Judged, most: int) -> Selection:
+def select(judged: Judged, most: int) -> KeptFrames:
     """At most `most` frames, evenly over the movement of what is filmed."""
     at = judged.glance
     found = at.found
@@ -49,7 +49,7 @@ def select(judged: Judged, most: int) -> Selection:
     left_out = {
         "blurred": int(blurred.sum()), "with closed eyes": int((blinking & ~blurred).sum()),
         "whose keypoints jump": int((astray & ~blurred).sum()), "of stepping in": int((aside & judged.usable).sum()),
-        "cut off or with somebody else": int((found & ~judged.usable & ~blurred).sum()),
+        "cut off or with another person": int((found & ~judged.usable & ~blurred).sum()),
     }  # fmt: skip
     good = judged.usable & ~blurred & ~astray & ~blinking & ~aside
     # where all would go, harm is taken over nothing
@@ -65,7 +65,7 @@ def select(judged: Judged, most: int) -> Selection:
             # nearer to the middle of the stretch where two are as sharp
             middle = np.abs(way[near] - (low + high) / 2) / max(high - low, 1e-9)
             kept.append(near[np.argmax(at.sharpness[near] * (1 - 0.3 * middle))])
-    return Selection(np.unique(kept), left_out)
+    return KeptFrames(np.unique(kept), left_out)
 
 
 def movement(at: Glance) -> Float[Array, "frames"]:

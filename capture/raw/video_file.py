@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from avatar.errors import AssetError
-from avatar.input_file import open_input
-from avatar.picture import MAX_PIXELS
+from command.errors import AssetError
+from files.input_file import open_film
+from files.picture import MAX_PIXELS
 
 Array = np.ndarray
 
@@ -30,7 +30,7 @@ class VideoFile:
     size: tuple[int, int]  # width, height, upright
     quarter_turns: int  # counterclockwise, that make a stored frame upright
     rate: float  # frames per second, on average
-    frames: int  # as the file tells, or by its length; what is decoded counts
+    frames: int  # by the file's header, or by its length; what is decoded counts
     # pixels, by what the phone wrote of its lens; None: it wrote nothing
     focal: float | None = None
 
@@ -53,16 +53,11 @@ def open_video(path: Path | str) -> VideoFile:
     Raises:
         AssetError: absent, no video, too large a picture, or no frame in it.
     """
-    import av
     from av.error import FFmpegError
 
     path = Path(path)
-    with open_input(path, WHAT):
-        pass
     try:
-        with av.open(str(path), metadata_errors="ignore") as container:
-            if not container.streams.video:
-                raise AssetError(f"{path}: expected {WHAT}, found a file without pictures")
+        with open_film(path, WHAT) as container:
             stream = container.streams.video[0]
             if stream.codec_context.width * stream.codec_context.height > MAX_PIXELS:
                 raise AssetError(f"{path}: expected frames of at most {MAX_PIXELS} pixels")
@@ -104,7 +99,6 @@ def read_frames(
     Raises:
         AssetError: the file breaks off in the middle.
     """
-    import av
     from av.error import FFmpegError
 
     scale = 1.0 if height is None else height / video.size[1]
@@ -112,7 +106,7 @@ def read_frames(
     stored = size if video.quarter_turns % 2 == 0 else size[::-1]
     last = max(only) if only else MOST_FRAMES
     try:
-        with av.open(str(video.path), metadata_errors="ignore") as container:
+        with open_film(video.path, WHAT) as container:
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
             begin = None

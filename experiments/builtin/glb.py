@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
-from avatar.files import whole_file
 from avatar.gltf.write import INDICES, VERTICES, GltfBuilder
 from avatar.skeleton import JOINTS, PARENTS
+from files.whole import whole_file
 from synth.subject import SynthSubject
 
 Array = np.ndarray

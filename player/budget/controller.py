@@ -15,7 +15,7 @@ import numpy as np
 from player.budget.rungs import HEADROOM, PricedRung, frontier, within
 
 SLOW, WATCHED = 12, 48
-# of the frames after a change, which make what the rung needs
+# frames after a change, in which what the rung needs is made
 SETTLING = 3
 # slow frames that a rung which holds its p95 may have
 ALLOWED = 3
@@ -55,7 +55,7 @@ class BudgetController:
         return float(np.median(self._times)) / max(self.current.ms_median, 1e-6) if self._times else 1.0
 
     @property
-    def dearer(self) -> PricedRung | None:
+    def costlier(self) -> PricedRung | None:
         """The next better rung."""
         above = [one for one in self.front if one.ms_p95 > self.current.ms_p95 and one.error < self.current.error]
         return above[0] if above else None
@@ -68,7 +68,7 @@ class BudgetController:
         if self._went_up:
             self._wait = min(2 * self._wait, PATIENCE)
         self._went_up = False
-        # only its quick frames tell nothing of the slow ones that are the reason to go
+        # only its quick frames say nothing about the slow ones that are the reason to go
         slow = [time for time in self._times if time > self.budget]
         load = max(self.load, float(np.median(slow)) / max(self.current.ms_median, 1e-6))
         return within(below, self.budget, load) or below[0]

@@ -6,31 +6,32 @@ from dataclasses import replace
 
 import numpy as np
 
-from avatar.settings import settings_of
+from command.settings import settings_of
 from player.budget.measure import BudgetScene
-from player.context import Context
-from player.drawing import Pose
-from player.renderer import Renderer
-from player.rung import Rung
-from player.scenes.effects import PLAIN, Effects
+from player.budget.rung import Rung
+from player.draw.drawing import Pose
+from player.gl.context import Context
+from player.scene.effects import PLAIN, Effects
+from player.scene.renderer import Renderer
 
 ROUNDS = 8
 # each setting of a scene that calls for nothing
 NOTHING = replace(PLAIN, view="off")
-# of loose parts, between one frame and the next
+# seconds between two frames of loose parts
 STEP = 1 / 60
 
 
 def called_for(effects: Effects) -> list[str]:
     """The settings that are not those of a scene that calls for nothing."""
-    return [one.name for one in settings_of(Effects) if getattr(effects, one.name) != getattr(NOTHING, one.name)]
+    return [one.name for one in settings_of(Effects) if one.value_in(effects) != one.value_in(NOTHING)]
 
 
 def effect_prices(context: Context, scene: BudgetScene, rung: Rung, *, rounds: int = ROUNDS) -> dict[str, float]:
     """Milliseconds that each effect the scene calls for adds to a frame drawn as `rung` says, its view mode too: the
     median over the rounds of the difference to a frame without it. Effects of films alone add nothing here."""
     names = called_for(scene.effects)
-    ways = [scene.effects, *(replace(scene.effects, **{name: getattr(NOTHING, name)}) for name in names)]
+    nothing = {setting.name: setting.value_in(NOTHING) for setting in settings_of(Effects)}
+    ways = [scene.effects, *(replace(scene.effects, **{name: nothing[name]}) for name in names)]
     renderers: list[Renderer] = []
     try:
         for effects in ways:

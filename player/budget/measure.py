@@ -9,18 +9,18 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
+from player.budget.rung import Rung
 from player.budget.rungs import PricedRung
-from player.context import Context
-from player.drawing import Pose
-from player.passes.background import Background
-from player.renderer import Renderer
-from player.rung import Rung
-from player.scenes.effects import Effects
+from player.draw.drawing import Pose
+from player.effects.background import Background
+from player.gl.context import Context
+from player.scene.effects import Effects
+from player.scene.renderer import Renderer
 
 ROUNDS = 24
 # in which rungs fall out that another surely beats: no less exact, and so much faster
 SIEVE_ROUNDS, SURELY = 3, 1.5
-# of the rung that was chosen before, to see whether the table still holds
+# rounds of the rung that was chosen before, which show whether the table still holds
 CHECK_ROUNDS = 6
 
 
@@ -44,7 +44,7 @@ def price(
     rounds: int = ROUNDS,
     report: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> list[PricedRung]:
-    """The rungs that are worth timing, timed in alternating rounds as player/ladder.py does, and compared with the
+    """The rungs that are worth timing, timed in alternating rounds as ladder.py does, and compared with the
     first. What another rung surely beats after SIEVE_ROUNDS is left out."""
     renderers: list[Renderer] = []
     try:

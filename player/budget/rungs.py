@@ -1,6 +1,6 @@
 """The ways a scene can be drawn, priced, and which of them a budget buys.
 
-The rungs are those of player/ladder.py but for fewer pixels: the size is the scene's, and so are effects. `selfscan
+The rungs are those of ladder.py but for fewer pixels: the size is the scene's, and so are effects. `selfscan
 bench` has better scores.
 """
 
@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from avatar.baked_avatar import Avatar
-from player.ladder import cheaper_rungs, holds, views_of
-from player.rung import Rung, rung_of
+from player.budget.ladder import cheaper_rungs, holds, views_of
+from player.budget.rung import Rung, rung_of
 
 # frames of a second that a budget in frames a second means
 SHORTEST, LONGEST = 0.01, 10_000.0  # ms
-# of a budget left free where one is chosen for, and as far as rungs lie apart: what is nearer is no choice
+# the share of a budget that stays free, and by which rungs lie apart: what is nearer is no choice
 HEADROOM = 0.05
 
 
@@ -69,7 +69,7 @@ def within(priced: Sequence[PricedRung], budget: float, load: float = 1.0) -> Pr
     return fitting[-1] if fitting else None
 
 
-def bought(priced: Sequence[PricedRung], budget: float) -> PricedRung:
+def best_within(priced: Sequence[PricedRung], budget: float) -> PricedRung:
     """What a budget buys, ms, with HEADROOM left free; where nothing holds it, the cheapest."""
     return within(priced, (1 - HEADROOM) * budget) or frontier(priced)[0]
 
@@ -108,5 +108,5 @@ def choice_words(chosen: PricedRung, priced: Sequence[PricedRung], budget: float
     if chosen is best:
         return f"{words}; the best there is"
     words += f"; {chosen.error:.1f} of 255 from {best.rung.name}"
-    dearer = front[front.index(chosen) + 1] if chosen in front[:-1] else best
-    return f"{words}; {dearer.rung.name} would cost {dearer.ms_p95 - chosen.ms_p95:.1f} ms more"
+    costlier = front[front.index(chosen) + 1] if chosen in front[:-1] else best
+    return f"{words}; {costlier.rung.name} would cost {costlier.ms_p95 - chosen.ms_p95:.1f} ms more"

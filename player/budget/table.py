@@ -13,13 +13,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from avatar.errors import AssetError
-from avatar.files import whole_file
-from avatar.progress import progress
+from command.errors import AssetError
+from command.progress import progress
+from files.whole import whole_file
 from player.budget.measure import BudgetScene, check, price
-from player.budget.rungs import PricedRung, at_quality, bought, scene_rungs
-from player.context import Context
-from player.rung import Rung
+from player.budget.rung import Rung
+from player.budget.rungs import PricedRung, at_quality, best_within, scene_rungs
+from player.gl.context import Context
 
 FORMAT = 3
 OLDEST = 30 * 86400.0  # seconds
@@ -32,7 +32,7 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "selfscan"
 
 
-def bought_rung(
+def rung_within(
     context: Context,
     scene: BudgetScene,
     files: Sequence[str],
@@ -54,7 +54,7 @@ def bought_rung(
     def choose(priced: Sequence[PricedRung]) -> PricedRung:
         if budget is None:
             return at_quality(priced, quality)
-        return bought(priced, budget)
+        return best_within(priced, budget)
 
     return priced_rungs(context, scene, files, rungs, choose)
 
@@ -81,7 +81,7 @@ def priced_rungs(
 
 
 def key_of(context: Context, scene: BudgetScene, files: Sequence[str], rungs: Sequence[Rung]) -> str:
-    """What tells this table from any other, as a file name."""
+    """The key of this table, as a file name."""
     said = {
         "format": FORMAT,
         "machine": [platform.node(), platform.machine(), os.cpu_count(), context.renderer, context.kind],

@@ -12,19 +12,23 @@ from typing import Annotated
 import numpy as np
 
 from avatar.body import Body, builtin_body, read_body
-from avatar.errors import AssetError
 from avatar.hull import body_hull
 from avatar.motion.clip import Clip, Motion, builtin_skeleton, fitted
 from avatar.motion.ground import on_ground
 from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
-from avatar.settings import Help, Option, parse
-from player.address import Address, parse_address
+from command.command_line import Help, Option, number, parse
+from command.errors import AssetError
+from command.settings import AtLeast, AtMost
 from player.live import json_pose
 from player.live.frame import LivePose
 from player.live.inbox import LONGEST_DELAY
 from player.live.one_euro import LEAST
 from player.live.vmc import VmcEncoder
+from player.scene.address import Address, parse_address
+from player.scene.arguments import (
+    LIVE,
+)
 
 BLOCK = 256  # frames read at once
 FASTEST = 1000.0  # frames a second
@@ -55,31 +59,12 @@ def _address(text: str, kinds: tuple[str, ...]) -> Address:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def cutoff(text: str) -> float:
-    return _number(text, 0.01, 1000, "Hz")
-
-
 def milliseconds(text: str) -> float:
     """Seconds of a text in milliseconds."""
-    return _number(text, 0, 1000 * LONGEST_DELAY, "ms") / 1000
-
-
-def seconds(text: str) -> float:
-    return _number(text, 0, 3600, "seconds")
-
-
-def parse_rate(text: str) -> float:
-    return _number(text, 0.1, FASTEST, "frames a second")
-
-
-def _number(text: str, least: float | int, most: float | int, unit: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not least <= value <= most:
-        raise argparse.ArgumentTypeError(f"expected {least:g} to {most:g} {unit}, found {text!r}")
-    return value
+    value = number(text)
+    if not 0 <= value <= 1000 * LONGEST_DELAY:
+        raise argparse.ArgumentTypeError(f"expected 0 to {1000 * LONGEST_DELAY:g} ms, found {text!r}")
+    return value / 1000
 
 
 @dataclass(frozen=True)
@@ -87,29 +72,27 @@ class LiveCommand:
     """The live poses of `selfscan play`."""
 
     live: Annotated[
-        Address | None,
-        Option(metavar="vmc:PORT|udp:PORT|ws:PORT", parse=source),
+        Address | None, LIVE, Option(metavar="vmc:PORT|udp:PORT|ws:PORT", parse=source),
         "pose by what arrives: VMC (usual port 39539), or our JSON over UDP or WebSocket; this machine only, unless "
-        "HOST:PORT names another interface (0.0.0.0: all)",
+        "HOST:PORT names another interface (0.0.0.0: all)"
     ] = None
     smooth: Annotated[
-        float | None,
-        Option(metavar="HZ", parse=cutoff, const=LEAST),
-        f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})",
+        float | None, LIVE.rare, AtLeast(0.01), AtMost(1000), Option(metavar="HZ", const=LEAST),
+        f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})"
     ] = None
     buffer: Annotated[
-        float | None,
-        Option(metavar="MS", parse=milliseconds),
-        "show poses MS late, evenly, instead of the newest as it comes",
+        float | None, LIVE.rare, Option(metavar="MS", parse=milliseconds),
+        "show poses MS late, evenly, instead of the newest as it comes"
     ] = None
     calibrate: Annotated[
-        float | None,
-        Option(metavar="S", parse=seconds),
-        "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)",
+        float | None, LIVE.rare, AtLeast(0), AtMost(3600), Option(metavar="S"),
+        "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)"
     ] = None
-    record: Annotated[str | None, Option(metavar="FILE.npz"), "write what came as an AMASS pose file at the end"] = None
+    record: Annotated[
+        str | None, LIVE.rare, Option(metavar="FILE.npz"), "write what came as an AMASS pose file at the end"
+    ] = None
     latency: Annotated[
-        str | None, Option(metavar="FILE.csv"), "write when each pose was sent, received, applied, drawn"
+        str | None, LIVE.rare, Option(metavar="FILE.csv"), "write when each pose was sent, received, applied, drawn"
     ] = None
 
 
@@ -119,13 +102,12 @@ class StreamCommand:
 
     motion: Annotated[str, Option(positional=True, metavar="MOTION"), "pose file (.npz, .bvh), or: counting, walking"]
     to: Annotated[
-        Address,
-        Option(metavar="vmc:HOST:PORT|udp:HOST:PORT", parse=target),
-        "VMC or our JSON; HOST may be left out: this machine",
+        Address, Option(metavar="vmc:HOST:PORT|udp:HOST:PORT", parse=target),
+        "VMC or our JSON; HOST may be left out: this machine"
     ]
-    rate: Annotated[float | None, Option(metavar="R", parse=parse_rate), "poses a second (default: the motion's)"] = (
-        None
-    )
+    rate: Annotated[
+        float | None, AtLeast(0.1), AtMost(FASTEST), Option(metavar="R"), "poses a second (default: the motion's)"
+    ] = None
     loop: Annotated[bool, "start over at the end, until stopped"] = False
     body: Annotated[str | None, Option(metavar="MODEL"), "SMPL+H model (.npz) that the pose file was made for"] = None
 
@@ -208,13 +190,13 @@ def timed_poses(motion: Motion, rate: float | int, *, loop: bool) -> Iterator[tu
     follows one step after it."""
     count = int(np.floor((motion.frames - 1) / motion.rate * rate * (1 + 1e-12))) + 1
     first, block = 0, None
-    for number in itertools.count() if loop else range(count):
-        at = min(number % count * (motion.rate / rate), motion.frames - 1)
+    for index in itertools.count() if loop else range(count):
+        at = min(index % count * (motion.rate / rate), motion.frames - 1)
         frame = min(int(at + 1e-9), motion.frames - 1)
         if block is None or not first <= frame < first + len(block.root) - 1:
             first = frame
             block = motion.read(first, min(first + BLOCK, motion.frames))
-        yield number / rate, between(block, frame - first, at - frame)
+        yield index / rate, between(block, frame - first, at - frame)
 
 
 def between(clip: Clip, frame: int, part: float | int) -> LivePose:

@@ -22,7 +22,7 @@ class LiveFrame(NamedTuple):
     # monotonic seconds on this machine, of the last datagram
     received: float
     sent: float | None  # seconds on the sender's clock
-    # of the pose, on this machine's clock: the sender's steps where it has a clock
+    # when the pose was, on this machine's clock: the sender's steps where it has a clock
     time: float
     # counts frames; a frame that is completed by a second datagram keeps its number
     number: int

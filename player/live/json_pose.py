@@ -4,7 +4,7 @@
 
 `poses` are 52 axis-angle vectors in SMPL+H order, flat-hand convention, radians; `trans` is the pelvis joint in
 the world, +y up, metres. `t` is seconds on the sender's clock (Unix time lets the latency be absolute), `seq`
-counts up by one a message. `id` (at most 64 letters) tells several senders apart and may be left out, as may
+counts up by one a message. `id` (at most 64 letters) keeps several senders apart and may be left out, as may
 `pelvis_height`: metres from the soles to the pelvis of the body that `trans` fits. Other keys are ignored.
 """
 

@@ -1,7 +1,7 @@
 """How late a pose is: sent, received, applied, drawn; percentiles for the screen and a CSV row a frame.
 
 Sent is on the sender's clock. Where that is Unix time of this machine (our JSON), sent to received is what it
-says; elsewhere the two clocks share no start, and it is told above the quickest datagram so far, marked
+says; elsewhere the two clocks share no start, and it is counted from the quickest datagram so far, marked
 "relative". Applied is when the pose was taken for drawing, drawn when the buffers were swapped.
 """
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from avatar.files import whole_file
+from files.whole import whole_file
 from player.live.frame import LiveFrame
 
 HEADER = (
@@ -66,7 +66,7 @@ class Latency:
             self.rows.write(",".join([str(frame.number), sent, *stamps, clock, *columns]) + "\n")
 
     def _travel(self, frame: LiveFrame) -> tuple[str, float]:
-        """Which clock tells, and seconds from sent to received; NaN where the sender has none."""
+        """The clock that was used, and seconds from sent to received; NaN where the sender has none."""
         if frame.sent is None:
             return "none", np.nan
         if frame.sent > UNIX:

@@ -15,15 +15,8 @@ MOST_MESSAGES = 1024  # in a packet
 DEEPEST = 8  # bundles within bundles
 IMMEDIATELY = 1  # time tag
 
-PLAIN = {
-    "i": "i",
-    "f": "f",
-    "h": "q",
-    "d": "d",
-    "t": "Q",
-}  # types that struct knows, OSC letter to its letter
-# I is "infinitum", an impulse
-VALUELESS = {"T": True, "F": False, "N": None, "I": float("inf")}
+# Numbers: OSC's letter, and struct's
+PLAIN = {"i": "i", "f": "f", "h": "q", "d": "d", "t": "Q"}
 _layouts: dict[bytes, struct.Struct] = {}
 
 
@@ -39,7 +32,8 @@ class Message(NamedTuple):
 def parse_packet(data: bytes) -> list[Message]:
     """The messages of a packet, bundles flattened in order; time tags are not waited for.
 
-    A message with an argument of unknown type is left out, as the specification asks.
+    A message of other arguments than numbers after at most one string, all that VMC sends, is left out, as the
+    specification asks for types that are not known.
 
     Raises:
         OscError: anything else that is not as it should be; then nothing of the packet is used.
@@ -82,71 +76,31 @@ def _message(data: bytes, start: int, end: int) -> Message | None:
     if data[at] != 0x2C:  # ","
         raise OscError("no type letters after the address")
     stop = data.find(b"\0", at, end)
-    letters = data[at + 1 : stop] if stop >= 0 else b""
     if stop < 0:
         raise OscError("a string that does not end")
+    letters = data[at + 1 : stop]
     at += (stop - at) // 4 * 4 + 4
-    # what VMC sends: one string, then numbers
-    if letters in _layouts or _remember(letters):
-        arguments: list = []
-        if letters[:1] == b"s":
-            text, at = _string(data, at, end)
-            arguments.append(text)
-        layout = _layouts[letters]
-        if at + layout.size > end:
-            raise OscError("arguments end before their types do")
-        arguments.extend(layout.unpack_from(data, at))
-        return Message(address, tuple(arguments))
-    return _any_arguments(data, at, end, address, letters)
+    layout = _layouts.get(letters) or _layout(letters)
+    if layout is None:
+        return None
+    arguments: list = []
+    if letters[:1] == b"s":
+        text, at = _string(data, at, end)
+        arguments.append(text)
+    if at + layout.size > end:
+        raise OscError("arguments end before their types do")
+    return Message(address, (*arguments, *layout.unpack_from(data, at)))
 
 
-def _remember(letters: bytes) -> bool:
-    """Whether the letters are at most one string, in front, and numbers; then their layout is kept."""
+def _layout(letters: bytes) -> struct.Struct | None:
+    """How the numbers lie, where the letters are at most one string, in front, and numbers."""
     numbers = letters[1:] if letters[:1] == b"s" else letters
     if len(numbers) > 16 or not all(chr(letter) in PLAIN for letter in numbers):
-        return False
+        return None
+    layout = struct.Struct(">" + "".join(PLAIN[chr(letter)] for letter in numbers))
     if len(_layouts) < 64:
-        _layouts[letters] = struct.Struct(">" + "".join(PLAIN[chr(letter)] for letter in numbers))
-    return letters in _layouts
-
-
-def _any_arguments(data: bytes, at: int, end: int, address: str, letters: bytes) -> Message | None:
-    stack: list[list] = [[]]  # arrays are tuples
-    for letter in letters.decode("latin-1"):
-        if letter in PLAIN:
-            size = struct.calcsize(">" + PLAIN[letter])
-            if at + size > end:
-                raise OscError("arguments end before their types do")
-            stack[-1].append(struct.unpack_from(">" + PLAIN[letter], data, at)[0])
-            at += size
-        elif letter in "sS":
-            text, at = _string(data, at, end)
-            stack[-1].append(text)
-        elif letter == "b":
-            size = int.from_bytes(data[at : at + 4], "big")
-            if at + 4 > end or size > end - at - 4:
-                raise OscError(f"a blob of {size} bytes does not fit")
-            stack[-1].append(data[at + 4 : at + 4 + size])
-            at += 4 + (size + 3) // 4 * 4
-        elif letter in "crm":
-            if at + 4 > end:
-                raise OscError("arguments end before their types do")
-            stack[-1].append(data[at : at + 4])
-            at += 4
-        elif letter in VALUELESS:
-            stack[-1].append(VALUELESS[letter])
-        elif letter == "[" and len(stack) <= DEEPEST:
-            stack.append([])
-        elif letter == "]" and len(stack) > 1:
-            inner = tuple(stack.pop())
-            stack[-1].append(inner)
-        elif letter in "[]":
-            raise OscError("arrays of arguments that do not match or are too deep")
-        else:
-            return None
-    if len(stack) > 1:
-        raise OscError("an array of arguments that does not end")
-    return Message(address, tuple(stack[0]))
+        _layouts[letters] = layout
+    return layout
 
 
 def _string(data: bytes, start: int, end: int) -> tuple[str, int]:

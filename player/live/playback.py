@@ -8,14 +8,14 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Motion
-from player.address import Address
-from player.framing import pelvis_height
 from player.live.frame import LivePose
 from player.live.inbox import SILENT, Inbox
 from player.live.latency import Latency
 from player.live.one_euro import OneEuro
 from player.live.vmc import joint_offsets, leg_length
-from player.renderer import Pose
+from player.scene.address import Address
+from player.scene.framing import pelvis_height
+from player.scene.renderer import Pose
 
 # metres; a pelvis lower than this was not measured, not even of someone who lies
 LOW = 0.05
@@ -26,7 +26,7 @@ class LivePlayback:
     """Playback of the poses in an inbox; before the first one the avatars stand in T-pose.
 
     The person first seen stands at the world's origin; `calibrate` puts them there again, soles on the ground. The
-    root is scaled by the ratio of leg lengths where the sender tells its own (VMC bone positions, JSON pelvis_height).
+    root is scaled by the ratio of leg lengths where the sender sends its own (VMC bone positions, JSON pelvis_height).
     """
 
     def __init__(
@@ -34,14 +34,13 @@ class LivePlayback:
         inbox: Inbox,
         address: Address,
         avatars: Sequence[Avatar],
-        beside: Sequence[Float[np.ndarray, "3"]],
         *,
         smooth: float | None = None,
         latency: Latency | None = None,
         calibrate_after: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):
-        self.inbox, self.address, self.beside, self.clock = inbox, address, beside, clock
+        self.inbox, self.address, self.clock = inbox, address, clock
         self.motion, self.frame, self.playing = Motion(str(address), 1, 30.0, (), standing), 0, True
         self.heights = [pelvis_height(avatar) for avatar in avatars]
         self.legs = [leg_length(joint_offsets(avatar.joint_positions.astype(np.float64))) for avatar in avatars]
@@ -91,20 +90,17 @@ class LivePlayback:
                 if self.stands or abs(pose.root[1]) < LOW:
                     self.origin[1] = pose.root[1] - self.heights[0] / self._ratio(0)
         if self.shown is None or self.origin is None:
-            return [
-                (np.zeros((52, 3)), np.array([0, height, 0]) + at)
-                for height, at in zip(self.heights, self.beside, strict=True)
-            ]
+            return [(np.zeros((52, 3)), np.array([0.0, height, 0.0])) for height in self.heights]
         root = self.shown.root - self.origin
-        return [(self.shown.axis_angle, root * self._ratio(k) + at) for k, at in enumerate(self.beside)]
+        return [(self.shown.axis_angle, root * self._ratio(k)) for k in range(len(self.heights))]
 
     def _ratio(self, k: int) -> float:
-        """Avatar k's size against the sender's body; 1 where the sender does not tell."""
+        """Avatar k's size against the sender's body; 1 where the sender does not say."""
         own, height, leg = self.inbox.pelvis_height(), self.heights[k], self.legs[k]
         if own is not None:
             return height / own
-        theirs = self.inbox.leg()
-        return leg / theirs if theirs and leg else 1.0
+        sent = self.inbox.leg()
+        return leg / sent if sent and leg else 1.0
 
     def sender_height(self) -> float:
         """Pelvis height of the sender's body, for the take: played back it is scaled as it was live."""

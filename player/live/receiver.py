@@ -11,9 +11,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from avatar.errors import AssetError, missing_package
-from player.address import Address
+from command.errors import AssetError, missing_package
 from player.live.inbox import Inbox
+from player.scene.address import Address
 
 # Linux: the kernel's time of arrival comes with the datagram
 SO_TIMESTAMPNS = 35

@@ -4,17 +4,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-import numpy as np
-from jaxtyping import Float
-
 from avatar.baked_avatar import Avatar
-from avatar.interrupt import deferred_stop
-from player.address import Address
+from command.interrupt import deferred_stop
 from player.live.inbox import Inbox
 from player.live.latency import Latency
 from player.live.playback import LivePlayback
 from player.live.receiver import listen
 from player.live.take import Take
+from player.scene.address import Address
 
 
 @dataclass(frozen=True)
@@ -28,9 +25,7 @@ class LiveOptions:
 
 
 @contextmanager
-def live_session(
-    options: LiveOptions, avatars: Sequence[Avatar], beside: Sequence[Float[np.ndarray, "3"]]
-) -> Iterator[LivePlayback]:
+def live_session(options: LiveOptions, avatars: Sequence[Avatar]) -> Iterator[LivePlayback]:
     """Listen, and give the playback. However the block ends, the take and the stamps are written, and all is printed.
 
     Raises:
@@ -49,7 +44,7 @@ def live_session(
         listener = listen(options.address, inbox)
         ending.callback(listener.close)
         playback = LivePlayback(
-            inbox, listener.address, avatars, beside, smooth=options.smooth, latency=latency,
+            inbox, listener.address, avatars, smooth=options.smooth, latency=latency,
             calibrate_after=options.calibrate_after,
         )  # fmt: skip
         if take is not None:

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from avatar.errors import AssetError
-from avatar.files import check_file
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Motion
-from avatar.progress import counted
 from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+from command.errors import AssetError
+from command.progress import plural
+from files.whole import check_file
 from player.live.frame import LivePose
 
 # 80 minutes at 60 frames a second; at most so many are recorded, and at most so many are written
@@ -108,19 +108,19 @@ class Take:
         except BaseException as error:
             self.close()
             kept = (
-                f"{counted(self.frames, 'frame')} kept in {self.recording}; recording to {self.path} again saves them"
+                f"{plural(self.frames, 'frame')} kept in {self.recording}; recording to {self.path} again saves them"
             )
             raise AssetError(f"{error}; {kept}" if isinstance(error, AssetError) else kept) from None
         self.close()
         self.recording.unlink(missing_ok=True)
         stopped = (
-            [] if self.stopped is None else [f"take: stopped after {counted(self.frames, 'frame')}: {self.stopped}"]
+            [] if self.stopped is None else [f"take: stopped after {plural(self.frames, 'frame')}: {self.stopped}"]
         )
         return [
             *self.notes,
             *motion.notes,
             *stopped,
-            f"{self.path}: {counted(motion.frames, 'frame')} at {motion.rate:g} a second",
+            f"{self.path}: {plural(motion.frames, 'frame')} at {motion.rate:g} a second",
         ]
 
     def close(self) -> None:
@@ -139,7 +139,7 @@ class Take:
         names = (self.path.with_name(f"{self.path.stem}-recovered{n or ''}.npz") for n in range(1 << 30))
         kept = next(name for name in names if not name.exists())
         write_amass(kept, even_motion(records, height, str(kept)))
-        self.notes.append(f"{kept}: {counted(len(records), 'frame')} of a take that was cut off")
+        self.notes.append(f"{kept}: {plural(len(records), 'frame')} of a take that was cut off")
 
 
 def even_motion(records: np.ndarray, pelvis_height: float | None, name: str) -> Motion:

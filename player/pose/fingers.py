@@ -19,7 +19,7 @@ Array = np.ndarray
 Side = Literal["left", "right"]
 
 HANDS: dict[str, slice] = {"left": LEFT_HAND, "right": RIGHT_HAND}
-# of index, middle, pinky, ring, thumb: which way is away from the middle finger, as the limits count sideways
+# index, middle, pinky, ring, thumb: which way is away from the middle finger, as the limits count sideways
 AWAY = np.array([1.0, 1.0, -1.0, -1.0, 1.0])
 CURL_RANGE = (-0.2, 1.15)
 SPREAD_RANGE = (-0.35, 0.6)
@@ -31,7 +31,7 @@ class HandShape:
 
     curl: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     spread: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    opposition: float | int = 0.0  # of the thumb, radians
+    opposition: float | int = 0.0  # the thumb's, radians
 
 
 PRESETS: dict[str, HandShape] = {

@@ -1,4 +1,4 @@
-"""Undo and redo of posing: one immutable `State` replaced by another, and the way back.
+"""Undo and redo of posing: one immutable `PoseState` replaced by another, and the way back.
 
 Changes that carry the same drag mark become one step, however many pixels the pointer took.
 """
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 from player.pose.keyframes import Easing, Keys, Pose, pose_at
 
-# of undo that are kept
+# steps of undo that are kept
 STEPS = 500
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class PoseState:
     """All that undo brings back."""
 
     pose: Pose
     keys: Keys = ()
     easing: Easing = "linear"
-    frame: int = 0  # of the timeline
+    frame: int = 0  # the timeline's
 
     @property
     def unkeyed(self) -> bool:
@@ -29,10 +29,10 @@ class State:
 class History:
     """The present state, what was done before it with the state before each step, and what was undone."""
 
-    def __init__(self, state: State):
+    def __init__(self, state: PoseState):
         self.state = self.saved = state
-        self.past: list[tuple[str, State]] = []
-        self.future: list[tuple[str, State]] = []
+        self.past: list[tuple[str, PoseState]] = []
+        self.future: list[tuple[str, PoseState]] = []
         # mark of the drag that the last step belongs to
         self._drag: object | None = None
 
@@ -47,7 +47,7 @@ class History:
             return True
         return state.unkeyed if state.keys else state.pose is not saved.pose
 
-    def change(self, label: str, state: State, drag: object | None = None) -> None:
+    def change(self, label: str, state: PoseState, drag: object | None = None) -> None:
         """Put `state` in place of what is; steps with an equal `drag` mark (not None) are one step of undo."""
         if drag is None or drag != self._drag:
             if self.state is state:
@@ -66,7 +66,7 @@ class History:
                 self.past.pop()
         self._drag = None
 
-    def go_to(self, label: str, state: State) -> None:
+    def go_to(self, label: str, state: PoseState) -> None:
         """Another frame of the timeline: no step of undo, unless the present pose was changed and is no key."""
         if self.state.unkeyed:
             self._step(label)
@@ -85,7 +85,7 @@ class History:
     def redo(self) -> str | None:
         return self._walk(self.future, self.past)
 
-    def _walk(self, come_from: list[tuple[str, State]], leave_to: list[tuple[str, State]]) -> str | None:
+    def _walk(self, come_from: list[tuple[str, PoseState]], leave_to: list[tuple[str, PoseState]]) -> str | None:
         self.end_drag()
         if not come_from:
             return None

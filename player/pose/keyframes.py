@@ -23,8 +23,8 @@ class Pose:
     root: Float[Array, "3"]
 
     def __post_init__(self):
-        for name in ("axis_angle", "root"):
-            value = np.array(getattr(self, name), np.float64)  # a copy: the giver may go on writing to its own
+        for name, given in list(vars(self).items()):
+            value = np.array(given, np.float64)  # a copy: the giver may go on writing to its own
             value.setflags(write=False)
             object.__setattr__(self, name, value)
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from avatar.errors import AssetError
 from avatar.limits import posed
+from command.errors import AssetError
 from player.pose.fingers import PRESETS, with_hand
 from player.pose.keyframes import Pose
 from player.pose.pose_file import read_pose, write_pose
@@ -214,7 +214,7 @@ class Library:
     ) -> Pose:
         """The pose of that name.
 
-        A built-in one stands where `root` is, put on the ground by `ground` (player/pose/ground.py). A user's own
+        A built-in one stands where `root` is, put on the ground by `ground` (player/draw/posing.py). A user's own
         comes with the place it was saved at, its height scaled to `pelvis_height`.
 
         Raises:

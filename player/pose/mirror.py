@@ -1,4 +1,4 @@
-"""Left and right exchanged: the mirror image of a pose, or of one side of it."""
+"""Which joints belong together, and left and right exchanged: the mirror image of a pose, or of one side of it."""
 
 from collections.abc import Sequence
 
@@ -8,8 +8,11 @@ from jaxtyping import Float
 from avatar.motion.fingers import MIRROR
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS
+from player.pose.fingers import HANDS, Side
 
 Array = np.ndarray
+
+LEG = ("hip", "knee", "ankle", "foot")
 
 
 def _partners() -> np.ndarray:
@@ -55,3 +58,21 @@ def onto_other_side(axis_angle: Float[Array, "52 3"], joints: Sequence[int]) -> 
     chosen = np.asarray(joints, int)
     out[PARTNER[chosen]] = np.asarray(axis_angle)[chosen] * MIRROR
     return out
+
+
+def limb_of(joint: int) -> tuple[int, ...]:
+    """The joints that are copied with one as its limb: arm with hand, leg with foot, trunk with neck and head."""
+    name = JOINTS[joint]
+    if not name.startswith(("left", "right")):
+        return tuple(k for k, other in enumerate(JOINTS) if not other.startswith(("left", "right")) and k)
+    side, part = name.split("_", 1)
+    return tuple(
+        k
+        for k, other in enumerate(JOINTS)
+        if other.startswith(side) and (other.split("_", 1)[1] in LEG) == (part in LEG)
+    )
+
+
+def hand_joints(side: Side) -> tuple[int, ...]:
+    """The fingers' joints of one hand."""
+    return tuple(range(52)[HANDS[side]])

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from avatar.errors import AssetError
 from avatar.motion.amass import read_amass, write_amass
 from avatar.motion.clip import Clip, fitted
 from avatar.motion.read import read_motion
-from avatar.npz import read_npz
+from command.errors import AssetError
+from files.npz import read_npz
 from player.pose.keyframes import Easing, Keys, Pose, clip_of
 
 # frames that may become keys, one each, where a file has no key frames of its own
@@ -22,7 +22,7 @@ KEY_FRAMES, EASING = "key_frames", "key_easing"
 
 
 @dataclass(frozen=True)
-class Timeline:
+class KeyedTimeline:
     """What a file of keyframes holds."""
 
     keys: Keys
@@ -72,7 +72,7 @@ def write_keys(
     write_amass(path, clip_of(keys, rate, easing, pelvis_height), up=up, beside=beside)
 
 
-def read_keys(path: Path | str, *, pelvis_height: float | None = None) -> Timeline:
+def read_keys(path: Path | str, *, pelvis_height: float | None = None) -> KeyedTimeline:
     """The keys of a file that `write_keys` wrote; of another AMASS file every frame as a key.
 
     Raises:
@@ -98,7 +98,7 @@ def read_keys(path: Path | str, *, pelvis_height: float | None = None) -> Timeli
         motion = fitted(motion, pelvis_height)
     clip = motion.read()
     keys = tuple((int(f), Pose(clip.axis_angle[f], clip.root[f])) for f in frames)
-    return Timeline(keys, float(clip.rate), easing, clip.notes)
+    return KeyedTimeline(keys, float(clip.rate), easing, clip.notes)
 
 
 def _easing(path: Path | str, fields: dict[str, np.ndarray]) -> Easing:

@@ -16,11 +16,11 @@ from avatar.limits import clamped, with_angle
 from avatar.motion.clip import Clip
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
-from player.ik import LIMBS, reach_for
 from player.pose import pose_file
 from player.pose.fingers import HandShape, Side, with_curl, with_hand, with_spread
 from player.pose.gizmo import turned
-from player.pose.history import History, State
+from player.pose.history import History, PoseState
+from player.pose.ik import LIMBS, reach_for
 from player.pose.keyframes import Easing, Keys, Pose, clip_of, moved_key, pose_at, with_key, without_key
 from player.pose.mirror import PARTNER, mirrored_in_place, onto_other_side
 
@@ -59,7 +59,7 @@ class PoseSession:
         self.joints = np.array(joints, np.float64)
         self.pelvis_height = pelvis_height
         self.rest = Pose(np.zeros((52, 3)) if axis_angle is None else axis_angle, root)
-        self.history = History(State(self.rest))
+        self.history = History(PoseState(self.rest))
         self.limited = True
         # with keys: each change of the pose is a key at once
         self.auto_key = False
@@ -70,7 +70,7 @@ class PoseSession:
     # what there is
 
     @property
-    def state(self) -> State:
+    def state(self) -> PoseState:
         return self.history.state
 
     @property
@@ -317,7 +317,7 @@ class PoseSession:
         pose = timeline.keys[0][1]
         keys = timeline.keys if len(timeline.keys) > 1 else ()
         self.history.end_drag()
-        self.history.change("load", State(pose, keys, timeline.easing))
+        self.history.change("load", PoseState(pose, keys, timeline.easing))
         self.rate = timeline.rate
         self.history.mark_saved()
         self.pinned.clear()

@@ -1,4 +1,4 @@
-// Draws one avatar in WebGL2, as player/renderer.py does: the same shaders, filters and order of triangles.
+// Draws one avatar in WebGL2, as player/scene/renderer.py does: the same shaders, filters and order of triangles.
 
 const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const BLOCKS = { Frame: 0, Bones: 1, Turns: 2 };
@@ -13,7 +13,7 @@ function mipLevels(size) {
   return Math.min(bits(Math.max(2, largest >> 8)), bits(largest));
 }
 
-// The heaviest `joints` of each vertex's four weights, which stand first, scaled to sum to 255: player/rung.py.
+// The heaviest `joints` of each vertex's four weights, which stand first, scaled to sum to 255: player/budget/rung.py.
 function strongest(weights, joints) {
   const out = new Uint8Array(weights.length);
   for (let k = 0; k < weights.length; k += 4) {
@@ -87,7 +87,7 @@ class Drawing {
     return !(this.content.get(level) instanceof Promise) && this.content.has(level);
   }
 
-  // joints: how many a vertex follows at most, as player/rung.py prepares them.
+  // joints: how many a vertex follows at most, as player/budget/rung.py prepares them.
   program(view, joints) {
     return this.kept(`program ${view} ${joints}`, () => {
       const gl = this.gl, began = performance.now(), program = gl.createProgram(), source = this.sources[view];
@@ -185,7 +185,7 @@ class Drawing {
       : [gl.RGBA, gl.UNSIGNED_BYTE, image];
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, ...given);
     gl.generateMipmap(gl.TEXTURE_2D);
-    // as player/texture.py: a nearest mip on software, where the finer one is read (MIP_BIAS)
+    // as player/gl/texture.py: a nearest mip on software, where the finer one is read (MIP_BIAS)
     const smaller = !this.software ? gl.LINEAR_MIPMAP_LINEAR : coarse ? gl.NEAREST_MIPMAP_NEAREST : gl.LINEAR_MIPMAP_NEAREST;
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, smaller);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.LINEAR);

@@ -2,7 +2,7 @@
 
 What the two languages share is nearly all of it. The rule: the version line; every precision stated, and high; no
 comments (they hold letters that ES has none of), no `#line`; and the bias of the base color's mipmaps, a state of the
-texture on a desktop (player/texture.py), becomes the third argument of its look-up, a constant that the page sets to
+texture on a desktop (player/gl/texture.py), becomes the third argument of its look-up, a constant that the page sets to
 0 on a GPU.
 """
 
@@ -10,9 +10,9 @@ import re
 from collections.abc import Mapping
 
 from avatar.baked_avatar import Avatar
-from player.constants import avatar_constants
-from player.passes.view import STAGE
-from player.shader import ShaderError, assembled, names_in_conditions
+from player.effects.view import STAGE
+from player.gl.constants import avatar_constants
+from player.gl.shader import ShaderError, assembled, names_in_conditions
 
 VERSION = "#version 330\n"
 # highp is not the default of a fragment's floats, nor of most samplers
@@ -62,7 +62,7 @@ def program(defines: Mapping[str, int], generated: Mapping[str, str]) -> dict[st
 
 
 def programs(avatar: Avatar) -> dict[str, dict[str, str]]:
-    """A program for each view mode that the avatar's file holds, by its name (player/passes/view.py)."""
+    """A program for each view mode that the avatar's file holds, by its name (player/effects/view.py)."""
     has = {"network": avatar.network is not None, "linear": avatar.linear is not None}
     features = avatar.levels[0].features
     found = {"off": program({"VIEW_STAGE": 0}, {})}

@@ -8,7 +8,7 @@ lowest bytes first, compressed by zlib.
 
     value[i] = offset + scale (sum of differences up to i, modulo 2^bits)     difference z: (z >> 1) ^ -(z & 1)
 
-The base color is a lossless WebP: browsers decode it to these very bytes when told to leave its colors alone. Features
+The base color is a lossless WebP: browsers decode it to these very bytes when asked to leave its colors alone. Features
 are no image there: four values of which one would be an alpha channel, which decoders premultiply; they are planes of
 bytes, each the difference to Paeth's guess from its neighbours (as in PNG).
 """
@@ -28,12 +28,12 @@ from avatar.motion.clip import Clip
 from avatar.rotation import quaternion_from_axis_angle
 from avatar.skeleton import PARENTS, joint_transforms, rigid_inverse
 from avatar.texture import mip_levels
-from player.mesh import draw_order, interleaved
-from player.posing import Poser
+from player.draw.mesh import draw_order, interleaved
+from player.draw.posing import Poser
 
 # bytes a number: of what moves pixels, and of directions
 FINE, COARSE = 3, 2
-# of a frame of motion before it is compressed
+# a frame of motion has so many before it is compressed
 MOTION_BYTES = FINE * (4 * 52 + 3)
 
 
@@ -58,7 +58,7 @@ def packed_avatar(avatar: Avatar) -> Packed:
         "name": avatar.name,
         "defaultView": avatar.default_view,
         "parents": PARENTS.tolist(),
-        # of each joint from its parent, pose 0
+        # each joint from its parent, pose 0
         "offsets": (joints - np.where(PARENTS[:, None] < 0, 0.0, joints[PARENTS])).round(7).tolist(),
         "jointFromCanonical": inverse[:, :3].reshape(52, 12).round(9).tolist(),
         "levels": [level.facts for level in levels],
@@ -139,7 +139,7 @@ def _range(name: str, values: Float[np.ndarray, "n components"], width: int) -> 
 
 
 def _halves(name: str, values: Float[np.ndarray, "n components"]) -> tuple[str, dict[str, Any], bytes]:
-    """Half floats: for values whose sizes differ by more than a range of 16 bits tells apart. What is larger than
+    """Half floats: for values whose sizes differ by more than a range of 16 bits resolves. What is larger than
     they hold is a cone too narrow to leave."""
     bits = np.clip(values, -65504, 65504).astype(np.float16).view(np.uint16).astype(np.int64)
     return name, {"kind": "half", "bytes": COARSE, "components": values.shape[1]}, _differences(bits, COARSE)

@@ -10,7 +10,7 @@ import numpy as np
 
 from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Clip
-from player.framing import ELEVATION, FOV, extent, facing, fitted
+from player.scene.framing import ELEVATION, FOV, extent, facing, fitted
 from player.web.essl import programs
 from player.web.packing import Packed, packed_avatar, packed_motion, text_of
 

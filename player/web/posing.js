@@ -1,4 +1,4 @@
-// Where an avatar's bones are before a camera, in double precision; mirrors player/posing.py and avatar/camera.py.
+// Where an avatar's bones are before a camera, in double precision; mirrors player/draw/posing.py and avatar/camera.py.
 // Rigid transforms are 12 numbers, rows of [R | t].
 
 function product(a, b) {

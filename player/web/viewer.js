@@ -1,6 +1,6 @@
 // What the reader touches: the camera, time, view modes; settings stand in the URL, so a link shows the same.
 
-const VIEW_NAMES = { off: "paper", vertex: "per vertex", linear: "linear", network: "network" };
+const VIEW_NAMES = { off: "plain", vertex: "quick shine", linear: "fine shine", network: "finest shine" };
 const VIEW_HELP = {
   off: "The paper's colors: they depend on the place on the skin alone",
   vertex: "View dependence worked out at the vertices",

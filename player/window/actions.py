@@ -11,29 +11,29 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from player.window.parts import Parts
+    from player.window.parts import WindowParts
     from player.window.posing import PoseEdit
 
 Walk = tuple[int, int, int]  # right, up, ahead
-When = Callable[["Parts"], bool]
+When = Callable[["WindowParts"], bool]
 
 
-def _always(_parts: "Parts") -> bool:
+def _always(_parts: "WindowParts") -> bool:
     return True
 
 
-def _nothing(_parts: "Parts") -> None:
+def _nothing(_parts: "WindowParts") -> None:
     """Of keys that are held down."""
 
 
 @dataclass(frozen=True)
 class Action:
-    """What keys do: `means` says it in the imperative, small letters. Keys are named as in player/window/key_names.py,
+    """What keys do: `means` says it in the imperative, small letters. Keys are named as in player/window/keyboard.py,
     with ctrl+ and shift+ before them. `walk` is where a key takes the camera while it is held down."""
 
     means: str
     keys: tuple[str, ...]
-    do: Callable[["Parts"], object] = _nothing
+    do: Callable[["WindowParts"], object] = _nothing
     when: When = _always
     walk: Walk | None = None
 
@@ -43,7 +43,7 @@ class Action:
         return tuple(shown_key(key) for key in self.keys)
 
 
-class Group(NamedTuple):
+class KeyGroup(NamedTuple):
     """Actions under one heading; `when` says in which state of the window their keys hold."""
 
     title: str
@@ -61,52 +61,52 @@ def shown_key(key: str) -> str:
 ARROWS = {"left": "left arrow", "right": "right arrow", "f1": "F1", "escape": "Escape", "delete": "Delete"}
 
 
-def step(frames: int) -> Callable[["Parts"], None]:
+def step(frames: int) -> Callable[["WindowParts"], None]:
     return lambda parts: parts.state.timeline.step(frames)
 
 
-def jump(seconds: float) -> Callable[["Parts"], None]:
-    def go(parts: "Parts") -> None:
+def jump(seconds: float) -> Callable[["WindowParts"], None]:
+    def go(parts: "WindowParts") -> None:
         line = parts.state.timeline
         line.seek(line.frame + round(seconds * line.rate))
 
     return go
 
 
-def range_off(parts: "Parts") -> None:
+def range_off(parts: "WindowParts") -> None:
     parts.state.timeline.set_a(None)
     parts.state.timeline.set_b(None)
 
 
-def toggle_follow(parts: "Parts") -> None:
+def toggle_follow(parts: "WindowParts") -> None:
     parts.viewpoint.follow = not parts.viewpoint.follow
 
 
-def toggle_panels(parts: "Parts") -> None:
+def toggle_panels(parts: "WindowParts") -> None:
     parts.state.layout.panels_on = not parts.state.layout.panels_on
 
 
-def toggle_help(parts: "Parts") -> None:
+def toggle_help(parts: "WindowParts") -> None:
     parts.state.layout.help_on = not parts.state.layout.help_on
 
 
-def ask_for_t_pose(parts: "Parts") -> None:
+def ask_for_t_pose(parts: "WindowParts") -> None:
     for live, _ in parts.state.playback.live:
         live.ask_for_t_pose()
 
 
-def move_wipe(part: float) -> Callable[["Parts"], None]:
-    def move(parts: "Parts") -> None:
+def move_wipe(part: float) -> Callable[["WindowParts"], None]:
+    def move(parts: "WindowParts") -> None:
         if parts.wipe is not None:
             parts.wipe.move(parts.wipe.part + part)
 
     return move
 
 
-def posed(act: Callable[["PoseEdit"], object]) -> Callable[["Parts"], None]:
+def posed(act: Callable[["PoseEdit"], object]) -> Callable[["WindowParts"], None]:
     """What is done to the avatar that is posed by hand; where it is refused, that is said."""
 
-    def do(parts: "Parts") -> None:
+    def do(parts: "WindowParts") -> None:
         edit = parts.posing.edit
         if edit is not None:
             edit.tried(lambda: act(edit))
@@ -114,11 +114,11 @@ def posed(act: Callable[["PoseEdit"], object]) -> Callable[["Parts"], None]:
     return do
 
 
-def is_posing(parts: "Parts") -> bool:
+def is_posing(parts: "WindowParts") -> bool:
     return parts.posing.edit is not None
 
 
-def is_dragging(parts: "Parts") -> bool:
+def is_dragging(parts: "WindowParts") -> bool:
     return parts.posing.edit is not None and parts.posing.edit.tool.held is not None
 
 
@@ -190,11 +190,11 @@ DELETE_KEY = Action("delete the keyframe at this frame", ("delete",), posed(lamb
 GIVE_UP = Action("give up the drag", ("escape",), posed(lambda edit: edit.tool.cancel()), when=is_dragging)
 CLOSE_HELP = Action("close the list of keys", ("escape",), toggle_help, when=lambda parts: parts.state.layout.help_on)
 
-VIDEO = Group("Source video", (WIPE_LEFT, WIPE_RIGHT), lambda parts: parts.wipe is not None)
-FIRST_PERSON = Group(
+VIDEO = KeyGroup("Source video", (WIPE_LEFT, WIPE_RIGHT), lambda parts: parts.wipe is not None)
+FIRST_PERSON = KeyGroup(
     "First person", (AHEAD, BACK, LEFT, RIGHT, UP, DOWN), lambda parts: parts.viewpoint.cameras.kind == "walk"
 )
-POSING = Group(
+POSING = KeyGroup(
     "Posing by hand",
     (
         UNDO, REDO, COPY_LIMB, COPY_POSE, PASTE, PASTE_MIRRORED, MIRROR, TO_GROUND, SET_KEY, DELETE_KEY, GIVE_UP,
@@ -202,18 +202,18 @@ POSING = Group(
     is_posing,
 )  # fmt: skip
 GROUPS = (
-    Group(
+    KeyGroup(
         "Time",
         (
             PLAY, STEP_BACK, STEP_ON, SECOND_BACK, SECOND_ON, FIRST_FRAME, LAST_FRAME, SLOWER, FASTER, LOOP, RANGE_A,
             RANGE_B, RANGE_OFF,
         ),
     ),
-    Group("Camera", (NEXT_CAMERA, RESET_CAMERA, FOLLOW, ADD_CAMERA_KEY, SAVE_CAMERA_PATH)),
-    Group("Avatars", (NEXT_AVATAR, VIEW, POSE)),
-    Group("Window", (SCREENSHOT, FILM, PANELS, HELP, CLOSE_HELP, QUIT)),
+    KeyGroup("Camera", (NEXT_CAMERA, RESET_CAMERA, FOLLOW, ADD_CAMERA_KEY, SAVE_CAMERA_PATH)),
+    KeyGroup("Avatars", (NEXT_AVATAR, VIEW, POSE)),
+    KeyGroup("Window", (SCREENSHOT, FILM, PANELS, HELP, CLOSE_HELP, QUIT)),
     VIDEO,
-    Group("Live", (T_POSE,), lambda parts: bool(parts.state.playback.live)),
+    KeyGroup("Live", (T_POSE,), lambda parts: bool(parts.state.playback.live)),
     FIRST_PERSON,
     POSING,
 )  # fmt: skip
@@ -230,7 +230,7 @@ MOUSE = (
 MOUSE_ON_VIDEO = (("drag the yellow line", "move the wipe between video and avatar"),)
 
 
-def found(key: str, parts: "Parts") -> Action | None:
+def found(key: str, parts: "WindowParts") -> Action | None:
     """What a key (with its modifiers) does now; None: nothing."""
     groups = [group for group in (*MODES, *GROUPS) if group.when(parts)]
     actions = [action for group in groups for action in group.actions if key in action.keys and action.when(parts)]

@@ -1,16 +1,21 @@
-"""The budget of the window: how avatars are drawn (player/rung.py) follows what frames take (player/budget/)."""
+"""The budget of the window: how avatars are drawn (player/budget/rung.py) follows what frames take (player/budget/)."""
 
 from collections.abc import Sequence
 
 from avatar.camera import Camera
 from player.budget.controller import BudgetController
+from player.budget.effect_prices import effect_prices
 from player.budget.measure import BudgetScene
 from player.budget.rungs import choice_words
-from player.budget.table import bought_rung
-from player.context import Context
-from player.drawing import Pose
-from player.window.look import Look
+from player.budget.table import rung_within
+from player.draw.drawing import Pose
+from player.gl.context import Context
+from player.scene.effects import Effects
+from player.window.look import Appearance
 from player.window.state import Messages
+
+# frames that are timed: while the window plays they move, while it stands they do not
+FRAMES = 4
 
 
 class Budgeted:
@@ -19,7 +24,7 @@ class Budgeted:
     def __init__(
         self,
         context: Context,
-        look: Look,
+        look: Appearance,
         files: Sequence[str],
         frames: Sequence[tuple[Sequence[Pose], Camera]],
         size: tuple[int, int],
@@ -28,7 +33,7 @@ class Budgeted:
     ):
         self._look, self._messages, self.budget = look, messages, budget
         scene = BudgetScene(look.avatars, frames, size, look.effects, look.background, reads_back=False)
-        priced, chosen = bought_rung(context, scene, files, budget=budget)
+        priced, chosen = rung_within(context, scene, files, budget=budget)
         print(choice_words(chosen, priced, budget))
         self.controller: BudgetController | None = BudgetController(priced, budget, chosen)
         self._show()
@@ -49,12 +54,42 @@ class Budgeted:
         """Which rung is shown, and what the next better one would cost."""
         if self.controller is None:
             return "budget off"
-        now, dearer = self.controller.current, self.controller.dearer
+        now, better = self.controller.current, self.controller.costlier
         words = f"budget {self.budget:.3g} ms: {now.rung.name}"
-        if dearer is None:
+        if now.ms_median * self.controller.load > self.budget:
+            words += f", missed: {now.ms_median * self.controller.load:.3g} ms"
+        if better is None:
             return words
-        return f"{words}; {dearer.rung.name} {(dearer.ms_median - now.ms_median) * self.controller.load:.1f} ms more"
+        return f"{words}; {better.rung.name} {(better.ms_median - now.ms_median) * self.controller.load:.1f} ms more"
 
     def _show(self) -> None:
         assert self.controller is not None
         self._look.show(self.controller.current.rung)
+
+
+class EffectPrices:
+    """Milliseconds a frame of each effect, as long as what is asked for stays the same."""
+
+    def __init__(self) -> None:
+        self.wanted, self._of, self._ms = False, None, dict[str, float]()
+        self._seen: list[tuple[list[Pose], Camera]] = []
+
+    def ask(self) -> None:
+        """Time the effects as soon as a few frames were drawn."""
+        self.wanted, self._seen = True, []
+
+    def drawn(self, context: Context, look: Appearance, poses: Sequence[Pose], camera: Camera) -> None:
+        """A frame of the window was drawn so."""
+        if not self.wanted:
+            return
+        self._seen.append((list(poses), camera))
+        if len(self._seen) == FRAMES:
+            scene = BudgetScene(
+                look.avatars, self._seen, camera.size, look.effects, look.background, reads_back=False
+            )  # fmt: skip
+            self._ms, self._of = effect_prices(context, scene, look.rung), look.effects
+            self.wanted = False
+
+    def words(self, name: str, effects: Effects) -> str:
+        """What an effect costs, by the name of its setting; nothing where that is not known or no longer holds."""
+        return f"{self._ms[name]:.1f} ms" if self._of == effects and name in self._ms else ""

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path
 
-from avatar.files import whole_file
-from player.window.actions import GROUPS, MOUSE, MOUSE_ON_VIDEO, POSING, VIDEO, Group
+from files.whole import whole_file
+from player.window.actions import GROUPS, MOUSE, MOUSE_ON_VIDEO, POSING, VIDEO, KeyGroup
 
 DOCS = Path(__file__).parents[2] / "docs"
 # files with a table, and the groups that it shows
@@ -20,12 +20,12 @@ WIDTH = 112
 START, END = "<!-- keys: written by python -m player.window.help -->\n", "<!-- end of keys -->\n"
 
 
-def rows(group: Group) -> list[tuple[str, str]]:
+def rows(group: KeyGroup) -> list[tuple[str, str]]:
     """Keys and what they do."""
     return [(", ".join(action.shown_keys), action.means) for action in group.actions]
 
 
-def mouse_rows(groups: Sequence[Group]) -> list[tuple[str, str]]:
+def mouse_rows(groups: Sequence[KeyGroup]) -> list[tuple[str, str]]:
     """Gestures and what they do."""
     return [*MOUSE, *(MOUSE_ON_VIDEO if VIDEO in groups else ())]
 
@@ -48,7 +48,7 @@ def _two_columns(cells: list[tuple[str, str]]) -> list[str]:
     return lines if max(map(len, lines)) <= WIDTH else [f"    {text}" for text in texts]
 
 
-def table(groups: tuple[Group, ...]) -> str:
+def table(groups: tuple[KeyGroup, ...]) -> str:
     """Groups as a Markdown table."""
     lines = ["| key | |", "|---|---|"]
     for group in groups:
@@ -60,7 +60,7 @@ def table(groups: tuple[Group, ...]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def with_table(text: str, groups: tuple[Group, ...]) -> str:
+def with_table(text: str, groups: tuple[KeyGroup, ...]) -> str:
     """A page with its table as it should be."""
     pattern = re.escape(START) + ".*?" + re.escape(END)
     assert re.search(pattern, text, re.DOTALL), "the page has no place for the keys"

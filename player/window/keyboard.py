@@ -1,15 +1,32 @@
-"""The keyboard: which keys are down, and what a key does now."""
+"""The keyboard: names of keys, which are down, and what a key does now."""
 
-from player.cameras import WALK
+import glfw
+
+from player.scene.cameras import WALK
 from player.window.actions import found
-from player.window.key_names import MODIFIERS, NAMES
-from player.window.parts import Parts
+from player.window.parts import WindowParts
+
+# names of keys, as the table of actions and scripts use them
+NAMED = {
+    "space": glfw.KEY_SPACE, ",": glfw.KEY_COMMA, ".": glfw.KEY_PERIOD, "left": glfw.KEY_LEFT,
+    "right": glfw.KEY_RIGHT, "up": glfw.KEY_UP, "down": glfw.KEY_DOWN, "home": glfw.KEY_HOME, "end": glfw.KEY_END,
+    "[": glfw.KEY_LEFT_BRACKET, "]": glfw.KEY_RIGHT_BRACKET, "-": glfw.KEY_MINUS, "=": glfw.KEY_EQUAL,
+    "tab": glfw.KEY_TAB, "enter": glfw.KEY_ENTER, "escape": glfw.KEY_ESCAPE, "backspace": glfw.KEY_BACKSPACE,
+    "delete": glfw.KEY_DELETE, "ctrl": glfw.KEY_LEFT_CONTROL, "shift": glfw.KEY_LEFT_SHIFT, "f1": glfw.KEY_F1,
+}  # fmt: skip
+KEYS = NAMED | {letter: ord(letter.upper()) for letter in "abcdefghijklmnopqrstuvwxyz"}
+KEYS |= {digit: ord(digit) for digit in "0123456789"}
+NAMES = {code: name for name, code in KEYS.items()}
+MODIFIERS = {
+    glfw.KEY_LEFT_CONTROL: "ctrl", glfw.KEY_RIGHT_CONTROL: "ctrl", glfw.KEY_LEFT_SUPER: "ctrl",
+    glfw.KEY_RIGHT_SUPER: "ctrl", glfw.KEY_LEFT_SHIFT: "shift", glfw.KEY_RIGHT_SHIFT: "shift",
+}  # fmt: skip
 
 
 class Keyboard:
     """Keys that are held down: modifiers, and those that carry the camera."""
 
-    def __init__(self, parts: Parts):
+    def __init__(self, parts: WindowParts):
         self._parts = parts
         # codes of modifiers, names of walking keys
         self._modifiers: set[int] = set()
@@ -35,6 +52,11 @@ class Keyboard:
         if action.walk is not None:
             self._walking.add(name)
         action.do(self._parts)
+
+    @property
+    def carries(self) -> bool:
+        """Whether a key that carries the camera is down."""
+        return bool(self._walking)
 
     def advance(self, dt: float) -> None:
         """Carry the camera while its keys are held."""

@@ -4,16 +4,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from avatar.baked_avatar import Avatar
-from avatar.errors import AssetError
-from player.context import Context
-from player.passes.background import Background
-from player.renderer import Renderer
-from player.rung import Rung
-from player.scenes.effects import Effects
+from command.errors import AssetError
+from player.budget.rung import Rung
+from player.effects.background import Background
+from player.gl.context import Context
+from player.scene.effects import Effects
+from player.scene.renderer import Renderer
 from player.window.state import Messages
 
 
-class Look:
+class Appearance:
     """The renderer of the window and what it was asked for. Over a video the background is drawn last, under all."""
 
     def __init__(

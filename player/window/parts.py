@@ -1,24 +1,26 @@
 """The parts of the window, each in a file of its own. Keys, mouse and panels act on them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from player.window.budgeted import Budgeted
-from player.window.look import Look
+from player.window.budgeted import Budgeted, EffectPrices
+from player.window.look import Appearance
 from player.window.posing import Posing
-from player.window.prices import EffectPrices
 from player.window.recorder import Recorder
-from player.window.state import WindowState
+from player.window.screen import Screen
+from player.window.show import Show
+from player.window.state import AvatarSelection, LastFrame, Messages, WindowLayout, WindowState
 from player.window.viewpoint import Viewpoint
 from player.window.wipe import Wipe
 
 
 @dataclass
-class Parts:
+class WindowParts:
     """What can be changed in the window. `wipe` is there with a source video, `budget` where one was asked for."""
 
     state: WindowState
     viewpoint: Viewpoint
-    look: Look
+    look: Appearance
     posing: Posing
     recorder: Recorder
     wipe: Wipe | None
@@ -30,3 +32,27 @@ class Parts:
     def close(self) -> None:
         """Ask the window to close; where a pose would be lost, the second time."""
         self.closing = self.posing.may_leave()
+
+
+def opened_parts(show: Show, screen: Screen, clock: Callable[[], float]) -> WindowParts:
+    """The parts for a show, as it was opened."""
+    messages, capture = Messages(clock), show.capture
+    state = WindowState(
+        avatars=show.avatars,
+        playback=show.playback,
+        selection=AvatarSelection(show.names),
+        layout=WindowLayout(screen),
+        last=LastFrame(show.playback.poses()),
+        messages=messages,
+    )
+    return WindowParts(
+        state=state,
+        viewpoint=Viewpoint(state, show.cameras, capture=capture, follow=show.follow),
+        look=Appearance(
+            screen.context, show.avatars, show.effects, show.background, over_video=capture is not None,
+            messages=messages,
+        ),
+        posing=Posing(state),
+        recorder=Recorder(state, clock),
+        wipe=Wipe(screen.context, capture) if capture is not None else None,
+    )  # fmt: skip

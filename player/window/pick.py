@@ -8,9 +8,9 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera, pixel_rays
-from avatar.skeleton import skin_transforms
-from avatar.skinning import SkinWeights, dense_weights, skin_points
-from player.renderer import Pose
+from avatar.skinning import SkinWeights, dense_weights
+from player.draw.posing import posed_vertices
+from player.scene.renderer import Pose
 
 
 class Picked(NamedTuple):
@@ -22,14 +22,6 @@ class Picked(NamedTuple):
     face: int
     point: Float[np.ndarray, "3"]  # world, metres
     distance: float  # metres from the eye
-
-
-def posed_vertices(avatar: Avatar, level: Level, pose: Pose) -> Float[np.ndarray, "vertices 3"]:
-    """The avatar's vertices in the world, by linear blend skinning."""
-    transforms = skin_transforms(
-        pose[0], avatar.joint_positions.astype(np.float64), pose[1], avatar.canonical_pose.astype(np.float64)
-    )
-    return skin_points(level.positions.astype(np.float64), level.skin, transforms)
 
 
 def pick(

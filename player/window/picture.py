@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from avatar.camera import Camera
-from player.context import Context
-from player.shader import compile_program, uniform
+from player.gl.context import Context
+from player.gl.shader import compile_program, uniform
 
 # texture unit, away from those of the avatar and the text
 UNIT = 6

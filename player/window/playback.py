@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from player.live.playback import LivePlayback
-from player.renderer import Pose
-from player.track import Track
+from player.scene.renderer import Pose
+from player.scene.track import Track
 from player.window.timeline import Timeline
 
 

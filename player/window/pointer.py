@@ -4,7 +4,7 @@ from typing import Literal
 
 import numpy as np
 
-from player.window.parts import Parts
+from player.window.parts import WindowParts
 from player.window.pick import Picked, pick
 from player.window.pose_tool import PoseTool
 from player.window.screen import Screen
@@ -17,7 +17,7 @@ Hold = Literal["nothing", "camera", "wipe", "tool"]
 class Pointer:
     """Where the pointer is, window units, and what it holds: nothing yet, the camera, the wipe's line or the tool."""
 
-    def __init__(self, parts: Parts):
+    def __init__(self, parts: WindowParts):
         self.parts = parts
         self.at: tuple[float, float] = (0.0, 0.0)
         # button and where it went down

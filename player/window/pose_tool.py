@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from avatar.camera import Camera, project
 from avatar.skeleton import joint_transforms
-from player.ik import LIMBS
 from player.pose.gizmo import (
     Frame,
     Gizmo,
@@ -25,11 +24,12 @@ from player.pose.gizmo import (
     picked_joint,
     picked_ring,
 )
+from player.pose.ik import LIMBS
 from player.pose.keyframes import Pose
 from player.pose.session import PoseSession
 from player.window.state import WindowState
 
-# of the gizmo, window units
+# the gizmo's, window units
 RADIUS = 75.0
 # window units round a handle that still seize it
 HANDLE = 11.0
@@ -39,7 +39,7 @@ CLICK = 3.0
 
 
 @dataclass(frozen=True)
-class Handle:
+class PullHandle:
     """Something to pull: a joint's place on the screen, and what the pull does."""
 
     name: str
@@ -48,9 +48,9 @@ class Handle:
 
 
 HANDLES = (
-    *(Handle(name, limb.end, "end") for name, limb in LIMBS.items()),
-    Handle("body", 0, "body"),
-    *(Handle(name, limb.middle, "middle") for name, limb in LIMBS.items()),
+    *(PullHandle(name, limb.end, "end") for name, limb in LIMBS.items()),
+    PullHandle("body", 0, "body"),
+    *(PullHandle(name, limb.middle, "middle") for name, limb in LIMBS.items()),
 )
 
 
@@ -61,8 +61,8 @@ class Drag:
     start: Pose
     pressed: tuple[float, float]
     grab: Grab | None = None
-    angle: float = 0.0  # of the ring
-    handle: Handle | None = None
+    angle: float = 0.0  # the ring's
+    handle: PullHandle | None = None
     offset: Float[np.ndarray, "3"] | None = None  # from the pointer to the handle, metres
     moved: bool = False
 
@@ -77,7 +77,7 @@ class PoseTool:
         self.follow = False
         self.held: Drag | None = None
         # a ring or a handle
-        self.hovered: int | Handle | None = None
+        self.hovered: int | PullHandle | None = None
 
     # -- places
 
@@ -107,10 +107,10 @@ class PoseTool:
         size = self._scale * RADIUS * (0.55 if joint >= 22 else 1.0)  # fingers are small
         return gizmo_at(pose.axis_angle, pose.root, self.session.joints, joint, camera, frame=self.frame, pixels=size)
 
-    def place(self, handle: Handle) -> Float[np.ndarray, "3"]:
+    def place(self, handle: PullHandle) -> Float[np.ndarray, "3"]:
         return self.session.world()[handle.joint, :3, 3]
 
-    def under(self, x: float, y: float) -> int | Handle | None:
+    def under(self, x: float, y: float) -> int | PullHandle | None:
         """The handle or ring at a pixel. Handles of ends come first, then rings, then the rest."""
         camera = self._camera
         # nothing is seized that is not shown
@@ -139,7 +139,7 @@ class PoseTool:
             return False
         pixel = np.array([x, y], np.float64)
         self.held = Drag(self.session.pose, (x, y))
-        if isinstance(found, Handle):
+        if isinstance(found, PullHandle):
             place = self.place(found)
             self.held.handle = found
             self.held.offset = place - on_plane_through(camera, place, pixel)
@@ -173,7 +173,7 @@ class PoseTool:
         assert held.handle is not None
         return _places(self.session, held.start)[held.handle.joint]
 
-    def _pull(self, handle: Handle, held: Drag, target: Float[np.ndarray, "3"]) -> None:
+    def _pull(self, handle: PullHandle, held: Drag, target: Float[np.ndarray, "3"]) -> None:
         session, start = self.session, held.start
         if handle.kind == "body":
             session.move(start, start.root + target - self._start_place(held), drag=held)

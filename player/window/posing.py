@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from avatar.errors import AssetError
-from player.framing import pelvis_height
-from player.pose.ground import grounded
+from command.errors import AssetError
+from player.draw.posing import grounded
 from player.pose.library import Library
-from player.pose.limbs import limb_of
+from player.pose.mirror import limb_of
 from player.pose.session import PoseSession
-from player.renderer import Pose
+from player.scene.framing import pelvis_height
+from player.scene.renderer import Pose
 from player.window.pose_tool import PoseTool
 from player.window.recorder import free_name
 from player.window.state import WindowState, joint_name
@@ -72,7 +72,7 @@ class PoseEdit:
         self.library = Library()
         # what is typed into the panel's fields
         self.name = self.file = ""
-        # of the timeline, for leaving
+        # the timeline's frames when posing began, to go back to
         self.frames_before = state.timeline.frames
         # the state of which was said that leaving loses it
         self._warned: object = None

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from avatar.files import whole_file
-from avatar.progress import counted
-from player.filming.film import Film
+from command.progress import plural
+from files.whole import whole_file
+from player.film.film import Film
 from player.window.state import WindowState
 
 FASTEST = 60.0  # frames a second of a film
@@ -63,7 +63,7 @@ class WindowFilm:
             self.film.__exit__(ValueError, ValueError("no frames"), None)
             return f"{self.path}: no frame was drawn, no film written"
         self.film.__exit__(None, None, None)
-        return f"{self.path} written: {counted(self.frames, 'frame')}, {self.rate:g} a second"
+        return f"{self.path} written: {plural(self.frames, 'frame')}, {self.rate:g} a second"
 
 
 class Recorder:

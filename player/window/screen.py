@@ -9,8 +9,8 @@ import moderngl
 import numpy as np
 from jaxtyping import UInt8
 
-from avatar.errors import AssetError
-from player.context import Context, wrap_context
+from command.errors import AssetError
+from player.gl.context import Context, wrap_context
 
 # height of letters, pixels of a usual screen
 LETTER = 15.0
@@ -101,7 +101,7 @@ def open_window(size: tuple[int, int], null: bool):
     window = glfw.create_window(*size, "selfscan", None, None)
     if not window:
         glfw.terminate()
-        raise AssetError(f"no window: {'; '.join(reasons) or 'unknown reason'}; `selfscan doctor` tells more")
+        raise AssetError(f"no window: {'; '.join(reasons) or 'unknown reason'}; `selfscan doctor` says more")
     glfw.make_context_current(window)
     return window
 
@@ -120,7 +120,7 @@ class ScreenReader:
     """Reads the window's pixels. moderngl's own `read` names an attachment, which a window does not have: GL errs."""
 
     def __init__(self, context: Context):
-        address = context.counts.wrap("glReadPixels", context.driver.address("glReadPixels"))
+        address = context.driver.address("glReadPixels")
         self.context = context
         self._read = ctypes.CFUNCTYPE(None, c_int, c_int, c_int, c_int, c_uint, c_uint, c_void_p)(address)
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import glfw
 
-from player.window.key_names import KEYS
+from player.window.keyboard import KEYS
 
 if TYPE_CHECKING:
     from player.window.window import Window

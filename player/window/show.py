@@ -9,16 +9,16 @@ from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
 from avatar.rotation import matrix_from_axis_angle
-from player.camera_path import CameraPath
-from player.cameras import TURN_SECONDS, Cameras, Orbit
-from player.capture_view import CaptureView, open_capture
-from player.framing import FOV, extent, facing, fitted
+from player.effects.background import Background
 from player.live.playback import LivePlayback
-from player.motions import BLOCK
-from player.passes.background import Background
-from player.scenes.effects import STUDIO, Effects
-from player.scenes.opened import avatar_notes, notes_of, opened_camera, opened_tracks
-from player.scenes.scene import Scene, SceneCamera
+from player.scene.camera_path import CameraPath
+from player.scene.cameras import TURN_SECONDS, Cameras, Orbit
+from player.scene.capture_view import CaptureView, open_capture
+from player.scene.effects import STUDIO, Effects
+from player.scene.framing import FOV, extent, facing, fitted
+from player.scene.motions import BLOCK
+from player.scene.opened import notes_of, opened_camera, opened_tracks
+from player.scene.scene import Scene, SceneCamera
 from player.window.playback import Playback
 
 KINDS = {
@@ -40,6 +40,8 @@ class Show:
     capture: CaptureView | None = None
     # whether the orbit goes along with the first avatar from the start
     follow: bool = False
+    # coarser levels of detail where avatars are small
+    level_by_size: bool = False
     # what was assumed, for printing
     notes: list[str] = field(default_factory=list)
 
@@ -89,5 +91,5 @@ def opened_show(
     return Show(
         list(avatars), [Path(entry.path).stem for entry in scene.avatars],
         Playback(tracks, live, rate=scene.rate), cameras, scene.effects, scene.background, capture,
-        follow=first.kind == "orbit", notes=[*avatar_notes(avatars), *notes_of(tracks)],
+        follow=first.kind == "orbit", level_by_size=scene.level_by_size, notes=notes_of(tracks),
     )  # fmt: skip

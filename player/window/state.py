@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from avatar.skeleton import JOINTS
-from player.renderer import Pose
+from player.scene.renderer import Pose
 from player.window.playback import Playback
 from player.window.screen import Screen
 from player.window.timeline import Timeline
@@ -21,7 +21,7 @@ Area = tuple[int, int, int, int]
 MESSAGE_SECONDS = 5.0
 
 
-class Selection:
+class AvatarSelection:
     """The avatar that panels are about, and its joint that was clicked."""
 
     def __init__(self, names: list[str]):
@@ -63,7 +63,7 @@ class Messages:
         return self.last if self._clock() < self._until else ""
 
 
-class Layout:
+class WindowLayout:
     """Which part of the window the picture has, and what lies over it."""
 
     def __init__(self, screen: Screen):
@@ -113,8 +113,8 @@ class WindowState:
 
     avatars: list[Avatar]
     playback: Playback
-    selection: Selection
-    layout: Layout
+    selection: AvatarSelection
+    layout: WindowLayout
     last: LastFrame
     messages: Messages
 

@@ -10,9 +10,9 @@ import moderngl
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from player.context import Context
-from player.shader import compile_program, uniform
-from player.window.actions import Group
+from player.gl.context import Context
+from player.gl.shader import compile_program, uniform
+from player.window.actions import KeyGroup
 from player.window.help import mouse_rows, rows
 
 UNIT = 7  # texture unit, away from those of the avatar
@@ -49,7 +49,7 @@ class TextPlate:
             self._upload(key, line_image(text, size[0], round(letter)))
         self._draw(0, 0, size)
 
-    def keys(self, groups: Sequence[Group], size: tuple[int, int], letter: float) -> None:
+    def keys(self, groups: Sequence[KeyGroup], size: tuple[int, int], letter: float) -> None:
         """Draw the list of keys in the middle of the window."""
         key = (tuple(groups), size, letter)
         if key != self.shown:
@@ -102,7 +102,7 @@ def line_image(text: str, width: int, letter: int) -> Image.Image:
     return image
 
 
-def keys_image(groups: Sequence[Group], size: tuple[int, int], letter: int) -> Image.Image:
+def keys_image(groups: Sequence[KeyGroup], size: tuple[int, int], letter: int) -> Image.Image:
     """Keys and what they do, under headings, in as many columns as fit a window of `size`; smaller where it must be."""
     blocks = [(group.title, rows(group)) for group in groups] + [("Mouse", mouse_rows(groups))]
     for height in range(letter, 7, -1):

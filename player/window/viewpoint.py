@@ -1,9 +1,9 @@
 """Where the picture is seen from: the cameras, whether they go along with the avatar, and the path being recorded."""
 
 from avatar.camera import Camera
-from avatar.progress import counted
-from player.cameras import Cameras
-from player.capture_view import CaptureView
+from command.progress import plural
+from player.scene.cameras import Cameras
+from player.scene.capture_view import CaptureView
 from player.window.recorder import free_name
 from player.window.state import WindowState
 
@@ -54,4 +54,4 @@ class Viewpoint:
             return
         name = free_name("selfscan-path", ".json")
         self.cameras.path.write(name)
-        self.state.messages.say(f"{name} written: {counted(len(self.cameras.keys), 'key')}")
+        self.state.messages.say(f"{name} written: {plural(len(self.cameras.keys), 'key')}")

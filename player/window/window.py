@@ -2,8 +2,9 @@
 
 What is shown is a `Show` (player/window/show.py). The parts that keys, mouse and panels change are
 player/window/parts.py, each in a file of its own; what keys do is the table of player/window/actions.py. Panels
-(player/gui/) are given to the window, which knows of them only what `PanelLayer` says. The same code runs without a
-display: glfw's null platform with OSMesa, driven by a script (player/window/script.py) that calls what glfw calls.
+(player/window/panels/) are given to the window, which knows of them only what `PanelLayer` says. The same code runs
+without a display: glfw's null platform with OSMesa, driven by a script (player/window/script.py) that calls what
+glfw calls.
 """
 
 import time
@@ -14,27 +15,26 @@ from typing import Protocol
 import glfw
 import moderngl
 
-from avatar.interrupt import deferred_stop
-from player.cameras import moved_into
+from command.interrupt import deferred_stop
+from player.scene.cameras import moved_into
 from player.window.actions import GROUPS
 from player.window.budgeted import Budgeted
 from player.window.keyboard import Keyboard
-from player.window.look import Look
-from player.window.parts import Parts
+from player.window.parts import WindowParts, opened_parts
 from player.window.picture import PictureLayer
 from player.window.pointer import Pointer
-from player.window.posing import Posing
-from player.window.recorder import Recorder, save_picture
+from player.window.recorder import save_picture
 from player.window.screen import Screen
 from player.window.script import RATE, steps
 from player.window.show import Show
-from player.window.state import LastFrame, Layout, Messages, Selection, WindowState
 from player.window.text import TextPlate
 from player.window.timeline import LONGEST_STEP
-from player.window.viewpoint import Viewpoint
-from player.window.wipe import Wipe
 
 Clock = Callable[[], float]
+# seconds that a still window waits for an event before it looks whether anything has changed
+STILL = 0.25
+# frames drawn after an event: a panel answers one or two frames late
+ANSWERS = 4
 
 
 class PanelLayer(Protocol):
@@ -56,7 +56,7 @@ class PanelLayer(Protocol):
     def on_button(self, button: int, down: bool, over_picture: bool) -> bool: ...
 
     def draw(self, screen: moderngl.Framebuffer) -> None:
-        """Draw the panels that there is room for, and tell the layout whether there were any."""
+        """Draw the panels that there is room for, and note in the layout whether there were any."""
         ...
 
     def release(self) -> None: ...
@@ -71,36 +71,49 @@ class Window:
         *,
         size: tuple[int, int],
         null: bool = False,
-        panels: Callable[[Parts], PanelLayer] | None = None,
+        panels: Callable[[WindowParts], PanelLayer] | None = None,
         clock: Clock = time.perf_counter,
         budget: tuple[float, Sequence[str]] | None = None,
-        level_by_size: bool = False,
     ):
         """budget: milliseconds of a frame's own work, and the files of the avatars, by which its prices are kept."""
         self.clock, self.screen = clock, Screen(size, null=null)
-        self.parts = _parts(show, self.screen, clock)
+        self.parts = opened_parts(show, self.screen, clock)
         self.keyboard, self.pointer = Keyboard(self.parts), Pointer(self.parts)
         context = self.screen.context
         self.status_line, self.key_list, self.backdrop = TextPlate(context), TextPlate(context), PictureLayer(context)
         self.panels = panels(self.parts) if panels is not None else None
         show.fit_orbit(self.parts.state.layout.area[2:])
-        if level_by_size:
+        if show.level_by_size:
             self.parts.look.follow_size(True)
+        # seconds that have passed for loose parts: also while the timeline stands
+        self._moved = 0.0
         if budget is not None:
             self.parts.budget = self._budgeted(*budget)
         self._last_tick = clock()
-        # seconds that have passed for loose parts: also while the timeline stands
-        self._moved = 0.0
+        self._answers = ANSWERS
         self._connect()
 
     def _budgeted(self, budget: float, files: Sequence[str]) -> Budgeted:
-        """What this window draws within a budget: a few moments of its motion are timed as the orbit sees them."""
+        """What this window draws within a budget: a few moments of its motion are timed as the orbit sees them.
+
+        Timing takes long the first time, so the avatar is shown first, with a line that says what is being done."""
         parts, size = self.parts, self.screen.size
         camera = parts.viewpoint.cameras.orbit.camera(size)
         tracks = parts.state.playback.tracks
         moments = [share * max(track.end for track in tracks) for share in (0.1, 0.35, 0.6, 0.85)]
         frames = [([track.pose(seconds) for track in tracks], camera) for seconds in moments]
+        self._announce(f"timing what holds {budget:.3g} ms a frame; this takes up to a minute the first time ...")
         return Budgeted(self.screen.context, parts.look, files, frames, size, budget, parts.state.messages)
+
+    def _announce(self, text: str) -> None:
+        """Show the first picture with a line of text, before work that takes long."""
+        screen, size = self.screen.begin(), self.screen.size
+        self.parts.state.last.poses = self.parts.posing.poses()
+        self._draw_picture(screen)
+        screen.use()
+        self.status_line.line(text, size, self.screen.letter)
+        glfw.swap_buffers(self.screen.handle)
+        glfw.poll_events()
 
     def _connect(self) -> None:
         """glfw calls what a script calls."""
@@ -252,9 +265,38 @@ class Window:
                     self.advance(now - last)
                     last = now
                 self.draw(keep=keep)
+                if waiting is None:
+                    self._take_events()
+                else:
+                    glfw.poll_events()
+
+    def _take_events(self) -> None:
+        """Take what has happened. A window in which nothing moves sleeps until something does."""
+        if 0 not in self.screen.size:
+            self._answers = ANSWERS if self._moves() else self._answers - 1
+            if self._answers > 0:
                 glfw.poll_events()
-                if waiting is None and 0 in self.screen.size:
-                    glfw.wait_events_timeout(0.1)
+                return
+        began = self.clock()
+        glfw.wait_events_timeout(STILL)
+        waited = self.clock() - began
+        # frames are timed by their work, not by the sleep before them
+        self._last_tick += waited
+        self._answers = ANSWERS if waited < 0.9 * STILL else 1
+
+    def _moves(self) -> bool:
+        """Whether the next frame differs from the last one even if no one touches the window."""
+        parts = self.parts
+        playback, line = parts.state.playback, parts.state.timeline
+        return (
+            (line.playing and line.frames > 1)
+            or bool(playback.live)
+            or parts.recorder.wants_picture
+            or parts.prices.wanted
+            or parts.viewpoint.cameras.kind == "turntable"
+            or parts.look.renderer.moves
+            or self.keyboard.carries
+        )
 
     def close(self) -> None:
         """Write what is being filmed, free everything and close the window."""
@@ -271,47 +313,22 @@ class Window:
             self.screen.close()
 
 
-def _parts(show: Show, screen: Screen, clock: Clock) -> Parts:
-    """The parts for a show, as it was opened."""
-    messages, capture = Messages(clock), show.capture
-    state = WindowState(
-        avatars=show.avatars,
-        playback=show.playback,
-        selection=Selection(show.names),
-        layout=Layout(screen),
-        last=LastFrame(show.playback.poses()),
-        messages=messages,
-    )
-    return Parts(
-        state=state,
-        viewpoint=Viewpoint(state, show.cameras, capture=capture, follow=show.follow),
-        look=Look(
-            screen.context, show.avatars, show.effects, show.background, over_video=capture is not None,
-            messages=messages,
-        ),
-        posing=Posing(state),
-        recorder=Recorder(state, clock),
-        wipe=Wipe(screen.context, capture) if capture is not None else None,
-    )  # fmt: skip
-
-
 def play(
     show: Show,
     *,
     size: tuple[int, int],
     null: bool,
-    panels: Callable[[Parts], PanelLayer] | None,
+    panels: Callable[[WindowParts], PanelLayer] | None,
     script: Sequence[str] | None,
     screenshot: str | None,
     budget: tuple[float, Sequence[str]] | None = None,
-    level_by_size: bool = False,
 ) -> int:
     """Open the window and run it. A script closes it at its end; a screenshot keeps the last frame shown."""
     if script is not None:
         steps(script)
     try:
         with deferred_stop(patience=0) as stop:
-            window = Window(show, size=size, null=null, panels=panels, budget=budget, level_by_size=level_by_size)
+            window = Window(show, size=size, null=null, panels=panels, budget=budget)
     except BaseException:
         show.playback.close()
         # with the window, where there is one already

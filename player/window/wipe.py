@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from player.cameras import inner_box
-from player.capture_view import CaptureView
-from player.context import Context
+from player.gl.context import Context
+from player.scene.cameras import inner_box
+from player.scene.capture_view import CaptureView
 from player.window.picture import Box, PictureLayer
-from player.window.state import Layout
+from player.window.state import WindowLayout
 
 LINE = (1.0, 0.8, 0.2)
 # window units beside the line where it can be grabbed
@@ -18,7 +18,7 @@ class Wipe:
 
     def __init__(self, context: Context, capture: CaptureView):
         self.capture, self.picture = capture, PictureLayer(context)
-        # of the video's width that shows the video alone
+        # the share of the video's width that shows the video alone
         self.part = 0.5
         # the video is behind the avatar too; else the plain background is
         self.behind = True
@@ -38,7 +38,7 @@ class Wipe:
         left, _, width, _ = self.box(area)
         return left + self.part * width
 
-    def near(self, x: float | int, layout: Layout) -> bool:
+    def near(self, x: float | int, layout: WindowLayout) -> bool:
         """Whether pixel x is so near the line that it can be grabbed there."""
         return abs(x - self.line(layout.area)) < REACH * layout.screen.scale
 

@@ -24,11 +24,11 @@ class Backdrop:
     """An empty room as one camera sees it."""
 
     picture: Float[Array, "height width 3"]  # sRGB, 0 to 255
-    # of the pixels that show the floor: x and z, metres; elsewhere far away
+    # where the pixels show the floor: x and z, metres; elsewhere far away
     floor: Float[Array, "height width 2"]
 
     def with_shadow(self, x: float, z: float) -> Float[Array, "height width 3"]:
-        """The room with somebody standing at a place of it."""
+        """The room with a person standing at a place of it."""
         away = ((self.floor - np.array([x, z], np.float32)) ** 2).sum(-1)
         shade = 1 - SHADOW * np.exp2(-away / SHADOW_REACH**2)
         return self.picture * shade[..., None]
@@ -101,6 +101,7 @@ class _Paint:
         return sample_texture(self.grain, uv - np.floor(uv)) / 127.5 - 1
 
     def on(self, kind: str, u: Array, v: Array) -> Float[Array, "n 3"]:
+        """Linear color of a floor, wall or ceiling at places on it, metres."""
         fine, coarse = self.noise(u, v, 0.006), self.noise(u, v, 0.15)
         if kind == "floor":
             board = np.floor(u / 0.14)

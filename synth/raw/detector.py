@@ -13,10 +13,10 @@ from jaxtyping import Bool, Float
 
 from avatar.camera import Camera, project
 from avatar.skeleton import JOINTS, PARTS, joint_transforms
-from capture.imports.places import landmark_vertices
 from capture.keypoints.openpose import BODY_25, FACE_POINTS
 from capture.keypoints.record import FACE, SIDES, hand_points
-from player.raster import Rasteriser
+from capture.read.places import landmark_vertices
+from player.draw.raster import Rasteriser
 from synth.subject import SynthSubject
 
 Array = np.ndarray
@@ -25,11 +25,11 @@ Array = np.ndarray
 OUTLIERS, FAR = 0.03, 40.0
 # share of frames in which a run of exchanged sides begins, and its longest
 EXCHANGED, LONGEST = 0.012, 3
-# of the noise, the share of its variance that lasts, and how much is left from frame to frame
+# the share of the noise's variance that lasts, and how much is left from frame to frame
 LASTING, KEPT = 0.5, 0.85
 # factor on the noise of what is hidden
 HIDDEN = 2.5
-# of the body's bias, what points of hands and face have
+# the share of the body's bias that points of hands and face have
 SMALL = 0.3
 # metres that a point may lie behind the surface and still count as seen
 DEPTH = {
@@ -37,7 +37,7 @@ DEPTH = {
     "wrist": 0.07, "hand": 0.07,
 }  # fmt: skip
 FINGER_DEPTH, SURFACE_DEPTH = 0.025, 0.02
-# below this many points there is nobody
+# below this many points no person is found
 FEWEST = 4
 
 
@@ -73,7 +73,7 @@ class Detector:
         self.small = camera.resized((small[0], small[1]))
         self.points = _points(subject)
         self.rng = np.random.default_rng([*seed, 61])
-        # of the person, hence the same in all four videos
+        # the bias belongs to the person, hence it is the same in all four videos
         person = np.random.default_rng([seed[0], 62])
         bias = person.standard_normal((len(self.points), 3))
         small_ones = [p.depth <= FINGER_DEPTH for p in self.points]
@@ -85,7 +85,7 @@ class Detector:
     def look(
         self, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"], vertices: Float[Array, "vertices 3"]
     ) -> Float[Array, "points 3"] | None:
-        """x, y (the middle of the first pixel is .5) and confidence of every point; None: nobody is found."""
+        """x, y (the middle of the first pixel is .5) and confidence of every point; None: no person is found."""
         G = joint_transforms(axis_angle, self.subject.joints.astype(np.float64), root)
         at = np.stack([self._place(G, k) for k in range(len(self.points))])
         pixels, depth = project(self.camera, at)
@@ -112,7 +112,7 @@ class Detector:
         return np.concatenate([pixels, confidence[:, None]], 1)
 
     def skip(self, frames: int) -> None:
-        """Frames pass that nobody looks at."""
+        """Pass over frames without detection."""
         kept = KEPT**frames
         self.lasting = kept * self.lasting + np.sqrt(1 - kept**2) * self.rng.standard_normal(self.lasting.shape)
         self.exchanged_for = max(0, self.exchanged_for - frames)

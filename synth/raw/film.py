@@ -2,19 +2,17 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 
 from avatar.camera import Camera, project
-from avatar.progress import Progress
-from avatar.settings import AtLeast, AtMost, Option, check
-from player.filming.encoder import X264, encode
-from synth.light import Light
+from command.progress import Progress
+from player.film.encoder import X264, encode
+from synth.light import StudioLight
+from synth.options import RawConfig
 from synth.photo import Studio
 from synth.raw.backdrop import Backdrop, backdrop
 from synth.raw.detector import Detector, Mistakes
@@ -33,37 +31,15 @@ LIGHT_STEP = 0.5
 MASK_STEP = 10
 
 
-@dataclass(frozen=True)
-class RawConfig:
-    """How a phone films it."""
-
-    raw: Annotated[bool, "four videos as a phone writes them, and nothing else; the truth apart in OUT/truth"] = False
-    keypoints: Annotated[bool, "with --raw: OpenPose's keypoints of every frame, with a detector's mistakes"] = False
-    seconds: Annotated[
-        float, AtLeast(1), AtMost(600), Option(metavar="S"), "with --raw: of the turn in each video; 2.4 s come before"
-    ] = 20.0
-    keypoint_noise: Annotated[
-        float, AtLeast(0), AtMost(100), Option(metavar="PX"), "deviation of a keypoint, pixels of 1080"
-    ] = 4.0
-    keypoint_bias: Annotated[
-        float, AtLeast(0), AtMost(10), Option(metavar="CM"), "how far off its joint a body's keypoint stays"
-    ] = 1.0
-    sway: Annotated[float, AtLeast(0), AtMost(3), Option(metavar="0..3"), "how much the person sways; 0: stiff"] = 1.0
-    camera_noise: Annotated[
-        float, AtLeast(0), AtMost(5), Option(metavar="0..5"), "noise and rolling exposure of the phone; 0: none"
-    ] = 1.0
-
-    def __post_init__(self):
-        check(self)
-
-
 def mistakes_of(config: RawConfig) -> Mistakes:
     """How wrong the detector is."""
     return Mistakes(config.keypoint_noise, config.keypoint_bias / 100)
 
 
-def film_raw(folder: Path, studio: Studio, lights: dict[str, Light | Room], size: int, config: RawConfig, seed: int):
-    """Write the four videos, their keypoints and, in truth/, what nobody else may read; returns the planned shots."""
+def film_raw(
+    folder: Path, studio: Studio, lights: dict[str, StudioLight | Room], size: int, config: RawConfig, seed: int
+):
+    """Write the four videos, their keypoints and, in truth/, what is hidden from other stages; returns the shots."""
     wide = 2 * round(size * 16 / 9 / 2), 2 * round(size / 2)
     plan = plan_raw_videos(studio, wide, config.seconds, RATE, config.sway, seed)
     report = Progress("filming", sum(len(shots.root) for shots in plan.values()))
@@ -73,14 +49,14 @@ def film_raw(folder: Path, studio: Studio, lights: dict[str, Light | Room], size
         (truth / part / "masks").mkdir(parents=True)
         frames = _frames(folder, studio, shots, lights[part], config, [seed, number])
 
-        def counted(frames: Iterator[Array] = frames, part: str = part) -> Iterator[Array]:
+        def reported(frames: Iterator[Array] = frames, part: str = part) -> Iterator[Array]:
             nonlocal done
             for frame in frames:
                 yield frame
                 done += 1
                 report.update(done, part)
 
-        encode(str(folder / FILES[part]), ".mp4", X264, counted(), wide, RATE)
+        encode(str(folder / FILES[part]), ".mp4", X264, reported(), wide, RATE)
         np.savez_compressed(
             truth / part / "video.npz", poses=shots.axis_angle, root=shots.root, present=shots.present,
             K=shots.camera.K, camera_from_world=shots.camera.camera_from_world, size=np.array(wide),
@@ -89,7 +65,7 @@ def film_raw(folder: Path, studio: Studio, lights: dict[str, Light | Room], size
 
 
 def _frames(
-    folder: Path, studio: Studio, shots: RawShots, light: Light | Room, config: RawConfig, seed: list[int]
+    folder: Path, studio: Studio, shots: RawShots, light: StudioLight | Room, config: RawConfig, seed: list[int]
 ) -> Iterator[UInt8[Array, "height width 4"]]:
     """One video, RGBA; keypoints and masks are written by the way."""
     count, part = len(shots.root), shots.part
@@ -123,7 +99,7 @@ def taken(
     behind: Backdrop,
     vertices: Float[Array, "vertices 3"],
     i: int,
-    light: Light | Room,
+    light: StudioLight | Room,
     lit: VertexLight | None,
 ) -> tuple[Float[Array, "height width 3"], UInt8[Array, "height width"]]:
     """The person in the room, and the person's mask (0 to 255)."""
@@ -161,7 +137,7 @@ class _Lighting:
     """Light in a room for each frame: found for steady poses some way apart, so that the body's own openness serves
     every heading, and interpolated."""
 
-    def __init__(self, studio: Studio, shots: RawShots, light: Light | Room):
+    def __init__(self, studio: Studio, shots: RawShots, light: StudioLight | Room):
         self.studio, self.shots, self.light = studio, shots, light
         self.step = round(LIGHT_STEP * RATE)
         self.known: dict[int, VertexLight] = {}

@@ -45,7 +45,7 @@ class RawShots:
     # the same without sway: what light is found for
     steady: Float[Array, "frames 52 3"]
     camera: Camera
-    present: Bool[Array, "frames"]  # false: nobody has stepped in yet
+    present: Bool[Array, "frames"]  # false: the person has not stepped in yet
     floor: float  # height of the floor in this video's world, metres
 
 

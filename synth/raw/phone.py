@@ -9,7 +9,7 @@ from synth.raw.movement import EMPTY, ENTERING, Wander
 
 Array = np.ndarray
 
-# deviation of brightness and of red and blue over time, and how much darker it is once somebody stands there
+# deviation of brightness and of red and blue over time, and how much darker it is once a person stands there
 ROLL, TINT, DARKER = 0.012, 0.004, 0.03
 # variance of a shown value v: READ + SHOT v
 READ, SHOT = 1.2, 0.025

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from avatar.body import builtin_body, read_body, shaped
-from avatar.errors import AssetError
 from avatar.skeleton import JOINTS, PARENTS
+from command.errors import AssetError
 
 
 @pytest.mark.parametrize("sex", ["male", "female"])

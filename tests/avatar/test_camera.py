@@ -16,7 +16,7 @@ from avatar.camera import (
     write_camera,
     write_cameras,
 )
-from avatar.errors import AssetError
+from command.errors import AssetError
 
 
 @pytest.fixture

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import PARTS
 from bake.bake import BakeOptions, bake_run, check_complete, level_plan
 from bake.command import main
-from bench.remeasure import recorded_facts, remeasured
+from bench.ladder.remeasure import recorded_facts, remeasured
+from command.errors import AssetError
 from geometry.mesh import TriangleMesh
 from geometry.repair import find_faults
 
@@ -28,6 +28,7 @@ def welded(level):
     return index.reshape(-1)[level.faces.astype(np.int64)]
 
 
+@pytest.mark.slow
 def test_same_run_bakes_to_the_same_bytes(run, small, baked):
     folder, _ = baked
     bake_run(run, folder / "two.glb", small, lambda line: None)
@@ -79,6 +80,7 @@ def sheen(sheen_run, small, tmp_path_factory):
     return folder, read_avatar(folder / "sheen.glb")
 
 
+@pytest.mark.slow
 def test_sheen_ships_a_view_mode_that_is_nearer_to_the_cone_field(sheen):
     folder, avatar = sheen
     assert avatar.default_view in ("network", "linear")
@@ -91,6 +93,7 @@ def test_sheen_ships_a_view_mode_that_is_nearer_to_the_cone_field(sheen):
     assert (folder / "sheen.onnx").exists() == (avatar.network is not None)
 
 
+@pytest.mark.slow
 def test_high_quality_holds_eight_features_and_the_large_network(sheen):
     folder, avatar = sheen
     assert avatar.provenance["baked"]["quality"] == "high"
@@ -102,12 +105,14 @@ def test_high_quality_holds_eight_features_and_the_large_network(sheen):
     ]
 
 
+@pytest.mark.slow
 def test_without_a_capture_the_file_says_that_the_field_chose(sheen):
     said = sheen[1].provenance["baked"]["default_view"]
     assert said["mode"] == sheen[1].default_view and said["by"] == "field"
     assert "a richer mode must gain 0.3 dB" in said["reason"]
 
 
+@pytest.mark.slow
 def test_what_the_file_says_was_lost_is_found_again(sheen, sheen_run):
     found = remeasured(sheen[1], sheen_run, {})
     said = recorded_facts(sheen[1])["against_field"]
@@ -132,6 +137,7 @@ def part_area(level, run, part):
     return area[run.surface.part[nearest] == PARTS.index(part)].sum()
 
 
+@pytest.mark.slow
 def test_a_file_that_lost_more_than_it_says_is_found_out(sheen, sheen_run):
     avatar = sheen[1]
     level = avatar.levels[0]

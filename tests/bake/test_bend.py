@@ -16,7 +16,7 @@ from avatar.helper_joints import BONES, CARRIER
 from avatar.motion.clip import Clip
 from bake.bend import PUSHES, REACH, TURNS, Piece, flesh, turns_of, with_room
 from bake.twist import with_twist
-from player.mannequin import mannequin
+from player.scene.mannequin import mannequin
 
 CASES = [(name, k) for name in BENDS for k in range(len(TURNS[name.split("_")[1]]))]
 

@@ -3,11 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import torch
 from capsules import ball_mesh
 
 from bake.atlas import unwrap
-from bake.field import numpy_field
 from bake.level import enlargements, magnifiers
 from bake.options import BakeOptions
 from geometry.decimate import Magnifier, magnified
@@ -16,26 +14,7 @@ from geometry.isosurface import Detail
 EYE = Detail(np.array([-0.015, -0.01, 0.085]), np.array([0.015, 0.01, 0.105]), 0.001)
 
 
-class Ball:
-    """A field, with details or without."""
-
-    def distance(self, points: torch.Tensor) -> torch.Tensor:
-        return points.norm(dim=1) - 0.1
-
-    def normal(self, points: torch.Tensor) -> torch.Tensor:
-        return points / points.norm(dim=1, keepdim=True)
-
-    def color(self, points: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-        return 0.5 + 0 * points
-
-
-class Eyed(Ball):
-    def details(self) -> list[Detail]:
-        return [EYE]
-
-
 def test_a_field_s_details_are_magnified_before_head_and_hands():
-    assert numpy_field(Ball()).details == () and numpy_field(Eyed()).details == (EYE,)
     options = BakeOptions()
     joints = np.random.default_rng(0).normal(size=(52, 3))
     plain, eyed = enlargements(joints, options), enlargements(joints, options, (EYE,))

@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.sparse import csr_matrix
 
-from bake.frame_alignment import FARTHEST, ShownVideo, align_frames, frame_shift, moved_colors
-from bake.texture_solve import Equations
+from bake.texture.frame_alignment import FARTHEST, ShownVideo, align_frames, frame_shift, moved_colors
+from bake.texture.texture_solve import Equations
 
 SIZE = 96
 PIXEL = 0.005  # metres

@@ -7,9 +7,10 @@ from bake.promises import missed_promises
 
 
 def facts_with(paper_db=41.0, steps=(1.0, 2.0), view_db=40.0):
-    level = {"seam_step": {"mips": [{"p99": step} for step in steps]}, "texel_mm_by_part": {"body": 2.0}}
+    mips = [{"p99": 9.0, "seen_p99": step} for step in steps]
+    level = {"seam_step": {"mips": mips}, "texel_mm_by_part": {"body": 2.0}}
     against = {"paper_db": paper_db, "per_view_db": {"t body": view_db, "t head": None}}
-    return {"against_field": against, "levels": [level]}
+    return {"against_field": against, "levels": [level], "texture_from": "field"}
 
 
 def test_a_bake_that_keeps_its_promises_says_nothing():
@@ -24,6 +25,15 @@ def test_each_promise_missed_is_one_line_with_what_to_do():
     assert "level 0" in lines[1] and "mip 1 9.9" in lines[1] and "mip 0" not in lines[1]
     assert "less than 425 px tall" in lines[1] and "selfscan inspect" in lines[1]
     assert "20.0 MB, promised are at most 12" in lines[2] and "--texture" in lines[2]
+
+
+def test_textures_from_the_videos_promise_to_be_nearer_to_them_than_the_field_is():
+    """Far from the field is what they are for."""
+    facts = facts_with(34.71) | {"texture_from": "videos", "videos": {"head": {"rms_before": 9.0, "rms_after": 4.0}}}
+    assert missed_promises(facts, BakeOptions(), 7_000_000) == []
+    facts["videos"]["head"]["rms_after"] = 9.5
+    (line,) = missed_promises(facts, BakeOptions(), 7_000_000)
+    assert line.startswith("head: its video differs by 9.5") and "--texture-from field" in line
 
 
 def test_more_texels_may_take_more_room():

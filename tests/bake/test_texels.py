@@ -3,8 +3,8 @@ import pytest
 from capsules import ball_mesh
 
 from bake.atlas import unwrap
-from bake.seams import chart_edges, seam_steps
-from bake.texels import JITTER, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
+from bake.texture.seams import chart_edges, seam_steps
+from bake.texture.texels import JITTER, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from geometry.decimate import decimate
 
 SIZE = 256

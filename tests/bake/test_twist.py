@@ -10,7 +10,6 @@ from node_packages import package_folder, run_node
 from tiny_avatar import join_glb, same, split_glb, tiny_avatar
 
 from avatar.baked_avatar import TwistSkin
-from avatar.errors import AssetError
 from avatar.gltf.animation import write_animated
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.helper_joints import BONES, HELPER_JOINTS
@@ -20,7 +19,8 @@ from avatar.skeleton import JOINTS
 from bake.bake import bake_run
 from bake.bend import with_room
 from bake.twist import with_twist
-from player.mannequin import mannequin
+from command.errors import AssetError
+from player.scene.mannequin import mannequin
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,27 +11,32 @@ from scipy.ndimage import gaussian_filter
 from scipy.sparse import csr_matrix
 
 from avatar.camera import Camera, orbit_camera
-from avatar.errors import AssetError
 from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
-from bake import video_texture
 from bake.cone import ViewCone
 from bake.field import NumpyField
-from bake.fill import NEAR, Surface, filled_colors
-from bake.level import BakedLevel, Charted
-from bake.pixel_reads import atlas_mesh, drawn_finer, frame_light, frame_reads, pieces_of_faces, posed_frames
+from bake.level import level_of_file, places_on_finest
 from bake.run_capture import RunVideos, run_videos
-from bake.seams import chart_edges
-from bake.shown_range import shown_range, within_shown
-from bake.texture_solve import Equations, Prior, neighbour_pairs, solve_change
-from bake.video_texture import averaged, averaging, carried_to, solve_texture
-from bake.view_change import ViewChange
+from bake.texture import video_texture
+from bake.texture.fill import NEAR, TexelSurface, filled_colors
+from bake.texture.pixel_reads import (
+    ViewChange,
+    atlas_mesh,
+    drawn_finer,
+    frame_light,
+    frame_reads,
+    pieces_of_faces,
+    posed_frames,
+)
+from bake.texture.texture_solve import Equations, Prior, neighbour_pairs, shown_range, solve_change, within_shown
+from bake.texture.video_texture import averaged, averaging, solve_texture
 from capture.folder import PartVideo
+from command.errors import AssetError
 from geometry.mesh import TriangleMesh
-from player.context import open_context
-from player.mannequin import mannequin
-from player.raster import Rasteriser
-from player.renderer import Renderer
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
+from player.scene.mannequin import mannequin
+from player.scene.renderer import Renderer
 from train.session import capture_place
 
 SIZE = (96, 96)
@@ -46,15 +50,6 @@ class Filmed(RunVideos):
 
     def video(self, part: str) -> PartVideo:
         return self.found[part]
-
-
-def baked(level):
-    """A level of a file as the bake had it."""
-    uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
-    cone = ViewCone(*(a.astype(np.float64) for a in (level.view_dir, level.view_q, level.view_seen)))
-    charted = Charted(uv, faces, level.positions.astype(np.float64), level.normals.astype(np.float64), cone)
-    _, source = np.unique(level.positions, axis=0, return_inverse=True)
-    return BakedLevel(level, charted, chart_edges(uv, faces, source.reshape(-1)), {})
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +106,7 @@ def test_a_painted_texture_comes_back_from_its_pictures(painted, videos):
     level = painted.levels[0]
     grey = replace(level, base_color=np.full_like(level.base_color, 128))
     lines = []
-    solved = solve_texture(baked(grey), painted.joint_positions, videos, lines.append)
+    solved = solve_texture(level_of_file(grey), painted.joint_positions, videos, lines.append)
     mesh = atlas_mesh(level, painted.joint_positions)
     truth = level.base_color.reshape(-1, 3)[mesh.texels.index] / 255
     found = solved.image.reshape(-1, 3)[mesh.texels.index]
@@ -121,17 +116,16 @@ def test_a_painted_texture_comes_back_from_its_pictures(painted, videos):
     assert solved.facts["head"]["rms_after"] < 0.35 * solved.facts["head"]["rms_before"]
     assert 0 < solved.facts["unseen_share"] < 0.5
     assert any("head: 8 frames" in line for line in lines)
-    # the coarser level's texels get the change of the place that they show
+    # the coarser level's texels show the place that they lie at
     small = replace(grey, base_color=np.full((128, 128, 3), 128, np.uint8))
-    image = carried_to(baked(small), grey, solved.change)
-    own = atlas_mesh(small, painted.joint_positions)
-    halved = level.base_color.reshape(128, 2, 128, 2, 3).mean((1, 3)).reshape(-1, 3)[own.texels.index] / 255
-    assert np.median(np.abs(image.reshape(-1, 3)[own.texels.index] - halved)) < 0.45 * before
+    place = places_on_finest(level_of_file(small), level_of_file(grey))
+    mean = level.base_color.reshape(128, 2, 128, 2, 3).mean((1, 3)).reshape(-1, 3)[place.texels.index] / 255
+    assert np.median(np.abs(place.read(solved.image).reshape(-1, 3)[place.texels.index] - mean)) < 0.45 * before
 
 
 def shining(level):
     """What a level shows beyond its base for who looks along +x."""
-    charted = baked(level).charted
+    charted = level_of_file(level).charted
     count = len(charted.points)
     everywhere = ViewCone(-charted.normals, np.zeros((count, 6)), np.ones(count))
     nothing = lambda *arrays: np.zeros(len(arrays[0]))
@@ -154,7 +148,7 @@ def test_what_follows_the_eye_stays_out_of_the_texture(context, painted, videos)
         found[part] = replace(video, images=np.uint8(np.clip(np.round(images), 0, 255)))
     rasteriser.release()
     filmed = replace(videos, found=found)
-    grey = baked(replace(level, base_color=np.full_like(level.base_color, 128)))
+    grey = level_of_file(replace(level, base_color=np.full_like(level.base_color, 128)))
 
     # what the solution leaves of each video's pixels, of 255: a shine that turns with the camera fits no texture
     left = {}
@@ -229,7 +223,7 @@ def test_the_light_of_a_frame_is_divided_out(context, painted, videos, still):
 
 
 def line_texels(count):
-    from bake.texels import TexelMap
+    from bake.texture.texels import TexelMap
 
     return TexelMap(np.arange(count), np.zeros(count, int), np.ones(count, bool), count)
 
@@ -267,18 +261,23 @@ def test_texels_on_chart_edges_leave_a_color_that_is_far_off():
     assert np.abs(found[sides] - truth).max() < 0.1 * truth
 
 
+def flat_surface(points, shape):
+    """Grids of vertices, one piece each, that are the texels as well, facing +z."""
+    index = np.arange(len(points)).reshape(-1, *shape)
+    a, b, c, d = index[:, :-1, :-1], index[:, :-1, 1:], index[:, 1:, 1:], index[:, 1:, :-1]
+    faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
+    count = len(points)
+    return TexelSurface(
+        TriangleMesh(points, faces), np.stack([np.arange(count)] * 3, 1), np.tile([1.0, 0, 0], (count, 1)), points,
+        np.tile([0, 0, 1.0], (count, 1)), np.full(count, 6e-6), np.repeat(np.arange(len(index)), index[0].size),
+    )  # fmt: skip
+
+
 def test_unseen_skin_becomes_skin_and_cloth_stays_cloth():
-    """A strip that nobody saw across an arm of skin and a sleeve: what the field dreamt there goes."""
+    """An unseen strip across an arm of skin and a sleeve: what the field dreamt there goes."""
     x, y = np.meshgrid(np.linspace(0, 0.2, 81), np.linspace(0, 0.1, 41))
     points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
-    index = np.arange(x.size).reshape(x.shape)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
-    vertices = np.arange(len(points))
-    surface = Surface(
-        TriangleMesh(points, faces), np.stack([vertices] * 3, 1), np.tile([1.0, 0, 0], (len(points), 1)), points,
-        np.tile([0, 0, 1.0], (len(points), 1)), np.full(len(points), 6e-6), np.zeros(len(points), int),
-    )  # fmt: skip
+    surface = flat_surface(points, x.shape)
     skin, cloth = np.array([0.8, 0.6, 0.5]), np.array([0.1, 0.15, 0.4])
     truth = np.where(points[:, [0]] < 0.1, skin, cloth)
     seen = np.abs(points[:, 1] - 0.05) > 0.02
@@ -291,20 +290,28 @@ def test_unseen_skin_becomes_skin_and_cloth_stays_cloth():
     np.testing.assert_array_equal(filled_colors(surface, dreamt, np.zeros(len(seen), bool)), dreamt)
 
 
+def test_unseen_cloth_of_two_colors_is_one_of_them_and_nothing_between():
+    """White stripes on black that the field saw as grey: each texel becomes white or black."""
+    x, y = np.meshgrid(np.linspace(0, 0.2, 81), np.linspace(0, 0.1, 41))
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
+    surface = flat_surface(points, x.shape)
+    white = np.floor(points[:, 0] / 0.02).astype(int) % 2 == 0
+    truth = np.where(white[:, None], 0.9, 0.1) * np.ones(3)
+    seen = np.abs(points[:, 1] - 0.05) > 0.02
+    blurred = np.where(seen[:, None], truth, 0.5 + 0.05 * np.sign(truth - 0.5))
+    found = filled_colors(surface, blurred, seen)
+    off = np.minimum(np.abs(found - 0.9), np.abs(found - 0.1))
+    assert off.max() < 2 * NEAR
+    assert (np.abs(found - truth[~seen]).max(1) < 2 * NEAR).mean() > 0.85
+
+
 def test_skin_under_hair_is_filled_from_skin():
-    """A strip of skin that nobody saw under a sheet of hair, whose texels are the nearest seen ones."""
+    """An unseen strip of skin under a sheet of hair, whose texels are the nearest seen ones."""
     x, y = np.meshgrid(np.linspace(0, 0.1, 41), np.linspace(0, 0.1, 41))
     sheet = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
-    index = np.arange(x.size).reshape(x.shape)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
-    points, count = np.concatenate([sheet, sheet + [0, 0, 0.003]]), x.size
-    piece = np.repeat([0, 1], count)
-    surface = Surface(
-        TriangleMesh(points, np.concatenate([faces, faces + count])), np.stack([np.arange(2 * count)] * 3, 1),
-        np.tile([1.0, 0, 0], (2 * count, 1)), points, np.tile([0, 0, 1.0], (2 * count, 1)),
-        np.full(2 * count, 6e-6), piece,
-    )  # fmt: skip
+    points = np.concatenate([sheet, sheet + [0, 0, 0.003]])
+    surface = flat_surface(points, x.shape)
+    piece = surface.piece
     skin, hair = np.array([0.8, 0.6, 0.5]), np.array([0.15, 0.1, 0.05])
     seen = (piece == 1) | (np.abs(points[:, 1] - 0.05) > 0.03)
     dreamt = np.where((piece == 1)[:, None] | ~seen[:, None], hair, skin)
@@ -331,7 +338,7 @@ def test_a_solved_texture_is_kept_within_what_pixels_show(painted, videos, monke
         return np.zeros_like(kept)
 
     monkeypatch.setattr(video_texture, "within_shown", watched)
-    solved = solve_texture(baked(far), painted.joint_positions, videos, lambda line: None)
+    solved = solve_texture(level_of_file(far), painted.joint_positions, videos, lambda line: None)
     assert held[0] > 0.01
     assert solved.image.max() < 1e-6
 
@@ -380,18 +387,14 @@ def filmed(tmp_path_factory):
     return folder, facts | {"head_from_canonical": np.diag([2.0, 2, 2, 1]).tolist()}
 
 
-def run_of(folder, facts):
-    return SimpleNamespace(path=folder / "run", provenance=facts, lights={})
-
-
 def test_the_videos_of_a_run_are_found_again(filmed, tmp_path):
     folder, facts = filmed
     assert facts["capture_at"]["folder"] == "../capture"
-    found = run_videos(run_of(folder, facts), None)
+    found = run_videos(folder / "run", facts, None)
     assert found.video("body").images.shape == (1, 16, 16, 3) and found.refined == folder / "run"
     # another capture of the same person: its own poses, the run's head
     write_capture(tmp_path / "large", size=24, frames=1)
-    other = run_videos(run_of(folder, facts), tmp_path / "large")
+    other = run_videos(folder / "run", facts, tmp_path / "large")
     assert other.refined is None and other.video("head").images.shape == (1, 24, 24, 3)
 
 
@@ -406,7 +409,7 @@ def test_the_videos_of_a_run_are_found_again(filmed, tmp_path):
 def test_videos_that_are_nowhere_are_one_line_with_two_ways_out(filmed, change, words):
     folder, facts = filmed
     with pytest.raises(AssetError, match=words) as raised:
-        run_videos(run_of(folder, facts | change), None)
+        run_videos(folder / "run", facts | change, None)
     assert "--capture FOLDER" in str(raised.value) and "--texture-from field" in str(raised.value)
 
 
@@ -418,4 +421,4 @@ def test_videos_whose_head_lies_elsewhere_are_refused(filmed, tmp_path):
     content["points"] = {name: [x + 0.5, y, z] for name, (x, y, z) in content["points"].items()}
     marks.write_text(json.dumps(content))
     with pytest.raises(AssetError, match="head frame is not the run's"):
-        run_videos(run_of(folder, facts), tmp_path / "other")
+        run_videos(folder / "run", facts, tmp_path / "other")

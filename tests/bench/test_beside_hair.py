@@ -5,8 +5,8 @@ import pytest
 
 from avatar.skeleton import JOINTS, PARTS
 from avatar.skinning import SkinWeights
-from bench.beside_hair import edges_at_hair, skin_beside_hair, skin_to_surface, stretched_edges
-from bench.true_mesh import TrueMesh
+from bench.score.beside_hair import edges_at_hair, skin_beside_hair, skin_to_surface, stretched_edges
+from bench.score.true_mesh import TrueMesh
 
 HEAD = JOINTS.index("head")
 

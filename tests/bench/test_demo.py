@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
 from bench.demo import SCENE, Stage, command, film, run_stages, stages, summary
-from player.mannequin import mannequin
-from player.scenes.scene_file import read_scene
+from command.errors import AssetError
+from player.scene.mannequin import mannequin
+from player.scene.scene_file import read_scene
 
 
 def writing(path, log, name):
@@ -66,7 +66,7 @@ def test_the_person_calls_for_a_view_network_and_the_report_has_intervals(tmp_pa
             stage.run()
     synth, _, bake, _, bench = commands
     assert float(synth[synth.index("--sheen") + 1]) > 0
-    assert "--capture" in bake and "--capture" in bench
+    assert "--capture" in bake and "--capture" in bench and "--run" not in bench
     assert int(bench[bench.index("--rounds") + 1]) >= 20 and int(bench[bench.index("--frames") + 1]) > 1
 
 
@@ -89,7 +89,9 @@ def test_the_end_says_times_and_what_the_avatar_missed(tmp_path):
     write_avatar(tmp_path / "avatar.glb", avatar)
     text = "\n".join(summary(tmp_path, {"train": 61.2, "bake": 12.0}))
     assert "train" in text and "61 s" in text and "73 s" in text
-    assert "missed: 34.7 dB" in text and "bench.html" in text and "film.toml" in text
+    assert "missed: 34.7 dB" in text and "film.toml" in text
+    assert text.index("avatar.mp4") < text.index("contact.png") < text.index("bench.html")
+    assert text.endswith(f"selfscan play {tmp_path / 'avatar.glb'}")
 
 
 def test_stages_say_their_names_and_what_is_left(tmp_path, capsys):

@@ -5,13 +5,12 @@ import pytest
 
 from avatar.camera import Camera, look_at, pinhole
 from avatar.skinning import SkinWeights
-from bench.eye_region import eye_region
-from bench.picture_scores import score_images
-from bench.region_scores import without_eyes
-from bench.true_mesh import TrueMesh
+from bench.score.picture_scores import PictureJudge, eye_region, score_images
+from bench.score.region_scores import without_eyes
+from bench.score.true_mesh import TrueMesh
 from capture.held_out import HeldOutView
-from player.context import open_context
-from player.raster import Rasteriser
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
 
 SIZE = 64
 
@@ -87,14 +86,14 @@ def test_a_wrong_eye_costs_the_eyes_what_it_costs_and_the_head_little(raster, tm
     assert region.any()
 
     def draw(axis_angle, root, camera, samples, where):
-        from bench.posed_field import MaskedPicture
+        from bench.field.posed_field import MaskedPicture
 
         color = np.full((SIZE, SIZE, 3), 0.5, np.float32)
         color[region] += 0.1
         return MaskedPicture(color, np.ones((SIZE, SIZE), bool))
 
-    scores = score_images([view], mesh, draw, "test", t_pose_apart=False, raster=raster).scored
+    scores = score_images(PictureJudge(mesh, draw, raster=raster), [view], "test", t_pose_apart=False).scored
     assert scores["eyes"].scores()["psnr_db"].value == pytest.approx(20.0, abs=1e-4)  # -10 log10(.1²)
     head = scores["head"].scores()["psnr_db"].value
     assert head is not None and head > 25
-    assert "eyes" not in score_images([view], mesh, draw, "test", t_pose_apart=False).scored
+    assert "eyes" not in score_images(PictureJudge(mesh, draw), [view], "test", t_pose_apart=False).scored

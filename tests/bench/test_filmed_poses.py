@@ -8,16 +8,16 @@ import pytest
 from PIL import Image
 
 from avatar.camera import Camera, look_at, write_cameras
-from avatar.errors import AssetError
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARTS
-from bench.drawer import Drawer
-from bench.filmed_poses import filmed_poses
-from bench.pose_distances import Measured
-from bench.quality import in_filmed_poses, seen_case, template_surface
-from bench.quality_table import table_rows
-from bench.true_mesh import read_true_mesh
+from bench.field.drawer import Drawer
+from bench.score.filmed_poses import filmed_poses
+from bench.score.pose_distances import JudgedSurfaces
+from bench.score.quality import in_filmed_poses, seen_case, template_surface
+from bench.score.quality_table import table_rows
+from bench.score.true_mesh import read_true_mesh
 from capture.folder import read_subject
+from command.errors import AssetError
 from train.session import capture_place
 
 SIZE = (24, 24)
@@ -91,7 +91,7 @@ def measuring(oracle):
     truth, template = read_true_mesh(capture), read_subject(capture / "subject.npz")
     drawer = Drawer(avatar)
     try:
-        what = Measured(seen_case(drawer, truth, drawer.surface),
+        what = JudgedSurfaces(seen_case(drawer, truth, drawer.surface),
                         seen_case(drawer, truth, template_surface(template)), None, apart=True)  # fmt: skip
         yield what, template.joints
     finally:

@@ -7,18 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms
-from bench.drawer import Drawer
-from bench.fitted_poses import fitted_views
-from bench.quality import evaluate, measured, template_of_run
-from bench.quality_table import table_rows
-from bench.trained_outline import TrainedOutline
-from capture.folder import read_subject
+from bench.field.drawer import Drawer
+from bench.score.fitted_poses import fitted_views
+from bench.score.quality import Evaluated, evaluate, measured, template_of_run
+from bench.score.quality_table import table_rows
+from bench.score.trained_outline import TrainedOutline
+from capture.folder import input_kind, read_subject
 from capture.held_out import read_held_out
-from capture.input_kind import input_kind
+from command.errors import AssetError
 
 SEEN = {
     "body": [JOINTS.index(f"{side}_{name}") for side in ("left", "right") for name in ("hip", "elbow", "knee")],
@@ -105,12 +104,12 @@ def test_a_hand_that_the_fit_put_outside_its_picture_leaves_the_pose_alone(oracl
 def scored(oracle, fits):
     capture, avatar, _ = oracle
     template, views, fitted = fits
-    from bench.true_mesh import read_true_mesh
+    from bench.score.true_mesh import read_true_mesh
 
     drawer = Drawer(avatar)
     try:
-        return measured(drawer, read_true_mesh(capture), {"novel_pose": views}, few=None, perceive=None,
-                        ours={"novel_pose": fitted}, template=template)  # fmt: skip
+        truth = read_true_mesh(capture)
+        return measured(Evaluated(drawer, truth, {"novel_pose": views}, {"novel_pose": fitted}, template))
     finally:
         drawer.release()
 

@@ -7,16 +7,16 @@ import pytest
 from browser_page import browser_page
 from chromium import chromium
 
-from bench.effect_rungs import effect_point
-from bench.frontier import page as frontier
-from bench.frontier.page import PagePictures, frontier_page
-from bench.part_boxes import part_boxes
-from bench.rung_pictures import motion_frames, rung_pictures
-from bench.rung_scores import compared, crop_of, mark_dominated, row_of
-from player.context import open_context
-from player.mannequin import mannequin
-from player.rung import Rung
+from bench.ladder.rung_pictures import motion_frames, rung_pictures
+from bench.ladder.rung_scores import compared, crop_of, mark_dominated, part_boxes, row_of
+from bench.report.frontier import page as frontier
+from bench.report.frontier.page import PagePictures, frontier_page
+from player.budget.rung import Rung
+from player.gl.context import open_context
+from player.scene.mannequin import mannequin
 from player.web.page import MOST_BYTES
+
+pytestmark = pytest.mark.slow
 
 SIZE = (240, 240)
 RUNGS = [Rung("network, 27k", "network"), Rung("paper, 27k", "off"), Rung("paper, half", "off", share=0.5)]
@@ -49,23 +49,19 @@ def measured():
     machine = {"cpu": "Some CPU", "cores": 2, "renderer": "llvmpipe", "context": "egl", "commit": "abc"}
     told = {"machine": machine, "warning": "NOT QUIET: others", "frames": 1, "rounds": 9}
     result = told | {"avatar": "A & B", "best_rung": "field", "best_baked_rung": RUNGS[0].name, "size": list(SIZE)}
-    return result | {"rungs": rows, "effects": []}, PagePictures(drawn, None, crop, boxes), avatar
+    return result | {"rungs": rows}, PagePictures(drawn, None, crop, boxes), avatar
 
 
 @pytest.fixture(scope="module")
 def judged(measured):
-    """The same with a true picture, from which an effect that takes 1.2 times the best rung's time is nearer."""
+    """The same with a true picture."""
     result, pictures, avatar = measured
-    drawn, crop = dict(pictures.by_rung), pictures.crop
+    drawn, crop = pictures.by_rung, pictures.crop
     truth = drawn[RUNGS[0].name] * np.float32(0.98)
     scored = lambda picture: compared([truth], [picture], [crop], [picture.max(-1) > 0]) | {"parts": {}}
     rows = [row | {"against_truth": scored(drawn[row["name"]])} for row in result["rungs"]]
-    effect = {"name": "dual quaternions", "times_plain": 1.2, "times_plain_interval": [1.19, 1.21], "bytes": 2_000_000}
-    effect |= {"against_truth": scored(truth * np.float32(0.995))}
-    effect["point"] = effect_point(effect, rows[1])
-    drawn[effect["point"]["name"]] = truth * np.float32(0.995)
-    mark_dominated([*rows, effect["point"]], None, "against_truth")
-    return result | {"rungs": rows, "effects": [effect]}, pictures._replace(by_rung=drawn, truth=truth), avatar
+    mark_dominated(rows, None, "against_truth")
+    return result | {"rungs": rows}, pictures._replace(truth=truth), avatar
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +121,23 @@ def test_the_same_frame_is_shown_in_the_rung_and_its_difference(tab):
     assert "scale" in page.ask("document.getElementById('rung').style.transform")
 
 
+@pytest.mark.parametrize("size", [(1240, 900), (1600, 500), (600, 900)])
+def test_pictures_keep_the_shape_of_the_person(tab, measured, size):
+    page, path = tab
+    page.size(*size)
+    page.open(path, "budget=6")
+    rows, columns = measured[1].crop
+    shape = (columns.stop - columns.start) / (rows.stop - rows.start)
+    shown = page.ask("""[...document.querySelectorAll(".picture")].map((box) => {
+      const { width, height } = box.getBoundingClientRect();
+      return [width / height, height / innerHeight];
+    })""")
+    assert len(shown) == 4
+    for ratio, high in shown:
+        assert ratio == pytest.approx(shape, rel=0.01) and high < 0.63
+    page.size(1100, 900)
+
+
 def test_rungs_are_timed_on_the_readers_device_and_the_frontier_redrawn(tab):
     page, path = tab
     page.open(path, "budget=6")
@@ -178,30 +191,13 @@ def test_several_samples_a_pixel_are_shown_as_their_mean(tab):
     assert worst[0] <= 1 and worst[1] > 100  # two roundings; somebody is there
 
 
-def test_an_effect_is_a_point_beside_true_pictures_alone(tab, judged):
+def test_rungs_are_compared_with_true_pictures(tab, judged):
     page, path = tab
-    name = f"{RUNGS[0].name}, dual quaternions"
-    names = "selfscan.chart.rows.map((row) => row.name)"
-    page.open(path.with_name("judged.html"), "budget=20")
-    assert name not in page.ask(names) and page.ask("document.getElementById('effects').hidden")
+    page.open(path.with_name("judged.html"), "budget=13")
     page.ask("document.querySelector('[data-key=truth]').click()")
-    assert name in page.ask(names) and not page.ask("document.getElementById('effects').hidden")
-    assert page.ask("document.querySelectorAll('.dot.effect').length") == 1
-    # 1.2 times the 12 ms of the rung it changes, and nearer to the truth
-    page.ask("selfscan.setBudget(13)")
-    assert f"You get {RUNGS[0].name} (12 ms" in answer(page) and f"{name}, costs 2.4 ms more" in answer(page)
-    page.ask("selfscan.setBudget(20)")
-    flip = judged[0]["effects"][0]["against_truth"]["flip"]
-    assert f"You get {name} (14 ms" in answer(page) and f"FLIP {flip:.3f} beside true picture" in answer(page)
-    # its own picture, and the avatar in a rung that the page can draw
-    shown = page.ask("document.getElementById('rung').src")
-    page.ask("selfscan.setBudget(13)")
-    assert page.ask("document.getElementById('rung').src") != shown
-    assert page.ask("selfscan.player.rung.view") == "network"
-    # what is timed here is what can be drawn here
-    page.wait("!document.getElementById('here').disabled", 120)
-    page.ask("document.getElementById('here').click()")
-    assert page.ask(names) == [rung.name for rung in RUNGS] and page.problems == []
+    flip = judged[0]["rungs"][1]["against_truth"]["flip"]
+    assert f"You get {RUNGS[0].name} (12 ms" in answer(page) and f"FLIP {flip:.3f} beside true picture" in answer(page)
+    assert page.problems == []
 
 
 def test_wheel_and_double_click_zoom_the_chart(tab):
@@ -217,9 +213,12 @@ def test_wheel_and_double_click_zoom_the_chart(tab):
     assert page.ask(across) == pytest.approx(before)
 
 
-def test_a_page_that_would_be_too_large_leaves_the_avatar_out_and_says_so(measured, monkeypatch):
+def test_a_page_that_would_be_too_large_halves_textures_and_at_last_leaves_the_avatar_out(measured, monkeypatch):
     whole = frontier_page(*measured, RUNGS)
     assert len(whole) < MOST_BYTES and 'id="level0.mesh"' in whole
+    monkeypatch.setattr(frontier, "MOST_BYTES", len(whole) + 150_000)
+    halved = frontier_page(*measured, RUNGS)
+    assert 'id="level0.mesh"' in halved and len(halved) < len(whole) and '"halvings":1' in halved
     monkeypatch.setattr(frontier, "MOST_BYTES", 300_000)
     small = frontier_page(*measured, RUNGS)
     assert 'id="level0.mesh"' not in small and len(small) < len(whole)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bench.metrics import PooledError, flip, psnr, rectangle, ssim
+from avatar.psnr import error_between, pooled
+from bench.score.metrics import flip, psnr, rectangle, ssim
 
 RNG = np.random.default_rng(7)
 
@@ -27,10 +28,8 @@ def test_psnr_over_a_mask_sees_only_the_mask():
 
 def test_pooled_psnr_is_of_the_mean_error_not_the_mean_of_decibels():
     image = np.full((4, 4, 3), 0.5)
-    pooled = PooledError()
-    pooled.add(image, image + 0.1)
-    pooled.add(image, image + 0.001)
-    assert pooled.psnr().value == pytest.approx(-10 * np.log10((0.01 + 1e-6) / 2), abs=1e-9)
+    errors = [error_between(image, image + step) for step in (0.1, 0.001)]
+    assert pooled(errors).psnr() == pytest.approx(-10 * np.log10((0.01 + 1e-6) / 2), abs=1e-9)
 
 
 def test_ssim_of_shifted_constants_is_the_closed_form():

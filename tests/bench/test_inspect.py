@@ -9,19 +9,20 @@ import pytest
 from PIL import Image
 from tiny_avatar import tiny_avatar, tiny_level, unit
 
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
 from bench.inspect import mesh_facts
+from bench.inspect.accuracy_sections import from_field, from_truth
 from bench.inspect.colors import ABSENT, SEQUENTIAL, ramp, rgb
-from bench.inspect.command import inspect, inspect_main
-from bench.inspect.face_section import beside_truth, decibels
-from bench.inspect.page import Check, PagePicture, Section, flattened, page
-from bench.inspect.truth_distance import from_field, from_truth
-from bench.true_mesh import read_true_mesh
+from bench.inspect.command import inspect
+from bench.inspect.face_section import beside_truth, region_db
+from bench.inspect.options import inspect_main
+from bench.inspect.page import Check, PagePicture, PageSection, flattened, page
+from bench.score.true_mesh import read_true_mesh
 from capture.held_out import read_held_out
-from player.context import open_context
+from command.errors import AssetError
+from player.gl.context import open_context
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float) * 0.1
 SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -189,7 +190,7 @@ def test_distance_to_the_truth_is_measured_in_t_pose(tmp_path):
 
 
 def test_a_page_holds_everything_and_escapes_what_is_not_its_own():
-    section = Section(
+    section = PageSection(
         "look", "Looks", "a < b", [PagePicture("one", b"\x89PNG", "png", 'says "hi"')], None, [("x",), ("<i>",)]
     )
     text = page(
@@ -300,10 +301,10 @@ def test_the_face_is_scored_beside_true_close_ups(oracle):
     finally:
         context.release()
     assert len(close_ups) == len(views)
-    head, eyes = decibels(close_ups, "head"), decibels(close_ups, "eyes")
+    head, eyes = region_db(close_ups, "head"), region_db(close_ups, "eyes")
     assert head is not None and head > 20  # the avatar is the truth itself
     assert (eyes is not None) == any(one.eyes.any() for one in close_ups)
     darker = [one._replace(drawn=one.truth - 0.1) for one in close_ups]
-    assert decibels(darker, "head") == pytest.approx(20.0, abs=0.01)
+    assert region_db(darker, "head") == pytest.approx(20.0, abs=0.01)
     nothing = [one._replace(eyes=np.zeros_like(one.eyes)) for one in close_ups]
-    assert decibels(nothing, "eyes") is None
+    assert region_db(nothing, "eyes") is None

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from avatar.errors import AssetError
-from bench.lpips import CONVOLUTIONS, read_perceptual
-from bench.quality import evaluate
+from bench.score.lpips import CONVOLUTIONS, read_perceptual
+from bench.score.quality import evaluate
+from command.errors import AssetError
 
 RNG = np.random.default_rng(11)
 

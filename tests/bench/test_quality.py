@@ -9,14 +9,15 @@ import pytest
 from scipy.ndimage import distance_transform_cdt
 
 from avatar.camera import Camera, look_at, pinhole, pixel_rays
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import read_avatar
-from bench.ceiling import ceiling_surface
-from bench.picture_scores import box_pixels, is_t_pose, region_of
-from bench.quality import eval_main, evaluate, not_chosen_on, view_modes
-from bench.quality_table import markdown, view_mode_lines
-from bench.true_mesh import read_true_mesh
+from bench.eval_command import eval_main
+from bench.score.ceiling import ceiling_surface
+from bench.score.picture_scores import box_pixels, is_t_pose, region_of
+from bench.score.quality import evaluate, not_chosen_on, view_modes
+from bench.score.quality_table import markdown, view_mode_lines
+from bench.score.true_mesh import read_true_mesh
 from capture.held_out import read_held_out
+from command.errors import AssetError
 from experiments.quality_page import people_table
 
 KEYS = {"p2s_cm", "chamfer_cm", "psnr_db", "ssim", "flip", "lpips"}
@@ -121,7 +122,7 @@ def test_decibels_that_differ_say_why(result):
 
 def test_the_command_prints_a_table_and_writes_json(oracle, tmp_path, capsys, result, monkeypatch):
     capture, avatar, _ = oracle
-    monkeypatch.setattr("bench.quality.evaluate", lambda *_, **__: result)
+    monkeypatch.setattr("bench.score.quality.evaluate", lambda *_, **__: result)
     assert eval_main([str(avatar), str(capture), "--json", str(tmp_path / "q.json")]) == 0
     printed = capsys.readouterr().out
     assert "input: given" in printed and "novel pose: total" in printed

@@ -9,7 +9,7 @@ from avatar.body import builtin_body
 from avatar.camera import orbit_camera
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS
-from bench.skeleton_distance import BODY, LIMBS, joints_off, posed_skeletons, turned_off
+from bench.score.skeleton_distance import BODY, LIMBS, joints_off, posed_skeletons, turned_off
 from capture.held_out import HeldOutView
 
 REST = builtin_body("male").joints

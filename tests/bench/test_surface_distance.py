@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-
-from bench.surface_distance import mesh_distance
+from mesh_distance import mesh_distance
 
 
 def sphere(radius, centre=(0.0, 0.0, 0.0), subdivisions=5):

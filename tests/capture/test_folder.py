@@ -6,17 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from filmed_part import filmed_part, rays_of
 from painted_capture import write_capture
 from PIL import Image
 
-from avatar.errors import AssetError
 from avatar.skeleton import PARTS
 from capture.folder import read_capture
-from capture.template import surface_cloud, visible_faces
+from command.errors import AssetError
 from selfscan.__main__ import main
-from train.parts import part_boxes
 from train.preset import DEMO
-from train.rays import part_rays
 
 
 @pytest.fixture(scope="module")
@@ -195,19 +193,7 @@ def test_commands_print_that_line_and_leave_nothing(folder, tmp_path, capsys, co
 def test_a_frame_without_a_person_gives_no_rays_and_the_others_do(folder):
     _paint(folder / "hand_left" / "masks" / "000001.png", value=0)
     capture = read_capture(folder)
-    subject, part = capture.subject, part_boxes(capture.subject)[2]
-    cloud = surface_cloud(subject, 2, visible_faces(subject), 0.006)
-    rays = part_rays(
-        capture.videos["hand_left"],
-        subject,
-        cloud,
-        part,
-        DEMO.parts[2].band,
-        ends=8,
-        per_frame=200,
-        canonical_from_head=None,
-        rng=np.random.default_rng(0),
-    )
+    rays = rays_of(filmed_part(capture), DEMO.parts[2], ends=8, per_frame=200)
     assert set(np.unique(rays.frame)) == {0, 2}
     assert np.isfinite(rays.ends).all() and 0 < rays.mask.mean() < 1
 
@@ -220,10 +206,7 @@ def test_masks_of_a_pixel_or_two_give_finite_rays_or_none(folder, pixels):
     on = np.argwhere(video.masks[0])
     for row, column in on[len(on) // 2 :][:pixels]:
         masks[:, row, column] = True
-    part = part_boxes(capture.subject)[2]
-    cloud = surface_cloud(capture.subject, 2, visible_faces(capture.subject), 0.006)
-    rays = part_rays(replace(video, masks=masks), capture.subject, cloud, part, DEMO.parts[2].band, ends=8,
-                     per_frame=200, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
+    rays = rays_of(filmed_part(capture, video=replace(video, masks=masks)), DEMO.parts[2], ends=8, per_frame=200)
     assert np.isfinite(rays.ends).all() and rays.mask.sum() <= 3 * pixels
 
 

@@ -9,11 +9,11 @@ from PIL import Image
 
 import capture.videos
 from avatar.camera import Camera, look_at, pinhole
-from avatar.errors import AssetError
+from capture.fit.refine import _with_poses
 from capture.folder import PartVideo
 from capture.frame_files import FrameFiles
-from capture.repair.refine import _with_poses
 from capture.videos import Videos, changed, let_go, only, size_of
+from command.errors import AssetError
 
 PARTS = ("body", "head", "hand_left", "hand_right")
 

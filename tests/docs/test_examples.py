@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from avatar.gltf.avatar_file import write_avatar
-from player.mannequin import mannequin
+from player.scene.mannequin import mannequin
 
 ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```python( no-run)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -12,16 +12,16 @@ import pytest
 import experiments.baking
 import experiments.baking_formats
 import experiments.baking_scores
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
 from avatar.texture import mipmaps
 from bake.options import BakeOptions
+from command.errors import AssetError
 from experiments.baking import StageClock, main, rows_of
 from experiments.baking_formats import SHIPPED, format_rows, integers, moved, of_bits
 from experiments.baking_page import change, sentence
 from experiments.baking_scores import References, Seen, avatar_pictures, read_references
-from player.context import open_context
-from player.mannequin import mannequin
+from player.gl.context import open_context
+from player.scene.mannequin import mannequin
 
 SIZE = (96, 96)
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from avatar.errors import AssetError
 from avatar.motion.read import read_motion
 from capture.fit import body
 from capture.fit.body_alone import pictures_of_body
 from capture.keypoints.openpose import BODY_25
+from command.errors import AssetError
 from experiments.body_of_pictures import main
 from tests.turning_twin import turning_twin
 

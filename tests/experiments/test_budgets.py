@@ -5,11 +5,11 @@ import numpy as np
 from avatar.camera import orbit_camera
 from experiments import budgets
 from player.budget.measure import BudgetScene
+from player.budget.rung import Rung
 from player.budget.rungs import PricedRung
-from player.context import open_context
-from player.passes.background import Background
-from player.rung import Rung
-from player.scenes.effects import PLAIN
+from player.effects.background import Background
+from player.gl.context import open_context
+from player.scene.effects import PLAIN
 
 LADDER = [Rung(name, "off", level) for level, name in enumerate(("fine", "middle", "coarse"))]
 SCENE = BudgetScene([], [([], orbit_camera(np.zeros(3), 2.0, 0.0, 0.0, (8, 8)))], (8, 8), PLAIN, Background(), False)

@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from avatar.body import builtin_body
-from avatar.errors import AssetError
+from command.errors import AssetError
 from experiments.builtin import builtin_subject
 from experiments.builtin.atlas import layout
 from experiments.builtin.dress import dress

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import experiments.claim
-from avatar.errors import AssetError
+from command.errors import AssetError
 from experiments.claim import collect, main, person_and_sex
 from experiments.claim_page import page
 from experiments.quality_page import claim_section
@@ -60,7 +60,7 @@ def test_one_person_is_filmed_once_and_judged_in_three_columns_on_the_same_pictu
     assert main(["some/She.glb:female", "-o", str(out), *WORDS]) == 0
     assert [call[1] for call in calls] == ["synth", *["synth", "train", "eval"] * 2, "import", "train", "eval"]
     raw, given, shape, imported = (call for call in calls if call[1] in ("synth", "import"))
-    assert "--raw" in raw and "--keypoints" in raw and raw[2] == "some/She.glb"
+    assert {"--raw", "--keypoints", "--held-out"} < set(raw) and raw[2] == "some/She.glb"
     assert "--template" not in given and shape[shape.index("--template") + 1] == "shape"
     assert all(call[call.index("--light") + 1] == "room" for call in (raw, given, shape))
     # who imports reads the four videos' folder, and is told what one knows of oneself

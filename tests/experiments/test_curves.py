@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import experiments.curves
-from avatar.errors import AssetError
+from command.errors import AssetError
+from command.settings import settings_json
 from experiments.curve_page import items_table, markdown, plot, seconds_to
 from experiments.curves import TimeLeft, leaves_out, main, planned
 from train.preset import DEMO, ITEMS
-from train.stored_preset import preset_json
 
 CAPTURE = {"format": "selfscan-capture", "subject": "Person", "light": "even", "size": 64}
 
@@ -57,8 +57,8 @@ def test_a_run_without_seconds_stands_in_the_table_and_on_no_curve(tmp_path):
 
 def test_what_a_run_left_out_is_read_from_its_settings():
     for name, change in ITEMS.items():
-        assert not leaves_out(preset_json(DEMO), "demo", change)
-        assert leaves_out(preset_json(change(DEMO)), "demo", change), name
+        assert not leaves_out(settings_json(DEMO), "demo", change)
+        assert leaves_out(settings_json(change(DEMO)), "demo", change), name
 
 
 def test_time_left_follows_the_trainings_that_are_done(tmp_path, capture):
@@ -106,7 +106,7 @@ def write_run(run: Path, capture: Path, **changed) -> None:
     run.mkdir(parents=True)
     parts = {name: {"steps": 10, "cpu_seconds": 20.0, "cpu_seconds_preparing": 15.0} for name in ("body", "head")}
     facts = {
-        "format": "selfscan-run", "version": 1, "preset": "demo", "settings": preset_json(DEMO), "device": "cpu",
+        "format": "selfscan-run", "version": 1, "preset": "demo", "settings": settings_json(DEMO), "device": "cpu",
         "seconds": {"all": 40.0}, "cpu_seconds": 60.0, "parts": parts,
         "capture_at": {"folder": str(capture.resolve())},
     } | changed  # fmt: skip

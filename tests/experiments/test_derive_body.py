@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from avatar.errors import AssetError
 from avatar.skeleton import JOINTS
+from command.errors import AssetError
 from experiments.derive_body import Source, derive, main, merged
 
 COMMITTED = Path(str(files("avatar") / "data" / "body"))

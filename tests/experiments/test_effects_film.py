@@ -4,8 +4,8 @@ import numpy as np
 
 from avatar.rotation import matrix_from_axis_angle
 from experiments.effects_film import BETWEEN, SCENES, scene_text, walk_and_count
-from player.scenes.effects import PLAIN
-from player.scenes.scene_file import read_scene
+from player.scene.effects import PLAIN
+from player.scene.scene_file import read_scene
 
 
 def test_one_scene_calls_for_nothing_and_one_for_all(tmp_path):

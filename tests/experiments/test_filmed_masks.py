@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.fitting import NAMED, Filming
-from player.context import open_context
-from player.raster import Rasteriser
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 
 import experiments.light
 from avatar.light import CaptureLight, lamps_of
-from bench.drawer import Drawer
+from bench.field.drawer import Drawer
 from capture.held_out import HeldOutView
 from experiments.light import main
 from experiments.light_scores import Compared, common_gain, compare, found_light, scores
@@ -139,11 +139,10 @@ def test_people_of_one_name_are_refused(tmp_path, capsys):
     assert "people are told apart by their files' names, which are x, x" in capsys.readouterr().err
 
 
-def _as_bright_as_its_light(lit) -> Mock:
+def _as_bright_as_its_light(light) -> Mock:
     """A drawer of one pixel, which is as bright as the light that its field is lit by."""
-    drawer = Mock(spec=Drawer, field=SimpleNamespace(lit=lit))
-    # a field is lit by functools.partial(answers.lit, light)
-    shown = lambda: 0.5 if drawer.field.lit is None else drawer.field.lit.args[0].ambient
+    drawer = Mock(spec=Drawer, field=SimpleNamespace(light=light))
+    shown = lambda: 0.5 if drawer.field.light is None else drawer.field.light.ambient
     drawer.draw = lambda *_: SimpleNamespace(color=np.full((1, 1, 3), shown()))
     return drawer
 
@@ -161,4 +160,4 @@ def test_a_field_is_lit_by_each_light_in_turn_and_then_as_it_was(monkeypatch, ow
     found = compare(drawer, run, studio, view, light_of("fixed", "body", 0), np.zeros(3))
     ours = {name: float(pair[1][0, 0]) for name, pair in found.pairs.items()}
     assert ours == {"captured": 0.5 if own is None else 0.7, "mean_light": 0.5, "albedo": 1.0}
-    assert float(found.relit(1.0)[0, 0]) == pytest.approx(0.35) and drawer.field.lit == "before"
+    assert float(found.relit(1.0)[0, 0]) == pytest.approx(0.35) and drawer.field.light == "before"

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from capsules import ball_mesh
 
-from avatar.errors import AssetError
 from avatar.motion.read import builtin_motion
 from avatar.skinning import SkinWeights
+from command.errors import AssetError
 from experiments.skin_rules import crossing_pairs, nearest_vertex_weights, real_poses
 
 COUNTING = Path(__file__).parents[2] / "avatar" / "data" / "motions" / "counting.npz"

@@ -11,19 +11,19 @@ import pytest
 from tiny_avatar import tiny_avatar
 
 from avatar.gltf.avatar_file import write_avatar
-from bench.quiet import Quiet, warning
+from bench.ladder.quiet import Quiet, warning
 from experiments import speed_peers, speed_rows
 from experiments.alternating import Turn, alternate, here
 from experiments.bare_draw import BareDraw, coverage, posed_vertices
 from experiments.live_sender import sending
 from experiments.speed import bars, body_frames, main, with_stand_in
 from experiments.speed_page import markdown, plot
-from player.context import open_context
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
 from player.live.inbox import Inbox
 from player.live.osc import OscError, parse_packet
-from player.mannequin import mannequin
-from player.raster import Rasteriser
-from player.renderer import Renderer
+from player.scene.mannequin import mannequin
+from player.scene.renderer import Renderer
 
 
 @pytest.fixture(scope="module")
@@ -197,23 +197,21 @@ def test_size_on_disk_counts_blocks_and_follows_no_links(tmp_path):
     assert speed_rows.on_disk(tmp_path) - before < 8192
 
 
-def test_a_long_run_grows_nothing_and_a_leak_is_seen(context, monkeypatch):
+def test_a_long_run_grows_nothing_and_a_leak_is_seen(monkeypatch):
     avatar = tiny_avatar()
     poses = [(np.array(avatar.canonical_pose), np.zeros(3))]
     monkeypatch.setattr(speed_rows, "SETTLED", 20)
-    rows = speed_rows.long_run(context, avatar, poses, frames=50, size=(16, 16))
+    rows = speed_rows.long_run(avatar, poses, frames=50, size=(16, 16))
     assert [r["value"] for r in rows[:2]] == [0, 0] and rows[0]["met"]
     draw, kept = Renderer.draw, []
 
     def leaking(self, *arguments):
-        kept.append(context.gl.buffer(reserve=1024))
+        kept.append(self.context.gl.buffer(reserve=1024))
         return draw(self, *arguments)
 
     monkeypatch.setattr(Renderer, "draw", leaking)
-    rows = speed_rows.long_run(context, avatar, poses, frames=50, size=(16, 16))
+    rows = speed_rows.long_run(avatar, poses, frames=50, size=(16, 16))
     assert rows[0]["value"] == 50 and not rows[0]["met"] and rows[1]["value"] == pytest.approx(50 / 1024, abs=1e-3)
-    for buffer in kept:
-        buffer.release()
 
 
 def test_the_sender_sends_55_bones_and_spoilt_packets_that_no_reader_takes():

@@ -11,8 +11,8 @@ from painted_capture import write_capture
 
 import experiments.table_row
 import experiments.tables
-from avatar.errors import AssetError
-from bench.paper_tables import PAPER_GEOMETRY, PAPER_IMAGE, QUOTED_GEOMETRY
+from bench.score.quality_table import PAPER_GEOMETRY, PAPER_IMAGE, QUOTED_GEOMETRY
+from command.errors import AssetError
 from experiments.table_page import as_in_paper, mean_of, page, seams_as_in_paper
 from experiments.tables import collect, main
 
@@ -21,14 +21,15 @@ TRAIN = """
 import sys
 from dataclasses import replace
 from pathlib import Path
-from train.options import TrainOptions
+from train.command import TrainOptions
 from train.preset import DEMO
+from experiments.single import train_single
 from train.stages import train
 parts = [replace(p, iterations=6, cell=max(p.cell, .006), spacing=max(p.spacing, .006)) for p in DEMO.parts]
 small = replace(DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(.03, .015, .008),
-                parts=tuple(parts), single="--single" in sys.argv)
-head = Path(sys.argv[sys.argv.index("--head-from") + 1]) if small.single else None
-train(TrainOptions(capture=Path(sys.argv[1]), out=Path(sys.argv[2]), single=small.single, head_from=head), small)
+                parts=tuple(parts))
+options = TrainOptions(capture=Path(sys.argv[1]), out=Path(sys.argv[2]))
+train_single(options, small, Path(sys.argv[3])) if sys.argv[3:] else train(options, small)
 """
 ROWS = ["ours", "landmarks_only", "no_L_g", "no_fusion", "single", "no_ray_transform"]
 
@@ -37,9 +38,11 @@ def in_process(*words):
     """A command in this process: rows are measured, a training is the small one above."""
     if words[0] == "experiments.table_row":
         return lambda: experiments.table_row.main([str(word) for word in words[1:]])
-    assert words[:2] == ("selfscan", "train") and words[3] == "-o" and words[5:7] == ("--preset", "demo")
-    single = list(words[words.index("--single") :]) if "--single" in words else []
-    script = [sys.executable, "-c", TRAIN, words[2], words[4], *map(str, single)]
+    single = words[0] == "experiments.single"
+    assert single or words[:2] == ("selfscan", "train")
+    capture, o, run, *rest = words[1 if single else 2 :]
+    assert o == "-o" and rest[:2] == ["--preset", "demo"] and single == ("--head-from" in rest)
+    script = [sys.executable, "-c", TRAIN, capture, run, *([rest[rest.index("--head-from") + 1]] if single else [])]
     return lambda: subprocess.run(script, check=False).returncode
 
 

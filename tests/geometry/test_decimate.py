@@ -4,8 +4,8 @@ import pytest
 from capsules import ball_mesh, sphere
 
 import geometry.decimate
-from avatar.errors import AssetError
 from bake.measure import field_to_mesh
+from command.errors import AssetError
 from geometry.decimate import Enlargement, Magnifier, balanced, decimate, enlarged, magnified, shrunk
 from geometry.mesh import TriangleMesh, component_labels, enclosed_volume
 from geometry.repair import find_faults, repair, split_nonmanifold

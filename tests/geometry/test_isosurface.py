@@ -3,7 +3,7 @@ import pytest
 import torch
 from capsules import sphere
 
-from avatar.errors import AssetError
+from command.errors import AssetError
 from geometry.isosurface import Detail, extract, graded_axis, project_to_zero, sample_near_surface
 from geometry.mesh import enclosed_volume
 from geometry.repair import find_faults

@@ -8,20 +8,24 @@ from loose_paths import dance
 from radiance_writer import radiance_bytes, sky
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole
-from avatar.dual_quaternion import dual_quaternion_from_transform, transform_from_dual_quaternion
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import BIG_POSE
-from avatar.skinning import SkinWeights, skin_points_dual_quaternion
-from player.context import open_context
-from player.loose_motion import LooseMotion
-from player.loose_parts import loose_parts
-from player.loose_sheets import REACH
-from player.mannequin import mannequin
-from player.passes.background import Background
-from player.passes.secondary_motion import SecondaryMotion
-from player.posing import Poser, dual_parts
-from player.renderer import Renderer
-from player.scenes.effects import Effects
+from avatar.skinning import (
+    SkinWeights,
+    dual_quaternion_from_transform,
+    skin_points_dual_quaternion,
+    transform_from_dual_quaternion,
+)
+from player.draw.posing import Poser, dual_parts
+from player.effects.background import Background
+from player.effects.loose_motion import LooseMotion
+from player.effects.loose_parts import loose_parts
+from player.effects.loose_sheets import REACH
+from player.effects.secondary_motion import SecondaryMotion
+from player.gl.context import open_context
+from player.scene.effects import Effects
+from player.scene.mannequin import mannequin
+from player.scene.renderer import Renderer
 
 POSE = (np.array(BIG_POSE), np.zeros(3))
 SMOOTH = ("fxaa", "msaa")

@@ -9,7 +9,7 @@ from avatar.motion.read import builtin_motion, read_motion
 from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_normals, skin_points
 from capture.folder import CaptureSubject
-from capture.template import surface_cloud, visible_faces
+from capture.template.surface import surface_cloud, visible_faces
 from train.deform import canonical_from_posed, inverse_transforms
 
 # region: (part, how far off the skin, settled), metres; a look-up has settled within a quarter of the sample spacing

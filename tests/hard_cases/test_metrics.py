@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import trimesh
+from mesh_distance import mesh_distance
 
-from bench.metrics import PooledError, flip, lpips, psnr, rectangle, ssim
-from bench.surface_distance import mesh_distance
+from avatar.psnr import PooledError, error_between, pooled
+from bench.score.metrics import flip, lpips, pooled_score, psnr, rectangle, ssim
 from geometry.closest import closest_points, triangle_index
 from geometry.icp import rigid_icp
 from geometry.sample import stratified_samples
@@ -51,11 +52,10 @@ def test_a_single_wrong_pixel_among_many_is_counted_exactly(within):
 
 
 def test_pooling_is_the_psnr_of_all_pixels_together(within):
-    pooled, other = PooledError(), np.clip(IMAGE + 0.1, 0, 1)
-    pooled.add(IMAGE[:3], other[:3])
-    pooled.add(IMAGE[3:], other[3:])
-    pooled.add(IMAGE, other, np.zeros((32, 32), bool))  # an empty mask adds nothing
-    within(pooled.psnr().value - psnr(IMAGE, other).value, 1e-9, "dB")
+    other = np.clip(IMAGE + 0.1, 0, 1)
+    nothing = error_between(IMAGE, other, np.zeros((32, 32), bool))  # an empty mask adds nothing
+    together = pooled([error_between(IMAGE[:3], other[:3]), error_between(IMAGE[3:], other[3:]), nothing])
+    within(together.psnr() - psnr(IMAGE, other).value, 1e-9, "dB")
 
 
 @pytest.mark.parametrize("shape", [(0, 8, 3), (8, 0, 3), (0, 0, 3)])
@@ -68,7 +68,7 @@ def test_images_without_pixels_have_no_score_and_say_so(shape):
 def test_an_empty_mask_has_no_score_and_says_so():
     score = psnr(IMAGE, 1 - IMAGE, np.zeros((32, 32), bool))
     assert score == (None, "no pixels to compare")
-    assert PooledError().psnr().value is None
+    assert np.isnan(PooledError().psnr()) and pooled_score([]).value is None
     assert rectangle(np.zeros((32, 32), bool)) is None
 
 

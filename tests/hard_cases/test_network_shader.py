@@ -15,11 +15,11 @@ from avatar.baked_avatar import NETWORK_ARRAYS, ViewNetwork
 from avatar.camera import orbit_camera
 from avatar.skeleton import BIG_POSE
 from bake.network import write_onnx
-from player.blocks import FRAME
-from player.constants import linear_constants, literal, network_constants
-from player.context import open_context
-from player.mannequin import mannequin
-from player.renderer import Renderer
+from player.gl.blocks import FRAME
+from player.gl.constants import linear_constants, literal, network_constants
+from player.gl.context import open_context
+from player.scene.mannequin import mannequin
+from player.scene.renderer import Renderer
 
 A = 0.6
 LEVEL = 1 / 255

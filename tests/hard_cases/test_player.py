@@ -9,10 +9,10 @@ import pytest
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole
 from avatar.skeleton import BIG_POSE
-from player.context import open_context
-from player.mannequin import mannequin
-from player.raster import Rasteriser
-from player.renderer import Renderer
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
+from player.scene.mannequin import mannequin
+from player.scene.renderer import Renderer
 
 ROOT = Path(__file__).parents[2]
 POSE = (np.array(BIG_POSE), np.zeros(3))
@@ -99,7 +99,7 @@ def test_a_root_that_spins_at_1000_rad_per_second_stays_rigid(renderer):
 
 def test_ten_kilometres_away_a_slow_walk_does_not_tremble(context, within):
     """Vertices follow a root moved by tenths of a millimetre, 10 km out, to a tenth of a pixel."""
-    from player.posing import Poser
+    from player.draw.posing import Poser
 
     avatar = mannequin()
     poser = Poser(avatar, avatar.levels[0])
@@ -130,28 +130,32 @@ sys.path.insert(0, "tests")
 from tiny_avatar import tiny_avatar
 from avatar.camera import orbit_camera
 from avatar.skeleton import BIG_POSE
-from player.context import open_context
-from player.filming.film import Film
-from player.filming.parts import Parts
-from player.renderer import Renderer
+from experiments.gl_counts import counting, counts_of
+from player.gl.context import open_context
+from player.film.film import Film
+from player.film.parts import Parts
+from player.scene.renderer import Renderer
 
 parts = Parts(Path(sys.argv[1]) / "long.mp4", 0, 11_000, {})
 parts.begin(resume=False)
-context = open_context()
+with counting():
+    context = open_context()
+counts = counts_of(context)
 renderer = Renderer(context, [tiny_avatar()], (16, 16), view="network")
 camera, pose = orbit_camera((0, 0, 0), 4.0, 0.0, 0.0, (16, 16)), (np.array(BIG_POSE), np.zeros(3))
 with Film(parts.out, 30.0, encoder="software", pieces=list(map(parts.piece, parts.ranges))) as film:
     for frame in range(11_000):
         if frame == 1000:
-            objects, live = context.counts.objects(), context.counts.live_bytes
+            objects, live = counts.objects(), counts.live_bytes
             before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         film.add(renderer.draw([pose], camera, film.canvas((16, 16))))
-assert context.counts.objects() == objects and context.counts.live_bytes == live
+assert counts.objects() == objects and counts.live_bytes == live
 assert parts.missing() == [] and len(film._kept) <= 12
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
+@pytest.mark.slow
 def test_ten_thousand_frames_grow_neither_objects_nor_memory(within, tmp_path):
     """Drawn, and filmed in parts."""
     done = subprocess.run([sys.executable, "-c", LONG_RUN, str(tmp_path)], cwd=ROOT, capture_output=True, text=True)
@@ -161,8 +165,8 @@ def test_ten_thousand_frames_grow_neither_objects_nor_memory(within, tmp_path):
 
 def test_egl_osmesa_and_the_window_show_the_same_frame_in_every_view_mode(within):
     """By `selfscan doctor --compare`: outside a one-pixel silhouette band."""
-    from player.context import NoContextError
     from player.doctor import compare
+    from player.gl.context import NoContextError
 
     try:
         open_context("osmesa").release()
@@ -180,7 +184,7 @@ def test_a_window_minimised_to_nothing_comes_back(tmp_path):
     """0 x 0 pixels draw nothing and break nothing; afterwards the frame is the one that was there."""
     from PIL import Image
 
-    from player.context import NoContextError
+    from player.gl.context import NoContextError
     from player.play_command import play_main
 
     try:

@@ -5,19 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from filmed_part import filmed_part, rays_of, untrained
+from tiny import TINY
 from turning_capture import turning_capture, with_video
 
 from avatar.camera import Camera, look_at, pinhole, pixel_rays
-from capture.template import surface_cloud
-from train import run as run_folder
+from capture.template.parts import Box
+from capture.template.surface import surface_cloud
 from train.deform import canonical_directions
-from train.networks.triplane import TriPlaneNetworks
 from train.objective import Batch, losses, ray_tensors
-from train.parts import Box, part_boxes
-from train.preset import DEMO
-from train.rays import Band, march, part_rays
-from train.template_grid import template_grid
-from train.trainer import Checkpoints, FieldTraining, train_field
+from train.rays import Band, Samples, march
+from train.trainer import FieldTraining, train_field
 
 BAND = Band(0.03, 0.02, 0.005)
 RADIUS = 0.1
@@ -29,12 +27,12 @@ def ball():
     i = np.arange(12000) + 0.5
     polar, turn = np.arccos(1 - 2 * i / len(i)), np.pi * (1 + 5**0.5) * i
     d = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], 1)
-    return RADIUS * d, d, np.full(len(d), 0.004)
+    return Samples(RADIUS * d, d, np.full(len(d), 0.004))
 
 
 def _march(ball, origin, direction):
     origins, directions = np.array([origin], float), np.array([direction], float)
-    return march(origins, directions, *ball, BAND), origins, directions
+    return march(origins, directions, ball, BAND), origins, directions
 
 
 @pytest.mark.parametrize(
@@ -104,9 +102,9 @@ def test_a_ray_without_a_direction_is_refused_by_number(ball, direction):
     origins, directions = np.tile([0, 0, -1.0], (3, 1)), np.tile([0, 0, 1.0], (3, 1))
     directions[1] = direction
     with pytest.raises(ValueError, match="ray 1: expected a finite origin and a unit direction"):
-        march(origins, directions, *ball, BAND)
+        march(origins, directions, ball, BAND)
     with pytest.raises(ValueError, match="ray 0"):
-        march(np.full((1, 3), np.nan), np.array([[0, 0, 1.0]]), *ball, BAND)
+        march(np.full((1, 3), np.nan), np.array([[0, 0, 1.0]]), ball, BAND)
 
 
 @pytest.mark.parametrize("fov", [1e-3, 0.6, 3.0])
@@ -141,32 +139,15 @@ def cloud(capture):
     return surface_cloud(capture.subject, 2, np.ones(len(capture.subject.faces), bool), 0.006)
 
 
-PRESET = replace(
-    DEMO, rays=64, warm_up=2,
-    parts=tuple(replace(p, iterations=6, networks=TriPlaneNetworks(plane_size=16, color_size=16)) for p in DEMO.parts),
-)  # fmt: skip
-TRAINING = FieldTraining(part=PRESET.parts[2], preset=PRESET, seed=3)
+TRAINING = FieldTraining(part=TINY.parts[2], preset=TINY, seed=3)
 
 
 def _rays(capture, cloud):
-    return part_rays(
-        capture.videos["hand_left"],
-        capture.subject,
-        cloud,
-        part_boxes(capture.subject)[2],
-        PRESET.parts[2].band,
-        ends=18,
-        per_frame=60,
-        canonical_from_head=None,
-        rng=np.random.default_rng(0),
-    )
+    return rays_of(filmed_part(capture, cloud=cloud), TINY.parts[2], ends=18, per_frame=60)
 
 
 def _field(capture, cloud):
-    extent = part_boxes(capture.subject)[2].extent
-    torch.manual_seed(5)
-    template = template_grid(cloud, extent.low, extent.high, 0.006)
-    return run_folder.build_field(capture.subject, 2, PRESET.parts[2], template, len(capture.videos["hand_left"].masks))
+    return untrained(filmed_part(capture, cloud=cloud), TINY.parts[2], len(capture.videos["hand_left"].masks))
 
 
 def _masked(capture, kind):
@@ -214,7 +195,7 @@ def test_a_batch_of_background_or_person_alone_has_finite_gradients(capture, clo
     rays = ray_tensors(_rays(capture, cloud), cloud, torch.device("cpu"))
     rays = replace(rays, mask=torch.full_like(rays.mask, mask), color=mask * rays.color)
     field = _field(capture, cloud)
-    loss, report = losses(field, rays, Batch(torch.arange(32), torch.rand(32), 0.001), PRESET.parts[2], PRESET)
+    loss, report = losses(field, rays, Batch(torch.arange(32), torch.rand(32), 0.001), TINY.parts[2], TINY)
     loss.backward()
     gradients = [p.grad for p in field.parameters() if p.grad is not None]
     assert torch.isfinite(loss) and np.isfinite(report().psnr) and len(gradients) > 4
@@ -230,21 +211,3 @@ def _trains(field, rays) -> None:
     finally:
         torch.set_num_threads(threads)
     assert skipped == 0 and all(torch.isfinite(p).all() for p in field.parameters())
-
-
-def test_training_resumed_equals_training_never_stopped_bit_for_bit(capture, cloud, tmp_path):
-    rays = ray_tensors(_rays(capture, cloud), cloud, torch.device("cpu"))
-    whole, halves, again = (_field(capture, cloud) for _ in range(3))
-    path, threads = tmp_path / "half.ckpt", torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        train_field(whole, rays, TRAINING)
-        train_field(halves, rays, TRAINING, checkpoints=Checkpoints(path=path, stop_after=2))
-        train_field(again, rays, TRAINING, checkpoints=Checkpoints(path=path, resume=True))
-    finally:
-        torch.set_num_threads(threads)
-    moved = 0
-    for (name, value), start in zip(whole.state_dict().items(), _field(capture, cloud).state_dict().values()):
-        assert torch.equal(value, again.state_dict()[name]), name
-        moved += not torch.equal(value, start)
-    assert moved > 5

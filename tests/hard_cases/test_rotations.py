@@ -4,11 +4,6 @@ import mpmath
 import numpy as np
 import pytest
 
-from avatar.dual_quaternion import (
-    blend_dual_quaternions,
-    dual_quaternion_from_transform,
-    transform_from_dual_quaternion,
-)
 from avatar.rotation import (
     axis_angle_from_matrix,
     axis_angle_from_quaternion,
@@ -17,6 +12,11 @@ from avatar.rotation import (
     normalised_quaternion,
     quaternion_from_axis_angle,
     slerp,
+)
+from avatar.skinning import (
+    blend_dual_quaternions,
+    dual_quaternion_from_transform,
+    transform_from_dual_quaternion,
 )
 
 AXES = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, -2, 3], [1e-3, 1, -1e-3], [-1, -1, -1], [1, 1, 0]])

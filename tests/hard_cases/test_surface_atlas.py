@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from capsules import ball_mesh, sphere
 
-from avatar.errors import AssetError
 from avatar.texture import mipmaps, sample_texture
 from bake.atlas import unwrap
-from bake.seams import chart_edges, seam_steps, solve_seams
 from bake.skin import transferred_weights
-from bake.texels import barycentric, bytes_from_unit, rasterise_charts, spread
+from bake.texture.seams import chart_edges, seam_steps, solve_seams
+from bake.texture.texels import barycentric, bytes_from_unit, rasterise_charts, spread
+from command.errors import AssetError
 from geometry.closest import match_surface
 from geometry.decimate import balanced, decimate
 from geometry.isosurface import extract
@@ -262,7 +262,7 @@ def test_closing_chart_edges_never_leaves_the_colors_of_the_two_sides(pattern, w
     }[pattern]
     pairs = np.array([[[0.2, 0.7, 0.3], [0.25, 0.4, 0.8]], [[0.8, 0.3, 0.3], [0.6, 0.35, 0.5]]])
     image = spread(pairs[upper.astype(int), on], texels)
-    closed = solve_seams(image, texels, chart.uv, edges, levels, goal=3.8)
+    closed = solve_seams(image, texels, chart.uv, edges, levels)
     within(np.maximum(image.min((0, 1)) - closed, closed - image.max((0, 1))).max(), 1e-7, "beyond both")
     # away from the border of the halves only one pair of colors is there to be taken
     centre = np.abs(points.mean(1)[texels.face, 1])

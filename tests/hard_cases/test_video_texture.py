@@ -13,17 +13,16 @@ from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
 from avatar.texture import mipmaps
 from bake.atlas import unwrap
-from bake.cone import ViewCone
-from bake.level import BakedLevel, Charted
-from bake.pixel_reads import atlas_mesh
+from bake.level import BakedLevel, level_of_file
 from bake.run_capture import RunVideos
-from bake.seams import chart_edges, edge_reads, solve_seams
-from bake.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, spread
-from bake.texture_solve import Equations, Prior, neighbour_pairs, solve_change
-from bake.video_texture import solve_texture
+from bake.texture.pixel_reads import atlas_mesh
+from bake.texture.seams import chart_edges, edge_reads, solve_seams
+from bake.texture.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, spread
+from bake.texture.texture_solve import Equations, Prior, neighbour_pairs, solve_change
+from bake.texture.video_texture import solve_texture
 from capture.folder import PartVideo
 from geometry.decimate import decimate
-from player.mannequin import mannequin
+from player.scene.mannequin import mannequin
 
 STAY, MIX = 0.06, 0.24
 
@@ -87,10 +86,6 @@ def grey() -> tuple[BakedLevel, np.ndarray, Filmed]:
     avatar = mannequin()
     level = avatar.levels[0]
     level = replace(level, base_color=np.full((128, 128, 3), 128, np.uint8))
-    uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
-    cone = ViewCone(*(a.astype(np.float64) for a in (level.view_dir, level.view_q, level.view_seen)))
-    charted = Charted(uv, faces, level.positions.astype(np.float64), level.normals.astype(np.float64), cone)
-    _, source = np.unique(level.positions, axis=0, return_inverse=True)
     size, videos = (48, 48), {}
     for part in PARTS:
         middle, far = ((0, 0.6, 0), 0.8) if part == "head" else ((0, -0.1, 0), 3.2)
@@ -101,8 +96,7 @@ def grey() -> tuple[BakedLevel, np.ndarray, Filmed]:
             np.tile(np.asarray(avatar.canonical_pose, np.float64), (4, 1, 1)) if posed else None,
             np.zeros((4, 3)) if posed else None, None, None,
         )  # fmt: skip
-    baked = BakedLevel(level, charted, chart_edges(uv, faces, source.reshape(-1)), {})
-    return baked, np.asarray(avatar.joint_positions), Filmed(Path(), None, np.eye(4), {}, False, videos)
+    return level_of_file(level), np.asarray(avatar.joint_positions), Filmed(Path(), None, np.eye(4), {}, False, videos)
 
 
 def textured(grey, lights: dict[str, CaptureLight] | None = None, **changes) -> tuple[np.ndarray, dict]:

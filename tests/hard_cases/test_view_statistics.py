@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bake.cone import ViewCone, clamped_tangent, cone_direction, interpolated, view_cone
-from capture.views import add_views, fused_statistics, no_views, statistics
+from capture.template.views import add_views, fused_statistics, no_views, statistics
 
 PAIRS = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
 

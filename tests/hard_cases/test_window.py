@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from tiny_avatar import tiny_avatar
 
-from player.context import NoContextError, open_context
-from player.scenes.scene import Scene, SceneAvatar
-from player.track import Track
+from player.gl.context import NoContextError, open_context
+from player.scene.scene import Scene, SceneAvatar
+from player.scene.track import Track
 from player.window.show import opened_show
 from player.window.timeline import LONGEST_STEP, Timeline
 from player.window.window import Window
@@ -33,7 +33,7 @@ def window(request):
         pytest.skip(str(error))
     if request.param == "panels":
         pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
-        from player.gui.panels import Panels
+        from player.window.panels.panels import Panels
     show = opened_show(Scene((SceneAvatar("tiny.glb", "counting"),)), [tiny_avatar()])
     panels = Panels if request.param == "panels" else None
     window = Window(show, size=(700, 400), null=True, panels=panels, clock=Clock(MONTH))

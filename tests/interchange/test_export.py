@@ -7,7 +7,6 @@ import pytest
 from node_packages import package_folder, run_node
 from tiny_avatar import join_glb, same, split_glb, tiny_avatar
 
-from avatar.errors import AssetError
 from avatar.gltf.animation import rotation_keys, write_animated
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.motion.bvh import open_bvh
@@ -16,8 +15,9 @@ from avatar.motion.clip import Clip, Motion
 from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
 from avatar.skeleton import BIG_POSE, JOINTS, PARENTS, joint_transforms, rigid_inverse
+from command.errors import AssetError
 from player.export_command import export_main
-from player.framing import pelvis_height
+from player.scene.framing import pelvis_height
 
 
 def wild_clip(frames=40, seed=3) -> Clip:
@@ -186,22 +186,6 @@ def test_attributes_of_our_own_are_of_one_type_for_blender(avatar_path):
         attributes = mesh["primitives"][0]["attributes"]
         own = [document["accessors"][index] for name, index in attributes.items() if name.startswith("_")]
         assert {(a["type"], a["componentType"]) for a in own} == {("VEC3", 5126)} and len(own) == 4
-
-
-def test_older_files_with_one_number_for_view_seen_are_read(avatar_path, tmp_path):
-    avatar = tiny_avatar()
-    document, binary = split_glb(avatar_path.read_bytes())
-    for mesh, level in zip(document["meshes"], avatar.levels, strict=True):
-        binary += bytes(-len(binary) % 4)
-        data = level.view_seen.tobytes()
-        document["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
-        binary += data
-        scalar = {"bufferView": len(document["bufferViews"]) - 1, "componentType": 5126, "type": "SCALAR"}
-        document["accessors"].append(scalar | {"count": len(level.view_seen)})
-        mesh["primitives"][0]["attributes"]["_VIEW_SEEN"] = len(document["accessors"]) - 1
-    document["buffers"][0]["byteLength"] = len(binary)
-    (tmp_path / "older.glb").write_bytes(join_glb(document, binary))
-    assert same(read_avatar(tmp_path / "older.glb"), read_avatar(avatar_path))
 
 
 def export(*arguments):

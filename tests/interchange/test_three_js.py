@@ -12,9 +12,11 @@ from scipy import ndimage
 
 from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import write_avatar
-from player.context import open_context
-from player.mannequin import mannequin
-from player.renderer import Renderer
+from player.gl.context import open_context
+from player.scene.mannequin import mannequin
+from player.scene.renderer import Renderer
+
+pytestmark = pytest.mark.slow
 
 BLACK = (0.0, 0.0, 0.0, 1.0)
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from avatar.gltf.avatar_file import write_avatar
-from player.context import NoContextError, open_context
-from player.mannequin import mannequin
-from player.renderer import Renderer
+from player.gl.context import NoContextError, open_context
+from player.scene.mannequin import mannequin
+from player.scene.renderer import Renderer
 
 
 @pytest.fixture(scope="module")

@@ -9,13 +9,13 @@ from PIL import Image
 from avatar.camera import orbit_camera
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import skin_points, skin_points_dual_quaternion
-from player.passes import fxaa as fxaa_pass
-from player.passes.background import Background
-from player.posing import Poser
-from player.raster import Rasteriser
-from player.renderer import Renderer
-from player.scenes.effects import Effects
-from player.tiles import TILE, Patches, covered, rectangles
+from player.draw.posing import Poser
+from player.draw.raster import Rasteriser
+from player.effects import fxaa as fxaa_pass
+from player.effects.background import Background
+from player.gl.tiles import TILE, Patches, covered, rectangles
+from player.scene.effects import Effects
+from player.scene.renderer import Renderer
 
 SIZE = (180, 200)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)

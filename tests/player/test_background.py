@@ -8,13 +8,13 @@ from PIL import Image
 from radiance_writer import radiance_bytes, sky
 
 from avatar.camera import look_at, orbit_camera, pixel_rays
-from avatar.errors import AssetError
-from player.context import open_context
-from player.passes.background import Background, opened_source
-from player.renderer import Renderer
-from player.scenes.background import _picture, fitted, placed, read_panorama
-from player.scenes.effects import Effects
-from player.scenes.radiance import read_radiance
+from command.errors import AssetError
+from player.effects.background import Background, opened_source
+from player.effects.background_source import _picture, fitted, placed, read_panorama
+from player.effects.radiance import read_radiance
+from player.gl.context import open_context
+from player.scene.effects import Effects
+from player.scene.renderer import Renderer
 
 SIZE = (120, 90)
 
@@ -86,7 +86,7 @@ def test_files_that_are_no_picture_film_or_panorama_are_refused(tmp_path):
         opened_source(Background("image", path=str(tmp_path / "text.png")))
     with pytest.raises(AssetError, match=r"absent\.png: no such file"):
         opened_source(Background("image", path=str(tmp_path / "absent.png")))
-    with pytest.raises(AssetError, match=r"text\.mp4: cannot be read as a film"):
+    with pytest.raises(AssetError, match=r"text\.mp4: expected a film"):
         opened_source(Background("video", path=str(tmp_path / "text.mp4")))
     with pytest.raises(AssetError, match=r"empty: expected pictures"):
         opened_source(Background("video", path=str(tmp_path / "empty")))
@@ -112,21 +112,9 @@ def test_radiance_comes_back_within_its_mantissa(tmp_path, flat):
     assert (np.abs(found - light) <= light.max(-1, keepdims=True) / 255).all()
 
 
-def test_broken_radiance_is_refused_in_time(tmp_path):
+def test_radiance_that_lies_is_refused_by_name(tmp_path):
     data = radiance_bytes(sky(32))
     path = tmp_path / "sky.hdr"
-    whole = read_radiance(_written(path, data))
-    for end in (*range(80), *range(80, len(data), 37)):
-        with pytest.raises(AssetError, match=r"sky\.hdr"):
-            read_radiance(_written(path, data[:end]))
-    rng = np.random.default_rng(4)
-    for _ in range(120):
-        spoilt = bytearray(data)
-        spoilt[rng.integers(len(data))] = rng.integers(256)
-        try:
-            assert read_radiance(_written(path, bytes(spoilt))).ndim == whole.ndim
-        except AssetError as error:
-            assert "sky.hdr" in str(error)
     for wrong, complaint in (
         (b"-Y 99999 +X 99999", "expected 1 to"), (b"+X 32 -Y 16", "size should read"), (b"-Y 0 +X 32", "expected 1 to"),
         (b"-Y 16 +X 33", "should begin with 2, 2 and its width"), (b"-Y 17 +X 32", "ends before"),
@@ -143,9 +131,9 @@ def _written(path, data):
 
 
 def test_a_wide_panorama_is_halved(tmp_path, monkeypatch):
-    import player.scenes.background
+    import player.effects.background_source
 
-    monkeypatch.setattr(player.scenes.background, "PANORAMA_WIDTH", 32)
+    monkeypatch.setattr(player.effects.background_source, "PANORAMA_WIDTH", 32)
     (tmp_path / "sky.hdr").write_bytes(radiance_bytes(np.full((50, 100, 3), 0.5)))
     assert read_panorama(tmp_path / "sky.hdr").shape == (12, 24, 3)
 

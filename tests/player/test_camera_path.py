@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, project
-from avatar.errors import AssetError
-from player.camera_path import CameraPath, is_path, turntable
+from command.errors import AssetError
+from player.scene.camera_path import CameraPath, is_path, turntable
 
 SIZE = (320, 240)
 KEYS = [

@@ -6,13 +6,13 @@ import pytest
 from PIL import Image
 
 from avatar.camera import orbit_camera, write_camera
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
 from avatar.hull import outermost
 from avatar.motion.amass import write_amass
 from avatar.motion.read import builtin_motion
-from player.framing import extent, facing, fitted_camera, orbit, pelvis_height
-from player.render_command import render_main
+from command.errors import AssetError
+from player.film.command import render_main
+from player.scene.framing import extent, facing, fitted_camera, orbit, pelvis_height
 
 
 def pixels(path):

@@ -1,8 +1,8 @@
 import pytest
 
-import player.context as contexts
-from player.context import NoContextError, open_context
-from player.raster import Rasteriser
+import player.gl.context as contexts
+from player.draw.raster import Rasteriser
+from player.gl.context import NoContextError, open_context
 
 
 def test_a_context_opens_without_a_display(monkeypatch):

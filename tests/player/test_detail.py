@@ -7,16 +7,16 @@ import pytest
 
 from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import write_avatar
-from player.context import open_context
-from player.detail import DENSITY, MARGIN, WAIT, DetailBySize, level_for
-from player.filming.render import detail_by_size
-from player.filming.shot import Shot, ShotRenderer
-from player.filming.stage import Stage
-from player.mannequin import mannequin
-from player.mesh import VERTEX
+from player.draw.detail import DENSITY, MARGIN, WAIT, DetailBySize, level_for
+from player.draw.mesh import VERTEX
+from player.film.render import detail_by_size
+from player.film.shot import Shot, ShotRenderer
+from player.film.stage import Stage
+from player.gl.context import open_context
 from player.play_command import PlayCommand, scene_of
-from player.renderer import Renderer
-from player.scenes.scene import Scene, SceneAvatar
+from player.scene.mannequin import mannequin
+from player.scene.renderer import Renderer
+from player.scene.scene import Scene, SceneAvatar
 from selfscan.__main__ import main
 
 SIZE = (640, 480)

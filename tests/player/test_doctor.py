@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import player.context as contexts
 import player.doctor as doctor
-from avatar.errors import AssetError
-from player.context import EglDevice, NoContextError, open_context
+import player.gl.context as contexts
+from command.errors import AssetError
 from player.doctor import Node, device_nodes, difference, distribution, hints, nvidia_driver, vendor_file
 from player.doctor_command import doctor_main
-from player.render_command import render_main
+from player.film.command import render_main
+from player.gl.context import EglDevice, NoContextError, open_context
 
 # (CUDA ordinal, DRM node, render node, maker, software): EGL counts as it likes, CUDA otherwise, as on real machines
 CARDS = [
@@ -157,7 +157,7 @@ def test_doctor_lists_devices_with_their_names(cards, tmp_path, capsys):
 @pytest.fixture
 def paper_only(monkeypatch):
     """One view mode: all of them are compared in tests/hard_cases."""
-    monkeypatch.setattr("player.ladder.views_of", lambda _avatar: ["off"])
+    monkeypatch.setattr("player.budget.ladder.views_of", lambda _avatar: ["off"])
 
 
 def test_compare_draws_three_ways_and_says_so(osmesa, paper_only, tmp_path, capsys):

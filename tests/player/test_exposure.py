@@ -9,17 +9,17 @@ from tiny_avatar import tiny_avatar
 from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.clip import Clip
-from player.filming import exposure, parts, render
-from player.filming.exposure import exposures, lens_point, through
-from player.filming.shot import Shot, ShotRenderer
-from player.filming.stage import Stage
-from player.passes.depth_of_field import SHARP, DepthOfField
-from player.passes.ground import Ground
-from player.passes.motion_blur import STILL, MotionBlur
-from player.render_command import render_main
-from player.scenes.effects import PLAIN, Effects
-from player.scenes.scene import Scene, SceneAvatar, SceneCamera
-from player.track import Track
+from player.effects.depth_of_field import SHARP, DepthOfField
+from player.effects.ground import Ground
+from player.effects.motion_blur import STILL, MotionBlur
+from player.film import exposure, parts, render
+from player.film.command import render_main
+from player.film.exposure import exposures, lens_point, through
+from player.film.shot import Shot, ShotRenderer
+from player.film.stage import Stage
+from player.scene.effects import PLAIN, Effects
+from player.scene.scene import Scene, SceneAvatar, SceneCamera
+from player.scene.track import Track
 
 SIZE = (96, 96)
 OFF = replace(PLAIN, view="off")

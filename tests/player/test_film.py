@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import player.filming.encoder as encoder_module
+import player.film.encoder as encoder_module
 from avatar.camera import orbit_camera
-from avatar.errors import AssetError
 from avatar.motion.read import builtin_motion
-from player.filming.encoder import X264, Encoder, chosen_encoder, refusal
-from player.filming.film import WAITING, Film, film_kind, straight
-from player.renderer import Renderer
+from command.errors import AssetError
+from player.film.encoder import X264, Encoder, chosen_encoder, refusal
+from player.film.film import WAITING, Film, film_kind, straight
+from player.scene.renderer import Renderer
 
 
 def pixels(path):

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from avatar.gltf.avatar_file import write_avatar
-from player.render_command import render_main
+from player.film.command import render_main
 
 SIZES = [(640, 640), (360, 640), (640, 360), (480, 270), (200, 600)]
 

@@ -5,22 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from avatar.settings import settings_of
+from command.settings import settings_of
 
 pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 
 import glfw  # before imgui_bundle
 from imgui_bundle import imgui
 
-from avatar.settings import parse
-from player.gui.draw import DrawLists
-from player.gui.panels import Panels
-from player.passes.background import Background
-from player.passes.motion_blur import MotionBlur
-from player.passes.outline import Outline
+from command.command_line import parse
+from player.effects.background import Background
+from player.effects.light import Light
+from player.effects.motion_blur import MotionBlur
+from player.effects.outline import Outline
 from player.play_command import PLAY, PlayCommand, scene_of
-from player.scenes.effects import PLAIN, Effects
-from player.scenes.opened import opened_avatars
+from player.scene.effects import PLAIN, Effects
+from player.scene.opened import opened_avatars
+from player.window.panels.draw import DrawLists
+from player.window.panels.effects_panel import NO_LIGHT, NOT_LOOSE, without_effect
+from player.window.panels.panels import Panels
 from player.window.show import opened_show
 from player.window.window import Window
 
@@ -376,14 +378,14 @@ def test_a_click_on_a_dense_screen_picks_what_is_under_it(osmesa, avatar_path, m
 
 
 def test_the_live_panel_tells_rate_loss_and_latency(osmesa, avatar, avatar_path, monkeypatch, tmp_path):
-    from player.address import Address
     from player.live.inbox import Inbox
     from player.live.json_pose import build_pose
     from player.live.playback import LivePlayback
+    from player.scene.address import Address
 
     monkeypatch.chdir(tmp_path)
     now, inbox = [100.0], Inbox("udp")
-    live = LivePlayback(inbox, Address("udp", "127.0.0.1", 1), [avatar], [np.zeros(3)], clock=lambda: now[0])
+    live = LivePlayback(inbox, Address("udp", "127.0.0.1", 1), [avatar], clock=lambda: now[0])
     window = opened(avatar_path, SIZE, [(live, [0])])
     try:
         waiting = run(window, "wait wait")
@@ -405,3 +407,22 @@ def test_the_live_panel_tells_rate_loss_and_latency(osmesa, avatar, avatar_path,
         assert not live.playing
     finally:
         window.close()
+
+
+def test_an_effect_that_an_avatar_has_nothing_for_says_why(avatar):
+    assert without_effect("secondary_motion", PLAIN, [avatar]) == NOT_LOOSE
+    assert without_effect("light", PLAIN, [avatar]) == NO_LIGHT
+    assert without_effect("light", replace(PLAIN, light=Light(by="albedo")), [avatar]) == ""
+    assert without_effect("outline", PLAIN, [avatar]) == ""
+
+
+def test_a_paused_window_sleeps_until_something_happens(window, monkeypatch):
+    slept = []
+
+    def sleep(seconds):
+        slept.append(seconds)
+        window.parts.closing = len(slept) == 2
+
+    monkeypatch.setattr(glfw, "wait_events_timeout", sleep)
+    window.run()
+    assert len(slept) == 2

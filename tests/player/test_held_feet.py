@@ -8,15 +8,15 @@ import pytest
 
 from avatar.motion.clip import Clip
 from avatar.skeleton import joint_transforms
-from player.filming.shot import Shot
-from player.filming.stage import Stage
-from player.held_feet import MOST_BENT, TOES, TOGETHER, HeldFeet, Steps, found_steps, leg_bones, offset
-from player.ik import reach_for
-from player.motions import motion_for
-from player.passes.foot_lock import FootLock
-from player.scenes.effects import PLAIN
-from player.scenes.scene import Scene, SceneAvatar
-from player.track import Track
+from player.effects.foot_lock import FootLock
+from player.effects.held_feet import MOST_BENT, TOES, TOGETHER, HeldFeet, Steps, found_steps, leg_bones, offset
+from player.film.shot import Shot
+from player.film.stage import Stage
+from player.pose.ik import reach_for
+from player.scene.effects import PLAIN
+from player.scene.motions import motion_for
+from player.scene.scene import Scene, SceneAvatar
+from player.scene.track import Track
 
 LOCK = FootLock()
 
@@ -175,7 +175,7 @@ def test_neighbours_are_solved_at_once_as_each_alone(avatar, sliding, monkeypatc
     feet, calls = held_on(sliding, avatar.joint_positions.astype(float)), []
     frames = len(sliding.root)
     alone = [feet.held(k, sliding.axis_angle[k : k + 1], sliding.root[k : k + 1]) for k in range(frames)]
-    monkeypatch.setattr("player.held_feet.reach_for", lambda *given: calls.append(1) or reach_for(*given))
+    monkeypatch.setattr("player.effects.held_feet.reach_for", lambda *given: calls.append(1) or reach_for(*given))
     together = held_poses(feet, sliding)
     assert len(calls) <= 2 * -(-frames // TOGETHER)
     for one, (axis_angle, root) in zip(alone, together, strict=True):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from avatar.body import builtin_body
 from avatar.limits import clamped, joint_angles, posed
 from avatar.skeleton import JOINTS, joint_transforms
-from player.ik import LIMBS, reach_distance, reach_for
+from player.pose.ik import LIMBS, reach_distance, reach_for
 
 SOME = settings(max_examples=15, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)

@@ -13,8 +13,8 @@ import json, sys, time
 import numpy
 start = time.perf_counter()
 import avatar, player
-import avatar.gltf.avatar_file, avatar.motion.clip, player.render_command, player.play_command, player.renderer
-import player.raster, player.doctor
+import avatar.gltf.avatar_file, avatar.motion.clip, player.film.command, player.play_command, player.scene.renderer
+import player.draw.raster, player.doctor
 spent = time.perf_counter() - start
 print(json.dumps({"modules": sorted({name.split(".")[0] for name in sys.modules}), "seconds": spent}))
 """
@@ -30,7 +30,7 @@ def test_avatar_and_player_import_no_training_code():
 
 FILM = """
 import sys
-from player.render_command import render_main
+from player.film.command import render_main
 assert render_main(sys.argv[1:]) == 0
 print(" ".join(name for name in sys.modules if name.startswith("player.")))
 """
@@ -42,7 +42,7 @@ def test_headless_render_loads_neither_live_nor_window(tmp_path):
     options = ["--scene", str(scene), "--frame", "3", "--size", "32x40", "--explain", "-o", str(tmp_path / "a.png")]
     out = subprocess.run([sys.executable, "-c", FILM, *options], capture_output=True, text=True, check=True).stdout
     loaded = set(out.splitlines()[-1].split())
-    assert "player.passes.avatar" in loaded
+    assert "player.effects.avatar" in loaded
     assert not [name for name in loaded if name.split(".")[1] in ("live", "window", "gui", "pose")]
 
 

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from avatar.settings import parser_of
+from command.command_line import parser_of
 from player.play_command import PLAY, PlayCommand
 from player.window import actions
-from player.window.actions import GROUPS, Action, Group
+from player.window.actions import GROUPS, Action
 from player.window.help import DOCS, TABLES, command_line_help, rows, with_table
-from player.window.key_names import KEYS
+from player.window.keyboard import KEYS
 from player.window.text import in_columns, keys_image, line_image, shortened
 
 ACTIONS = [action for group in GROUPS for action in group.actions]
@@ -43,7 +43,7 @@ def test_the_documentation_has_the_table_of_keys_as_it_is(name):
 
 
 def test_the_command_line_names_every_key():
-    text = parser_of(PlayCommand, PLAY).format_help()
+    text = parser_of(PlayCommand, PLAY, everything=True).format_help()
     assert command_line_help() in text
     for group in GROUPS:
         for keys, means in rows(group):
@@ -109,4 +109,4 @@ def test_what_is_too_long_loses_its_middle():
 
 
 def test_groups_are_shown_when_their_keys_hold():
-    assert isinstance(GROUPS[0], Group) and [group.title for group in GROUPS][-2:] == ["First person", "Posing by hand"]
+    assert [group.title for group in GROUPS][-2:] == ["First person", "Posing by hand"]

@@ -7,11 +7,11 @@ import pytest
 from loose_avatar import dressed
 from loose_paths import dance, gently, moved
 
-from player.loose_capsules import capsule_distances
-from player.loose_motion import CALM, LONGEST, LooseMotion
-from player.loose_parts import PARTICLES, LooseParts, loose_parts
-from player.loose_sheets import REACH
-from player.passes.secondary_motion import SecondaryMotion
+from player.effects.loose_capsules import capsule_distances
+from player.effects.loose_motion import CALM, LONGEST, LooseMotion
+from player.effects.loose_parts import PARTICLES, LooseParts, loose_parts
+from player.effects.loose_sheets import REACH
+from player.effects.secondary_motion import SecondaryMotion
 
 SETTINGS = SecondaryMotion()
 STANDING = (np.zeros((52, 3)), np.zeros(3))
@@ -114,6 +114,7 @@ def test_a_rig_of_another_size_moves_as_a_grown_one():
     assert np.abs(runs[0] - runs[1]).max() < 0.03 * runs[0].max()
 
 
+@pytest.mark.slow
 def test_a_minute_of_dancing_nothing_is_deeper_than_5_mm_in_the_body(parts):
     motion, deepest, stretched = LooseMotion(parts, SETTINGS), 0.0, []
     for frame in range(60 * 30):

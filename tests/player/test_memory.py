@@ -12,7 +12,7 @@ KEPT = """
 import ctypes
 import sys
 import numpy as np
-from player.memory import give_back_freed_memory
+from player.gl.memory import give_back_freed_memory
 
 class Mallinfo2(ctypes.Structure):
     _fields_ = [(name, ctypes.c_size_t) for name in (
@@ -48,7 +48,7 @@ def test_a_large_block_goes_back_though_small_ones_were_made_after_it():
 
 
 def test_elsewhere_nothing_is_done(monkeypatch):
-    from player import memory
+    from player.gl import memory
 
     monkeypatch.setattr(memory.ctypes, "CDLL", lambda _name: object())
     memory.give_back_freed_memory()

@@ -12,16 +12,16 @@ import pytest
 from PIL import Image
 from tiny_avatar import tiny_avatar
 
-import player.filming.parts
-import player.filming.render
+import player.film.parts
+import player.film.render
 from avatar.camera import orbit_camera, write_camera
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
-from player.camera_path import CameraPath
-from player.filming.film import join_pieces
-from player.filming.parts import Parts, fingerprint
-from player.filming.shot import ShotRenderer
-from player.render_command import render_main
+from command.errors import AssetError
+from player.film.command import render_main
+from player.film.film import join_pieces
+from player.film.parts import Parts, fingerprint
+from player.film.shot import ShotRenderer
+from player.scene.camera_path import CameraPath
 
 FRAMES = 50  # from 5 to 55: parts 5:20, 20:40, 40:55
 
@@ -29,8 +29,8 @@ FRAMES = 50  # from 5 to 55: parts 5:20, 20:40, 40:55
 @pytest.fixture(scope="module", autouse=True)
 def short_parts():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(player.filming.parts, "LENGTH", 20)
-        patch.setattr(player.filming.render, "LENGTH", 20)
+        patch.setattr(player.film.parts, "LENGTH", 20)
+        patch.setattr(player.film.render, "LENGTH", 20)
         yield
 
 
@@ -256,6 +256,7 @@ def test_a_turntable_and_a_camera_path_are_films(arguments, tmp_path):
     assert path[0] == still[0] and sum(a == b for a, b in zip(path, still, strict=True)) == 1
 
 
+@pytest.mark.slow
 def test_two_local_workers_draw_the_same_film(arguments, films, tmp_path, capsys):
     pytest.importorskip("distributed", reason="needs the extra [cluster]")
     render_main([*arguments, "-o", str(tmp_path / "film.mp4"), "--workers", "2"])
@@ -278,12 +279,12 @@ def test_a_scheduler_that_is_not_there_is_one_line(arguments, tmp_path, monkeypa
 
 def test_what_a_worker_draws_is_what_is_asked_for(arguments, films, tmp_path, monkeypatch):
     """The task itself, without a cluster: the same frames, and no file that differs."""
-    from player.filming.cluster import draw_part, store_part
-    from player.filming.stage import Stage
+    from player.film.cluster import draw_part, store_part
+    from player.film.stage import Stage
 
     orders = []
     monkeypatch.setattr(
-        player.filming.render, "draw_on_cluster", lambda _a, shot, parts: orders.append((shot, parts)) or []
+        player.film.render, "draw_on_cluster", lambda _a, shot, parts: orders.append((shot, parts)) or []
     )
     folder, name = Path(arguments[0]).parent, Path(arguments[0]).name
     monkeypatch.chdir(folder)

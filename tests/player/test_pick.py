@@ -4,9 +4,10 @@ import numpy as np
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, project
 from avatar.skeleton import JOINTS, joint_transforms
-from player.mannequin import mannequin
-from player.raster import Rasteriser
-from player.window.pick import pick, posed_vertices
+from player.draw.posing import posed_vertices
+from player.draw.raster import Rasteriser
+from player.scene.mannequin import mannequin
+from player.window.pick import pick
 
 SIZE = (60, 80)
 

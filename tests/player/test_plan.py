@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from radiance_writer import radiance_bytes, sky
 
 from avatar.camera import orbit_camera
-from avatar.errors import AssetError
-from avatar.settings import settings_of
-from player import plan as plans
-from player.context import open_context
-from player.mannequin import mannequin
-from player.passes.background import BACKGROUNDS, Background
-from player.passes.view import VIEWS
-from player.renderer import Renderer
-from player.resolve import resolve
-from player.scenes.effects import ANTIALIASINGS, PLAIN, SKINNINGS, Effects
+from command.errors import AssetError
+from command.settings import settings_of
+from player.draw import plan as plans
+from player.effects.background import BACKGROUNDS, Background
+from player.effects.view import VIEWS
+from player.gl.context import open_context
+from player.scene.effects import ANTIALIASINGS, PLAIN, SKINNINGS, Effects
+from player.scene.mannequin import mannequin
+from player.scene.renderer import Renderer
+from player.scene.resolve import resolve
 
 SIZE = (96, 80)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.9, 0.5, 0.1, SIZE)
@@ -132,7 +132,7 @@ def test_a_panorama_is_evaluated_only_when_the_camera_turns(context, render, ava
     nearer = orbit_camera((0.1, 0, -0.2), 2.5, 0.5, 0.1, SIZE)  # same direction: the surroundings are far away
     turned = orbit_camera((0.1, 0, -0.2), 2.9, 0.6, 0.1, SIZE)
     assert [draws(camera) for camera in (CAMERA, CAMERA, nearer, turned, turned)] == [2, 1, 1, 2, 1]
-    assert renderer.drawn[0].decision == plans.Decision(plans.State.KEPT, "the camera has not turned")
+    assert renderer.drawn[0].decision == plans.Decision(plans.PassState.KEPT, "the camera has not turned")
 
 
 def test_another_panorama_of_the_same_size_is_another_texture(render, avatar, pose, backgrounds, tmp_path):

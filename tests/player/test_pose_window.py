@@ -11,16 +11,16 @@ from avatar.camera import project
 from avatar.limits import joint_angles, within
 from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_matrix
-from avatar.settings import parse
 from avatar.skeleton import JOINTS, joint_transforms
-from player.framing import pelvis_height
-from player.gui.panels import Panels
-from player.ik import LIMBS
-from player.motions import motion_for
+from command.command_line import parse
 from player.play_command import PLAY, PlayCommand, scene_of
 from player.pose.fingers import PRESETS, hand_shape
+from player.pose.ik import LIMBS
 from player.pose.mirror import mirrored_in_place
-from player.scenes.opened import opened_avatars
+from player.scene.framing import pelvis_height
+from player.scene.motions import motion_for
+from player.scene.opened import opened_avatars
+from player.window.panels.panels import Panels
 from player.window.pose_tool import HANDLES
 from player.window.show import opened_show
 from player.window.window import Window

@@ -7,9 +7,9 @@ from avatar.body import builtin_body
 from avatar.camera import orbit_camera, view_from_world
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import joint_transforms
-from player import kinematics
-from player.mannequin import mannequin
-from player.posing import Poser, quaternions, screen_bounds
+from player.draw import kinematics
+from player.draw.posing import Poser, quaternions, screen_bounds
+from player.scene.mannequin import mannequin
 
 # zero, denormal, both sides of the series' branch, both sides of a half turn, full turns
 ANGLES = [0.0, 1e-300, 1e-30, 1e-8, 0.0099, 0.0101, 1.0, np.pi - 1e-9, np.pi, np.pi + 1e-9, 2 * np.pi, 1e3]

@@ -3,7 +3,7 @@ import pytest
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, orbit_camera, project
-from player.raster import Rasteriser, clip_planes
+from player.draw.raster import Rasteriser, clip_planes
 
 
 @pytest.fixture(scope="module")

@@ -7,14 +7,14 @@ from avatar.camera import Camera, orbit_camera
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import skin_points, skin_points_dual_quaternion
 from avatar.texture import sample_texture
-from player.context import open_context
 from player.doctor import difference
-from player.plan import Absent, Canvas, Stage
-from player.posing import Poser, screen_bounds
-from player.raster import Rasteriser
-from player.renderer import Renderer
-from player.resolve import resolve
-from player.scenes.effects import PLAIN, Effects
+from player.draw.plan import Absent, Canvas, Stage
+from player.draw.posing import Poser, screen_bounds
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
+from player.scene.effects import PLAIN, Effects
+from player.scene.renderer import Renderer
+from player.scene.resolve import resolve
 
 SIZE = (200, 240)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)
@@ -104,6 +104,20 @@ def test_live_objects_are_exactly_the_plan_and_release_frees_them(avatar, pose, 
     renderer.release()
     assert context.counts.objects() == {} and context.gl.error == "GL_NO_ERROR"
     context.release()
+
+
+@pytest.mark.parametrize("view", ["off", "network"])
+def test_an_avatar_named_twice_is_drawn_twice_and_shares_mesh_and_textures(context, avatar, pose, view):
+    aside = (pose[0], pose[1] + [0.7, 0, -0.4])
+    images, made = [], []
+    for avatars in ([avatar, avatar], [avatar, replace(avatar)], [avatar]):
+        renderer = Renderer(context, avatars, SIZE, view=view)
+        images.append(renderer.draw([pose, aside][: len(avatars)], CAMERA))
+        made.append(context.counts.objects())
+        renderer.release()
+    assert np.array_equal(images[0], images[1]) and (images[0] != images[2]).any()
+    assert made[0]["texture"] == made[2]["texture"] < made[1]["texture"]
+    assert made[0]["program"] == made[2]["program"]
 
 
 def test_a_leaked_texture_is_noticed(avatar):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from avatar.camera import orbit_camera
-from player.context import open_context
-from player.mannequin import mannequin
-from player.renderer import Renderer
-from player.rung import Rung, rung_of, strongest_joints, with_strongest_joints
-from player.scenes.effects import PLAIN
+from player.budget.rung import Rung, rung_of, strongest_joints, with_strongest_joints
+from player.gl.context import open_context
+from player.scene.effects import PLAIN
+from player.scene.mannequin import mannequin
+from player.scene.renderer import Renderer
 
 SIZE = (160, 160)
 CAMERA = orbit_camera(np.zeros(3), 2.4, 0.3, 0.1, SIZE)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from avatar.errors import AssetError
-from avatar.settings import settings_of
-from player.passes.background import Background
-from player.render_command import render_main
-from player.scenes.effects import STUDIO, Effects
-from player.scenes.scene import Scene, SceneAvatar, SceneCamera
-from player.scenes.scene_file import lines_of_keys, read_scene
-from player.scenes.scene_schema import DOCS, scene_schema, with_tables
+from command.errors import AssetError
+from command.settings import settings_of
+from experiments.scene_docs import DOCS, scene_schema, with_tables
+from player.effects.background import Background
+from player.film.command import render_main
+from player.scene.effects import STUDIO, Effects
+from player.scene.scene import Scene, SceneAvatar, SceneCamera
+from player.scene.scene_file import lines_of_keys, read_scene
 
 FULL = '''\
 size = [640, 480]
@@ -132,7 +132,7 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     ("start = 1", 'motion = "walking"', 13, r"avatar 2\.motion: motion and live: expected one of them, found both"),
     ('path = """mannequin:female"""\n', "", 11, r"avatar 2: \[\[avatar\]\] needs the key path: avatar file"),
     ('kind = "front"', 'kind = "file"', 19, r"camera 2: camera file needs a path"),
-    ("fov_deg = 40", "fov_deg = 180", 21, r"camera 2\.fov_deg: fov_deg: expected less than 180, found 180"),
+    ("fov_deg = 40", "fov_deg = 180", 21, r"camera 2\.fov_deg: expected less than 180, found 180"),
     ("fxaa", "smaa", 28, r"effects\.antialiasing: expected one of auto, none, fxaa, msaa, found 'smaa'"),
 ]
 
@@ -156,23 +156,9 @@ def test_tables_of_the_wrong_kind_and_empty_scenes(scene_file):
         read_scene(Path("absent.toml"))
 
 
-def test_a_file_cut_short_is_a_scene_or_an_error_that_names_it(scene_file):
-    outcomes = []
-    for end in range(0, len(FULL), 5):
-        try:
-            outcomes.append(len(read_scene(scene_file(FULL[:end])).avatars))
-        except AssetError as error:
-            assert "scene.toml:" in str(error)
-            outcomes.append(0)
-    assert {0, 1, 2} == set(outcomes)
-
-
 def test_bytes_that_are_no_text_are_refused(tmp_path):
     (tmp_path / "s.toml").write_bytes(b'a = "\xff"')
     with pytest.raises(AssetError, match="UTF-8 text; byte 5 is none"):
-        read_scene(tmp_path / "s.toml")
-    (tmp_path / "s.toml").write_text("a = " + "[" * 100_000)
-    with pytest.raises(AssetError, match=r"s\.toml"):
         read_scene(tmp_path / "s.toml")
 
 
@@ -195,7 +181,8 @@ t = 2020-01-01'''
     lines = lines_of_keys(text)
     assert lines == {
         ("a",): 1, ("b.c",): 2, ("f",): 5, ("f", "g"): 5, ("k", "l m"): 9, ("k", "l m", "n"): 10, ("p", 0): 11,
-        ("p", 0, "q"): 12, ("p", 0, "q", "r"): 13, ("p", 1): 14, ("p", 1, "t"): 15,
+        ("p", 0, "q"): 12, ("p", 0, "q", "r"): 13, ("p", 0, "q", "r", "s"): 13,
+        ("p", 1): 14, ("p", 1, "t"): 15,
     }  # fmt: skip
     content = tomllib.loads(text)
     for key in lines:

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from player.blocks import BONES, FRAME, TURNS, bind_block
-from player.context import open_context
-from player.shader import ShaderError, assembled, compile_program, names_in_conditions
+from player.gl.blocks import BONES, FRAME, TURNS, bind_block
+from player.gl.context import open_context
+from player.gl.shader import ShaderError, assembled, compile_program, names_in_conditions
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from tiny_avatar import tiny_avatar, tiny_level
 
 from avatar.camera import Camera, look_at
 from avatar.texture import sample_texture
-from player import texture
-from player.context import open_context
-from player.renderer import Renderer
+from player.gl import texture
+from player.gl.context import open_context
+from player.scene.renderer import Renderer
 
 
 @pytest.fixture(scope="module")

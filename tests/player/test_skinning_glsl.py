@@ -5,11 +5,16 @@ import pytest
 from glsl_probe import probe
 
 from avatar.body import builtin_body
-from avatar.dual_quaternion import dual_quaternion_from_transform
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import skin_transforms
-from avatar.skinning import SkinWeights, blended_rotations, skin_points, skin_points_dual_quaternion
-from player.posing import PosedBones, dual_parts
+from avatar.skinning import (
+    SkinWeights,
+    blended_rotations,
+    dual_quaternion_from_transform,
+    skin_points,
+    skin_points_dual_quaternion,
+)
+from player.draw.posing import PosedBones, dual_parts
 
 POINT = "vec4(skinned(point, joints, weights), 0.0)"
 BACK = "vec4(turned_back(blended_turn(joints, weights), direction), 0.0)"

@@ -8,14 +8,14 @@ from PIL import Image
 from tiny_avatar import tiny_avatar
 
 from avatar.camera import orbit_camera, project, write_camera, write_cameras
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
-from player.filming.parts import Parts
-from player.filming.render import level_of
-from player.filming.shot import Shot
-from player.filming.stage import Stage, camera_from_option
-from player.render_command import RenderCommand, render_main
-from player.scenes.scene import Scene, SceneAvatar, SceneCamera
+from command.errors import AssetError
+from player.film.command import RenderCommand, render_main
+from player.film.parts import Parts
+from player.film.render import level_of
+from player.film.shot import Shot
+from player.film.stage import Stage, camera_from_option
+from player.scene.scene import Scene, SceneAvatar, SceneCamera
 
 
 @pytest.fixture(scope="module")

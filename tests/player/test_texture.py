@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from avatar.texture import mip_levels
-from player.texture import image_texture
+from player.gl.texture import image_texture
 
 
 def block_means(image, level):

@@ -5,8 +5,8 @@ import pytest
 
 from avatar.motion.clip import Clip
 from avatar.rotation import matrix_from_axis_angle
-from player.motions import BLOCK
-from player.track import Track
+from player.scene.motions import BLOCK
+from player.scene.track import Track
 from player.window.playback import Playback
 from player.window.timeline import LONGEST_STEP, LOOPS, SPEEDS, Timeline
 

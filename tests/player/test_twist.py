@@ -10,14 +10,14 @@ from avatar.camera import orbit_camera
 from avatar.skeleton import BIG_POSE
 from bake.bend import with_room
 from bake.twist import with_twist
-from player.context import open_context
-from player.mannequin import mannequin
-from player.passes.contact import Contact
-from player.passes.ground import Ground
-from player.passes.outline import Outline
-from player.renderer import Renderer
-from player.scenes.effects import PLAIN
-from player.tiles import Patches
+from player.effects.contact import Contact
+from player.effects.ground import Ground
+from player.effects.outline import Outline
+from player.gl.context import open_context
+from player.gl.tiles import Patches
+from player.scene.effects import PLAIN
+from player.scene.mannequin import mannequin
+from player.scene.renderer import Renderer
 from player.web.packing import packed_avatar
 
 ORIGIN = np.zeros(3)
@@ -94,7 +94,7 @@ def test_effects_take_twist_joints_as_they_take_others(context, avatar, skinning
 
 @pytest.mark.parametrize("dual", [False, True])
 def test_the_balls_that_hold_the_surface_hold_a_twisted_arm(avatar, dual):
-    from player.posing import Poser, screen_bounds
+    from player.draw.posing import Poser, screen_bounds
 
     pose, _ = turned(avatar, "left", 179.0)
     bones = Poser(avatar, avatar.levels[0]).posed(pose, ORIGIN, CAMERA)

@@ -12,19 +12,19 @@ pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 import glfw  # noqa: F401  before imgui_bundle
 
 import avatar
-import player.gui
 import player.window
-from avatar.settings import parse
-from player.gui import widgets
-from player.gui.panels import Panels
-from player.gui.widgets import Widgets, elided
+import player.window.panels
+from command.command_line import parse
 from player.play_command import PLAY, PlayCommand, scene_of
-from player.scenes.opened import opened_avatars
+from player.scene.opened import opened_avatars
 from player.window.actions import GROUPS
+from player.window.panels import widgets
+from player.window.panels.panels import Panels
+from player.window.panels.widgets import Widgets, elided
 from player.window.show import opened_show
 from player.window.window import Window
 
-FOLDER = Path(player.gui.__file__).parent
+FOLDER = Path(player.window.panels.__file__).parent
 # what only shows something, or frames what is shown
 PASSIVE = {"text", "text_disabled", "text_wrapped", "text_colored", "text_unformatted"}
 INTERACTIVE = (
@@ -56,12 +56,12 @@ def test_panels_reach_interactive_widgets_only_where_a_tooltip_is_asked_for():
 
 
 def test_the_window_and_the_panels_are_in_no_circle_and_no_object_has_thirty_attributes(opened):
-    """player/gui imports player/window, never the other way round, not even for types."""
+    """player/window/panels imports player/window, never the other way round, not even for types."""
     for file in Path(player.window.__file__).parent.glob("*.py"):
         for node in ast.walk(ast.parse(file.read_text("utf-8"))):
             modules = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             modules += [name.name for name in node.names] if isinstance(node, ast.Import) else []
-            assert not any(module.startswith("player.gui") for module in modules), file.name
+            assert not any(module.startswith("player.window.panels") for module in modules), file.name
     window = opened()
     parts = window.parts
     run(window, "p wait")

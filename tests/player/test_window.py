@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
-from player.camera_path import CameraPath
-from player.cameras import Cameras, Orbit, Walk
-from player.context import open_context
-from player.framing import extent, facing, fitted_camera
-from player.motions import motion_for
+from command.errors import AssetError
+from player.gl.context import open_context
 from player.play_command import play_main
-from player.renderer import Renderer
-from player.scenes.effects import USUAL
+from player.scene.camera_path import CameraPath
+from player.scene.cameras import Cameras, Orbit, Walk
+from player.scene.effects import USUAL
+from player.scene.framing import extent, facing, fitted_camera
+from player.scene.motions import motion_for
+from player.scene.renderer import Renderer
 from player.window.script import NUMBERS, steps
 from player.window.window import Window
 

@@ -8,18 +8,18 @@ import pytest
 from PIL import Image
 
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, project, write_cameras
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip
 from avatar.rotation import matrix_from_axis_angle
-from avatar.settings import parse
 from avatar.skeleton import joint_transforms
-from player.capture_view import open_capture
+from command.command_line import parse
+from command.errors import AssetError
+from player.draw.posing import posed_vertices
 from player.play_command import PLAY, PlayCommand, scene_of
-from player.renderer import Renderer
-from player.scenes.opened import opened_avatars
-from player.window.pick import posed_vertices
+from player.scene.capture_view import open_capture
+from player.scene.opened import opened_avatars
+from player.scene.renderer import Renderer
 from player.window.picture import PictureLayer
 from player.window.show import opened_show
 from player.window.window import Window
@@ -31,7 +31,7 @@ FRAMES = 3
 @pytest.fixture(scope="module")
 def capture(avatar, tmp_path_factory):
     """Three pictures of the avatar, each frame from another side, on green; and a head video in a frame of its own."""
-    from player.context import open_context
+    from player.gl.context import open_context
 
     path = tmp_path_factory.mktemp("capture")
     (path / "body" / "images").mkdir(parents=True)

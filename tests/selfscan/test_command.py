@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from selfscan.__main__ import main
+from selfscan.__main__ import COMMANDS, main
 
 ROOT = Path(__file__).parents[2]
 
@@ -106,6 +106,14 @@ def test_absent_files_are_named(capsys, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("name", ["builtin", "builtin:female"])
+def test_who_asks_for_a_person_that_is_no_avatar_yet_learns_how_to_make_one(capsys, tmp_path, name):
+    for command, out in (("render", "a.png"), ("web", "a.html"), ("export", "a.bvh"), ("bench", "bench")):
+        motion = () if command == "bench" else ("--motion", "counting")
+        advice = ("make demo", f"synth {name} CAPTURE")
+        refused(capsys, command, name, *motion, "-o", tmp_path / out, names=(name, *advice))
+
+
 def test_a_gltf_without_a_humanoid_is_refused(capsys, tmp_path):
     box = box_glb(tmp_path / "box.glb")
     refused(capsys, "synth", box, tmp_path / "cap", names=("box.glb",))
@@ -124,8 +132,8 @@ def test_a_file_that_is_no_gltf_is_refused(capsys, tmp_path):
 def test_the_player_side_imports_neither_torch_nor_training():
     """In a fresh process; `selfscan render` must start in the base install."""
     code = (
-        "import sys, avatar, avatar.gltf.avatar_file, avatar.motion.clip, avatar.body, player, player.renderer, "
-        "player.render_command, player.filming.film, selfscan.__main__;"
+        "import sys, avatar, avatar.gltf.avatar_file, avatar.motion.clip, avatar.body, player, player.scene.renderer, "
+        "player.film.command, player.film.film, selfscan.__main__;"
         "bad = {'torch', 'train', 'bake', 'bench', 'av', 'scipy', 'skimage', 'trimesh'} & set(sys.modules);"
         "sys.exit(repr(bad) if bad else 0)"
     )
@@ -133,9 +141,28 @@ def test_the_player_side_imports_neither_torch_nor_training():
     assert done.returncode == 0, done.stderr
 
 
+HEAVY = ("torch", "scipy", "skimage", "matplotlib", "onnxruntime", "av", "trimesh")
+KINDS = [("import", kind) for kind in ("video", "totalselfscan", "easymocap")]
+
+
+@pytest.mark.parametrize("words", [*((name,) for name in COMMANDS), *KINDS], ids=" ".join)
+def test_help_and_wrong_usage_import_nothing_heavy(words):
+    """In a fresh process: arguments are read before what the work needs is loaded."""
+    code = (
+        "import sys; from selfscan.__main__ import main\n"
+        "for more, expected in (['--help'], 0), (['--no-such-option'], 2):\n"
+        "    try: code = main(sys.argv[1:] + more)\n"
+        "    except SystemExit as stop: code = stop.code\n"
+        "    assert code == expected, (more, code)\n"
+        f"sys.exit(repr({set(HEAVY)} & set(sys.modules)) if {set(HEAVY)} & set(sys.modules) else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *words], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 def test_training_imports_neither_player_nor_bake():
     code = (
-        "import sys, train.command, train.trainer;"
+        "import sys, train.command, train.stages, train.trainer;"
         "bad = {'player', 'bake', 'bench', 'moderngl', 'glfw'} & set(sys.modules); sys.exit(repr(bad) if bad else 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
@@ -151,7 +178,7 @@ def test_the_version_is_said(capsys):
 
 def test_drawing_gives_freed_memory_back_and_other_commands_leave_the_allocator_alone(monkeypatch, capsys):
     asked = []
-    monkeypatch.setattr("player.memory.give_back_freed_memory", lambda: asked.append(True))
+    monkeypatch.setattr("player.gl.memory.give_back_freed_memory", lambda: asked.append(True))
     for command, expected in (("doctor", 0), ("render", 1), ("play", 2)):
         assert run(capsys, command, "--help")[0] == 0
         assert len(asked) == expected

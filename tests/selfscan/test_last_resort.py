@@ -14,10 +14,10 @@ import torch
 from tiny_avatar import tiny_avatar
 
 import selfscan.__main__ as command
-from avatar.errors import AssetError
-from avatar.files import whole_file
 from avatar.gltf.avatar_file import write_avatar
-from avatar.interrupt import Stopped, deferred_stop
+from command.errors import AssetError
+from command.interrupt import Stopped, deferred_stop
+from files.whole import whole_file
 from selfscan.__main__ import main
 
 ROOT = Path(__file__).parents[2]
@@ -57,6 +57,7 @@ def test_a_reader_that_goes_is_no_error():
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("streams", [">&-", "2>&-", "<&- >&- 2>&-", "> >(true)", "2> >(true)", "2> /dev/full"])
 def test_a_film_is_written_whatever_becomes_of_what_is_printed(film, tmp_path, streams):
     out = tmp_path / "film.mp4"
@@ -162,6 +163,7 @@ def test_a_signal_that_was_dropped_is_taken_up_later(monkeypatch, capsys):
         assert not stop.asked
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_film_that_is_stopped_leaves_the_old_one_and_nothing_else(film, tmp_path, number, code):
     out = tmp_path / "film.mp4"

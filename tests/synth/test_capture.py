@@ -12,13 +12,14 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
 from capture.held_out import read_held_out
-from player.context import open_context
-from player.raster import Rasteriser
-from synth.command import SynthConfig, main, synth
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
+from synth.command import SynthConfig, synth
 from synth.cutout import cut_out
 from synth.film import plan_videos
 from synth.head_frame import LANDMARK_NOISE, cameras_in_head_frame, seeded_similarity
 from synth.light import light_of
+from synth.options import main
 from synth.photo import Studio
 from synth.subject import SynthSubject, read_subject
 from synth.truth import Stand, novel_poses, novel_views, take_set

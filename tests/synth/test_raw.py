@@ -11,8 +11,9 @@ from avatar.camera import Camera, project
 from avatar.skeleton import JOINTS, PARTS, joint_transforms
 from capture.keypoints.read import read_keypoints
 from synth.command import SynthConfig, load_subject, synth_raw
+from synth.options import RawConfig
 from synth.raw.backdrop import backdrop
-from synth.raw.film import FILES, RawConfig
+from synth.raw.film import FILES
 from synth.raw.phone import phone_of
 
 SIZE, SECONDS = 96, 1.0
@@ -109,6 +110,7 @@ def test_shadow_darkens_the_floor_where_the_person_stands():
 
 
 def test_truth_is_one_folder_and_says_what_was_filmed(raw):
+    assert RawConfig().held_out is False
     assert {path.name for path in raw.iterdir() if path.name[0] != "."} == {*FILES.values(), "keypoints", "truth"}
     facts = json.loads((raw / "truth" / "raw.json").read_text())
     assert (facts["subject"], facts["size"], facts["light"], facts["seed"]) == ("builtin:male", SIZE, "soft", 5)

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from avatar.rotation import matrix_from_axis_angle
-from avatar.srgb import linear_from_srgb, srgb_from_linear
+from avatar.texture import linear_from_srgb, srgb_from_linear
 from geometry.mesh import vertex_normals
-from player.context import open_context
-from player.raster import Rasteriser
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
 from synth.light import light_of
 from synth.room import (
     ROOM,
-    Lit,
+    LightSource,
     Openness,
+    ReceivedLight,
     Room,
     RoomLighting,
-    Source,
     ambient,
     openness,
     shade_in_room,
@@ -88,7 +88,7 @@ def test_a_wide_source_makes_the_soft_shadow_that_its_width_says(rasteriser):
     """The share seen is the share of its directions whose lines pass the ball; the middle of the umbra is dark, as the
     ball covers more of the sky than the source does."""
     vertices, faces, count = ball_over_plane()
-    source = Source((0.0, 1.0, 0.0), width=30.0, height=30.0, irradiance=1.0, samples=64, gloss=20.0)
+    source = LightSource((0.0, 1.0, 0.0), width=30.0, height=30.0, irradiance=1.0, samples=64, gloss=20.0)
     room = Room((source,), ceiling=0.0, floor=0.0, exposure=1.0)
     lighting = RoomLighting(rasteriser, faces)
     seen = lighting.on(vertices, room).seen[0, 0, :count]
@@ -180,7 +180,7 @@ def test_light_multiplies_linear_values_and_is_clipped():
     base = np.array([[200.0, 100.0, 30.0], [200.0, 100.0, 30.0]])
     away = np.tile([0, -1.0, 0], (2, 1))
     room = Room((), ceiling=0.0, floor=0.0, exposure=2.0)
-    shown = shade_in_room(base, away, -away, Lit(np.array([0.5, 4.0]), np.zeros((0, 2))), room)
+    shown = shade_in_room(base, away, -away, ReceivedLight(np.array([0.5, 4.0]), np.zeros((0, 2))), room)
     np.testing.assert_allclose(shown[0], base[0], atol=1e-9)
     expected = 255 * srgb_from_linear(np.minimum(8 * linear_from_srgb(base[1] / 255), 1))
     np.testing.assert_allclose(shown[1], expected)
@@ -188,10 +188,10 @@ def test_light_multiplies_linear_values_and_is_clipped():
 
 
 def test_a_highlight_goes_where_the_source_is_not_seen():
-    source = Source((0.0, 1.0, 0.0), width=10.0, height=10.0, irradiance=1.0, samples=4, gloss=60.0)
+    source = LightSource((0.0, 1.0, 0.0), width=10.0, height=10.0, irradiance=1.0, samples=4, gloss=60.0)
     room = Room((source,), ceiling=0.0, floor=0.0, exposure=1.0)
     up = np.tile(UP, (2, 1))
-    shown = shade_in_room(np.zeros((2, 3)), up, up, Lit(np.zeros(2), np.array([[1.0, 0.0]])), room)
+    shown = shade_in_room(np.zeros((2, 3)), up, up, ReceivedLight(np.zeros(2), np.array([[1.0, 0.0]])), room)
     np.testing.assert_allclose(shown[0], 255 * srgb_from_linear(np.full(3, 0.04 * 68 / 8)))
     assert (shown[1] == 0).all()
 

@@ -9,8 +9,7 @@ from avatar.body import builtin_body
 from avatar.camera import project, read_cameras
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS
-from capture.folder import read_capture
-from capture.input_kind import input_kind
+from capture.folder import input_kind, read_capture
 from synth.command import SynthConfig, load_subject, synth
 from synth.cutout import cut_out
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import rigs
 
-from avatar.errors import AssetError
 from avatar.gltf.document import read_gltf
 from avatar.gltf.humanoid import find_joints, mixamo_names, vrm_names
 from avatar.gltf.scene import (
@@ -18,6 +17,7 @@ from avatar.gltf.scene import (
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
+from command.errors import AssetError
 from synth.subject import read_subject
 
 MIXAMO = ["mixamorig:" + mixamo_names()[joint] for joint in JOINTS]

@@ -6,11 +6,12 @@ import torch
 from scipy.spatial import KDTree
 
 from avatar.skinning import SkinWeights, blended_rotations
-from capture.template import SurfaceCloud
+from capture.template.parts import Box, Part
+from capture.template.surface import SurfaceCloud
 from geometry.closest import closest_on_triangles
 from geometry.sample import lattice_samples
 from train.deform import canonical_directions, inverse_transforms
-from train.parts import Box, Part, part_weight
+from train.parts import part_weight
 from train.skin import harmonic_fill
 from train.surface import fill_from_neighbours
 from train.template_grid import TemplateGrid, template_grid

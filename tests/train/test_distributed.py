@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from painted_capture import write_capture
 
 from train.distributed import ONE_PROCESS, Ranks
 
@@ -28,11 +27,7 @@ def run(command: list[str], **environment: str) -> None:
 TORCHRUN = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
 
 
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory) -> Path:
-    return write_capture(tmp_path_factory.mktemp("capture") / "test", size=32, frames=2)
-
-
+@pytest.mark.slow
 def test_two_processes_equal_one_after_a_dozen_steps(tmp_path):
     """In float64, on a ball, up to the order of summation.
 
@@ -54,11 +49,12 @@ def test_two_processes_equal_one_after_a_dozen_steps(tmp_path):
     assert two["loss"] == pytest.approx(one["loss"], abs=1e-12)  # the report is of the whole batch
 
 
-def test_torchrun_trains_from_the_command_line_like_one_process(capture, tmp_path):
+@pytest.mark.slow
+def test_torchrun_trains_from_the_command_line_like_one_process(tiny_capture, tmp_path):
     """float32, where Adam's first steps turn rounding of vanishing gradients into whole steps: the loss, not bits."""
     driver = str(TESTS / "hands_training.py")
-    run([sys.executable, driver, str(capture), "-o", str(tmp_path / "one")], SELFSCAN_TEST_STEPS="12")
-    run([*TORCHRUN, driver, str(capture), "-o", str(tmp_path / "two")], SELFSCAN_TEST_STEPS="12")
+    run([sys.executable, driver, str(tiny_capture), "-o", str(tmp_path / "one")], SELFSCAN_TEST_STEPS="12")
+    run([*TORCHRUN, driver, str(tiny_capture), "-o", str(tmp_path / "two")], SELFSCAN_TEST_STEPS="12")
     for name in ("hand_left", "hand_right"):
         logs = [(tmp_path / run / f"logs/{name}.csv").read_text().splitlines() for run in ("one", "two")]
         assert len(logs[1]) == 3  # header, step 10, step 12: one rank wrote

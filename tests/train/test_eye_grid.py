@@ -10,20 +10,20 @@ from scipy.spatial import KDTree
 
 from avatar.body import builtin_body
 from avatar.camera import Camera
-from avatar.errors import AssetError
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import skin_points
-from capture.eyes import body_sockets, eye_openings, eye_spheres, hidden_lengths
 from capture.folder import CaptureSubject, PartVideo
-from capture.imports.template import part_of
-from capture.template import neck_height, surface_cloud, visible_faces
+from capture.read.template import part_of
+from capture.register.iris import FlatIris
+from capture.template.eyes import body_sockets, eye_openings, eye_spheres, hidden_lengths
+from capture.template.parts import part_boxes
+from capture.template.surface import neck_height, surface_cloud, visible_faces
+from command.errors import AssetError
 from train import run as run_folder
 from train.eye_grid import FINER, LIDS, OTHER, OpenEyes, filmed_eyes, open_eyes
 from train.fused import FusedField
-from train.iris import FlatIris
 from train.networks.triplane import TriPlaneNetworks
-from train.parts import part_boxes
 from train.preset import DEMO, FAST, PAPER
 from train.template_grid import template_grid
 
@@ -216,14 +216,14 @@ def test_the_fused_field_shows_the_eyes_where_the_template_has_them(subject, fus
     opening = eye_openings(subject)
     points = torch.as_tensor(opening, dtype=torch.float32)
     np.testing.assert_allclose(fused.distance(points), asked(eyes, opening), atol=2e-6)
-    (left, right) = fused.details()
+    (left, right) = fused.functions().details
     assert left.step == eyes.cell
     inside = [((opening > box.low) & (opening < box.high)).all(1) for box in (left, right)]
     assert (inside[0] | inside[1]).all()
     shown, fused.eyes = fused.eyes, None
     try:
         assert np.abs(fused.distance(points).numpy() - asked(eyes, opening)).mean() > 0.001
-        assert fused.details() == []
+        assert fused.functions().details == ()
     finally:
         fused.eyes = shown
 

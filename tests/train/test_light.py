@@ -5,20 +5,19 @@ import pytest
 import torch
 from painted_capture import write_capture
 
-from avatar.errors import AssetError
 from avatar.light import CaptureLight, lamps_of
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
 from avatar.skeleton import PARTS
 from capture.folder import read_capture
+from capture.template.parts import Box, Part
+from command.errors import AssetError
+from train.command import TrainOptions
 from train.deform import canonical_directions, posed_directions
 from train.field import TEMPLATE_SHARE, PartField
 from train.fused import FusedField
 from train.light import harmonics, light_facts, seen_lights_from_json, seen_tensors, video_light, world_light
-from train.networks import triplane
 from train.networks.triplane import TriPlaneNetworks
-from train.options import TrainOptions
-from train.parts import Box, Part
-from train.preset import PRESETS, HairPreset
+from train.preset import PRESETS, HairPreset, chosen_preset
 from train.template_grid import TemplateGrid
 
 LAMPS = lamps_of(np.array([[0.5, -0.6, -0.7], [-0.8, 0.0, -0.3]]), np.array([0.5, 0.3]))
@@ -74,7 +73,7 @@ def ball_field() -> PartField:
     half = torch.full((3,), 0.2)
     small = TriPlaneNetworks(plane_size=16, color_size=16, width=32)
     template = TemplateGrid(grid.norm(dim=-1) - 0.1, -half, 0.01)
-    return PartField(template, -half, half, triplane.build(small, 3, half, 0.03)).requires_grad_(False)
+    return PartField(template, -half, half, small.build(3, half, 0.03)).requires_grad_(False)
 
 
 def degrees(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -175,10 +174,9 @@ def test_harmonics_are_orthogonal_over_the_sphere():
 
 def test_the_paper_has_no_light_factor_and_a_command_can_leave_it_out(tmp_path):
     assert not PRESETS["paper"].light
-    options = lambda **changes: TrainOptions(capture=tmp_path, out=tmp_path / "run", **changes).chosen_preset()
+    options = lambda **changes: chosen_preset(TrainOptions(capture=tmp_path, out=tmp_path / "run", **changes))
     assert options().light
     assert not options(without=("light",)).light
-    assert not options(single=True).light
     bare = options(without=("light", "hair", "clothes"))
     assert bare.hair == HairPreset() != options().hair and not bare.clothes and bare.parts == options().parts
     assert options(preset="paper", without=("light", "hair", "clothes")) == options(preset="paper")

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from avatar.errors import AssetError
 from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
+from command.errors import AssetError
 from train.run import lights_of
 
 RUN = Path("run")

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from avatar.errors import AssetError
+from command.errors import AssetError
 from train.log import TrainingLog, tensorboard_installed
 
 

@@ -5,23 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from painted_capture import write_capture
+from filmed_part import filmed_part, untrained
 from torch import nn
 
 from capture.folder import read_capture
-from capture.template import surface_cloud, visible_faces
 from train import run as run_folder
-from train.networks import hash, paper
 from train.networks.hash import HashGrid, HashNetworks, take_rows
-from train.networks.paper import PaperGeometry, PaperNetworks, SkipLayers
+from train.networks.paper import PaperGeometry, PaperNetworks, SkipLayers, input_sizes
 from train.networks.triplane import TriPlaneNetworks
 from train.objective import Batch, choose_rays, losses, ray_tensors, rho_at
-from train.parts import part_boxes
+from train.part_job import ray_settings
 from train.prefit import fit_template
 from train.preset import DEMO, FAST, PAPER, shortened
 from train.rays import part_rays
-from train.template_grid import template_grid
-from train.trainer import FieldTraining, rate_at, train_field
+from train.trainer import FieldTraining, grids_of, rate_at, train_field
 
 HALF = torch.tensor([0.5, 1.0, 0.25])
 
@@ -33,7 +30,7 @@ def _layers(network: nn.Module) -> list[tuple[int, int]]:
 @pytest.fixture(scope="module")
 def paper_networks():
     torch.manual_seed(0)
-    return paper.build(PaperNetworks(), 7, HALF, 0.05)
+    return PaperNetworks().build(7, HALF, 0.05)
 
 
 # --- paper: the supplement, section 1 ------------------------------------------------------------------------
@@ -97,7 +94,7 @@ def test_the_paper_networks_have_as_many_parameters_as_their_layers_say(paper_ne
 def test_the_middle_layer_sees_the_input_itself():
     """Cut the path through the first half: what comes out still depends on the input, by the skip alone."""
     torch.manual_seed(0)
-    layers = [nn.Linear(size, 4) for size in paper.input_sizes(3, 4, 4)]
+    layers = [nn.Linear(size, 4) for size in input_sizes(3, 4, 4)]
     network = SkipLayers(layers, torch.tanh)
     nn.init.zeros_(layers[0].weight)
     x = torch.rand(5, 3, requires_grad=True)
@@ -280,21 +277,16 @@ SIZES = {
 
 
 @pytest.fixture(scope="module")
-def hand(tmp_path_factory):
-    capture = read_capture(write_capture(tmp_path_factory.mktemp("capture") / "test"))
-    part = part_boxes(capture.subject)[2]
-    cloud = surface_cloud(capture.subject, 2, visible_faces(capture.subject), 0.006)
-    template = template_grid(cloud, part.extent.low, part.extent.high, 0.006)
+def hand(tiny_capture):
+    capture = read_capture(tiny_capture)
+    filmed = filmed_part(capture)
 
     def prepared(name):
         preset = SMALL[name]
         own = replace(preset.parts[2], iterations=60, networks=SIZES[name], cell=0.006, spacing=0.006)
-        rays = part_rays(capture.videos["hand_left"], capture.subject, cloud, part, own.band, ends=preset.sections + 2,
-                         per_frame=300, canonical_from_head=None, rng=np.random.default_rng(0),
-                         background=own.background)  # fmt: skip
-        torch.manual_seed(5)
-        field = run_folder.build_field(capture.subject, 2, own, template, 4)
-        return preset, own, field, ray_tensors(rays, cloud, torch.device("cpu"))
+        settings = replace(ray_settings(own, preset), per_frame=300)
+        rays = part_rays(filmed, settings, np.random.default_rng(0))
+        return preset, own, untrained(filmed, own, 4), ray_tensors(rays, filmed.cloud, torch.device("cpu"))
 
     prepared.subject = capture.subject
     return prepared
@@ -371,7 +363,8 @@ def test_the_fit_to_the_template_brings_a_sphere_onto_the_hand(hand):
 def test_a_written_part_is_read_back_for_every_preset(hand, tmp_path):
     for name in ("demo", "fast", "paper"):
         _, part, field, rays = hand(name)
-        hash.open_levels(field, 0.2)
+        for grid in grids_of(field):
+            grid.open_for(0.2)
         run_folder.write_part(tmp_path / f"{name}.pt", field)
         again = run_folder.read_part(tmp_path / f"{name}.pt", hand.subject, 2, part)
         points = rays.ends[:20, 4]

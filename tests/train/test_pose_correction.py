@@ -5,21 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from filmed_part import filmed_part, rays_of, untrained
 from painted_capture import write_capture
 
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import PARTS, skin_transforms
+from capture.fit.refine import copy_refined, poses_refined, refined_path, with_learned, with_refined, write_learned
 from capture.folder import read_capture
-from capture.repair.refine import copy_refined, poses_refined, refined_path, with_learned, with_refined, write_learned
-from capture.template import surface_cloud, visible_faces
-from train import run as run_folder
 from train.objective import Batch, losses, ray_tensors
 from train.part_job import PartJob, _keep_poses
-from train.parts import part_boxes
 from train.pose_correction import PoseCorrection
 from train.preset import DEMO
-from train.rays import part_rays
-from train.template_grid import template_grid
 from train.trainer import Checkpoints, FieldTraining, train_field
 from train.union import read_rays
 
@@ -130,14 +126,9 @@ def test_cached_rays_are_moved_as_single_points_are(capture):
 
 def hand(capture):
     """The left hand's untrained field and its rays."""
-    part, settings = part_boxes(capture.subject)[2], DEMO.parts[2]
-    cloud = surface_cloud(capture.subject, 2, visible_faces(capture.subject), 0.006)
-    template = template_grid(cloud, part.extent.low, part.extent.high, 0.006)
-    rays = part_rays(capture.videos["hand_left"], capture.subject, cloud, part, settings.band, ends=14,
-                     per_frame=400, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
-    torch.manual_seed(2)
-    field = run_folder.build_field(capture.subject, 2, settings, template, 4)
-    return field, ray_tensors(rays, cloud, torch.device("cpu"))
+    filmed, settings = filmed_part(capture), DEMO.parts[2]
+    rays = rays_of(filmed, settings, ends=14, per_frame=400)
+    return untrained(filmed, settings, 4, seed=2), ray_tensors(rays, filmed.cloud, torch.device("cpu"))
 
 
 def test_losses_of_colour_and_mask_reach_the_poses_and_wait_until_somebody_shows(capture):

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import pytest
 import torch
-from painted_capture import write_capture
 
-from avatar.errors import AssetError
-from avatar.files import whole_folder
-from train.options import TrainOptions
+from command.errors import AssetError
+from files.whole import whole_folder
+from train.command import TrainOptions
 from train.preset import DEMO
 from train.session import FILE, capture_digest, exclusive_lock, open_session
 from train.stages import train
@@ -25,11 +24,6 @@ DRIVER = Path(__file__).parents[1] / "hands_training.py"
 HANDS = ("hand_left", "hand_right")
 # seconds after which a process is no longer slow, on a machine however busy
 HANGS = 900
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory) -> Path:
-    return write_capture(tmp_path_factory.mktemp("capture") / "test", size=32, frames=2)
 
 
 def start(capture: Path, out: Path, *options: str) -> subprocess.Popen:
@@ -73,9 +67,9 @@ def until_learning(process: subprocess.Popen, out: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def never_stopped(capture, tmp_path_factory) -> Path:
+def never_stopped(tiny_capture, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("whole") / "run"
-    finish(start(capture, out), 0)
+    finish(start(tiny_capture, out), 0)
     return out
 
 
@@ -94,29 +88,31 @@ def assert_equal_runs(run: Path, other: Path) -> None:
         assert previews[0] == previews[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "group"), [(signal.SIGINT, True), (signal.SIGTERM, True), (signal.SIGTERM, False)])
 def test_a_training_stopped_by_a_signal_and_resumed_equals_one_never_stopped(
-    capture, never_stopped, tmp_path, number, group
+    tiny_capture, never_stopped, tmp_path, number, group
 ):
     """A terminal's Ctrl-C reaches parent and workers; `kill` the parent alone."""
     out = tmp_path / "run"
-    process = start(capture, out)
+    process = start(tiny_capture, out)
     until_learning(process, out)
     (os.killpg if group else os.kill)(process.pid, number)
     said = finish(process, 128 + number)
     assert "Traceback" not in said
-    assert f"selfscan train {capture} -o {out} --resume" in said
+    assert f"selfscan train {tiny_capture} -o {out} --resume" in said
     for name in HANDS:
         state = torch.load(tmp_path / f"run.partial/{name}.ckpt", weights_only=True)
         assert 10 <= state["position"]["iteration"] < 240
     assert not out.exists()
-    finish(start(capture, out, "--resume"), 0)
+    finish(start(tiny_capture, out, "--resume"), 0)
     assert_equal_runs(never_stopped, out)
 
 
-def test_a_training_whose_parent_was_killed_saves_itself_and_goes_on(capture, never_stopped, tmp_path):
+@pytest.mark.slow
+def test_a_training_whose_parent_was_killed_saves_itself_and_goes_on(tiny_capture, never_stopped, tmp_path):
     out = tmp_path / "run"
-    process = start(capture, out, "--save-every", "3600")
+    process = start(tiny_capture, out, "--save-every", "3600")
     until_learning(process, out)
     kill(process, process.kill)
     checkpoints = [tmp_path / f"run.partial/{name}.ckpt" for name in HANDS]
@@ -124,14 +120,15 @@ def test_a_training_whose_parent_was_killed_saves_itself_and_goes_on(capture, ne
         if all(path.exists() for path in checkpoints):
             break
         time.sleep(0.05)
-    finish(start(capture, out, "--resume"), 0)
+    finish(start(tiny_capture, out, "--resume"), 0)
     assert_equal_runs(never_stopped, out)
 
 
-def test_after_a_power_loss_a_periodic_checkpoint_goes_on(capture, never_stopped, tmp_path):
+@pytest.mark.slow
+def test_after_a_power_loss_a_periodic_checkpoint_goes_on(tiny_capture, never_stopped, tmp_path):
     """All processes killed at once; rows logged after the checkpoint are not doubled."""
     out = tmp_path / "run"
-    process = start(capture, out, "--save-every", "0.2")
+    process = start(tiny_capture, out, "--save-every", "0.2")
     until_learning(process, out)
     checkpoints = [tmp_path / f"run.partial/{name}.ckpt" for name in HANDS]
     while not all(path.exists() for path in checkpoints):
@@ -140,7 +137,7 @@ def test_after_a_power_loss_a_periodic_checkpoint_goes_on(capture, never_stopped
     kill(process, lambda: os.killpg(process.pid, signal.SIGKILL))
     log = tmp_path / "run.partial/logs/hand_left.csv"
     log.write_text(log.read_text() + "230,1.0")  # a row that the power loss cut short
-    finish(start(capture, out, "--resume", "--save-every", "0.2"), 0)
+    finish(start(tiny_capture, out, "--resume", "--save-every", "0.2"), 0)
     assert_equal_runs(never_stopped, out)
 
 
@@ -197,10 +194,10 @@ def test_a_finished_run_is_replaced_only_by_force(tmp_path):
     assert (tmp_path / "run" / "run.json").exists()  # until the new one is complete
 
 
-def test_two_processes_do_not_train_into_one_folder(capture, tmp_path):
+def test_two_processes_do_not_train_into_one_folder(tiny_capture, tmp_path):
     out = tmp_path / "run"
     with exclusive_lock(out), pytest.raises(AssetError, match=rf"process {os.getpid()} is training into it"):
-        train(TrainOptions(capture=capture, out=out), DEMO)
+        train(TrainOptions(capture=tiny_capture, out=out), DEMO)
     assert list(tmp_path.iterdir()) == []
     with exclusive_lock(out):  # the lock went with its holder
         pass

@@ -5,78 +5,68 @@ from dataclasses import replace
 
 import pytest
 
-from train.preset import DEMO, PRESETS
-from train.stored_preset import preset_from_json, preset_json
+from command.settings import SettingsSource, record_of, settings_json
+from train.command import ITEM_NAMES, PRESET_NAMES
+from train.preset import DEMO, ITEMS, PRESETS, Preset
 
 
 def stored(name="demo"):
-    return json.loads(json.dumps(preset_json(PRESETS[name])))
+    return json.loads(json.dumps(settings_json(PRESETS[name])))
+
+
+def read(content):
+    return record_of(Preset, content, SettingsSource(whole=True), ("settings",))
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_preset_comes_back_as_it_was_although_no_such_preset_is_left(name, monkeypatch):
-    expected, content = replace(PRESETS[name], single=True), stored(name) | {"single": True}
-    monkeypatch.delitem(PRESETS, name)
-    assert preset_from_json(content, name) == (expected, ())
+def test_a_preset_comes_back_as_it_was(name):
+    assert read(stored(name)) == PRESETS[name]
+    assert read(stored(name) | {"rays": 7}) == replace(PRESETS[name], rays=7)
 
 
-@pytest.mark.parametrize("name", PRESETS)
-def test_networks_of_earlier_runs_are_known_by_their_settings(name):
-    content = stored(name)
-    for part in content["parts"]:
-        del part["networks"]["kind"]
-    assert preset_from_json(content, name) == (PRESETS[name], ())
+def test_a_setting_that_is_gone_is_passed_over():
+    assert read(stored() | {"what_is_gone": 1}) == DEMO
 
 
-def test_settings_that_came_later_take_their_default_and_are_named():
+def test_a_setting_that_is_absent_is_named():
     content = stored()
-    del content["pose_rate"], content["parts"][1]["background"], content["parts"][0]["networks"]["width"]
-    content["what_is_gone"] = 1
-    preset, assumed = preset_from_json(content, "gone")
-    assert preset == DEMO
-    assert sorted(assumed) == ["settings.parts[0].networks.width", "settings.parts[1].background", "settings.pose_rate"]
-
-
-def test_a_setting_without_default_is_todays_or_refused():
-    content = stored()
-    del content["parts"][0]["cell"]
-    assert preset_from_json(content, "demo") == (DEMO, ("settings.parts[0].cell",))
-    with pytest.raises(ValueError, match=r"settings\.parts\[0\]\.cell is absent"):
-        preset_from_json(content, "gone")
-
-
-def test_a_run_without_settings_is_of_todays_preset():
-    assert preset_from_json(None, "demo") == (DEMO, ("settings",))
-    with pytest.raises(ValueError, match=r"preset should be one of .*, is 'gone'"):
-        preset_from_json(None, "gone")
-    with pytest.raises(ValueError, match=r"preset should be one of .*, is \[\]"):
-        preset_from_json(None, [])
+    del content["parts"][0]["networks"]["width"]
+    with pytest.raises(ValueError, match=r"settings\.parts 1\.networks: .* needs the key width"):
+        read(content)
 
 
 @pytest.mark.parametrize("change, message", [
-    ({"rays": "many"}, r"settings\.rays should be int, is 'many'"),
-    ({"rays": True}, r"settings\.rays should be int, is True"),
-    ({"rays": 1.5}, r"settings\.rays should be int"),
-    ({"clip": float("nan")}, r"settings\.clip should be float, is nan"),
-    ({"density": "fog"}, r"settings\.density should be \('neus', 'volsdf'\), is 'fog'"),
-    ({"parts": {}}, r"settings\.parts should be a list, is dict"),
-    ({"parts": []}, r"settings\.parts should hold 4, holds 0"),
-    ({"adam": [0.9, 0.99]}, r"settings\.adam should hold 3, holds 2"),
-    ({"union": 3}, r"settings\.union should be an object, is int"),
+    ({"rays": "many"}, "settings.rays: expected a whole number, found the string 'many'"),
+    ({"rays": True}, "settings.rays: expected a whole number, found true"),
+    ({"rays": 1.5}, "settings.rays: expected a whole number, found the number 1.5"),
+    ({"clip": float("nan")}, "settings.clip: expected a finite number, found nan"),
+    ({"density": "fog"}, "settings.density: expected one of neus, volsdf, found the string 'fog'"),
+    ({"density": ["neus"]}, "settings.density: expected one of neus, volsdf, found an array"),
+    ({"parts": {}}, "settings.parts: expected [[parts]], found a table"),
+    ({"parts": []}, "settings.parts: expected at least 1 [[parts]], found none"),
+    ({"adam": [0.9, 0.99]}, "settings.adam: expected 3 numbers in brackets, found 2 of them"),
+    ({"union": 3}, "settings.union: expected a table, [settings.union], found the number 3"),
 ])  # fmt: skip
 def test_a_setting_of_another_kind_is_refused_by_name(change, message):
-    with pytest.raises(ValueError, match=message):
-        preset_from_json(stored() | change, "demo")
+    with pytest.raises(ValueError) as refused:
+        read(stored() | change)
+    assert str(refused.value) == message
 
 
 @pytest.mark.parametrize("networks", [{"kind": "cloud"}, {}, 7, {"kind": ["hash"]}])
 def test_unknown_networks_are_refused_by_name(networks):
     content = stored()
     content["parts"][2]["networks"] = networks
-    with pytest.raises(ValueError, match=r"settings\.parts\[2\]\.networks"):
-        preset_from_json(content, "demo")
+    with pytest.raises(ValueError, match=r"settings\.parts 3\.networks\.kind: expected one of triplane, hash, paper"):
+        read(content)
 
 
 def test_settings_that_are_no_object_are_refused():
-    with pytest.raises(ValueError, match="settings should be an object, is list"):
-        preset_from_json([], "demo")
+    for content in ([], None):
+        with pytest.raises(ValueError, match=r"settings: expected a table, \[settings\], found"):
+            read(content)
+
+
+def test_the_command_line_names_the_presets_and_what_they_add():
+    assert [preset.name for preset in PRESETS.values()] == list(PRESETS) == list(PRESET_NAMES)
+    assert list(ITEMS) == list(ITEM_NAMES)

@@ -2,78 +2,50 @@
 
 import itertools
 import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import trimesh
-from painted_capture import write_capture
+from filmed_part import filmed_part, rays_of, untrained
+from tiny import TINY, tiny_training
 
-from avatar.errors import AssetError
 from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
+from capture.fit import refine
+from capture.fit.refine import with_refined
 from capture.folder import read_capture
 from capture.light.fit import LightFit
-from capture.repair import refine
-from capture.repair.refine import with_refined
-from capture.template import surface_cloud, visible_faces
-from experiments.variants import seam_steps, variant
-from train import part_job, stages
+from capture.template.parts import part_boxes
+from capture.template.surface import surface_cloud, visible_faces
+from command.errors import AssetError
+from experiments.variants import variant
 from train import run as run_folder
-from train.command import main
+from train import stages
 from train.fused import FusedField
 from train.networks.triplane import TriPlaneNetworks
 from train.objective import Batch, functions_of, losses, ray_tensors, render_rays
-from train.parts import part_boxes
 from train.pose_correction import PoseCorrection
-from train.preset import DEMO, PRESETS, UnionPreset
-from train.rays import part_rays
+from train.preset import PRESETS
 from train.render import jittered
-from train.single import single_part
 from train.surface import extract_surface
-from train.template_grid import TemplateGrid, template_grid
+from train.template_grid import template_grid
 from train.trainer import Checkpoints, FieldTraining, Watch, train_field
-
-TINY = replace(
-    DEMO,
-    rays=64,
-    rays_per_frame=300,
-    warm_up=5,
-    appearance_steps=5,
-    union=replace(DEMO.union, iterations=6),
-    surface_cells=(0.03, 0.015, 0.008),
-    parts=tuple(
-        replace(
-            p,
-            iterations=6,
-            networks=TriPlaneNetworks(plane_size=16, color_size=16),
-            cell=max(p.cell, 0.006),
-            spacing=max(p.spacing, 0.006),
-        )
-        for p in DEMO.parts
-    ),
-)
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
-    return read_capture(write_capture(tmp_path_factory.mktemp("capture") / "test"))
+def capture(tiny_capture):
+    return read_capture(tiny_capture)
 
 
 @pytest.fixture(scope="module")
 def hand(capture):
-    part = part_boxes(capture.subject)[2]
-    cloud = surface_cloud(capture.subject, 2, visible_faces(capture.subject), 0.006)
-    template = template_grid(cloud, part.extent.low, part.extent.high, 0.006)
-    rays = part_rays(capture.videos["hand_left"], capture.subject, cloud, part, TINY.parts[2].band, ends=18,
-                     per_frame=300, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
-
-    def field():
-        torch.manual_seed(5)
-        return run_folder.build_field(capture.subject, 2, TINY.parts[2], template, 4)
-
-    return field, ray_tensors(rays, cloud, torch.device("cpu"))
+    filmed = filmed_part(capture)
+    rays = rays_of(filmed, TINY.parts[2], ends=18, per_frame=300)
+    return lambda: untrained(filmed, TINY.parts[2], 4), ray_tensors(rays, filmed.cloud, torch.device("cpu"))
 
 
 def by(**changes):
@@ -81,16 +53,15 @@ def by(**changes):
     return FieldTraining(**({"part": TINY.parts[2], "preset": TINY, "seed": 3} | changes))
 
 
-def tiny_run(capture, out, monkeypatch, *options):
-    """What `selfscan train` with these options leaves, parts trained one after the other in this process."""
-    monkeypatch.setitem(PRESETS, "demo", TINY)
-    monkeypatch.setattr("os.cpu_count", lambda: 1)
-    threads = torch.get_num_threads()
-    try:
-        assert main([str(capture.path), "-o", str(out), *options]) == 0
-    finally:
-        torch.set_num_threads(threads)
-    return run_folder.read_run(out)
+def trained(capture, out, *options):
+    """The run of a training with these options, without previews."""
+    return run_folder.read_run(tiny_training(capture.path, out, "--preview", "0", *options))
+
+
+@pytest.fixture
+def own_run(tiny_run, tmp_path):
+    """A copy of the shared run, to be changed."""
+    return Path(shutil.copytree(tiny_run, tmp_path / "own"))
 
 
 def test_cached_sections_begin_outside_the_template_and_the_hits_lie_on_it(capture, hand):
@@ -240,8 +211,8 @@ def test_the_mean_displacement_is_that_of_all_frames_codes(hand):
     torch.testing.assert_close(field.displacement.mean(points), each.mean(0), rtol=1e-4, atol=1e-7)
 
 
-def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
-    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--seed", "1")
+def test_a_run_from_capture_to_fused_field(own_run):
+    run = run_folder.read_run(own_run)
     points = torch.as_tensor(run.surface.vertices, dtype=torch.float32)
     assert run.field.distance(points).abs().quantile(0.95) < 0.003
     torch.testing.assert_close(run.field.shares(points).sum(1), torch.ones(len(points)))
@@ -251,7 +222,6 @@ def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
     assert run.field.normal(torch.zeros(0, 3)).shape == (0, 3)
     placed = run.provenance["registration"]["video"]  # by the body's pixels, or said why not
     assert "moved_mm" in placed or placed["kept"] == "surfaces"
-    assert not (tmp_path / "run.partial").exists()
     # of all processes: parts learn in processes of their own
     parts = sum(part["cpu_seconds"] for part in run.provenance["parts"].values())
     assert run.provenance["cpu_seconds"] > parts > 0 and run.provenance["resumed"] is False
@@ -264,9 +234,10 @@ def test_a_run_from_capture_to_fused_field(capture, tmp_path, monkeypatch):
         run_folder.read_run(run.path)
 
 
-def test_a_run_whose_poses_are_refined_says_so_and_keeps_them(capture, tmp_path, monkeypatch):
+@pytest.mark.slow
+def test_a_run_whose_poses_are_refined_says_so_and_keeps_them(capture, tmp_path):
     """They are aligned before training and learned with the field; the head's video has none."""
-    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--refine-poses", "on")
+    run = trained(capture, tmp_path / "run", "--refine-poses", "on")
     assert run.provenance["parts"]["body"]["poses_learned_deg"] > 0
     assert "poses_learned_deg" not in run.provenance["parts"]["head"]
     assert set(run.provenance["refined"]) >= {"body", "hand_left", "hand_right"}
@@ -276,23 +247,23 @@ def test_a_run_whose_poses_are_refined_says_so_and_keeps_them(capture, tmp_path,
     assert run.field.field(0).poses is None
 
 
+@pytest.mark.slow
 def test_a_frame_that_is_left_out_is_left_out_of_every_stage(capture, tmp_path, monkeypatch):
     """Of the light as well, which is told by frame."""
     found = LightFit(dict.fromkeys(PARTS, CaptureLight(0.6, (Lamp((0.0, 0.6, 0.8), 0.5),))), 9.0, 1.0, 5000)
     monkeypatch.setattr(stages, "fit_capture_light", lambda capture, seed: found)
     monkeypatch.setattr(refine, "frames_on_the_mask", lambda edge: np.arange(1, len(edge)))
-    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--refine-poses", "on")
+    run = trained(capture, tmp_path / "run", "--refine-poses", "on")
     assert run.provenance["refined"]["hand_left"]["frames_left_out"] == [0]
     assert set(run.provenance["light_seen"]) == set(PARTS)
 
 
-def test_a_run_is_rebuilt_from_its_own_settings_when_the_preset_was_edited(capture, tmp_path, monkeypatch, capsys):
-    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--preview", "0")
+def test_a_run_is_rebuilt_from_its_own_settings_when_the_preset_was_edited(capture, own_run, monkeypatch):
+    run = run_folder.read_run(own_run)
     wider = tuple(replace(part, networks=TriPlaneNetworks(width=48)) for part in TINY.parts)
     monkeypatch.setitem(PRESETS, "demo", replace(TINY, parts=wider, surface_cells=(0.05, 0.05, 0.05)))
-    capsys.readouterr()
     again = run_folder.read_run(run.path)
-    assert again.preset == TINY and capsys.readouterr().err == ""
+    assert again.preset == TINY
     for name, value in run.field.state_dict().items():
         assert torch.equal(value, again.field.state_dict()[name]), name
     assert len(variant(again, capture, "no_L_g").surface.vertices) > 1000
@@ -300,15 +271,8 @@ def test_a_run_is_rebuilt_from_its_own_settings_when_the_preset_was_edited(captu
     facts = json.loads((run.path / "run.json").read_text())
     del facts["settings"]["union"]
     (run.path / "run.json").write_text(json.dumps(facts))
-    assert run_folder.read_run(run.path).preset == replace(TINY, union=UnionPreset())
-    assert "no settings.union; taken as they are today" in capsys.readouterr().err
-    del facts["settings"]
-    (run.path / "run.json").write_text(json.dumps(facts))
-    with pytest.raises(AssetError, match=r"body\.pt: expected a trained part"):
+    with pytest.raises(AssetError, match=r"run\.json: settings: .settings. needs the key union"):
         run_folder.read_run(run.path)
-    monkeypatch.setitem(PRESETS, "demo", TINY)
-    assert run_folder.read_run(run.path).preset == TINY
-    assert "no settings; taken as they are today" in capsys.readouterr().err
 
 
 class Hollow(FusedField):
@@ -350,57 +314,3 @@ def test_a_capture_without_a_field_is_refused_by_name(capture, tmp_path):
         read_capture(tmp_path)
     with pytest.raises(AssetError, match=r"run\.json: no such file"):
         run_folder.read_run(tmp_path)
-
-
-def test_a_single_network_has_the_parameters_rays_steps_and_head_of_the_four_parts(capture, tmp_path, monkeypatch):
-    ours = tiny_run(capture, tmp_path / "ours", monkeypatch, "--preview", "0")
-    # a place that only this run has
-    facts = json.loads((ours.path / "run.json").read_text())
-    place = np.linalg.inv(facts["head_from_canonical"])
-    place[:3, 3] += [0.001, 0.002, -0.003]
-    facts["head_from_canonical"] = np.linalg.inv(place).tolist()
-    (ours.path / "run.json").write_text(json.dumps(facts))
-    given = []
-    rays_of = part_job.single_rays
-    monkeypatch.setattr(part_job, "single_rays", lambda *a: given.append(a[2]) or rays_of(*a))
-    options = ("--single", "--preview", "0", "--head-from", str(ours.path))
-    run = tiny_run(capture, tmp_path / "run", monkeypatch, *options)
-    np.testing.assert_allclose(given[0], place, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.inv(run.provenance["head_from_canonical"]), place, atol=1e-12)
-    assert np.array_equal(run.provenance["canonical_from_head_field"], np.eye(4))
-    with pytest.raises(AssetError, match="is a single network; --head-from needs a run of four parts"):
-        tiny_run(capture, tmp_path / "again", monkeypatch, "--single", "--head-from", str(run.path))
-    assert len(run.field.fields) == 1 and run.provenance["parts"]["single"]["steps"] == 4 * 6
-    field = run.field.field(0)
-    assert len(field.appearance.weight) == sum(len(video.images) for video in capture.videos.values())
-    body = field.appearance.weight[: len(capture.videos["body"].images)].mean(0)
-    torch.testing.assert_close(field.reference, body)
-    # the same vertices have hands and a head, with their own videos' view statistics
-    assert set(np.unique(run.surface.part)) == {0, 1, 2, 3}
-    assert all((run.surface.view_count[run.surface.part == part] > 0).mean() > 0.4 for part in range(4))
-    points = torch.as_tensor(run.surface.vertices, dtype=torch.float32)
-    assert run.field.distance(points).abs().quantile(0.95) < 0.003
-    assert seam_steps(run) == {}
-
-
-def test_a_single_network_without_a_run_of_ours_has_body_and_head_placed_first(capture, tmp_path, monkeypatch):
-    run = tiny_run(capture, tmp_path / "run", monkeypatch, "--single", "--preview", "0", "--refine-poses", "on")
-    registration = run.provenance["registration"]
-    assert registration["from"] == "body and head trained for it"
-    assert "moved_mm" in registration["video"] or registration["video"]["kept"] == "surfaces"
-    assert set(run.provenance["parts"]) == {"single"} and len(run.field.fields) == 1
-    # the poses that the body learned for the placement are not the single network's
-    assert "poses_learned_deg" not in run.provenance["parts"]["single"]
-    aligned = with_refined(capture, run.path).videos["body"].axis_angle
-    assert np.abs(aligned - capture.videos["body"].axis_angle).max() > 1e-4
-    assert not (tmp_path / "run.partial").exists()
-
-
-def test_the_demo_single_network_has_as_many_parameters_as_the_parts_together(capture):
-    template = TemplateGrid(torch.zeros(2, 2, 2), torch.zeros(3), 1.0)
-    count = lambda index, part, frames: sum(
-        p.numel() for p in run_folder.build_field(capture.subject, index, part, template, frames).parameters()
-    )
-    parts = sum(count(index, part, 40) for index, part in enumerate(DEMO.parts))
-    single = count(0, single_part(DEMO), 160)
-    assert abs(single / parts - 1) < 0.02

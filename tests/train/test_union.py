@@ -7,35 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from painted_capture import write_capture
+from filmed_part import rays_of
+from tiny import TINY
 
-from avatar.errors import AssetError
 from capture.folder import read_capture
-from capture.template import surface_cloud, visible_faces
+from capture.template.parts import Box, Part, part_boxes
+from capture.template.surface import surface_cloud, visible_faces
+from command.errors import AssetError
 from experiments.variants import VARIANTS, seam_steps, variant
 from train.appearance import CodeSteps, match_appearance, overlap_rays
-from train.command import main
 from train.field import PartField
 from train.fused import FusedField
-from train.networks import triplane
 from train.networks.triplane import TriPlaneNetworks
 from train.objective import ray_tensors
-from train.parts import Box, Part, part_boxes
-from train.preset import DEMO, PRESETS
-from train.rays import part_rays
+from train.preset import DEMO
+from train.rays import FilmedPart
 from train.run import build_field, read_run
 from train.template_grid import TemplateGrid, template_grid
 from train.trainer import Checkpoints, Watch
 from train.union import geometry_loss, in_overlap, overlap_surface, train_union, zero_level
-
-TINY = replace(
-    DEMO, rays=64, rays_per_frame=300, warm_up=5, appearance_steps=5, surface_cells=(0.03, 0.015, 0.008),
-    # six steps teach the head nothing of shoulders, to which it would reach
-    hair=replace(DEMO.hair, reach=0.0),
-    union=replace(DEMO.union, iterations=40, rate=0.3, consistency=30.0, surface=30.0),
-    parts=tuple(replace(p, iterations=6, cell=max(p.cell, 0.006), spacing=max(p.spacing, 0.006),
-                        networks=TriPlaneNetworks(plane_size=16, color_size=16)) for p in DEMO.parts),
-)  # fmt: skip
 
 WIDE = Box(np.full(3, -0.2), np.full(3, 0.2))
 # Eq. 9's overlap is the slab |x| < 5 cm, across both spheres
@@ -52,7 +42,7 @@ def _sphere_field(radius: float, moved: tuple[float, float, float], frames: int 
     grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1)
     template = TemplateGrid(grid.norm(dim=-1) - radius, torch.full((3,), -0.2), 0.01)
     half = torch.full((3,), 0.2)
-    field = PartField(template, -half, half, triplane.build(SMALL, frames, half, 0.03))
+    field = PartField(template, -half, half, SMALL.build(frames, half, 0.03))
     with torch.no_grad():
         field.displacement.out.bias.copy_(torch.atanh(torch.tensor(moved) / field.displacement.reach))
     field.displacement.settle()
@@ -235,8 +225,8 @@ def test_eq8_with_a_single_frame_stays_finite():
 
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory):
-    return read_capture(write_capture(tmp_path_factory.mktemp("capture") / "test"))
+def capture(tiny_capture):
+    return read_capture(tiny_capture)
 
 
 @pytest.fixture(scope="module")
@@ -251,9 +241,10 @@ def untrained(capture):
         template = template_grid(cloud, part.extent.low, part.extent.high, 0.006)
         fields.append(build_field(subject, index, TINY.parts[index], template, 4))
         if index == 0:
-            rays = part_rays(capture.videos["body"], subject, cloud, part, TINY.parts[0].band, ends=14,
-                             per_frame=3000, canonical_from_head=None, rng=np.random.default_rng(0))  # fmt: skip
-            rays = ray_tensors(rays, cloud, torch.device("cpu"))
+            own = rays_of(
+                FilmedPart(part, capture.videos["body"], subject, cloud), TINY.parts[0], ends=14, per_frame=3000
+            )
+            rays = ray_tensors(own, cloud, torch.device("cpu"))
     return FusedField(fields, parts, torch.eye(4)).eval().requires_grad_(False), rays
 
 
@@ -309,17 +300,8 @@ def test_overlap_surfaces_lie_on_each_part_in_its_overlap(capture, untrained):
 
 
 @pytest.fixture(scope="module")
-def run(capture, tmp_path_factory):
-    out = tmp_path_factory.mktemp("run") / "run"
-    threads = torch.get_num_threads()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(PRESETS, "demo", TINY)
-        patch.setattr("os.cpu_count", lambda: 1)
-        try:
-            assert main([str(capture.path), "-o", str(out), "--preview", "0", "--refine-poses", "off"]) == 0
-            yield read_run(out)
-        finally:
-            torch.set_num_threads(threads)
+def run(tiny_run):
+    return read_run(tiny_run)
 
 
 def test_stage_2_brings_the_body_nearer_to_every_part_and_the_run_keeps_both_bodies(run):

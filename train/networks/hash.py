@@ -8,25 +8,25 @@ normals in a loss ask. Levels open one after the other, coarse first: shape sett
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from train.deform import Displacement
-from train.encoding import positional_encoding
-from train.networks import PartNetworks, frame_codes
+from train.networks import FeatureGrid, PartNetworks, SmallColor, TemplateCorrection, frame_codes
 
 
 @dataclass(frozen=True, kw_only=True)
 class HashNetworks:
     """Sizes of the `fast` networks."""
 
+    kind: ClassVar[str] = "hash"
     cell: float  # finest level, metres
     levels: int = 16
     channels: int = 2  # per level
-    rows: int = 2**19  # of a level's table at most
+    rows: int = 2**19  # a level's table has at most so many
     coarsest: int = 16  # cells along the box's longest side
     first_levels: int = 4  # open from the start
     # share of the steps after which all levels are open
@@ -34,29 +34,28 @@ class HashNetworks:
     width: int = 64
     # numbers that F_s hands to F_c
     feature: int = 15
-    appearance: int = 16  # of a frame's code l_i
-    displacement: int = 16  # of a frame's code phi_i
+    appearance: int = 16  # numbers in a frame's code l_i
+    displacement: int = 16  # numbers in a frame's code phi_i
     reach: float = 0.06  # correction of the template at most, metres
 
-
-def build(networks: HashNetworks, frames: int, half: Float[Tensor, "3"], displacement_reach: float) -> PartNetworks:
-    """Untrained networks of a part with `frames` frames; `half` is its box's half size, metres."""
-    geometry = HashGeometry(networks, half)
-    appearance = frame_codes(frames, networks.appearance)
-    color = HashColor(networks)
-    width = networks.width
-    trunk = nn.Sequential(
-        nn.Linear(3 + 6 * 4 + networks.displacement, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(),
-        nn.Linear(width, width), nn.ReLU(),
-    )  # fmt: skip
-    displacement = Displacement(
-        frame_codes(frames, networks.displacement),
-        trunk,
-        width=width,
-        frequencies=4,
-        reach=displacement_reach,
-    )
-    return PartNetworks(geometry, appearance, color, displacement)
+    def build(self, frames: int, half: Float[Tensor, "3"], displacement_reach: float) -> PartNetworks:
+        """Untrained networks of a part with `frames` frames; `half` is its box's half size, metres."""
+        geometry = HashGeometry(self, half)
+        appearance = frame_codes(frames, self.appearance)
+        color = SmallColor(None, width=self.width, feature=self.feature, appearance=self.appearance)
+        width = self.width
+        trunk = nn.Sequential(
+            nn.Linear(3 + 6 * 4 + self.displacement, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(),
+            nn.Linear(width, width), nn.ReLU(),
+        )  # fmt: skip
+        displacement = Displacement(
+            frame_codes(frames, self.displacement),
+            trunk,
+            width=width,
+            frequencies=4,
+            reach=displacement_reach,
+        )
+        return PartNetworks(geometry, appearance, color, displacement)
 
 
 class _Take(torch.autograd.Function):
@@ -97,7 +96,7 @@ def take_rows(table: Float[Tensor, "rows features"], index: Int[Tensor, "n"]) ->
     return _Take.apply(table, index)  # pyright: ignore[reportReturnType]
 
 
-class HashGrid(nn.Module):
+class HashGrid(FeatureGrid):
     """Multi-resolution features of a box; levels whose cells fit their table are stored plainly, others hashed."""
 
     corners: Int[Tensor, "8 3"]
@@ -105,7 +104,7 @@ class HashGrid(nn.Module):
     # cells along the longest side
     resolution: Float[Tensor, "levels"]
     last_cell: Int[Tensor, "levels 3"]
-    # of a plainly stored level
+    # rows between neighbours of a plainly stored level
     strides: Int[Tensor, "levels 3"]
     plain: Int[Tensor, "levels"]  # 1 or 0
     rows: Int[Tensor, "levels"]
@@ -126,11 +125,7 @@ class HashGrid(nn.Module):
         put("aspect", aspect.float(), False)
         put("resolution", torch.tensor(resolution, dtype=torch.float32), False)
         put("last_cell", points - 2, False)
-        put(
-            "strides",
-            torch.stack([torch.ones_like(wanted), points[:, 0], points[:, 0] * points[:, 1]], 1),
-            False,
-        )
+        put("strides", torch.stack([torch.ones_like(wanted), points[:, 0], points[:, 0] * points[:, 1]], 1), False)
         put("plain", (wanted <= networks.rows).long(), False)
         put("rows", rows, False)
         put("first_row", torch.cumsum(rows, 0) - rows, False)
@@ -175,53 +170,15 @@ class HashGrid(nn.Module):
         self.open = int(state)
 
 
-def open_levels(network: nn.Module, share: float) -> None:
-    """Open the levels of every hash grid in a network for `share` of the training done."""
-    for module in network.modules():
-        if isinstance(module, HashGrid):
-            module.open_for(share)
-
-
-class HashGeometry(nn.Module):
-    """reach tanh(mlp(hash grid)): the last layer starts at zero, so an untrained part is its template."""
-
-    over_template = True
+class HashGeometry(TemplateCorrection):
+    """The point and its grid's features, one layer."""
 
     def __init__(self, networks: HashNetworks, half: Float[Tensor, "3"]):
         super().__init__()
-        self.reach = networks.reach
         self.grid = HashGrid(networks, half)
         width = networks.width
-        self.trunk = nn.Sequential(nn.Linear(3 + networks.levels * networks.channels, width), nn.Softplus(beta=100))
-        self.correction = nn.Linear(width, 1)
-        self.feature = nn.Linear(width, networks.feature)
-        nn.init.zeros_(self.correction.weight)
-        nn.init.zeros_(self.correction.bias)
+        trunk = nn.Sequential(nn.Linear(3 + networks.levels * networks.channels, width), nn.Softplus(beta=100))
+        self.add_layers(trunk, width=width, feature=networks.feature, reach=networks.reach)
 
-    def forward(self, unit: Float[Tensor, "n 3"]) -> tuple[Float[Tensor, "n"], Float[Tensor, "n z"]]:
-        hidden = self.trunk(torch.cat([unit, self.grid(unit)], -1))
-        return self.reach * torch.tanh(self.correction(hidden)[:, 0]), self.feature(hidden)
-
-
-class HashColor(nn.Module):
-    """F_c: two layers."""
-
-    def __init__(self, networks: HashNetworks):
-        super().__init__()
-        width = networks.width
-        inputs = 39 + networks.feature + 3 + 9 + networks.appearance
-        self.network = nn.Sequential(
-            nn.Linear(inputs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 3)
-        )
-
-    def forward(
-        self,
-        unit: Float[Tensor, "n 3"],
-        feature: Float[Tensor, "n z"],
-        normals: Float[Tensor, "n 3"],
-        directions: Float[Tensor, "n 3"],
-        code: Float[Tensor, "n l"],
-    ) -> Float[Tensor, "n 3"]:
-        """sRGB in [0, 1]."""
-        inputs = [positional_encoding(unit, 6), feature, normals, positional_encoding(directions, 1), code]
-        return torch.sigmoid(self.network(torch.cat(inputs, -1)))
+    def encoded(self, unit: Float[Tensor, "n 3"]) -> Float[Tensor, "n d"]:
+        return torch.cat([unit, self.grid(unit)], -1)

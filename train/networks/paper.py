@@ -10,6 +10,7 @@ the weights normalised, as VolSDF does), T_nr at zero. Points are scaled to orde
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -17,15 +18,15 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
-from train.deform import Displacement
-from train.encoding import positional_encoding
-from train.networks import PartNetworks, frame_codes
+from train.deform import Displacement, positional_encoding
+from train.networks import Geometry, PartNetworks, frame_codes
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperNetworks:
     """Sizes of the `paper` networks, each from the supplement but the last three."""
 
+    kind: ClassVar[str] = "paper"
     width: int = 256
     geometry_layers: int = 8
     color_layers: int = 4
@@ -34,31 +35,30 @@ class PaperNetworks:
     direction_frequencies: int = 4
     # numbers that F_s hands to F_c
     feature: int = 256
-    appearance: int = 128  # of a frame's code l_i
-    displacement: int = 128  # of a frame's code phi_i
-    # of the sphere that F_s starts as, in longest half sides of the box
+    appearance: int = 128  # numbers in a frame's code l_i
+    displacement: int = 128  # numbers in a frame's code phi_i
+    # F_s starts as a sphere of this radius, in longest half sides of the box
     radius: float = 0.5
     # width of the density at the start, metres; learned. At VolSDF's .1 a hand is a mist
     beta: float = 0.01
     lowest_beta: float = 1e-4
 
-
-def build(networks: PaperNetworks, frames: int, half: Float[Tensor, "3"], displacement_reach: float) -> PartNetworks:
-    """Untrained networks of a part with `frames` frames; `half` is its box's half size, metres."""
-    geometry = PaperGeometry(networks, half)
-    appearance = frame_codes(frames, networks.appearance)
-    color = PaperColor(networks, half)
-    points = 3 + 6 * networks.point_frequencies
-    trunk = SkipLayers(
-        [nn.Linear(size, networks.width)
-         for size in input_sizes(points + networks.displacement, networks.width, networks.displacement_layers)],
-        F.relu,
-    )  # fmt: skip
-    displacement = Displacement(
-        frame_codes(frames, networks.displacement), trunk, width=networks.width,
-        frequencies=networks.point_frequencies, reach=displacement_reach,
-    )  # fmt: skip
-    return PartNetworks(geometry, appearance, color, displacement)
+    def build(self, frames: int, half: Float[Tensor, "3"], displacement_reach: float) -> PartNetworks:
+        """Untrained networks of a part with `frames` frames; `half` is its box's half size, metres."""
+        geometry = PaperGeometry(self, half)
+        appearance = frame_codes(frames, self.appearance)
+        color = PaperColor(self, half)
+        points = 3 + 6 * self.point_frequencies
+        trunk = SkipLayers(
+            [nn.Linear(size, self.width)
+             for size in input_sizes(points + self.displacement, self.width, self.displacement_layers)],
+            F.relu,
+        )  # fmt: skip
+        displacement = Displacement(
+            frame_codes(frames, self.displacement), trunk, width=self.width,
+            frequencies=self.point_frequencies, reach=displacement_reach,
+        )  # fmt: skip
+        return PartNetworks(geometry, appearance, color, displacement)
 
 
 def input_sizes(inputs: int, width: int, layers: int) -> list[int]:
@@ -89,7 +89,7 @@ def _softplus(x: Tensor) -> Tensor:
     return F.softplus(x, beta=100)
 
 
-class PaperGeometry(nn.Module):
+class PaperGeometry(Geometry):
     """F_s, Eq. 1: the distance itself, from a network; and beta, the learned width of its density."""
 
     over_template = False

@@ -3,6 +3,7 @@ import io
 
 import numpy as np
 import pytest
+import rigs
 import trimesh
 from node_packages import package_folder, run_node
 from PIL import Image
@@ -14,6 +15,7 @@ from avatar.gltf.document import read_gltf
 from avatar.gltf.scene import read_primitive, read_skin, world_from_node
 from avatar.skeleton import JOINTS, joint_transforms, skin_transforms
 from avatar.skinning import SkinWeights, skin_points
+from command.errors import AssetError
 
 
 @pytest.fixture
@@ -217,6 +219,15 @@ def test_influences_of_no_weight_name_joint_zero(path):
     found = read_avatar(path).levels[0].joints
     np.testing.assert_array_equal(found[:, 0], level.joints[:, 0])
     assert not found[:, 1:].any()
+
+
+@pytest.mark.parametrize("extension", ["VRM", "VRMC_vrm"])
+def test_a_vrm_is_refused_with_what_can_be_done_with_it(tmp_path, extension):
+    document, _ = rigs.rig()
+    document["extensions"] = {extension: {"humanoid": {"humanBones": []}}}
+    person = rigs.write(tmp_path / "person.vrm", document)
+    with pytest.raises(AssetError, match=f"a VRM person, not a baked avatar: `selfscan synth {person} OUT`.*--motion"):
+        read_avatar(person)
 
 
 def test_unit_is_kept_by_float32(path):

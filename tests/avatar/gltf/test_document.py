@@ -7,7 +7,6 @@ import pytest
 from PIL import Image
 from tiny_avatar import join_glb
 
-from avatar.errors import AssetError
 from avatar.gltf.document import COMPONENT_TYPES, ELEMENT_SHAPES, read_gltf
 from avatar.gltf.scene import (
     base_color_image,
@@ -20,6 +19,7 @@ from avatar.gltf.scene import (
 )
 from avatar.gltf.write import GltfBuilder
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
+from command.errors import AssetError
 
 ASSET = {"asset": {"version": "2.0"}}
 

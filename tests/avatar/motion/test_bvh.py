@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from avatar.body import builtin_body
-from avatar.errors import AssetError
 from avatar.hull import body_hull
 from avatar.motion.bvh import open_bvh, read_bvh
 from avatar.motion.ground import on_ground
@@ -12,6 +11,7 @@ from avatar.motion.read import read_motion
 from avatar.motion.rig import side_and_base
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+from command.errors import AssetError
 
 J = {name: index for index, name in enumerate(JOINTS)}
 

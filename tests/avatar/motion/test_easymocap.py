@@ -7,12 +7,12 @@ import pytest
 from smplh_model import model_body
 
 from avatar.body import shaped
-from avatar.errors import AssetError
 from avatar.motion.easymocap import read_easymocap
-from avatar.motion.file_body import USUAL_PELVIS
+from avatar.motion.pose_vector import USUAL_PELVIS
 from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
+from command.errors import AssetError
 
 
 def person(columns=156, number=0, seed=0, upright=True, **more):

@@ -9,7 +9,6 @@ import pytest
 import rigs
 
 from avatar.body import builtin_body
-from avatar.errors import AssetError
 from avatar.gltf.document import read_gltf
 from avatar.gltf.humanoid import find_naming, mixamo_names, vrm_names
 from avatar.gltf.scene import node_parents, parents_first
@@ -23,6 +22,7 @@ from avatar.rotation import (
     quaternion_product,
 )
 from avatar.skeleton import JOINTS, joint_transforms
+from command.errors import AssetError
 
 J = {name: index for index, name in enumerate(JOINTS)}
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from avatar.body import builtin_body
-from avatar.errors import AssetError
 from avatar.hull import body_hull, hull_of, posed_hull
 from avatar.motion.amass import write_amass
 from avatar.motion.bvh import read_bvh
@@ -15,9 +14,10 @@ from avatar.motion.ground import find_ground, on_ground
 from avatar.motion.read import builtin_motion, read_motion
 from avatar.skeleton import skin_transforms
 from avatar.skinning import SkinWeights, skin_points
-from player.framing import pelvis_height
-from player.mannequin import mannequin
-from player.motions import motion_for
+from command.errors import AssetError
+from player.scene.framing import pelvis_height
+from player.scene.mannequin import mannequin
+from player.scene.motions import motion_for
 
 MAN = body_hull(builtin_body("male"))
 

@@ -8,14 +8,14 @@ from smplh_model import model_body
 from tiny_avatar import tiny_avatar
 
 from avatar.body import builtin_body
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.fingers import relaxed_hands
 from avatar.motion.hands import HANDS, with_hands
 from avatar.motion.read import builtin_motion
-from player.mannequin import mannequin
-from player.motions import motion_for
-from player.render_command import render_main
+from command.errors import AssetError
+from player.film.command import render_main
+from player.scene.mannequin import mannequin
+from player.scene.motions import motion_for
 
 
 def test_file_leaves_the_motion_as_it_is():

@@ -7,10 +7,10 @@ import pytest
 from smplh_model import model_body
 
 from avatar.body import shaped
-from avatar.errors import AssetError
-from avatar.motion.file_body import USUAL_PELVIS
+from avatar.motion.pose_vector import USUAL_PELVIS
 from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle
+from command.errors import AssetError
 
 FRAMES = 5
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from avatar.body import builtin_body
-from avatar.errors import AssetError
 from avatar.motion.bvh import open_bvh, read_bvh
 from avatar.motion.bvh_write import euler_zxy
 from avatar.motion.clip import RestSkeleton
@@ -15,6 +14,7 @@ from avatar.motion.read import builtin_motion
 from avatar.motion.retarget import retarget
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, rotation_between
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+from command.errors import AssetError
 
 J = {name: index for index, name in enumerate(JOINTS)}
 PEOPLE = ("White_M_1", "White_F_1", "Black_M_2", "Asian_F_2")

@@ -5,7 +5,6 @@ import pytest
 from mhr_twin import J, natural_poses, sam3d_fields, world
 
 from avatar.body import builtin_body
-from avatar.errors import AssetError
 from avatar.limits import joint_angles
 from avatar.limits import within as inside
 from avatar.motion.clip import rest_skeleton
@@ -14,6 +13,7 @@ from avatar.motion.read import read_motion
 from avatar.motion.sam3d_body import read_sam3d_body
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS
+from command.errors import AssetError
 
 SIDES = ("left", "right")
 LIMBS = [(f"{s}_{a}", f"{s}_{b}") for s in SIDES for a, b in (

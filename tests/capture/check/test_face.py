@@ -13,9 +13,9 @@ from avatar.skinning import skin_points
 from capture.check.face import IRIS, SIDE, close_ups, face_line, face_report
 from capture.check.report import CaptureReport
 from capture.check.verdict import verdict
-from capture.eyes import body_sockets
 from capture.folder import Capture, CaptureSubject, PartVideo
-from capture.imports.template import part_of
+from capture.read.template import part_of
+from capture.template.eyes import body_sockets
 from geometry.rasterise import rasterise
 
 UNITS = 2.0  # of the head frame a metre

@@ -7,12 +7,12 @@ import pytest
 from painted_capture import write_capture
 
 from avatar.camera import project
-from avatar.errors import AssetError
 from avatar.skeleton import JOINTS, joint_transforms
 from capture.check.keypoints import compare_keypoints, keypoint_findings, keypoint_lines
 from capture.check.report import examine
 from capture.folder import read_capture
 from capture.keypoints import openpose
+from command.errors import AssetError
 from selfscan.__main__ import main
 
 

@@ -5,24 +5,17 @@ import json
 import pytest
 from filmed_figure import film, film_all
 
-from capture.check.command import main
+from capture.check.options import main
 
 
-@pytest.fixture(scope="module")
-def videos(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("me")
-    film_all(folder)
-    return folder
-
-
-def test_good_videos_are_usable_as_a_folder_and_as_four_files(videos, tmp_path, capsys):
-    assert main([str(videos), "-o", str(tmp_path / "out")]) == 0
+def test_good_videos_are_usable_as_a_folder_and_as_four_files(filmed_four, tmp_path, capsys):
+    assert main([str(filmed_four), "-o", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
     assert "body.mp4   240 x 180, 30 frames/s, 3.0 s; empty room 0." in text
     assert text.splitlines()[5].startswith("usable")
     facts = json.loads((tmp_path / "out" / "check.json").read_text())
     assert facts["usable"] and facts["videos"]["body"]["frames"] == 90
-    files = [str(videos / f"{name}.mp4") for name in ("body", "head", "left", "right")]
+    files = [str(filmed_four / f"{name}.mp4") for name in ("body", "head", "left", "right")]
     assert main(files) == 0 and capsys.readouterr().out == text
 
 
@@ -35,17 +28,17 @@ def test_a_hand_that_leaves_the_picture_is_said_with_the_time(tmp_path, capsys):
     assert "film again with it in the middle" in text
 
 
-def test_three_videos_are_refused_by_what_is_missing(videos, tmp_path):
-    (tmp_path / "body.mp4").symlink_to(videos / "body.mp4")
+def test_three_videos_are_refused_by_what_is_missing(filmed_four, tmp_path):
+    (tmp_path / "body.mp4").symlink_to(filmed_four / "body.mp4")
     with pytest.raises(Exception, match=r"found no head, left, right"):
         main([str(tmp_path)])
     with pytest.raises(Exception, match="expected four videos, BODY HEAD LEFT RIGHT, found 3"):
-        main([str(videos / f"{name}.mp4") for name in ("body", "head", "left")])
+        main([str(filmed_four / f"{name}.mp4") for name in ("body", "head", "left")])
 
 
-def test_without_keypoints_it_says_which_are_needed(videos, tmp_path):
+def test_without_keypoints_it_says_which_are_needed(filmed_four, tmp_path):
     for name in ("body", "head", "left", "right"):
-        (tmp_path / f"{name}.mp4").symlink_to(videos / f"{name}.mp4")
+        (tmp_path / f"{name}.mp4").symlink_to(filmed_four / f"{name}.mp4")
     with pytest.raises(Exception, match=r"keypoints: expected keypoints .*--keypoints DIR says where"):
         main([str(tmp_path)])
-    assert main([str(tmp_path), "--keypoints", str(videos / "keypoints")]) == 0
+    assert main([str(tmp_path), "--keypoints", str(filmed_four / "keypoints")]) == 0

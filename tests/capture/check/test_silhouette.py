@@ -5,8 +5,7 @@ import pytest
 from turning_capture import with_video
 
 from avatar.skeleton import PARTS
-from capture.check import MISALIGNED, misalignment, outline_errors
-from capture.check.silhouette import agreement, outline
+from capture.check.silhouette import MISALIGNED, agreement, misalignment, outline, outline_errors
 
 
 def test_exact_poses_are_not_off_at_all(turning):

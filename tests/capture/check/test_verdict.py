@@ -149,8 +149,8 @@ SPOILT = {
         False,
     ),
     "one mask grown": (_background_in_mask, ["hand_right: masks change size in frames 2"], False),
-    "nobody in one frame": (_nobody([1]), ["body: masks show nobody in frames 1"], False),
-    "nobody in a third": (_nobody([1, 5, 6, 9]), ["body: masks show nobody in frames 1, 5, 6, 9"], True),
+    "nobody in one frame": (_nobody([1]), ["body: masks show no person in frames 1"], False),
+    "nobody in a third": (_nobody([1, 5, 6, 9]), ["body: masks show no person in frames 1, 5, 6, 9"], True),
     "one direction": (
         _one_side,
         ["body: 360 degrees of the turn have no frame", r"body: [345]\d% of the surface is seen"],

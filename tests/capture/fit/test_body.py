@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from avatar.errors import AssetError
 from avatar.rotation import axis_angle_from_matrix
 from capture.fit.body import first_guess, fit_keypoints, fit_outlines
 from capture.fit.directions import opposite
@@ -18,6 +17,7 @@ from capture.fit.refusals import check_fit, check_footage, check_upright
 from capture.fit.scan import STEPS
 from capture.fit.sides import sides_restored
 from capture.fit.solve import posed_frames
+from command.errors import AssetError
 from geometry.mesh import vertex_normals
 from tests.turning_twin import limb_error, mask_of, turning_twin
 
@@ -45,6 +45,7 @@ def test_keypoints_alone_find_the_limbs(twin):
     assert np.median(degrees_off(twin.truth, found)) < 2.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 3])
 def test_sway_noise_and_other_places_of_toes_and_ears_do_not_draw_the_person_nearer(seed):
     truth, footage = turning_twin(24, seed=seed)
@@ -62,6 +63,7 @@ def test_sway_noise_and_other_places_of_toes_and_ears_do_not_draw_the_person_nea
     assert abs((found.root - truth.root)[:, 2].mean()) < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_sides_exchanged_in_all_points_and_in_the_arms_alone_are_put_back(seed):
     truth, footage = turning_twin(seed=seed)
@@ -79,12 +81,13 @@ def test_sides_that_are_right_stay(twin):
     np.testing.assert_array_equal(sides_restored(twin.truth, twin.footage).pixels, twin.footage.pixels)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [0.1, -0.1])
 def test_of_a_focal_length_told_wrong_by_a_tenth_half_or_more_is_found(error):
     _, footage = turning_twin(24, focal_error=error, noise=0.3)
     found, _ = fit_keypoints(person_of("male", 1.8), footage, QUIET)
     true = footage.focal / (1 + error)
-    assert abs(np.log(found.lens(footage).focal / true)) < 0.055
+    assert abs(np.log(found.camera(footage).K[0, 0] / true)) < 0.055
 
 
 def test_offsets_add_what_clothes_do():
@@ -105,6 +108,7 @@ def test_offsets_add_what_clothes_do():
     assert np.mean(np.abs(found - 0.01) < 0.004) > 0.7
 
 
+@pytest.mark.slow
 def test_outlines_of_somebody_with_hair_and_shoes_do_not_draw_the_person_nearer():
     truth, footage = turning_twin(10, 200, seed=1)
     normals = vertex_normals(truth.person.vertices(truth.g), truth.person.body.faces)

@@ -67,11 +67,11 @@ def test_hand_that_turns_is_found(side):
     found = hand.first_guess(truth.person, truth.g, footage, side)
     assert np.median(degrees(truth.heading, found.heading)) < 25
     priors = hand.holding(found, footage, side)
-    for cut in (hand.FIRST, *CUTS):
-        found = solve(found, footage, priors, cut=cut, rounds=12)
+    found = solve(found, footage, priors, cuts=(hand.FIRST, *CUTS), rounds=12)
     assert np.linalg.norm(joints_off(truth, found, side), axis=2).mean(1).max() < 0.008
 
 
+@pytest.mark.slow
 def test_outlines_of_thicker_fingers_do_not_draw_the_hand_nearer():
     truth, footage = turned_hand("left")
     person = truth.person
@@ -99,8 +99,7 @@ def test_head_is_followed_through_frames_that_show_no_face():
     footage = replace(footage, sure=np.where(behind[:, None], 0.0, footage.sure))
     found = head.first_guess(person, g, footage)
     priors = head.turning(found, footage)
-    for cut in (head.FIRST, *CUTS):
-        found = solve(found, footage, priors, cut=cut, rounds=10)
+    found = solve(found, footage, priors, cuts=(head.FIRST, *CUTS), rounds=10)
     off = degrees(heading, found.heading)
     assert off[~behind].max() < 1.5 and off[behind].max() < 8
     cameras = head.camera_from_head(found)
@@ -140,6 +139,7 @@ def test_pose_of_a_known_person_in_one_picture():
     assert np.linalg.norm(ours - ours.mean(0) - theirs + theirs.mean(0), axis=1).mean() < 0.03
 
 
+@pytest.mark.slow
 def test_clothes_that_the_template_lacks_do_not_draw_it_nearer_to_one_picture():
     ours, theirs = limbs_in_camera(*in_one_picture(thickness=0.015))
     assert abs((ours - theirs)[:, 2].mean()) < 0.06

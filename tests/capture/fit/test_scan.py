@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from avatar.errors import AssetError
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARTS, joint_transforms
 from capture.fit import body, hand, head
@@ -16,7 +15,8 @@ from capture.fit.keypoint_term import projected
 from capture.fit.scan import FOCAL, GUESSED, WRITTEN, fit_scan, footage_in, phone_of, tracked_in
 from capture.fit.solve import posed_frames
 from capture.keypoints.record import Keypoints
-from capture.raw_scan import RawScan, RawVideo
+from capture.raw.scan import RawScan, RawVideo
+from command.errors import AssetError
 from tests.turning_twin import mask_of, turning_twin
 
 FRAMES, SIZE = 7, 128
@@ -106,6 +106,7 @@ def test_video_without_confident_hand_points_is_refused(filmed):
         fit_scan(RawScan({**scan.videos, "body": replace(one, keypoints=blind)}))
 
 
+@pytest.mark.slow
 def test_four_videos_together_tell_the_focal_length(filmed):
     """Each errs by some per cent; all together err less than the guess, and say by how much."""
     truth, scan = filmed
@@ -114,9 +115,10 @@ def test_four_videos_together_tell_the_focal_length(filmed):
     found = focal_of_videos(truth.person, {part: tracked_in(video, guess) for part, video in scan.videos.items()},
                             lambda note: None)  # fmt: skip
     away = np.log(found.shorter_sides / true)
-    assert abs(away) < 0.07 and abs(away) < 3 * found.doubt < 0.3
+    assert abs(away) < 0.07 and abs(away) < 3 * found.sigma < 0.3
 
 
+@pytest.mark.slow
 def test_points_of_more_frames_than_are_kept_serve_the_focal_length(filmed):
     _, scan = filmed
     video = scan.videos["body"]
@@ -134,4 +136,4 @@ def test_what_the_phone_wrote_of_its_lens_is_begun_with(filmed):
     assert phone_of(scan.videos.values()) == Focal(FOCAL, GUESSED)
     written = {part: replace(video, focal_written=1.3 * SIZE) for part, video in scan.videos.items()}
     found = phone_of(written.values())
-    assert found.shorter_sides == pytest.approx(1.3) and found.doubt == WRITTEN < GUESSED
+    assert found.shorter_sides == pytest.approx(1.3) and found.sigma == WRITTEN < GUESSED

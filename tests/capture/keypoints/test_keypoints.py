@@ -7,14 +7,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from landmark_twin import from_text
 
-from avatar.errors import AssetError
 from capture.keypoints import coco_wholebody, mediapipe, openpose
 from capture.keypoints.detect import frame_json, model_files
 from capture.keypoints.read import read_keypoints
 from capture.keypoints.record import FACE, hand_points
+from command.errors import AssetError
 
 FRAMES, SIZE = 3, (640, 480)
+POSE = [{"x": 0.5, "y": 0.5, "z": 0, "visibility": 1}] * 33
 EVERY = sorted({*openpose.NAMES, *coco_wholebody.NAMES, *mediapipe.NAMES})
 
 
@@ -89,12 +91,13 @@ def write_mediapipe(path, points, unseen, told=True):
                 seen = (name, frame) not in unseen
                 pose[k] = [*(points[name][frame] / SIZE), 0.0, 0.8 * seen]
         named = lambda side: np.array([[*(points[name][frame] / SIZE), 0.0] for name in hand_points(side)])
-        one = {"pose_landmarks": [dict(zip(("x", "y", "z", "visibility"), row, strict=True)) for row in pose.tolist()]}
-        one |= {f"{side}_hand_landmarks": named(side).tolist() for side in ("left", "right")}
+        as_json = lambda array: [dict(zip(("x", "y", "z", "visibility"), row)) for row in array.tolist()]
+        one = {"pose_landmarks": as_json(pose)}
+        one |= {f"{side}_hand_landmarks": as_json(named(side)) for side in ("left", "right")}
         face = np.zeros((478, 3))
         for k, name in zip(mediapipe.MESH, FACE, strict=True):
             face[k, :2] = points[name][frame] / SIZE
-        one["face_landmarks"] = face.tolist()
+        one["face_landmarks"] = as_json(face)
         frames.append(one)
     size = {"image_width": SIZE[0], "image_height": SIZE[1]} if told else {}
     path.write_text(json.dumps({**size, "frames": frames}))
@@ -159,13 +162,13 @@ def test_an_empty_frame_is_unseen_and_said(tmp_path):
     (folder / "me_000000000001_keypoints.json").write_text('{"people": []}')
     found = read_keypoints(folder)
     assert (found.confidence[1] == 0).all() and np.isnan(found.pixels[1]).all() and (found.confidence[0] > 0).any()
-    assert "nobody in 1 of 3 frames" in found.notes
+    assert "no person in 1 of 3 frames" in found.notes
 
 
 def test_parts_of_a_picture_need_its_size(tmp_path):
     points, unseen = truth()
     path = write_mediapipe(tmp_path / "a.json", points, unseen, told=False)
-    with pytest.raises(AssetError, match="a picture whose size is not told"):
+    with pytest.raises(AssetError, match="a picture of unknown size"):
         read_keypoints(path)
     given = read_keypoints(path, size=SIZE)
     np.testing.assert_allclose(given.seen("nose")[:, :2], points["nose"], atol=1e-9)
@@ -192,17 +195,17 @@ def spoilt(change):
             "confidence should not be negative",
         ),
         (spoilt(lambda c: c.append(5)), r"people\[1\] should be an object"),
-        (lambda c: {"people": []}, "nobody in any of 1 frames"),
+        (lambda c: {"people": []}, "no person in any of 1 frames"),
         (lambda c: {"who": 1}, "expected keypoints"),
         (lambda c: [{"keypoints": [[1, 2]] * 17, "keypoint_scores": [1] * 17}], "133 points of COCO-WholeBody, are 17"),
         (lambda c: [{"keypoints": [[1, 2]] * 133}], "keypoint_scores should be 133 numbers"),
         (lambda c: [{"keypoints": [[1]] * 133}], r"keypoints\[0\] should be \[x, y\]"),
         (lambda c: {"instance_info": [7]}, r"instance_info\[0\] should be an object"),
-        (lambda c: {"instance_info": []}, "nobody in any of 0 frames"),
+        (lambda c: {"instance_info": []}, "no person in any of 0 frames"),
         (lambda c: [{"keypoints": [1.0] * 399, "image_id": []}], "image_id should be a number or a name"),
         (
-            lambda c: {"pose_world_landmarks": [{"x": 0, "y": 0, "z": 0}] * 33},
-            "no pose_landmarks or hand landmarks|size",
+            lambda c: {"frames": [{"pose_world_landmarks": [{"x": 0, "y": 0, "z": 0}] * 33}]},
+            "of unknown size",
         ),
     ],
 )
@@ -221,11 +224,11 @@ def test_a_folder_of_nothing_is_refused(tmp_path):
         read_keypoints(tmp_path)
 
 
-def test_the_real_holistic_result_has_its_points_where_the_photo_has_them(data):
+def test_the_real_holistic_result_has_its_points_where_the_photo_has_them(data, tmp_path):
     path = data / "estimators" / "mediapipe_male_full_height_hands_result_cpu.pbtxt"
     if not path.is_file():
         pytest.skip(f"no {path}")
-    found = read_keypoints(path, size=(600, 900))
+    found = read_keypoints(from_text(path, tmp_path / "real.json"), size=(600, 900))
     assert (found.confidence > 0.5).all()
     # he faces the camera: his left is on the right
     assert found.seen("left_shoulder")[0, 0] > found.seen("right_shoulder")[0, 0]
@@ -240,8 +243,7 @@ def test_a_face_of_mediapipe_gives_the_68_points(data, tmp_path):
     points = [tuple(map(float, pair)) for pair in re.findall(r"x: (\S+)\s+y: (\S+)", text)]
     assert len(points) in (468, 478)
     path = tmp_path / "a.json"
-    pose = [[0.5, 0.5, 0, 1]] * 33
-    frame = {"pose_landmarks": pose, "face_landmarks": [[x, y, 0] for x, y in points]}
+    frame = {"pose_landmarks": POSE, "face_landmarks": [{"x": x, "y": y, "z": 0} for x, y in points]}
     path.write_text(json.dumps({"image_width": 1000, "image_height": 1200, "frames": [frame, {}]}))
     found = read_keypoints(path)
     face = np.stack([found.seen(f"face_{k:02d}")[0] for k in range(68)])
@@ -255,9 +257,19 @@ def test_a_face_of_mediapipe_gives_the_68_points(data, tmp_path):
     assert x[48] == x[48:].min() and x[54] == x[48:].max() and y[51] < y[62] < y[66] < y[57]
 
 
+def test_a_folder_with_a_file_of_mediapipe_for_each_frame_is_refused(tmp_path):
+    points, unseen = truth()
+    (tmp_path / "head").mkdir()
+    write_mediapipe(tmp_path / "head" / "0.json", points, unseen)
+    assert len(read_keypoints(tmp_path / "head").pixels) == FRAMES
+    write_mediapipe(tmp_path / "head" / "1.json", points, unseen)
+    with pytest.raises(AssetError, match="expected all frames of MediaPipe in one file, found 2 files"):
+        read_keypoints(tmp_path / "head")
+
+
 def test_a_mesh_of_another_size_is_refused(tmp_path):
     path = tmp_path / "a.json"
-    frame = {"pose_landmarks": [[0.5, 0.5, 0, 1]] * 33, "face_landmarks": [[0.5, 0.5, 0]] * 100}
+    frame = {"pose_landmarks": POSE, "face_landmarks": [POSE[0]] * 100}
     path.write_text(json.dumps({"image_width": 10, "image_height": 10, "frames": [frame]}))
     with pytest.raises(AssetError, match="face_landmarks should be 468 or 478 landmarks, are 100"):
         read_keypoints(path)

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from filmed_figure import ABSENT, FRAMES, SIZE, film, wall
 
-from avatar.errors import AssetError
-from avatar.progress import Progress
 from capture.raw.four_videos import part_keypoints
 from capture.raw.glance import glance
 from capture.raw.judge import judge
@@ -17,6 +15,8 @@ from capture.raw.masks import soft_mask
 from capture.raw.plate import plate_of_empty, plate_of_free
 from capture.raw.selection import movement, select
 from capture.raw.video_file import EQUIVALENT, open_video, read_frames
+from command.errors import AssetError
+from command.progress import Progress
 
 
 def judged(folder, part="body", name="body", keypoints_of=None):
@@ -96,7 +96,7 @@ def test_what_is_no_video_is_refused_by_name(tmp_path, content, said):
 def test_the_empty_second_is_found_and_nothing_is_wrong(body):
     at = body[2]
     assert at.empty[: ABSENT - 12].all() and not at.empty[ABSENT - 5 :].any()
-    assert not [remark for remark in at.remarks if remark.fatal], at.remarks
+    assert not [problem for problem in at.problems if problem.fatal], at.problems
 
 
 def test_chosen_frames_are_even_over_the_turn_and_sharp(body):
@@ -146,8 +146,8 @@ def test_masks_are_those_of_the_figure(body, plate):
 
 
 def said(at):
-    (remark, *_) = [remark for remark in at.remarks if remark.fatal]
-    return remark.line("body.mp4")
+    (problem, *_) = [problem for problem in at.problems if problem.fatal]
+    return problem.line("body.mp4")
 
 
 @pytest.mark.parametrize(
@@ -176,16 +176,16 @@ def test_a_part_that_is_lost_beyond_the_border_counts_as_cut_off(body):
     pixels[60:, :, 0] += np.linspace(0, 200, 30)[:, None]
     confidence[60:][pixels[60:, :, 0] > SIZE[0] - 4] = 0
     judged = judge(replace(at, keypoints=replace(points, pixels=pixels, confidence=confidence)))
-    (remark,) = [remark for remark in judged.remarks if "leaves" in remark.what]
-    assert "at the right from 2." in remark.what, remark.what
-    assert remark.what.endswith("s on")
+    (problem,) = [problem for problem in judged.problems if "leaves" in problem.what]
+    assert "at the right from 2." in problem.what, problem.what
+    assert problem.what.endswith("s on")
 
 
 def test_without_an_empty_second_there_is_advice_and_no_refusal(tmp_path):
     film(tmp_path, "body", "body", empty=False)
     at = judged(tmp_path)
     assert not at.empty.any()
-    assert [(remark.fatal, remark.what) for remark in at.remarks] == [(False, "the empty room is in no frame")]
+    assert [(problem.fatal, problem.what) for problem in at.problems] == [(False, "the empty room is in no frame")]
 
 
 def test_the_other_hand_is_told(tmp_path):

@@ -13,15 +13,15 @@ from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.read import builtin_motion
 from player.budget import measure, table
 from player.budget.measure import BudgetScene, steady_p95, worth_timing
-from player.budget.rungs import PricedRung, bought, frontier, scene_rungs
-from player.budget.table import bought_rung, cache_folder
-from player.context import open_context
-from player.mannequin import mannequin
-from player.passes.background import Background
-from player.render_command import RenderCommand
-from player.rung import Rung
-from player.scenes.effects import PLAIN
-from player.scenes.scene import Scene, SceneAvatar
+from player.budget.rung import Rung
+from player.budget.rungs import PricedRung, best_within, frontier, scene_rungs
+from player.budget.table import cache_folder, rung_within
+from player.effects.background import Background
+from player.film.command import RenderCommand
+from player.gl.context import open_context
+from player.scene.effects import PLAIN
+from player.scene.mannequin import mannequin
+from player.scene.scene import Scene, SceneAvatar
 from player.window.show import opened_show
 from player.window.window import Window
 from selfscan.__main__ import main
@@ -91,7 +91,7 @@ def test_what_another_rung_surely_beats_is_not_timed():
 
 
 def test_the_slow_frames_of_all_rungs_tell_how_slow_one_can_be():
-    """Ten rungs on two frames, the second a quarter dearer; one frame in seven of any takes half as long again."""
+    """Ten rungs on two frames, the second a quarter slower; one frame in seven of any takes half as long again."""
     rng = np.random.default_rng(0)
     own = np.linspace(2, 20, 10) * np.array([1.0, 1.25])[np.arange(24) % 2, None]
     slow = np.where(rng.random((300, 24, 10)) < 1 / 7, 1.5, 1.0)
@@ -107,13 +107,13 @@ def test_rungs_that_lie_no_farther_apart_than_the_headroom_are_no_choice():
     rungs = [PricedRung(Rung(name, "off"), ms, ms, error) for name, (ms, error) in FOUR.items()]
     assert [one.rung.name for one in frontier(rungs)] == ["coarse", "fine"]
     # 5 % of a budget stays free; below the cheapest there is only that
-    assert [bought(rungs, budget).rung.name for budget in (8.5, 8.3, 1.0)] == ["fine", "coarse", "coarse"]
+    assert [best_within(rungs, budget).rung.name for budget in (8.5, 8.3, 1.0)] == ["fine", "coarse", "coarse"]
 
 
 def test_a_budget_is_answered_from_the_cache_until_it_no_longer_holds(context, said):
     measured, seconds = said
     avatar = mannequin()
-    buy = partial(bought_rung, context, scene_of(avatar), ["mannequin"])
+    buy = partial(rung_within, context, scene_of(avatar), ["mannequin"])
     assert buy(budget=13.0)[1].rung.view == "vertex"  # closer to the network than the linear map is
     assert buy(budget=25.0)[1].rung.view == "network"
     assert buy(budget=5.0)[1].rung.view == "off"
@@ -126,13 +126,13 @@ def test_a_budget_is_answered_from_the_cache_until_it_no_longer_holds(context, s
     assert buy(budget=13.0)[1].rung.view == "off" and len(measured) == 2
     # another size is another table
     wider = scene_of(avatar)._replace(size=(128, 96))
-    bought_rung(context, wider, ["mannequin"], budget=13.0)
+    rung_within(context, wider, ["mannequin"], budget=13.0)
     assert len(measured) == 3
 
 
 def test_a_table_that_is_old_or_broken_is_measured_anew(context, said):
     measured, _ = said
-    buy = partial(bought_rung, context, scene_of(mannequin()), ["mannequin"], budget=5.0)
+    buy = partial(rung_within, context, scene_of(mannequin()), ["mannequin"], budget=5.0)
     buy()
     (path,) = (cache_folder() / "budget").glob("*.json")
     content = json.loads(path.read_text())
@@ -147,7 +147,7 @@ def test_a_table_that_is_old_or_broken_is_measured_anew(context, said):
 def test_what_is_asked_for_by_name_is_kept(context, said):
     avatar = mannequin()
     effects = dataclasses.replace(PLAIN, view="linear")
-    _, chosen = bought_rung(context, scene_of(avatar, effects), ["mannequin"], budget=1.0)
+    _, chosen = rung_within(context, scene_of(avatar, effects), ["mannequin"], budget=1.0)
     assert chosen.rung.view == "linear"
 
 
@@ -243,7 +243,7 @@ def test_a_film_of_the_window_keeps_what_it_began_with(said):
 
 
 def test_the_table_names_what_was_measured(context, said):
-    _, chosen = bought_rung(context, scene_of(mannequin()), ["mannequin"], budget=5.0)
+    _, chosen = rung_within(context, scene_of(mannequin()), ["mannequin"], budget=5.0)
     assert isinstance(chosen, PricedRung)
     (path,) = (cache_folder() / "budget").glob("*.json")
     rows = json.loads(path.read_text())["rungs"]

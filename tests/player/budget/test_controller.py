@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from player.budget.controller import PATIENCE, SETTLING, SLOW, WATCHED, BudgetController
+from player.budget.rung import Rung
 from player.budget.rungs import PricedRung, at_quality, frontier, parse_budget, scene_rungs, within
-from player.mannequin import mannequin
-from player.rung import Rung
+from player.scene.mannequin import mannequin
 
 LADDER = [
     PricedRung(Rung(name, "off", k), ms, 1.1 * ms, error)
@@ -102,8 +102,8 @@ def test_it_leaves_room_before_it_goes_up():
 
 def test_what_the_next_rung_costs_is_known():
     controller = BudgetController(LADDER, 8.0, named("vertex"))
-    assert controller.dearer.rung.name == "linear"
-    assert BudgetController(LADDER, 80.0, named("network")).dearer is None
+    assert controller.costlier.rung.name == "linear"
+    assert BudgetController(LADDER, 80.0, named("network")).costlier is None
 
 
 @pytest.mark.parametrize(("text", "ms"), [("8ms", 8.0), ("0.5", 0.5), ("120fps", 1000 / 120), (" 4 MS ", 4.0)])

@@ -9,7 +9,7 @@ from player.live.json_pose import build_pose
 from player.live.osc import build_bundle, build_message
 from player.live.take import Take
 from player.live.vmc import VmcEncoder
-from player.mannequin import builtin_body
+from player.scene.mannequin import builtin_body
 
 ENCODER = VmcEncoder(builtin_body("male").joints)
 

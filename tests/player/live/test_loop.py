@@ -15,13 +15,12 @@ import pytest
 from PIL import Image
 
 from avatar.body import builtin_body
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.amass import read_amass, write_amass
 from avatar.motion.clip import Clip
 from avatar.motion.read import builtin_motion, read_motion
 from avatar.rotation import matrix_from_axis_angle
-from player.address import Address, parse_address
+from command.errors import AssetError
 from player.live.command import connected, encoder, send, stream_main, timed_poses
 from player.live.frame import LivePose
 from player.live.inbox import Inbox
@@ -30,6 +29,7 @@ from player.live.playback import LivePlayback
 from player.live.receiver import UdpListener, listen
 from player.live.take import HEADER, RECORD, Take
 from player.play_command import play_main
+from player.scene.address import Address, parse_address
 
 
 def worst_angle(a, b):
@@ -165,7 +165,7 @@ resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
 import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
-from player.address import Address
+from player.scene.address import Address
 from player.live.inbox import Inbox
 from player.live.json_pose import build_pose
 from player.live.receiver import listen
@@ -382,6 +382,7 @@ sys.exit(main(["play", *sys.argv[1:]]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("osmesa")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)])
 def test_a_take_outlives_what_ends_the_window(number, code, avatar_path, tmp_path):
@@ -409,6 +410,7 @@ def test_a_take_outlives_what_ends_the_window(number, code, avatar_path, tmp_pat
     assert take.frames >= 10 and worst_angle(take.read(0, 1).axis_angle, np.full((1, 52, 3), 0.1)) < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("osmesa")
 def test_pause_holds_a_pose_and_t_takes_the_t_pose(avatar_path, tmp_path, capsys):
     turned = np.zeros((52, 3))
@@ -436,7 +438,7 @@ def test_options_of_live_need_a_source_and_files_and_live_exclude_each_other(ava
 
 def playback_of(avatar, inbox, **options):
     now = [100.0]
-    live = LivePlayback(inbox, Address("udp", "127.0.0.1", 1), [avatar], [np.zeros(3)], clock=lambda: now[0], **options)
+    live = LivePlayback(inbox, Address("udp", "127.0.0.1", 1), [avatar], clock=lambda: now[0], **options)
     return live, now
 
 

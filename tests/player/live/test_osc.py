@@ -1,7 +1,5 @@
 """The OSC parser and builder against python-osc, and against packets that lie."""
 
-import struct
-
 import numpy as np
 import pytest
 from pythonosc.osc_bundle import OscBundle
@@ -32,15 +30,11 @@ def random_arguments(rng):
         "i": lambda: int(rng.integers(-(2**31), 2**31)),
         "f": lambda: float(np.float32(rng.normal())),
         "s": lambda: "".join(rng.choice(list("abcäß漢"), rng.integers(0, 9))),
-        "b": lambda: rng.bytes(rng.integers(1, 9)),
         "d": lambda: float(rng.normal()),
         "h": lambda: int(rng.integers(-(2**62), 2**62)),
-        "T": lambda: True,
-        "F": lambda: False,
-        "N": lambda: None,
     }
-    kinds = rng.choice(list(makers), rng.integers(0, 7))
-    return [(makers[kind](), str(kind)) for kind in kinds]
+    kinds = [*rng.choice(["s", ""], 1), *rng.choice(list("ifdh"), rng.integers(0, 7))]
+    return [(makers[kind](), str(kind)) for kind in kinds if kind]
 
 
 def test_messages_of_python_osc_read_as_it_reads_them_itself():
@@ -63,18 +57,17 @@ def test_nested_bundles_of_python_osc_read_in_order():
 def test_python_osc_reads_what_is_built_here():
     rng = np.random.default_rng(1)
     for _ in range(100):
-        arguments = [value for value, kind in random_arguments(rng) if kind in "ifsTF"]
+        arguments = [value for value, kind in random_arguments(rng) if kind in "ifs"]
         reference = OscMessage(build_message("/x", *arguments))
         assert (reference.address, list(reference.params)) == ("/x", arguments)
     bundle = OscBundle(build_bundle([build_message("/a", 1), build_message("/b", "two")]))
     assert [list(message.params) for message in bundle] == [[1], ["two"]]
 
 
-def test_an_array_is_a_tuple_and_an_unknown_type_drops_its_message_only():
-    array = b"/a\0\0,i[fi]s\0" + struct.pack(">ifi", 1, 0.5, 2) + b"z\0\0\0"
-    assert parse_packet(array) == [("/a", (1, (0.5, 2), "z"))]
-    unknown = b"/a\0\0,q\0\0" + bytes(8)
-    assert parse_packet(build_bundle([unknown, build_message("/b", 2)])) == [("/b", (2,))]
+@pytest.mark.parametrize("letters", [b",q\0\0", b",[i]", b",b\0\0", b",is\0", b",TFN", b"," + b"[" * 99])
+def test_arguments_that_vmc_does_not_send_drop_their_message_only(letters):
+    other = b"/a\0\0" + letters + bytes(4 - len(letters) % 4) + bytes(8)
+    assert parse_packet(build_bundle([other, build_message("/b", 2)])) == [("/b", (2,))]
     assert parse_packet(b"/a\0\0") == [("/a", ())]  # a sender of before 1.0
 
 
@@ -88,13 +81,9 @@ LIES = {
     "arguments cut short": b"/a\0\0,ff\0" + bytes(4),
     "a string that does not end": b"/a\0\0,s\0\0abcd",
     "not UTF-8": b"/\xff\0\0,\0\0\0",
-    "a blob beyond the end": b"/a\0\0,b\0\0\x7f\xff\xff\xff",
-    "a blob of negative size": b"/a\0\0,b\0\0\xff\xff\xff\xff",
-    "an array that does not end": b"/a\0\0,[[[i" + bytes(8),
     "an element beyond the end": b"#bundle\0" + bytes(8) + b"\x7f\xff\xff\xff" + bytes(4),
     "an element of size zero": b"#bundle\0" + bytes(8) + bytes(4),
     "half a bundle": b"#bundle\0",
-    "arrays too deep": b"/a\0\0," + b"[" * 99 + bytes(4),
     "too large": b"/a\0\0,\0\0\0" + bytes(LARGEST),
     "too many messages": build_bundle([build_message("/a")] * (MOST_MESSAGES + 1)),
 }

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from avatar.errors import AssetError
 from avatar.motion.amass import read_amass, write_amass
 from avatar.motion.clip import Clip, Motion
+from command.errors import AssetError
 from player.live.frame import LiveFrame, LivePose
 from player.live.latency import HEADER, Latency
 from player.live.one_euro import OneEuro

@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from avatar.errors import AssetError
 from avatar.limits import within
 from avatar.motion.read import read_motion
 from avatar.skeleton import JOINTS, joint_transforms
-from player.mannequin import mannequin
-from player.pose.ground import grounded, lowest_point
+from command.errors import AssetError
+from player.draw.posing import grounded, lowest_point
 from player.pose.keyframes import Pose
 from player.pose.library import BUILTIN, Library, builtin_pose, check_name, user_folder
+from player.scene.mannequin import mannequin
 
 ROOT = np.array([0.5, 0.0, -1.0])
 

@@ -6,16 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from avatar.body import builtin_body
-from avatar.errors import AssetError
 from avatar.limits import joint_angles, within
 from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS
-from player.ik import LIMBS
+from command.errors import AssetError
 from player.pose.fingers import PRESETS
+from player.pose.ik import LIMBS
 from player.pose.keyframes import Pose, clip_of, pose_at, with_key
-from player.pose.limbs import hand_joints, limb_of
-from player.pose.mirror import PARTNER
+from player.pose.mirror import PARTNER, hand_joints, limb_of
 from player.pose.session import PoseSession
 
 SOME = settings(max_examples=12, deadline=None, derandomize=True)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from tiny_avatar import tiny_avatar, tiny_high_avatar
 
-from avatar.errors import AssetError
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.clip import Clip
-from player.motions import motion_for
-from player.shader import ShaderError
+from command.errors import AssetError
+from player.gl.shader import ShaderError
+from player.scene.motions import motion_for
 from player.web import packing, page
 from player.web.essl import essl, program, programs
 from player.web_command import write_page

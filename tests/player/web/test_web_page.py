@@ -11,12 +11,14 @@ from interchange.test_three_js import bent, decibels, painted
 
 from avatar.camera import orbit_camera
 from avatar.motion.clip import Motion
-from player.context import open_context
-from player.renderer import Renderer
-from player.rung import Rung
-from player.scenes.effects import STUDIO
+from player.budget.rung import Rung
+from player.gl.context import open_context
+from player.scene.effects import STUDIO
+from player.scene.renderer import Renderer
 from player.web.page import MOST_BYTES
 from player.web_command import write_page
+
+pytestmark = pytest.mark.slow
 
 SIZE = (640, 640)
 PLACE = np.array([0.0, -0.1, 0.0])

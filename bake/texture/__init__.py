@@ -1,0 +1,1 @@
+"""The atlas solved against the videos, and the field's own."""

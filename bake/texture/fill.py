@@ -1,0 +1,162 @@
+"""What no video saw takes the color of what it is made of: filled on the surface from seen places of the same material.
+
+Seen texels are grouped by color into materials: skin, hair, each color of a cloth. A material's color anywhere is as
+smooth on the surface as its seen texels allow:
+
+    min over x of material m   sum_vertices w_m (x - c_m)^2  +  sum_edges k_ij (x_i - x_j)^2
+
+c_m is the mean color of the material's seen texels round a vertex and w_m how much surface they cover there. An unseen
+texel may be of any material that the nearest seen places of its own piece (skin under hair is none of the hair's) which
+face its way are of, and is of one: the one whose color there lies nearest to what the field made of it, the
+more of these places it has the sooner. What the field made of it stays as far as it lies within NEAR of that
+color: a grey between two colors of a print is no color of the cloth. So skin beside skin becomes skin, and stripes stay
+stripes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer
+from scipy.cluster.vq import kmeans2
+from scipy.sparse import csr_matrix, diags
+from scipy.spatial import KDTree
+
+from geometry.least_squares import factorised
+from geometry.mesh import TriangleMesh
+
+Array = np.ndarray
+
+# groups that colors fall into at most, and how far apart two groups lie at least (root mean square over the channels)
+MATERIALS, APART = 8, 0.07
+# seen places, one in each cell of so many metres, that vote on an unseen texel's materials, the share of votes that a
+# material needs, and how far apart normals may be (cosine)
+VOTES, CELL, ENOUGH, FACING = 24, 0.0025, 0.15, 0.0
+# how far from its materials' colors an unseen texel's may be
+NEAR = 6 / 255
+# stiffness of an edge against all the seen surface round a vertex
+STIFF = 0.05
+
+
+class TexelSurface(NamedTuple):
+    """Texels on a mesh: where each lies and which way it faces."""
+
+    mesh: TriangleMesh
+    corners: Integer[Array, "texels 3"]  # vertices of each texel's triangle
+    weight: Float[Array, "texels 3"]  # barycentric
+    points: Float[Array, "texels 3"]
+    normals: Float[Array, "texels 3"]
+    area: Float[Array, "texels"]
+    piece: Integer[Array, "texels"]  # the connected piece of the surface
+
+
+def filled_colors(
+    surface: TexelSurface, color: Float[Array, "texels 3"], seen: Bool[Array, "texels"]
+) -> Float[Array, "unseen 3"]:
+    """Colors for the texels that were not `seen`, in their order. Where none was seen, their own colors."""
+    unseen = np.flatnonzero(~seen)
+    if len(unseen) == 0 or len(unseen) == len(seen):
+        return color[unseen]
+    centres = material_centres(color[seen])
+    material = np.argmin([np.square(color - centre).sum(1) for centre in centres], axis=0)
+    share = material_shares(surface, material, seen, len(centres))
+    least, nearest = np.full(len(unseen), np.inf), color[unseen].copy()
+    stiffness = _stiffness(surface.mesh)
+    for number in np.flatnonzero((share >= ENOUGH).any(0)):
+        chosen = np.flatnonzero(share[:, number] >= ENOUGH)
+        at_vertex = _spread_on_mesh(surface, color, np.flatnonzero(seen & (material == number)), stiffness)
+        own = unseen[chosen]
+        found = (surface.weight[own][:, :, None] * at_vertex[surface.corners[own]]).sum(1)
+        cost = (np.square(color[own] - found).sum(1) + NEAR**2) / share[chosen, number]
+        better = cost < least[chosen]
+        least[chosen[better]], nearest[chosen[better]] = cost[better], found[better]
+    return np.clip(np.clip(color[unseen], nearest - NEAR, nearest + NEAR), 0, 1)
+
+
+def material_centres(color: Float[Array, "n 3"]) -> Float[Array, "materials 3"]:
+    """Colors of the groups: by k-means from seeds that lie far apart, groups nearer than APART joined."""
+    rng = np.random.default_rng(0)
+    some = color[rng.choice(len(color), min(len(color), 6000), replace=False)].astype(np.float64)
+    seeds = [np.median(some, axis=0)]
+    while len(seeds) < MATERIALS:
+        away = np.min([np.square(some - seed).mean(1) for seed in seeds], axis=0)
+        # not the farthest, which may be one stray texel: the middle of the farthest hundredth
+        far = some[np.argsort(away)[-max(len(some) // 100, 1) :]]
+        candidate = far[np.argmin(np.abs(far - np.median(far, axis=0)).sum(1))]
+        if np.sqrt(np.min([np.square(candidate - seed).mean() for seed in seeds])) < APART:
+            break
+        seeds.append(candidate)
+    centres, _ = kmeans2(some, np.array(seeds), minit="matrix", missing="warn")
+    kept: list[Array] = []
+    for centre in centres:
+        if all(np.sqrt(np.square(centre - other).mean()) > APART for other in kept):
+            kept.append(centre)
+    return np.array(kept)
+
+
+def material_shares(
+    surface: TexelSurface, material: Integer[Array, "texels"], seen: Bool[Array, "texels"], count: int
+) -> Float[Array, "unseen materials"]:
+    """Of each unseen texel, how the nearest seen places of its piece that face its way are divided among the materials;
+    the largest share is made 1, so that one is always enough. Pieces without a seen place are asked of all."""
+    share = np.zeros((int((~seen).sum()), count))
+    apart = surface.piece[~seen]
+    for piece in np.unique(apart):
+        own = surface.piece == piece
+        given = np.flatnonzero(seen & own if (seen & own).any() else seen)
+        share[apart == piece] = _piece_shares(surface, material, np.flatnonzero(~seen & own), given, count)
+    return share
+
+
+def _piece_shares(
+    surface: TexelSurface,
+    material: Integer[Array, "texels"],
+    unseen: Integer[Array, "unseen"],
+    given: Integer[Array, "given"],
+    count: int,
+) -> Float[Array, "unseen materials"]:
+    # only seen texels near unseen ones can be the nearest
+    away, _ = KDTree(surface.points[unseen]).query(surface.points[given], distance_upper_bound=0.03)
+    near = given[np.isfinite(away)]
+    given = near if len(near) >= VOTES else given
+    _, first = np.unique(np.floor(surface.points[given] / CELL).astype(np.int64), axis=0, return_index=True)
+    given = given[first]
+    votes = min(VOTES, len(given))
+    _, near = KDTree(surface.points[given]).query(surface.points[unseen], k=votes)
+    near = given[near.reshape(len(unseen), votes)]
+    total = np.zeros((len(unseen), count))
+    for k in range(votes):
+        cosine = (surface.normals[near[:, k]] * surface.normals[unseen]).sum(1)
+        np.add.at(total, (np.arange(len(unseen)), material[near[:, k]]), (cosine > FACING) + 1e-3)
+    share = total / total.sum(1, keepdims=True)
+    share[np.arange(len(share)), share.argmax(1)] = 1.0
+    return share
+
+
+def _spread_on_mesh(
+    surface: TexelSurface, color: Float[Array, "texels 3"], own: Integer[Array, "own"], stiffness: csr_matrix
+) -> Float[Array, "vertices 3"]:
+    """The color of one material at every vertex, from its seen texels `own`."""
+    count = len(surface.mesh.vertices)
+    weight = surface.weight[own] * surface.area[own, None]
+    corners = surface.corners[own].ravel()
+    covered = np.bincount(corners, weight.ravel(), count)
+    sums = np.stack([np.bincount(corners, (weight * color[own, k, None]).ravel(), count) for k in range(3)], 1)
+    scale = covered[covered > 0].mean()
+    middle = sums.sum(0) / covered.sum()
+    # the last term holds pieces of the mesh on which the material was nowhere seen
+    system = diags(covered / scale + 1e-6) + STIFF * stiffness
+    return factorised(system).solve(sums / scale + 1e-6 * middle)
+
+
+def _stiffness(mesh: TriangleMesh) -> csr_matrix:
+    """Graph Laplacian with edges as stiff as they are short, the mean one 1."""
+    faces = np.asarray(mesh.faces)
+    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    pairs = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
+    length = np.linalg.norm(mesh.vertices[pairs[:, 0]] - mesh.vertices[pairs[:, 1]], axis=1)
+    stiff = np.clip(np.median(length) / np.maximum(length, 1e-9), 0.1, 10)
+    count = len(mesh.vertices)
+    k = csr_matrix(
+        (np.r_[stiff, stiff], (np.r_[pairs[:, 0], pairs[:, 1]], np.r_[pairs[:, 1], pairs[:, 0]])), (count, count)
+    )
+    return csr_matrix(diags(np.asarray(k.sum(1)).ravel()) - k)

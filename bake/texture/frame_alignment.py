@@ -1,0 +1,123 @@
+"""Frames moved onto the texture that all of them agree on, where poses were estimated.
+
+A pose that is a degree off shows print some millimetres beside its place, another way in each frame, and the solved
+atlas is their blur. Each frame is compared with the atlas drawn in its own pose, and smooth shifts of its pixels that
+make the two meet are found by Lucas and Kanade's least squares (1981) over Gaussian windows, from coarse to fine.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from bake.texture.texture_solve import Equations
+
+Array = np.ndarray
+
+# metres: standard deviation of the window that moves as one, farthest shift
+WINDOW, FARTHEST = 0.025, 0.02
+# share of the window's own pixels, that a shift of none counts as much as: where there is no print nothing is moved
+STAY = 1e-4
+# blur of both pictures in turn, pixels, and steps at each
+BLURS, STEPS = (3.0, 1.0), 2
+# where a window's tails are cut, in standard deviations
+TAIL = 2.5
+
+
+class ShownVideo(NamedTuple):
+    """Where the rows of a video's equations come from."""
+
+    frames: list[Integer[Array, "pixels"]]  # each frame's pixels, whose rows follow each other
+    width: int  # pixels of its pictures
+    pixel: float  # metres on the person
+
+
+def align_frames(
+    equations: Equations, video: ShownVideo, given: Float[Array, "texels 3"], change: Float[Array, "texels 3"]
+) -> float:
+    """Move what the pixels show, in place, onto the atlas `given + change` as each frame sees it; the shifts' mean
+    length, metres."""
+    width = video.width
+    root = np.asarray(equations.matrix.sum(1)).ravel()
+    start, total, count = 0, 0.0, 0
+    for pixels in video.frames:
+        rows = slice(start, start + len(pixels))
+        start += len(pixels)
+        if not len(pixels):
+            continue
+        matrix, weight = equations.matrix[rows], root[rows, None]
+        before = (matrix @ given) / weight
+        # the part of the picture that holds them
+        row, column = np.divmod(pixels, width)
+        row, column = row - row.min(), column - column.min()
+        known = np.zeros((row.max() + 1, column.max() + 1), bool)
+        known[row, column] = True
+        drawn, frame = np.zeros((2, *known.shape, 3))
+        drawn[row, column] = before + (matrix @ change) / weight
+        frame[row, column] = before + equations.wanted[rows] / weight
+        shift = frame_shift(drawn, frame, known, video.pixel)
+        moved, whole = moved_colors(frame, known, shift)
+        colors = np.where(whole[..., None], moved, frame)[row, column]
+        equations.wanted[rows] = (colors - before) * weight
+        total += float(np.linalg.norm(shift[known], axis=1).sum())
+        count += len(pixels)
+    return video.pixel * total / max(count, 1)
+
+
+def frame_shift(
+    drawn: Float[Array, "height width 3"],
+    frame: Float[Array, "height width 3"],
+    known: Bool[Array, "height width"],
+    pixel: float,
+) -> Float[Array, "height width 2"]:
+    """How far beside each pixel (rows, columns) the frame shows what the texture shows there.
+
+    `drawn` and `frame` hold colors, [0, 1], where `known`; `pixel` is a pixel's width on the person, metres.
+    """
+    window, farthest = WINDOW / pixel, FARTHEST / pixel
+    shift = np.zeros((*known.shape, 2))
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in known.shape), indexing="ij"), -1).astype(np.float64)
+    for blur in BLURS:
+        model, inside = _blurred(drawn, known, blur), gaussian_filter(known.astype(np.float64), blur)
+        ours = _blurred(frame, known, blur)
+        down, across = np.gradient(ours, axis=(0, 1))
+        sure = np.where(inside > 0.9, 1.0, 0.0) * known
+        for _ in range(STEPS):
+            places = grid + shift
+            there = _read(np.concatenate([ours, down, across, sure[..., None]], -1), places)
+            left = model - there[..., :3]
+            gy, gx, weight = there[..., 3:6], there[..., 6:9], there[..., 9] * sure
+            sums = [(a * b).sum(-1) * weight for a, b in ((gy, gy), (gy, gx), (gx, gx), (gy, left), (gx, left))]
+            yy, yx, xx, yl, xl = (gaussian_filter(one, window, truncate=TAIL) for one in sums)
+            yy, xx = yy + STAY, xx + STAY
+            determinant = yy * xx - yx * yx
+            shift += np.stack([(xx * yl - yx * xl) / determinant, (yy * xl - yx * yl) / determinant], -1)
+            length = np.linalg.norm(shift, axis=-1, keepdims=True)
+            shift *= np.minimum(1, farthest / np.maximum(length, 1e-9))
+    return shift
+
+
+def moved_colors(
+    frame: Float[Array, "height width 3"],
+    known: Bool[Array, "height width"],
+    shift: Float[Array, "height width 2"],
+) -> tuple[Float[Array, "height width 3"], Bool[Array, "height width"]]:
+    """The frame's colors beside each pixel, and where all of what they are read from is known."""
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in known.shape), indexing="ij"), -1) + shift
+    found = _read(np.concatenate([frame, known[..., None].astype(np.float64)], -1), grid)
+    return found[..., :3], known & (found[..., 3] > 0.999)
+
+
+def _blurred(
+    image: Float[Array, "height width 3"], known: Bool[Array, "height width"], blur: float
+) -> Float[Array, "height width 3"]:
+    """Means of known pixels."""
+    share = np.maximum(gaussian_filter(known.astype(np.float64), blur), 1e-6)
+    return gaussian_filter(np.where(known[..., None], image, 0.0), (blur, blur, 0)) / share[..., None]
+
+
+def _read(image: Float[Array, "height width channels"], places: Float[Array, "height width 2"]) -> Array:
+    """Bilinear reads at (row, column); 0 outside."""
+    at = np.moveaxis(places, -1, 0)
+    return np.stack([map_coordinates(image[..., c], at, order=1) for c in range(image.shape[-1])], -1)

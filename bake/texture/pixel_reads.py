@@ -1,0 +1,411 @@
+"""Which texels the pixels of a video read: each frame of it as a linear function of the atlas.
+
+A frame is drawn s x s times finer than its pixels. A pixel is then the mean of the bilinear reads of its s x s
+samples, a row of a sparse matrix over the texels. Pixels that lie half on the person are left out; those beside an
+outline or a depth jump, where a millimetre of geometry shows another place, hardly count.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Integer, UInt8
+from scipy.ndimage import maximum_filter
+from scipy.sparse import csr_matrix
+
+from avatar.camera import Camera, pixel_rays
+from avatar.gltf.avatar_file import Level
+from avatar.light import CaptureLight
+from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
+from avatar.skinning import SkinWeights, blended_transforms, dense_weights
+from bake.cone import clamped_tangent, cone_direction
+from bake.field import NumpyField
+from bake.level import Charted, lifted
+from bake.texture.texels import TexelMap, rasterise_charts
+from capture.folder import PartVideo
+from geometry.cells import nearest_marked
+from geometry.mesh import component_labels
+from player.draw.raster import Fragments, Rasteriser
+
+Array = np.ndarray
+
+# cosine between normal and view under which a pixel says nothing
+GRAZING = 0.17
+# power of that cosine in a pixel's weight: a head turns before its camera and is seen well by other frames
+COSINE_POWER = {"body": 2, "head": 8, "hand_left": 2, "hand_right": 2}
+# weight under which a pixel is not worth its memory
+LEAST_WEIGHT = 1e-3
+# metres beside an outline or a jump in depth of JUMP metres, where pixels count RIM as much
+RIM_WIDTH, JUMP, RIM = 0.003, 0.015, 0.05
+# how much the body's video counts where another video looks closer
+FAR_VIDEO = 0.1
+# share of a video's own joints in a place's skin weights: none of the place's pixels count at the first, all above
+# the first two together
+SHARE_BEGIN, SHARE_RISE = 0.3, 0.5
+# the joints of a close-up's own part, and those that its poses hold: the forearm is in the hand's video too
+PART_JOINTS = {
+    "head": [15],
+    "hand_left": [20, *range(LEFT_HAND.start, LEFT_HAND.stop)],
+    "hand_right": [21, *range(RIGHT_HAND.start, RIGHT_HAND.stop)],
+}
+HELD_JOINTS = {
+    **PART_JOINTS,
+    "hand_left": [18, *PART_JOINTS["hand_left"]],
+    "hand_right": [19, *PART_JOINTS["hand_right"]],
+}
+# bytes from which on the light may have been brighter than shown; shading below which a pixel does not count
+BURNT, DARK = 249, 0.15
+# samples of a pixel, per side: about as far apart as texels are, at most so many
+MOST_SAMPLES = 4
+
+
+class AtlasMesh(NamedTuple):
+    """A level of an avatar whose texels are solved for."""
+
+    positions: Float[Array, "corners 3"]  # canonical, metres
+    normals: Float[Array, "corners 3"]
+    faces: Integer[Array, "faces 3"]
+    uv: Float[Array, "corners 2"]
+    skin: SkinWeights
+    share: Float[Array, "corners 52"]  # skin weights, dense
+    joints: Float[Array, "52 3"]
+    texels: TexelMap
+    # for each texel of the atlas the row of `texels` that stands for it: itself or the nearest
+    row_of: Integer[Array, "all"]
+    # mean S and H (avatar/light.py) that the base color shows; None: light and albedo are not apart
+    light: Float[Array, "corners 2"] | None
+    # the connected piece of the surface that each face is of: body, hair
+    piece: Integer[Array, "faces"]
+
+    @property
+    def size(self) -> int:
+        """Texels per side."""
+        return self.texels.size
+
+
+class PixelReads(NamedTuple):
+    """Pixels of some frames."""
+
+    reads: csr_matrix  # pixels x rows of the texel map; rows sum to 1
+    color: Float[Array, "pixels 3"]  # [0, 1] sRGB
+    weight: Float[Array, "pixels"]
+    # the same whatever the angle, as long as it is not grazing
+    visible: Float[Array, "pixels"]
+    place: "Place"  # what lies at each pixel's first sample
+    index: Integer[Array, "pixels"]  # row * width + column of each pixel in its frame
+
+
+class Place(NamedTuple):
+    """Points of the mesh's surface."""
+
+    corners: Integer[Array, "points 3"]
+    weight: Float[Array, "points 3"]  # barycentric
+
+    def of(self, values: Float[Array, "corners channels"]) -> Float[Array, "points channels"]:
+        """Values of the mesh's corners at these points."""
+        return blended(values, self.corners, self.weight)
+
+
+def blended(
+    values: Float[Array, "vertices channels"], corners: Integer[Array, "*n 3"], weight: Float[Array, "*n 3"]
+) -> Float[Array, "*n channels"]:
+    """Barycentric interpolation. Term by term: a sum over an axis of three takes several times as long."""
+    result = weight[..., 0, None] * values[corners[..., 0]]
+    for i in (1, 2):
+        result += weight[..., i, None] * values[corners[..., i]]
+    return result
+
+
+class PosedFrame(NamedTuple):
+    """One frame with the person posed as in it."""
+
+    vertices: Float[Array, "corners 3"]  # metres, the camera's world
+    normals: Float[Array, "corners 3"]  # unit
+    towards: Float[Array, "corners 3"]  # unit, to the camera
+    along: Float[Array, "corners 3"]  # unit, away from the camera, in the canonical frame
+    camera: Camera
+
+    @property
+    def cosine(self) -> Float[Array, "corners"]:
+        """Between normal and direction to the camera."""
+        return (self.normals * self.towards).sum(1)
+
+
+class FrameLight(NamedTuple):
+    """The light of one frame at each vertex, and that of the base color."""
+
+    light: CaptureLight
+    frame: Float[Array, "corners 2"]  # S and H
+    base: Float[Array, "corners 2"]
+
+
+class ViewChange(NamedTuple):
+    """The field's change of color with direction, at the vertices of a level, so that textures hold the base alone.
+
+    The base color is the surface at its global view direction (Eq. 14); a shine that follows the eye is the view
+    network's. Left in the pixels it would be averaged into the texture, and the grid of pixels would show where frames
+    disagree.
+    """
+
+    field: NumpyField
+    points: Float[Array, "corners 3"]  # canonical, on the zero set
+    charted: Charted
+    base: Float[Array, "corners 3"]  # sRGB at the global direction
+
+    def seen_along(self, directions: Float[Array, "corners 3"]) -> Float[Array, "corners 3"]:
+        """Color along unit canonical directions (away from the camera), pulled into the cone, less the base; sRGB."""
+        cone = self.charted.cone
+        along = cone_direction(clamped_tangent(directions, cone), cone)
+        return self.field.color(self.points, along) - self.base
+
+
+def view_change(field: NumpyField, charted: Charted) -> ViewChange:
+    """The change of color at a level's vertices."""
+    points, _ = lifted(field, charted.points, charted.normals)
+    return ViewChange(field, points, charted, field.color(points, charted.cone.direction))
+
+
+def atlas_mesh(level: Level, joints: Float[Array, "52 3"]) -> AtlasMesh:
+    """A level ready to be read by pixels."""
+    uv, faces = level.uv.astype(np.float64), level.faces.astype(np.int64)
+    size = len(level.base_color)
+    texels = rasterise_charts(uv, faces, size)
+    covered = np.zeros((size, size), bool)
+    covered.reshape(-1)[texels.index] = True
+    row = np.full((size, size), -1, np.int32)
+    row.reshape(-1)[texels.index] = np.arange(len(texels.index), dtype=np.int32)
+    skin = SkinWeights(level.joints.astype(np.int64), level.weights.astype(np.float32) / 255)
+    return AtlasMesh(
+        level.positions.astype(np.float64),
+        level.normals.astype(np.float64),
+        faces,
+        uv,
+        skin,
+        dense_weights(skin),
+        np.asarray(joints, np.float64),
+        texels,
+        row[nearest_marked(covered)].reshape(-1),
+        None if level.light is None else level.light.astype(np.float64),
+        pieces_of_faces(level.positions, faces),
+    )
+
+
+def pieces_of_faces(positions: Float[Array, "corners 3"], faces: Integer[Array, "faces 3"]) -> Integer[Array, "faces"]:
+    """The connected piece of each face of a level, whose vertices the atlas split."""
+    _, welded = np.unique(positions, axis=0, return_inverse=True)
+    welded = welded.reshape(-1)
+    return component_labels(welded[faces], int(welded.max()) + 1)[welded[faces[:, 0]]]
+
+
+def posed_frames(mesh: AtlasMesh, video: PartVideo, head_from_canonical: Float[Array, "4 4"]) -> Iterator[PosedFrame]:
+    """The mesh as each frame shows it. The head's video moves rigidly: its cameras are brought to the canonical frame,
+    in metres."""
+    scale = np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
+    for frame, camera in enumerate(video.cameras):
+        if video.axis_angle is None or video.root is None:
+            view = camera.camera_from_world @ head_from_canonical
+            view[:3] /= scale
+            camera = Camera(camera.K, view, camera.size, camera.distortion)
+            vertices, normals, turns = mesh.positions, mesh.normals, None
+        else:
+            transforms = skin_transforms(video.axis_angle[frame], mesh.joints, video.root[frame])
+            M = blended_transforms(mesh.skin, transforms)
+            vertices = np.einsum("vij,vj->vi", M[:, :3, :3], mesh.positions) + M[:, :3, 3]
+            normals = np.einsum("vij,vj->vi", M[:, :3, :3], mesh.normals)
+            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+            turns = M[:, :3, :3]
+        towards = camera.eye - vertices
+        towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
+        along = -towards if turns is None else -np.einsum("vji,vj->vi", turns, towards)
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+        yield PosedFrame(vertices, normals, towards, along, camera)
+
+
+def frame_light(
+    mesh: AtlasMesh, frame: PosedFrame, light: CaptureLight | None, world: Float[Array, "3 3"]
+) -> FrameLight | None:
+    """S and H of a frame; None where light and albedo are not apart. `world` turns the frame's world into the one that
+    the light of a phone carried about stands still in."""
+    if light is None or mesh.light is None:
+        return None
+    turn = frame.camera.camera_from_world[:3, :3] if light.frame == "camera" else world
+    normals = frame.normals @ turn.T
+    found = np.stack([light.shading(normals), light.highlight(normals, frame.towards @ turn.T)], 1)
+    return FrameLight(light, found, mesh.light)
+
+
+def as_base_color(
+    color: Float[Array, "pixels 3"],
+    lit: FrameLight,
+    place: Place,
+) -> Float[Array, "pixels 3"]:
+    """Colors of pixels as the light of the base color would show them."""
+    (shading, highlight), (base, glow) = place.of(lit.frame).T, place.of(lit.base).T
+    return lit.light.shown(lit.light.albedo(color, shading, highlight), base, glow)
+
+
+def vertex_importance(mesh: AtlasMesh, part: str) -> Float[Array, "corners"]:
+    """How much a video is believed about each vertex, [0, 1], by what its poses hold and what looks closer."""
+    if part == "body":
+        closer = sum(_ramp(mesh.share[:, joints].sum(1)) for joints in PART_JOINTS.values())
+        return 1 - (1 - FAR_VIDEO) * np.clip(closer, 0, 1)
+    return _ramp(mesh.share[:, HELD_JOINTS[part]].sum(1))
+
+
+def _ramp(share: Float[Array, "corners"]) -> Float[Array, "corners"]:
+    return np.clip((share - SHARE_BEGIN) / SHARE_RISE, 0, 1)
+
+
+def pixel_size(video: PartVideo, mesh: AtlasMesh, head_from_canonical: Float[Array, "4 4"]) -> float:
+    """Metres of a pixel where the video's own part is, in its middle frame."""
+    frames = list(posed_frames(mesh, video, head_from_canonical))
+    own = vertex_importance(mesh, video.part) > 0.5
+    sizes = []
+    for frame in frames[:: max(len(frames) // 4, 1)]:
+        view = frame.camera.camera_from_world
+        depth = frame.vertices[own] @ view[2, :3] + view[2, 3]
+        sizes.append(float(np.median(depth)) / frame.camera.K[0, 0])
+    return float(np.median(sizes))
+
+
+def video_reads(
+    mesh: AtlasMesh,
+    video: PartVideo,
+    head_from_canonical: Float[Array, "4 4"],
+    rasteriser: Rasteriser,
+    samples: int,
+    light: CaptureLight | None = None,
+    change: ViewChange | None = None,
+) -> Iterator[PixelReads]:
+    """What the pixels of each frame read, `samples` x `samples` places a pixel.
+
+    `light` is divided out of them, and what they show because of where they were seen from (`change`) taken off.
+    """
+    importance = vertex_importance(mesh, video.part)
+    turn = head_from_canonical[:3, :3] / np.cbrt(np.linalg.det(head_from_canonical[:3, :3]))
+    world = turn if video.axis_angle is None else np.eye(3)
+    for number, frame in enumerate(posed_frames(mesh, video, head_from_canonical)):
+        sure = video.masks[number] if video.unsure is None else video.masks[number] & ~video.unsure[number]
+        drawn = drawn_finer(rasteriser, mesh, frame, samples)
+        lit = frame_light(mesh, frame, light, world)
+        own = frame_reads(mesh, frame, drawn, video.images[number], sure, importance, COSINE_POWER[video.part], lit)
+        if change is not None:
+            shown = own.place.of(change.seen_along(frame.along))
+            own = own._replace(color=np.clip(own.color - shown, 0, 1).astype(np.float32))
+        yield own
+
+
+def drawn_finer(rasteriser: Rasteriser, mesh: AtlasMesh, frame: PosedFrame, samples: int) -> Fragments:
+    """The frame with `samples` x `samples` places a pixel, where the camera's own lens puts them."""
+    camera = frame.camera
+    size = (camera.size[0] * samples, camera.size[1] * samples)
+    drawn = rasteriser.draw(frame.vertices, mesh.faces, camera, size)
+    if not camera.distortion.any():
+        return drawn
+    # the rasteriser knows no lens: each place of the picture is looked up where a pinhole shows it
+    _, rays = pixel_rays(camera.resized(size))
+    local = rays @ camera.camera_from_world[:3, :3].T
+    K = camera.resized(size).K
+    column = np.floor((K[0, 0] * local[:, 0] + K[0, 1] * local[:, 1]) / local[:, 2] + K[0, 2]).astype(np.int64)
+    row = np.floor(K[1, 1] * local[:, 1] / local[:, 2] + K[1, 2]).astype(np.int64)
+    inside = (column >= 0) & (column < size[0]) & (row >= 0) & (row < size[1])
+    place = np.where(inside, row * size[0] + column, 0)
+    face = np.where(inside, drawn.face.reshape(-1)[place], -1).reshape(drawn.face.shape)
+    return Fragments(
+        face,
+        drawn.barycentric.reshape(-1, 3)[place].reshape(drawn.barycentric.shape),
+        np.where(face >= 0, drawn.depth.reshape(-1)[place].reshape(face.shape), np.float32(np.inf)),
+    )
+
+
+def frame_reads(
+    mesh: AtlasMesh,
+    frame: PosedFrame,
+    drawn: Fragments,
+    image: UInt8[Array, "height width 3"],
+    sure: Bool[Array, "height width"],
+    importance: Float[Array, "corners"],
+    power: int,
+    lit: FrameLight | None = None,
+) -> PixelReads:
+    """The pixels of one frame that lie on the person as a whole; `sure` are those of its mask."""
+    height, width = sure.shape
+    s = drawn.face.shape[0] // height
+    hit = drawn.face >= 0
+    whole = hit.reshape(height, s, width, s).all((1, 3)) & sure
+    rows, columns = np.nonzero(whole)
+    i, j = np.divmod(np.arange(s * s), s)
+    place = (rows[:, None] * s + i) * (width * s) + columns[:, None] * s + j
+    face = drawn.face.reshape(-1)[place]
+    weight = drawn.barycentric.reshape(-1, 3)[place]
+    corners = mesh.faces[face]
+    values = np.stack([frame.cosine, importance], 1).astype(np.float32)
+    cosine, important = blended(values, corners, weight).mean(1).T
+    visible = important * (cosine > GRAZING) * np.where(_near_rim(frame, drawn, hit, sure)[whole], RIM, 1.0)
+    counts = visible * cosine**power
+    if lit is not None:
+        # a burnt pixel may have been brighter, and what no light reached shows no color
+        known = (image[rows, columns].max(1) < BURNT) & (blended(lit.frame, corners, weight).mean(1)[:, 0] > DARK)
+        counts = counts * known
+    used = counts > LEAST_WEIGHT
+    corners, weight = corners[used], weight[used]
+    place = Place(corners[:, 0], weight[:, 0])
+    uv = blended(mesh.uv.astype(np.float32), corners, weight)
+    reads = bilinear_reads(uv, mesh)
+    color = image[rows[used], columns[used]].astype(np.float32) / 255
+    if lit is not None:
+        color = as_base_color(color, lit, place).astype(np.float32)
+    return PixelReads(
+        reads, color, counts[used].astype(np.float32), visible[used].astype(np.float32), place,
+        rows[used] * width + columns[used],
+    )  # fmt: skip
+
+
+def bilinear_reads(uv: Float[Array, "pixels samples 2"], mesh: AtlasMesh) -> csr_matrix:
+    """Pixels x rows of the texel map: the mean over samples of what a bilinear filter reads."""
+    size = mesh.size
+    place = np.clip(uv * size - 0.5, 0, size - 1)
+    low = np.minimum(np.floor(place).astype(np.int32), size - 2)
+    share = (place - low).astype(np.float32)
+    first = low[..., 1] * size + low[..., 0]
+    texel = np.stack([first, first + 1, first + size, first + size + 1], -1)
+    x, y = share[..., 0], share[..., 1]
+    value = np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], -1) / np.float32(uv.shape[1])
+    pixels, each = len(uv), uv.shape[1] * 4
+    pointers = np.arange(pixels + 1, dtype=np.int32) * each
+    shape = (pixels, len(mesh.texels.index))
+    result = csr_matrix((value.reshape(-1), mesh.row_of[texel.reshape(-1)], pointers), shape)
+    result.sum_duplicates()
+    return result
+
+
+def _near_rim(
+    frame: PosedFrame, drawn: Fragments, hit: Bool[Array, "rows columns"], sure: Bool[Array, "height width"]
+) -> Bool[Array, "height width"]:
+    """Pixels within RIM_WIDTH of an outline, of the person's mask's end, or of a jump in depth."""
+    height, width = sure.shape
+    s = hit.shape[0] // height
+    if not hit.any():
+        return np.zeros_like(sure)
+    depth = np.where(hit, drawn.depth, 1e3)
+    bad = ~hit | ~np.repeat(np.repeat(sure, s, 0), s, 1)
+    across, down = np.abs(np.diff(depth, axis=1)) > JUMP, np.abs(np.diff(depth, axis=0)) > JUMP
+    bad[:, 1:] |= across
+    bad[:, :-1] |= across
+    bad[1:] |= down
+    bad[:-1] |= down
+    sample = float(np.median(drawn.depth[hit])) / (frame.camera.K[0, 0] * s)
+    reach = int(np.ceil(RIM_WIDTH / sample))
+    bad = maximum_filter(bad, size=2 * reach + 1)
+    return np.asarray(bad.reshape(height, s, width, s).any((1, 3)))
+
+
+def samples_for(pixel: float, texel: float) -> int:
+    """Samples a side of a pixel of `pixel` metres on texels of `texel` metres."""
+    return int(np.clip(np.ceil(pixel / texel), 1, MOST_SAMPLES))
+
+
+def part_of_corners(mesh: AtlasMesh) -> Integer[Array, "corners"]:
+    """The part of each vertex by its skin weights, index into PARTS."""
+    sums = [mesh.share[:, PART_JOINTS[part]].sum(1) for part in PARTS[1:]]
+    return np.where(np.max(sums, axis=0) > 0.5, np.argmax(sums, axis=0) + 1, 0)

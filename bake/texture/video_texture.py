@@ -1,0 +1,290 @@
+"""Textures from the videos: the atlas solved against the frames at their own resolution, after fusion.
+
+The field's colors come from grids of 3.5 to 8 mm; a frame shows 1 to 8 mm, and forty of them together less. The atlas
+that the field gave is the prior; its change is solved for (texture_solve.py) with chart edges as equations of the same
+problem, what no video saw is filled by material (fill.py), and coarser levels show what the finest does.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Integer
+from scipy.sparse import csr_matrix
+
+from avatar.camera import Camera
+from avatar.skeleton import PARTS
+from bake.level import BakedLevel, PlacesOnFinest, rounded, surface_at, with_picture
+from bake.promises import Facts
+from bake.run_capture import RunVideos
+from bake.texture.fill import TexelSurface, filled_colors
+from bake.texture.frame_alignment import ShownVideo, align_frames
+from bake.texture.pixel_reads import (
+    AtlasMesh,
+    PixelReads,
+    ViewChange,
+    atlas_mesh,
+    part_of_corners,
+    pixel_size,
+    samples_for,
+    video_reads,
+)
+from bake.texture.seams import edge_reads
+from bake.texture.texels import TexelMap, barycentric, spread
+from bake.texture.texture_solve import (
+    Equations,
+    Prior,
+    ShownRange,
+    neighbour_pairs,
+    shown_range,
+    solve_change,
+    within_shown,
+)
+from capture.folder import PartVideo
+from geometry.mesh import TriangleMesh, face_areas
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
+
+Array = np.ndarray
+
+# frames are averaged over k x k pixels before they are read, while a pixel stays within so many texels
+FINEST_PIXEL = 1.3
+# lambda of a texel as wide as a pixel and its growth with the texel's share of a pixel: many small texels under one
+# pixel divide what it shows. mu over lambda.
+STAY, STAY_POWER, SMOOTH = 0.06, 1.5, 4.0
+# mu over lambda where color follows the eye: frames then disagree, and the grids of their pixels would show as ribs
+SMOOTH_SHINY = 16.0
+# weight of a point on a chart edge looking the same from both sides
+AGREE = 1.0
+# frames that show a texel, away from outlines, up to which it counts as unseen, and from which as seen
+UNSEEN, SEEN = 0.3, 1.0
+
+
+class VideoTexture(NamedTuple):
+    """The finest level's atlas from the videos."""
+
+    image: Float[Array, "size size 3"]  # [0, 1] sRGB
+    texels: TexelMap
+    facts: Facts
+
+
+def with_video_textures(
+    levels: list[BakedLevel],
+    places: list[PlacesOnFinest],
+    joints: Float[Array, "52 3"],
+    videos: RunVideos,
+    report: Callable[[str], None] = lambda line: None,
+    change: ViewChange | None = None,
+) -> tuple[list[BakedLevel], Facts]:
+    """The levels with their base color solved against the videos, and what the file says of it.
+
+    `places` are those of the coarser levels; `change` is what the finest level shows beyond its base color, where a
+    view network is to show it.
+    """
+    solved = solve_texture(levels[0], joints, videos, report, change)
+    result = [with_picture(levels[0], solved.image, solved.texels)]
+    for baked, place in zip(levels[1:], places, strict=True):
+        result.append(with_picture(baked, place.read(solved.image), place.texels))
+    return result, solved.facts
+
+
+class ReadVideos(NamedTuple):
+    """What all videos say of an atlas, by PARTS."""
+
+    equations: list[Equations]
+    shown: list[ShownVideo]
+    ranges: list[ShownRange]
+    frames: Float[Array, "texels"]  # frames that show each texel, away from outlines
+    pixel: Float[Array, "parts"]  # metres of a pixel
+    texel: Float[Array, "texels"]  # metres of a texel
+    part: Integer[Array, "texels"]
+
+
+def solve_texture(
+    baked: BakedLevel,
+    joints: Float[Array, "52 3"],
+    videos: RunVideos,
+    report: Callable[[str], None],
+    change: ViewChange | None = None,
+) -> VideoTexture:
+    """The atlas of a level solved against the videos; see the module."""
+    mesh = atlas_mesh(baked.level, joints)
+    given = (baked.level.base_color.reshape(-1, 3)[mesh.texels.index] / np.float32(255)).astype(np.float32)
+    facts: Facts = {}
+    found = read_videos(mesh, given, videos, change, facts, report)
+    seams = seam_equations(mesh, baked, given)
+    stay = STAY * (found.texel / found.pixel[found.part]) ** STAY_POWER
+    smooth = SMOOTH if change is None else SMOOTH_SHINY
+    prior, pairs = Prior(stay, smooth * stay), neighbour_pairs(mesh.texels)
+    solution = solve_change(found.equations, prior, pairs, stiff=seams)
+    if videos.estimated:
+        for name, own, video in zip(PARTS, found.equations, found.shown, strict=True):
+            facts[name]["moved_mm"] = rounded(align_frames(own, video, given, solution) * 1e3)
+        moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
+        report(f"frames moved onto the texture they agree on, mm: {moved}")
+        solution = solve_change(found.equations, prior, pairs, stiff=seams)
+    surface = texel_surface(baked, mesh, found.texel)
+    solved = np.clip(within_shown(given + solution, given, surface.points, found.ranges), 0, 1)
+    for name, own in zip(PARTS, found.equations, strict=True):
+        left = own.wanted - own.matrix @ (solved - given)
+        facts[name]["rms_after"] = rounded(255 * _rms(left, own.matrix))
+    seen = np.clip((found.frames - UNSEEN) / (SEEN - UNSEEN), 0, 1)[:, None]
+    rest = np.flatnonzero(seen < 1)
+    fill = filled_colors(surface, solved, seen[:, 0] == 1)
+    solved[rest] = seen[rest] * solved[rest] + (1 - seen[rest]) * fill
+    image = spread(solved.astype(np.float64), mesh.texels)
+    unseen = float(np.average(seen[:, 0] < 0.5, weights=found.texel**2))
+    facts["unseen_share"] = rounded(unseen)
+    report(f"textures: {unseen * 100:.0f} % of the surface was in no video, filled by material")
+    return VideoTexture(image, mesh.texels, facts)
+
+
+def read_videos(
+    mesh: AtlasMesh,
+    given: Float[Array, "texels 3"],
+    videos: RunVideos,
+    change: ViewChange | None,
+    facts: Facts,
+    report: Callable[[str], None],
+) -> ReadVideos:
+    """The equations of all videos on the atlas `given`. What the file says of each video goes into `facts`."""
+    texel = texel_sizes(mesh)
+    part = part_of_corners(mesh)[mesh.faces[mesh.texels.face]].max(1)
+    found = ReadVideos([], [], [], np.zeros(len(given)), np.full(len(PARTS), np.inf), texel, part)
+    context = open_context()
+    try:
+        rasteriser = Rasteriser(context)
+        for index, name in enumerate(PARTS):
+            video = videos.video(name)
+            own = float(np.median(texel[part == index] if (part == index).any() else texel))
+            seen_size = pixel_size(video, mesh, videos.head_from_canonical)
+            video = averaged(video, averaging(seen_size, own))
+            pixel = found.pixel[index] = pixel_size(video, mesh, videos.head_from_canonical)
+            samples, light = samples_for(pixel, own), videos.lights.get(name)
+            reads = video_reads(mesh, video, videos.head_from_canonical, rasteriser, samples, light, change)
+            read = equations_of(reads, given, mesh.positions)
+            found.ranges.append(shown_range(read.places, read.colors, max(pixel, own)))
+            found.equations.append(read.equations)
+            found.shown.append(ShownVideo(read.frames, video.cameras[0].size[0], pixel))
+            np.add(found.frames, np.square(pixel / texel) * read.shown, out=found.frames)
+            facts[name] = {
+                "pixel_mm": rounded(seen_size * 1e3),
+                "pixels": len(read.equations.wanted),
+                "rms_before": rounded(read.rms * 255),
+            }
+            report(
+                f"{name}: {len(video.images)} frames, {seen_size * 1e3:.2f} mm a pixel, texels of {own * 1e3:.2f} mm, "
+                f"{len(read.equations.wanted) / 1e6:.1f} M pixels, {read.rms * 255:.1f} of 255 beside the field's"
+            )
+        rasteriser.release()
+    finally:
+        context.release()
+    return found
+
+
+class VideoEquations(NamedTuple):
+    """What one video says of the atlas."""
+
+    equations: Equations
+    frames: list[Integer[Array, "pixels"]]  # each frame's pixels, in the order of the rows
+    # sum over visible pixels of the share of the texel in the pixel
+    shown: Float[Array, "texels"]
+    rms: float  # root mean square of what pixels show beside the given atlas, weighted
+    places: Float[Array, "rows 3"]  # canonical, metres
+    colors: Float[Array, "rows 3"]
+
+
+def equations_of(
+    reads: Iterable[PixelReads], given: Float[Array, "texels 3"], positions: Float[Array, "corners 3"]
+) -> VideoEquations:
+    """The equations of a video's frames, one matrix, weights multiplied in."""
+    data, indices, lengths, wanted, frames, places, colors = [], [], [], [], [], [], []
+    shown = np.zeros(len(given))
+    for own in reads:
+        matrix, root = own.reads, np.sqrt(own.weight)
+        each = np.diff(matrix.indptr)
+        shown += np.bincount(matrix.indices, matrix.data * np.repeat(own.visible, each), len(given))
+        wanted.append(((own.color - matrix @ given) * root[:, None]).astype(np.float32))
+        data.append(matrix.data * np.repeat(root, each))
+        indices.append(matrix.indices)
+        lengths.append(each)
+        frames.append(own.index.astype(np.int32))
+        places.append(own.place.of(positions).astype(np.float32))
+        colors.append(own.color)
+    pointers = np.r_[0, np.cumsum(_joined(lengths), dtype=np.int64)]
+    if pointers[-1] < 2**31:
+        pointers = pointers.astype(np.int32)
+    shape = (len(pointers) - 1, len(given))
+    matrix = csr_matrix((_joined(data), _joined(indices), pointers), shape)
+    equations = Equations(matrix, _joined(wanted))
+    rms = _rms(equations.wanted, matrix)
+    return VideoEquations(equations, frames, shown, rms, _joined(places), _joined(colors))
+
+
+def _joined(pieces: list[Array]) -> Array:
+    """The pieces as one array; the list is emptied, or large videos would be in memory twice."""
+    result = np.concatenate(pieces)
+    pieces.clear()
+    return result
+
+
+def _rms(left: Float[Array, "rows 3"], matrix: csr_matrix) -> float:
+    """Root mean square of weighted residuals, over the weights: the rows of `matrix` sum to their square roots."""
+    weight = np.square(np.asarray(matrix.sum(1))).sum()
+    return float(np.sqrt(np.square(left).sum() / max(3 * float(weight), 1e-12)))
+
+
+def seam_equations(mesh: AtlasMesh, baked: BakedLevel, given: Float[Array, "texels 3"]) -> Equations:
+    """Points on chart edges look the same from both sides in the finest mip."""
+    rows, columns, values, count = edge_reads(mesh.uv, baked.edges, mesh.size)
+    matrix = csr_matrix((values.astype(np.float32), (rows, mesh.row_of[columns])), (count, len(given)))
+    matrix = (matrix * np.float32(np.sqrt(AGREE))).tocsr()
+    return Equations(matrix, -(matrix @ given))
+
+
+def texel_sizes(mesh: AtlasMesh) -> Float[Array, "texels"]:
+    """Metres of each texel's side on the surface."""
+    corners = mesh.uv[mesh.faces] * mesh.size
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    covered = 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    side = np.sqrt(face_areas(mesh.positions, mesh.faces) / np.maximum(covered, 1e-6))
+    middle = np.median(side[mesh.texels.face])
+    return np.clip(side, 0.1 * middle, 10 * middle)[mesh.texels.face]
+
+
+def averaging(pixel: float, texel: float) -> int:
+    """Over how many pixels a side frames may be averaged, as a texel is no finer."""
+    return int(np.clip(np.floor(FINEST_PIXEL * texel / pixel), 1, 8))
+
+
+def averaged(video: PartVideo, k: int) -> PartVideo:
+    """The video with k x k pixels as one; masks where all of them are on the person."""
+    if k == 1:
+        return video
+    frames, height, width = video.masks.shape
+    rows, columns = height // k, width // k
+
+    def blocks(images: Array) -> Array:
+        return images[:, : rows * k, : columns * k].reshape(frames, rows, k, columns, k, *images.shape[3:])
+
+    images = np.stack([np.round(one.mean((1, 3))).astype(np.uint8) for one in blocks(video.images)])
+    cameras = []
+    for camera in video.cameras:
+        scale = np.diag([1 / k, 1 / k, 1.0])
+        cameras.append(Camera(scale @ camera.K, camera.camera_from_world, (columns, rows), camera.distortion))
+    unsure = None if video.unsure is None else blocks(video.unsure).any((2, 4))
+    return replace(video, images=images, masks=blocks(video.masks).all((2, 4)), cameras=tuple(cameras), unsure=unsure)
+
+
+def texel_surface(baked: BakedLevel, mesh: AtlasMesh, texel: Float[Array, "texels"]) -> TexelSurface:
+    """The texels as places of the welded mesh."""
+    welded, index = np.unique(mesh.positions, axis=0, return_inverse=True)
+    faces = index.reshape(-1)[mesh.faces]
+    weight = np.clip(barycentric(mesh.uv, mesh.faces, mesh.texels, np.zeros(2)), 0, 1)
+    weight /= weight.sum(1, keepdims=True)
+    points, facing, _ = surface_at(baked.charted, mesh.texels, np.zeros(2))
+    return TexelSurface(
+        TriangleMesh(welded, faces), faces[mesh.texels.face], weight, points, facing, np.square(texel),
+        mesh.piece[mesh.texels.face],
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""The trained field drawn by itself, the truth of the model."""

@@ -1,0 +1,107 @@
+"""What is evaluated, a run's field or a baked avatar, as a surface to pose and a picture to draw."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from avatar.camera import Camera
+from avatar.gltf.avatar_file import Avatar, Level, read_avatar
+from bench.field.posed_field import Directions, MaskedPicture, PosableSurface, PosedField, averaged
+from bench.score import metrics
+from player.draw.raster import Rasteriser
+from player.effects.light import Light
+from player.gl.context import opened
+from player.scene.effects import PLAIN
+from player.scene.renderer import Renderer
+from train.run import Run, read_run
+
+
+def level_surface(avatar: Avatar, level: Level) -> PosableSurface:
+    """One level of a baked avatar as a posable mesh."""
+    return PosableSurface(
+        level.positions.astype(np.float64),
+        level.faces.astype(np.int64),
+        level.skin,
+        np.asarray(avatar.joint_positions, np.float64),
+        np.asarray(avatar.canonical_pose, np.float64),
+    )
+
+
+# paper mode, in the light of the videos where the file keeps it apart from the albedo: so the truth was taken
+FILMED = replace(PLAIN, view="off", light=Light())
+
+
+class Drawer:
+    """Draws the field of a run (a folder) or a baked avatar (a file) as filmed, and gives back what it made."""
+
+    def __init__(self, source: Path | Run, directions: Directions = "global"):
+        self.path = source.path if isinstance(source, Run) else Path(source)
+        self.directions: Directions = directions  # a field's alone
+        self.field: PosedField | None = None
+        self.avatar: Avatar | None = None
+        if isinstance(source, Run) or self.path.is_dir():
+            run = source if isinstance(source, Run) else read_run(self.path)
+            self.provenance = run.provenance
+            self.field = PosedField(run)
+            self.surface = self.field.surface
+        else:
+            self.avatar = read_avatar(self.path)
+            self.provenance = self.avatar.provenance
+            self.surface = level_surface(self.avatar, self.avatar.levels[0])
+        self.context = opened("auto", None)
+        self.raster = Rasteriser(self.context)
+        self.renderers: dict[tuple[int, int], Renderer] = {}
+
+    def draw(
+        self,
+        axis_angle: Float[np.ndarray, "52 3"],
+        root: Float[np.ndarray, "3"],
+        camera: Camera,
+        samples: int = 1,
+        where: Bool[np.ndarray, "height width"] | None = None,
+    ) -> MaskedPicture:
+        """One picture on black; `samples` squared rays for each pixel, averaged. A field is asked for colors only
+        `where` they are looked at."""
+        if self.field is not None and where is not None:
+            pose = axis_angle, root
+            return drawn_where(self.field, self.raster, pose, camera, samples, where, self.directions)
+        if self.field is not None:
+            return self.field.draw(self.raster, axis_angle, root, camera, samples=samples, directions=self.directions)
+        assert self.avatar is not None
+        size = (samples * camera.size[0], samples * camera.size[1])
+        if size not in self.renderers:
+            self.renderers[size] = Renderer(self.context, [self.avatar], size, effects=FILMED)
+        pixels = self.renderers[size].draw([(axis_angle, root)], camera).astype(np.float32) / 255
+        return averaged(pixels[..., :3], pixels[..., 3] > 0.5, samples)
+
+    def release(self) -> None:
+        for renderer in self.renderers.values():
+            renderer.release()
+        self.raster.release()
+        self.context.release()
+
+
+def drawn_where(
+    field: PosedField,
+    raster: Rasteriser,
+    pose: tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]],
+    camera: Camera,
+    samples: int,
+    where: Bool[np.ndarray, "height width"],
+    directions: Directions = "global",
+) -> MaskedPicture:
+    """The field's picture, drawn only in the rectangle of `where`; nothing outside it."""
+    height, width = where.shape
+    whole = MaskedPicture(np.zeros((height, width, 3), np.float32), np.zeros((height, width), bool))
+    rectangle = metrics.rectangle(where)
+    if rectangle is None:
+        return whole
+    rows, columns = rectangle
+    K = camera.K.copy()
+    K[:2, 2] -= columns.start, rows.start
+    part = Camera(K, camera.camera_from_world, (columns.stop - columns.start, rows.stop - rows.start))
+    drawn = field.draw(raster, *pose, part, samples=samples, where=where[rectangle], directions=directions)
+    whole.color[rectangle], whole.mask[rectangle] = drawn.color, drawn.mask
+    return whole

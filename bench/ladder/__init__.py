@@ -1,0 +1,1 @@
+"""Rungs of accuracy against time, measured on this machine."""

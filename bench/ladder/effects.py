@@ -1,0 +1,230 @@
+"""What each effect costs on this machine (`selfscan bench --effects`): alone and all together, beside a bare frame.
+
+Each case and the bare scene draw the same frames of a walk in turn; `times_bare` is the median of the ratios of
+neighbours, so that a slow stretch of a shared machine falls on both. `cpu_times_bare` is the same of processor time,
+all threads together: of a software rasteriser it holds on a busy machine too. Nothing is read back.
+"""
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+from avatar.baked_avatar import Avatar
+from avatar.camera import Camera
+from avatar.motion.clip import Motion
+from bench.ladder.machine import machine
+from bench.ladder.quiet import Quiet, warning
+from bench.report.contact import save_sheet, sheet
+from bench.report.writer import Json, markdown_table, write_json, write_text
+from command.settings import settings_of
+from files.whole import whole_folder
+from player.draw.plan import PassState
+from player.effects.ground import Ground
+from player.effects.light import Light
+from player.film.exposure import View, exposures
+from player.gl.context import Context, opened
+from player.scene.effects import PLAIN, STUDIO, Effects
+from player.scene.framing import extent, fitted_camera
+from player.scene.motions import motion_for
+from player.scene.renderer import Renderer
+from player.scene.track import Track
+
+SIZE = (640, 640)
+# a case draws these frames of the walk, a second and a bit, again and again
+FRAMES = range(10, 50, 2)
+# one that is shown
+SHOWN = 33
+# radians: from a little to the side and above, so that the ground is seen
+SIDE, ABOVE = 0.45, 0.18
+
+
+@dataclass(frozen=True)
+class Case:
+    """Effects that are timed together."""
+
+    name: str
+    effects: Effects
+    # the same frame again and again
+    still: bool = False
+
+
+def cases() -> list[Case]:
+    """Each effect alone, some in two ways, and all of them together."""
+    out, everything = [], replace(PLAIN, view="off", skinning="dual_quaternion", antialiasing="fxaa")
+    bare = replace(PLAIN, view="off")
+    for setting in settings_of(Effects):
+        if setting.table is None:
+            continue
+        # the capture's light lights nothing where the file holds none
+        wish = Light("lamps") if setting.table is Light else setting.table()
+        everything = replace(everything, **{setting.name: wish})
+        out.append(Case(setting.name.replace("_", " "), replace(bare, **{setting.name: wish})))
+    shadow = replace(bare, ground=Ground("shadow"))
+    out += [
+        Case("ground: the shadow alone", shadow),
+        Case("ground: the shadow alone, at rest", shadow, still=True),
+        Case("dual quaternions", replace(bare, skinning="dual_quaternion")),
+        Case("antialiasing: fxaa", replace(bare, antialiasing="fxaa")),
+        Case("antialiasing: msaa", replace(bare, antialiasing="msaa")),
+        Case("all, but for films' own", replace(everything, motion_blur=None, depth_of_field=None)),
+        Case("everything", everything),
+    ]
+    return out
+
+
+class Drawn:
+    """One case on a renderer of its own."""
+
+    def __init__(self, context: Context, avatar: Avatar, motion: Motion, case: Case, camera: Camera):
+        joints = avatar.joint_positions
+        self.track = Track(motion.read, motion.frames, motion.rate, joints=joints, foot_lock=case.effects.foot_lock)
+        self.case, self.camera, self.seconds = case, camera, 0.0
+        self.renderer = Renderer(context, [avatar], camera.size, effects=case.effects, background=STUDIO)
+
+    def views(self, frame: int) -> list[View]:
+        """What is drawn for one frame of a film."""
+        if self.case.still:
+            frame = SHOWN
+        rate = self.track.rate
+
+        def view_at(share: float) -> View:
+            seconds = frame / rate
+            pose = self.track.pose_beside(seconds, share / rate) if share else self.track.pose(seconds)
+            return [pose], self.camera
+
+        return exposures(self.case.effects, view_at, self.renderer.posers)
+
+    def ms(self, frame: int) -> tuple[float, float]:
+        """Of posing and drawing a frame, without reading it back: passed, and spent by processors."""
+        gl, target = self.renderer.context.gl, self.renderer.target
+        assert target is not None
+        gl.finish()
+        start, spent = time.perf_counter(), time.process_time()
+        views = self.views(frame)
+        self.move(frame)
+        for poses, camera in views:
+            self.renderer.draw_into(target, poses, camera)
+        gl.finish()
+        return 1e3 * (time.perf_counter() - start), 1e3 * (time.process_time() - spent)
+
+    def move(self, frame: int) -> None:
+        """Loose parts go on by one frame of 60 a second, to the pose that is drawn."""
+        if self.renderer.moves:
+            self.seconds += 1 / 60
+            self.renderer.move([self.track.pose((SHOWN if self.case.still else frame) / self.track.rate)], self.seconds)
+
+    def picture(self) -> np.ndarray:
+        for frame in range(SHOWN + 1):
+            self.move(frame)
+        return self.renderer.expose(self.views(SHOWN))[..., :3].copy()
+
+    def passes(self) -> list[str]:
+        """Those that drew in the picture."""
+        return [one.item.name for one in self.renderer.drawn if one.decision.state in (PassState.RUNS, PassState.KEPT)]
+
+
+def bench_effects(avatar: Avatar, out: Path, *, rounds: int = 20, size: tuple[int, int] = SIZE) -> Json:
+    """Time every case, write effects.json, effects.md and effects.png into folder `out`."""
+    context = opened("auto", None)
+    try:
+        motion = motion_for(avatar, "walking")
+        points = extent(avatar, motion.read(FRAMES.start, FRAMES.stop))
+        camera = fitted_camera(points, SIDE, size, elevation=ABOVE)
+        bare = Drawn(context, avatar, motion, Case("bare", replace(PLAIN, view="off")), camera)
+        reference, rows, pictures = bare.picture(), [], []
+        base, base_passes = [], bare.passes()
+        with Quiet() as quiet:
+            for case in cases():
+                drawn = Drawn(context, avatar, motion, case, camera)
+                try:
+                    bare_ms, with_it = timed_in_turns(bare, drawn, rounds)
+                    base += bare_ms[:, 0].tolist()
+                    times = np.median(with_it / bare_ms, axis=0)
+                    pictures.append(drawn.picture())
+                    ran = [name for name in drawn.passes() if name not in base_passes]
+                    rows.append(
+                        {
+                            "name": case.name,
+                            "ms": round(float(np.median(with_it[:, 0])), 3),
+                            "times_bare": round(float(times[0]), 3),
+                            "cpu_times_bare": round(float(times[1]), 3),
+                            "bytes": drawn.renderer.plan.bytes - bare.renderer.plan.bytes,
+                            "passes": len(ran),
+                            "ran": ran,
+                        }
+                    )
+                finally:
+                    drawn.renderer.release()
+        bare.renderer.release()
+        facts = machine(context.renderer, context.kind)
+    finally:
+        context.release()
+    result = {
+        "format": "selfscan-bench-effects",
+        "machine": facts | {"others_cpu_share": quiet.others},
+        "warning": warning(quiet.others, facts["load_average"]),
+        "avatar": avatar.name,
+        "triangles": len(avatar.levels[0].faces),
+        "size": list(size),
+        "rounds": rounds,
+        "bare_ms": round(float(np.median(base)), 3),
+        "effects": rows,
+    }
+    with whole_folder(out) as folder:
+        write_json(folder / "effects.json", result)
+        write_text(folder / "effects.md", effects_markdown(result))
+        save_sheet(folder / "effects.png", _sheet(reference, pictures, result))
+    return result
+
+
+def timed_in_turns(
+    bare: Drawn, drawn: Drawn, rounds: int
+) -> tuple[Float[np.ndarray, "rounds 2"], Float[np.ndarray, "rounds 2"]]:
+    """Milliseconds of neighbouring frames, bare and with the effect: passed, and spent by processors."""
+    drawn.ms(SHOWN)
+    pairs = []
+    for number in range(rounds):
+        frame = FRAMES[number % len(FRAMES)]
+        # each draws another frame first, untimed: the caches hold its own
+        other = FRAMES[(number + 3) % len(FRAMES)]
+        bare.ms(other)
+        before = bare.ms(frame)
+        drawn.ms(other)
+        pairs.append((before, drawn.ms(frame)))
+    bare_ms, with_it = (np.array(part) for part in zip(*pairs, strict=True))
+    return bare_ms, with_it
+
+
+def effects_markdown(result: Json) -> str:
+    """The table, and where it was measured."""
+    facts = result["machine"]
+    lines = [
+        "# What each effect costs",
+        "",
+        f"{result['avatar']}, {result['triangles']} triangles, {' x '.join(map(str, result['size']))} pixels; "
+        f"{facts['renderer']}; {facts['cpu']}, {facts['cores']} cores; load {facts['load_average']:.1f}; commit "
+        f"{facts['commit']}. A bare frame takes {result['bare_ms']:.2f} ms; `times` is the median over "
+        f"{result['rounds']} pairs of neighbouring frames, bare and with the effect. Nothing is read back. Bytes are "
+        "those of GL memory beyond the bare scene's.",
+        "",
+    ]
+    rows = [
+        [row["name"], f"{row['ms']:.2f}", f"{row['times_bare']:.2f}", f"{row['cpu_times_bare']:.2f}",
+         f"{row['bytes'] / 1e6:.2f}", str(row["passes"]), ", ".join(row["ran"])]
+        for row in result["effects"]
+    ]  # fmt: skip
+    lines += markdown_table(["effect", "ms", "times bare", "processor time, times bare", "MB", "passes", "which"], rows)
+    if result["warning"]:
+        lines += ["", result["warning"]]
+    return "\n".join([*lines, "", "![each effect: without it, and with it](effects.png)", ""])
+
+
+def _sheet(reference: np.ndarray, pictures: list[np.ndarray], result: Json) -> Image.Image:
+    """Pairs: the bare scene, and the scene with the effect."""
+    rows = [[reference, picture] for picture in pictures]
+    titles = [["bare", f"{row['name']}, {row['times_bare']:.2f} x"] for row in result["effects"]]
+    return sheet(rows, titles, f"effects of {result['avatar']}", columns=4)

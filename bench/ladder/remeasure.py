@@ -1,0 +1,141 @@
+"""What an avatar file says was lost in baking, measured again with the run it came from.
+
+The field is drawn on the run's own surface, posed by the run's own weights: nothing that is compared was made by
+the bake on both sides, so that wrong skin weights or a broken mesh in the file show as well.
+"""
+
+
+import numpy as np
+from jaxtyping import Integer
+from scipy.spatial import KDTree
+
+from avatar.baked_avatar import Avatar, Level
+from avatar.skeleton import PARTS
+from avatar.skinning import strongest_four
+from bake import measure
+from bake.bake import run_surface, score_json
+from bake.field import numpy_field
+from bake.level import rounded
+from bench.report.writer import Json
+from capture.held_out import HeldOutView
+from geometry.mesh import TriangleMesh, face_areas
+from train.run import BakeSource
+
+
+def field_surface(run: BakeSource) -> measure.FieldSurface:
+    """The run's field on the run's own mesh."""
+    field, joints = numpy_field(run.field), np.asarray(run.subject.joints, np.float64)
+    origin = run_surface(run.surface, len(joints))
+    normals = np.asarray(run.surface.normals, np.float64)
+    mesh = TriangleMesh(origin.vertices, origin.faces)
+    return measure.FieldSurface(
+        mesh, normals, strongest_four(origin.weights), origin.cone, joints, field.distance, field.color
+    )
+
+
+def remeasured(avatar: Avatar, run: BakeSource, held_out: dict[str, list[HeldOutView]]) -> Json:
+    """`said`: what the file holds; `found`: the same measured now; `on_held_out`: on pictures of the capture.
+
+    A file whose textures are from the videos was compared with the field before it got them: what is found against
+    the field is then how much they changed, and is no difference from what the file says.
+    """
+    surface = field_surface(run)
+    said = recorded_facts(avatar)
+    views = measure.test_views(surface.joints, said["against_field"].get("image", 512))
+    found = {
+        "against_field": score_json(measure.compare(avatar, surface, views)),
+        "levels": [level_facts_again(level, surface, run) for level in avatar.levels],
+    }
+    videos = textures_from_videos(avatar)
+    compared = {key: value for key, value in found.items() if not (videos and key == "against_field")}
+    out: Json = {
+        "texture_from": "videos" if videos else "field",
+        "said": said,
+        "found": found,
+        "differences": differences(said, compared),
+    }
+    pictures = [scored_view(view, name) for name, group in held_out.items() for view in group]
+    if pictures:
+        score = measure.compare(avatar, surface, pictures)
+        worst = min(score.per_view, key=lambda name: score.per_view[name])
+        out["on_held_out"] = {
+            **score_json(score),
+            "worst_db": rounded(score.per_view[worst]),
+            "worst": worst,
+            "pictures": len(pictures),
+        }
+    return out
+
+
+def recorded_facts(avatar: Avatar) -> Json:
+    """The part of a bake's provenance that is measured again; empty where the file does not say."""
+    baked = avatar.provenance.get("baked")
+    baked = baked if isinstance(baked, dict) else {}
+    against, levels = baked.get("against_field"), baked.get("levels")
+    return {
+        "against_field": against if isinstance(against, dict) else {},
+        "levels": [level for level in levels if isinstance(level, dict)] if isinstance(levels, list) else [],
+    }
+
+
+def textures_from_videos(avatar: Avatar) -> bool:
+    """Whether the file's textures were solved against the videos, rather than read from the field."""
+    baked = avatar.provenance.get("baked")
+    return isinstance(baked, dict) and baked.get("texture_from") == "videos"
+
+
+def scored_view(view: HeldOutView, group: str) -> measure.ScoredView:
+    """A held-out picture's pose and camera."""
+    name = f"{view.view} of {group.replace('_', ' ')} {view.pose_index}"
+    return measure.ScoredView(name, view.axis_angle, view.root, view.camera, group)
+
+
+def level_facts_again(level: Level, surface: measure.FieldSurface, run: BakeSource) -> Json:
+    """Distance of a level's triangles to the field, triangles and texel side by part."""
+    mesh = TriangleMesh(level.positions.astype(np.float64), level.faces.astype(np.int64))
+    away = measure.field_to_mesh(surface.distance, mesh)
+    part = parts_of_faces(mesh, surface.mesh, np.asarray(run.surface.part, np.int64))
+    height, width = level.base_color.shape[:2]
+    corners = level.uv.astype(np.float64)[mesh.faces] * [width, height]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    texels = 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    areas = face_areas(mesh.vertices, mesh.faces)
+    out: Json = {
+        "faces": len(mesh.faces),
+        "field_to_mesh_mm": {"mean": rounded(away.mean() * 1e3), "max": rounded(away.max() * 1e3)},
+        "faces_by_part": {name: int((part == i).sum()) for i, name in enumerate(PARTS)},
+        "texel_mm_by_part": {},
+        "triangle_mm_by_part": {},
+    }
+    for number in np.unique(part):
+        own = part == number
+        square = 1e6 * areas[own].sum()
+        out["texel_mm_by_part"][PARTS[number]] = rounded(float(np.sqrt(square / max(texels[own].sum(), 1e-9))))
+        out["triangle_mm_by_part"][PARTS[number]] = rounded(float(np.sqrt(square / own.sum())))
+    return out
+
+
+def parts_of_faces(
+    mesh: TriangleMesh, origin: TriangleMesh, part: Integer[np.ndarray, "vertices"]
+) -> Integer[np.ndarray, "faces"]:
+    """Part of each face: of the run's vertex nearest to its middle."""
+    _, nearest = KDTree(origin.vertices).query(mesh.vertices[mesh.faces].mean(1))
+    return part[nearest]
+
+
+def differences(said: Json, found: Json) -> dict[str, float]:
+    """How far each number that was measured again lies from the one in the file, by its place."""
+    out: dict[str, float] = {}
+
+    def walk(one: object, other: object, place: str) -> None:
+        if isinstance(one, dict) and isinstance(other, dict):
+            for key in one.keys() & other.keys():
+                walk(one[key], other[key], f"{place}.{key}".lstrip("."))
+        elif isinstance(one, list) and isinstance(other, list):
+            for number, pair in enumerate(zip(one, other)):
+                walk(*pair, f"{place}[{number}]")
+        elif isinstance(one, (int, float)) and isinstance(other, (int, float)):
+            out[place] = round(float(other - one), 4)
+
+    walk(said, found, "")
+    return dict(sorted(out.items()))

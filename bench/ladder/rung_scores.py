@@ -1,0 +1,146 @@
+"""How exact the rungs of accuracy against time are: scores over the person, head and hands, and which are dominated."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.stats import binom
+
+from avatar.baked_avatar import Avatar
+from avatar.camera import Camera, project
+from avatar.skeleton import skin_transforms
+from avatar.skinning import skin_points
+from bench.report.writer import Json
+from bench.score.metrics import RUNG_METRICS, ComparedPicture, ImageScores, grown, pooled_score, rectangle
+
+# joints: the head, wrists and fingers
+PARTS = {"head": (15,), "hand_left": (20, *range(22, 37)), "hand_right": (21, *range(37, 52))}
+# pixels round a part that what it does to its edge can reach
+MARGIN = 3
+# pixels; of a smaller part no score can be given
+SMALLEST = 7
+
+
+def crop_of(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice]:
+    """Where pictures are compared: the rectangle of the person, a little wider."""
+    where = rectangle(mask)
+    if where is None:
+        return slice(0, mask.shape[0]), slice(0, mask.shape[1])
+    return grown(where, 4, mask.shape)
+
+
+def part_boxes(
+    avatar: Avatar, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], camera: Camera
+) -> dict[str, tuple[slice, slice]]:
+    """Rows and columns of each part that is in the picture."""
+    level = avatar.levels[0]
+    bones = skin_transforms(axis_angle, avatar.joint_positions, root, rest=avatar.canonical_pose)
+    pixels, depth = project(camera, skin_points(level.positions, level.skin, bones).astype(np.float64))
+    heaviest = np.take_along_axis(level.joints, level.weights.argmax(1)[:, None], 1)[:, 0]
+    width, height = camera.size
+    boxes = {}
+    for name, joints in PARTS.items():
+        points = pixels[np.isin(heaviest, joints) & (depth > 0)]
+        if not len(points):
+            continue
+        left, top = np.clip(points.min(0) - MARGIN, 0, (width, height)).astype(int)
+        right, bottom = np.clip(np.ceil(points.max(0)) + MARGIN, 0, (width, height)).astype(int)
+        if min(right - left, bottom - top) >= SMALLEST:
+            boxes[name] = slice(int(top), int(bottom)), slice(int(left), int(right))
+    return boxes
+
+
+def compared(
+    references: list,
+    drawn: list,
+    crops: list[tuple[slice, slice]],
+    masks: list[Bool[np.ndarray, "height width"]] | None = None,
+) -> Json:
+    """FLIP of each picture over its rectangle and their mean, SSIM, PSNR of the pooled error over the rectangles and,
+    with masks, over those; null with the reason for equal pictures."""
+    pictures = ImageScores(RUNG_METRICS if masks is not None else tuple(m for m in RUNG_METRICS if "mask" not in m.key))
+    for k, (reference, picture, where) in enumerate(zip(references, drawn, crops, strict=True)):
+        pictures.add(ComparedPicture(reference, picture, where, mask=None if masks is None else masks[k]))
+    scores = pictures.scores()
+    out: Json = {n: None if s.value is None else round(s.value, 4) for n, s in scores.items()}
+    each = [pooled_score([sample]).value for sample in pictures.samples.get("flip", [])]
+    out["flip_each"] = [None if value is None else round(value, 5) for value in each]
+    reasons = {n: s.reason for n, s in scores.items() if s.value is None}
+    return out | ({"reasons": reasons} if reasons else {})
+
+
+def flicker(
+    references: list[Float[np.ndarray, "height width 3"]],
+    drawn: list[Float[np.ndarray, "height width 3"]],
+    masks: list[Bool[np.ndarray, "height width"]],
+) -> float:
+    """How much a picture in motion changes otherwise than the reference: mean |change - reference's change| from frame
+    to frame where either shows the person, of 255."""
+    total, count = 0.0, 0
+    for k in range(1, len(references)):
+        change = (drawn[k] - drawn[k - 1]) - (references[k] - references[k - 1])
+        where = masks[k] | masks[k - 1]
+        total += float(np.abs(change[where]).sum())
+        count += 3 * int(where.sum())
+    return round(255 * total / max(count, 1), 4)
+
+
+def row_of(name: str, ms: Float[np.ndarray, "n"], size: int) -> Json:
+    median, tail = float(np.median(ms)), float(np.percentile(ms, 95))
+    interval = [round(edge, 3) for edge in median_interval(ms)]
+    return {
+        "name": name,
+        "ms_median": round(median, 3),
+        "ms_interval": interval,
+        "ms_p95": round(tail, 3),
+        "bytes": int(size),
+    }
+
+
+def median_interval(values: Float[np.ndarray, "n"]) -> tuple[float, float]:
+    """Between which two of the values the median lies with 95 % confidence, whatever their distribution; all of them
+    are too few under 6 values."""
+    ordered = np.sort(values)
+    outside = int(binom.ppf(0.025, len(ordered), 0.5)) if len(ordered) > 5 else 1
+    return float(ordered[outside - 1]), float(ordered[len(ordered) - outside])
+
+
+def mark_dominated(
+    rows: list[Json],
+    times: Sequence[Float[np.ndarray, "rounds"] | None] | None = None,
+    against: str | None = None,
+) -> None:
+    """A rung is dominated when another is surely faster and no less exact in any picture.
+
+    Surely faster: of `times` (of those measured in alternating rounds) the interval of the ratios lies below 1, or the
+    intervals of the two medians do not overlap. `dominated_by` names the most exact that does. `against` names
+    other scores of each row to judge by.
+    """
+    scores = [row if against is None else row[against] for row in rows]
+    for k, row in enumerate(rows):
+        better = [
+            i
+            for i, other in enumerate(rows)
+            if i != k
+            and no_less_exact(scores[i], scores[k])
+            and surely_faster(other, row, None if times is None else times[i], None if times is None else times[k])
+        ]
+        scores[k]["dominated"] = bool(better)
+        scores[k]["dominated_by"] = rows[min(better, key=lambda i: scores[i]["flip"])]["name"] if better else None
+
+
+def no_less_exact(a: Json, b: Json) -> bool:
+    """Whether a's FLIP is nowhere above b's."""
+    return all((x or 0.0) <= (y or 0.0) for x, y in zip(a["flip_each"], b["flip_each"], strict=True))
+
+
+def surely_faster(
+    a: Json,
+    b: Json,
+    times_a: Float[np.ndarray, "rounds"] | None = None,
+    times_b: Float[np.ndarray, "rounds"] | None = None,
+) -> bool:
+    """Whether a's time lies below b's beyond what the measurement leaves open; times of those that took turns."""
+    if times_a is not None and times_b is not None:
+        return median_interval(times_a / times_b)[1] < 1
+    return a["ms_interval"][1] < b["ms_interval"][0]

@@ -1,0 +1,157 @@
+"""The page of accuracy against time: rows, the same frame in each rung, and the avatar itself, to be drawn there."""
+
+import html
+import io
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.resources import files
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from PIL import Image
+
+from avatar.baked_avatar import Avatar
+from avatar.texture import bytes_of
+from bench.report.writer import Json
+from bench.score.metrics import RUNG_METRICS
+from player.budget.rung import Rung, with_halved_textures
+from player.scene.motions import motion_for
+from player.web.packing import packed_avatar, packed_motion
+from player.web.page import (
+    DRAWING,
+    MOST_BYTES,
+    POLICY,
+    blob_elements,
+    filled,
+    json_element,
+    script_of,
+    viewer_facts,
+)
+
+# a difference is shown so many times larger
+ENLARGED = 8
+# the avatar plays so many frames of the counting clip
+CLIP_FRAMES = 150
+# sides of textures are halved at most so often to fit the page
+MOST_HALVINGS = 3
+
+
+class PagePictures(NamedTuple):
+    """One frame: as each rung shows it, its truth where there is one, the person's rectangle, head and hands."""
+
+    by_rung: dict[str, Float[np.ndarray, "height width 3"]]
+    truth: Float[np.ndarray, "height width 3"] | None
+    crop: tuple[slice, slice]
+    parts: dict[str, tuple[slice, slice]]
+
+
+def frontier_page(result: Json, pictures: PagePictures, avatar: Avatar, rungs: Sequence[Rung]) -> str:
+    """The page. The avatar's textures are halved until it is no larger than a page may be; where that does not help, it
+    says that it is without the avatar."""
+    blobs = picture_blobs(result, pictures)
+    draws = {rung.name: rung for rung in rungs}
+    facts: Json = {
+        "result": {**result, "rungs": [{**row, "draw": drawn_by(draws.get(row["name"]))} for row in result["rungs"]]},
+        "picture": picture_facts(pictures),
+        "references": references(result, pictures),
+        "enlarged": ENLARGED,
+        "metrics": [
+            {"key": m.key, "title": m.title, "digits": m.digits, "better": m.better}
+            for m in RUNG_METRICS
+            if m.key != "flip"
+        ],
+        "player": None,
+        "halvings": 0,
+    }
+    text = _text(result, facts, blobs)
+    clip = motion_for(avatar, "counting").read(0, CLIP_FRAMES)
+    motion = packed_motion(clip)
+    for halvings in range(MOST_HALVINGS + 1):
+        smaller = with_halved_textures(avatar, halvings)
+        packed = packed_avatar(smaller)
+        if len(text) + (packed.bytes + motion.bytes) * 4 / 3 < MOST_BYTES - 200_000:
+            player = viewer_facts(smaller, packed, motion, clip)
+            return _text(result, {**facts, "player": player, "halvings": halvings},
+                         {**blobs, **packed.blobs, **motion.blobs})  # fmt: skip
+    return text
+
+
+def _text(result: Json, facts: Json, blobs: dict[str, bytes]) -> str:
+    own = {name: (files("bench.report.frontier") / name).read_text("utf-8") for name in
+           ("page.html", "page.css", "chart.js", "report.js")}  # fmt: skip
+    script = "\n".join((script_of(DRAWING), own["chart.js"], own["report.js"]))
+    return filled(
+        own["page.html"],
+        {
+            "POLICY": POLICY,
+            "TITLE": html.escape(f"{result['avatar']}: what accuracy costs in time"),
+            "STYLE": own["page.css"],
+            "BLOBS": blob_elements(blobs),
+            "FACTS": json_element(facts),
+            "SCRIPT": script,
+        },
+    )
+
+
+def drawn_by(rung: Rung | None) -> Json | None:
+    """How the page draws a rung; None: only the program that measured it can."""
+    if rung is None:
+        return None
+    return {key: value for key, value in asdict(rung).items() if key != "name"}
+
+
+def references(result: Json, pictures: PagePictures) -> list[Json]:
+    """What rungs are compared with, first what the page begins with: true pictures where there are any; the best that
+    the player draws, since an avatar's textures may be better than its field's; the field. `scores`: where a row holds
+    them, None: the row itself does."""
+    names = [row["name"] for row in result["rungs"]]
+    best, baked = result["best_rung"], result["best_baked_rung"]
+    found: list[Json] = []
+    if pictures.truth is not None:
+        found.append({"key": "truth", "scores": "against_truth", "name": "true picture", "picture": "truth"})
+    if best != baked:
+        found.append(
+            {"key": "baked", "scores": "against_baked", "name": baked, "picture": f"picture{names.index(baked)}"}
+        )
+    found.append({"key": "best", "scores": None, "name": best, "picture": f"picture{names.index(best)}"})
+    return found
+
+
+def picture_facts(pictures: PagePictures) -> Json:
+    """Size of the cropped pictures, and where head and hands are in them: left, top, width, height."""
+    rows, columns = pictures.crop
+    boxes = {}
+    for name, (down, across) in pictures.parts.items():
+        boxes[name] = [across.start - columns.start, down.start - rows.start,
+                       across.stop - across.start, down.stop - down.start]  # fmt: skip
+    size = [columns.stop - columns.start, rows.stop - rows.start]
+    return {"size": size, "boxes": boxes}
+
+
+def picture_blobs(result: Json, pictures: PagePictures) -> dict[str, bytes]:
+    """The frame in each rung, and how it differs from what it is compared with, as WebP: to look at, nothing is
+    measured on them."""
+    crop, blobs = pictures.crop, {}
+    compared_with = {
+        "baked": pictures.by_rung[result["best_baked_rung"]],
+        "best": pictures.by_rung[result["best_rung"]],
+    }
+    if pictures.truth is not None:
+        compared_with["truth"] = pictures.truth
+    for number, row in enumerate(result["rungs"]):
+        shown = pictures.by_rung[row["name"]][crop]
+        blobs[f"picture{number}"] = webp(shown)
+        for reference in references(result, pictures):
+            other = compared_with[reference["key"]][crop]
+            blobs[f"difference-{reference['key']}-{number}"] = webp(ENLARGED * np.abs(shown - other))
+    if pictures.truth is not None:
+        blobs["truth"] = webp(pictures.truth[pictures.crop])
+    return blobs
+
+
+def webp(picture: Float[np.ndarray, "height width 3"]) -> bytes:
+    out = io.BytesIO()
+    image = Image.fromarray(bytes_of(picture))
+    image.save(out, "WEBP", quality=90, method=4)
+    return out.getvalue()

@@ -1,0 +1,168 @@
+"""Accuracy against time of one avatar on this machine (`selfscan bench`): a page that plays, table, JSON, plot.
+
+Every rung of the player's ladder, and the field it was baked from when the run is given, is timed on a few
+frames by alternating rounds and compared with the best rung, and with the truth when the capture is given.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from avatar.gltf.avatar_file import Avatar, read_avatar
+from bench.ladder.machine import machine
+from bench.ladder.quiet import Quiet, warning
+from bench.ladder.rung_pictures import (
+    FRAMES,
+    ComparedFrame,
+    flicker_frames,
+    held_out_frames,
+    motion_frames,
+    rung_pictures,
+)
+from bench.ladder.rung_scores import compared, crop_of, flicker, mark_dominated, part_boxes, row_of
+from bench.report.contact import save_sheet
+from bench.report.frontier.page import PagePictures, frontier_page
+from bench.report.rung_page import markdown, plot, rung_sheet
+from bench.report.writer import Json, write_json, write_text
+from files.whole import whole_folder
+from player.budget.ladder import Timing, rungs_of, time_rungs
+from player.budget.rung import Rung
+from player.gl.context import Context, opened
+
+Pictures = dict[str, list[Float[np.ndarray, "height width 3"]]]
+
+
+def bench(
+    avatar_path: Path,
+    out: Path,
+    *,
+    run: Path | None = None,
+    capture: Path | None = None,
+    rounds: int = 20,
+    count: int = FRAMES,
+    size: tuple[int, int] | None = None,
+) -> Json:
+    """Measure the ladder, write bench.html, bench.json, bench.md, pareto.png and rungs.png into folder `out`."""
+    avatar = read_avatar(avatar_path)
+    sized = {} if size is None else {"size": size}
+    frames = held_out_frames(capture, count) if capture is not None else motion_frames(avatar, count, **sized)
+    context = opened("auto", None)
+    try:
+        rungs = rungs_of(avatar)
+        drawn = drawn_rungs(context, avatar, rungs, frames, rounds)
+        if run is not None:
+            drawn = with_field(context, run, frames, drawn)
+        truths = [f.truth.image() for f in frames if f.truth is not None]
+        facts = machine(context.renderer, context.kind)
+    finally:
+        context.release()
+
+    rows, pictures = drawn.rows, drawn.pictures
+    best, baked = rows[0]["name"], rungs[0].name
+    masks = [
+        frame.truth.mask() if frame.truth is not None else picture.max(-1) > 0
+        for frame, picture in zip(frames, pictures[best], strict=True)
+    ]
+    crops = [crop_of(mask) for mask in masks]
+    parts = [part_boxes(avatar, *frame.pose, frame.camera) for frame in frames]
+    others: Pictures = {} if best == baked else {"against_baked": pictures[baked]}
+    others |= {} if capture is None else {"against_truth": truths}
+    for row in rows:
+        shown = pictures[row["name"]]
+        row |= compared(pictures[best], shown, crops, masks) | {"parts": part_scores(pictures[best], shown, parts)}
+        for against, other in others.items():
+            row[against] = compared(other, shown, crops, masks) | {"parts": part_scores(other, shown, parts)}
+    for against in (None, *others):
+        mark_dominated(rows, drawn.times, against)
+    result = {
+        "format": "selfscan-bench",
+        "machine": facts | {"others_cpu_share": drawn.others_share},
+        "warning": warning(drawn.others_share, facts["load_average"]),
+        "avatar": avatar.name,
+        "frames": len(frames),
+        "size": list(frames[0].camera.size),
+        "rounds": rounds,
+        "best_rung": best,
+        "best_baked_rung": baked,
+        "rungs": rows,
+    }
+    first = PagePictures(
+        {name: shown[0] for name, shown in pictures.items()}, truths[0] if truths else None, crops[0], parts[0]
+    )
+    with whole_folder(out) as folder:
+        write_json(folder / "bench.json", result)
+        write_text(folder / "bench.md", markdown(result))
+        write_text(folder / "bench.html", frontier_page(result, first, avatar, rungs))
+        plot(result, folder / "pareto.png")
+        save_sheet(folder / "rungs.png", rung_sheet(result, pictures, crops, truths))
+    return result
+
+
+class DrawnRungs(NamedTuple):
+    """Rungs as they were measured, the best first: rows of the result, milliseconds of those that took turns, and
+    pictures by name."""
+
+    rows: list[Json]
+    times: list[np.ndarray | None]
+    pictures: Pictures
+    # share of the processors that other programs took meanwhile
+    others_share: float | None
+
+
+def drawn_rungs(
+    context: Context, avatar: Avatar, rungs: Sequence[Rung], frames: Sequence[ComparedFrame], rounds: int
+) -> DrawnRungs:
+    """Every rung of the player: time in turns, pictures, flicker."""
+    full = frames[0].camera.size
+    with Quiet() as quiet:
+        timings = time_rungs(context, avatar, rungs, [(f.pose, f.camera) for f in frames], full, rounds=rounds)
+    rows = [timed_row(rung, timing, timings[0]) for rung, timing in zip(rungs, timings, strict=True)]
+    pictures = {rung.name: rung_pictures(context, avatar, rung, frames) for rung in rungs}
+    score_flicker(context, avatar, rungs, rows, full)
+    return DrawnRungs(rows, [timing.ms for timing in timings], pictures, quiet.others)
+
+
+def with_field(context: Context, run: Path, frames: Sequence[ComparedFrame], drawn: DrawnRungs) -> DrawnRungs:
+    """The rungs of the run's field before the player's; they took no turns with those."""
+    from bench.field.rungs import field_rungs  # it brings torch
+
+    rows, times, pictures = list(drawn.rows), list(drawn.times), dict(drawn.pictures)
+    baked_ms = np.median(np.asarray(drawn.times[0]))
+    for name, ms, bytes_, shown in field_rungs(context, run, frames):
+        rows.insert(0, row_of(name, ms, bytes_) | {"times_faster": round(float(baked_ms / np.median(ms)), 5)})
+        times.insert(0, None)
+        pictures = {name: shown} | pictures
+    return DrawnRungs(rows, times, pictures, drawn.others_share)
+
+
+def timed_row(rung: Rung, timing: Timing, best: Timing) -> Json:
+    return row_of(rung.name, timing.ms, timing.bytes) | {
+        "start_ms": round(timing.start_ms, 1),
+        "times_faster": round(float(np.median(best.ms / timing.ms)), 3),
+    }
+
+
+def score_flicker(
+    context: Context, avatar: Avatar, rungs: Sequence[Rung], rows: Sequence[Json], size: tuple[int, int]
+) -> None:
+    """Add to each row how much its clip flickers beside that of the first rung."""
+    frames = flicker_frames(avatar, size)
+    references = rung_pictures(context, avatar, rungs[0], frames)
+    masks: list[Bool[np.ndarray, "height width"]] = [picture.max(-1) > 0 for picture in references]
+    for rung, row in zip(rungs, rows, strict=True):
+        drawn = references if rung is rungs[0] else rung_pictures(context, avatar, rung, frames)
+        row["flicker"] = flicker(references, drawn, masks)
+
+
+def part_scores(references: list, drawn: list, boxes: list[dict[str, tuple[slice, slice]]]) -> Json:
+    """FLIP and PSNR of head and hands, over their rectangles in the pictures that show them."""
+    out = {}
+    for name, kinds in (("head", ("head",)), ("hands", ("hand_left", "hand_right"))):
+        seen = [(a, b, box[kind]) for a, b, box in zip(references, drawn, boxes) for kind in kinds if kind in box]
+        if seen:
+            scores = compared(*map(list, zip(*seen)))
+            out[name] = {key: scores[key] for key in ("psnr_db", "ssim", "flip")}
+    return out

@@ -1,0 +1,200 @@
+"""Accuracy against time as a table, a plot and a sheet of pictures."""
+
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from avatar.texture import bytes_of
+from bench.report.contact import sheet
+from bench.report.writer import Json, markdown_table, number
+from bench.score.metrics import RUNG_METRICS, text_of
+from files.whole import whole_file
+
+# names in the figure, one line each
+MOST_NAMED = 12
+
+
+class Point(NamedTuple):
+    """A rung in the figure."""
+
+    ms: float
+    flip: float
+    name: str
+
+
+def markdown(result: Json) -> str:
+    m = result["machine"]
+    width, height = result["size"]
+    columns = {
+        "against_baked": f"FLIP, PSNR against {result['best_baked_rung']}",
+        "against_truth": "FLIP, PSNR against truth",
+    }
+    columns = {key: name for key, name in columns.items() if any(key in row for row in result["rungs"])}
+    lines = [
+        f"# Accuracy against time: {result['avatar']}",
+        "",
+        *([f"> **{result['warning']}**", ""] if result["warning"] else []),
+        f"{m['cpu']}, {m['cores']} cores, {m['renderer']} ({m['context']}); {width} x {height} px, "
+        f"{result['frames']} frames, {result['rounds']} alternating rounds, load {number(m['load_average'], 1)}. "
+        f"FLIP (0 is equal), SSIM and PSNR against `{result['best_rung']}` over the person's rectangle (box dB), PSNR "
+        f"over the person alone beside it (mask dB); *flicker*: change from frame to frame, of 255, that "
+        f"`{result['best_baked_rung']}` does not have; "
+        "*start*: until the first frame; *faster*: than that rung, median of the rounds' ratios; "
+        "*dominated*: another rung is surely faster and in no picture less exact. `bench.html` shows it.",
+        "",
+    ]
+    scores = [metric for metric in RUNG_METRICS if metric.key != "flip"]
+    head = ["rung", "ms median (95 %)", "p95", "faster", "start ms", "MB", "FLIP", "head", "hands", "flicker"]
+    head += [metric.title for metric in scores] + [*columns.values(), ""]
+    rows = []
+    for row in result["rungs"]:
+        cells = [
+            row["name"],
+            f"{number(row['ms_median'])} ({interval_text(row)})",
+            number(row["ms_p95"]),
+            number(row["times_faster"]),
+            number(row.get("start_ms"), 0),
+            number(row["bytes"] / 1e6, 1),
+            number(row["flip"], 4),
+            *(number(row["parts"].get(part, {}).get("flip"), 4) for part in ("head", "hands")),
+            number(row.get("flicker")),
+            *(text_of(row, metric).replace("inf", "same") for metric in scores),
+            *(f"{number(row[key]['flip'], 4)}, {number(row[key]['psnr_db'])} dB" for key in columns),
+            "dominated" if row["dominated"] else "",
+        ]
+        rows.append(cells)
+    lines += markdown_table(head, rows)
+    lines += ["", "![accuracy against time](pareto.png)", "", trade_sentence(result), "", "![rungs](rungs.png)", ""]
+    return "\n".join(lines)
+
+
+def interval_text(row: Json) -> str:
+    """The median's interval of confidence; a file of before has none."""
+    low, high = row.get("ms_interval", (None, None))
+    return f"{number(low)} - {number(high)}"
+
+
+def shown_scores(result: Json) -> str | None:
+    """Where rows hold the scores that a figure shows: those against true pictures where these were at hand, else None,
+    the row's own against the best rung."""
+    return "against_truth" if all("against_truth" in row for row in result["rungs"]) else None
+
+
+def points_of(result: Json) -> list[Point]:
+    """Median milliseconds and FLIP of every rung."""
+    key = shown_scores(result)
+    scores = [row if key is None else row[key] for row in result["rungs"]]
+    rows = zip(result["rungs"], scores, strict=True)
+    return [Point(row["ms_median"], score["flip"] or 0.0, row["name"]) for row, score in rows]
+
+
+def frontier_of(points: Sequence[Point], most: int = MOST_NAMED) -> list[Point]:
+    """The points than which none is both faster and more exact, by time. Where they are more than `most`, those go
+    first whose neighbours say nearly the same: the area between the steps with and without them is least."""
+    front: list[Point] = []
+    for point in sorted(points):
+        if not front or point.flip < front[-1].flip:
+            front.append(point)
+    while len(front) > most:
+        area = [np.log(b.ms / a.ms) * (b.flip - c.flip) for a, b, c in zip(front, front[1:], front[2:])]
+        del front[1 + int(np.argmin(area))]
+    return front
+
+
+def trade_sentence(result: Json) -> str:
+    """What time gains, in numbers: the most exact rung, the fastest that is as exact as the slowest one, the fastest
+    with no more than twice the least error, and the fastest of all."""
+    points = points_of(result)
+    front, slowest = frontier_of(points, len(points)), max(points)
+    exact, fastest = front[-1], front[0]
+    parts = [f"FLIP is least, {exact.flip:.3f}, at {duration(exact.ms)}"]
+    equal = next(point for point in front if point.flip <= slowest.flip)
+    if equal.ms < 0.5 * slowest.ms:
+        parts.append(f"{duration(equal.ms)} are as exact as {duration(slowest.ms)} ({slowest.name})")
+    twice = next(point for point in front if point.flip <= 2 * exact.flip)
+    for point in dict.fromkeys((twice, fastest)):
+        if point.ms < exact.ms:
+            share = f"leave {point.flip / exact.flip:.1f} times the error" if exact.flip else f"leave {point.flip:.3f}"
+            parts.append(f"{duration(point.ms)} {share}")
+    return "; ".join(parts) + "."
+
+
+def duration(ms: float) -> str:
+    """Milliseconds, or seconds from one on, to two digits."""
+    value, unit = (ms / 1e3, "s") if ms >= 1e3 else (ms, "ms")
+    return f"{value:.0f} {unit}" if value >= 9.95 else f"{value:.1f} {unit}"
+
+
+def plot(result: Json, path: Path) -> None:
+    """Milliseconds against FLIP: the frontier with its names beside it, every other rung a faint dot, and a sentence
+    that says what time buys."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import FormatStrFormatter, NullFormatter
+
+    points = points_of(result)
+    front = frontier_of(points)
+    figure = Figure(figsize=(10, 4.8), dpi=110)
+    axes = figure.add_axes((0.07, 0.2, 0.5, 0.7))
+    rest = [point for point in points if point not in front]
+    axes.scatter([p.ms for p in rest], [p.flip for p in rest], s=12, color="0.85", zorder=1)
+    axes.plot([p.ms for p in front], [p.flip for p in front], "o-", color="tab:blue", markersize=5, zorder=3)
+    axes.set_xscale("log")
+    axes.margins(x=0.06, y=0.06)
+    axes.invert_yaxis()
+    figure.draw_without_rendering()
+    # the frontier rises to the right, so lines to names at the right, in its order, cross neither it nor one another
+    heights = [axes.transAxes.inverted().transform(axes.transData.transform((p.ms, p.flip)))[1] for p in front]
+    for point, height in zip(front, label_heights(heights), strict=True):
+        axes.annotate(
+            f"{duration(point.ms)}, {point.flip:.3f}:  {point.name}",
+            (point.ms, point.flip),
+            xytext=(1.04, height),
+            textcoords="axes fraction",
+            fontsize=7.5,
+            va="center",
+            annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": "0.8", "lw": 0.6, "shrinkA": 0, "shrinkB": 3, "relpos": (0, 0.5)},
+            zorder=2,
+        )
+    axes.xaxis.set_major_formatter(FormatStrFormatter("%g"))
+    few = 3 * min(points).ms > max(points).ms  # under a third of a decade: label all ticks
+    axes.xaxis.set_minor_formatter(FormatStrFormatter("%g") if few else NullFormatter())
+    axes.set_xlabel("ms per frame (median)")
+    reference = result["best_rung"] if shown_scores(result) is None else "true pictures"
+    axes.set_ylabel(f"FLIP against {reference} (0: equal)", fontsize=8)
+    axes.set_title(f"{result['avatar']} on {result['machine']['renderer']}", fontsize=9)
+    axes.grid(alpha=0.2)
+    sentence = textwrap.fill(trade_sentence(result), 120)
+    figure.text(0.5, 0.06, sentence, ha="center", va="center", fontsize=8.5)
+    with whole_file(path) as file:
+        figure.savefig(file, format="png")
+
+
+def label_heights(wanted: Sequence[float]) -> list[float]:
+    """Heights of labels, shares of the figure's axes: in the order of the wanted ones, which rise, one line apart."""
+    apart, placed = 1 / MOST_NAMED, np.asarray(wanted, np.float64).copy()
+    for i in range(1, len(placed)):
+        placed[i] = max(placed[i], placed[i - 1] + apart)
+    placed[-1] = min(placed[-1], 1.0)
+    for i in reversed(range(len(placed) - 1)):
+        placed[i] = min(placed[i], placed[i + 1] - apart)
+    return placed.tolist()
+
+
+def rung_sheet(result: Json, pictures: dict, crops: list, truths: list) -> Image.Image:
+    """The first frame of every rung side by side."""
+    tiles, titles = [], []
+    if truths:
+        tiles.append([bytes_of(truths[0][crops[0]])])
+        titles.append(["truth"])
+    for row in result["rungs"]:
+        tiles.append([bytes_of(pictures[row["name"]][0][crops[0]])])
+        titles.append([f"{row['name']}: {row['ms_median']:.1f} ms"])
+    return sheet(tiles, titles, f"{result['avatar']}: rungs of accuracy against time", columns=min(6, len(tiles)))

@@ -1,0 +1,1 @@
+"""Scores of regions: distances and pictures against the truth."""

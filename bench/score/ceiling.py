@@ -1,0 +1,83 @@
+"""The ceiling of an evaluation: the subject's own mesh and textures, posed by the skin weights that learning uses.
+
+What it loses against the truth no learner can win back: a T-pose video does not show the rig's weights.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from avatar.camera import Camera
+from avatar.skeleton import BIG_POSE
+from bench.field.posed_field import MaskedPicture, PosableSurface
+from bench.report.writer import Json
+from bench.score.true_mesh import TrueMesh
+from capture.folder import read_subject
+from files.npz import read_npz
+from files.picture import read_picture
+from player.draw.raster import Rasteriser
+from synth.light import light_of
+from synth.photo import Studio
+from synth.subject import SynthSubject
+from train.skin import CanonicalSkin
+
+
+def ceiling_surface(capture: Path, truth: TrueMesh) -> PosableSurface:
+    """The true mesh with weights looked up on the capture's template, as training looks them up."""
+    canonical = truth.canonical()
+    template = read_subject(Path(capture) / "subject.npz")
+    skin = CanonicalSkin(template).of_mesh(canonical, truth.faces)
+    return PosableSurface(canonical, truth.faces, skin, np.asarray(template.joints, np.float64), BIG_POSE)
+
+
+class CeilingDrawer:
+    """Pictures of the ceiling in the light of the capture."""
+
+    def __init__(self, raster: Rasteriser, capture: Path, facts: Json, truth: TrueMesh):
+        self.surface = ceiling_surface(capture, truth)
+        self.studio = Studio(raster, true_subject(capture, truth), supersample=1)
+        self.light = light_of(facts["light"], "body", int(facts["seed"]))
+        self.sheen = float(facts.get("sheen", 0.0))
+
+    def draw(
+        self,
+        axis_angle: Float[np.ndarray, "52 3"],
+        root: Float[np.ndarray, "3"],
+        camera: Camera,
+        samples: int,
+        where: Bool[np.ndarray, "height width"] | None = None,
+    ) -> MaskedPicture:
+        """One picture on black; all of it, whatever `where` says: drawing the mesh costs the same."""
+        self.studio.supersample = samples
+        photo = self.studio.take(self.surface.posed(axis_angle, root), camera, self.light, self.sheen)
+        return MaskedPicture((photo.image / np.float32(255)).astype(np.float32), photo.mask > 127)
+
+
+def true_subject(capture: Path, truth: TrueMesh) -> SynthSubject:
+    """The filmed person from the capture's truth folder.
+
+    Raises:
+        AssetError: a texture is missing or the materials name one that is.
+    """
+    folder = Path(capture) / "truth"
+    fields = read_npz(folder / "rest.npz", "ground truth", {"uv", "material"})
+    count = int(fields["material"].max()) + 1
+    textures = []
+    for i in range(count):
+        textures.append(read_picture(folder / f"texture_{i}.png"))
+    return SynthSubject(
+        name="truth",
+        vertices=truth.vertices.astype(np.float32),
+        faces=truth.faces,
+        uv=fields["uv"],
+        material=fields["material"].astype(np.int64),
+        textures=tuple(textures),
+        alpha=(None,) * count,
+        skin=truth.skin,
+        joints=truth.joints,
+        part=truth.part.astype(np.uint8),
+        hair=truth.hair,
+        licence="",
+        eye=truth.eye,
+    )

@@ -1,0 +1,232 @@
+"""Scores, one line of METRICS each: P2S and Chamfer, pooled PSNR, SSIM, FLIP, and LPIPS where its weights exist (they
+are not shipped).
+
+Images are float arrays (H, W, 3) in [0, 1], sRGB, row 0 at the top. A score that cannot be given as a finite
+number is None with the reason in words: identical images have an infinite PSNR, an empty mask has none.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import flip_evaluator
+import numpy as np
+from jaxtyping import Bool, Float
+from skimage.metrics import structural_similarity
+
+from avatar.psnr import PooledError, error_between, pooled
+from bench.score.surface_distance import SurfaceDistance
+
+SSIM_WINDOW = 7  # pixels, scikit-image's default: uniform window
+# pixels: twice FLIP's widest filter, feature after color
+FLIP_REACH = 21
+LPIPS_REASON = "LPIPS needs network weights under their own licence; none are shipped"
+
+
+class Score(NamedTuple):
+    """A finite number, or None and why."""
+
+    value: float | None
+    reason: str = ""
+
+    def text(self, digits: int = 2) -> str:
+        return f"{self.value:.{digits}f}" if self.value is not None else ("inf" if "infinite" in self.reason else "-")
+
+
+Sample = Score | PooledError
+Perceive = Callable[[Float[np.ndarray, "height width 3"], Float[np.ndarray, "_ _ 3"]], Score]  # LPIPS
+
+
+class ComparedPicture(NamedTuple):
+    """One picture beside its truth, and where a region of it is compared."""
+
+    truth: Float[np.ndarray, "height width 3"]
+    image: Float[np.ndarray, "height width 3"]
+    # rows and columns; of those the pixels of `box`, None: all
+    where: tuple[slice, slice]
+    box: Bool[np.ndarray, "height width"] | None = None
+    # the true person or part; None: not known
+    mask: Bool[np.ndarray, "height width"] | None = None
+    # LPIPS, where its weights are at hand
+    perceive: Perceive | None = None
+
+    def cut(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.truth[self.where], self.image[self.where]
+
+    def box_error(self) -> PooledError:
+        return checked_error(*self.cut(), None if self.box is None else self.box[self.where])
+
+
+
+
+class Metric(NamedTuple):
+    """One line of METRICS: everything that measures, merges, prints or plots scores reads it."""
+
+    # in JSON
+    key: str
+    # heading of a column, with its unit
+    title: str
+    digits: int
+    better: Literal["lower", "higher"]
+    # measures one picture; None: nothing can be said of it
+    of_picture: Callable[[ComparedPicture], Sample | None] | None = None
+    # chosen from the distances of a region over all poses, centimetres
+    of_surfaces: Callable[[SurfaceDistance], float | None] | None = None
+    # whether rungs of the player have it as well
+    of_rungs: bool = False
+
+
+def psnr_score(error: PooledError) -> Score:
+    """PSNR of the pooled error, or why there is none."""
+    if error.count == 0:
+        return Score(None, "no pixels to compare")
+    return Score(error.psnr()) if error.square else Score(None, "infinite: the images are identical")
+
+
+def checked_error(
+    truth: Float[np.ndarray, "height width 3"],
+    image: Float[np.ndarray, "_ _ 3"],
+    mask: Bool[np.ndarray, "height width"] | None = None,
+) -> PooledError:
+    """The squared error of pictures that can be compared, over `mask` where given."""
+    check_images(truth, image)
+    return error_between(truth, image, mask)
+
+
+def psnr(
+    truth: Float[np.ndarray, "height width 3"],
+    image: Float[np.ndarray, "_ _ 3"],
+    mask: Bool[np.ndarray, "height width"] | None = None,
+) -> Score:
+    """Peak signal-to-noise ratio of one image in dB, over `mask` where given."""
+    return psnr_score(checked_error(truth, image, mask))
+
+
+def ssim(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
+    """Structural similarity (Wang et al. 2004), 7 x 7 uniform window, data range 1, mean over channels.
+
+    Smaller images are scored with the largest odd window that fits; under 3 px there is none.
+    """
+    check_images(truth, image)
+    side = min(truth.shape[:2])
+    window = min(SSIM_WINDOW, side - 1 + side % 2)
+    if window < 3:
+        return Score(None, f"image of {truth.shape[1]} x {truth.shape[0]} px is smaller than any SSIM window")
+    value = structural_similarity(truth, image, data_range=1.0, channel_axis=-1, win_size=window)
+    return Score(float(np.asarray(value)))
+
+
+def flip(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
+    """Mean LDR-FLIP (Andersson et al. 2020) at 67 pixels per degree: 0 is equal, 1 the worst.
+
+    Black ground that both images share is left out of the work and counted as equal, which it is: FLIP's widest
+    filter reaches 10 px, and a rim of FLIP_REACH is kept.
+    """
+    check_images(truth, image)
+    if truth.size == 0:
+        return Score(None, "no pixels to compare")
+    where = rectangle(np.asarray((truth > 0).any(-1) | (image > 0).any(-1)))
+    if where is None:
+        return Score(0.0)  # both are black
+    where = grown(where, FLIP_REACH, truth.shape[:2])
+    a = np.ascontiguousarray(np.clip(truth[where], 0, 1), dtype=np.float32)
+    b = np.ascontiguousarray(np.clip(image[where], 0, 1), dtype=np.float32)
+    _, mean, _ = flip_evaluator.evaluate(a, b, "LDR", applyMagma=False)
+    return Score(float(mean) * (a.size / truth.size))
+
+
+def lpips(truth: Float[np.ndarray, "height width 3"], image: Float[np.ndarray, "_ _ 3"]) -> Score:
+    """Learned perceptual distance (Zhang et al. 2018): not measured, because its weights are not shipped."""
+    check_images(truth, image)
+    return Score(None, LPIPS_REASON)
+
+
+def rectangle(mask: Bool[np.ndarray, "height width"]) -> tuple[slice, slice] | None:
+    """Smallest rows and columns that hold the mask; None when it is empty."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    if len(rows) == 0:
+        return None
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def grown(where: tuple[slice, slice], margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """A rectangle widened by `margin` pixels, inside an image of `shape`."""
+    rows, columns = where
+    return (
+        slice(max(0, rows.start - margin), min(shape[0], rows.stop + margin)),
+        slice(max(0, columns.start - margin), min(shape[1], columns.stop + margin)),
+    )
+
+
+def pooled_score(samples: Sequence[Sample]) -> Score:
+    """One score of many pictures: PSNR of the pooled errors, else the mean of the scores that exist; where none does,
+    the first one's reason."""
+    errors = [sample for sample in samples if isinstance(sample, PooledError)]
+    if errors:
+        return psnr_score(pooled(errors))
+    values = [s.value for s in samples if isinstance(s, Score) and s.value is not None]
+    if values:
+        return Score(float(np.mean(values)))
+    return next((s for s in samples if isinstance(s, Score)), Score(None, "no images"))
+
+
+def check_images(truth: np.ndarray, image: np.ndarray) -> None:
+    """Refuse images that cannot be compared: other shapes, not finite, or 0..255 where 0..1 is meant."""
+    if truth.shape != image.shape:
+        raise ValueError(f"images to compare differ in shape: {truth.shape} and {image.shape}")
+    for name, pixels in [("truth", truth), ("image", image)]:
+        if pixels.size == 0:
+            continue
+        low, high = float(pixels.min()), float(pixels.max())
+        if not (math.isfinite(low) and math.isfinite(high)):
+            raise ValueError(f"{name} holds pixels that are not finite")
+        if low < -1e-3 or high > 1.001:
+            raise ValueError(f"{name} should lie in [0, 1], lies in [{low:g}, {high:g}]")
+
+
+METRICS = (
+    Metric("p2s_cm", "P2S cm", 2, "lower", of_surfaces=lambda d: d.p2s),
+    Metric("chamfer_cm", "CD cm", 2, "lower", of_surfaces=lambda d: d.chamfer),
+    Metric("psnr_db", "box dB", 2, "higher", lambda p: p.box_error(), of_rungs=True),
+    Metric("psnr_mask_db", "mask dB", 2, "higher",
+           lambda p: None if p.mask is None else checked_error(p.truth, p.image, p.mask), of_rungs=True),
+    Metric("ssim", "SSIM", 3, "higher", lambda p: ssim(*p.cut()), of_rungs=True),
+    Metric("flip", "FLIP", 3, "lower", lambda p: flip(*p.cut()), of_rungs=True),
+    Metric("lpips", "LPIPS", 3, "lower", lambda p: (p.perceive or lpips)(*p.cut())),
+)  # fmt: skip
+PICTURE_METRICS = tuple(metric for metric in METRICS if metric.of_picture is not None)
+RUNG_METRICS = tuple(metric for metric in METRICS if metric.of_rungs)
+
+
+@dataclass
+class ImageScores:
+    """Samples of one region gathered over pictures, by metric."""
+
+    metrics: tuple[Metric, ...] = PICTURE_METRICS
+    samples: dict[str, list[Sample]] = field(default_factory=dict)
+    pictures: int = 0
+
+    def merged(self, other: "ImageScores") -> "ImageScores":
+        samples = {m.key: self.samples.get(m.key, []) + other.samples.get(m.key, []) for m in self.metrics}
+        return ImageScores(self.metrics, samples, self.pictures + other.pictures)
+
+    def add(self, compared: ComparedPicture) -> None:
+        """Measure one picture by every metric."""
+        self.pictures += 1
+        for metric in self.metrics:
+            sample = metric.of_picture(compared) if metric.of_picture is not None else None
+            if sample is not None:
+                self.samples.setdefault(metric.key, []).append(sample)
+
+    def scores(self) -> dict[str, Score]:
+        """By metric; of no pictures each with its reason."""
+        return {m.key: pooled_score(self.samples.get(m.key, [])) for m in self.metrics}
+
+
+def text_of(scores: Mapping[str, Any], metric: Metric, digits: int | None = None) -> str:
+    """One cell of a table: the number in JSON, "inf" of equal pictures, else a dash."""
+    value = scores.get(metric.key)
+    if value is None:
+        return "inf" if "infinite" in scores.get("reasons", {}).get(metric.key, "") else "-"
+    return f"{value:.{metric.digits if digits is None else digits}f}"

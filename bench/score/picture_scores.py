@@ -1,0 +1,172 @@
+"""Held-out pictures scored by region: PSNR over the posed box and over the mask, SSIM and FLIP on its rectangle.
+
+Box: pixels whose rays meet the axis-aligned box of the posed true region, 2 cm wider, ground black. The total is
+scored on the body view; head and hands on their close-ups, both pictures blacked out beyond the true part mask
+dilated by 5 px; the eyes on the head's close-ups, over the truth's visible eyeballs grown by 3 mm (`eye_region`),
+box and mask being that region itself. Frames in the T-pose are kept apart.
+"""
+
+from collections.abc import Callable, Sequence, Set
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import binary_dilation
+
+from avatar.camera import Camera, pixel_rays, project
+from avatar.skeleton import PARTS
+from bench.field.posed_field import MaskedPicture
+from bench.score.metrics import ComparedPicture, ImageScores, Perceive, rectangle
+from bench.score.true_mesh import TrueMesh
+from capture.held_out import HeldOutView
+from capture.template.eyes import GROWN
+from command.progress import progress
+from geometry.cells import distance_to
+from player.draw.raster import Rasteriser
+
+# pose, root, camera, squared samples a pixel, pixels that are looked at (others may be left black)
+Draw = Callable[
+    [Float[np.ndarray, "52 3"], Float[np.ndarray, "3"], Camera, int, Bool[np.ndarray, "height width"]], MaskedPicture
+]
+
+REGIONS = ("head", "left_hand", "right_hand", "total")
+VIEW_REGION = {"body": "total", "head": "head", "hand_left": "left_hand", "hand_right": "right_hand"}
+REGION_PART = {
+    "head": PARTS.index("head"),
+    "left_hand": PARTS.index("hand_left"),
+    "right_hand": PARTS.index("hand_right"),
+}
+BOX_MARGIN = 0.02  # metres round the posed true region
+# squared rays a pixel of ours; the truth is smoothed as well, by 3 x 3
+SAMPLES = 2
+DILATION = 5  # pixels of the true part mask
+# a frame whose joints all turn less is a T-pose frame
+T_POSE = np.radians(5.0)
+
+NO_EYES = "the capture's truth/rest.npz does not say which surface is eye; `selfscan synth` of today writes it"
+
+
+def box_pixels(
+    camera: Camera, low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels whose rays meet an axis-aligned box (slab test, Kay and Kajiya 1986)."""
+    origins, directions = pixel_rays(camera)
+    safe = np.where(np.abs(directions) > 1e-12, directions, 1e-12)
+    near, far = (low - origins) / safe, (high - origins) / safe
+    enter, leave = np.minimum(near, far).max(1), np.maximum(near, far).min(1)
+    width, height = camera.size
+    return (leave >= np.maximum(enter, 0)).reshape(height, width)
+
+
+class Region(NamedTuple):
+    """Where one region of one picture is compared."""
+
+    mask: Bool[np.ndarray, "height width"]  # its true pixels
+    # the pixels looked at; both pictures are black elsewhere
+    around: Bool[np.ndarray, "height width"]
+
+
+def region_of(view: HeldOutView, region: str) -> Region:
+    if region == "total":
+        mask = view.mask()
+        return Region(mask, np.ones_like(mask))
+    mask = view.parts() == REGION_PART[region] + 1
+    return Region(mask, binary_dilation(mask, np.ones((3, 3), bool), iterations=DILATION))
+
+
+def eye_region(
+    raster: Rasteriser, truth: TrueMesh, posed: Float[np.ndarray, "vertices 3"], camera: Camera
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels within GROWN of those that show an eyeball of the posed truth; none where no eye is seen."""
+    width, height = camera.size
+    if truth.eye is None:
+        return np.zeros((height, width), bool)
+    drawn = raster.draw(posed, truth.faces, camera).face
+    shown = (drawn >= 0) & truth.eye[truth.faces[drawn]].all(-1)
+    if not shown.any():
+        return shown
+    _, depth = project(camera, posed[truth.faces[np.unique(drawn[shown])].ravel()])
+    return distance_to(shown) <= GROWN * camera.K[0, 0] / float(np.median(depth))
+
+
+class SetScores(NamedTuple):
+    """Scores of one set of pictures by region; T-pose frames apart where that was asked for."""
+
+    scored: dict[str, ImageScores]
+    t_pose: dict[str, ImageScores]
+    # those of `scored` that are of the few poses
+    few: dict[str, ImageScores]
+
+
+class PictureJudge(NamedTuple):
+    """How pictures are drawn, and beside what they are scored."""
+
+    mesh: TrueMesh
+    draw: Draw
+    # LPIPS, where its weights are at hand
+    perceive: Perceive | None = None
+    # draws the truth's eyes; None: the eye region is not scored
+    raster: Rasteriser | None = None
+
+
+def score_images(
+    judge: PictureJudge,
+    views: list[HeldOutView],
+    label: str,
+    *,
+    t_pose_apart: bool,
+    few: Set[int] = frozenset(),
+    ours: Sequence[HeldOutView] | None = None,
+) -> SetScores:
+    """Draw and score every picture of a set; those of the `few` pose indices are also gathered by themselves.
+
+    `ours`: the same views in the poses that are drawn, where the skeleton is another than the truth's.
+    With a raster and a truth that knows its eyes, the eye region of the head's close-ups is scored as well.
+    """
+    mesh, draw, perceive, raster = judge
+    regions = REGIONS if raster is None or mesh.eye is None else (*REGIONS, "eyes")
+    scores = SetScores({region: ImageScores() for region in regions}, {}, {region: ImageScores() for region in regions})
+    vertices_of = {region: np.flatnonzero(mesh.part == part) for region, part in REGION_PART.items()}
+    vertices_of["total"] = np.unique(mesh.faces)
+    posed: tuple[int, np.ndarray] = (-1, np.zeros((0, 3)))
+    for view, own in progress(zip(views, ours or views, strict=True), label, len(views)):
+        if posed[0] != view.pose_index:
+            posed = view.pose_index, mesh.posed(view.axis_angle, view.root)
+        region = VIEW_REGION[view.view]
+        points = posed[1][vertices_of[region]]
+        box = box_pixels(view.camera, points.min(0) - BOX_MARGIN, points.max(0) + BOX_MARGIN)
+        mask, around = region_of(view, region)
+        looked_at = np.zeros_like(around)
+        where = rectangle(box)
+        if where is not None:
+            looked_at[where] = around[where]
+        image = draw(own.axis_angle, own.root, view.camera, SAMPLES, looked_at).color * around[..., None]
+        truth = view.image() * around[..., None]
+        ones = {region: scored(truth, image, box, mask, perceive)}
+        if region == "head" and raster is not None and "eyes" in regions:
+            eyes = eye_region(raster, mesh, posed[1], view.camera) & around
+            ones["eyes"] = scored(truth, image, eyes, eyes, perceive)
+        into = scores.t_pose if t_pose_apart and is_t_pose(view) else scores.scored
+        for region, one in ones.items():
+            into[region] = into.get(region, ImageScores()).merged(one)
+            if into is scores.scored and view.pose_index in few:
+                scores.few[region] = scores.few[region].merged(one)
+    return scores
+
+
+def scored(
+    truth: Float[np.ndarray, "height width 3"],
+    image: Float[np.ndarray, "height width 3"],
+    box: Bool[np.ndarray, "height width"],
+    mask: Bool[np.ndarray, "height width"],
+    perceive: Perceive | None,
+) -> ImageScores:
+    """Scores of a region of one picture; of no pictures where it lies outside."""
+    scores, where = ImageScores(), rectangle(box)
+    if where is not None:
+        scores.add(ComparedPicture(truth, image, where, box, mask, perceive))
+    return scores
+
+
+def is_t_pose(view: HeldOutView) -> bool:
+    return bool(np.linalg.norm(view.axis_angle[1:], axis=-1).max() < T_POSE)

@@ -1,0 +1,174 @@
+"""Reconstruction against truth in every test pose: which samples count to which region, and their distances."""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from avatar.skinning import SkinWeights
+from bench.field.posed_field import PosableSurface
+from bench.score.beside_hair import hair_faces, skin_beside_hair
+from bench.score.picture_scores import REGION_PART
+from bench.score.surface_distance import SurfaceDistance, check_same_unit, surface_distance
+from bench.score.true_mesh import TrueMesh
+from geometry.closest import TriangleIndex, closest_points, triangle_index
+from geometry.icp import rigid_icp
+from geometry.mesh import check_mesh
+from geometry.sample import SurfaceSamples, stratified_samples
+
+# in every pose; a person without hair has no skin beside it
+SAMPLES = {"total": 4000, "head": 1500, "left_hand": 1000, "right_hand": 1000, "skin_beside_hair": 1000}
+
+
+@dataclass(frozen=True)
+class GeometryCase:
+    """What stays the same in every pose: samples on both surfaces, and which count to which region."""
+
+    truth: TrueMesh
+    truth_faces: Int[np.ndarray, "faces 3"]  # visible
+    surface: PosableSurface
+    faces: Int[np.ndarray, "g 3"]  # visible faces of the reconstruction
+    on_truth: dict[str, SurfaceSamples]  # into truth_faces
+    on_surface: dict[str, SurfaceSamples]  # into faces
+
+
+def geometry_case(
+    truth: TrueMesh, surface: PosableSurface, visible: Bool[np.ndarray, "g"], *, seed: int = 0
+) -> GeometryCase:
+    """Sample both surfaces. A face of the reconstruction belongs to the region of the true surface nearest to it in
+    the canonical pose; the reconstruction's own labels are not trusted."""
+    check_mesh(truth.vertices, truth.faces, "truth")
+    check_mesh(surface.vertices, surface.faces, "reconstruction")
+    check_same_unit(truth.vertices, surface.vertices)
+    truth_faces, faces = truth.faces[truth.visible], surface.faces[visible]
+    canonical = truth.canonical()
+    middles = canonical[truth_faces].mean(1)
+    nearest = KDTree(middles).query(surface.vertices[faces].mean(1))[1]
+    truth_part = truth.part[truth_faces[:, 0]]
+    members = {region: truth_part == part for region, part in REGION_PART.items()}
+    members["skin_beside_hair"] = skin_beside_hair(truth)[truth.visible]
+
+    on_truth, on_surface = {}, {}
+    for number, (region, count) in enumerate(SAMPLES.items()):
+        keep_truth = members.get(region)
+        if keep_truth is not None and not keep_truth.any():
+            continue
+        keep = None if keep_truth is None else keep_truth[nearest]
+        on_truth[region] = stratified_samples(
+            truth.vertices, truth_faces, count, seed=seed + 2 * number, weight=keep_truth
+        )
+        if keep is None or keep.any():
+            on_surface[region] = stratified_samples(
+                surface.vertices, faces, count, seed=seed + 2 * number + 1, weight=keep
+            )
+    return GeometryCase(truth, truth_faces, surface, faces, on_truth, on_surface)
+
+
+@dataclass
+class Distances:
+    """Distances in metres of one region, gathered over poses."""
+
+    to_truth: list[np.ndarray] = field(default_factory=list)
+    to_surface: list[np.ndarray] = field(default_factory=list)
+    # is the nearest true surface hair
+    hair_to_truth: list[np.ndarray] = field(default_factory=list)
+    hair_to_surface: list[np.ndarray] = field(default_factory=list)
+
+    def merged(self, other: "Distances") -> "Distances":
+        return Distances(
+            self.to_truth + other.to_truth,
+            self.to_surface + other.to_surface,
+            self.hair_to_truth + other.hair_to_truth,
+            self.hair_to_surface + other.hair_to_surface,
+        )
+
+    def scores(self, hair: bool | None = None) -> SurfaceDistance:
+        """All surface, or only what is hair (True) or is not (False)."""
+        if not self.to_truth or not self.to_surface:
+            return SurfaceDistance(None, None, None)
+        to_truth, to_surface = np.concatenate(self.to_truth), np.concatenate(self.to_surface)
+        if hair is not None:
+            to_truth = to_truth[np.concatenate(self.hair_to_truth) == hair]
+            to_surface = to_surface[np.concatenate(self.hair_to_surface) == hair]
+        return surface_distance(to_truth, to_surface)
+
+
+class PosedPair(NamedTuple):
+    """Truth and reconstruction in one pose, ready to be measured."""
+
+    truth: Float[np.ndarray, "vertices 3"]
+    surface: Float[np.ndarray, "w 3"]
+    truth_index: TriangleIndex
+    index: TriangleIndex
+
+
+def posed_pair(
+    case: GeometryCase, truth_posed: Float[np.ndarray, "vertices 3"], posed: Float[np.ndarray, "w 3"]
+) -> PosedPair:
+    return PosedPair(
+        truth_posed,
+        posed,
+        triangle_index(truth_posed, case.truth_faces),
+        triangle_index(posed, case.faces),
+    )
+
+
+def measure_pose(
+    case: GeometryCase,
+    pair: PosedPair,
+    into: dict[str, Distances],
+    *,
+    every: int = 1,
+    truth_from_surface: Float[np.ndarray, "4 4"] | None = None,
+) -> None:
+    """Add the distances of one pose, of every region in `into`. `every` takes only each n-th sample;
+    `truth_from_surface` moves the reconstruction rigidly first."""
+    hair = hair_faces(case.truth)[case.truth.visible]
+    regions = [region for region in case.on_truth if region in case.on_surface and region in into]
+    if not regions:
+        return
+    ours = [thinned(case.on_surface[region], every) for region in regions]
+    true = [thinned(case.on_truth[region], every) for region in regions]
+    there = np.concatenate([samples.on(pair.surface, case.faces) for samples in ours])
+    back = np.concatenate([samples.on(pair.truth, case.truth_faces) for samples in true])
+    if truth_from_surface is not None:
+        R, t = truth_from_surface[:3, :3], truth_from_surface[:3, 3]
+        there, back = there @ R.T + t, (back - t) @ R
+    to_truth = closest_points(there, pair.truth_index)
+    to_surface = closest_points(back, pair.index)
+    ends = (
+        np.cumsum([len(samples.face) for samples in ours])[:-1],
+        np.cumsum([len(s.face) for s in true])[:-1],
+    )
+    distance, face = np.split(to_truth.distance, ends[0]), np.split(to_truth.face, ends[0])
+    returning = np.split(to_surface.distance, ends[1])
+    for i, region in enumerate(regions):
+        into[region].to_truth.append(distance[i])
+        into[region].hair_to_truth.append(hair[face[i]])
+        into[region].to_surface.append(returning[i])
+        into[region].hair_to_surface.append(hair[true[i].face])
+
+
+def thinned(samples: SurfaceSamples, every: int) -> SurfaceSamples:
+    """Each n-th sample: still even over the surface, because samples are drawn along it."""
+    return SurfaceSamples(samples.face[::every], samples.barycentric[::every])
+
+
+def alignment(case: GeometryCase, pair: PosedPair, region: str = "total") -> Float[np.ndarray, "4 4"]:
+    """truth_from_surface by rigid ICP onto the truth: of the whole reconstruction (what the paper's code does), or of a
+    region."""
+    few = thinned(case.on_surface[region], 16 if region == "total" else 4)
+    return rigid_icp(few.on(pair.surface, case.faces), pair.truth_index, rounds=15)
+
+
+def own_weights_surface(truth: TrueMesh, surface: PosableSurface) -> PosableSurface:
+    """The reconstruction skinned by the subject's own rig weights, looked up at the nearest true surface point."""
+    canonical = truth.canonical()
+    faces = truth.faces[truth.visible]
+    corners = faces[KDTree(canonical[faces].mean(1)).query(surface.vertices)[1]]
+    gap = np.linalg.norm(canonical[corners] - surface.vertices[:, None], axis=-1)
+    nearest = corners[np.arange(len(corners)), gap.argmin(1)]
+    skin = SkinWeights(truth.skin.joints[nearest], truth.skin.weights[nearest])
+    return PosableSurface(surface.vertices, surface.faces, skin, truth.joints, surface.canonical_pose)

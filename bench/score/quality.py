@@ -1,0 +1,433 @@
+"""Quality of a trained run or a baked avatar against a capture's ground truth (`selfscan eval`).
+
+Pictures as bench/score/picture_scores.py says; geometry as P2S and Chamfer in centimetres between posed surfaces,
+visible surface only, without alignment. Beside them: the subject's own rig weights in place of ours (what is
+left is learning, the difference is skinning), ICP-aligned as the paper's code does, T-pose, canonical, hair, and the
+template before training (0 steps). What the reconstruction was given stands as "input"; the poses of an estimated
+skeleton are fitted to each held-out picture (bench/score/fitted_poses.py).
+"""
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from avatar.baked_avatar import Avatar
+from avatar.skeleton import BIG_POSE
+from bake.truth import IDENTITY, better_mode, scores_by_mode, some_poses
+from bench.field.drawer import Drawer
+from bench.field.posed_field import PosableSurface, one_thread
+from bench.ladder.machine import machine
+from bench.ladder.remeasure import remeasured
+from bench.report.writer import Json
+from bench.score.beside_hair import edges_at_hair, skin_to_surface, stretched_edges
+from bench.score.ceiling import CeilingDrawer
+from bench.score.filmed_poses import FilmedPoses, filmed_poses
+from bench.score.fitted_poses import fitted_views
+from bench.score.lpips import read_perceptual
+from bench.score.metrics import Perceive
+from bench.score.picture_scores import NO_EYES, PictureJudge, is_t_pose, score_images
+from bench.score.pose_distances import (
+    BESIDE,
+    JudgedSurfaces,
+    Placement,
+    PoseDistances,
+    distinct_poses,
+    fitted_poses,
+    measure_poses,
+    same_poses,
+)
+from bench.score.posed_geometry import (
+    SAMPLES,
+    Distances,
+    GeometryCase,
+    alignment,
+    geometry_case,
+    measure_pose,
+    own_weights_surface,
+    posed_pair,
+)
+from bench.score.quality_table import PAPER
+from bench.score.region_scores import regions_of, without_eyes
+from bench.score.skeleton_distance import BODY, HANDS, LIMBS, joints_off, posed_skeletons, turned_off
+from bench.score.true_mesh import TrueMesh, read_true_mesh
+from capture.folder import CaptureSubject, input_kind, read_subject
+from capture.held_out import SETS, HeldOutView, read_held_out, read_truth_facts
+from command.errors import AssetError
+from command.progress import progress
+from files.input_file import read_json_object
+from player.gl.context import open_context
+from synth.visibility import visible_faces
+from train.run import read_run
+
+# an avatar is compared with its run's field on so many poses of each held-out set
+FIELD_POSES = 3
+CAPTURE_FACTS = ("subject", "light", "sheen", "pose_noise_deg", "seed", "size", "registration")
+
+
+def print_stage(text: str) -> None:
+    """One line about what begins, on standard error."""
+    print(f"eval: {text}", file=sys.stderr, flush=True)
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """What is judged, and against what."""
+
+    drawer: Drawer
+    truth: TrueMesh
+    # held-out views by set, in true poses
+    filmed: dict[str, list[HeldOutView]]
+    # the same in the poses of an estimated skeleton; None: the skeleton was given
+    ours: dict[str, list[HeldOutView]] | None = None
+    # the template that training began with; None: not at hand
+    template: CaptureSubject | None = None
+    # poses of the person's own videos; None: not asked for
+    videos: FilmedPoses | None = None
+    # novel poses whose scores are gathered by themselves as well
+    few: int | None = None
+    perceive: Perceive | None = None
+
+    def posed(self, name: str) -> list[HeldOutView]:
+        """The views of a set in the poses in which ours is drawn."""
+        return (self.ours or self.filmed)[name]
+
+    @property
+    def judge(self) -> PictureJudge:
+        return PictureJudge(self.truth, self.drawer.draw, self.perceive, self.drawer.raster)
+
+
+def evaluate(
+    path: Path,
+    capture: Path,
+    *,
+    ceiling: bool = False,
+    poses: int | None = None,
+    few: int | None = None,
+    run: Path | None = None,
+    lpips: Sequence[Path] = (),
+) -> Json:
+    """Every number of `selfscan eval` as one JSON-ready dictionary; with `few`, "few_poses" holds the novel poses'
+    scores over that many of them as well. `lpips` are the files of its weights."""
+    start, cpu_start = time.perf_counter(), time.process_time()
+    perceive = read_perceptual(lpips).score if lpips else None
+    print_stage(f"reading {path} and {capture}")
+    facts, truth = read_truth_facts(capture), read_true_mesh(capture)
+    with one_thread():
+        drawer = Drawer(path)
+        try:
+            kind = input_kind(drawer.provenance.get("capture") or {}, str(path))
+            what = prepared(drawer, truth, capture, kind, poses=poses, run=run)
+            what = replace(what, few=few, perceive=perceive)
+            result = measured(what)
+            if drawer.avatar is not None:
+                result |= of_avatar(what, facts, run, result["baked_vs_field"])
+            if ceiling:
+                result["beside"]["ceiling"] = measured_ceiling(what, capture, facts)
+        finally:
+            drawer.release()
+    source = {
+        "name": path.name,
+        "kind": "avatar" if drawer.avatar is not None else "run",
+        "provenance": drawer.provenance,
+    }
+    return {
+        "format": "selfscan-quality",
+        "input": kind,
+        "source": source,
+        "machine": machine(drawer.context.renderer, drawer.context.kind),
+        "capture": {name: facts[name] for name in CAPTURE_FACTS if name in facts},
+        **result,
+        "paper": PAPER,
+        "seconds": round(time.perf_counter() - start, 1),
+        "cpu_seconds": round(time.process_time() - cpu_start, 1),
+    }
+
+
+def prepared(
+    drawer: Drawer, truth: TrueMesh, capture: Path, kind: str, *, poses: int | None, run: Path | None
+) -> Evaluated:
+    """The truth, held-out views and, of an estimated skeleton, their fitted poses; at most `poses` of each set."""
+    held_out = {name: some_poses(read_held_out(capture, name), poses) for name in SETS}
+    template, ours = template_of_run(drawer, run, kind), None
+    if kind != "given":
+        assert template is not None
+        print_stage(f"{kind}: poses fitted to {sum(map(len, held_out.values()))} held-out pictures")
+        ours = fitted_views(template, held_out, drawer.surface, drawer.raster)
+    own_run = drawer.path if drawer.field is not None else run
+    run_facts = {} if own_run is None else read_json_object(own_run / "run.json", "the facts of a run")
+    videos = filmed_poses(own_run, run_facts, capture)
+    return Evaluated(drawer, truth, held_out, ours, template, videos)
+
+
+def of_avatar(what: Evaluated, facts: Json, run: Path | None, baked_vs_field: Json) -> Json:
+    """What only a baked avatar has: its view modes side by side, and its distance from the field of `run`."""
+    avatar, views = what.drawer.avatar, what.ours or what.filmed
+    assert avatar is not None
+    print_stage("every view mode of the avatar beside the true pictures")
+    out: Json = {"view_modes": view_modes(avatar, facts, views)}
+    if run is not None:
+        print_stage(f"the avatar against the field of {run}: what the file says, and held-out pictures")
+        some = {name: some_poses(those, FIELD_POSES) for name, those in views.items()}
+        out["baked_vs_field"] = baked_vs_field | remeasured(avatar, read_run(run).bake_source, some)
+    return out
+
+
+def view_modes(avatar: Avatar, facts: Json, held_out: dict[str, list[HeldOutView]]) -> Json:
+    """Every view mode of the file side by side: PSNR inside the true person, by set and region, and which is best."""
+    recorded = (find_key(avatar.provenance, "default_view") or {}).get("default_view")
+    judged = not_chosen_on(recorded, facts, held_out)
+    context = open_context()
+    try:
+        scores = scores_by_mode(context, avatar, judged)
+    finally:
+        context.release()
+    best, reason = better_mode(scores["all"])
+    return {"psnr_db": scores, "best": best, "reason": reason, "default": avatar.default_view, "file_says": recorded,
+            "pictures": {name: len(views) for name, views in judged.items()}}  # fmt: skip
+
+
+def not_chosen_on(
+    recorded: object, facts: Json, held_out: dict[str, list[HeldOutView]]
+) -> dict[str, list[HeldOutView]]:
+    """The pictures on which the file's view mode was not chosen; all, where it was chosen on another capture, or where
+    none would be left."""
+    if not isinstance(recorded, dict) or any(recorded.get(key) != facts.get(key) for key in IDENTITY):
+        return held_out
+    used = recorded.get("chosen_on", {}).get("poses", {})
+    left = {
+        name: [view for view in views if view.pose_index not in used.get(name, [])] for name, views in held_out.items()
+    }
+    return left if any(left.values()) else held_out
+
+
+def seen_case(drawer: Drawer, truth: TrueMesh, surface: PosableSurface) -> GeometryCase:
+    """What is measured on both surfaces: what can be seen from outside in pose 0."""
+    print_stage(f"which of {len(surface.faces)} faces can be seen from outside")
+    posed = surface.posed(np.zeros((52, 3)), truth.joints[0])
+    visible = visible_faces(drawer.raster, posed, surface.faces)
+    try:
+        return geometry_case(truth, surface, visible)
+    except ValueError as error:  # other units, no faces: the file's fault, not the caller's
+        raise AssetError(f"{drawer.path}: {error}") from None
+
+
+def template_surface(subject: CaptureSubject) -> PosableSurface:
+    """The template that training began with, hair and clothes that were carved included."""
+    return PosableSurface(subject.vertices, subject.faces, subject.skin, subject.joints, BIG_POSE)
+
+
+def template_of_run(drawer: Drawer, run: Path | None, kind: str) -> CaptureSubject | None:
+    """The template of what is evaluated: its own run's, else that of `run`; None: none is at hand, and none needed.
+
+    Raises:
+        AssetError: the poses of an estimated skeleton have to be fitted, and no run says with which template.
+    """
+    if drawer.field is not None:
+        return read_subject(drawer.path / "subject.npz")
+    if run is not None:
+        return read_subject(run / "subject.npz")
+    if kind != "given":
+        raise AssetError(
+            f"{drawer.path}: its skeleton was estimated ({kind}), so held-out poses are fitted to their pictures with "
+            f"the template of its run: name it with --run RUN"
+        )
+    return None
+
+
+def measured(what: Evaluated) -> Json:
+    """The table of one evaluation, row by row, each with its regions and their metrics: the held-out sets, and what
+    stands beside them."""
+    surfaces = judged_surfaces(what)
+    root = what.truth.joints[0]
+    out: Json = {}
+    beside: Json = {
+        "t_pose": regions_of(measure_once(surfaces, np.zeros((52, 3)), root)),
+        "canonical": regions_of(measure_once(surfaces, BIG_POSE, root)),
+    }
+    for name in what.filmed:
+        rows, more = held_out_rows(what, surfaces, name)
+        out |= rows
+        beside |= more
+    if what.videos is not None:
+        joints = what.drawer.surface.joints if what.template is None else what.template.joints
+        beside |= in_filmed_poses(replace(surfaces, own=None, apart=True), what.videos, joints)
+    return {**out, "baked_vs_field": baked_vs_field_of(what.drawer), "beside": beside}
+
+
+def judged_surfaces(what: Evaluated) -> JudgedSurfaces:
+    """The surfaces that are measured: ours, the template's, and ours under the rig's own weights."""
+    drawer, truth, given = what.drawer, what.truth, what.ours is None
+    return JudgedSurfaces(
+        seen_case(drawer, truth, drawer.surface),
+        None if what.template is None else seen_case(drawer, truth, template_surface(what.template)),
+        own_weights_surface(truth, drawer.surface) if given else None,
+        apart=not given,
+    )
+
+
+def held_out_rows(what: Evaluated, surfaces: JudgedSurfaces, name: str) -> tuple[Json, Json]:
+    """The rows of one set of held-out pictures, and what stands beside novel poses. Novel views are of a standing
+    T-pose by design; among novel poses a T-pose frame would flatter, and stands by itself."""
+    views, own_views, novel = what.filmed[name], what.posed(name), name == "novel_pose"
+    text = name.replace("_", " ")
+    print_stage(f"{text}: {len(views)} pictures")
+    few = frozenset(view.pose_index for view in some_poses(views, what.few)) if novel and what.few else frozenset()
+    images = score_images(what.judge, views, f"{name} pictures", t_pose_apart=novel, few=few, ours=own_views)
+    kept = [i for i, view in enumerate(views) if not (novel and is_t_pose(view))]
+    moving, own_moving = [views[i] for i in kept], [own_views[i] for i in kept]
+    placements = same_poses(moving) if what.ours is None else fitted_poses(moving, own_moving)
+    print_stage(f"{text}: {len(placements)} posed surfaces")
+    distances = measure_poses(surfaces, placements, few, f"{name} surfaces", beside=novel)
+    rows: Json = {name: {"eyes": without_eyes(NO_EYES)} | regions_of(distances.ours, images.scored)}
+    if not novel:
+        return rows, {}
+    if what.few:
+        rows["few_poses"] = {"poses": len(few), **regions_of(distances.few, images.few)}
+    beside = beside_novel_poses(what, surfaces, distances, placements, own_moving)
+    if images.t_pose:
+        beside["t_pose_frames"] = regions_of({}, images.t_pose)
+    return rows, beside
+
+
+def beside_novel_poses(
+    what: Evaluated,
+    surfaces: JudgedSurfaces,
+    distances: PoseDistances,
+    placements: list[Placement],
+    poses: list[HeldOutView],
+) -> Json:
+    """Novel poses after alignment, of the template before training and under the rig's weights; joints of fitted poses;
+    hair in the `poses` in which ours was drawn."""
+    truth, surface = what.truth, what.drawer.surface
+    out: Json = {
+        "aligned": regions_of(distances.aligned),
+        **zero_steps(surfaces, distances),
+        "own_weights": None if surfaces.own is None else regions_of(distances.own),
+        "poses": len(placements),
+        "stretched_at_hair": stretched_at_hair(truth, surface, poses),
+    }
+    if what.ours is not None and what.template is not None:
+        seen = [(p.truth, own) for p in placements for part, own in p.ours.items() if "total" in part]
+        ours, true = [own for _, own in seen], [view for view, _ in seen]
+        posed = posed_skeletons(ours, true, what.template.joints, truth.joints)
+        out["fitted"] = {"total": round(joints_off(posed, LIMBS, aligned=False), 3)}
+    away = skin_to_surface(truth, surface.vertices, surface.faces) if what.ours is None else None
+    out["skin_beside_hair_to_surface_cm"] = None if away is None else round(100 * away, 4)
+    return out
+
+
+def in_filmed_poses(what: JudgedSurfaces, videos: FilmedPoses, joints: np.ndarray) -> Json:
+    """The rows of the person's own videos, each region aligned by itself; `joints` are our skeleton's, pose 0."""
+    if not videos.by_part:
+        return {"filmed": None, "filmed_reason": videos.reason}
+    placements = videos.some().placements()
+    print_stage(f"the person's own videos: {len(placements)} posed surfaces")
+    distances = measure_poses(what, placements, frozenset(), "filmed surfaces", beside=True)
+    rows = {
+        "filmed": distances.ours,
+        "filmed_aligned": distances.aligned,
+        "filmed_zero_steps": distances.template,
+        "filmed_zero_steps_aligned": distances.template_aligned,
+    }
+    if what.template is None:
+        rows = {name: row for name, row in rows.items() if "zero_steps" not in name}
+    return {
+        **{name: regions_of(row) for name, row in rows.items()},
+        **in_filmed_skeletons(videos, joints, what.truth.joints),
+        "filmed_frames": {part: len(found) for part, found in videos.some().by_part.items()},
+    }
+
+
+def in_filmed_skeletons(videos: FilmedPoses, joints: np.ndarray, true_joints: np.ndarray) -> Json:
+    """Limb joints of the body's video, fingers of the hands' own, in all frames: cm and degrees."""
+    posed = {}
+    for part, found in videos.by_part.items():
+        ours = [own for placement in found for own in placement.ours.values()]
+        posed[part] = posed_skeletons(ours, [placement.truth for placement in found], joints, true_joints)
+    body, hands = posed["body"], [(posed[part], which) for part, which in HANDS.items()]
+    of_hands = lambda measure: round(float(np.mean([measure(*hand) for hand in hands])), 3)
+    return {
+        "filmed_joints": {
+            "total": round(joints_off(body, LIMBS, aligned=False), 3),
+            "hands": of_hands(lambda hand, which: joints_off(hand, which, aligned=False)),
+        },
+        "filmed_joints_aligned": {
+            "total": round(joints_off(body, LIMBS, aligned=True), 3),
+            "hands": of_hands(lambda hand, which: joints_off(hand, which, aligned=True)),
+        },
+        "filmed_degrees": {
+            "total": round(turned_off(body, BODY), 3),
+            "hands": of_hands(lambda hand, which: turned_off(hand, which[1:])),
+        },
+    }
+
+
+def zero_steps(what: JudgedSurfaces, distances: PoseDistances) -> Json:
+    """The row of the template before training: it has a surface and no colors."""
+    if what.template is None:
+        return {"zero_steps": None, "zero_steps_reason": "the avatar file holds no template; give --run"}
+    return {
+        "zero_steps": regions_of(distances.template),
+        "zero_steps_aligned": regions_of(distances.template_aligned),
+        "zero_steps_reason": "a template has no colors before training: no pictures",
+    }
+
+
+def measured_ceiling(what: Evaluated, capture: Path, facts: Json) -> Json:
+    """Novel poses of the true mesh under our weights: pictures and distances."""
+    truth, views = what.truth, what.filmed["novel_pose"]
+    print_stage(f"the ceiling: {len(views)} pictures and their poses")
+    best = CeilingDrawer(what.drawer.raster, capture, facts, truth)
+    images = score_images(what.judge._replace(draw=best.draw), views, "ceiling pictures", t_pose_apart=True)
+    case = geometry_case(truth, best.surface, truth.visible)
+    distances = {region: Distances() for region in SAMPLES}
+    for view in progress(distinct_poses([v for v in views if not is_t_pose(v)]), "ceiling surfaces"):
+        pose = view.axis_angle, view.root
+        measure_pose(case, posed_pair(case, truth.posed(*pose), best.surface.posed(*pose)), distances)
+    return regions_of(distances, images.scored)
+
+
+def stretched_at_hair(truth: TrueMesh, surface: PosableSurface, poses: list[HeldOutView]) -> dict[str, int] | None:
+    """Edges of the reconstruction at hair, and how many of them a pose stretches to more than twice their length;
+    None: there is no hair."""
+    edges = edges_at_hair(truth, surface.vertices, surface.faces)
+    if not len(edges):
+        return None
+    posed = (surface.posed(view.axis_angle, view.root) for view in poses)
+    return {"edges": len(edges), "stretched": stretched_edges(edges, surface.vertices, posed)}
+
+
+def measure_once(what: JudgedSurfaces, axis_angle: np.ndarray, root: np.ndarray) -> dict[str, Distances]:
+    """One pose of both; an estimated skeleton, whose pelvis is elsewhere, after rigid ICP."""
+    into, case = {region: Distances() for region in SAMPLES}, what.case
+    pair = posed_pair(case, case.truth.posed(axis_angle, root), case.surface.posed(axis_angle, root))
+    T = alignment(case, pair) if what.apart else None
+    measure_pose(case, pair, into, every=BESIDE, truth_from_surface=T)
+    return into
+
+
+def baked_vs_field_of(drawer: Drawer) -> Json:
+    """What the bake measured against its field, from the avatar's provenance; null for a run."""
+    if drawer.avatar is None:
+        return {"paper_db": None, "network_db": None, "reason": "a run is not baked; evaluate its avatar"}
+    found = find_key(drawer.provenance, "paper_db")
+    if found is None:
+        return {"paper_db": None, "network_db": None, "reason": "the avatar file does not say; give --run"}
+    network = found.get("network_db", (found.get("cone_db") or {}).get("network"))
+    return {"paper_db": found["paper_db"], "network_db": network}
+
+
+def find_key(tree: object, key: str) -> Json | None:
+    """The first dictionary, at any depth, that has `key`."""
+    if isinstance(tree, dict):
+        if key in tree:
+            return tree
+        for value in tree.values():
+            found = find_key(value, key)
+            if found is not None:
+                return found
+    return None

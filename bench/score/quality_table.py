@@ -1,0 +1,173 @@
+"""The table of one evaluation, printed or as Markdown, with the paper's numbers beside it."""
+
+import sys
+from collections.abc import Sequence
+from typing import TextIO
+
+from bench.report.writer import Json, markdown_table, number
+from bench.score.metrics import METRICS, Metric, text_of
+from capture.held_out import SETS
+
+# TotalSelfScan (Dong et al. 2022) on SynTotalHuman, tables 1 to 4; distances in cm, PSNR in dB. Rows of other methods
+# are quoted until those are built here.
+REGIONS = ("head", "hands", "total")
+GEOMETRY = ("p2s_cm", "chamfer_cm")
+IMAGE = ("psnr_db", "ssim", "lpips")
+
+Scores = dict[str, dict[str, float]]  # region, then metric
+
+
+def _row(names: tuple[str, ...], *numbers: float) -> Scores:
+    """Numbers in the order of the paper's columns: head, hands, total, each with `names`."""
+    width = len(names)
+    assert len(numbers) == width * len(REGIONS)
+    return {region: dict(zip(names, numbers[i * width : (i + 1) * width])) for i, region in enumerate(REGIONS)}
+
+
+QUOTED_GEOMETRY = {  # table 1
+    "NeuralBody": _row(GEOMETRY, 1.55, 1.46, 1.29, 1.19, 2.16, 1.98),
+    "AniNeRF": _row(GEOMETRY, 1.80, 1.69, 1.12, 1.00, 2.55, 2.21),
+    "AniSDF": _row(GEOMETRY, 0.76, 0.91, 0.79, 0.75, 1.90, 1.97),
+}
+QUOTED_IMAGE = {  # table 2
+    "NeuralBody": _row(IMAGE, 18.94, 0.914, 0.184, 18.51, 0.893, 0.240, 19.97, 0.855, 0.239),
+    "AniNeRF": _row(IMAGE, 20.92, 0.928, 0.153, 20.60, 0.907, 0.179, 23.71, 0.889, 0.185),
+    "AniSDF": _row(IMAGE, 21.91, 0.934, 0.104, 21.31, 0.930, 0.111, 25.57, 0.916, 0.129),
+}
+PAPER_GEOMETRY = {  # tables 1 and 3
+    "ours": _row(GEOMETRY, 0.59, 0.82, 0.55, 0.52, 1.84, 1.89),
+    "single": _row(GEOMETRY, 1.03, 1.26, 1.25, 1.22, 1.95, 1.97),
+}
+PAPER_IMAGE = {  # tables 2 and 4
+    "ours": _row(IMAGE, 22.23, 0.934, 0.084, 22.49, 0.941, 0.076, 26.15, 0.921, 0.114),
+    "single": _row(IMAGE, 20.38, 0.919, 0.120, 20.75, 0.927, 0.140, 25.19, 0.907, 0.144),
+    "no_ray_transform": _row(IMAGE, 21.07, 0.933, 0.095, 22.14, 0.939, 0.085, 25.43, 0.916, 0.123),
+}
+# its crops are unknown: PSNR is context, no bar
+PAPER: dict[str, dict[str, float | None]] = {
+    region: {**PAPER_GEOMETRY["ours"][region], **PAPER_IMAGE["ours"][region], "flip": None} for region in REGIONS
+}
+
+MODES = ("off", "vertex", "linear", "network")
+
+# what the columns of decibels count, under every table
+DECIBELS = (
+    "box dB: PSNR over the box round the region, its black background included, which nearly always is right: higher",
+    "the emptier the box. mask dB: over the true person alone, where a limb beside its place counts in full.",
+)
+INSIDE = (
+    "inside dB: over the pixels inside the true outline, less one, that the avatar covers: color alone, whatever the",
+    "outline. It lies several dB above the mask's, which counts every pixel of a limb that is elsewhere.",
+)
+
+
+def table_rows(result: Json) -> list[list[str]]:
+    """Rows of the printed and the Markdown table: ours and, beside it, the paper's."""
+    rows = []
+    for name in SETS:
+        for region in ("head", "eyes", "left_hand", "right_hand", "hands", "total"):
+            if region not in result[name]:
+                continue
+            rows.append([f"{name.replace('_', ' ')}: {region.replace('_', ' ')}", *cells(result[name][region])])
+            # the paper was given nothing: beside what was, its numbers say nothing
+            if name == "novel_pose" and region in PAPER and result.get("input", "given") != "given":
+                rows.append([f"  paper: {region}", *cells(PAPER[region])])
+    beside = result["beside"]
+    labels = {
+        "ceiling": "novel pose, true mesh under our weights",
+        "own_weights": "novel pose, our surface under the rig's weights",
+        "aligned": "novel pose, ICP-aligned",
+        "zero_steps": "novel pose, 0 steps: the template before training",
+        "zero_steps_aligned": "0 steps, ICP-aligned",
+        "filmed": "poses of the person's own videos",
+        "filmed_aligned": "own videos, ICP-aligned",
+        "filmed_zero_steps": "own videos, 0 steps",
+        "filmed_zero_steps_aligned": "own videos, 0 steps, ICP-aligned",
+        "t_pose": "T-pose",
+        "canonical": "canonical",
+    }
+    for name, label in labels.items():
+        for region in ("head", "hands", "total"):
+            if beside.get(name):
+                rows.append([f"{label}: {region}", *cells(beside[name][region])])
+    for apart in ("without_hair", "hair"):
+        if apart in result["novel_pose"]["head"]:
+            rows.append([f"novel pose: head {apart.replace('_', ' ')}", *cells(result["novel_pose"]["head"][apart])])
+    if "skin_beside_hair" in result["novel_pose"]:
+        rows.append(["novel pose: skin beside hair", *cells(result["novel_pose"]["skin_beside_hair"])])
+    return rows
+
+
+def cells(scores: Json, metrics: Sequence[Metric] = METRICS) -> list[str]:
+    return [text_of(scores, metric) for metric in metrics]
+
+
+def markdown(result: Json) -> str:
+    """The table as Markdown, with what it was measured on."""
+    facts = ", ".join(f"{k} {v}" for k, v in result["capture"].items() if k != "registration")
+    source, given = result["source"], result.get("input", "given")
+    lines = [f"{source['kind']} `{source['name']}`; {facts}; input: {given}", ""]
+    lines += markdown_table(["", *(metric.title for metric in METRICS)], table_rows(result))
+    baked = result["baked_vs_field"]
+    if baked.get("paper_db") is not None:
+        lines += [
+            "",
+            f"Baked against field: paper mode {baked['paper_db']} dB, network {baked['network_db']} dB.",
+        ]
+    if "on_held_out" in baked:
+        held = baked["on_held_out"]
+        lines += [
+            "",
+            f"On held-out poses: {held['paper_db']} dB, worst {held['worst_db']} ({held['worst']}).",
+        ]
+    lines += ["", *DECIBELS]
+    lines += [line for part in (view_mode_lines(result), lost_lines(result)) if part for line in ("", *part)]
+    return "\n".join(lines) + "\n"
+
+
+def view_mode_lines(result: Json) -> list[str]:
+    """Every view mode of an avatar beside the truth: PSNR inside the true person."""
+    modes = result.get("view_modes")
+    if modes is None:
+        return []
+    lines = ["View modes against the truth, inside dB (total, head, hands; all pictures):", *INSIDE]
+    for name, by_mode in modes["psnr_db"].items():
+        if name == "all":
+            continue
+        for mode, scores in by_mode.items():
+            cells = "  ".join(f"{region} {number(db)}" for region, db in scores.items())
+            lines.append(f"- {name.replace('_', ' ')}, {mode}: {cells}")
+    return [*lines, f"- default {modes['default']}; best here {modes['best']} ({modes['reason']})"]
+
+
+def lost_lines(result: Json) -> list[str]:
+    """What the file says was lost, and what was found now with its run at hand."""
+    baked = result["baked_vs_field"]
+    if "found" not in baked:
+        return []
+    said, found = baked["said"]["against_field"], baked["found"]["against_field"]
+    lines = [f"- paper field against paper mode: said {number(said.get('paper_db'))} dB, "
+             f"found {number(found['paper_db'])}"]  # fmt: skip
+    lines += [
+        f"- cone field against {mode}: said {number((said.get('cone_db') or {}).get(mode))} dB, found {number(db)}, "
+        f"held-out {number(baked.get('on_held_out', {}).get('cone_db', {}).get(mode))}"
+        for mode, db in found["cone_db"].items()
+    ]
+    levels = baked["said"]["levels"]
+    for index, level in enumerate(baked["found"]["levels"]):
+        recorded = levels[index].get("field_to_mesh_mm", {}).get("mean") if index < len(levels) else None
+        lines.append(f"- level {index}: field to mesh said {number(recorded, 3)} mm, "
+                     f"found {number(level['field_to_mesh_mm']['mean'], 3)}")  # fmt: skip
+    if baked.get("texture_from") == "videos":
+        lines.append("- textures are from the videos: what was found against the field is how much they changed it")
+    return ["What was lost in baking, as the file says and as measured now:", *lines]
+
+
+def print_table(result: Json, file: TextIO | None = None) -> None:
+    rows = [["", *(metric.title for metric in METRICS)], *table_rows(result)]
+    wide = max(len(row[0]) for row in rows)
+    for row in rows:
+        print(f"{row[0]:{wide}}" + "".join(f"{cell:>9}" for cell in row[1:]), file=file or sys.stdout)
+    print(f"input: {result.get('input', 'given')}", file=file or sys.stdout)
+    for line in (*DECIBELS, *view_mode_lines(result), *lost_lines(result)):
+        print(line, file=file or sys.stdout)

@@ -1,0 +1,37 @@
+"""What a picture says of how what is drawn should move: image alignment (Lucas and Kanade 1981).
+
+Moving what is drawn by m pixels changes it by -gradient . m, so that seen - drawn = -gradient . m is one equation for
+each pixel; pixels that differ for another reason lose their weight (Geman and McClure 1985).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from geometry.least_squares import robust_cost, robust_weight
+
+Array = np.ndarray
+
+
+class PixelEquations(NamedTuple):
+    """slope . m = residual, of some pixels."""
+
+    slope: Float[Array, "n 2"]
+    residual: Float[Array, "n"]
+    weight: Float[Array, "n"]  # 1 of small residuals
+    cost: float  # sum of rho
+
+
+def compare_pixels(
+    drawn: Float[Array, "height width"],
+    seen: Float[Array, "height width"],
+    at: tuple[Int[Array, "n"], Int[Array, "n"]],
+    outlier: float,
+) -> PixelEquations:
+    """The equations of pixels `at` (rows, columns); residuals beyond `outlier` count little."""
+    slope_y, slope_x = np.gradient(drawn)
+    residual = (seen - drawn)[at]
+    slope = -np.stack([slope_x[at], slope_y[at]], 1)
+    cost = float(robust_cost(residual**2, outlier).sum())
+    return PixelEquations(slope, residual, robust_weight(residual**2, outlier), cost)

@@ -1,0 +1,212 @@
+"""`selfscan import`: real captures, read into capture folders."""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from avatar.body import read_body
+from avatar.skeleton import PARTS
+from capture.keypoints.detect import MODELS, detect, model_files
+from capture.raw.video_file import open_video, read_frames
+from capture.read.easymocap import MOST_FRAMES
+from command.command_line import Help, Option, parse
+from command.errors import AssetError
+from command.progress import progress
+from command.settings import Above, AtLeast, AtMost, OneOf
+from files.whole import check_folder
+
+
+def parse_selection(text: str) -> tuple[str, tuple[int, int, int]]:
+    """PART=START:STEP:COUNT."""
+    part, _, numbers = text.partition("=")
+    try:
+        start, step, count = (int(number) for number in numbers.split(":"))
+        if part not in PARTS or start < 0 or step < 1 or count < 1:
+            raise ValueError
+    except ValueError:
+        expected = f"expected PART=START:STEP:COUNT with PART of {', '.join(PARTS)}"
+        raise argparse.ArgumentTypeError(f"{expected}, found {text!r}") from None
+    return part, (start, step, count)
+
+
+@dataclass(frozen=True)
+class FrameChoice:
+    """Which frames of the videos are taken."""
+
+    frames: Annotated[int, AtLeast(1), AtMost(1_000_000), "most frames of a video"] = MOST_FRAMES
+    select: Annotated[
+        tuple[tuple[str, tuple[int, int, int]], ...],
+        Option(metavar="PART=START:STEP:COUNT", parse=parse_selection, repeated=True),
+        "the frames of one video, for example body=500:10:90; may be given for each",
+    ] = ()
+
+
+@dataclass(frozen=True)
+class TotalSelfScanCommand:
+    """`selfscan import totalselfscan`."""
+
+    source: Annotated[Path, Option(positional=True, metavar="SRC"), "the subject's folder"]
+    out: Annotated[Path, Option(positional=True, metavar="OUT"), "capture folder to write"]
+    frames: Annotated[FrameChoice, "which frames are taken"]
+    body: Annotated[
+        Path | None, Option(metavar="MODEL"), "the SMPL+H model of the fits (.pkl, .npz), for its skin weights"
+    ] = None
+
+
+@dataclass(frozen=True)
+class EasyMocapCommand:
+    """`selfscan import easymocap`."""
+
+    source: Annotated[Path, Option(positional=True, metavar="SRC"), "folder with body, head, hand_left, hand_right"]
+    out: Annotated[Path, Option(positional=True, metavar="OUT"), "capture folder to write"]
+    body: Annotated[Path, Option(metavar="MODEL"), "the SMPL+H model of the fits (.pkl, .npz)"]
+    head: Annotated[Path, Option(metavar="COLMAP_DIR"), "COLMAP model of the head video"]
+    landmarks: Annotated[Path, Option(metavar="FILE"), "JSON: named pixels of the head video"]
+    masks: Annotated[Path, Option(metavar="DIR"), "folder with masks of the four videos"]
+    frames: Annotated[FrameChoice, "which frames are taken"]
+
+
+@dataclass(frozen=True)
+class VideoCommand:
+    """`selfscan import video`."""
+
+    videos: Annotated[
+        tuple[Path, ...],
+        Option(positional=True, metavar="BODY HEAD LEFT RIGHT", several=True),
+        "the four videos, or a folder with body.mp4, head.mp4, left.mp4 and right.mp4",
+    ]
+    out: Annotated[Path, Option(("-o", "--out"), "OUT"), "capture folder to write"]
+    keypoints: Annotated[
+        str,
+        Option(metavar="auto|DIR"),
+        "folder with keypoints of body, head, hand_left and hand_right (OpenPose, COCO-WholeBody, MediaPipe), for each "
+        "frame of the video; auto: the folder keypoints beside the videos, else found by MediaPipe with --models, and "
+        "kept in OUT.keypoints",
+    ] = "auto"
+    masks: Annotated[
+        str, Option(metavar="auto|DIR"), "folder with masks of the videos, one for each frame; auto: from the videos"
+    ] = "auto"
+    models: Annotated[
+        Path | None,
+        Option(metavar="DIR"),
+        f"MediaPipe's model files, for --keypoints auto: {', '.join(MODELS.values())}",
+    ] = None
+    sex: Annotated[str, OneOf(("male", "female")), "the free body that the fit begins with"] = "male"
+    stature: Annotated[
+        float | None, AtLeast(0.8), AtMost(2.5), Option(metavar="METRES"), "your height; all lengths follow from it"
+    ] = None
+    focal: Annotated[
+        float | None, Above(0), Option(metavar="PX"), "focal length of the phone, pixels of the videos (default: found)"
+    ] = None
+    frames: Annotated[int, AtLeast(8), AtMost(1000), "most frames of a video that are used"] = 60
+
+
+KINDS = """usage: selfscan import KIND ...
+
+Turn real self-scan videos, with the poses, masks and cameras that other tools made of them, into a capture folder.
+docs/capture.md says how to film and which tools to run.
+
+  video BODY HEAD LEFT RIGHT -o OUT   your own four videos as filmed: nothing else is needed but keypoints
+  totalselfscan SRC OUT   one subject of the paper's released data
+  easymocap SRC OUT       your own videos, fitted with EasyMocap
+
+`selfscan import KIND --help` explains each; then: selfscan check OUT && selfscan train OUT -o RUN
+"""
+FILMED = Help(
+    "selfscan import video",
+    """Four videos of one person, as filmed, to a capture folder: frames are chosen, the person is cut from the room,
+body, hands, head and cameras are fitted. Look at the videos first with `selfscan check`. Stopped, it goes on where it
+was.""",
+    "example: selfscan import video me/body.mp4 me/head.mp4 me/left.mp4 me/right.mp4 --stature 1.78 -o capture",
+)
+RELEASED = Help(
+    "selfscan import totalselfscan",
+    """One subject of the data that TotalSelfScan's authors released: annots.npy, params, lbs, face, hand/handl,
+hand/handr.""",
+)
+OWN = Help(
+    "selfscan import easymocap",
+    """Your own four videos: SMPL+H fits of body and hands by EasyMocap, head cameras by COLMAP, landmarks that you
+marked, masks. Folders: docs/capture.md.""",
+)
+
+
+def _detect(folder: Path, files: dict[str, Path], models: dict[str, Path]) -> None:
+    """Keypoints of the videos by MediaPipe, a file each; those that are there are not found again."""
+    videos = {part: open_video(path) for part, path in files.items()}
+    folder.mkdir(exist_ok=True)
+    for part, video in videos.items():
+        path = folder / f"{part}.json"
+        if not path.exists():
+            frames = ((frame.time, frame.picture) for frame in read_frames(video))
+            detect(path, progress(frames, f"keypoints of {video.name}", video.frames), models)
+
+
+def _import_video(command: VideoCommand) -> list[str]:
+    from capture.fit.scan import fit_scan
+    from capture.raw.four_videos import KEYPOINTS, find_videos
+    from capture.read.video import VideoImport, import_video
+
+    check_folder(command.out)
+    files = find_videos(command.videos)
+    beside = files["body"].parent / "keypoints"
+    if command.keypoints != "auto":
+        keypoints = Path(command.keypoints)
+    elif beside.is_dir():
+        keypoints = beside
+    else:
+        try:
+            models = model_files(command.models)
+        except AssetError as error:
+            raise AssetError(f"{beside}: expected {KEYPOINTS}, found no such folder; {error}") from None
+        keypoints = command.out.with_name(command.out.name + ".keypoints")
+        _detect(keypoints, files, models)
+    masks = None if command.masks == "auto" else Path(command.masks)
+    given = VideoImport(files, keypoints, masks, command.frames, command.focal)
+    return import_video(
+        given, command.out, lambda scan, work: fit_scan(scan, sex=command.sex, stature=command.stature, work=work)
+    )
+
+
+def main(argv: Sequence[str]) -> int:
+    """The command line; see `selfscan import --help`."""
+    kind, rest = (argv[0], argv[1:]) if argv else ("", ())
+    if kind in ("-h", "--help"):
+        print(KINDS, end="")
+        return 0
+    if kind == "totalselfscan":
+        command = parse(TotalSelfScanCommand, rest, RELEASED)
+        from capture.read.totalselfscan import import_totalselfscan
+
+        check_folder(command.out)
+        body = read_body(command.body) if command.body else None
+        notes = import_totalselfscan(
+            command.source, command.out, body=body, most=command.frames.frames, select=dict(command.frames.select)
+        )
+    elif kind == "easymocap":
+        command = parse(EasyMocapCommand, rest, OWN)
+        from capture.read.easymocap import import_easymocap
+
+        check_folder(command.out)
+        notes = import_easymocap(
+            command.source,
+            command.out,
+            body=read_body(command.body),
+            head=command.head,
+            landmarks=command.landmarks,
+            masks=command.masks,
+            most=command.frames.frames,
+            select=dict(command.frames.select),
+        )
+    elif kind == "video":
+        command = parse(VideoCommand, rest, FILMED)
+        notes = _import_video(command)
+    else:
+        parser = argparse.ArgumentParser(prog="selfscan import", usage="selfscan import KIND ...")
+        parser.error(f"KIND: expected video, totalselfscan or easymocap, found {kind or 'nothing'}")
+    for note in notes:
+        print(note)
+    print(f"{command.out}: imported; `selfscan check {command.out}` says whether it can be used")
+    return 0

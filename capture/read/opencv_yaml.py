@@ -1,0 +1,125 @@
+"""EasyMocap's cameras: intri.yml and extri.yml, as OpenCV's FileStorage writes them.
+
+    %YAML:1.0
+    names:
+       - "1"
+    K_1: !!opencv-matrix
+       rows: 3
+       cols: 3
+       dt: d
+       data: [1180., 0., 960., ...]
+
+Read by a small parser of our own: keys in the first column, matrices of numbers, lists of names. In intri.yml
+K_NAME (3,3) and dist_NAME (k1 k2 p1 p2 k3); in extri.yml Rot_NAME (3,3), or R_NAME (3,1) as axis-angle, and
+T_NAME (3,1): x_camera = R x_world + T, metres. Pixel centres lie on whole numbers; ours at .5.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from avatar.camera import Camera, checked_camera
+from avatar.rotation import matrix_from_axis_angle
+from command.errors import AssetError
+from files.input_file import read_text
+
+Array = np.ndarray
+
+MAX_BYTES = 1 << 20
+MAX_VALUES = 1024  # one matrix'
+
+_ENTRY = re.compile(r"^([A-Za-z_][\w.\-]*):[ \t]*(.*)$")
+_NAME = re.compile(r"""^\s*-\s*(?:"([^"]*)"|'([^']*)'|(\S+))\s*$""")
+
+
+def read_opencv_yaml(path: Path) -> tuple[list[str], dict[str, Array]]:
+    """Names and matrices of a FileStorage file; other entries are passed over.
+
+    Raises:
+        AssetError: absent, not such a file, or a matrix whose data do not fill its rows and columns.
+    """
+    text = read_text(path, "EasyMocap's cameras (OpenCV YAML)", most=MAX_BYTES)
+    entries: dict[str, list[str]] = {}
+    current: list[str] | None = None
+    for line in text.splitlines():
+        match = _ENTRY.match(line)
+        if match:
+            if match[1] in entries:
+                raise AssetError(f"{path}: {match[1]} is there twice")
+            current = entries[match[1]] = [match[2]]
+        elif line.strip() and not line.startswith(("%", "---", "...", "#")):
+            if current is None:
+                raise AssetError(f"{path}: expected OpenCV YAML, found {line[:40]!r}")
+            current.append(line)
+    names, matrices = [], {}
+    for key, lines in entries.items():
+        if "!!opencv-matrix" in lines[0]:
+            matrices[key] = _matrix(path, key, " ".join(lines[1:]))
+        elif key == "names":
+            found = [_NAME.match(line) for line in lines[1:]]
+            if not found or not all(found):
+                raise AssetError(f"{path}: names should be a list of names, is {' '.join(lines)[:60]!r}")
+            names = [next(group for group in match.groups() if group is not None) for match in found if match]
+    return names, matrices
+
+
+def _matrix(path: Path, key: str, text: str) -> Array:
+    sizes = {name: re.search(rf"\b{name}:\s*(\d{{1,6}})\b", text) for name in ("rows", "cols")}
+    data = re.search(r"data:\s*\[([^\]]*)\]", text)
+    if not all(sizes.values()) or data is None:
+        raise AssetError(f"{path}: {key} should be a matrix with rows, cols and data")
+    rows, cols = (int(match[1]) for match in sizes.values() if match)
+    words = data[1].replace(",", " ").split()
+    if len(words) > MAX_VALUES or rows * cols != len(words):
+        raise AssetError(f"{path}: {key} should have {rows} x {cols} numbers, has {len(words)}")
+    try:
+        # .nan and .inf are no floats to Python either
+        values = np.array([float(word) for word in words])
+    except ValueError:
+        raise AssetError(f"{path}: {key} should be finite numbers, is {data[1][:60]!r}") from None
+    if not np.isfinite(values).all():
+        raise AssetError(f"{path}: {key} should be finite numbers, is {data[1][:60]!r}")
+    return values.reshape(rows, cols)
+
+
+def read_easymocap_camera(folder: Path, name: str | None, size: tuple[int, int]) -> Camera:
+    """The camera `name` of intri.yml and extri.yml in `folder`; None: the only one there is.
+
+    Raises:
+        AssetError: a file, matrix or name is absent, several cameras and none named, or numbers that make no
+            camera (zero focal length, no rotation).
+    """
+    intrinsics, extrinsics = folder / "intri.yml", folder / "extri.yml"
+    _, K_of = read_opencv_yaml(intrinsics)
+    _, R_of = read_opencv_yaml(extrinsics)
+    names = sorted(key[2:] for key in K_of if key.startswith("K_"))
+    if not names:
+        raise AssetError(f"{intrinsics}: no K_NAME; it has {sorted(K_of)[:12]}")
+    if name not in names:
+        if len(names) > 1:
+            raise AssetError(f"{intrinsics}: expected camera {name!r}, the folder of its images, found {names[:12]}")
+        name = names[0]
+    K = _shaped(intrinsics, K_of, f"K_{name}", 9).reshape(3, 3)
+    distortion = np.zeros(5)
+    if f"dist_{name}" in K_of:
+        given = K_of[f"dist_{name}"].ravel()
+        if len(given) not in (4, 5):
+            raise AssetError(f"{intrinsics}: dist_{name} should be k1 k2 p1 p2 and k3, is {len(given)} numbers")
+        distortion[: len(given)] = given
+    if f"Rot_{name}" in R_of:
+        R = _shaped(extrinsics, R_of, f"Rot_{name}", 9).reshape(3, 3)
+    else:
+        R = matrix_from_axis_angle(_shaped(extrinsics, R_of, f"R_{name}", 3).reshape(3))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = R, _shaped(extrinsics, R_of, f"T_{name}", 3).reshape(3)
+    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    return checked_camera(f"{intrinsics} and extri.yml, camera {name}", K + half, pose, size, distortion)
+
+
+def _shaped(path: Path, matrices: dict[str, Array], key: str, count: int) -> Array:
+    if key not in matrices:
+        raise AssetError(f"{path}: no {key}; it has {sorted(matrices)[:12]}")
+    if matrices[key].size != count:
+        raise AssetError(f"{path}: {key} should be {count} numbers, is {matrices[key].shape}")
+    return matrices[key]

@@ -1,0 +1,204 @@
+"""Four videos as filmed become a capture folder: frames chosen, person masked, body fitted, all of it in one command.
+
+What is done lies in OUT.partial until the capture is whole: the same command goes on from there.
+"""
+
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from avatar.skeleton import PARTS
+from capture.keypoints.record import Keypoints
+from capture.raw.four_videos import NAMES, judge_videos, part_keypoints
+from capture.raw.glance import Glance
+from capture.raw.judge import Judged, refusal
+from capture.raw.masks import soft_mask
+from capture.raw.plate import plate_of_empty, plate_of_free
+from capture.raw.scan import FittedScan, FittedVideo, RawScan, RawVideo
+from capture.raw.selection import KeptFrames, select
+from capture.raw.video_file import open_video, read_frames, saved
+from capture.read.close_up import PartMasks
+from capture.read.folder import SourceVideo, pictures_in, write_capture
+from command.errors import AssetError
+from command.progress import Progress
+from files.picture import read_picture
+from files.whole import check_folder, whole_file
+
+Array = np.ndarray
+# most frames whose points alone are used, and seconds from one to the next: a detector's errors last about as long
+TRACK, APART = 120, 0.1
+# what was filmed and a folder for finished steps, to the person
+Fit = Callable[[RawScan, Path], FittedScan]
+
+
+@dataclass(frozen=True)
+class VideoImport:
+    """What is imported, and with what help."""
+
+    videos: Mapping[str, Path]  # by part
+    keypoints: Path
+    # None: made from the videos
+    masks: Path | None = None
+    frames: int = 60  # most of each video
+    focal: float | None = None  # pixels; None: solved
+
+
+def import_video(given: VideoImport, out: Path, fit: Fit) -> list[str]:
+    """Write the capture folder `out`; returns what is worth saying.
+
+    Raises:
+        AssetError: a video cannot be used (one line says why and what to do), or keypoints or masks are not its own.
+    """
+    check_folder(out)
+    videos = {part: open_video(given.videos[part]) for part in PARTS}
+    keypoints = {part: part_keypoints(given.keypoints, part, videos[part]) for part in PARTS}
+    work = _work_folder(out, given)
+    judged = judge_videos(videos, keypoints, work)
+    why = refusal(judged)
+    if why is not None:
+        # others will be filmed: nothing of these is worth keeping
+        shutil.rmtree(work)
+        raise AssetError(why)
+    notes = [problem.line(videos[part].name) for part, at in judged.items() for problem in at.problems]
+    raw = {}
+    for part in PARTS:
+        chosen = select(judged[part], given.frames)
+        notes.append(chosen.line(videos[part].name))
+        raw[part] = _prepared(given, judged[part], chosen, work / part)
+    scan = RawScan(raw)
+    fitted = fit(scan, work / "fit")
+    _write(out, scan, fitted, work, given, notes)
+    shutil.rmtree(work)
+    return [*notes, *fitted.notes]
+
+
+def _work_folder(out: Path, given: VideoImport) -> Path:
+    """OUT.partial, emptied if it belongs to other input."""
+    work = out.with_name(out.name + ".partial")
+    files = [*given.videos.values(), given.keypoints, *([given.masks] if given.masks else [])]
+    stamp = {
+        "files": [[str(path.resolve()), path.stat().st_size, path.stat().st_mtime_ns] for path in files],
+        "frames": given.frames,
+    }
+    mark = work / "inputs.json"
+    if mark.exists() and json.loads(mark.read_text("utf-8")) != stamp:
+        shutil.rmtree(work)
+    elif work.exists() and not mark.exists():
+        raise AssetError(f"{work}: is in the way, and not an unfinished import; remove or rename it")
+    if mark.exists():
+        print(f"{work}: goes on with what is done")
+    for part in PARTS:
+        (work / part).mkdir(parents=True, exist_ok=True)
+    with whole_file(mark, "w") as file:
+        json.dump(stamp, file)
+    return work
+
+
+def _prepared(given: VideoImport, judged: Judged, chosen: KeptFrames, work: Path) -> RawVideo:
+    """The chosen frames as pictures, with their masks."""
+    at = judged.glance
+    images, masks = work / "images", work / "masks"
+    images.mkdir(exist_ok=True)
+    masks.mkdir(exist_ok=True)
+    pictures = [images / f"{i:06d}.png" for i in range(len(chosen.frames))]
+    if not (work / "images.done").exists():
+        wanted = frozenset(int(number) for number in chosen.frames)
+        for i, frame in enumerate(read_frames(at.video, only=wanted)):
+            saved(frame.picture, pictures[i])
+        (work / "images.done").touch()
+    keypoints = at.keypoints.of_frames(chosen.frames)
+    paths = [masks / f"{i:06d}.png" for i in range(len(chosen.frames))]
+    if given.masks is not None:
+        _given_masks(given.masks, at, chosen, paths)
+    else:
+        _own_masks(judged, pictures, keypoints, paths)
+    soft = np.stack([read_picture(path, "L") for path in paths])
+    many = max(given.frames, min(TRACK, round(float(at.times[-1]) / APART)))
+    track = at.keypoints.of_frames(select(judged, many).frames)
+    return RawVideo(at.part, at.video.size, at.video.rate, chosen.frames, tuple(pictures), soft, keypoints, given.focal,
+                    at.video.focal, track)  # fmt: skip
+
+
+def _own_masks(judged: Judged, pictures: list[Path], keypoints: Keypoints, paths: list[Path]) -> None:
+    """Masks from the video itself."""
+    missing = [i for i, path in enumerate(paths) if not path.exists()]
+    if not missing:
+        return
+    at = judged.glance
+    if judged.empty.any():
+        plate = plate_of_empty(at.video, np.flatnonzero(judged.empty))
+    else:
+        spread = np.unique(np.linspace(0, len(pictures) - 1, min(len(pictures), 30)).astype(int))
+        plate = plate_of_free([read_picture(pictures[i]) for i in spread], keypoints.of_frames(spread))
+    report = Progress("masks", len(paths))
+    for i in missing:
+        mask = soft_mask(read_picture(pictures[i]), plate, keypoints, i)
+        with whole_file(paths[i]) as file:
+            Image.fromarray(mask).save(file, format="PNG", compress_level=1)
+        report.update(i + 1, at.part)
+
+
+def _given_masks(folder: Path, at: Glance, chosen: KeptFrames, paths: list[Path]) -> None:
+    """Masks of another tool: one for each frame of the video, in order."""
+    place = next((folder / name for name in NAMES[at.part] if (folder / name).is_dir()), folder / at.part)
+    files = pictures_in(place)
+    if len(files) != len(at.times):
+        raise AssetError(
+            f"{place}: expected a mask for each of {len(at.times)} frames of {at.video.name}, found {len(files)}"
+        )
+    for number, path in zip(chosen.frames, paths, strict=True):
+        mask = read_picture(files[number], "L")
+        if mask.shape[::-1] != at.video.size:
+            raise AssetError(f"{files[number]}: mask should be {at.video.size} pixels, is {mask.shape[::-1]}")
+        if mask.max(initial=0) <= 1:
+            mask = 255 * mask
+        if not mask.any():
+            raise AssetError(f"{files[number]}: mask shows no person in frame {number} of {at.video.name}")
+        with whole_file(path) as file:
+            Image.fromarray(mask).save(file, format="PNG", compress_level=1)
+
+
+def _only_the_part(close_up: PartMasks, fit: FittedVideo, work: Path) -> None:
+    """Masks of a close-up without the rest of the person, beside those that the fit was given."""
+    (work / "own_masks").mkdir(exist_ok=True)
+    for i, camera in enumerate(fit.cameras):
+        mask = read_picture(work / "masks" / f"{i:06d}.png", "L")
+        Image.fromarray(close_up.mask(mask, camera, fit, i)).save(work / "own_masks" / f"{i:06d}.png", compress_level=1)
+
+
+def _write(out: Path, scan: RawScan, fitted: FittedScan, work: Path, given: VideoImport, notes: list[str]) -> None:
+    """The capture folder of a fitted scan."""
+    videos = {}
+    for part, raw in scan.videos.items():
+        fit = fitted.videos[part]
+        kept = np.flatnonzero(fit.usable)
+        if len(kept) < 4:
+            raise AssetError(
+                f"{given.videos[part]}: the person could be fitted in {len(kept)} of {len(raw.frames)} frames"
+            )
+        if part != "body":
+            _only_the_part(PartMasks(fitted.template, part, fitted.landmarks), fit, work / part)
+        pick = lambda values: None if values is None else values[kept]
+        videos[part] = SourceVideo(
+            tuple(raw.pictures[i] for i in kept),
+            tuple(work / part / ("masks" if part == "body" else "own_masks") / f"{i:06d}.png" for i in kept),
+            any_value=False, soft=True, cameras=tuple(fit.cameras[i] for i in kept),
+            axis_angle=pick(fit.axis_angle), root=pick(fit.root), place=str(given.videos[part]),
+        )  # fmt: skip
+    landmarks = {
+        "points": {name: [float(x) for x in point] for name, (point, _) in fitted.landmarks.items()},
+        "vertices": {name: int(vertex) for name, (_, vertex) in fitted.landmarks.items()},
+    }
+    facts = {
+        "subject": out.name, "source": "video", "input": "from_pixels", "body_licence": fitted.template.licence,
+        "frame_numbers": {
+            part: [int(n) for n in raw.frames[fitted.videos[part].usable]] for part, raw in scan.videos.items()
+        },
+        "notes": [*notes, *fitted.notes],
+    }  # fmt: skip
+    write_capture(out, fitted.template, videos, landmarks, facts)

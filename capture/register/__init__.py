@@ -1,0 +1,1 @@
+"""The head's place on the body: Eq. 6 and what refines it."""

@@ -1,0 +1,236 @@
+"""The head's place on the body, read off the body's video: Eq. 5 refined by pixels.
+
+Eq. 5 compares the head's surface with that of the body's field, whose face is a few pixels wide and whose hair is
+shapeless. The body's video knows more: in each of its frames the head field's outline and colors have to fall on
+the pixels. With S a similarity of the head, D(u; S) its drawing in a frame (coverage and color) and O the frame,
+
+    min over S of  sum over frames and pixels  rho(O(u) - D(u; S))  +  sum |S a_i - b_i|^2 / spread^2
+
+(rho: Geman and McClure 1985; a_i, b_i the landmarks of Eq. 6) is solved by Gauss-Newton as image alignment (Lucas and
+Kanade 1981): moving what is drawn by m pixels changes it by -gradient . m.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from avatar.camera import Camera, project
+from avatar.kinematics import pixel_rows
+from avatar.rotation import matrix_from_axis_angle
+from avatar.skeleton import JOINTS, skin_transforms
+from avatar.skinning import skin_points
+from capture.fit.pixels import compare_pixels
+from capture.folder import CaptureSubject, PartVideo
+from geometry.icp import Anchors
+from geometry.rasterise import rasterise
+
+Array = np.ndarray
+
+HEAD = JOINTS.index("head")
+# drawn so many times finer than the frame, then averaged
+FINER = 2
+# pixels around the drawn head that count: farther is background or someone else
+RIM = 4
+# pixels a side of the head's crop; larger ones are averaged down
+LARGEST = 160
+# standard deviation of a pixel's residual: neighbours err together, so more than the noise
+PIXEL = 0.3
+# residuals beyond it lose their weight: a hand before the face, light that differs
+OUTLIER = 0.2
+# metres; rotation and scale are counted at this distance, so that all unknowns are alike in size
+ARM = 0.1
+
+
+class ColoredHead(NamedTuple):
+    """What the head's field shows at the template's head."""
+
+    vertices: Int[Array, "n"]  # the template's
+    # where the field shows them, in the frame that the similarity moves
+    points: Float[Array, "n 3"]
+    colors: Float[Array, "n 3"]  # sRGB, [0, 1]
+
+
+class VideoFit(NamedTuple):
+    """Where the body's video has the head."""
+
+    transform: Float[Array, "4 4"]  # canonical_from_head_field, a similarity
+    # root of the mean rho over coverage and color (0 to 1), at the start
+    before: float
+    after: float
+
+
+def refine_on_video(
+    subject: CaptureSubject, head: ColoredHead, video: PartVideo, start: Float[Array, "4 4"], anchors: Anchors,
+    *, frames: int = 20, rounds: int = 8, most: float = 0.03,
+) -> VideoFit:  # fmt: skip
+    """The similarity `start` of the head, refined until what it draws lies on the pixels of the body's video.
+
+    Raises:
+        ValueError: the head is in no frame, or the answer does not lie nearer to the pixels, or moves the head by
+            more than `most` metres: the start, the poses or the masks are wrong.
+    """
+    shown = np.zeros(len(subject.vertices), bool)
+    shown[head.vertices] = True
+    colors = np.zeros((len(subject.vertices), 3))
+    colors[head.vertices] = head.colors
+    scene = _PaintedTemplate(subject, np.asarray(shown[subject.faces].all(1), bool), colors[subject.faces].mean(1))
+    chosen = np.unique(np.linspace(0, len(video.images), min(frames, len(video.images)), endpoint=False).astype(int))
+    transform, tried = start, []
+    for _ in range(rounds + 1):
+        placed = subject.vertices.copy()
+        placed[head.vertices] = head.points @ transform[:3, :3].T + transform[:3, 3]
+        centre = placed[head.vertices].mean(0)
+        H, b = _anchor_terms(anchors, transform, centre)
+        total, count = 0.0, 0
+        for frame in chosen:
+            error, pixels = _add_frame(H, b, scene, placed, video, int(frame), centre)
+            total, count = total + error, count + pixels
+        if count == 0:
+            raise ValueError("the body's video shows no head")
+        tried.append((float(np.sqrt(total / count)), transform))
+        delta = np.linalg.solve(H, b)
+        transform = _similarity(delta, centre) @ transform
+        if np.abs(delta).max() < 2e-5:
+            break
+    before, after = tried[0][0], tried[-1][0]
+    answer = tried[-1][1]
+    # the anchors and a changing set of pixels may cost a little
+    if not after <= 1.05 * before:
+        raise ValueError(f"the pixels of the body's video fit worse than before ({before:.4f} -> {after:.4f})")
+    moved = (head.points @ (answer - start)[:3, :3].T + (answer - start)[:3, 3]).astype(float)
+    shift = float(np.linalg.norm(moved, axis=1).max())
+    if shift > most:
+        raise ValueError(f"the body's video would move the head by {shift:.3f} m, more than {most}")
+    return VideoFit(answer, before, after)
+
+
+class _PaintedTemplate(NamedTuple):
+    """The template with what its faces show."""
+
+    subject: CaptureSubject
+    head: Bool[Array, "faces"]  # faces of the head that the field shows
+    color: Float[Array, "faces 3"]
+
+
+def _similarity(delta: Float[Array, "7"], centre: Float[Array, "3"]) -> Float[Array, "4 4"]:
+    """Turn, shift and scale about `centre` of the small increments delta."""
+    A = matrix_from_axis_angle(delta[:3] / ARM) * (1 + delta[6] / ARM)
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = A, centre - A @ centre + delta[3:6]
+    return out
+
+
+def _moves(points: Float[Array, "n 3"], centre: Float[Array, "3"]) -> Float[Array, "n 3 7"]:
+    """Derivative of points under `_similarity` to its increments."""
+    about = (points - centre) / ARM
+    D = np.zeros((len(points), 3, 7))
+    for axis in range(3):
+        D[:, :, axis] = np.cross(np.eye(3)[axis], about)
+        D[:, axis, 3 + axis] = 1
+    D[:, :, 6] = about
+    return D
+
+
+def _anchor_terms(
+    anchors: Anchors, transform: Float[Array, "4 4"], centre: Float[Array, "3"]
+) -> tuple[Float[Array, "7 7"], Float[Array, "7"]]:
+    placed = anchors.source @ transform[:3, :3].T + transform[:3, 3]
+    K = _moves(placed, centre).reshape(-1, 7)
+    return K.T @ K / anchors.spread**2, K.T @ (anchors.target - placed).ravel() / anchors.spread**2
+
+
+def _add_frame(
+    H: Float[Array, "7 7"], b: Float[Array, "7"], scene: _PaintedTemplate, placed: Float[Array, "vertices 3"],
+    video: PartVideo, frame: int, centre: Float[Array, "3"],
+) -> tuple[float, int]:  # fmt: skip
+    """Add one frame's pixels to the normal equations; returns the sum of rho and the number of residuals."""
+    assert video.axis_angle is not None and video.root is not None
+    subject = scene.subject
+    B = skin_transforms(video.axis_angle[frame], subject.joints, video.root[frame])
+    posed = skin_points(placed, subject.skin, B)
+    cropped = _crop(video, frame, posed[np.unique(subject.faces[scene.head])])
+    if cropped is None:
+        return 0.0, 0
+    camera, image, mask = cropped
+    width, height = camera.size
+    K = camera.K.copy()
+    K[:2] *= FINER
+    drawn = rasterise(posed, subject.faces, replace(camera, K=K, size=(FINER * width, FINER * height)))
+    hit = drawn.face >= 0
+    is_head = hit & scene.head[drawn.face]
+    colors = np.where(is_head[..., None], scene.color[drawn.face], 0)
+    coverage, own, colors = (_averaged(a, FINER) for a in (hit[..., None], is_head[..., None], colors))
+    near = np.asarray(ndimage.binary_dilation(own[..., 0] > 0, iterations=RIM), bool)
+    if not is_head.any():
+        return 0.0, 0
+    y, x = np.nonzero(near)
+    nearest = ndimage.distance_transform_edt(~hit, return_distances=False, return_indices=True)
+    assert isinstance(nearest, np.ndarray)
+    row, column = nearest[:, y * FINER + FINER // 2, x * FINER + FINER // 2]
+    face = drawn.face[row, column]
+    keep = scene.head[face]
+    y, x, face = y[keep], x[keep], face[keep]
+    corners = subject.faces[face]
+    turn = B[HEAD, :3, :3]  # the head follows its bone (Eq. 4)
+    motion = pixel_rows(camera, posed[corners].mean(1))[1] @ turn @ _moves(placed[corners].mean(1), centre)
+
+    def add(
+        drawn: Float[Array, "height width"], seen: Float[Array, "height width"], where: Bool[Array, "n"]
+    ) -> tuple[float, int]:
+        found = compare_pixels(drawn, seen, (y[where], x[where]), OUTLIER)
+        J = np.einsum("ni,nij->nj", found.slope, motion[where])
+        weight = found.weight / PIXEL**2
+        H[...] += (J * weight[:, None]).T @ J
+        b[...] += (J * weight[:, None]).T @ found.residual
+        return found.cost, len(weight)
+
+    error, count = add(_blurred(coverage[..., 0], 1.0), _blurred(mask, 1.0), np.ones(len(y), bool))
+    deep = np.asarray(ndimage.binary_erosion(own[..., 0] > 0.99, iterations=2), bool)
+    deep &= np.asarray(ndimage.binary_erosion(mask > 0.99, iterations=2), bool)
+    inside = deep[y, x]
+    if inside.any():
+        for channel in range(3):
+            drawn_, seen = (_blurred(a[..., channel], 0.6) for a in (colors, image))
+            light = np.median((seen - drawn_)[y[inside], x[inside]])  # exposure and light differ between the videos
+            more = add(drawn_ + light, seen, inside)
+            error, count = error + more[0], count + more[1]
+    return error, count
+
+
+def _crop(
+    video: PartVideo, frame: int, head: Float[Array, "n 3"]
+) -> tuple[Camera, Float[Array, "height width 3"], Float[Array, "height width"]] | None:
+    """The frame around the head, at most LARGEST pixels a side, with its camera; None where it is out of view."""
+    camera = video.cameras[frame]
+    pixels, depth = project(camera, head)
+    if not (depth > 0.05).all():
+        return None
+    low = np.floor(pixels.min(0)) - 3 * RIM
+    high = np.ceil(pixels.max(0)) + 3 * RIM
+    by = max(1, int(np.ceil((high - low).max() / LARGEST)))
+    low = np.maximum(np.floor(pixels.min(0)) - 3 * RIM * by, 0).astype(int)
+    high = np.minimum(np.ceil(pixels.max(0)) + 3 * RIM * by, camera.size).astype(int)
+    size = (high - low) // by
+    if (size < 8).any():
+        return None
+    high = low + by * size
+    K = camera.K.copy()
+    K[:2, 2] -= low
+    K[:2] /= by
+    window = np.s_[low[1] : high[1], low[0] : high[0]]
+    image = _averaged(video.images[frame][window].astype(np.float64) / 255, by)
+    mask = _averaged(video.masks[frame][window][..., None].astype(np.float64), by)[..., 0]
+    return replace(camera, K=K, size=(int(size[0]), int(size[1]))), image, mask
+
+
+def _averaged(image: Array, by: int) -> Float[Array, "height width c"]:
+    """Means of squares of by x by pixels."""
+    height, width, channels = image.shape
+    return image.reshape(height // by, by, width // by, by, channels).mean((1, 3))
+
+
+def _blurred(image: Float[Array, "height width"], sigma: float) -> Float[Array, "height width"]:
+    return np.asarray(ndimage.gaussian_filter(image, sigma), np.float64)

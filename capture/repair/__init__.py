@@ -1,1 +1,0 @@
-"""Noisy poses and wrong masks of a capture, put right before training."""

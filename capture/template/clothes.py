@@ -1,0 +1,275 @@
+"""Clothes that stand off the template: carved from the body video's masks and joined to the template as a shell.
+
+A surface is looked for within a band of centimetres round the template. A skirt, wide trousers or a coat lie beyond it.
+As hair is (hull.py), they are carved: what nearly all masks hold is the person, and what of that stands farther
+off the template than the band reaches, two litres or more of it, is cloth. Cloth is thin and open below, so of what is
+carved only a shell stays, as thick as a grid can hold: with D the signed distance to the air beside what is held, level
+by level, and d that to the template,
+
+    max(D, min(-D - THICK, d - D - THICK - GAP), -d - UNDER)
+
+so that the way in from below and the legs inside stay as they are; where less than GAP of air is left between shell and
+body, at the waist, the shell is filled down to the skin. Joined to the template it is marched to, learned, skinned and
+baked like skin; the band then follows the cloth. It moves as the nearest bones do, smoothed over a hand's breadth of
+cloth, so that the middle of a skirt moves half with each leg.
+
+All is carved in the pose that the video holds, where the person is rigid, and taken to the canonical frame by the
+weights.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage, sparse
+
+from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
+from avatar.skinning import SkinWeights, dense_weights, skin_points, strongest_four, unskin_points
+from capture.folder import CaptureSubject, PartVideo
+from capture.template.grid import DistanceGrid, distance_grid
+from capture.template.hull import SEEN_BY, MaskView, background_share
+from capture.template.surface import SurfaceCloud, surface_cloud, visible_faces
+from geometry.cells import distance_to
+from geometry.isosurface import zero_set_mesh
+from geometry.mesh import TriangleMesh, neighbour_matrix
+
+Array = np.ndarray
+
+CELL = 0.01  # metres, the template's distance
+FINE = 0.007  # metres, the grid on which cloth is carved
+# metres off the template: nearer is left to the band, farther no cloth stands
+STANDS_OFF, FARTHEST = 0.03, 0.28
+# a piece of less is a fold, a pocket, or what masks of two legs leave open; cubic metres, and metres at its farthest
+LEAST, REACHES = 2e-3, 0.05
+LEAST_SHELL = 2e-4  # cubic metres: less of a shell is what is left between two legs
+# a cell is empty when more of the views show background there; of round cloth a tenth would leave half a centimetre
+AGAINST = 0.06
+# metres: so far round what stands off cloth is followed down to the skin
+AROUND = 0.12
+# directions round the middle of a level; cloth reaches as far as it does at its widest, or nearly, in as many as at
+# the best level, or nearly: less is below the hem
+SECTORS, HEM_REACH, ALL_ROUND = 24, 0.6, 0.8
+# metres, of the shell: a fine cell and a half, or the grid loses it; half of it is the widest cell of the distance that
+# the field begins with
+THICK = 0.011
+# metres of air between shell and skin that are filled, and how deep under the skin the shell ends
+GAP, UNDER = 0.02, 0.015
+# metres of cloth over which skin weights are smoothed
+BLEND = 0.1
+
+
+class Cloth(NamedTuple):
+    """A shell of cloth on a grid of the pose that it was carved in."""
+
+    distance: Float[Array, "x y z"]  # signed, metres; right near the shell
+    # how deep under the outside of person and cloth together, level by level; metres; 0 farther off than cloth reaches
+    depth: Float[Array, "x y z"]
+    low: Float[Array, "3"]  # place of distance[0, 0, 0], metres
+
+    def at(self, values: Float[Array, "x y z"], points: Float[Array, "n 3"], outside: float) -> Float[Array, "n"]:
+        """One of its grids at points, trilinear; `outside` of the grid's box."""
+        places = ((points - self.low) / FINE).T
+        return ndimage.map_coordinates(values, places, order=1, mode="constant", cval=outside)
+
+
+def with_clothes(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
+    """The subject with loose clothes joined to its template; the subject itself, bit by bit, where there are none.
+
+    Template faces inside the cloth are dropped; vertices keep their numbers. Clothes belong to the body part.
+
+    Raises:
+        ValueError: there are clothes, and the pose that the video holds does not lead to the canonical one.
+    """
+    pose, views = held_pose(body, subject)
+    canonical_to_pose = skin_transforms(pose, subject.joints, np.zeros(3))
+    posed = replace(subject, vertices=skin_points(subject.vertices, subject.skin, canonical_to_pose))
+    cloud = surface_cloud(posed, PARTS.index("body"), visible_faces(subject), CELL, CELL)
+    margin = np.array([FARTHEST + 0.02, 0.06, FARTHEST + 0.02])
+    low, high = posed.vertices.min(0) - margin, posed.vertices.max(0) + margin
+    # twice as wide a grid first, so that people in close clothes cost little
+    coarse = distance_grid(cloud, low, high, 2 * CELL)
+    loose = standing_off(views, coarse, cloud)
+    if not loose.any():
+        return subject
+    template = distance_grid(cloud, low, high, CELL)
+    cloth = carve(views, template, coarse, loose)
+    vertices, faces = cloth_mesh(cloth)
+    # what of the cloth lies under the skin is no surface, and what of the skin lies in the cloth neither
+    under = _distance_at(template, vertices[faces].mean(1))
+    faces = faces[under > -0.003]
+    used, faces = np.unique(faces, return_inverse=True)
+    mesh = TriangleMesh(vertices[used], faces.reshape(-1, 3))
+    covered = cloth.at(cloth.distance, posed.vertices[subject.faces].mean(1), 1.0) < -0.25 * FINE
+    behind = [cloth.at(cloth.depth, posed.vertices, 0.0) > THICK, cloth.at(cloth.depth, mesh[0], 0.0) > 0.5 * THICK]
+    skin = cloth_weights(mesh, cloud)
+    joined = _joined(subject, subject.faces[~covered], mesh, skin, canonical_to_pose)
+    return replace(joined, behind_cloth=np.concatenate(behind))
+
+
+def held_pose(body: PartVideo, subject: CaptureSubject) -> tuple[Float[Array, "52 3"], list[MaskView]]:
+    """The pose that a video holds on average, its pelvis at the origin unturned, and the video's views of it there."""
+    assert body.axis_angle is not None and body.root is not None
+    pose = body.axis_angle.mean(0)
+    pose[0] = 0
+    pelvis = skin_transforms(pose, subject.joints, np.zeros(3))[0]
+    views = []
+    for mask, camera, axis_angle, root in zip(body.masks, body.cameras, body.axis_angle, body.root):
+        world_from_pose = skin_transforms(axis_angle, subject.joints, root)[0] @ np.linalg.inv(pelvis)
+        views.append(MaskView(mask, replace(camera, camera_from_world=camera.camera_from_world @ world_from_pose)))
+    return pose, views
+
+
+def standing_off(views: Sequence[MaskView], template: DistanceGrid, cloud: SurfaceCloud) -> Bool[Array, "x y z"]:
+    """Cells of the template's grid that the views hold, farther off the body than a band reaches, in large pieces.
+
+    What lies nearest to head or hands is none of it: hair and fingers have their own ways.
+    """
+    distance, low = template.values.astype(np.float64), template.low.astype(np.float64)
+    asked = np.argwhere((distance > STANDS_OFF) & (distance < FARTHEST))
+    asked = asked[_held(low + template.cell * asked, views)]
+    row = np.asarray(cloud.tree.query(low + template.cell * asked, workers=-1)[1])
+    held = np.zeros(distance.shape, bool)
+    held[tuple(asked[cloud.part[row] == PARTS.index("body")].T)] = True
+    held = np.asarray(ndimage.binary_opening(held, ndimage.generate_binary_structure(3, 1)), bool)
+    label = np.empty(held.shape, np.int32)
+    ndimage.label(held, output=label)
+    loose = np.zeros_like(held)
+    for piece in range(1, int(label.max()) + 1):
+        own = label == piece
+        if own.sum() * template.cell**3 >= LEAST and distance[own].max() >= REACHES:
+            loose |= own
+    return loose
+
+
+def carve(
+    views: Sequence[MaskView], template: DistanceGrid, coarse: DistanceGrid, loose: Bool[Array, "x y z"]
+) -> Cloth:
+    """What the views hold within AROUND of the `loose` cells of the coarse grid, down to its hem, as a shell."""
+    near = distance_to(loose) * coarse.cell < AROUND
+    index = np.argwhere(near)
+    low = coarse.low + coarse.cell * (index.min(0) - 1.0)
+    shape = tuple(np.ceil(coarse.cell * (np.ptp(index, axis=0) + 2) / FINE).astype(int) + 1)
+    cells = np.stack(np.meshgrid(*[np.arange(n) for n in shape], indexing="ij"), -1).reshape(-1, 3)
+    distance = _distance_at(template, low + FINE * cells).reshape(shape)
+    hem = coarse.low[1] + coarse.cell * (hem_level(loose) - 0.5)
+    above = low[1] + FINE * np.arange(shape[1]) > hem
+    asked = np.argwhere((distance > 0) & (distance < FARTHEST) & above[:, None])
+    places = low + FINE * asked
+    nearest = np.round((places - coarse.low) / coarse.cell).astype(np.int64)
+    chosen = near[tuple(np.minimum(nearest, np.array(near.shape) - 1).T)]
+    cloth = np.zeros(shape, bool)
+    cloth[tuple(asked[chosen].T)] = _held(places[chosen], views)
+    return shell(cloth, distance, low.astype(np.float64))
+
+
+def _distance_at(template: DistanceGrid, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+    return template.at(points).astype(np.float64)
+
+
+def hem_level(loose: Bool[Array, "x y z"]) -> int:
+    """The lowest level of the cells that is cloth all round, as near as the widest level is.
+
+    Under a hem, cameras that look down see legs behind every point before and behind them: masks cannot carve there,
+    and what they leave is a tongue before the legs and one behind. Beside the legs they see the air.
+    """
+    count = loose.sum((0, 2))
+    index = np.argwhere(loose)
+    middle = np.stack([np.bincount(index[:, 1], index[:, axis], len(count)) for axis in (0, 2)], 1)
+    middle = middle / np.maximum(count, 1)[:, None]
+    away = index[:, [0, 2]] - middle[index[:, 1]]
+    sector = np.floor((np.arctan2(away[:, 0], away[:, 1]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+    reach = np.zeros((len(count), SECTORS))
+    np.maximum.at(reach, (index[:, 1], sector), np.hypot(*away.T))
+    around = (reach > HEM_REACH * reach.max(0)).mean(1)
+    return int(np.flatnonzero(around >= ALL_ROUND * around.max())[0])
+
+
+def _held(places: Float[Array, "n 3"], views: Sequence[MaskView]) -> Bool[Array, "n"]:
+    against, seen = background_share(places, views)
+    return (against <= AGAINST) & (seen >= SEEN_BY)
+
+
+def shell(cloth: Bool[Array, "x y z"], distance: Float[Array, "x y z"], low: Float[Array, "3"]) -> Cloth:
+    """Of what is held beyond the template only what lies near the air beside it, joined to the template where they
+    meet; `distance` is the template's.
+    """
+    person = cloth | (distance <= 0)
+    # a step up or down is made so long that every level is on its own
+    level = (1.0, 1e6, 1.0)
+    inside, outside = (
+        np.asarray(ndimage.distance_transform_edt(cells, sampling=level, return_distances=True), np.float64) * FINE
+        for cells in (person, ~person)
+    )
+    depth = np.clip(inside, 0, 1) - np.clip(outside, 0, 4 * THICK) + np.where(person, -0.5, 0.5) * FINE
+    depth = ndimage.gaussian_filter(depth, 0.8)
+    wall = np.minimum(depth - THICK, depth + distance - THICK - GAP)
+    beside = (distance_to(cloth & (depth <= THICK)) - 2) * FINE
+    out = np.maximum.reduce([-depth, wall, -distance - UNDER, beside])
+    label = np.empty(out.shape, np.int32)
+    ndimage.label(out < 0, output=label)
+    large = np.bincount(label.ravel()) * FINE**3 > LEAST_SHELL
+    large[0] = False
+    keep = np.asarray(ndimage.binary_dilation(large[label], ndimage.generate_binary_structure(3, 3)), bool)
+    touched = np.asarray(ndimage.binary_dilation(cloth, iterations=2), bool)
+    return Cloth(np.where(keep, out, np.maximum(out, 0.5 * FINE)), np.where(touched, depth, 0), low)
+
+
+def cloth_mesh(cloth: Cloth) -> TriangleMesh:
+    """The closed surface of a shell of cloth, faces outwards."""
+    distance = np.pad(cloth.distance, 1, constant_values=FINE)
+    axes = [low + FINE * (np.arange(count) - 1) for low, count in zip(cloth.low, distance.shape)]
+    return zero_set_mesh(distance, axes)
+
+
+def cloth_weights(mesh: TriangleMesh, cloud: SurfaceCloud) -> SkinWeights:
+    """Those of the nearest place of the body, smoothed over the cloth; where cloth meets body they are the body's."""
+    away, row = cloud.tree.query(mesh.vertices, workers=-1)
+    row = np.asarray(row)
+    nearest = dense_weights(SkinWeights(cloud.skin.joints[row], cloud.skin.weights[row]))
+    bones = np.flatnonzero(nearest.max(0) > 0.01)
+    weights = nearest[:, bones]
+    count = len(mesh.vertices)
+    edges = neighbour_matrix(mesh.faces, count)
+    mean = sparse.diags(1 / np.maximum(np.asarray(edges.sum(1)).ravel(), 1)) @ edges
+    # half a step to the neighbours' mean spreads by half an edge squared, a quarter in each of two directions
+    start, end = mesh.faces[:, 0], mesh.faces[:, 1]
+    edge = float(np.linalg.norm(mesh.vertices[start] - mesh.vertices[end], axis=1).mean())
+    given = (np.asarray(away) < 1.5 * CELL)[:, None]
+    for _ in range(round(4 * (BLEND / edge) ** 2)):
+        weights = np.where(given, nearest[:, bones], 0.5 * weights + 0.5 * (mean @ weights))
+    out = np.zeros((count, nearest.shape[1]))
+    out[:, bones] = np.where(weights > 0.01, weights, 0)
+    return strongest_four(out)
+
+
+def _joined(
+    subject: CaptureSubject,
+    kept: Int[Array, "k 3"],
+    cloth: TriangleMesh,
+    skin: SkinWeights,
+    pose_from_canonical: Float[Array, "52 4 4"],
+) -> CaptureSubject:
+    """The subject with the `kept` of its own faces and a mesh of cloth, given in another pose, behind them."""
+    canonical, settled = unskin_points(cloth.vertices, skin, pose_from_canonical)
+    # what the big pose's blend takes to there; other bones' blend, it is not where pose 0 shows it
+    canonical_from_rest = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))
+    rest, fine = unskin_points(canonical, skin, canonical_from_rest)
+    if not (settled & fine).all():
+        raise ValueError(
+            f"in the pose that the body's video holds {(~(settled & fine)).mean():.0%} of them lie between bones that "
+            "point opposite ways; poses as filmed have no such place"
+        )
+    count = len(cloth.vertices)
+    return replace(
+        subject,
+        rest=np.concatenate([subject.rest, rest]),
+        vertices=np.concatenate([subject.vertices, canonical]),
+        faces=np.concatenate([kept, cloth.faces + len(subject.vertices)]),
+        skin=SkinWeights(
+            np.concatenate([subject.skin.joints, skin.joints]), np.concatenate([subject.skin.weights, skin.weights])
+        ),
+        part=np.concatenate([subject.part, np.full(count, PARTS.index("body"))]),
+        hair=np.concatenate([subject.hair, np.zeros(count, bool)]),
+    )

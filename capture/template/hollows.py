@@ -1,0 +1,178 @@
+"""Hollows that no silhouette shows, carved from a hull of hair by the colors of the head's video.
+
+Between a curtain of hair and the neck every view's mask is full: the hull fills the hollow. Its front cells would be
+hair that shows the neck's colors. Space carving (Kutulakos and Seitz 2000) with the registered template as what lies
+behind: a cell on the hull's surface is empty when the views that see it show what the template shows behind it, and
+no worse than they agree among themselves. Cells are tried from outside inwards until none is left to carve.
+
+    agreement   e_hair  = mean over views of |I_f(x) - median over views of I(x)|
+    behind      e_empty = mean over views of |I_f(x) - c(y_f)|,  y_f the template's point behind x in view f
+
+c(y) is the median of what views show that see y with no hull before it. Where that is not known nothing is carved:
+skin that was never seen says nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy import ndimage
+
+from avatar.camera import Camera, project
+from capture.folder import CaptureSubject
+from geometry.rasterise import rasterise
+
+Array = np.ndarray
+
+# pixels of a view, at most, along the longer side: a cell of 6 mm is about 4 pixels of 256
+SMALL = 128
+# out of 1: colors that lie nearer are the same
+SAME = 0.05
+# out of 1, mean distance from the median: so far apart are no colors of one place; of cells of hair 5 % exceed .034, of
+# cells in hollows half exceed .14 (two people)
+DISAGREE = 0.08
+# share of the views that see a cell: so many must know what lies behind it
+KNOWN = 0.5
+# views at least that see a cell
+SEEN_BY = 3
+# cells: a cell is hidden by what lies nearer by more
+TOLERANCE = 1.5
+ROUNDS = 24
+# metres: behind a cell nearer to the template than this lies the template
+TOUCHING = 0.012
+
+
+class ColorView(NamedTuple):
+    """A picture in [0, 1] with its mask, small, and its camera, which takes canonical metres."""
+
+    image: Float[Array, "height width 3"]
+    mask: Bool[Array, "height width"]
+    camera: Camera
+
+
+def color_views(
+    images: UInt8[Array, "frames height width 3"],
+    masks: Bool[Array, "frames height width"],
+    cameras: Sequence[Camera],
+    frames: int = 40,
+) -> list[ColorView]:
+    """At most `frames` of a video's pictures, each averaged down to SMALL pixels; cameras take canonical metres."""
+    chosen = np.unique(np.linspace(0, len(images), min(frames, len(images)), endpoint=False).astype(int))
+    views = []
+    for i in chosen:
+        by = max(1, int(np.ceil(max(images[i].shape[:2]) / SMALL)))
+        height, width = (n // by * by for n in images[i].shape[:2])
+        mean = lambda a: a[:height, :width].reshape(height // by, by, width // by, by, -1).mean((1, 3))
+        mask = mean(masks[i][..., None].astype(np.float64))[..., 0] > 0.99
+        K = cameras[i].K.copy()
+        K[:2] /= by
+        camera = replace(cameras[i], K=K, size=(width // by, height // by))
+        views.append(ColorView(mean(images[i] / 255.0), mask, camera))
+    return views
+
+
+def carve_hollows(
+    solid: Bool[Array, "x y z"], hair: Bool[Array, "x y z"], low: Float[Array, "3"], cell: float,
+    subject: CaptureSubject, views: Sequence[ColorView],
+) -> Bool[Array, "x y z"]:  # fmt: skip
+    """The cells of `hair` that are empty; `solid` holds them and the template's inside."""
+    solid, hair = solid.copy(), hair.copy()
+    carved = np.zeros_like(hair)
+    behind = [rasterise(subject.vertices, subject.faces, view.camera) for view in views]
+    for _ in range(ROUNDS):
+        outer = solid & ~np.asarray(ndimage.binary_erosion(solid), bool)
+        surface = np.argwhere(outer)
+        is_hair = hair[tuple(surface.T)]
+        if not is_hair.any():
+            break
+        looks = [_looks(low + cell * surface, view, cell) for view in views]
+        colors = _template_colors(subject, views, behind, looks, cell)
+        empty = _shown_behind(views, behind, looks, colors, is_hair, low + cell * surface, subject)
+        gone = surface[is_hair][empty]
+        if len(gone) == 0:
+            break
+        for cells in (solid, hair):
+            cells[tuple(gone.T)] = False
+        carved[tuple(gone.T)] = True
+    return carved
+
+
+class _Looks(NamedTuple):
+    """How one view sees the cells of the surface."""
+
+    row: Int[Array, "n"]
+    column: Int[Array, "n"]
+    depth: Float[Array, "n"]
+    seen: Bool[Array, "n"]
+    nearest: Float[Array, "height width"]  # depth of the nearest cell, inf where none
+
+
+def _looks(points: Float[Array, "n 3"], view: ColorView, cell: float) -> _Looks:
+    """Each cell's pixel, and whether no other cell hides it: a depth image of cells as large as they appear."""
+    pixels, depth = project(view.camera, points)
+    height, width = view.mask.shape
+    column, row = np.floor(np.nan_to_num(pixels, nan=-1.0)).clip(-1, 1 << 20).astype(int).T
+    inside = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+    nearest = np.full((height, width), np.inf)
+    np.minimum.at(nearest, (row[inside], column[inside]), depth[inside])
+    # a cell covers this many pixels to each side
+    reach = max(1, int(np.ceil(0.6 * cell * view.camera.K[0, 0] / max(float(np.median(depth)), 1e-6))))
+    nearest = np.asarray(ndimage.minimum_filter(nearest, size=2 * reach + 1, mode="nearest"), np.float64)
+    seen = inside & (depth < nearest[row, column] + TOLERANCE * cell) & view.mask[row, column]
+    return _Looks(row, column, depth, seen, nearest)
+
+
+def _template_colors(
+    subject: CaptureSubject, views: Sequence[ColorView], behind: Sequence, looks: Sequence[_Looks], cell: float
+) -> Float[Array, "vertices 3"]:
+    """Median color of each template vertex over the pixels that show it with no hull before it; NaN: none."""
+    vertex, color = [], []
+    for view, drawn, look in zip(views, behind, looks):
+        free = (drawn.face >= 0) & view.mask & (drawn.depth < look.nearest + 2 * TOLERANCE * cell)
+        corners = subject.faces[drawn.face[free]]
+        vertex.append(corners.ravel())
+        color.append(np.repeat(view.image[free], 3, axis=0))
+    at, values = np.concatenate(vertex), np.concatenate(color)
+    total = np.stack([np.bincount(at, values[:, c], len(subject.vertices)) for c in range(3)], 1)
+    count = np.bincount(at, minlength=len(subject.vertices))
+    mean = total / np.maximum(count, 1)[:, None]
+    # once more without what is far from the mean: a strand, an edge
+    near = np.abs(values - mean[at]).max(1) < 2 * SAME
+    at, values = at[near], values[near]
+    total = np.stack([np.bincount(at, values[:, c], len(subject.vertices)) for c in range(3)], 1)
+    count = np.bincount(at, minlength=len(subject.vertices))
+    return np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], np.nan)
+
+
+def _shown_behind(
+    views: Sequence[ColorView], behind: Sequence, looks: Sequence[_Looks], colors: Float[Array, "vertices 3"],
+    is_hair: Bool[Array, "n"], points: Float[Array, "n 3"], subject: CaptureSubject,
+) -> Bool[Array, "k"]:  # fmt: skip
+    """Of the surface's cells that are hair, those that show what lies behind them."""
+    k = int(is_hair.sum())
+    shown = np.full((len(views), k, 3), np.nan)
+    expected = np.full((len(views), k, 3), np.nan)
+    for i, (view, drawn, look) in enumerate(zip(views, behind, looks)):
+        seen = look.seen[is_hair]
+        row, column = look.row[is_hair][seen], look.column[is_hair][seen]
+        shown[i, seen] = view.image[row, column]
+        face = drawn.face[row, column]
+        known = (face >= 0) & (drawn.depth[row, column] > look.depth[is_hair][seen] - TOUCHING)
+        color = colors[subject.faces[np.where(known, face, 0)]].mean(1)
+        expected[i, seen] = np.where(known[:, None], color, np.nan)
+    seen = np.isfinite(shown).all(2)
+    known = np.isfinite(expected).all(2)
+    with np.errstate(invalid="ignore"):
+        number = seen.sum(0)
+        middle = np.zeros((k, 3))
+        some = number > 0
+        middle[some] = np.nanmedian(shown[:, some], axis=0)
+        apart = np.where(seen, np.abs(shown - middle).mean(2), 0).sum(0) / np.maximum(number, 1)
+        off = np.where(known, np.abs(shown - expected).mean(2), 0).sum(0) / np.maximum(known.sum(0), 1)
+    matches = (
+        (number >= SEEN_BY) & (known.sum(0) >= np.maximum(KNOWN * number, 2)) & (off < SAME) & (off < apart + SAME)
+    )
+    return ((number >= 2) & (apart > DISAGREE)) | matches

@@ -1,0 +1,232 @@
+"""Hair that stands off the template: carved from the masks and joined to the template before anything is learned.
+
+Long hair lies farther from a registered body than any band in which a surface is looked for. A visual hull
+(Laurentini 1994) of head and body video shows where it is: what the masks of nearly all views hold is the person,
+and what of that stands far off the template round the head is hair. Everything later reads only the template, so
+hair joined to it here is marched to, learned, skinned and baked like skin. It moves with the head (rule H: strands
+hang from it, whatever shoulder they touch).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy import ndimage
+
+from avatar.camera import Camera, project
+from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
+from avatar.skinning import SkinWeights
+from capture.folder import Capture, CaptureSubject, PartVideo
+from capture.template.grid import DistanceGrid, distance_grid
+from capture.template.hollows import ColorView, carve_hollows, color_views
+from capture.template.surface import neck_height, surface_cloud, visible_faces
+from geometry.cells import distance_to
+from geometry.isosurface import zero_set_mesh
+from geometry.mesh import TriangleMesh
+
+Array = np.ndarray
+
+HEAD = JOINTS.index("head")
+CELL = 0.006  # metres, of the carved grid
+# metres beyond the head that hair may hang, x, y (down), z
+AROUND = (0.10, 0.25, 0.10)
+# a cell is empty when more of the views that see it show background there
+AGAINST = 0.1
+# views at least; what fewer see is taken for empty
+SEEN_BY = 8
+# metres: the hull lies outside the hair, and masks are a pixel or two off
+ERODED = 0.006
+FARTHEST = 0.12  # metres: no hair stands farther off
+# metres: farther than this off the template is hair
+STANDS_OFF = 0.015
+# cubic metres, a tenth of a litre: less standing off is an ear, a collar, a hull's hollow
+LEAST = 1e-4
+
+
+class MaskView(NamedTuple):
+    """A mask and the camera that took it, moved to where the head rests in the canonical frame."""
+
+    mask: Bool[Array, "height width"]
+    camera: Camera  # its camera_from_world takes canonical metres
+
+
+def head_views(video: PartVideo, canonical_from_head: Float[Array, "4 4"]) -> list[MaskView]:
+    """The head video's views; its camera frames differ from the canonical one by a similarity (Eq. 6)."""
+    head_from_canonical = np.linalg.inv(canonical_from_head)
+    return [_moved(mask, camera, head_from_canonical) for mask, camera in zip(video.masks, video.cameras)]
+
+
+def body_views(video: PartVideo, subject: CaptureSubject) -> list[MaskView]:
+    """The body video's views as the head sees them: what hangs from the head moves with its bone."""
+    assert video.axis_angle is not None and video.root is not None
+    views = []
+    for mask, camera, axis_angle, root in zip(video.masks, video.cameras, video.axis_angle, video.root):
+        views.append(_moved(mask, camera, skin_transforms(axis_angle, subject.joints, root)[HEAD]))
+    return views
+
+
+def _moved(mask: Array, camera: Camera, frame_from_canonical: Array) -> MaskView:
+    return MaskView(mask, moved_camera(camera, frame_from_canonical))
+
+
+def moved_camera(camera: Camera, frame_from_canonical: Float[Array, "4 4"]) -> Camera:
+    """The camera of a frame as one that takes canonical metres.
+
+    A similarity of the scene shows as the same picture when the camera's frame is scaled with it.
+    """
+    scale = float(np.cbrt(np.linalg.det(frame_from_canonical[:3, :3])))
+    pose = camera.camera_from_world @ frame_from_canonical
+    pose[:3] /= scale
+    return replace(camera, camera_from_world=pose)
+
+
+def background_share(
+    points: Float[Array, "n 3"], views: Sequence[MaskView]
+) -> tuple[Float[Array, "n"], Int[Array, "n"]]:
+    """Of the views whose picture holds a point the share that shows background there, and how many views hold it."""
+    against, seen = np.zeros(len(points)), np.zeros(len(points), int)
+    for view in views:
+        pixels, depth = project(view.camera, points)
+        height, width = view.mask.shape
+        column, row = np.floor(np.nan_to_num(pixels, nan=-1.0)).clip(-1, 1 << 20).astype(int).T
+        holds = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        seen += holds
+        against[holds] += ~view.mask[row[holds], column[holds]]
+    return against / np.maximum(seen, 1), seen
+
+
+class Hair(NamedTuple):
+    """A closed volume of hair on a grid of the canonical frame: 1 inside, 0 outside, smooth between."""
+
+    share: Float[Array, "x y z"]
+    low: Float[Array, "3"]  # place of share[0, 0, 0], metres
+    cell: float
+
+    def at(self, points: Float[Array, "n 3"]) -> Float[Array, "n"]:
+        """The share at points, trilinear; 0 outside the grid."""
+        places = ((points - self.low) / self.cell).T
+        return ndimage.map_coordinates(self.share, places, order=1, mode="constant", cval=0.0)
+
+
+class Pictures(NamedTuple):
+    """What colors need to carve hollows (capture/template/hollows.py)."""
+
+    subject: CaptureSubject
+    views: Sequence[ColorView]
+
+
+def carve(
+    views: Sequence[MaskView], template: DistanceGrid, neck: float, pictures: Pictures | None = None
+) -> Hair | None:
+    """What the views hold round the template, where it stands off far enough to be hair; None: nothing.
+
+    A piece counts when some of it is above the `neck`. The hair lies on the template's grid. With `pictures` hollows
+    that are full in every mask are carved by color.
+    """
+    distance, cell = template.values.astype(np.float64), template.cell
+    low = template.low.astype(np.float64)
+    axes = [low[i] + cell * np.arange(distance.shape[i]) for i in range(3)]
+    held = distance < 0
+    asked = np.argwhere(~held & (distance < FARTHEST))
+    share, seen = background_share(low + cell * asked, views)
+    held[tuple(asked.T)] = (share <= AGAINST) & (seen >= SEEN_BY)
+    if pictures is not None:
+        held &= ~carve_hollows(held, held & (distance > cell), low, cell, *pictures)
+    hull = distance_to(~held) * cell > ERODED
+    standing = hull & (distance > STANDS_OFF)
+    standing = np.asarray(ndimage.binary_opening(standing, ndimage.generate_binary_structure(3, 1)), bool)
+    label = np.empty(standing.shape, np.int32)
+    ndimage.label(standing, output=label)
+    for piece in range(1, int(label.max()) + 1):
+        own = label == piece
+        if own.sum() * cell**3 < LEAST or not own[:, axes[1] > neck].any():
+            standing &= ~own
+    if not standing.any():
+        return None
+    # down to the template under and beside what stands off, so that no gap is left between hair and skin
+    beside = distance_to(standing) * cell < 2 * STANDS_OFF
+    solid = hull & beside & (distance > -2 * cell) | standing
+    return Hair(ndimage.gaussian_filter(solid.astype(np.float64), 0.8), low, cell)
+
+
+def with_hair(
+    subject: CaptureSubject, capture: Capture, canonical_from_head: Float[Array, "4 4"], *, hollows: bool, layers: bool
+) -> CaptureSubject:
+    """The subject with standing hair joined to its template; the subject itself where there is none.
+
+    Template faces inside the hair are dropped, with `layers` into `under_hair`; vertices keep their numbers. Hair
+    vertices move with the head; above the neck they belong to the head part, below it to the body.
+    """
+    neck = neck_height(subject)
+    head = subject.vertices[subject.part == PARTS.index("head")]
+    around = np.array(AROUND)
+    low, high = head.min(0) - around, head.max(0) + [around[0], 0.06, around[2]]
+    template = closed_grid(subject, low, high, neck)
+    views = head_views(capture.videos["head"], canonical_from_head)
+    views += body_views(capture.videos["body"], subject)
+    pictures = None
+    if hollows:
+        video, head_from_canonical = capture.videos["head"], np.linalg.inv(canonical_from_head)
+        cameras = [moved_camera(camera, head_from_canonical) for camera in video.cameras]
+        pictures = Pictures(subject, color_views(video.images, video.masks, cameras))
+    hair = carve(views, template, neck, pictures)
+    if hair is None:
+        return subject
+    vertices, faces = hair_mesh(hair)
+    # what of the hair lies under the skin is no surface, and what of the skin lies under the hair neither
+    under = template.at(vertices[faces].mean(1))
+    faces = faces[under > -0.003]
+    covered = hair.at(subject.vertices[subject.faces].mean(1)) > 0.75
+    out = joined(subject, subject.faces[~covered], vertices, faces, neck)
+    return replace(out, under_hair=subject.faces[covered]) if layers else out
+
+
+def hair_mesh(hair: Hair) -> TriangleMesh:
+    """The closed surface of a volume of hair, canonical, faces outwards."""
+    density = np.pad(hair.share, 1)
+    axes = [low + hair.cell * (np.arange(count) - 1) for low, count in zip(hair.low, density.shape)]
+    return zero_set_mesh(0.5 - density, axes)
+
+
+def closed_grid(subject: CaptureSubject, low: Float[Array, "3"], high: Float[Array, "3"], neck: float) -> DistanceGrid:
+    """The template's distance round the head, negative in its cavities and in the body that the box cuts open.
+
+    The flood fill of `distance_grid` closes mouth and eye sockets; under the neck, where it leaks in through the
+    cut, the side of the nearest sample decides.
+    """
+    cloud = surface_cloud(subject, PARTS.index("head"), visible_faces(subject), 0.004, 0.008)
+    grid = distance_grid(cloud, low, high, CELL, (subject, neck))
+    values = grid.values.copy()
+    leaked = np.argwhere((values > 0) & (low[1] + CELL * np.arange(values.shape[1]) < neck)[:, None])
+    nearest = cloud.distance(low + CELL * leaked)[0]
+    under = leaked[nearest < 0]
+    values[tuple(under.T)] = nearest[nearest < 0]
+    return DistanceGrid(values, grid.low, CELL)
+
+
+def joined(
+    subject: CaptureSubject, kept: Int[Array, "k 3"], vertices: Float[Array, "n 3"], faces: Int[Array, "faces 3"],
+    neck: float,
+) -> CaptureSubject:  # fmt: skip
+    """The subject with the `kept` of its own faces and a mesh of hair behind them."""
+    used = np.unique(faces)
+    place = np.zeros(len(vertices), np.int64)
+    place[used] = np.arange(len(used)) + len(subject.vertices)
+    vertices = vertices[used]
+    head = skin_transforms(BIG_POSE, subject.joints, rest=np.zeros((52, 3)))[HEAD]
+    rest = np.linalg.solve(head[:3, :3], (vertices - head[:3, 3]).T).T
+    bones = np.full((len(vertices), 4), HEAD)
+    weights = np.tile(np.array([1, 0, 0, 0], np.float32), (len(vertices), 1))
+    part = np.where(vertices[:, 1] > neck, PARTS.index("head"), PARTS.index("body"))
+    return replace(
+        subject,
+        rest=np.concatenate([subject.rest, rest]),
+        vertices=np.concatenate([subject.vertices, vertices]),
+        faces=np.concatenate([kept, place[faces]]),
+        skin=SkinWeights(np.concatenate([subject.skin.joints, bones]), np.concatenate([subject.skin.weights, weights])),
+        part=np.concatenate([subject.part, part]),
+        hair=np.concatenate([subject.hair, np.ones(len(vertices), bool)]),
+        carved=(len(subject.vertices), len(subject.vertices) + len(vertices)),
+    )

@@ -1,0 +1,142 @@
+"""A field made solid deep inside the person, so that its zero level is nothing but the skin, and the template's own
+behind loose clothes, where no camera ever looked.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from avatar.skeleton import PARTS
+from capture.folder import CaptureSubject
+from capture.template.surface import SurfaceCloud, air_beyond, surface_cloud, visible_faces
+from geometry.mesh import vertex_normals
+from geometry.sample import lattice_samples
+
+PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
+
+# metres, per part: so deep inside the template is no surface
+INSIDE = np.array([0.02, 0.015, 0.004, 0.004])
+# metres, under hair: a hull (capture/template/hull.py) spans hollows; the head's band ends at 2 cm
+HAIR_INSIDE = 0.025
+
+
+# metres between samples of the template at cloth
+SPACING = 0.004
+# metres: where what is seen is nearer than what cloth hides by less than this, less than cloth is thick, both count
+BLEND = 0.008
+
+
+def template_behind_cloth(distance: PointFunction, subject: CaptureSubject) -> PointFunction:
+    """The distance, replaced by the template's where what loose clothes hide is nearer than what is seen.
+
+    No ray goes behind cloth (clothes.py): a field drifts there, and its sheets show from below. Across a hem one
+    fades into the other: where they met in a jump, and where the sign was that of the plane of a sheet's end, crumbs
+    hung below it.
+    """
+    if subject.behind_cloth is None:
+        return distance
+    # with the hem itself, on which the camera looks down
+    hidden = subject.behind_cloth[subject.faces].any(1)
+    low, high = (edge(subject.vertices[subject.faces[hidden]].reshape(-1, 3), 0) for edge in (np.min, np.max))
+    low, high = low - 0.02, high + 0.02
+    corners = subject.vertices[subject.faces]
+    near = visible_faces(subject) & ((corners > low - 0.05) & (corners < high + 0.05)).all((1, 2))
+    body = PARTS.index("body")
+    whole = surface_cloud(subject, body, near, SPACING, SPACING)
+    behind, seen = (surface_cloud(subject, body, near & one, SPACING, SPACING).tree for one in (hidden, ~hidden))
+
+    def replaced(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        value = distance(points)
+        inside = np.flatnonzero(((points > low) & (points < high)).all(1))
+        further = seen.query(points[inside])[0] - behind.query(points[inside])[0]
+        share = np.clip(1 + further / BLEND, 0, 1)
+        inside, share = inside[share > 0], share[share > 0]
+        if len(inside):
+            value[inside] += share * (agreed_distance(whole, points[inside]) - value[inside])
+        return value
+
+    return replaced
+
+
+def agreed_distance(
+    cloud: SurfaceCloud, points: Float[np.ndarray, "n 3"], neighbours: int = 48
+) -> Float[np.ndarray, "n"]:
+    """Signed distance to the samples of a surface with edges: off the surface, what one of the nearest samples has
+    clearly before it is outside, whatever the plane of the nearest one says beyond the edge of its sheet. Neighbours
+    are so many that they reach round the edge of a sheet: from 5 cm off a hem, 12 are all of its outside."""
+    value, _ = cloud.distance(points)
+    doubtful = np.flatnonzero((value < 0) & (np.abs(value) > 1.5 * cloud.spacing))
+    away, row = cloud.tree.query(points[doubtful], k=neighbours)
+    along = ((points[doubtful][:, None] - cloud.points[row]) * cloud.normals[row]).sum(2)
+    outside = (along > 0.2 * away).any(1)
+    value[doubtful[outside]] *= -1
+    return value
+
+
+def outer_air(
+    vertices: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], cell: float = 0.01
+) -> Callable[[Float[np.ndarray, "n 3"]], Bool[np.ndarray, "n"]]:
+    """Whether points lie in the air that surrounds a mesh, two cells (metres) and more off its surface.
+
+    A flood fill from outside round walls two cells thicker, which no hole under four cells lets in; what is nearer
+    to the surface, and so between fingers, is never said to be air.
+    """
+    corners = vertices[faces]
+    face, barycentric = lattice_samples(vertices, faces, np.full(len(faces), 0.5 * cell))
+    samples = np.einsum("sk,skc->sc", barycentric, corners[face])
+    low = samples.min(0) - 6 * cell
+    index = ((samples - low) / cell).astype(int)
+    occupied = np.zeros(tuple(index.max(0) + 7), bool)
+    occupied[tuple(index.T)] = True
+    air = air_beyond(occupied, (0, 0, 0))
+
+    def inside(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "n"]:
+        at = np.floor((points - low) / cell).astype(int)
+        # beyond the grid there is nothing but air
+        return air[tuple(np.clip(at, 0, np.array(air.shape) - 1).T)]
+
+    return inside
+
+
+def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunction:
+    """The distance, made negative deep inside the subject's template (INSIDE, per part).
+
+    Training samples a band around the template; deeper in, the field is whatever its network makes up, and its
+    zero sets there are sheets inside the body, some of them joined to the skin through a pinhole. Only the
+    faces that can be seen from outside count: mouth and eye sockets would turn the sign.
+    """
+    faces = np.asarray(subject.faces, np.int64)
+    vertices = np.asarray(subject.vertices, np.float64)
+    in_air = outer_air(vertices, faces)
+    seen = np.unique(faces[visible_faces(subject)])
+    normals = vertex_normals(vertices, faces)[seen]
+    places = vertices[seen]
+    part = np.asarray(subject.part, np.int64)[seen]
+    limit = np.where(np.asarray(subject.hair, bool)[seen], np.maximum(INSIDE[part], HAIR_INSIDE), INSIDE[part])
+    tree = KDTree(places)
+    hands = places[part >= PARTS.index("hand_left")]
+    # the hands' fields have weights up to 10 cm beyond the wrist, where the part is body
+    if len(hands):
+        limit = np.where(KDTree(hands).query(places)[0] < 0.12, np.minimum(limit, 0.006), limit)
+
+    distance = template_behind_cloth(distance, subject)
+
+    def solid(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        value = distance(points)
+        # only what is positive, or nearly, can be wrong; an island deeper in is dropped as one
+        doubtful = np.flatnonzero((value > -0.005) & (value < 0.06))
+        away, near = tree.query(points[doubtful], k=4, distance_upper_bound=0.1, workers=-1)
+        found = np.isfinite(away).all(1)
+        doubtful, away, near = doubtful[found], np.asarray(away)[found], np.asarray(near)[found]
+        # four vertices must agree: beside a sharp edge a single normal can be wrong
+        offset = points[doubtful][:, None] - places[near]
+        behind = ((offset * normals[near]).sum(2) < -0.3 * away).all(1)
+        deep = behind & (away[:, 0] > limit[near[:, 0]])
+        # the nearest vertices may all be of a shoe's lining, which faces inwards
+        deep[deep] = ~in_air(points[doubtful[deep]])
+        value[doubtful[deep]] = -away[deep, 0]
+        return value
+
+    return solid

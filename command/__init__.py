@@ -1,0 +1,1 @@
+"""Settings, command lines, progress, signals and errors of every command."""

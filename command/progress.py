@@ -1,0 +1,274 @@
+"""Progress of long work: a bar on a terminal, plain lines elsewhere."""
+
+import heapq
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from io import TextIOBase
+from typing import NamedTuple, TextIO, TypeVar
+
+T = TypeVar("T")
+
+
+class _Display:
+    """Where progress is shown. What cannot be shown is lost: the work goes on."""
+
+    def __init__(self, stream: TextIO | TextIOBase | None):
+        # None where the program was started without one
+        self.stream = sys.stderr if stream is None else stream
+        try:
+            self.live = self.stream is not None and self.stream.isatty()
+        except (OSError, ValueError):
+            self.live, self.stream = False, None
+
+    def write(self, text: str) -> None:
+        if self.stream is None:
+            return
+        try:
+            self.stream.write(text)
+            self.stream.flush()
+        except (OSError, ValueError):  # the reader has gone, or the stream was closed
+            self.live, self.stream = False, None
+
+
+class Progress:
+    """Reports how far a count has come, with the time left and a note such as a loss.
+
+    On a terminal one line is redrawn; elsewhere a line is printed when work begins to take long and about
+    every ten seconds after that. The time left counts each step by its share of `costs`, else all alike.
+    """
+
+    def __init__(
+        self, label: str, total: int, stream: TextIO | TextIOBase | None = None, costs: Sequence[float] | None = None
+    ):
+        self.label, self.total, self.costs = label, total, costs
+        self.display = _Display(stream)
+        self.began = self.shown = time.monotonic()
+
+    def share(self, done: float | int) -> float:
+        """The share of the work that so many steps are, in [0, 1]: by what they cost, where that is known."""
+        if self.costs is None:
+            return min(done / max(self.total, 1), 1.0)
+        whole = int(done)
+        begun = (done - whole) * sum(self.costs[whole : whole + 1])
+        return min((sum(self.costs[:whole]) + begun) / sum(self.costs), 1.0)
+
+    def update(self, done: float | int, note: str = "") -> None:
+        """So many steps are done; a part of one is a fraction."""
+        now = time.monotonic()
+        last = done >= self.total
+        live = self.display.live
+        if now - self.shown < (0.1 if live else 10.0) and not (last and live):
+            return
+        self.shown = now
+        spent = now - self.began
+        share = self.share(done)
+        left = duration(spent / share - spent) if share > 0 else "?"
+        text = f"{self.label} {int(done)}/{self.total}  {duration(spent)}, {left} left  {note}".rstrip()
+        if live:
+            filled = int(24 * share)
+            text = f"\r\x1b[K[{'#' * filled}{'.' * (24 - filled)}] {text}"
+        self.display.write(text if live and not last else text + "\n")
+
+
+def progress(items: Iterable[T], label: str, total: int | None = None) -> Iterator[T]:
+    """The items, one by one, with progress reported after each."""
+    if total is None:
+        items = list(items)
+        total = len(items)
+    report = Progress(label, total)
+    for done, item in enumerate(items, 1):
+        yield item
+        report.update(done)
+
+
+@dataclass
+class _Job:
+    total: int
+    # when work on it began, preparation included
+    began: float | None = None
+    # time and count of its first report: preparation is over
+    first: tuple[float, int] | None = None
+    last: tuple[float, int] | None = None
+    ended: float | None = None
+    # share of the preparation that is done, in [0, 1]
+    prepared: float = 0.0
+    note: str = ""
+
+
+class ProgressBoard:
+    """Jobs that run side by side: one line each while at work, and one for all of them with the time left.
+
+    On a terminal the lines are redrawn in place; elsewhere they are printed about every ten seconds. The time
+    left assumes that jobs not yet begun are as fast per count as those seen, wait for one of `workers`, and
+    that what follows the jobs takes the share `after` of their time.
+    """
+
+    def __init__(
+        self, totals: Mapping[str, int], workers: int, *, after: float = 0.0, stream: TextIO | TextIOBase | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ):  # fmt: skip
+        self.display = _Display(stream)
+        self.clock, self.workers, self.after = clock, workers, after
+        self.jobs = {name: _Job(total) for name, total in totals.items()}
+        self.began = self.shown = clock()
+        # lines on the terminal that the next drawing replaces
+        self.drawn = 0
+
+    def begin(self, name: str) -> None:
+        self.jobs[name].began = self.clock()
+
+    def prepare(self, name: str, share: float) -> None:
+        """So much of what comes before the first count is done."""
+        self.jobs[name].prepared = share
+        self.refresh()
+
+    def update(self, name: str, done: int, note: str = "") -> None:
+        job, now = self.jobs[name], self.clock()
+        if job.first is None:
+            job.first = (now, done)
+        job.last, job.note = (now, done), note
+        self.refresh()
+
+    def end(self, name: str) -> None:
+        job = self.jobs[name]
+        job.ended = self.clock()
+        job.began = job.ended if job.began is None else job.began
+
+    def say(self, text: str) -> None:
+        """A line that stays, above the others, on standard output."""
+        self._erase()
+        _Display(sys.stdout).write(text + "\n")
+
+    def refresh(self, *, now: bool = False) -> None:
+        """Show the lines if it is time to; call it often."""
+        if now or self.clock() - self.shown >= (0.2 if self.display.live else 10.0):
+            self.shown = self.clock()
+            self._erase()
+            lines = self.lines()
+            if self.display.live:
+                width = shutil.get_terminal_size().columns - 1
+                lines = [line[:width] for line in lines]
+                self.drawn = len(lines)
+            self.display.write("".join(line + "\n" for line in lines))
+
+    def close(self) -> None:
+        """No more lines; what is on the terminal is taken away."""
+        self._erase()
+
+    def lines(self) -> list[str]:
+        """What is shown now."""
+        out, width = [], max(len(name) for name in self.jobs)
+        for name, job in self.jobs.items():
+            if job.began is None or job.ended is not None:
+                continue
+            if job.last is None:
+                spent = self.clock() - job.began
+                left = None if job.prepared <= 0 else spent / job.prepared - spent
+                out.append(f"{name:<{width}}  preparing, {clock_time(spent)} so far, {_left_text(left)}")
+                continue
+            left = self._left(job)
+            line = f"{name:<{width}}  {_bar(job.last[1] / max(job.total, 1))} {job.last[1]}/{job.total}"
+            out.append(f"{line}  {_left_text(left)}  {job.note}".rstrip())
+        share = self._share()
+        spent = clock_time(self.clock() - self.began)
+        out.append(f"{'all':<{width}}  {_bar(share)} {share:4.0%}  {spent} so far, {_left_text(self.left())}")
+        return out
+
+    def left(self) -> float | None:
+        """Seconds until everything is done, or None before the first job has a speed."""
+        rates, preparations = [], []
+        for job in self.jobs.values():
+            rate = self._rate(job)
+            if rate is not None:
+                rates.append(rate)
+            if job.first is not None and job.began is not None:
+                preparations.append(job.first[0] - job.began)
+        if all(job.ended is not None for job in self.jobs.values()):
+            rates = rates or [0.0]
+        if not rates:
+            return None
+        rate = sum(rates) / len(rates)
+        preparation = sum(preparations) / max(len(preparations), 1)
+        # seconds of each job still to begin; when each worker is free
+        waiting, free = [], []
+        for job in self.jobs.values():
+            if job.ended is not None:
+                continue
+            if job.began is None:
+                waiting.append(preparation + job.total * rate)
+            elif job.last is None:
+                spent = self.clock() - job.began
+                free.append(max(preparation - spent, 0.0) + job.total * rate)
+            else:
+                own = self._left(job)
+                free.append((job.total - job.last[1]) * rate if own is None else own)
+        free = (free + [0.0] * self.workers)[: max(self.workers, len(free))]
+        heapq.heapify(free)
+        for seconds in waiting:
+            heapq.heapreplace(free, free[0] + seconds)
+        jobs = max(free)
+        return jobs + self.after * (jobs + self.clock() - self.began)
+
+    def _share(self) -> float:
+        left = self.left()
+        spent = self.clock() - self.began
+        return 0.0 if left is None else spent / max(spent + left, 1e-9)
+
+    def _rate(self, job: _Job) -> float | None:
+        """Seconds per count, or None before there are two reports."""
+        if job.first is None or job.last is None or job.last[1] <= job.first[1]:
+            return None
+        return (job.last[0] - job.first[0]) / (job.last[1] - job.first[1])
+
+    def _left(self, job: _Job) -> float | None:
+        rate = self._rate(job)
+        if rate is None or job.last is None:
+            return None
+        return max((job.total - job.last[1]) * rate - (self.clock() - job.last[0]), 0.0)
+
+    def _erase(self) -> None:
+        if self.drawn:
+            self.display.write(f"\x1b[{self.drawn}A\x1b[J")
+            self.drawn = 0
+
+
+def plural(number: int, noun: str) -> str:
+    """1 frame, 2 frames."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def clock_time(seconds: float | int) -> str:
+    """Seconds as 0:07, 12:34 or 1:02:03."""
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{seconds:02}" if hours else f"{minutes}:{seconds:02}"
+
+
+def duration(seconds: float | int) -> str:
+    """Seconds as 7 s, 12 min or 1:02 h."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02} h"
+
+
+def _left_text(seconds: float | int | None) -> str:
+    return "time left not known yet" if seconds is None else f"{clock_time(seconds)} left"
+
+
+def _bar(share: float) -> str:
+    filled = int(16 * share)
+    return f"[{'#' * filled}{'.' * (16 - filled)}]"
+
+
+class Reporter(NamedTuple):
+    """How a job reports its progress; in a worker process both go to the parent."""
+
+    say: Callable[[str], None]  # a line that stays
+    # a count and a note, as often as wished
+    step: Callable[[int, str], None]
+    # the share in [0, 1] of what comes before the first count
+    prepare: Callable[[float], None] = lambda share: None

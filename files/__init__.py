@@ -1,0 +1,1 @@
+"""Any bytes from outside: whole files and folders, NPZ, pickles, pictures. NumPy and Pillow only."""

@@ -1,0 +1,1 @@
+"""A posed mesh drawn: passes, their plan, their resources."""

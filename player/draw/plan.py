@@ -1,0 +1,362 @@
+"""What is drawn, as passes and the resources they read: decided from data alone, before any GL object is made.
+
+Nothing that no pass reads is in the plan, and the renderer makes exactly what the plan holds: no program, buffer
+or texture for an effect that is not asked for. A pass that is asked for but cannot show in a frame (an avatar out
+of view, view dependence of one forty pixels tall) is skipped for that frame and keeps its resources. Skipping a pass
+skips whatever only it needs, so a frame in which an effect cannot show is, byte for byte and draw for draw, the frame
+of a scene that never asked for it.
+
+`player/effects/` holds the effects, one a file; `player/scene/resolve.py` asks each for its passes.
+"""
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
+
+import moderngl
+
+from avatar.baked_avatar import Avatar, Level
+from avatar.skeleton import JOINTS
+from player.draw.drawing import Drawing, FrameInputs, Layer, Pose, Warming
+from player.draw.mesh import attributes_read
+from player.draw.resources import KINDS, Handle, Image, PlanResources
+from player.gl.blocks import BINDING, FRAME, bind_block
+from player.gl.shader import compile_program
+from player.gl.tiles import SurfacePatches
+
+T = TypeVar("T")
+# samples of MSAA, asked for as a number, never as the device's maximum, so that machines agree
+SAMPLES = 4
+# pixels round an avatar that antialiasing can change
+MARGIN = 2
+
+
+class Stage(IntEnum):
+    """Where in a frame an effect draws."""
+
+    BACKGROUND = 0
+    # what avatars stand on
+    GROUND = 1
+    # avatars, and what stands among them
+    AVATARS = 2
+    # the finished picture is filtered
+    PICTURE = 3
+
+
+class PassState(StrEnum):
+    """What becomes of a pass in a frame."""
+
+    RUNS = "runs"
+    # its last result still holds
+    KEPT = "kept"
+    # it cannot show in this frame
+    SKIPPED = "skipped"
+    NOT_ASKED = "not asked for"
+
+
+class Decision(NamedTuple):
+    """What becomes of a pass in a frame, and why, for people to read."""
+
+    state: PassState
+    why: str
+
+    @property
+    def runs(self) -> bool:
+        return self.state is PassState.RUNS
+
+
+class Pass(ABC):
+    """One step of a frame. The renderer knows an effect by these verbs alone; all but the first two may stay empty."""
+
+    # for people: `--explain` prints it
+    name: str
+    # all it reads and writes
+    uses: tuple[Handle[Any], ...]
+
+    @abstractmethod
+    def decide(self, drawing: Drawing) -> Decision:
+        """Whether it can show in this frame."""
+
+    @abstractmethod
+    def draw(self, drawing: Drawing) -> None: ...
+
+    def warm(self, warming: Warming) -> None:  # noqa: B027
+        """Draw next to nothing with the real state: drivers compile at the first draw, some 90 ms in software."""
+
+    def move(self, poses: Sequence[Pose], seconds: float) -> None:  # noqa: B027
+        """Go on to these poses, one an avatar, at a moment: the step of a simulation."""
+
+    def reach(self, avatar: int) -> float:
+        """Metres by which it moves an avatar's surface at most."""
+        return 0.0
+
+    def cost(self, drawn: float, inputs: FrameInputs, frame: Callable[[], float]) -> float:
+        """Milliseconds it costs, of those that drawing it takes and those of a whole frame, which `frame` measures."""
+        return drawn
+
+
+@runtime_checkable
+class Effect(Protocol):
+    """What a scene asks for, as a frozen record of its settings."""
+
+    stage: ClassVar[Stage]
+
+    def passes(self, draft: "Draft") -> Sequence[Pass]:
+        """Its passes in drawing order, whatever they own declared to the draft. Asked again when the plan changes."""
+        ...
+
+
+@dataclass(frozen=True)
+class Absent(Pass):
+    """A pass that is not in the plan, and why; `state` of one whose work is done before anything is drawn."""
+
+    name: str
+    why: str = "not asked for"
+    uses: tuple[Handle[Any], ...] = ()
+    state: PassState = PassState.NOT_ASKED
+
+    def decide(self, drawing: Drawing) -> Decision:
+        return Decision(self.state, self.why)
+
+    def draw(self, drawing: Drawing) -> None:
+        raise AssertionError("it never runs")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Passes in drawing order with the resources they need."""
+
+    passes: tuple[Pass, ...]
+    # those among them that filter the finished picture
+    filters: tuple[Pass, ...]
+    # in an order in which they can be made
+    handles: tuple[Handle[Any], ...]
+    frame: Handle[moderngl.Buffer]
+    # the renderer's own image, and the background at its size
+    image: Image | None
+    background: Handle[moderngl.Framebuffer] | None
+    # pixels round an avatar that something can draw on
+    margin: int
+    # the view mode of each avatar that is drawn with view dependence
+    views: Mapping[int, str]
+    # avatars that a pass simulates from one moment to the next
+    moved: frozenset[int]
+    # what lives as long as an effect is asked for and is no GL object: an open film, particles
+    kept: Mapping[Hashable, Any]
+
+    @property
+    def bytes(self) -> int:
+        """GL memory that it takes."""
+        return sum(handle.bytes for handle in self.handles)
+
+    def objects(self) -> dict[str, int]:
+        """Live GL objects by kind, when exactly this plan is made: tests hold the counts against it."""
+        return dict(Counter(KINDS[handle.kind] for handle in self.handles))
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """Where a plan is to run: facts of the device and of the image, none of them a GL object."""
+
+    # pixels; None: a window that has not said yet
+    size: tuple[int, int] | None
+    # False: a window is drawn into
+    own_image: bool = True
+    software: bool = True
+    max_samples: int = SAMPLES
+
+
+class Draft:
+    """A plan being written. Effects are asked from the last to the first: one that filters the picture says where
+    those before it draw.
+
+    avatars, detail: who is drawn, and the number of the level of detail of each; dual: with dual quaternions. `effects`
+    are all that the scene asks for, the background among them; `kept` is what an earlier plan kept.
+    """
+
+    def __init__(
+        self, avatars: Sequence[Avatar], canvas: Canvas, *, detail: Sequence[int], dual: bool = False,
+        effects: Iterable[Effect] = (), kept: Mapping[Hashable, Any],
+    ):  # fmt: skip
+        self.avatars, self.canvas, self.detail, self.dual = tuple(avatars), canvas, tuple(detail), dual
+        self.levels: tuple[Level, ...] = tuple(who.level(number) for who, number in zip(avatars, detail, strict=True))
+        numbers = [id(who) for who in avatars]
+        self._first = [numbers.index(number) for number in numbers]
+        # the most that an avatar has: those with and without helper joints share programs
+        self.bones = max((level.bones for level in self.levels), default=len(JOINTS))
+        # the most joints that a vertex follows, in all levels: these share programs too
+        self.influences = max((one.influences for who in self.avatars for one in who.levels), default=4)
+        # where avatars are drawn
+        self.layer = Layer()
+        self.image: Image | None = None
+        self.background: Image | None = None
+        self.margin = MARGIN
+        self.views: dict[int, str] = {}
+        self.moved: set[int] = set()
+        self._effects: dict[type[Any], Effect] = {type(effect): effect for effect in effects}
+        self.kept: dict[Hashable, Any] = {}
+        self._kept_before = kept
+        self.handles: dict[Handle[Any], None] = {}
+        self.frame = self.buffer("frame", FRAME.itemsize)
+
+    def asked(self, kind: type[T]) -> T | None:
+        """The settings of an effect that the scene asks for, for the passes of another; None: it does not."""
+        effect = self._effects.get(kind)
+        return effect if isinstance(effect, kind) else None
+
+    def need(self, handle: Handle[T]) -> Handle[T]:
+        self.handles.setdefault(handle)
+        return handle
+
+    def keep(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What an earlier plan kept by this key, else made now. What a plan does not ask for again is closed."""
+        if key not in self.kept:
+            self.kept[key] = self._kept_before[key] if key in self._kept_before else make()
+        return self.kept[key]
+
+    def patches(self) -> SurfacePatches:
+        """Pieces of the avatars' surface, for passes that draw where it can be; all share them."""
+        return self.keep((SurfacePatches, self.detail), lambda: SurfacePatches(self.levels))
+
+    def tag(self, avatar: int) -> str:
+        """What people call an avatar of the scene."""
+        return f"avatar {avatar + 1}" if len(self.avatars) > 1 else "avatar"
+
+    def first(self, avatar: int) -> int:
+        """The first avatar of the scene that is the same object: what no pose changes is made once, for that one."""
+        return self._first[avatar]
+
+    @property
+    def drawn_on(self) -> tuple[Handle[Any], ...]:
+        """What every pass on the avatars' layer writes and reads."""
+        image = self.layer.image or self.image
+        return (*(() if image is None else image.handles), self.frame)
+
+    def widen(self, pixels: int) -> None:
+        """An effect draws so far round an avatar's surface."""
+        self.margin = max(self.margin, MARGIN + pixels)
+
+    def buffer(
+        self, name: str, size: int, *depends_on: Hashable, content: Callable[[PlanResources], bytes] | None = None
+    ) -> Handle[moderngl.Buffer]:
+        """A buffer of `size` bytes: with this content, else to be written in each frame."""
+
+        def make(resources: PlanResources) -> moderngl.Buffer:
+            gl = resources.context.gl
+            return gl.buffer(reserve=size, dynamic=True) if content is None else gl.buffer(content(resources))
+
+        return self.need(Handle(moderngl.Buffer, name, size, depends_on, make))
+
+    def texture(
+        self, name: str, size: int, *depends_on: Hashable, make: Callable[[PlanResources], moderngl.Texture]
+    ) -> Handle[moderngl.Texture]:
+        return self.need(Handle(moderngl.Texture, name, size, depends_on, make))
+
+    def program(
+        self, vertex: str, fragment: str, *, samplers: Sequence[str] = (), avatar: int | None = None,
+        constants: Callable[[], Mapping[str, str]] = dict, **defines: int,
+    ) -> Handle[moderngl.Program]:  # fmt: skip
+        """Two shaders in a variant. A sampler reads the texture unit of its place among `samplers`. `constants` are
+        includes written for one avatar; without them avatars share the program."""
+
+        counted = {} if self.bones == len(JOINTS) else {"bone_count.glsl": f"const int BONE_COUNT = {self.bones};\n"}
+        if self.influences < 4:
+            counted["influence_count.glsl"] = f"const int INFLUENCES = {self.influences};\n"
+
+        def make(resources: PlanResources) -> moderngl.Program:
+            generated = {**constants(), **counted}
+            program = compile_program(resources.context.gl, vertex, fragment, defines, generated)
+            for block in BINDING:
+                bind_block(program, block, self.bones)
+            for unit, sampler in enumerate(samplers):
+                found = program.get(sampler, None)
+                if isinstance(found, moderngl.Uniform):
+                    found.value = unit
+            return program
+
+        depends_on = (vertex, fragment, avatar, *defines.items(), *counted.values())
+        return self.need(Handle(moderngl.Program, f"{vertex} {fragment}", 0, depends_on, make))
+
+    def array(
+        self, program: Handle[moderngl.Program], *buffers: tuple[Any, ...], faces: Handle[moderngl.Buffer] | None = None
+    ) -> Handle[moderngl.VertexArray]:
+        """A vertex array: buffers as (handle, format, names ...), and triangles."""
+
+        def make(resources: PlanResources) -> moderngl.VertexArray:
+            made, index = resources[program], None if faces is None else resources[faces]
+            content = [(resources[handle], *attributes_read(made, *rest)) for handle, *rest in buffers]
+            return resources.context.gl.vertex_array(made, content, index)
+
+        handle = Handle(moderngl.VertexArray, program.name, 0, (program, *buffers, faces), make)
+        return self.need(handle)
+
+    def framebuffer(
+        self, name: str, size: tuple[int, int], *, depth: bool, textures: bool = False, samples: int = 0
+    ) -> Image:
+        """An image to draw on, with depth or without; its parts are textures where a pass reads them."""
+        kind: type[Any] = moderngl.Texture if textures else moderngl.Renderbuffer
+        pixels, shape = 4 * size[0] * size[1] * max(samples, 1), (*size, samples)
+
+        def color_of(resources: PlanResources) -> Any:
+            gl = resources.context.gl
+            return _clamped(gl.texture(size, 4)) if textures else gl.renderbuffer(size, samples=samples)
+
+        def depth_of(resources: PlanResources) -> Any:
+            gl = resources.context.gl
+            if not textures:
+                return gl.depth_renderbuffer(size, samples=samples)
+            texture = gl.depth_texture(size)
+            # read as a number
+            texture.compare_func = ""
+            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            return _clamped(texture)
+
+        color = self.need(Handle(kind, f"{name} color", pixels, shape, color_of))
+        behind = self.need(Handle(kind, f"{name} depth", pixels, shape, depth_of)) if depth else None
+
+        def make(resources: PlanResources) -> moderngl.Framebuffer:
+            attached = None if behind is None else resources[behind]
+            return resources.context.gl.framebuffer([resources[color]], attached)
+
+        handle = Handle(moderngl.Framebuffer, name, 0, (color, behind), make)
+        return Image(size, self.need(handle), color, behind)
+
+    def own_image(self, *, depth: bool) -> Image:
+        """The renderer's own image; with depth where avatars are drawn straight on it."""
+        assert self.canvas.size is not None
+        if self.image is None:
+            self.image = self.framebuffer("image", self.canvas.size, depth=depth)
+        return self.image
+
+    def result(self, stages: Sequence[tuple[Stage, Sequence[Pass]]]) -> Plan:
+        """The plan of these passes, in drawing order."""
+        passes = tuple(item for _, some in stages for item in some)
+        last = [item for stage, some in stages if stage is Stage.PICTURE for item in some]
+        filters = tuple(item for item in last if not isinstance(item, Absent))
+        background = None if self.background is None else self.background.framebuffer
+        return Plan(
+            passes, filters, tuple(self.handles), self.frame, self.image, background, self.margin, self.views,
+            frozenset(self.moved), self.kept,
+        )  # fmt: skip
+
+
+@runtime_checkable
+class Closable(Protocol):
+    """What has to be closed when no plan keeps it any longer."""
+
+    def close(self) -> None: ...
+
+
+def close_all(kept: Iterable[Any]) -> None:
+    """Close what a plan kept and no later one does."""
+    for one in kept:
+        if isinstance(one, Closable):
+            one.close()
+
+
+def _clamped(texture: moderngl.Texture) -> moderngl.Texture:
+    texture.repeat_x = texture.repeat_y = False
+    return texture

@@ -1,0 +1,142 @@
+"""Which triangle covers each pixel, where on it, and how deep: the measuring rasteriser.
+
+Synthesis, ground truth, part masks, field drawing and bake measurement all look through it, so it draws with
+the same cameras as the player and to the pixel of avatar.camera.project.
+"""
+
+from typing import NamedTuple
+
+import moderngl
+import numpy as np
+from jaxtyping import Float, Int
+
+from avatar.camera import Camera, clip_from_view, view_from_world
+from player.gl.context import Context
+from player.gl.shader import compile_program, uniform
+
+# a float32 counts no further
+MAX_FACES = 1 << 24
+
+
+class Fragments(NamedTuple):
+    """One image of triangles; row 0 is the top."""
+
+    face: Int[np.ndarray, "height width"]  # index into faces, -1 where nothing is
+    # perspective-correct, sums to 1; 0 where nothing is
+    barycentric: Float[np.ndarray, "height width 3"]
+    # metres along the optical axis; inf where nothing is
+    depth: Float[np.ndarray, "height width"]
+
+
+def clip_planes(depth: Float[np.ndarray, "points"]) -> tuple[float, float] | None:
+    """Near and far, metres, that hold points of these depths; None when all lie behind the camera.
+
+    Near never falls under a thousandth of far (a camera inside a body), or 24 bits could not order surfaces.
+    """
+    far = float(depth.max(initial=-np.inf))
+    if not far > 0:
+        return None
+    near = max(0.999 * float(depth.min()), 1e-3 * far)
+    return near, max(1.001 * far, 1.01 * near)
+
+
+class Rasteriser:
+    """Draws triangle numbers, barycentric coordinates and depth. Keeps one target, remade when the size changes."""
+
+    def __init__(self, context: Context):
+        context.make_current()
+        self.context = context
+        self.program = compile_program(context.gl, "raster.vert", "raster.frag")
+        self.vertices: moderngl.Buffer | None = None
+        self.vertex_array: moderngl.VertexArray | None = None
+        self.target: moderngl.Framebuffer | None = None
+
+    def draw(
+        self,
+        vertices_world: Float[np.ndarray, "vertices 3"],
+        faces: Int[np.ndarray, "faces 3"],
+        camera: Camera,
+        size: tuple[int, int] | None = None,
+        *,
+        cull: bool = False,
+    ) -> Fragments:
+        """Draw a mesh, world metres, as `camera` sees it (on `size` pixels if given); lens distortion left out.
+
+        cull leaves out triangles that turn their back (clockwise corners). Corners behind the camera are clipped.
+
+        Raises:
+            ValueError: faces index past the vertices, or there are more of them than a float can number.
+        """
+        if size is not None:
+            camera = camera.resized(size)
+        width, height = camera.size
+        faces = np.asarray(faces)
+        if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices_world)):
+            raise ValueError(f"faces index {faces.min()}..{faces.max()} of {len(vertices_world)} vertices")
+        if len(faces) >= MAX_FACES:
+            raise ValueError(f"{len(faces)} faces, at most {MAX_FACES - 1} have a number each")
+        # into view space in double precision: a body 10 km from the origin keeps its shape
+        view = view_from_world(camera)
+        points = np.asarray(vertices_world, np.float64) @ view[:3, :3].T + view[:3, 3]
+        planes = clip_planes(-points[faces.reshape(-1), 2])
+        if planes is None:
+            return Fragments(
+                np.full((height, width), -1, np.int32),
+                np.zeros((height, width, 3), np.float32),
+                np.full((height, width), np.inf, np.float32),
+            )
+
+        self.context.make_current()
+        gl = self.context.gl
+        self._use_target((width, height))
+        self._use_vertices(points.astype(np.float32)[faces])
+        assert self.vertex_array is not None and self.target is not None
+        uniform(self.program, "clip_from_view").write(clip_from_view(camera, *planes).T.astype("f4").tobytes())
+        gl.enable_only(moderngl.DEPTH_TEST | (moderngl.CULL_FACE if cull else 0))
+        gl.front_face, gl.cull_face = "ccw", "back"
+        self.target.clear()
+        self.vertex_array.render(moderngl.TRIANGLES, vertices=3 * len(faces))
+        raw = np.frombuffer(self.target.read(components=4, dtype="f4"), np.float32)
+        raw = raw.reshape(height, width, 4)[::-1]
+
+        face = raw[..., 0].astype(np.int32) - 1
+        hit = face >= 0
+        barycentric = np.empty((height, width, 3), np.float32)
+        barycentric[..., 1:] = raw[..., 1:3]
+        barycentric[..., 0] = np.where(hit, 1 - raw[..., 1] - raw[..., 2], 0)
+        return Fragments(face, barycentric, np.where(hit, raw[..., 3], np.float32(np.inf)))
+
+    def release(self) -> None:
+        """Free everything on the graphics side."""
+        self.context.make_current()
+        self.context.leave_framebuffer()
+        for thing in (self.vertex_array, self.vertices, self.program):
+            if thing is not None:
+                thing.release()
+        self._free_target(self.target)
+        self.target = self.vertices = self.vertex_array = None
+
+    def _use_target(self, size: tuple[int, int]) -> None:
+        if self.target is None or self.target.size != size:
+            gl, old = self.context.gl, self.target
+            self.target = gl.framebuffer([gl.renderbuffer(size, 4, dtype="f4")], gl.depth_renderbuffer(size))
+            self.target.use()
+            self._free_target(old)
+        self.target.use()
+
+    def _free_target(self, target: moderngl.Framebuffer | None) -> None:
+        if target is not None:
+            attachments = [*target.color_attachments, target.depth_attachment]
+            target.release()  # leaves its attachments alive
+            for attachment in attachments:
+                attachment.release()
+
+    def _use_vertices(self, corners: Float[np.ndarray, "faces 3 3"]) -> None:
+        if self.vertices is None or self.vertices.size < corners.nbytes:
+            if self.vertices is not None and self.vertex_array is not None:
+                self.vertex_array.release()
+                self.vertices.release()
+            gl = self.context.gl
+            self.vertices = gl.buffer(reserve=max(corners.nbytes, 1 << 16), dynamic=True)
+            self.vertex_array = gl.vertex_array(self.program, [(self.vertices, "3f4", "position_view")])
+        self.vertices.write(np.ascontiguousarray(corners))

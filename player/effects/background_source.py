@@ -1,0 +1,224 @@
+"""Pixels behind the avatars: a picture, a film or a panorama, made ready at the size of the image.
+
+Arrays are sRGB, premultiplied, row 0 on top. Nothing here touches OpenGL.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+from PIL import Image
+
+from command.errors import AssetError
+from files.input_file import one_line, open_film
+from files.picture import MAX_PIXELS, WITH_WEBP, read_picture
+from player.effects.radiance import read_radiance
+
+RGBA = tuple[float, float, float, float]
+Pixels = UInt8[np.ndarray, "_ _ 4"]  # rows, columns
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+# texels at most: a view of 60 degrees then still has 680 of them across
+PANORAMA_WIDTH = 4096
+# seconds; to go further ahead in a film, seek instead of decoding what lies between
+FAR = 2.0
+
+
+class Placing(NamedTuple):
+    """How pictures of any size fill the image."""
+
+    # cover, contain or stretch: see `placed`
+    fit: str = "cover"
+    # premultiplied, where the picture does not reach
+    color: RGBA = (0.0, 0.0, 0.0, 0.0)
+
+
+def placed(size: tuple[int, int], into: tuple[int, int], fit: str) -> tuple[int, int, int, int]:
+    """Where a picture of `size` lies in an image `into`: left, top, width, height, pixels; may stick out.
+
+    cover fills the image, contain shows the whole picture, stretch does both and distorts.
+    """
+    (w, h), (W, H) = size, into
+    if fit == "stretch":
+        return 0, 0, W, H
+    scale = (max if fit == "cover" else min)(W / w, H / h)
+    width, height = max(1, round(w * scale)), max(1, round(h * scale))
+    return (W - width) // 2, (H - height) // 2, width, height
+
+
+def fitted(picture: Pixels, into: tuple[int, int], fit: str, color: RGBA) -> Pixels:
+    """A picture (straight alpha) scaled and laid over a colour."""
+    left, top, width, height = placed((picture.shape[1], picture.shape[0]), into, fit)
+    scaled = picture
+    if (width, height) != (picture.shape[1], picture.shape[0]):
+        filter = Image.Resampling.LANCZOS if width < picture.shape[1] else Image.Resampling.BICUBIC
+        scaled = np.asarray(Image.fromarray(picture).resize((width, height), filter))
+    return laid(scaled, left, top, into, color)
+
+
+def laid(picture: Pixels, left: int, top: int, into: tuple[int, int], color: RGBA) -> Pixels:
+    """A picture (straight alpha) at its place on an image of one colour; what sticks out is cut off."""
+    width, height = into
+    out = np.empty((height, width, 4), np.uint8)
+    out[:] = np.round(255 * np.array(color))
+    x, y = max(left, 0), max(top, 0)
+    part = picture[y - top : height - top, x - left : width - left]
+    window = out[y : y + part.shape[0], x : x + part.shape[1]]
+    if part[..., 3].min(initial=255) == 255:
+        window[:] = part
+    else:
+        alpha = part[..., 3:].astype(np.float32) / 255
+        straight = part.astype(np.float32)
+        straight[..., 3] = 255
+        window[:] = np.round(straight * alpha + window * (1 - alpha))
+    return out
+
+
+def _picture(path: Path | str) -> Pixels:
+    """A picture file as sRGB with straight alpha, turned as its camera was held."""
+    return read_picture(path, "RGBA", formats=WITH_WEBP, upright=True)
+
+
+def read_panorama(path: Path | str) -> Float32[np.ndarray, "height width 3"]:
+    """Linear light from all directions (equirectangular), halved until it is at most PANORAMA_WIDTH wide.
+
+    Raises:
+        AssetError: no Radiance picture, or not twice as wide as high.
+    """
+    image = read_radiance(path)
+    height, width = image.shape[:2]
+    if width != 2 * height:
+        raise AssetError(f"{path}: a panorama should be twice as wide as high, is {width}x{height}")
+    while image.shape[1] > PANORAMA_WIDTH:
+        if image.shape[0] % 2:
+            image = image[:-1, :-2]
+        image = image.reshape(image.shape[0] // 2, 2, -1, 2, 3).mean((1, 3))
+    return image
+
+
+class StillPicture:
+    """One picture, the same at all times."""
+
+    def __init__(self, path: Path, placing: Placing):
+        self.placing, self.picture = placing, _picture(path)
+
+    def number(self, seconds: float) -> int:
+        return 0
+
+    def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
+        return fitted(self.picture, size, *self.placing)
+
+    def close(self) -> None:
+        pass
+
+
+class Frames:
+    """A folder of pictures, in the order of their names, at a stated rate. The last one stays."""
+
+    def __init__(self, path: Path, placing: Placing, rate: float):
+        self.placing, self.rate = placing, rate
+        self.files = sorted(f for f in path.iterdir() if f.suffix.lower() in PICTURES)
+        if not self.files:
+            raise AssetError(f"{path}: expected pictures ({', '.join(PICTURES)}), found none")
+
+    def number(self, seconds: float) -> int:
+        return min(max(int(seconds * self.rate + 1e-6), 0), len(self.files) - 1)
+
+    def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
+        return fitted(_picture(self.files[self.number(seconds)]), size, *self.placing)
+
+    def close(self) -> None:
+        pass
+
+
+class Video:
+    """A film, one decoded frame in memory. The last frame stays. Only opening it imports the decoder."""
+
+    def __init__(self, path: Path, placing: Placing):
+        self.path, self.placing = path, placing
+        self.container = open_film(path)
+        self.stream = self.container.streams.video[0]
+        if self.stream.codec_context is None:
+            raise AssetError(f"{self.path}: the film is in a code that is not read here")
+        self._check_size(self.stream.width, self.stream.height)
+        self.stream.thread_type = "AUTO"
+        try:
+            self._start()
+        except AssetError:
+            self.close()
+            raise
+
+    def _check_size(self, width: int, height: int) -> None:
+        if width * height > MAX_PIXELS:
+            raise AssetError(
+                f"{self.path}: expected a film of at most {MAX_PIXELS} pixels a frame, found {width} x {height}"
+            )
+
+    def _start(self, seconds: float = 0.0) -> None:
+        import av.error
+
+        tick = self.stream.time_base
+        origin = self.stream.start_time or 0
+        if not tick:
+            raise AssetError(f"{self.path}: the film has no time base")
+        try:
+            self.container.seek(origin + max(int(seconds / tick), 0), stream=self.stream)
+        except (OSError, OverflowError, av.error.FFmpegError) as error:
+            raise AssetError(f"{self.path}: cannot be read as a film: {one_line(error)}") from None
+        self.frames: Iterator = self._decoded()
+        self.shown, self.coming = None, next(self.frames, None)
+        # beyond the end: from the start, to the last frame
+        if self.coming is None and seconds > 0:
+            self._start()
+        if self.coming is None:
+            raise AssetError(f"{self.path}: holds no frame")
+
+    def _decoded(self) -> Iterator:
+        import av.error
+
+        try:
+            for frame in self.container.decode(self.stream):
+                self._check_size(frame.width, frame.height)
+                if frame.pts is None:
+                    raise AssetError(f"{self.path}: a frame of the film has no time")
+                yield frame
+        except (OSError, ValueError, av.error.FFmpegError) as error:
+            raise AssetError(f"{self.path}: a frame of the film cannot be read: {one_line(error)}") from None
+
+    def _time(self, frame) -> float:
+        return float((frame.pts - (self.stream.start_time or 0)) * self.stream.time_base)
+
+    def _seek(self, seconds: float) -> None:
+        """Decode until the frame that is shown at this time; a tick early is soon enough."""
+        seconds = max(seconds, 0.0) + 1e-4
+        if self.shown is not None and not (self._time(self.shown) <= seconds):
+            self._start(seconds)
+        elif self.coming is not None and self._time(self.coming) + FAR < seconds:
+            self._start(seconds)
+            if self.shown is None and self.coming is not None and self._time(self.coming) > seconds:
+                self._start()
+        while self.shown is None or (self.coming is not None and self._time(self.coming) <= seconds):
+            self.shown, self.coming = self.coming, next(self.frames, None)
+
+    def number(self, seconds: float) -> int:
+        self._seek(seconds)
+        assert self.shown is not None
+        return self.shown.pts
+
+    def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
+        self._seek(seconds)
+        assert self.shown is not None
+        turned = self.shown.rotation % 180 != 0
+        source = (self.shown.width, self.shown.height)
+        left, top, width, height = placed(source[::-1] if turned else source, size, self.placing.fit)
+        across = (height, width) if turned else (width, height)
+        image = self.shown.reformat(width=across[0], height=across[1], format="rgba").to_ndarray()
+        image = np.rot90(image, self.shown.rotation // 90 % 4)
+        return laid(image, left, top, size, self.placing.color)
+
+    def close(self) -> None:
+        self.container.close()
+
+
+Source = StillPicture | Frames | Video

@@ -1,0 +1,286 @@
+"""Contact darkening: what comes near the ground or another limb hides the sky from it (contact_capsules.py).
+
+On the ground it is a pass of its own, under the avatars; on their surface the passes that draw them take it in, vertex
+by vertex, in a variant of their program (shaders/contact.glsl).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+import moderngl
+import numpy as np
+from jaxtyping import Float, Int, UInt32
+
+from avatar.baked_avatar import Avatar, Level
+from avatar.camera import view_from_world
+from command.settings import Above, AtLeast, AtMost, check
+from player.draw.drawing import Drawing, Layer, Warming
+from player.draw.plan import Decision, Draft, Pass, PassState, Stage
+from player.draw.posed_mesh import vertex_order
+from player.draw.resources import Handle, PlanResources
+from player.effects.contact_capsules import LEAST, Capsules, capsules_of
+from player.effects.ground_plane import Sheet, draw_behind
+from player.gl.blocks import BINDING, CAPSULES
+from player.gl.shader import uniform
+
+# pixels; of a smaller avatar it cannot be seen
+SMALLEST = 60
+AWAY = Decision(PassState.SKIPPED, "nothing is near the ground, or it is out of view")
+SMALL = Decision(PassState.SKIPPED, f"the avatar is less than {SMALLEST} pixels tall")
+RUNS = Decision(PassState.RUNS, "asked for")
+# on the ground capsules are as thick as the body: they are thin so as to stay inside it
+GROWN = 2.0
+# cells of the ground each way, drawn where a capsule reaches; shaders/contact_floor.vert
+CELLS = 24
+# low capsules that a cell's pixels look at, at most: cells are drawn in as many goes
+COUNTS = (0, 1, 2, 4, 6)
+# in widths of a cell: what stays this high above the ground is looked at in the corners of cells
+HIGH = 3.0
+ATTRIBUTES = ("1u4 1f4", "spared", "rest")
+VERTEX = np.dtype([("spared", "u4"), ("rest", "f4")])
+
+
+@dataclass(frozen=True)
+class Contact:
+    """How dark it gets, and where the ground is.
+
+    Raises:
+        ValueError: a value that is out of its range.
+    """
+
+    stage: ClassVar[Stage] = Stage.GROUND
+
+    strength: Annotated[
+        float, Above(0), AtMost(1), "share of the sky's light that is lost where all of it is hidden"
+    ] = 0.8
+    height: Annotated[float, AtLeast(-1e4), AtMost(1e4), "of the ground above the world's origin, metres"] = 0.0
+
+    def __post_init__(self):
+        check(self)
+
+    def passes(self, draft: Draft) -> Sequence[Pass]:
+        image = draft.own_image(depth=draft.layer.image is None) if draft.canvas.own_image else None
+        drawn_on = () if image is None else image.handles
+        program = draft.program("contact_floor.vert", "contact_floor.frag")
+        return tuple(
+            self._floor(draft, drawn_on, program, touch)
+            for touch in (contact_of(draft, index) for index in range(len(draft.avatars)))
+            if touch is not None
+        )
+
+    def _floor(
+        self, draft: Draft, drawn_on: tuple[Handle[Any], ...], program: Handle[moderngl.Program], touch: "AvatarContact"
+    ) -> "ContactFloorPass":
+        tag = draft.tag(touch.avatar)
+        block = draft.buffer(f"{tag} capsules near the ground", CAPSULES.itemsize, touch.avatar)
+        cells = draft.buffer(f"{tag} ground cells", 24 * CELLS**2, touch.avatar)
+        array = draft.array(program, faces=cells)
+        uses = (*drawn_on, block, cells, array)
+        return ContactFloorPass(
+            f"contact: {tag} on the ground", uses, self, touch, draft.layer, program, array, block, cells
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class AvatarContact:
+    """One avatar's capsules in a plan."""
+
+    avatar: int
+    strength: float
+    body: "LazyCapsules"
+    # the capsules of this frame
+    block: Handle[moderngl.Buffer]
+    # what each vertex does not take from its own limb
+    vertices: Handle[moderngl.Buffer]
+    normals: Handle[moderngl.Buffer]
+
+    @property
+    def buffers(self) -> tuple[tuple[Any, ...], ...]:
+        """What a vertex array gains; its normals where nothing else brings them."""
+        return (self.vertices, *ATTRIBUTES), (self.normals, "3f4", "normal")
+
+    def shows(self, drawing: Drawing) -> bool:
+        return drawing.height(self.avatar) >= SMALLEST
+
+    def bind(self, drawing: Drawing) -> None:
+        """Bring the capsules of this frame to the GPU, unless another pass has, and bind them."""
+        buffer = drawing.write(self.block, lambda: self.content(drawing))
+        buffer.bind_to_uniform_block(BINDING["Capsules"][1])
+
+    def warm(self, resources: PlanResources) -> None:
+        buffer = resources[self.block]
+        buffer.write(bytes(buffer.size))
+        buffer.bind_to_uniform_block(BINDING["Capsules"][1])
+
+    def content(self, drawing: Drawing, chosen: slice | Int[np.ndarray, "near"] = slice(None)) -> bytes:
+        """The block of the capsules, or of some of them."""
+        capsules, block = self.body.capsules, np.zeros((), CAPSULES)
+        starts, ends = (points[chosen] for points in capsules.posed(drawing.bones[self.avatar]))
+        along, count = ends - starts, len(starts)
+        block["capsule_start"][:count, :3], block["capsule_start"][:count, 3] = starts, capsules.radii[chosen]
+        block["capsule_along"][:count, :3] = along
+        block["capsule_along"][:count, 3] = 1 / np.maximum((along * along).sum(1), 1e-12)
+        return block.tobytes()
+
+
+class LazyCapsules:
+    """Capsules of an avatar, fitted when they are first needed: a quarter of a second."""
+
+    def __init__(self, avatar: Avatar, level: Level):
+        self._of: tuple[Avatar, Level] = avatar, level
+        self._found: Capsules | None = None
+
+    @property
+    def capsules(self) -> Capsules:
+        if self._found is None:
+            self._found = capsules_of(*self._of)
+        return self._found
+
+
+def contact_of(draft: Draft, avatar: int) -> AvatarContact | None:
+    """What darkens an avatar of the plan; None: nothing is to."""
+    asked = draft.asked(Contact)
+    if asked is None:
+        return None
+    level, first = draft.levels[avatar], draft.first(avatar)
+    tag, shared, number = draft.tag(avatar), draft.tag(first), draft.detail[avatar]
+    body = draft.keep(("capsules", first, number), lambda: LazyCapsules(draft.avatars[avatar], level))
+
+    def vertices(made: PlanResources) -> bytes:
+        out, order = np.zeros(len(level.positions), VERTEX), vertex_order(made, level)[0]
+        out["spared"], out["rest"] = body.capsules.spared, body.capsules.rest
+        return out[order].tobytes()
+
+    return AvatarContact(
+        avatar, asked.strength, body,
+        draft.buffer(f"{tag} capsules", CAPSULES.itemsize, avatar),
+        draft.buffer(f"{shared} contact", VERTEX.itemsize * len(level.positions), first, number, content=vertices),
+        draft.buffer(
+            f"{shared} normals", level.normals.nbytes, first, number,
+            content=lambda made: level.normals[vertex_order(made, level)[0]].tobytes(),
+        ),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ContactFloorPass(Pass):
+    """The ground under one avatar, where one of its capsules is near, by those that are."""
+
+    name: str
+    uses: tuple[Handle[Any], ...]
+    settings: Contact
+    contact: AvatarContact
+    layer: Layer
+    program: Handle[moderngl.Program]
+    array: Handle[moderngl.VertexArray]
+    # the capsules near the ground, and the triangles of the cells they reach
+    block: Handle[moderngl.Buffer]
+    cells: Handle[moderngl.Buffer]
+
+    def decide(self, drawing: Drawing) -> Decision:
+        under = self._under(drawing)
+        if under is None or under.sheet.box(drawing.inputs.camera) is None:
+            return AWAY
+        return RUNS if self.contact.shows(drawing) else SMALL
+
+    def draw(self, drawing: Drawing) -> None:
+        under, resources, camera = self._under(drawing), drawing.resources, drawing.inputs.camera
+        assert under is not None
+        sheet = under.sheet
+        drawing.write(self.block, lambda: self.contact.content(drawing, under.near))
+        resources[self.block].bind_to_uniform_block(BINDING["Capsules"][1])
+        triangles, batches = under.triangles()
+        drawing.write(self.cells, lambda: triangles)
+        program, view = resources[self.program], view_from_world(camera)
+        columns = np.stack([view[:3, 0], view[:3, 2], view[:3] @ np.append(sheet.anchor, 1.0)])
+        uniform(program, "view_from_plane").write(np.ascontiguousarray(columns, np.float32).tobytes())
+        uniform(program, "up").value = tuple(view[:3, 1].tolist())
+        uniform(program, "grown").value = GROWN
+        uniform(program, "strength").value = self.settings.strength
+        uniform(program, "across").value = sheet.reach[2:]
+        uniform(program, "high").value = (under.low, len(under.near))
+
+        def draw(flipped: bool) -> None:
+            sheet.apply(program, camera, flipped=flipped)
+            first = 0
+            for count, size in batches:
+                uniform(program, "count").value = count
+                resources[self.array].render(vertices=3 * size, first=3 * first)
+                first += size
+
+        draw_behind(drawing, self.layer, draw)
+
+    def warm(self, warming: Warming) -> None:
+        if warming.framebuffer is not None:
+            warming.framebuffer.use()
+            warming.resources.context.gl.enable_only(moderngl.BLEND)
+            for handle in (self.block, self.cells):
+                warming.resources[handle].write(bytes(handle.bytes))
+            warming.resources[self.block].bind_to_uniform_block(BINDING["Capsules"][1])
+            warming.resources[self.array].render(vertices=3)
+
+    def _under(self, drawing: Drawing) -> "Under | None":
+        """The ground under what is near it."""
+        capsules = self.contact.body.capsules
+        world_from_view = np.linalg.inv(view_from_world(drawing.inputs.camera))
+        ends = np.stack(capsules.posed(drawing.bones[self.contact.avatar]))
+        ends = ends @ world_from_view[:3, :3].T + world_from_view[:3, 3]
+        above = ends[..., 1] - self.settings.height
+        # o = h r^2 / (d^2 + h^2)^(3/2) of what is h above the ground: LEAST at d^2 = c h^(2/3) - h^2, which is largest
+        # at h = (c / 3)^(3/4), or at the end nearer to that
+        radii = GROWN * capsules.radii
+        low, high = np.maximum(above.min(0), 0), np.maximum(above.max(0), 0)
+        c = np.cbrt((radii**2 / LEAST) ** 2)
+        at = np.clip((c / 3) ** 0.75, low, high)
+        reach = np.sqrt(np.maximum(c * np.cbrt(at * at) - at * at, 0))
+        reach = np.where(low < radii, np.maximum(reach, radii), reach)
+        near = np.flatnonzero((high > 0) & (reach > 0))
+        if not len(near):
+            return None
+        flat = ends[:, near][..., [0, 2]]
+        first = (flat.min(0) - reach[near, None]).min(0)
+        across = (flat.max(0) + reach[near, None]).max(0) - first
+        is_high = low[near] > HIGH * across.max() / CELLS
+        # the low ones first, and of these the far reaching: most cells need no others
+        order = np.lexsort((-reach[near], is_high))
+        near, flat = near[order], flat[:, order] - first
+        anchor = np.array([first[0], self.settings.height, first[1]])
+        sheet = Sheet(anchor, (0.0, 0.0, *across.tolist()))
+        return Under(sheet, near, flat, reach[near], int((~is_high).sum()))
+
+
+class Under(NamedTuple):
+    """The ground that an avatar can darken."""
+
+    sheet: Sheet
+    # which of its capsules: the low ones first, of these the farthest reaching
+    near: Int[np.ndarray, "near"]
+    # where these stand on the sheet, and how far they reach, metres
+    ends: Float[np.ndarray, "2 near 2"]
+    reach: Float[np.ndarray, "near"]
+    # how many are low
+    low: int
+
+    def triangles(self) -> tuple[UInt32[np.ndarray, "triangles 3"], list[tuple[int, int]]]:
+        """Triangles of the cells that a capsule reaches, all within its reach of its middle line; and in their order,
+        how many of the low capsules how many of the triangles need: COUNTS, and all."""
+        side = np.array(self.sheet.reach[2:]) / CELLS
+        column, row = np.meshgrid(np.arange(CELLS), np.arange(CELLS))
+        middle = (np.stack([column, row], -1).reshape(-1, 1, 2) + 0.5) * side
+        start, along = self.ends[0], self.ends[1] - self.ends[0]
+        share = ((middle - start) * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-12)
+        away = np.linalg.norm(middle - start - np.clip(share, 0, 1)[..., None] * along, axis=-1)
+        reached = away <= self.reach + 0.5 * np.linalg.norm(side)
+        seen = reached.any(1)
+        # one more than the last low one that reaches it, 0 where none does
+        needs = (reached[:, : self.low] * np.arange(1, self.low + 1)).max(1, initial=0)
+        counts = [*(count for count in COUNTS if count < self.low), self.low]
+        batch = np.searchsorted(counts, needs)
+        order = np.flatnonzero(seen)[np.argsort(batch[seen], kind="stable")]
+        a = (column + (CELLS + 1) * row).reshape(-1)[order].astype(np.uint32)
+        b, c, d = a + 1, a + CELLS + 1, a + CELLS + 2
+        sizes = np.bincount(batch[order], minlength=len(counts)).tolist()
+        return np.stack([a, b, c, c, b, d], 1).reshape(-1, 3), [
+            (count, 2 * size) for count, size in zip(counts, sizes, strict=True) if size
+        ]

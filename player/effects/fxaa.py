@@ -1,0 +1,93 @@
+"""FXAA: filters the avatars' outlines in the finished picture (shaders/fxaa.frag).
+
+Avatars are drawn over nothing on a layer of their own, which is filtered over the background: it stays as it is.
+In software a filter costs what it covers: it runs on the tiles that avatars can reach.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import moderngl
+import numpy as np
+
+from player.draw.drawing import Drawing, Layer, Warming
+from player.draw.plan import Decision, Draft, Pass, PassState, Stage
+from player.draw.resources import Handle, Image, PlanResources
+from player.gl.shader import uniform
+from player.gl.tiles import TILE, SurfacePatches, covered, rectangles
+
+OUT_OF_VIEW = Decision(PassState.SKIPPED, "no avatar in view")
+RUNS = Decision(PassState.RUNS, "on the tiles that avatars reach")
+# left, first row, right, end row
+TILES = ("4u2 /i", "tile")
+
+
+@dataclass(frozen=True)
+class Fxaa:
+    """No settings: thresholds are in the shader."""
+
+    stage: ClassVar[Stage] = Stage.PICTURE
+
+    def passes(self, draft: Draft) -> Sequence[Pass]:
+        size = draft.canvas.size
+        # a window: planned with its first frame
+        if size is None:
+            return ()
+        output = draft.own_image(depth=False).handles if draft.canvas.own_image else ()
+        image = draft.framebuffer("layer", size, depth=True, textures=True)
+        draft.layer = Layer(image, lambda drawing: drawing.resources[image.framebuffer].clear())
+        tiles = draft.buffer("fxaa tiles", 8 * -(-size[0] // TILE) * -(-size[1] // TILE), *size)
+        program = draft.program("tiles.vert", "fxaa.frag", samplers=("picture", "depth"))
+        array = draft.array(program, (tiles, *TILES))
+        patches = draft.patches()
+        return (FxaaPass((*output, *image.handles, tiles, array), image, tiles, program, array, patches, draft.dual),)
+
+
+@dataclass(frozen=True)
+class FxaaPass(Pass):
+    uses: tuple[Handle[Any], ...]
+    image: Image
+    tiles: Handle[moderngl.Buffer]
+    program: Handle[moderngl.Program]
+    array: Handle[moderngl.VertexArray]
+    patches: SurfacePatches
+    dual: bool
+    name: str = "antialiasing: fxaa"
+
+    def decide(self, drawing: Drawing) -> Decision:
+        return RUNS if any(drawing.visible) else OUT_OF_VIEW
+
+    def draw(self, drawing: Drawing) -> None:
+        camera, flipped = drawing.inputs.camera, drawing.inputs.flipped
+        boxes = [
+            patches.boxes(bones.view_from_canonical, camera, dual=self.dual, reach=reach)
+            for patches, bones, seen, reach in zip(
+                self.patches, drawing.bones, drawing.visible, drawing.reaches, strict=True
+            )
+            if seen
+        ]
+        tiles = rectangles(
+            covered(np.concatenate(boxes), camera.size, drawing.look.margin), camera.size, flipped=flipped
+        )
+        drawing.inputs.framebuffer.use()
+        if len(tiles):
+            drawing.resources[self.tiles].write(np.ascontiguousarray(tiles))
+            drawing.gl.enable_only(moderngl.BLEND)
+            drawing.gl.blend_func = (moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA)
+            self._filter(drawing.resources, len(tiles))
+
+    def warm(self, warming: Warming) -> None:
+        resources = warming.resources
+        uniform(resources[self.program], "image_size").value = self.image.size
+        if warming.framebuffer is not None:
+            warming.framebuffer.use()
+            resources.context.gl.enable_only(moderngl.BLEND)
+            resources[warming.look.frame].bind_to_uniform_block(0)
+            resources[self.tiles].write(np.array([0, 0, 1, 1], np.uint16))
+            self._filter(resources, 1)
+
+    def _filter(self, resources: PlanResources, count: int) -> None:
+        for unit, texture in enumerate(self.image.attachments):
+            resources[texture].use(unit)
+        resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=count)

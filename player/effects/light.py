@@ -1,0 +1,246 @@
+"""Avatars lit anew: by the light they were filmed in, which stays where it was as they turn, by none, by lamps, or by a
+panorama.
+
+An avatar's file keeps two things apart (avatar/light.py): its base color shows albedo in the light it was seen in on
+average. This draws no pass of its own; the passes that draw avatars take that light out and put this one in
+(shaders/light.glsl), vertex by vertex. Where a file holds no light, its color is taken for albedo.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import moderngl
+import numpy as np
+from jaxtyping import Float
+
+from avatar.baked_avatar import Avatar, Level
+from avatar.camera import Camera
+from avatar.light import LAMPS, CaptureLight, lamps_of
+from command.settings import AtLeast, AtMost, FilePlace, OneOf, check
+from player.draw.plan import Draft, Pass, Stage
+from player.draw.posed_mesh import vertex_order
+from player.draw.resources import Handle
+from player.effects.background import Background, opened_source
+from player.effects.background_source import read_panorama
+from player.effects.panorama_light import fitted_light, gains_of, irradiance, linear_mean, sphere
+from player.gl.shader import uniform
+
+KINDS = ("capture", "albedo", "lamps", "panorama")
+FITS = ("none", "background")
+ATTRIBUTES = ("3f4 2f4", "normal", "seen_light")
+VERTEX = np.dtype([("normal", "f4", 3), ("seen_light", "f4", 2)])
+# pixels to which a picture behind is brought before its mean is taken
+FITTED_TO = (64, 64)
+# OpenGL looks down -z with +y up
+VIEW_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Light:
+    """What lights the avatars.
+
+    Raises:
+        ValueError: a value that is not known, or lamps without a direction.
+    """
+
+    stage: ClassVar[Stage] = Stage.AVATARS
+
+    by: Annotated[
+        str, OneOf(KINDS),
+        "capture: the light of the videos, which stays where it was; albedo: none; lamps: the numbers below; panorama: "
+        "that of `path`, or of a background of kind hdr",
+    ] = "capture"  # fmt: skip
+    path: Annotated[
+        str | None, FilePlace(), "of panorama (Radiance .hdr, twice as wide as high); none: the background"
+    ] = None
+    fit: Annotated[
+        str,
+        OneOf(FITS),
+        "background: brightness and tint of the picture, film or panorama that is behind; none: their own",
+    ] = "none"
+    ambient: Annotated[float, AtLeast(0), AtMost(10), "of lamps: light from everywhere"] = 0.5
+    direction: Annotated[tuple[float, float, float], "of lamps: towards the first, world, any length"] = (
+        0.45,
+        0.65,
+        0.6,
+    )
+    strength: Annotated[float, AtLeast(0), AtMost(10), "of lamps: the first"] = 0.8
+    second_direction: Annotated[tuple[float, float, float], "of lamps: towards the second"] = (-0.7, 0.3, 0.5)
+    second_strength: Annotated[float, AtLeast(0), AtMost(10), "of lamps: the second; 0: none"] = 0.0
+    highlight: Annotated[float, AtLeast(0), AtMost(1), "of lamps: the highlight in their middle"] = 0.0
+
+    def __post_init__(self):
+        check(self)
+        for name, direction in (("direction", self.direction), ("second_direction", self.second_direction)):
+            if not np.linalg.norm(direction) > 1e-6:
+                raise ValueError(f"{name}: expected a direction, found {direction}")
+        if self.path is not None and self.by != "panorama":
+            raise ValueError(f"path: of panorama, not of {self.by}")
+        if self.by == "lamps" and self.ambient + self.strength + self.second_strength == 0:
+            raise ValueError("ambient: expected some light, found none")
+
+    def passes(self, draft: Draft) -> Sequence[Pass]:
+        return ()
+
+    def on(self, avatar: Avatar, draft: Draft) -> CaptureLight | None:
+        """The light on an avatar, world; None: as its colors are, because its file has no light."""
+        if self.by in ("capture", "albedo") and avatar.light is None:
+            # even light of 1 changes nothing but what is fitted
+            return None if self.fit == "none" else CaptureLight(1.0, frame="world")
+        gamma = 1.0 if avatar.light is None else avatar.light.gamma
+        if self.by == "albedo":
+            return CaptureLight(1.0, gamma=gamma, frame="world")
+        if self.by == "capture":
+            return avatar.light
+        if self.by == "panorama":
+            panorama, turn = self._panorama(draft)
+            fitted = draft.keep(
+                ("light of a panorama", panorama.path, turn, gamma),
+                lambda: fitted_light(panorama.light(), turn, gamma=gamma, most=LAMPS),
+            )
+            return fitted.light
+        lamps = lamps_of(
+            np.array([self.direction, self.second_direction], np.float64),
+            np.array([self.strength, self.second_strength]),
+        )
+        there = tuple(lamp for lamp in lamps if lamp.strength > 0)
+        if avatar.light is None and not there and self.ambient == 1:
+            return None
+        return CaptureLight(self.ambient, there, self.highlight, gamma=gamma, frame="world")
+
+    def _panorama(self, draft: Draft) -> tuple["ReadPanorama", float]:
+        """The panorama, read when it is first needed, and how it is turned, radians.
+
+        Raises:
+            ValueError: none is named, here or as the background.
+            AssetError: it cannot be read.
+        """
+        behind, path, turn = draft.asked(Background), self.path, 0.0
+        if path is None and behind is not None and behind.kind == "hdr":
+            path, turn = behind.path, float(np.radians(behind.turn_deg))
+        if path is None:
+            raise ValueError("light by panorama: expected its path, or a background of kind hdr, found neither")
+        return draft.keep(("panorama that lights", path), lambda: ReadPanorama(path)), turn
+
+    def gains(self, draft: Draft) -> tuple[tuple[float, float, float], str]:
+        """What avatars' colors are multiplied by at last, and why."""
+        behind = draft.asked(Background)
+        if self.fit == "none":
+            return (1.0, 1.0, 1.0), ""
+        if behind is None or behind.path is None:
+            return (1.0, 1.0, 1.0), "; nothing behind to fit to"
+        gains = draft.keep(("gains", behind), lambda: background_gains(behind))
+        return gains, "; fitted to what is behind: times " + " ".join(f"{gain:.2f}" for gain in gains)
+
+
+class ReadPanorama:
+    """A panorama that lights, its pixels only while they are needed."""
+
+    def __init__(self, path: str):
+        self.path = path
+        # a file that cannot be read is said at once
+        self._light: Float[np.ndarray, "height width 3"] | None = read_panorama(path)
+
+    def light(self) -> Float[np.ndarray, "height width 3"]:
+        light, self._light = self._light, None
+        return read_panorama(self.path) if light is None else light
+
+
+def background_gains(behind: Background) -> tuple[float, float, float]:
+    """Of a picture, of the first frame of a film, or of a panorama as bright as it is shown; once for all frames."""
+    assert behind.path is not None
+    if behind.kind == "hdr":
+        mean = irradiance(read_panorama(behind.path), 0.0, sphere(64)).mean(0) * 2.0**behind.exposure
+        return gains_of(mean)
+    source = opened_source(behind)
+    try:
+        pixels = source.pixels(0.0, FITTED_TO)[..., :3]
+    finally:
+        source.close()
+    return gains_of(linear_mean(pixels / 255.0))
+
+
+@dataclass(frozen=True)
+class AvatarLight:
+    """One avatar's light in a plan."""
+
+    light: CaptureLight
+    vertices: Handle[moderngl.Buffer]
+    # what display values are multiplied by at last
+    gains: tuple[float, float, float]
+    # what there is to say of it
+    explanation: str
+    # whether there is a highlight in it, or in the base color that is lit
+    gleams: bool
+
+    @property
+    def variant(self) -> int:
+        """LIT of shaders/avatar.vert."""
+        return 1 if not self.gleams else 2 if self.light.gamma == 1 else 3
+
+    @property
+    def note(self) -> str:
+        """For people: the end of a pass's reason."""
+        return f", lit by ambient {self.light.ambient:.2f} and {len(self.light.lamps)} lamps{self.explanation}"
+
+    @property
+    def buffer(self) -> tuple[Any, ...]:
+        """What a vertex array gains."""
+        return (self.vertices, *ATTRIBUTES)
+
+    def apply(self, program: moderngl.Program, camera: Camera) -> None:
+        """Put the light, which stands still in the world, before this camera."""
+        light, lamps, shares = self.light, np.zeros((LAMPS, 4), np.float32), np.zeros(LAMPS)
+        count = len(light.lamps)
+        view_from_world = VIEW_FROM_CAMERA @ camera.camera_from_world[:3, :3]
+        # a lamp that is not there still needs a direction
+        lamps[:, 2] = 1
+        lamps[:count, :3] = light.directions @ view_from_world.T
+        lamps[:count, 3], shares[:count] = light.strengths[:count], light.shares[:count]
+        uniform(program, "lamps").write(lamps.tobytes())
+        if self.gleams:
+            uniform(program, "shares").value = tuple(shares.tolist())
+        uniform(program, "gains").value = self.gains
+        uniform(program, "ambience").value = (light.ambient, light.gloss, light.exponent)
+        if self.variant != 2:
+            uniform(program, "gamma").value = light.gamma
+
+
+def light_on(draft: Draft, avatar: int) -> CaptureLight | None:
+    """What lights an avatar of the plan anew, world; None: nothing does."""
+    asked = draft.asked(Light)
+    return None if asked is None else asked.on(draft.avatars[avatar], draft)
+
+
+def light_of(draft: Draft, avatar: int) -> AvatarLight | None:
+    """The same as the passes that draw the avatar need it."""
+    level, asked, light = draft.levels[avatar], draft.asked(Light), light_on(draft, avatar)
+    if asked is None or light is None:
+        return None
+    first = draft.first(avatar)
+    vertices = draft.buffer(
+        f"{draft.tag(first)} light", VERTEX.itemsize * len(level.positions), first, draft.detail[avatar],
+        content=lambda made: lit_interleaved(level)[vertex_order(made, level)[0]].tobytes(),
+    )  # fmt: skip
+    gains, why = asked.gains(draft)
+    if draft.avatars[avatar].light is None:
+        why += "; its file has no light, its colors are taken for albedo"
+    seen = level.light is not None and bool(np.any(level.light[:, 1]))
+    return AvatarLight(light, vertices, gains, why, gleams=seen or light.gloss > 0)
+
+
+def light_note(draft: Draft, avatar: int, light: AvatarLight | None) -> str:
+    """For people: the end of a pass's reason."""
+    if light is not None:
+        return light.note
+    asked = draft.asked(Light) is not None and draft.avatars[avatar].light is None
+    return ", not lit anew: its file has no light" if asked else ""
+
+
+def lit_interleaved(level: Level) -> np.ndarray:
+    """Normal of each vertex and the light that its base color shows, 20 bytes."""
+    out = np.zeros(len(level.positions), VERTEX)
+    out["normal"] = level.normals
+    out["seen_light"] = (1.0, 0.0) if level.light is None else level.light
+    return out

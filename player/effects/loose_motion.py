@@ -1,0 +1,170 @@
+"""Hair, skirts and sleeves that follow the body: a simulation of an avatar's loose particles.
+
+In fixed substeps of STEP; loose_sheets.py says what a particle obeys in one. The pose is interpolated to each
+substep on the parabola through three frames, a substep takes everything from its own moment, and what is drawn lies
+between the last two: so it depends on neither how often frames are drawn nor how they fall between substeps. Everything
+is relative to the pelvis of the frame, and the particles keep the world's velocity as it moves on: ten kilometres away
+nothing trembles. A body that jumps (faster than FASTEST, or turned by more than TURNED) carries its particles along.
+Nothing is random and no clock is read.
+"""
+
+import numpy as np
+
+from player.draw.drawing import FASTEST, TURNED, Pose
+from player.effects.loose_driver import STEP, DrivenPose, Way
+from player.effects.loose_parts import LooseParts
+from player.effects.loose_sheets import Sheets
+from player.effects.secondary_motion import SecondaryMotion
+
+Array = np.ndarray
+
+# seconds; after a longer frame, or a step back in time, particles begin anew where they are skinned to
+LONGEST = 0.5
+# metres a second relative to the pose, of a grown person
+SPEED_CAP = 8.0
+# asleep: slower than this for so many seconds, while what drives it moved less than this; m/s, s, m
+SLOW, CALM, STILL = 0.01, 0.5, 5e-4
+# metres: what is moved less is drawn as skinned
+UNSEEN = 5e-5
+
+
+class LooseMotion:
+    """The particles of one avatar as they move on from frame to frame."""
+
+    def __init__(self, parts: LooseParts, springs: SecondaryMotion):
+        self.parts = parts
+        self._sheets = Sheets(parts, springs)
+        self._seconds: float | None = None
+        # raised whenever the offsets change: what is drawn of them may be kept while it stands
+        self.version = 0
+        self.steps = 0
+        # where the particles are, off where they are skinned to; world, metres
+        self.offsets = np.zeros_like(parts.places)
+        self._reach, self._asleep = 0.0, False
+
+    @property
+    def asleep(self) -> bool:
+        """Whether nothing moves any more, and nothing is computed."""
+        return self._asleep
+
+    @property
+    def reach(self) -> float:
+        """Of the farthest particle from where it is skinned to, metres."""
+        return self._reach
+
+    def move(self, pose: Pose, seconds: float) -> None:
+        """Go on to a pose at a moment; the first sets the particles where it skins them to."""
+        if self._seconds is None or not 0 <= seconds - self._seconds <= LONGEST:
+            self._begin(pose, seconds)
+            return
+        dt = seconds - self._seconds
+        self._seconds = seconds
+        same = np.array_equal(pose[0], self._pose[0]) and np.array_equal(pose[1], self._pose[1])
+        if same and (self._asleep or dt == 0):
+            return
+        now = self._driver if same else self.parts.drive(pose)
+        self._pose = pose
+        if self._asleep:
+            if _moved(now, self._reference) < STILL * self.parts.unit:
+                return
+            self._asleep, self._calm = False, 0.0
+        if same:
+            self._older = None
+        before = self._follow(now, dt)
+        self._driver = now
+        self._advance(before, now, dt)
+        # a jump has none, nor a pose that is held
+        if same or before is now:
+            self._older = None
+        self._settle(now)
+
+    def _begin(self, pose: Pose, seconds: float) -> None:
+        self._pose, self._seconds = pose, seconds
+        self._driver = self._reference = self.parts.drive(pose)
+        self._x = self._driver.targets.copy()
+        self._v = np.zeros_like(self._x)
+        # where the pose had the particles in the last substep
+        self._aim = self._x
+        self._last = self._now = np.zeros_like(self._x)
+        self._clock = self._calm = 0.0
+        self._asleep = False
+        # that of the frame before; None: there was a jump, or a pose was held
+        self._older: Way | None = None
+        self._settle(self._driver)
+
+    def _follow(self, now: DrivenPose, dt: float) -> DrivenPose:
+        """The driver before this frame as seen from this frame's pelvis; what jumps carries its particles along."""
+        before, limit = self._driver, FASTEST * self.parts.unit * dt
+        shift = now.root - before.root
+        turn = now.turn @ before.turn.T
+        angle = np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1))
+        if np.linalg.norm(shift) > limit or angle > TURNED:
+            self._older = None
+            offset = (self._x - before.targets) @ turn.T
+            self._x, self._v = now.targets + offset, self._v @ turn.T
+            self._aim = now.targets
+            self._last, self._now = self._last @ turn.T, self._now @ turn.T
+            # a body that jumps is not fast
+            self._v = np.clip(self._v, -SPEED_CAP * self.parts.unit, SPEED_CAP * self.parts.unit)
+            return now
+        self._x, self._aim = self._x - shift, self._aim - shift
+        before = before.moved(shift)
+        way = now.targets - before.targets
+        far2 = np.einsum("nc,nc->n", way, way)[:, None]
+        if far2.max() > limit**2:
+            far = np.sqrt(far2)
+            over = way * (1 - np.minimum(1, limit / np.maximum(far, 1e-12)))
+            self._x, self._aim = self._x + over, self._aim + over
+            before = before._replace(targets=before.targets + over)
+            self._older = None
+        return before
+
+    def _advance(self, before: DrivenPose, now: DrivenPose, dt: float) -> None:
+        """All substeps that have begun by the end of a frame."""
+        if dt <= 0:
+            return
+        first = STEP - self._clock
+        count = int(np.floor((self._clock + dt) / STEP + 1e-9))
+        self._clock = max(self._clock + dt - count * STEP, 0.0)
+        way, cap = Way(before, now, dt, self._older), SPEED_CAP * self.parts.unit
+        self._older = way
+        if not count:
+            return
+        for k in range(count):
+            at = way.at(min((first + k * STEP) / dt, 1.0))
+            # the pose's speed in this very substep: a frame's would be another at every rate of frames
+            speed = (at.targets - self._aim) / STEP
+            start, self._aim = self._x, at.targets
+            self._x = self._sheets.substep(start, self._v, speed, at)
+            v = (self._x - start) / STEP - speed
+            fast = np.sqrt((v * v).sum(1, keepdims=True))
+            v *= np.minimum(1, cap / np.maximum(fast, 1e-12))
+            self._v = v + speed
+            self._last, self._now = self._now, self._x - self._aim
+            slow = float(np.abs(self._now - self._last).max()) < SLOW * self.parts.unit * STEP
+            self._calm = self._calm + STEP if slow else 0.0
+        self.steps += count
+        if self._calm == 0 or _moved(now, self._reference) > STILL * self.parts.unit:
+            self._reference, self._calm = now, 0.0
+        elif self._calm >= CALM:
+            self._asleep, self._last = True, self._now
+            self._v = np.zeros_like(self._v)
+
+    def _settle(self, now: DrivenPose) -> None:
+        """The offsets that this frame draws: between the last two substeps, and outside of the capsules."""
+        targets, share = now.targets, self._clock / STEP
+        offsets = self._last + share * (self._now - self._last)
+        self.offsets = self._sheets.settled(targets + offsets, now) - targets
+        self._reach = float(np.sqrt((self.offsets**2).sum(1).max()))
+        self.version += 1
+
+    @property
+    def shows(self) -> bool:
+        """Whether anything is moved so far that it can be seen."""
+        return self._seconds is not None and self._reach > UNSEEN * self.parts.unit
+
+
+def _moved(a: DrivenPose, b: DrivenPose) -> float:
+    """How far particles' targets and capsules are from where they were, at most; metres."""
+    shift = a.root - b.root
+    return max(float(np.abs(x - y + shift).max(initial=0)) for x, y in zip(a[2:4], b[2:4], strict=True))

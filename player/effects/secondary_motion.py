@@ -1,0 +1,194 @@
+"""Secondary motion: hair, skirts and sleeves follow the body, and swing on when it stops (loose_motion.py).
+
+An avatar's file marks what is loose. The simulation goes on when the renderer moves to a moment (`Renderer.move`); here
+its offsets are brought to the GPU, and the passes that draw the avatar add them in the vertex stage, in a variant of
+their program (shaders/loose.glsl).
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+
+import moderngl
+import numpy as np
+
+from avatar.baked_avatar import Avatar, Level
+from avatar.camera import view_from_world
+from command.settings import Above, AtLeast, AtMost, check
+from player.draw.drawing import Drawing, FrameInputs, Pose
+from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
+from player.draw.posed_mesh import vertex_order
+from player.draw.resources import Handle, PlanResources
+from player.gl.blocks import BINDING, LOOSE
+
+if TYPE_CHECKING:
+    from player.effects.loose_motion import LooseMotion
+
+# pixels; of a smaller avatar it cannot be seen
+SMALLEST = 40
+ATTRIBUTES = ("4u2 4f4", "near_particles", "follows")
+VERTEX = np.dtype([("near", "u2", 4), ("follows", "f4", 4)])
+OUT_OF_VIEW = Decision(PassState.SKIPPED, "out of view")
+SMALL = Decision(PassState.SKIPPED, f"the avatar is less than {SMALLEST} pixels tall")
+AT_REST = Decision(PassState.SKIPPED, "at rest, as it is skinned")
+
+
+@dataclass(frozen=True)
+class SecondaryMotion:
+    """How loose parts move.
+
+    Raises:
+        ValueError: a value that is out of its range.
+    """
+
+    stage: ClassVar[Stage] = Stage.AVATARS
+
+    frequency: Annotated[
+        float, Above(0), AtMost(20), "swings a second of what hangs loosest; what is less loose swings faster"
+    ] = 1.6
+    gravity: Annotated[float, AtLeast(0), AtMost(100), "metres a second, squared"] = 9.81
+
+    def __post_init__(self):
+        check(self)
+
+    def passes(self, draft: Draft) -> Sequence[Pass]:
+        out: list[Pass] = []
+        for index in range(len(draft.avatars)):
+            name, offsets = f"{draft.tag(index)}: secondary motion", offsets_of(draft, index)
+            if offsets is None:
+                out.append(Absent(name, "nothing of it is loose"))
+            else:
+                draft.moved.add(index)
+                out.append(LoosePass(name, offsets.handles, offsets))
+        return out
+
+
+class LazyMotion:
+    """The motion of an avatar's loose parts; particles are found when it is first moved: most of a second."""
+
+    def __init__(self, avatar: Avatar, level: Level, springs: SecondaryMotion):
+        self._of = avatar, level
+        self._springs = springs
+        self._found: "LooseMotion | None" = None
+        # milliseconds of the last step
+        self.ms = 0.0
+
+    @property
+    def found(self) -> "LooseMotion":
+        if self._found is None:
+            # only where it is asked for
+            from player.effects.loose_motion import LooseMotion
+            from player.effects.loose_parts import loose_parts
+
+            parts = loose_parts(*self._of)
+            assert parts is not None, "planned for what is loose"
+            self._found = LooseMotion(parts, self._springs)
+        return self._found
+
+    def move(self, pose: Pose, seconds: float) -> None:
+        motion, began = self.found, time.perf_counter()
+        motion.move(pose, seconds)
+        self.ms = 1e3 * (time.perf_counter() - began)
+
+
+@dataclass(frozen=True)
+class LooseOffsets:
+    """One avatar's loose parts in a plan: how far they are off where they are skinned to."""
+
+    avatar: int
+    motion: LazyMotion
+    # the offsets of this frame
+    block: Handle[moderngl.Buffer]
+    # the particles that each vertex follows
+    vertices: Handle[moderngl.Buffer]
+
+    @property
+    def handles(self) -> tuple[Handle[Any], ...]:
+        return self.block, self.vertices
+
+    @property
+    def buffer(self) -> tuple[Any, ...]:
+        """What a vertex array gains."""
+        return (self.vertices, *ATTRIBUTES)
+
+    def shows(self, drawing: Drawing) -> bool:
+        return self.motion.found.shows and drawing.height(self.avatar) >= SMALLEST
+
+    def bind(self, drawing: Drawing) -> None:
+        """Bring the offsets of this frame to the GPU, unless another pass has, and bind them."""
+        buffer = drawing.write(self.block, lambda: self._content(drawing))
+        buffer.bind_to_uniform_block(BINDING["Loose"][1])
+
+    def warm(self, resources: PlanResources) -> None:
+        buffer = resources[self.block]
+        buffer.write(bytes(buffer.size))
+        buffer.bind_to_uniform_block(BINDING["Loose"][1])
+
+    def _content(self, drawing: Drawing) -> bytes:
+        block, motion = np.zeros((), LOOSE), self.motion.found
+        # what is too small to be moved is drawn as it is skinned, by every pass
+        if self.shows(drawing):
+            turn = view_from_world(drawing.inputs.camera)[:3, :3]
+            block["loose_offset"][: len(motion.offsets), :3] = motion.offsets @ turn.T
+        return block.tobytes()
+
+
+def is_loose(level: Level) -> bool:
+    """Whether anything of a level can swing: what its file marks as loose."""
+    return level.loose is not None and bool(level.loose.any())
+
+
+def offsets_of(draft: Draft, avatar: int) -> LooseOffsets | None:
+    """What moves an avatar's loose parts; None: nothing is asked for, or nothing is loose."""
+    level, tag, springs = draft.levels[avatar], draft.tag(avatar), draft.asked(SecondaryMotion)
+    if springs is None or not is_loose(level):
+        return None
+    motion = draft.keep(
+        ("secondary motion", avatar, draft.detail[avatar], springs),
+        lambda: LazyMotion(draft.avatars[avatar], level, springs),
+    )
+
+    def vertices(made: PlanResources) -> bytes:
+        out, parts = np.zeros(len(level.positions), VERTEX), motion.found.parts
+        out["near"], out["follows"] = parts.near, parts.follows
+        return out[vertex_order(made, level)[0]].tobytes()
+
+    size = VERTEX.itemsize * len(level.positions)
+    return LooseOffsets(
+        avatar, motion, draft.buffer(f"{tag} loose offsets", LOOSE.itemsize, avatar),
+        draft.buffer(f"{tag} loose parts", size, avatar, draft.detail[avatar], content=vertices),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LoosePass(Pass):
+    """Brings one avatar's offsets to the GPU."""
+
+    name: str
+    uses: tuple[Handle[Any], ...]
+    offsets: LooseOffsets
+
+    def move(self, poses: Sequence[Pose], seconds: float) -> None:
+        self.offsets.motion.move(poses[self.offsets.avatar], seconds)
+
+    def reach(self, avatar: int) -> float:
+        return self.offsets.motion.found.reach if avatar == self.offsets.avatar else 0.0
+
+    def cost(self, drawn: float, inputs: FrameInputs, frame: Callable[[], float]) -> float:
+        """The offsets on their way to the GPU, and the simulation's last step."""
+        return drawn + self.offsets.motion.ms
+
+    def decide(self, drawing: Drawing) -> Decision:
+        motion = self.offsets.motion.found
+        if not motion.shows:
+            return AT_REST
+        if not drawing.visible[self.offsets.avatar]:
+            return OUT_OF_VIEW
+        if not self.offsets.shows(drawing):
+            return SMALL
+        what = f"{len(motion.offsets)} particles, {1e3 * motion.reach:.0f} mm at most"
+        return Decision(PassState.RUNS, what + motion.asleep * ", asleep")
+
+    def draw(self, drawing: Drawing) -> None:
+        self.offsets.bind(drawing)

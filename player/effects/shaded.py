@@ -1,0 +1,100 @@
+"""How an avatar's program is varied by what a scene calls for: other light, contact darkening, loose parts. The passes
+that draw avatars ask for it here; what cannot show in a frame leaves them with the program that never heard of it."""
+
+from typing import Any, NamedTuple
+
+import moderngl
+
+from player.draw.drawing import Drawing
+from player.draw.plan import Draft
+from player.draw.posed_mesh import PosedMesh
+from player.draw.resources import Handle, PlanResources
+from player.effects.contact import AvatarContact, contact_of
+from player.effects.light import AvatarLight, light_note, light_of
+from player.effects.secondary_motion import LooseOffsets, offsets_of
+from player.gl.shader import uniform
+
+
+class Variant(NamedTuple):
+    """A program with the vertices it reads."""
+
+    array: Handle[moderngl.VertexArray]
+    program: Handle[moderngl.Program]
+    light: AvatarLight | None
+    contact: AvatarContact | None
+    loose: LooseOffsets | None
+
+    def shows(self, drawing: Drawing) -> bool:
+        """Whether all that it adds to the plain one can be seen in this frame."""
+        return all(one is None or one.shows(drawing) for one in (self.contact, self.loose))
+
+    def apply(self, drawing: Drawing) -> None:
+        """Give the program what holds in this frame."""
+        program = drawing.resources[self.program]
+        if self.light is not None:
+            self.light.apply(program, drawing.inputs.camera)
+        if self.contact is not None:
+            self.contact.bind(drawing)
+            uniform(program, "darkening").value = self.contact.strength
+        if self.loose is not None:
+            self.loose.bind(drawing)
+
+
+class AvatarShading(NamedTuple):
+    """The variants of one avatar, from all that is asked for to none of it: darkened where contact can be seen, moved
+    where loose parts are."""
+
+    variants: tuple[Variant, ...]
+    # for people: the end of a pass's reason
+    note: str
+
+    def variant(self, drawing: Drawing) -> Variant:
+        return next(variant for variant in self.variants if variant.shows(drawing))
+
+    def warm(self, resources: PlanResources) -> None:
+        """Draw a triangle with each variant, to what is bound."""
+        for variant in self.variants:
+            for one in (variant.contact, variant.loose):
+                if one is not None:
+                    one.warm(resources)
+            resources[variant.array].render(vertices=3)
+
+    @property
+    def handles(self) -> tuple[Handle[Any], ...]:
+        out: list[Handle[Any]] = [variant.array for variant in self.variants]
+        first = self.variants[0]
+        if first.light is not None:
+            out.append(first.light.vertices)
+        if first.contact is not None:
+            out += [first.contact.block, first.contact.vertices, first.contact.normals]
+        if first.loose is not None:
+            out += first.loose.handles
+        # a program of its own, where several avatars do not share it
+        if len(self.variants) > 1 or first.light is not None:
+            out += [variant.program for variant in self.variants]
+        return tuple(out)
+
+
+def shading_of(draft: Draft, who: int, mesh: PosedMesh, *more: tuple[Any, ...], **program: Any) -> AvatarShading:
+    """The program of one of the plan's avatars as it calls for it. more: further attributes of the vertices; program:
+    as `Draft.program`."""
+    light, contact, loose = light_of(draft, who), contact_of(draft, who), offsets_of(draft, who)
+
+    def variant(touch: AvatarContact | None, moved: LooseOffsets | None) -> Variant:
+        made = draft.program(
+            "avatar.vert", "avatar.frag", SKINNING=int(draft.dual), LIT=0 if light is None else light.variant,
+            CONTACT=int(touch is not None), LOOSE=int(moved is not None), **program,
+        )  # fmt: skip
+        buffers = list(more)
+        if light is not None:
+            buffers.append(light.buffer)
+        if touch is not None:
+            # the light's vertices have normals
+            buffers += touch.buffers[:1] if light is not None else touch.buffers
+        if moved is not None:
+            buffers.append(moved.buffer)
+        return Variant(mesh.array(draft, made, *buffers), made, light, touch, moved)
+
+    note = light_note(draft, who, light) + ("" if contact is None else ", darkened where limbs come near")
+    ways = [(touch, moved) for touch in dict.fromkeys((contact, None)) for moved in dict.fromkeys((loose, None))]
+    return AvatarShading(tuple(variant(*way) for way in ways), note)

@@ -1,0 +1,394 @@
+"""Shadow of the avatars on the ground: sharp where they touch it and softer the higher they are.
+
+The avatars are drawn into a mask in the ground's own coordinates as their lamp sees them, cover and height; from it the
+shadow is softened once, in the same coordinates (shaders/shadow.frag). Both are kept while they stand still, and the
+shadow is laid over the floor, or over any background, by one fetch a pixel.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import Any, NamedTuple
+
+import moderngl
+import numpy as np
+from jaxtyping import Float
+
+from avatar.camera import view_from_world
+from player.draw.drawing import Drawing, Layer, Warming
+from player.draw.plan import Decision, Draft, Pass, PassState
+from player.draw.posed_mesh import PosedMesh, posed_mesh
+from player.draw.resources import Handle, PlanResources
+from player.effects.ground_plane import Sheet, draw_behind
+from player.effects.light import light_on
+from player.effects.secondary_motion import LooseOffsets, offsets_of
+from player.gl.shader import uniform
+from player.gl.tiles import SurfacePatches
+
+# degrees above the horizon: the shadow of a lower lamp has no end
+LOWEST = 15.0
+# texels a side: in software 128 to 512 cost the same within 5 %, below 256 feet part from their shadow
+SOFTWARE_TEXELS, TEXELS = 256, 512
+# whole texels of the mask's third mip, by which its place goes: within one, an outline keeps its texels
+STEP = 8
+# mip whose texels are the cells that the shadow is drawn in; shaders/shadow_cells.vert
+CELL = 4
+# triangles of a body whose shadow looks like that of the finest level
+TRIANGLES = 2500
+# metres of the ground that are looked over for what is above it
+SEARCHED = 0.15
+# pixels of the picture
+SMALLEST = 24
+
+SHADOW_AWAY = Decision(PassState.SKIPPED, "the shadow is out of view")
+SMALL = Decision(PassState.SKIPPED, f"the shadow is less than {SMALLEST} pixels across")
+STILL = Decision(PassState.KEPT, "nothing has moved")
+MOVED = Decision(PassState.RUNS, "avatars moved")
+
+
+class ShadowSettings(NamedTuple):
+    """What a scene says of the shadow; lengths in metres."""
+
+    # towards the lamp, world
+    direction: tuple[float, float, float]
+    # share of the light that it takes
+    strength: float
+    # degrees from the lamp's middle to its edge
+    softness: float
+    # the ground above the world's origin
+    height: float
+
+
+def shadow_passes(draft: Draft, drawn_on: tuple[Handle[Any], ...], settings: ShadowSettings) -> Sequence[Pass]:
+    """The mask, and the shadow that it lays on the ground."""
+    # avatars stand apart
+    side = (SOFTWARE_TEXELS if draft.canvas.software else TEXELS) * (1 if len(draft.avatars) == 1 else 2)
+    size = sum(4 * (side >> i) ** 2 for i in range(side.bit_length()))
+    mask = draft.texture("shadow mask", size, side, make=lambda made: _mask_texture(made, side))
+    target = draft.need(
+        Handle(
+            moderngl.Framebuffer, "shadow mask", 0, (mask,),
+            lambda made: made.context.gl.framebuffer([made[mask]]),
+        )
+    )  # fmt: skip
+    meshes = []
+    for index in range(len(draft.avatars)):
+        loose = offsets_of(draft, index)
+        # loose parts are bound to the vertices of the level that is drawn
+        mesh = posed_mesh(draft, index, level=None if loose is not None else thrown_level(draft, index))
+        thrown = draft.program(
+            "shadow_mask.vert", "shadow_mask.frag", SKINNING=int(draft.dual), LOOSE=int(loose is not None)
+        )
+        array = mesh.array(draft, thrown, *(() if loose is None else (loose.buffer,)))
+        meshes.append(Thrown(mesh, array, thrown, loose))
+    soft = draft.texture("soft shadow", side * side, side, make=lambda made: _soft_texture(made, side))
+    soft_target = draft.need(
+        Handle(
+            moderngl.Framebuffer, "soft shadow", 0, (soft,),
+            lambda made: made.context.gl.framebuffer([made[soft]]),
+        )
+    )  # fmt: skip
+    softened = draft.program("shadow_cells.vert", "shadow.frag", samplers=("mask",))
+    softening = Softening(softened, draft.array(softened), soft_target)
+    program = draft.program("shadow_cells.vert", "shadow_laid.frag", samplers=("mask", "soft"))
+    array = draft.array(program)
+    x, y, z = _lamp_of(draft, settings.direction).tolist()
+    edge = 2 * float(np.tan(np.radians(settings.softness))) * float(np.hypot(np.hypot(x, z), y)) / y
+    lamp = ShadowLamp((-x / y, -z / y), edge, settings.height, side, draft.patches(), draft.dual)
+    holds = draft.keep(MaskState, MaskState)
+    uses = tuple(handle for one in meshes for handle in one.handles)
+    shown = (*drawn_on, mask, soft, array)
+    shadow = ShadowPass(shown, settings.strength, lamp, draft.layer, mask, soft, program, array, holds)
+    owned = (*uses, mask, target, soft, *softening)
+    return MaskPass(owned, lamp, tuple(meshes), target, mask, softening, shadow, holds), shadow
+
+
+def thrown_level(draft: Draft, avatar: int) -> int:
+    """The level of detail whose shadow is thrown: the coarsest with TRIANGLES, none finer than what is drawn."""
+    levels = draft.avatars[avatar].levels
+    enough = [number for number, level in enumerate(levels) if len(level.faces) >= TRIANGLES]
+    return max(draft.detail[avatar], max(enough, default=0))
+
+
+class Thrown(NamedTuple):
+    """One avatar as its shadow is thrown."""
+
+    mesh: PosedMesh
+    array: Handle[moderngl.VertexArray]
+    program: Handle[moderngl.Program]
+    loose: LooseOffsets | None
+
+    @property
+    def handles(self) -> tuple[Handle[Any], ...]:
+        more = () if self.loose is None else self.loose.handles
+        return (*self.mesh.handles, self.array, self.program, *more)
+
+
+class Softening(NamedTuple):
+    """What makes a shadow of the mask, in the ground's own coordinates."""
+
+    program: Handle[moderngl.Program]
+    array: Handle[moderngl.VertexArray]
+    target: Handle[moderngl.Framebuffer]
+
+
+class ShadowLamp(NamedTuple):
+    """The lamp as the shadow needs it, and what it shines on."""
+
+    # metres along x and z by which the shadow of a point a metre above the ground falls beside it
+    slant: tuple[float, float]
+    # metres that the edge of what is a metre above the ground is wide
+    edge: float
+    # the ground above the world's origin, metres
+    height: float
+    # texels of the mask
+    side: int
+    # the avatars' surface, and whether dual quaternions move it
+    patches: SurfacePatches
+    dual: bool
+
+    @property
+    def cells(self) -> int:
+        return (self.side >> CELL) ** 2
+
+
+class Footprint(NamedTuple):
+    """Where a frame's shadow can lie."""
+
+    sheet: Sheet
+    # metres a texel
+    texel: float
+    # metres above the ground of the highest that throws it
+    tall: float
+
+    def spread(self, lamp: ShadowLamp) -> float:
+        """Texels that the edge of the highest is wide."""
+        return lamp.edge * self.tall / self.texel
+
+    def reach(self, lamp: ShadowLamp) -> int:
+        """Cells that the shadow may lie beside what throws it."""
+        return ceil(max(self.spread(lamp), SEARCHED / self.texel) / (1 << CELL))
+
+
+class MaskState:
+    """What the mask's texture holds, and where the shadow lies in the frame that is being drawn."""
+
+    def __init__(self):
+        self.key: tuple[Any, ...] | None = None
+        self._drawing: Drawing | None = None
+        self._here: Footprint | None = None
+
+    def footprint(self, drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
+        """Where this frame's shadow lies, worked out once a frame."""
+        if self._drawing is not drawing:
+            self._drawing, self._here = drawing, footprint(drawing, lamp)
+        return self._here
+
+
+def footprint(drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
+    """The rectangle of the ground that the avatars' shadow lies in; None: nothing is above it.
+
+    Its place goes by whole steps of texels, their size by a ladder of quarter octaves: a body that moves on keeps the
+    grain of its outline.
+    """
+    world_from_view = np.linalg.inv(view_from_world(drawing.inputs.camera))
+    balls = [
+        patches.balls(bones.view_from_canonical, dual=lamp.dual, reach=reach)
+        for patches, bones, reach in zip(lamp.patches, drawing.bones, drawing.reaches, strict=True)
+    ]
+    center, radius = (np.concatenate(part) for part in zip(*balls, strict=True))
+    center = center @ world_from_view[:3, :3].T + world_from_view[:3, 3]
+    above = center[:, 1] + radius - lamp.height
+    if not (above > 0).any():
+        return None
+    tall = float(above.max())
+    slant = np.array(lamp.slant)
+    at = center[:, [0, 2]] + np.maximum(center[:, 1:2] - lamp.height, 0) * slant
+    wide = radius[:, None] * np.sqrt(1 + slant * slant) + lamp.edge * np.maximum(above, 0)[:, None]
+    low, high = (at - wide).min(0), (at + wide).max(0)
+    # STEP at one side for the step itself, and a clear rim at both, which mips bleed over
+    free = lamp.side - 3 * STEP
+    texel = float((high - low).max()) / free
+    texel = float(2.0 ** (np.ceil(4 * np.log2(texel)) / 4))
+    first = np.floor(low / (STEP * texel)) * STEP * texel - STEP * texel
+    anchor = np.array([first[0], lamp.height, first[1]])
+    across = lamp.side * texel
+    return Footprint(Sheet(anchor, (0.0, 0.0, across, across)), texel, tall)
+
+
+@dataclass(frozen=True)
+class ShadowPass(Pass):
+    """The softened shadow laid on the ground."""
+
+    uses: tuple[Handle[Any], ...]
+    strength: float
+    lamp: ShadowLamp
+    layer: Layer
+    mask: Handle[moderngl.Texture]
+    soft: Handle[moderngl.Texture]
+    program: Handle[moderngl.Program]
+    array: Handle[moderngl.VertexArray]
+    holds: MaskState
+    name: str = "ground: shadow"
+
+    def decide(self, drawing: Drawing) -> Decision:
+        here = self.holds.footprint(drawing, self.lamp)
+        box = None if here is None else here.sheet.box(drawing.inputs.camera)
+        if here is None or box is None:
+            return SHADOW_AWAY
+        if max(box[2] - box[0], box[3] - box[1]) < SMALLEST:
+            return SMALL
+        return Decision(PassState.RUNS, f"{here.texel * 1e3:.0f} mm a texel")
+
+    def draw(self, drawing: Drawing) -> None:
+        here, resources = self.holds.footprint(drawing, self.lamp), drawing.resources
+        assert here is not None
+        program = resources[self.program]
+        uniform(program, "across").value = self.lamp.side * here.texel
+        uniform(program, "reach").value = here.reach(self.lamp)
+        uniform(program, "strength").value = self.strength
+
+        def draw(flipped: bool) -> None:
+            here.sheet.apply(program, drawing.inputs.camera, flipped=flipped)
+            self._render(resources)
+
+        draw_behind(drawing, self.layer, draw)
+
+    def warm(self, warming: Warming) -> None:
+        if warming.framebuffer is not None:
+            warming.framebuffer.use()
+            warming.resources.context.gl.enable_only(moderngl.BLEND)
+            self._render(warming.resources)
+
+    def _render(self, resources: PlanResources) -> None:
+        resources[self.mask].use(0)
+        resources[self.soft].use(1)
+        resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.lamp.cells)
+
+
+@dataclass(frozen=True)
+class MaskPass(Pass):
+    """What the lamp throws on the ground, and the shadow that this makes."""
+
+    uses: tuple[Handle[Any], ...]
+    lamp: ShadowLamp
+    meshes: tuple[Thrown, ...]
+    target: Handle[moderngl.Framebuffer]
+    mask: Handle[moderngl.Texture]
+    softening: Softening
+    shadow: ShadowPass
+    holds: MaskState
+    name: str = "ground: mask"
+
+    def decide(self, drawing: Drawing) -> Decision:
+        read = self.shadow.decide(drawing)
+        if not read.runs:
+            return read
+        return STILL if self.holds.key == self._wanted(drawing) else MOVED
+
+    def draw(self, drawing: Drawing) -> None:
+        here, resources, gl = self.holds.footprint(drawing, self.lamp), drawing.resources, drawing.gl
+        assert here is not None
+        rows = np.ascontiguousarray(self._rows(drawing, here), np.float32).tobytes()
+        for program in {one.program for one in self.meshes}:
+            uniform(resources[program], "mask_from_view").write(rows)
+        self._begin(resources)
+        for one in self.meshes:
+            one.mesh.pose(drawing)
+            if one.loose is not None:
+                one.loose.bind(drawing)
+            resources[one.array].render()
+        self._end(gl)
+        resources[self.mask].build_mipmaps()
+        self._soften(resources, here)
+        drawing.inputs.framebuffer.use()
+        self.holds.key = self._wanted(drawing)
+
+    def warm(self, warming: Warming) -> None:
+        self._begin(warming.resources)
+        for one in self.meshes:
+            one.mesh.warm(warming.resources)
+            if one.loose is not None:
+                one.loose.warm(warming.resources)
+            warming.resources[one.array].render(vertices=3)
+        self._end(warming.resources.context.gl)
+        self._softened(warming.resources)
+        # nothing that a frame would keep
+        self.holds.key = None
+
+    def _begin(self, resources: PlanResources) -> None:
+        gl, target = resources.context.gl, resources[self.target]
+        target.use()
+        target.clear()
+        gl.enable_only(moderngl.BLEND)
+        # the lowest that is in the way, whatever the order of triangles
+        gl.blend_func = (moderngl.ONE, moderngl.ONE)
+        gl.blend_equation = moderngl.MAX, moderngl.MAX
+
+    def _end(self, gl: moderngl.Context) -> None:
+        gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
+
+    def _soften(self, resources: PlanResources, here: Footprint) -> None:
+        program, across = resources[self.softening.program], self.lamp.side * here.texel
+        # the plane's metres to the whole of the target
+        columns = np.array([[2 / across, 0, 0, 0], [0, 2 / across, 0, 0], [-1, -1, 0, 1]], np.float32)
+        uniform(program, "clip_from_plane").write(columns.tobytes())
+        uniform(program, "across").value = across
+        uniform(program, "reach").value = here.reach(self.lamp)
+        uniform(program, "spread").value = here.spread(self.lamp)
+        uniform(program, "search").value = max(float(np.log2(SEARCHED / here.texel)), 0.0)
+        self._softened(resources)
+
+    def _softened(self, resources: PlanResources) -> None:
+        target = resources[self.softening.target]
+        target.use()
+        target.clear()
+        resources.context.gl.enable_only(0)
+        resources[self.mask].use(0)
+        resources[self.softening.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.lamp.cells)
+
+    def _rows(self, drawing: Drawing, here: Footprint) -> Float[np.ndarray, "3 4"]:
+        """Rows across and along the mask, [-1, 1], and of height, [0, 1], of points in view space."""
+        (sx, sz), across = self.lamp.slant, self.lamp.side * here.texel
+        x0, _, z0 = here.sheet.anchor.tolist()
+        low = self.lamp.height
+        rows = np.array(
+            [
+                [2 / across, 2 * sx / across, 0, -2 * (x0 + sx * low) / across - 1],
+                [0, 2 * sz / across, 2 / across, -2 * (z0 + sz * low) / across - 1],
+                [0, 1 / here.tall, 0, -low / here.tall],
+            ]
+        )
+        return rows @ np.linalg.inv(view_from_world(drawing.inputs.camera))
+
+    def _wanted(self, drawing: Drawing) -> tuple[Any, ...]:
+        """Equal while nothing moves, whatever the camera does."""
+        poses = tuple(part.tobytes() for pose in drawing.inputs.poses for part in pose)
+        moved = tuple(one.loose.motion.found.version for one in self.meshes if one.loose is not None)
+        return drawing.resources[self.mask], self.lamp, poses, moved
+
+
+def _mask_texture(made: PlanResources, side: int) -> moderngl.Texture:
+    texture = made.context.gl.texture((side, side), 2, dtype="f2")
+    texture.build_mipmaps()
+    texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    texture.repeat_x = texture.repeat_y = False
+    return texture
+
+
+def _soft_texture(made: PlanResources, side: int) -> moderngl.Texture:
+    texture = made.context.gl.texture((side, side), 1, dtype="f1")
+    texture.repeat_x = texture.repeat_y = False
+    return texture
+
+
+def _lamp_of(draft: Draft, direction: tuple[float, float, float]) -> Float[np.ndarray, "3"]:
+    """Towards the brightest lamp that lights an avatar of the plan; of none, `direction`. Raised to LOWEST."""
+    found = np.array(direction, np.float64)
+    for avatar in range(len(draft.avatars)):
+        light = light_on(draft, avatar)
+        if light is not None and light.lamps:
+            found = light.directions[light.strengths.argmax()]
+            break
+    level = max(float(np.hypot(found[0], found[2])), 1e-9)
+    return np.array([found[0], max(found[1], level * np.tan(np.radians(LOWEST))), found[2]])

@@ -1,0 +1,188 @@
+"""`selfscan render`: avatars and a motion become a picture, frames or a film."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+from avatar.motion.hands import HANDS
+from command.command_line import Help, Option, parse
+from command.settings import AtLeast, AtMost, OneOf
+from player.budget.rungs import parse_budget
+from player.effects.background import Background
+from player.film.film import film_kind
+from player.scene.arguments import (
+    CAMERA,
+    EFFECTS,
+    FILM,
+    GROUND_HELP,
+    HANDS_HELP,
+    LOOKS,
+    MACHINE,
+    QUALITIES,
+    TIME,
+    WHO,
+    parse_background,
+    parse_frames,
+    parse_gpu,
+    parse_quality,
+    parse_share,
+    parse_size,
+    parse_workers,
+)
+from player.scene.scene import FILM_RATES, GROUNDS, TURNS
+
+EXAMPLES = """examples
+  selfscan render me.glb --motion counting -o counting.mp4
+  selfscan render me.glb --motion walk.bvh --camera orbit --size 1280x720 -o walk.mp4
+  selfscan render me.glb --motion walk.npz --frames 100:200 --background transparent -o frames/
+  selfscan render me.glb --motion walk.npz --frame 12 --explain -o frame.png
+  selfscan render me.glb --camera turntable --seconds 4 -o me.gif
+  selfscan render --scene two.toml -o two.mp4
+  selfscan render me.glb --motion counting --budget 8ms -o fast.mp4     the best that takes 8 ms a frame here
+  selfscan render me.glb --motion long.npz -o long.mp4 --resume         goes on after a stop
+  selfscan render me.glb --motion long.npz -o long.mp4 --workers 4      or tcp://SCHEDULER:8786
+
+OUT is .png (one frame), .mp4, .webm, .mov, .gif, .webp, or a folder for PNG frames."""
+
+
+@dataclass(frozen=True)
+class RenderCommand:
+    """`selfscan render`.
+
+    Raises:
+        ValueError: settings that exclude each other, or an output of an unknown kind.
+    """
+
+    output: Annotated[str, Option(("-o", "--output"), "OUT"), "picture, film or folder to write"]
+    avatar: Annotated[
+        tuple[str, ...], Option(positional=True, metavar="AVATAR", several=True),
+        "avatar file (.glb); several stand side by side"
+    ] = ()
+    scene: Annotated[
+        str | None, WHO, Option(metavar="FILE"), "scene file (.toml) instead of AVATAR and --motion"
+    ] = None
+    motion: Annotated[
+        str | None, WHO, Option(metavar="FILE"),
+        "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking (default: T-pose)"
+    ] = None
+    frame: Annotated[
+        int | None, FILM, AtLeast(0), Option(exclusive="which"),
+        "only this frame; with a turntable, the one that is shown from all sides"
+    ] = None
+    frames: Annotated[
+        tuple[int | None, int | None] | None, FILM, Option(metavar="A:B", parse=parse_frames, exclusive="which"),
+        "draw frames A to B-1"
+    ] = None
+    camera: Annotated[
+        str | None, CAMERA, Option(metavar="front|orbit|turntable|FILE"),
+        "fitted to the avatar (default: front); a camera or a camera path (.json); cameras.npz or the folder of a "
+        "capture, CAPTURE:head for its head video"
+    ] = None
+    seconds: Annotated[
+        float | None, CAMERA.rare, AtLeast(TURNS[0]), AtMost(TURNS[1]), Option(metavar="S"),
+        "one turn of orbit (default: the film) or turntable (6)"
+    ] = None
+    size: Annotated[
+        tuple[int, int] | None, FILM, AtLeast(1), Option(metavar="WxH", parse=parse_size),
+        "pixels (default: the camera file's, else 640x640)"
+    ] = None
+    background: Annotated[
+        Background | None, LOOKS, Option(metavar="#rrggbb|transparent|FILE", parse=parse_background),
+        "colour (default #2b2d33), nothing, a picture, film or panorama (.hdr)"
+    ] = None
+    rate: Annotated[
+        float | None, FILM.rare, AtLeast(FILM_RATES[0]), AtMost(FILM_RATES[1]), Option(metavar="HZ"),
+        "frames a second of the film (default: the motion's, halved, cut to a third ... where that is above 60)"
+    ] = None
+    effects: Annotated[Mapping[str, Any], LOOKS, EFFECTS, "what is asked of the effects, by field"] = field(
+        default_factory=dict
+    )
+    quality: Annotated[
+        str, TIME, Option(metavar="draft|good|best|0..1", parse=parse_quality),
+        "draft: level 2, paper colours, jagged edges, small file; best: the avatar's own view model per pixel, "
+        "MSAA, large file; a number: view mode and mesh from the fastest (0) to the most exact (1), by what they cost "
+        "on this machine; single options go before it"
+    ] = "good"
+    budget: Annotated[
+        float | None, TIME, Option(metavar="8ms", parse=parse_budget),
+        "view mode and mesh are the most exact whose frames take no longer (p95), as measured on this machine once and "
+        "kept; or 120fps"
+    ] = None
+    level: Annotated[int | None, TIME.rare, AtLeast(0), AtMost(99), "level of detail, 0 the finest"] = None
+    level_by_size: Annotated[
+        bool, TIME.rare,
+        "each avatar at the coarsest level that does for its largest size in the film, none finer than --level"
+    ] = False
+    body: Annotated[
+        str | None, WHO.rare, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
+    ] = None
+    hands: Annotated[str, WHO.rare, OneOf(HANDS), HANDS_HELP] = "file"
+    ground: Annotated[str, WHO.rare, OneOf(GROUNDS), GROUND_HELP] = "auto"
+    encoder: Annotated[
+        str, FILM.rare, Option(metavar="auto|software|NAME"),
+        "of .mp4: auto takes the GPU's if it really encodes a frame, else x264"
+    ] = "auto"
+    resume: Annotated[bool, FILM.rare, "go on with the parts that an earlier run of this film left"] = False
+    part: Annotated[
+        tuple[int, int] | None, FILM.rare, Option(metavar="K/N", parse=parse_share),
+        "draw only the Kth of N shares of the film; --resume then joins them"
+    ] = None
+    workers: Annotated[
+        str | None, FILM.rare, Option(metavar="ADDRESS|N", parse=parse_workers),
+        "draw on a Dask cluster, or on N processes of this machine"
+    ] = None
+    context: Annotated[str, MACHINE.rare, OneOf(("auto", "egl", "osmesa")), "how to reach OpenGL"] = "auto"
+    gpu: Annotated[
+        int | str | None, MACHINE.rare, Option(metavar="N|NODE", parse=parse_gpu),
+        "this GPU only, counted as CUDA counts, or its DRM node, as /dev/dri/renderD128"
+    ] = None
+    explain: Annotated[bool, TIME, "print which passes ran, why, and what each costs"] = False
+    json: Annotated[str | None, TIME.rare, Option(metavar="FILE"), "write what --explain prints to a file"] = None
+
+    @property
+    def share(self) -> float | None:
+        """A quality that is a number."""
+        return None if self.quality in QUALITIES else float(self.quality)
+
+    @property
+    def measured(self) -> bool:
+        """Whether view mode and level are chosen by what they cost on this machine."""
+        return self.budget is not None or self.share is not None
+
+    def __post_init__(self):
+        parse_quality(self.quality)
+        kind = film_kind(self.output)
+        if self.budget is not None and self.quality != "good":
+            raise ValueError("give --budget or --quality")
+        if self.measured and (self.part or self.workers):
+            raise ValueError("--budget and --quality 0..1 ask this machine: for several, give --view and --level")
+        if self.json and not self.explain:
+            raise ValueError("--json writes what --explain finds: give both")
+        if kind == ".png" and self.frames:
+            raise ValueError("a .png holds one frame: give --frame N, or another OUT")
+        if kind == ".png" and self.rate:
+            raise ValueError("--rate is of a film; a .png holds one frame")
+        if kind == ".png" and (self.part or self.workers):
+            raise ValueError("--part and --workers share the frames of a film; a .png holds one")
+        if self.part and self.workers:
+            raise ValueError("give --part or --workers")
+        if self.explain and self.workers:
+            raise ValueError("--explain asks the context that drew: leave --workers out")
+        if bool(self.scene) == bool(self.avatar):
+            raise ValueError("give AVATAR or --scene, one of them")
+        if self.scene and (self.motion or self.body or (self.hands, self.ground) != ("file", "auto")):
+            raise ValueError("--motion, --body, --hands and --ground are in the scene file")
+
+
+RENDER = Help(
+    "selfscan render", "Draw an avatar in motion: a picture, frames or a film. Needs no GPU and no display.", EXAMPLES
+)
+
+
+def render_main(argv: list[str]) -> int:
+    """Draw a picture, frames or a film."""
+    command = parse(RenderCommand, argv, RENDER)
+    from player.film.render import render
+
+    render(command)
+    return 0

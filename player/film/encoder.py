@@ -1,0 +1,229 @@
+"""Video encoders: which one a film uses, and frames into one closed part of a video file.
+
+A part begins with a fresh encoder, so it starts with a key frame, refers to nothing outside and comes out the same
+whether the frames before it were encoded just now, yesterday or on another machine. A film is its parts, joined
+without encoding again.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import IO, Any
+
+import av
+import numpy as np
+from av.codec.codec import UnknownCodecError
+from av.error import FFmpegError
+from av.video.reformatter import (
+    ColorPrimaries,
+    ColorRange,
+    Colorspace,
+    ColorTrc,
+    Interpolation,
+    VideoReformatter,
+)
+from jaxtyping import UInt8
+
+from command.errors import AssetError
+from files.input_file import open_film
+
+Frame = UInt8[np.ndarray, "height width 4"]
+QUALITIES = ("draft", "good", "best")
+# the number of threads shapes what x264 and VP9 write: the same on every machine, whatever its cores
+THREADS = 4
+BT709 = {
+    "dst_colorspace": Colorspace.ITU709,
+    "dst_color_range": ColorRange.MPEG,
+    "dst_color_primaries": ColorPrimaries.BT709,
+    "dst_color_trc": ColorTrc.BT709,
+}
+
+
+@dataclass(frozen=True)
+class Encoder:
+    """An encoder of FFmpeg, what it is fed and its options."""
+
+    name: str
+    pixel_format: str
+    options: tuple[tuple[str, str], ...] = ()
+    dial: tuple[str, int, int, int] | None = (
+        # the option that sets quality; its value for each of QUALITIES
+        None
+    )
+
+    def at(self, quality: str) -> dict[str, str]:
+        """Options for a quality."""
+        options = dict(self.options)
+        if self.dial is not None:
+            options[self.dial[0]] = str(self.dial[1 + QUALITIES.index(quality)])
+        return options
+
+
+# without macroblock trees: x264 165 sums them with AVX-512 so that one film, encoded twice, differs (seen at 64x64 to
+# 320x240); on other processors they would differ by rounding. At the same PSNR the file is 8 % larger
+X264 = Encoder("libx264", "yuv420p", (("preset", "veryfast"), ("mbtree", "0")), ("crf", 29, 20, 14))
+# the encoders of graphics processors, in the order they are tried, at about the quality of x264 beside them
+HARDWARE = (
+    Encoder("h264_nvenc", "yuv420p", (("preset", "p4"), ("rc", "vbr"), ("b", "0")), ("cq", 29, 19, 13)),
+    Encoder("h264_videotoolbox", "yuv420p", (), ("q", 45, 70, 85)),
+    Encoder("h264_qsv", "nv12", (), ("global_quality", 29, 19, 13)),
+    Encoder("h264_vaapi", "nv12", (), ("qp", 29, 19, 13)),
+    Encoder("h264_amf", "nv12", (("rc", "cqp"), ("qp_i", "18")), ("qp_p", 30, 20, 14)),
+)
+VP9 = (("b", "0"), ("deadline", "realtime"), ("cpu-used", "6"), ("auto-alt-ref", "0"))
+PRORES = (("profile", "4444"),)
+# ending and whether it holds alpha
+OTHERS = {
+    (".webm", False): Encoder("libvpx-vp9", "yuv420p", VP9, ("crf", 36, 24, 14)),
+    (".webm", True): Encoder("libvpx-vp9", "yuva420p", VP9, ("crf", 36, 24, 14)),
+    (".mov", False): Encoder("prores_ks", "yuv444p10le", PRORES),
+    (".mov", True): Encoder("prores_ks", "yuva444p10le", PRORES),
+}
+
+
+def chosen_encoder(kind: str, wanted: str, size: tuple[int, int], *, alpha: bool = False) -> tuple[Encoder, list[str]]:
+    """The encoder of a film of this kind, and a line on each one that was tried and refused.
+
+    wanted is "auto" (a graphics processor's encoder if one really encodes a frame of this size, else software),
+    "software", or FFmpeg's name of an H.264 encoder; only .mp4 has a choice.
+
+    Raises:
+        AssetError: the encoder named is not known or does not encode here.
+    """
+    if kind != ".mp4":
+        encoder = OTHERS[(kind, alpha)]
+        if wanted not in ("auto", "software", encoder.name):
+            raise AssetError(f"--encoder {wanted}: {kind} is encoded by {encoder.name}")
+        return encoder, []
+    if wanted == "software":
+        return X264, []
+    known = {encoder.name: encoder for encoder in (*HARDWARE, X264)}
+    if wanted != "auto":
+        if wanted not in known:
+            raise AssetError(f"--encoder {wanted}: should be auto, software or one of {', '.join(known)}")
+        refused = refusal(known[wanted], size)
+        if refused is not None:
+            raise AssetError(f"--encoder {wanted} does not encode here: {refused}")
+        return known[wanted], []
+    tried = []
+    for encoder in HARDWARE:
+        refused = refusal(encoder, size)
+        if refused is None:
+            return encoder, tried
+        tried.append(f"{encoder.name}: {refused}")
+    return X264, tried
+
+
+def refusal(encoder: Encoder, size: tuple[int, int]) -> str | None:
+    """Why an encoder does not encode two frames of this size here; None: it does.
+
+    Only encoding tells: drivers list encoders that the chip beneath has not (H100 has no NVENC).
+    """
+    try:
+        context: Any = av.CodecContext.create(encoder.name, "w")
+    except UnknownCodecError:
+        return "not in this FFmpeg"
+    try:
+        context.width, context.height = padded_size(size)
+        context.pix_fmt, context.options = encoder.pixel_format, encoder.at("good")
+        context.time_base, context.framerate = Fraction(1, 30), Fraction(30)
+        packets = []
+        for number in range(2):
+            frame = av.VideoFrame(context.width, context.height, encoder.pixel_format)
+            for plane in frame.planes:
+                plane.update(bytes([128]) * plane.buffer_size)
+            frame.pts, frame.time_base = number, context.time_base
+            packets += context.encode(frame)
+        packets += context.encode(None)
+    except (FFmpegError, ValueError, OSError) as error:
+        return str(getattr(error, "strerror", None) or error)
+    return None if sum(packet.size for packet in packets) > 0 else "it encodes nothing"
+
+
+def padded_size(size: tuple[int, int]) -> tuple[int, int]:
+    """Even numbers, as 4:2:0 video needs: a row or column more, never another scale."""
+    return size[0] + size[0] % 2, size[1] + size[1] % 2
+
+
+def exact_rate(rate: float) -> Fraction:
+    """Frames per second as containers hold it; 1001 keeps 29.97 and 23.976 exact."""
+    return Fraction(rate).limit_denominator(1001)
+
+
+def encode(
+    file: IO[Any] | str, kind: str, encoder: Encoder, frames: Iterable[Frame], size: tuple[int, int], rate: float,
+    quality: str = "good",
+) -> int:  # fmt: skip
+    """Write frames as one closed part, a whole video file of its own, and say how many there were.
+
+    Frames are read where they lie: no copy, no drop of a channel. A frame may be changed as soon as the next is
+    asked for.
+    """
+    width, height = padded_size(size)
+    padded = np.empty((height, width, 4), np.uint8) if (width, height) != size else None
+    each = exact_rate(rate)
+    reformatter, number = VideoReformatter(), 0
+    with av.open(file, "w", format=kind[1:]) as container:
+        stream = container.add_stream(encoder.name, rate=each, options=encoder.at(quality))
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height, stream.pix_fmt = width, height, encoder.pixel_format
+        context = stream.codec_context
+        context.colorspace, context.color_range = Colorspace.ITU709, ColorRange.MPEG
+        context.color_primaries, context.color_trc = ColorPrimaries.BT709, ColorTrc.BT709
+        context.thread_count = THREADS
+        for image in frames:
+            if padded is not None:
+                padded[: size[1], : size[0]] = image
+                padded[size[1] :], padded[:, size[0] :] = (
+                    padded[size[1] - 1],
+                    padded[:, size[0] - 1 : size[0]],
+                )
+                image = padded
+            picture = reformatter.reformat(
+                av.VideoFrame.from_numpy_buffer(image, "rgba"), format=encoder.pixel_format,
+                interpolation=Interpolation.BICUBIC, threads=1, **BT709,
+            )  # fmt: skip
+            picture.pts, picture.time_base = number, 1 / each
+            container.mux(stream.encode(picture))
+            number += 1
+        container.mux(stream.encode(None))
+    return number
+
+
+def join(parts: Sequence[tuple[Path, int]], file: IO[Any] | str, kind: str, rate: float) -> None:
+    """Parts of a video and their numbers of frames, joined in one file; packets are copied, not encoded again.
+
+    Raises:
+        AssetError: a part is not a video, lacks frames, or was encoded otherwise than the first.
+    """
+    each = exact_rate(rate)
+    with av.open(file, "w", format=kind[1:]) as container:
+        stream, made_with, start = None, None, 0
+        for part, count in parts:
+            with open_film(part, "a part of a film") as source:
+                video = source.streams.video[0]
+                context = video.codec_context
+                made = (context.name, context.width, context.height, context.pix_fmt, context.extradata)
+                if stream is None:
+                    stream, made_with = container.add_stream_from_template(video), made
+                    stream.time_base = 1 / each
+                    # PyAV drops it, and with it that a .mov is ProRes 4444 (it would say 422 HQ)
+                    stream.codec_context.codec_tag = context.codec_tag
+                elif made != made_with:
+                    raise AssetError(f"{part}: encoded otherwise than {parts[0][0]}; draw it again")
+                found = 0
+                for packet in source.demux(video):
+                    if packet.size == 0:
+                        continue
+                    assert packet.pts is not None and packet.dts is not None and packet.time_base is not None
+                    # whole frames: a .webm rounds to milliseconds, and roundings must not add up
+                    scale = packet.time_base * each
+                    packet.pts = round(packet.pts * scale) + start
+                    packet.dts = round(packet.dts * scale) + start
+                    packet.duration, packet.time_base, packet.stream = 1, 1 / each, stream
+                    container.mux(packet)
+                    found += 1
+                if found != count:
+                    raise AssetError(f"{part}: expected {count} frames, found {found}; draw it again")
+            start += count

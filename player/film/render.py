@@ -1,0 +1,357 @@
+"""Rendering: from what a command asks for to a picture, frames or a film."""
+
+import json
+import math
+import sys
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from avatar.baked_avatar import Avatar
+from command.errors import AssetError, missing_package
+from command.progress import Progress, plural, progress
+from files.whole import check_file, check_folder, whole_file
+from player.budget.measure import BudgetScene
+from player.budget.rung import Rung
+from player.budget.rungs import choice_words
+from player.budget.table import rung_within
+from player.draw.detail import level_for
+from player.draw.posing import Poser, screen_bounds
+from player.film.command import RenderCommand
+from player.film.film import VIDEO, film_kind, join_pieces
+from player.film.parts import LENGTH, Parts
+from player.film.shot import FULL, Shot, ShotRenderer, with_whole_paths
+from player.film.stage import Fit, Stage, camera_from_option
+from player.gl.context import Context, opened
+from player.scene.arguments import with_effects
+from player.scene.effects import Effects
+from player.scene.framing import evenly
+from player.scene.motions import beside, frame_range
+from player.scene.renderer import Renderer
+from player.scene.scene import Scene, SceneAvatar, SceneCamera
+
+# 3,000 triangles of a baked avatar: coarser levels are for people far away
+DRAFT_LEVEL = 2
+# frames of a film that a budget is measured on
+BUDGET_FRAMES = 4
+# frames of a film in which avatars are measured, to choose their levels of detail
+SIZED_FRAMES = 64
+FASTEST = 60.0  # frames a second of a film, unless more are asked for
+
+
+def render(command: RenderCommand) -> None:
+    """Draw a picture, frames or a film, as `selfscan render` does; what it did is printed.
+
+    Raises:
+        AssetError: a file cannot be read or written, or no OpenGL context can be had.
+    """
+    (check_file if film_kind(command.output) else check_folder)(command.output)
+    if command.json:
+        check_file(command.json)
+    scene = scene_of(command)
+    # while files are read and unpacked, the driver wakes up; both are work outside of Python
+    with ThreadPoolExecutor(1) as pool:
+        # what a budget buys may be any of them
+        every_level = command.measured or scene.level_by_size
+        reading = pool.submit(Stage, scene, None if every_level else level_of(command) + 1)
+        context = None if command.workers else opened(command.context, command.gpu)
+        try:
+            try:
+                stage = reading.result()
+            finally:
+                # if it failed it keeps its error, and that this frame with all that is open
+                del reading
+            render_stage(command, stage, context)
+        finally:
+            if context is not None:
+                context.release()
+
+
+def render_stage(command: RenderCommand, stage: Stage, context: Context | None) -> None:
+    """Draw what the command asks for, from an opened scene, with this context (None: workers draw)."""
+    stage.scene = replace(stage.scene, effects=effects_for(command.quality, stage.scene.effects, stage.avatars))
+    kind, frame = film_kind(command.output), command.frame
+    if frame is not None and stage.camera.kind == "turntable" and stage.still is None:
+        frame_range(stage, frame, None, single=True)
+        stage.hold(frame)
+        frame = None
+    start, stop = frame_range(stage, frame, command.frames, single=kind == ".png")
+    if kind == ".png":
+        if stage.frames > 1:
+            other = "" if frame is not None else "; --frame N draws another"
+            print(f"{stage.name}: frame {start} of {plural(stage.frames, 'frame')}{other}")
+    else:
+        start, stop = at_rate(command, stage, start, stop)
+    rung, fit = replace(FULL, level=level_of(command)), stage.fit(start, stop)
+    if command.measured:
+        assert context is not None, "workers are refused with a budget"
+        rung = buy_rung(command, stage, context, fit, start, stop)
+    detail = detail_by_size(stage, fit, start, stop, rung.level) if stage.scene.level_by_size else None
+    shot = Shot(
+        stage.scene, start, stop, stage.size(), stage.rate, fit, stage.still, rung, detail,
+        command.encoder, "good" if command.share is not None else command.quality, command.context, command.gpu,
+    )  # fmt: skip
+    shared = bool(command.resume or command.part or command.workers)
+    if kind == ".png" or not (shared or (stop - start > LENGTH and kind in ("", *VIDEO))):
+        film_at_once(command, shot, stage, context)
+    else:
+        film_in_parts(command, shot, stage, context)
+
+
+def buy_rung(command: RenderCommand, stage: Stage, context: Context, fit: Fit | None, start: int, stop: int) -> Rung:
+    """The rung, chosen by what they cost on this machine; its view mode is put into the scene. A film keeps it from its
+    first frame to its last."""
+    size, scene = stage.size(), stage.scene
+    camera_at = stage.camera_at(fit, start, stop, size)
+    frames = []
+    for frame in np.unique(np.linspace(start, stop - 1, BUDGET_FRAMES).round().astype(int)).tolist():
+        poses = stage.poses(frame)
+        frames.append((poses, camera_at(frame, poses[0][1])))
+    drawn = BudgetScene(stage.avatars, frames, size, scene.effects, scene.background, reads_back=True)
+    try:
+        priced, chosen = rung_within(
+            context, drawn, [entry.path for entry in scene.avatars], level=command.level, budget=command.budget,
+            quality=1.0 if command.share is None else command.share,
+        )  # fmt: skip
+    except ValueError as error:
+        raise AssetError(str(error)) from None
+    stage.notes.append(choice_words(chosen, priced, command.budget))
+    stage.scene = replace(scene, effects=replace(scene.effects, view=chosen.rung.view))
+    return chosen.rung
+
+
+def detail_by_size(stage: Stage, fit: Fit | None, start: int, stop: int, finest: int) -> tuple[int, ...]:
+    """The level of detail of each avatar: what its largest size in the film calls for (player/draw/detail.py), as some
+    frames spread over it tell."""
+    size, heights = stage.size(), [0.0] * len(stage.avatars)
+    camera_at = stage.camera_at(fit, start, stop, size)
+    posers = {id(avatar): Poser(avatar, avatar.levels[0]) for avatar in stage.avatars}
+    for frame in (start + evenly(stop - start, SIZED_FRAMES)).tolist():
+        poses = stage.poses(frame)
+        camera = camera_at(frame, poses[0][1]).resized(size)
+        for index, (avatar, pose) in enumerate(zip(stage.avatars, poses, strict=True)):
+            bounds = screen_bounds(posers[id(avatar)].posed(*pose, camera), camera)
+            if bounds.shows(camera):
+                heights[index] = max(heights[index], float(bounds.box[3] - bounds.box[1]))
+    detail = tuple(level_for(who, height, finest) for who, height in zip(stage.avatars, heights, strict=True))
+    triangles = sum(len(avatar.level(number).faces) for avatar, number in zip(stage.avatars, detail, strict=True))
+    all_of_them = sum(len(avatar.level(finest).faces) for avatar in stage.avatars)
+    stage.notes.append(f"levels of detail by size: {triangles} triangles of {all_of_them}")
+    return detail
+
+
+def at_rate(command: RenderCommand, stage: Stage, start: int, stop: int) -> tuple[int, int]:
+    """The film's frames for the frames start .. stop - 1 of the motion, at the rate asked for.
+
+    A rate that no one asked for is at most FASTEST, the motion's divided by a whole number: every second, third ...
+    frame as it is.
+    """
+    before = stage.rate
+    rate = command.rate or (before if stage.scene.rate else before / math.ceil(before / FASTEST))
+    if rate == before or (command.rate is None and command.frame is not None):
+        return start, stop
+    stage.film_at(rate)
+    if command.rate is None:
+        stage.notes.append(
+            f"{stage.name}: {before:g} frames a second, filmed at {rate:g} (--rate {before:g} takes all)"
+        )
+    if stage.still is not None:
+        return 0, stage.frames
+    first, last = (min(math.ceil(frame * rate / before - 1e-6), stage.frames) for frame in (start, stop))
+    if first >= last:
+        raise AssetError(f"--rate {rate:g}: frames {start}:{stop} are shorter than one frame of the film")
+    return first, last
+
+
+def level_of(command: RenderCommand) -> int:
+    """The level of detail that the command asks for."""
+    if command.level is not None:
+        return command.level
+    return DRAFT_LEVEL if command.quality == "draft" else 0
+
+
+def scene_of(command: RenderCommand) -> Scene:
+    """The scene that the command asks for; its options override what a scene file says."""
+    if command.scene:
+        from player.scene.scene_file import read_scene
+
+        scene = read_scene(command.scene)
+    else:
+        places = [beside(k, len(command.avatar)) for k in range(len(command.avatar))]
+        avatars = tuple(
+            SceneAvatar(
+                path,
+                command.motion,
+                at=tuple(at.tolist()),
+                hands=command.hands,
+                ground=command.ground,
+                body=command.body,
+            )
+            for path, at in zip(command.avatar, places, strict=True)
+        )
+        scene = Scene(avatars)
+    if command.camera is not None:
+        scene = replace(scene, cameras=(camera_from_option(command.camera),))
+    if command.seconds is not None:
+        camera = replace((scene.cameras or (SceneCamera(),))[0], seconds=command.seconds)
+        scene = replace(scene, cameras=(camera,))
+    scene = replace(scene, effects=with_effects(scene.effects, command.effects))
+    if command.size is not None:
+        scene = replace(scene, size=command.size)
+    if command.background is not None:
+        scene = replace(scene, background=command.background)
+    return replace(scene, level_by_size=scene.level_by_size or command.level_by_size)
+
+
+def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Effects:
+    """What a quality means for the effects that are left open."""
+    if quality == "draft":
+        view = "off" if effects.view == "auto" else effects.view
+        return replace(effects, view=view, antialiasing=_unless_given(effects.antialiasing, "none"))
+    if quality == "best":
+        views = {avatar.default_view for avatar in avatars}
+        view = views.pop() if effects.view == "auto" and len(views) == 1 else effects.view
+        return replace(effects, view=view, antialiasing=_unless_given(effects.antialiasing, "msaa"))
+    return effects
+
+
+def _unless_given(value: str, otherwise: str) -> str:
+    return otherwise if value == "auto" else value
+
+
+def film_at_once(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
+    """Draw straight into the file."""
+    path = Path(command.output)
+    drawn = ShotRenderer(shot, stage, context)
+    try:
+        began = time.perf_counter()
+        film = drawn.film(path, progress(range(shot.start, shot.stop), "frames", shot.stop - shot.start))
+        took = time.perf_counter() - began
+        print_notes(shot, stage, [*film.notes, drawing_summary(drawn)])
+        print_result(
+            shot,
+            path,
+            f"drawn at {frame_count(shot) / max(drawn.drawing, 1e-9):.0f} frames/s, written in {took:.1f} s",
+        )
+        if command.explain:
+            print_passes(drawn.renderer, command.json)
+    finally:
+        drawn.release()
+
+
+def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
+    """Draw the parts that are missing, here or on a cluster, and join them when all are there."""
+    path = Path(command.output)
+    kind = film_kind(path)
+    tried: list[str] = []
+    # chosen once, or two machines might choose differently
+    if kind in VIDEO:
+        from player.film.encoder import chosen_encoder
+
+        alpha = shot.transparent and kind != ".mp4"
+        encoder, tried = chosen_encoder(kind, shot.encoder, shot.size, alpha=alpha)
+        shot = replace(shot, encoder=encoder.name)
+    shot = replace(shot, scene=with_whole_paths(shot.scene))
+    parts = Parts(path, shot.start, shot.stop, shot.identity())
+    parts.begin(resume=command.resume or command.part is not None)
+    wanted = parts.share(*command.part) if command.part else parts.ranges
+    missing = [part for part in parts.missing() if part in wanted]
+    present = sum(b - a for a, b in wanted) - sum(b - a for a, b in missing)
+    if present:
+        total = sum(b - a for a, b in wanted)
+        print(f"{present} of {plural(total, 'frame')} {'is' if present == 1 else 'are'} in {parts.folder}")
+    began, notes = time.perf_counter(), []
+    try:
+        if missing and command.workers:
+            notes = draw_on_cluster(command.workers, shot, parts)
+        elif missing:
+            drawn = ShotRenderer(shot, stage, context)
+            try:
+                frames = chain.from_iterable(range(*part) for part in missing)
+                film = drawn.film(
+                    path,
+                    progress(frames, "frames", sum(b - a for a, b in missing)),
+                    list(map(parts.piece, missing)),
+                )
+                notes = [*film.notes, drawing_summary(drawn)]
+                if command.explain:
+                    print_passes(drawn.renderer, command.json)
+            finally:
+                drawn.release()
+    except BaseException:
+        written = len(parts.ranges) - len(parts.missing())
+        if written:
+            print(f"{written} of {plural(len(parts.ranges), 'part')} kept in {parts.folder}; the same command with "
+                  f"--resume goes on", file=sys.stderr)  # fmt: skip
+        else:
+            parts.discard()
+        raise
+    print_notes(shot, stage, notes)
+    left = parts.missing()
+    if command.part and left:
+        print(f"{parts.folder}: share {command.part[0]} of {command.part[1]} is there, {len(left)} of "
+              f"{len(parts.ranges)} parts are missing; --resume joins them")  # fmt: skip
+        return
+    join_pieces(list(map(parts.piece, parts.ranges)), path, shot.rate)
+    parts.discard()
+    print_result(shot, path, f"in {plural(len(parts.ranges), 'part')}, written in {time.perf_counter() - began:.1f} s")
+
+
+def draw_on_cluster(address: str, shot: Shot, parts: Parts) -> list[str]:
+    """Draw the missing parts on a cluster; returns its notes for the user."""
+    try:
+        from player.film.cluster import draw_parts_on_cluster
+    except ModuleNotFoundError as error:
+        raise missing_package(error.name, "cluster", "--workers") from None
+
+    missing = parts.missing()
+    if address.isdecimal() and len(missing) < 2 * int(address):
+        print(
+            f"{plural(len(missing), 'part')} of at most {LENGTH} frames for {plural(int(address), 'worker')}: a film "
+            "this short is drawn sooner without --workers"
+        )
+    report, frames = Progress("frames", sum(b - a for a, b in missing)), 0
+    notes: list[str] = []
+    for (start, stop), drawn in draw_parts_on_cluster(address, shot, parts, parts.identity["files"]):
+        frames += stop - start
+        report.update(frames)
+        notes += [line for line in (*drawn.notes, f"drawn by {drawn.renderer}") if line not in notes]
+    return notes
+
+
+def frame_count(shot: Shot) -> int:
+    return shot.stop - shot.start
+
+
+def print_notes(shot: Shot, stage: Stage, notes: Sequence[str]) -> None:
+    for note in (*stage.notes, *notes):
+        print(note)
+
+
+def drawing_summary(drawn: ShotRenderer) -> str:
+    return f"{drawn.context.attempts[-1]}; view {', '.join(drawn.renderer.views)}"
+
+
+def print_result(shot: Shot, path: Path, rest: str) -> None:
+    width, height = shot.size
+    if film_kind(path) in VIDEO:
+        from player.film.encoder import padded_size
+
+        width, height = padded_size(shot.size)
+    print(f"{path}: {plural(frame_count(shot), 'frame')}, {width}x{height}, {rest}")
+
+
+def print_passes(renderer: Renderer, json_path: str | None) -> None:
+    """Print and write the passes of the last frame."""
+    rows = renderer.explain()
+    for row in rows:
+        cost = f"{row['ms']:8.2f} ms {row['bytes'] / 1e6:8.2f} MB"
+        print(f"  {row['name']:24} {row['state']:13} {cost}  {row['why']}")
+    if json_path:
+        with whole_file(Path(json_path), "w") as file:
+            json.dump({"passes": rows}, file, indent=1)

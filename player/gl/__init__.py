@@ -1,0 +1,1 @@
+"""Contexts, programs, textures and buffers of OpenGL 3.3."""

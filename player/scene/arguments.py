@@ -1,0 +1,159 @@
+"""Arguments that several commands share: sizes, frame ranges, colours, hands."""
+
+import argparse
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from command.command_line import OptionGroup, Several
+from command.settings import RGBA, OneOf, color_of, rule_of, settings_of
+from player.effects.background import Background
+from player.scene.effects import Effects
+
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+
+MOST_WORKERS = 256
+QUALITIES = ("draft", "good", "best")
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """WxH in pixels."""
+    try:
+        width, height = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected WIDTHxHEIGHT, as 640x640, found {text!r}") from None
+    if not (1 <= width <= 16384 and 1 <= height <= 16384):
+        raise argparse.ArgumentTypeError(f"expected 1 to 16384 pixels a side, found {text}")
+    return width, height
+
+
+def parse_frames(text: str) -> tuple[int | None, int | None]:
+    """A:B, either end may be left out; B is not drawn."""
+    parts = text.split(":")
+    try:
+        start, stop = (int(part) if part else None for part in parts)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected FIRST:END, as 0:120, found {text!r}") from None
+    if (start or 0) < 0 or (stop is not None and stop <= (start or 0)):
+        raise argparse.ArgumentTypeError(f"expected a first frame before the end, found {text!r}")
+    return start, stop
+
+
+def parse_color(text: str) -> RGBA:
+    """#rrggbb, #rrggbbaa or "transparent", as premultiplied RGBA."""
+    color = color_of("#00000000" if text == "transparent" else f"#{text.removeprefix('#')}")
+    if color is None:
+        raise argparse.ArgumentTypeError(f"expected #rrggbb or transparent, found {text!r}")
+    return color
+
+
+def parse_background(text: str) -> Background:
+    """#rrggbb, transparent, or a file: a picture, a film or folder of frames, a panorama (.hdr)."""
+    path = Path(text)
+    if not text.startswith("#") and path.exists():
+        suffix = path.suffix.lower()
+        kind = "hdr" if suffix == ".hdr" else "image" if suffix in PICTURES else "video"
+        return Background(kind, path=text)
+    try:
+        color = parse_color(text)
+    except argparse.ArgumentTypeError:
+        message = f"expected #rrggbb, transparent or a file that is there, found {text!r}"
+        raise argparse.ArgumentTypeError(message) from None
+    return Background("transparent") if color[3] == 0 else Background("color", color)
+
+
+def parse_quality(text: str) -> str:
+    """One of the words, or a number from 0 to 1, as text."""
+    try:
+        good = text in QUALITIES or 0 <= float(text) <= 1
+    except ValueError:
+        good = False
+    if not good:
+        raise argparse.ArgumentTypeError(f"expected {', '.join(QUALITIES)} or a number from 0 to 1, found {text!r}")
+    return text
+
+
+def parse_gpu(text: str) -> int | str:
+    """A number as CUDA counts, or a DRM node."""
+    if text.startswith("/"):
+        return text
+    if not text.isdigit():
+        message = f"expected a number from 0 or a DRM node as /dev/dri/renderD128, found {text!r}"
+        raise argparse.ArgumentTypeError(message)
+    return int(text)
+
+
+def parse_share(text: str) -> tuple[int, int]:
+    """K/N: the Kth of N shares, from 1."""
+    try:
+        number, count = (int(part) for part in text.split("/"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected K/N, as 2/8, found {text!r}") from None
+    if not 1 <= number <= count:
+        raise argparse.ArgumentTypeError(f"expected a share from 1/{count} to {count}/{count}, found {text}")
+    return number, count
+
+
+def parse_workers(text: str) -> str:
+    """The address of a scheduler, its file, or a number of processes."""
+    if text.isdecimal() and not (len(text) < 5 and 1 <= int(text) <= MOST_WORKERS):
+        raise argparse.ArgumentTypeError(f"expected 1 to {MOST_WORKERS} processes, or an address, found {text[:20]!r}")
+    return text
+
+
+# groups in the help of render and play
+WHO, FILM, CAMERA = OptionGroup("who and what"), OptionGroup("the film"), OptionGroup("the camera")
+LOOKS, TIME, LIVE = OptionGroup("how it looks"), OptionGroup("how exact, and how fast"), OptionGroup("live poses")
+MACHINE = OptionGroup("the machine and the window")
+
+HANDS_HELP = (
+    "the motion's hands: file as they are (flat where there are none), flat, relaxed, or mean, the mean hands of --body"
+)
+
+
+GROUND_HELP = (
+    "find: the motion is moved up or down so that the soles touch the ground; keep: the file's heights; auto: keep "
+    "before a camera file or a capture, else find"
+)
+
+
+def add_effects(add: Callable[..., None]) -> None:
+    """An option for each field of the scene's effects that takes a word, and --effect for those that are tables."""
+    tables = []
+    for setting in settings_of(Effects):
+        if setting.table is not None:
+            tables.append(setting)
+            continue
+        known = rule_of(setting, OneOf)
+        assert known is not None, f"effects.{setting.name} is a word of a list, or a table"
+        group = LOOKS if setting.name == "view" else LOOKS.rare
+        add(group, f"--{setting.name}", choices=known.values, help=f"{setting.means} (default: {setting.default})")
+    names = [setting.name for setting in tables]
+    means = "; ".join(f"{setting.name}: {setting.means}" for setting in tables)
+    means += "; may be given several times, docs/scenes.md has their settings"
+    add(LOOKS, "--effect", action="append", choices=names, metavar="NAME", default=[], help=means)
+
+
+def asked_effects(given: Mapping[str, Any]) -> dict[str, Any]:
+    """What a command line asks of the effects, by field; an effect asked for by name has its usual settings."""
+    asked: dict[str, Any] = {}
+    for setting in settings_of(Effects):
+        if setting.table is None:
+            asked[setting.name] = given[setting.name]
+        elif setting.name in given["effect"]:
+            asked[setting.name] = setting.table()
+    return {name: value for name, value in asked.items() if value is not None}
+
+
+def with_effects(effects: Effects, asked: Mapping[str, Any]) -> Effects:
+    """The effects with what is asked for; an effect that a scene has set up stays as it is."""
+    set_up = {
+        setting.name
+        for setting in settings_of(Effects)
+        if setting.table is not None and setting.value_in(effects) is not None
+    }
+    return replace(effects, **{name: value for name, value in asked.items() if name not in set_up})
+
+
+EFFECTS = Several(add_effects, asked_effects)

@@ -1,0 +1,135 @@
+"""One video of a capture as the window shows it: its pictures, its cameras, and the poses the person had.
+
+Body and hands have cameras in the world and a pose each frame. The head was filmed in a frame of its own; the
+landmarks that both frames know place its cameras about the avatar in T-pose:
+
+    min |s R p_world + t - p_head|^2,    camera_from_world = [Rc R | (Rc t + tc) / s]
+
+which shows the same picture, since a pinhole does not see scale.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from avatar.camera import Camera, read_cameras
+from avatar.motion.clip import Clip, checked_rate
+from avatar.similarity import similarity_from_landmarks
+from avatar.skeleton import PARTS
+from command.errors import AssetError
+from files.input_file import read_json_object
+from files.npz import read_npz
+from files.picture import read_picture
+
+# frames a second; the head's video has no poses that would show it
+HEAD_RATE = 10.0
+
+
+@dataclass(frozen=True)
+class CaptureView:
+    """A video of a capture, frame by frame."""
+
+    path: Path
+    part: str
+    images: tuple[Path, ...]
+    # one per frame, in the world the avatar stands in
+    cameras: tuple[Camera, ...]
+    axis_angle: Float[np.ndarray, "frames 52 3"]
+    root: Float[np.ndarray, "frames 3"]
+    rate: float
+
+    def clip(self, start: int, stop: int) -> Clip:
+        """The poses the person had; not scaled, they were measured on this body."""
+        return Clip(self.axis_angle[start:stop], self.root[start:stop], self.rate)
+
+    def image(self, frame: int) -> UInt8[np.ndarray, "height width 3"]:
+        """The picture of a frame.
+
+        Raises:
+            AssetError: it cannot be read, or has another size than its camera says.
+        """
+        path, camera = self.images[frame], self.cameras[frame]
+        pixels = read_picture(path)
+        if pixels.shape[:2] != (camera.size[1], camera.size[0]):
+            found = f"{pixels.shape[1]}x{pixels.shape[0]}"
+            raise AssetError(f"{path}: should be {camera.size[0]}x{camera.size[1]} as its camera, is {found}")
+        return pixels
+
+
+def open_capture(path: Path | str, part: str = "body") -> CaptureView:
+    """Open one video of a capture folder; pictures are read when they are shown.
+
+    Raises:
+        AssetError: not a capture, or the video's pictures, cameras and poses do not agree.
+    """
+    path = Path(path)
+    facts = read_json_object(path / "capture.json", "the facts of a capture")
+    if facts.get("format") != "selfscan-capture":
+        raise AssetError(f"{path}: expected a capture folder, found format {facts.get('format')!r}")
+    if part not in PARTS:
+        raise ValueError(f"part should be one of {', '.join(PARTS)}, is {part!r}")
+    folder = path / part
+    images = tuple(sorted(p for p in (folder / "images").glob("*") if p.suffix.lower() in (".png", ".jpg", ".jpeg")))
+    if not images:
+        raise AssetError(f"{folder / 'images'}: expected pictures, found none")
+    cameras = read_cameras(folder / "cameras.npz")
+    if len(cameras) not in (1, len(images)):
+        raise AssetError(f"{folder / 'cameras.npz'}: should hold 1 or {len(images)} cameras, holds {len(cameras)}")
+    cameras = cameras * len(images) if len(cameras) == 1 else cameras
+    if part == "head":
+        scale, R, t = head_from_world(path)
+        cameras = [from_world(camera, scale, R, t) for camera in cameras]
+        still = np.zeros((len(images), 52, 3))
+        return CaptureView(path, part, images, tuple(cameras), still, still[:, 0], HEAD_RATE)
+    poses, root, rate = read_poses(folder / "poses.npz", len(images))
+    return CaptureView(path, part, images, tuple(cameras), poses, root, rate)
+
+
+def read_poses(
+    path: Path, frames: int
+) -> tuple[Float[np.ndarray, "frames 52 3"], Float[np.ndarray, "frames 3"], float]:
+    """Poses, pelvis joint in the world, and rate of a video."""
+    fields = read_npz(path, "poses", ("poses", "trans"), ("mocap_framerate",))
+    arrays = {}
+    for name, columns in (("poses", 156), ("trans", 3)):
+        if fields[name].shape != (frames, columns) or fields[name].dtype.kind != "f":
+            raise AssetError(f"{path}: {name} should be ({frames}, {columns}) numbers, is {fields[name].shape}")
+        bad = np.argwhere(~np.isfinite(fields[name]))
+        if len(bad):
+            joint = f", joint {bad[0][1] // 3}" if name == "poses" else ""
+            raise AssetError(f"{path}: {name} should be finite, is not in frame {bad[0][0]}{joint}")
+        arrays[name] = fields[name].astype(np.float64)
+    given = fields.get("mocap_framerate", np.array(30.0))
+    if given.size != 1 or given.dtype.kind not in "iuf":
+        raise AssetError(f"{path}: mocap_framerate should be one number, is {given.dtype} {given.shape}")
+    rate = checked_rate(f"{path}: mocap_framerate", float(given.reshape(())))
+    return arrays["poses"].reshape(frames, 52, 3), arrays["trans"], rate
+
+
+def head_from_world(path: Path) -> tuple[float, Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """Scale, rotation and translation from the avatar's T-pose to the head video's frame, by its landmarks."""
+    place = path / "head" / "landmarks.json"
+    content = read_json_object(place, "landmarks")
+    template = read_npz(path / "subject.npz", "subject", ("v_template",))["v_template"]
+    points, vertices = content.get("points"), content.get("vertices")
+    if not isinstance(points, dict) or not isinstance(vertices, dict):
+        raise AssetError(f'{place}: expected {{"points", "vertices"}} by name')
+    names = sorted(points.keys() & vertices.keys())
+    try:
+        head = np.array([points[name] for name in names], np.float64).reshape(-1, 3)
+        world = template[np.array([vertices[name] for name in names], np.int64)].astype(np.float64)
+        fit = similarity_from_landmarks(world, head)
+    except (ValueError, TypeError, IndexError) as error:
+        raise AssetError(f"{place}: {error}") from None
+    scale = float(np.cbrt(np.linalg.det(fit.transform[:3, :3])))
+    return scale, fit.transform[:3, :3] / scale, fit.transform[:3, 3]
+
+
+def from_world(camera: Camera, scale: float, R: Float[np.ndarray, "3 3"], t: Float[np.ndarray, "3"]) -> Camera:
+    """A camera of the head's frame as one of the world."""
+    pose = np.eye(4)
+    Rc, tc = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+    pose[:3, :3], pose[:3, 3] = Rc @ R, (Rc @ t + tc) / scale
+    return Camera(camera.K, pose, camera.size, camera.distortion)

@@ -1,0 +1,96 @@
+"""The effects that a scene can ask for: one line each, from which everything that names effects is read.
+
+A line is a field of `Effects`: its type or its `Makes` names the settings of a file in player/effects/, its notes are
+its rules and its documentation. A field of such a type is a table of the scene, None where it is not asked for.
+Scene files, their schema and tables, `--effect NAME`, `--explain` and the window's panel follow from the fields. What
+is not asked for is in no plan and costs nothing.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+from command.settings import OneOf, Setting, check, rule_of, settings_of
+from player.draw.plan import Effect, Stage
+from player.effects.antialiasing import BestAntialiasing
+from player.effects.background import Background
+from player.effects.contact import Contact
+from player.effects.depth_of_field import DepthOfField
+from player.effects.foot_lock import FootLock
+from player.effects.fxaa import Fxaa
+from player.effects.grid import Grid
+from player.effects.ground import Ground
+from player.effects.light import Light
+from player.effects.motion_blur import MotionBlur
+from player.effects.msaa import Msaa
+from player.effects.outline import Outline
+from player.effects.secondary_motion import SecondaryMotion
+from player.effects.view import VIEWS
+
+SKINNINGS = ("lbs", "dual_quaternion")
+ANTIALIASINGS = ("auto", "none", "fxaa", "msaa")
+
+
+class Makes(NamedTuple):
+    """Words of a field that ask for an effect; the field's other words ask for none."""
+
+    of: Mapping[str, type[Effect]]
+
+
+@dataclass(frozen=True)
+class Effects:
+    """How avatars are drawn.
+
+    Raises:
+        ValueError: a value that is not known.
+    """
+
+    view: Annotated[
+        str, OneOf(("auto", *VIEWS)), "view dependence: off is the paper; auto picks by avatar and device"
+    ] = "auto"
+    skinning: Annotated[
+        str, OneOf(SKINNINGS), "linear blend, or dual quaternions, which keep volume where joints twist"
+    ] = "lbs"
+    antialiasing: Annotated[
+        str,
+        OneOf(ANTIALIASINGS),
+        Makes({"auto": BestAntialiasing, "fxaa": Fxaa, "msaa": Msaa}),
+        "smooth outlines: fxaa filters them in the finished picture, msaa takes 4 samples a pixel; auto is msaa on a "
+        "GPU and fxaa on a software rasteriser",
+    ] = "auto"
+    light: Annotated[
+        Light | None, "avatars lit anew, not in the colors they were filmed in: by the capture's light, none, or lamps"
+    ] = None
+    ground: Annotated[Ground | None, "a floor to stand on, and the shadow on it"] = None
+    contact: Annotated[Contact | None, "dark where feet touch the ground and limbs come near the body"] = None
+    foot_lock: Annotated[FootLock | None, "feet of motions that slide are held where they stand"] = None
+    grid: Annotated[Grid | None, "lines on the ground, every metre, and the world's axes"] = None
+    outline: Annotated[Outline | None, "a line round each avatar, and where its limbs pass before it"] = None
+    motion_blur: Annotated[MotionBlur | None, "what moves is blurred, in films"] = None
+    depth_of_field: Annotated[DepthOfField | None, "what is nearer or farther than the focus is blurred, in films"] = (
+        None
+    )
+    secondary_motion: Annotated[
+        SecondaryMotion | None, "hair, skirts and sleeves swing, where the avatar's file says what is loose"
+    ] = None
+
+    def __post_init__(self):
+        check(self)
+
+    def effects(self) -> Iterator[tuple[Setting, Stage, Effect | None]]:
+        """Every field that can ask for an effect: where in a frame it draws, and what it asks for."""
+        for setting in settings_of(Effects):
+            value, makes = setting.value_in(self), rule_of(setting, Makes)
+            if makes is not None:
+                stage = next(iter(makes.of.values())).stage
+                yield setting, stage, makes.of[value]() if value in makes.of else None
+            elif setting.table is not None:
+                yield setting, setting.table.stage, value
+
+
+# where a scene says nothing
+USUAL = Effects()
+# nothing beside the avatars: what is measured
+PLAIN = Effects(antialiasing="none")
+# where a scene says nothing
+STUDIO = Background()

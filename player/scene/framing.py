@@ -1,0 +1,169 @@
+"""Cameras that fit what is to be seen: in front of the avatar, or going round it."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from avatar.baked_avatar import Avatar
+from avatar.camera import Camera, look_at, pinhole
+from avatar.hull import hull_of, outermost, posed_hull
+from avatar.motion.clip import Clip
+from avatar.skeleton import joint_transforms, skin_transforms
+from avatar.skinning import skin_points
+
+Array = np.ndarray
+
+FOV = np.radians(35.0)  # vertical
+# a little from above, as one stands before a person
+ELEVATION = np.radians(4.0)
+# share of the picture's width and height, left free on each side
+MARGIN = 0.06
+# metres before the lens
+NEAREST = 0.1
+# directions that a camera going round is checked from
+SIDES = 48
+
+
+def pelvis_height(avatar: Avatar) -> float:
+    """Height of the pelvis joint above the soles in pose 0, metres."""
+    # the finest: every reading has it
+    level = avatar.levels[0]
+    joints = avatar.joint_positions.astype(np.float64)
+    transforms = skin_transforms(np.zeros((52, 3)), joints, rest=avatar.canonical_pose.astype(np.float64))
+    return -float(skin_points(level.positions.astype(np.float64), level.skin, transforms)[:, 1].min())
+
+
+def facing(axis_angle: Float[Array, "52 3"], joints: Float[Array, "52 3"]) -> float:
+    """Azimuth the chest points to, radians: 0 along +z of the world, growing towards +x."""
+    forward = joint_transforms(axis_angle, joints)[0, :3, 2]
+    # lying: there is no front seen from the ground
+    if np.hypot(forward[0], forward[2]) < 1e-6:
+        return 0.0
+    return float(np.arctan2(forward[0], forward[2]))
+
+
+def extent(avatar: Avatar, clip: Clip, *, following: bool = False, samples: int = 48) -> Float[Array, "points 3"]:
+    """World points whose view holds the avatar, hair and shoes too, in (about `samples`) frames of the clip.
+
+    following: the points as seen by a camera that goes along with the pelvis, over the ground.
+    """
+    chosen = evenly(len(clip.root), samples)
+    root = clip.root[chosen] * ([0.0, 1.0, 0.0] if following else [1.0, 1.0, 1.0])
+    points = posed_hull(hull_of(avatar), clip.axis_angle[chosen], root).reshape(-1, 3)
+    return points[outermost(points)]
+
+
+def evenly(count: int, samples: int) -> Int[Array, "chosen"]:
+    """At most so many of the numbers 0 .. count - 1, spread evenly, first and last among them."""
+    return np.linspace(0, count - 1, min(samples, count)).astype(np.int64)
+
+
+class Fitted(NamedTuple):
+    """Where a camera looks, and how far from it it stands."""
+
+    target: Float[Array, "3"]
+    distance: float  # metres
+
+
+def fitted(
+    points: Float[Array, "points 3"],
+    azimuth: float,
+    size: tuple[int, int],
+    *,
+    elevation: float = ELEVATION,
+    fov: float = FOV,
+) -> Fitted:
+    """The nearest camera from that side whose picture shows every point inside its margins, in its middle.
+
+    With x, z a point's place to the right of the target and behind it, s the slope of the picture's edge less the
+    margin, and c the camera's own shift to the right, |x - c| <= s (d + z) for all points: so d is at least
+    (max(x - s z) - min(x + s z)) / 2 s, and c lies where the margins on both sides are equal.
+    """
+    middle = 0.5 * (points.min(0) + points.max(0))
+    R = look_at(middle + _direction(azimuth, elevation), middle)[:3, :3]
+    x, y, z = ((points - middle) @ R.T).T
+    slopes = _slopes(size, fov)
+    needed = [((v - s * z).max() - (v + s * z).min()) / (2 * s) for v, s in zip((x, y), slopes, strict=True)]
+    distance = max(*needed, NEAREST - float(z.min()))
+    shift = [_even_margins(v, distance + z) for v in (x, y)]
+    return Fitted(middle + shift[0] * R[0] + shift[1] * R[1], float(distance))
+
+
+def fitted_camera(
+    points: Float[Array, "points 3"],
+    azimuth: float,
+    size: tuple[int, int],
+    *,
+    elevation: float = ELEVATION,
+    fov: float = FOV,
+) -> Camera:
+    """The camera of `fitted`."""
+    return at_distance(fitted(points, azimuth, size, elevation=elevation, fov=fov), azimuth, elevation, size, fov)
+
+
+def fitted_round(points: Float[Array, "points 3"], size: tuple[int, int], *, fov: float = FOV) -> Fitted:
+    """What a camera that goes round the vertical through the middle of the points looks at: it always sees all."""
+    middle = 0.5 * (points.min(0) + points.max(0))
+    # all that comes before the lens: the points at every turn
+    turns = np.linspace(0, 2 * np.pi, SIDES, endpoint=False)
+    cos, sin = np.cos(turns)[:, None], np.sin(turns)[:, None]
+    x, height, z = (points - middle).T
+    swept = np.stack([cos * x + sin * z, np.broadcast_to(height, (SIDES, len(x))), cos * z - sin * x], -1).reshape(
+        -1, 3
+    )
+    R = look_at(_direction(0.0, ELEVATION), np.zeros(3))[:3, :3]
+    slopes = _slopes(size, fov)
+    lift, distance = 0.0, NEAREST
+    # the target stays on the axis, so its height and the distance depend on one another, a little
+    for _ in range(4):
+        x, y, z = ((swept - [0.0, lift, 0.0]) @ R.T).T
+        wide = (np.abs(x) / slopes[0] - z).max()
+        high = ((y - slopes[1] * z).max() - (y + slopes[1] * z).min()) / (2 * slopes[1])
+        distance = float(max(wide, high, NEAREST - z.min()))
+        lift -= _even_margins(y, distance + z) / np.cos(ELEVATION)
+    return Fitted(middle + [0.0, lift, 0.0], distance)
+
+
+def orbit(
+    points: Float[Array, "points 3"], start: float, size: tuple[int, int], *, fov: float = FOV
+) -> Callable[[float, Float[Array, "3"]], Camera]:
+    """A camera that goes round once, from azimuth `start`, and along with the avatar.
+
+    A function of the turn in [0, 1) and the pelvis; `points` are extents with `following`.
+    """
+    target, distance = fitted_round(points, size, fov=fov)
+
+    def camera_at(turn: float, root: Float[Array, "3"]) -> Camera:
+        here = Fitted(target + root * [1.0, 0.0, 1.0], distance)
+        return at_distance(here, start + 2 * np.pi * turn, ELEVATION, size, fov)
+
+    return camera_at
+
+
+def at_distance(view: Fitted, azimuth: float, elevation: float, size: tuple[int, int], fov: float = FOV) -> Camera:
+    """The camera on that side of the target that looks at it."""
+    eye = view.target + view.distance * _direction(azimuth, elevation)
+    return Camera(pinhole(size, fov), look_at(eye, view.target), size)
+
+
+def _direction(azimuth: float, elevation: float) -> Float[Array, "3"]:
+    flat = np.cos(elevation)
+    return np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
+
+
+def _slopes(size: tuple[int, int], fov: float) -> tuple[float, float]:
+    """Of the lines of sight to the margins beside, and above and below."""
+    high = (1 - 2 * MARGIN) * float(np.tan(fov / 2))
+    return high * size[0] / size[1], high
+
+
+def _even_margins(across: Float[Array, "points"], depth: Float[Array, "points"]) -> float:
+    """The shift of the camera at which the outermost points on both sides are seen equally far out."""
+    low, high = float(across.min()), float(across.max())
+    for _ in range(50):
+        shift = 0.5 * (low + high)
+        seen = (across - shift) / depth
+        low, high = (shift, high) if seen.max() > -seen.min() else (low, shift)
+    return 0.5 * (low + high)

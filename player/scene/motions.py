@@ -1,0 +1,88 @@
+"""The motion of each avatar on screen: opened for its skeleton, fitted to its legs, its ground found."""
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from avatar.baked_avatar import Avatar
+from avatar.body import read_body
+from avatar.hull import hull_of
+from avatar.motion.clip import Motion, RestSkeleton, fitted
+from avatar.motion.ground import on_ground
+from avatar.motion.hands import with_hands
+from avatar.motion.read import read_motion
+from command.errors import AssetError
+from player.scene.framing import pelvis_height
+from player.scene.scene import SceneCamera
+
+# frames read at once: memory does not grow with the film
+BLOCK = 256
+SPACING = 1.0  # metres between several avatars, side by side
+
+
+def motion_for(
+    avatar: Avatar, source: str | None, *, body: str | None = None, hands: str = "file", ground: str = "find"
+) -> Motion:
+    """The motion on this avatar: its bones, its legs, its soles on the ground; without a source one frame of T-pose.
+
+    `body` is the model that the file was made for. What was assumed and done is in the notes.
+    """
+    model = read_body(body) if body else None
+    height = pelvis_height(avatar)
+    if source is None:
+        # where the ground is kept, the pelvis is the origin
+        at = 0.0 if ground == "keep" else height
+        return with_hands(standing(at, "no --motion: one frame, T-pose"), hands, model)
+    skeleton = RestSkeleton(avatar.joint_positions.astype(np.float64), height)
+    motion = read_motion(source, body=model, skeleton=skeleton)
+    if motion.frames < 1:
+        raise AssetError(f"{source}: expected at least one frame, found none")
+    own = motion.grounded and motion.pelvis_height is not None and abs(motion.pelvis_height / height - 1) < 1e-6
+    motion = with_hands(fitted(motion, height), hands, model)
+    # a motion made for this very avatar: a pose in the air is meant
+    return motion if own or ground == "keep" else on_ground(motion, hull_of(avatar))
+
+
+def ground_for(asked: str, cameras: Sequence[SceneCamera]) -> str:
+    """What "auto" means: a camera that was measured with the motion shows it where it was, any other on the ground."""
+    measured = any(camera.kind in ("file", "capture") for camera in cameras)
+    return asked if asked != "auto" else "keep" if measured else "find"
+
+
+def standing(height: float, *notes: str) -> Motion:
+    """One frame of T-pose, the pelvis at this height."""
+
+    def block(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros((stop - start, 52, 3)), np.tile([0.0, height, 0.0], (stop - start, 1))
+
+    return Motion("T-pose", 1, 30.0, notes, block)
+
+
+@runtime_checkable
+class Framed(Protocol):
+    """What has frames to choose from: a motion, a stage."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def frames(self) -> int: ...
+
+
+def frame_range(
+    motion: Framed, frame: int | None, frames: tuple[int | None, int | None] | None, *, single: bool
+) -> tuple[int, int]:
+    """First frame and end, checked against the motion."""
+    if frame is None and frames is None:
+        return (0, 1) if single else (0, motion.frames)
+    start, stop = (frame, frame + 1) if frame is not None else frames or (None, None)
+    start, stop = start or 0, motion.frames if stop is None else stop
+    if stop > motion.frames or start >= stop:
+        asked = f"frame {start}" if stop == start + 1 else f"frames {start}:{stop}"
+        raise AssetError(f"{motion.name}: {asked} asked for, it has {motion.frames} (0 to {motion.frames - 1})")
+    return start, stop
+
+
+def beside(index: int, count: int) -> np.ndarray:
+    """Where avatar `index` of `count` stands, metres."""
+    return np.array([(index - 0.5 * (count - 1)) * SPACING, 0.0, 0.0])

@@ -1,0 +1,86 @@
+"""The files of a scene, opened: avatars, their motions and the cameras. Films and the window begin here."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from avatar.baked_avatar import Avatar
+from avatar.camera import Camera, read_camera, read_cameras
+from avatar.gltf.avatar_file import read_avatar
+from player.scene.camera_path import CameraPath, is_path
+from player.scene.capture_view import CaptureView, open_capture
+from player.scene.framing import pelvis_height
+from player.scene.motions import ground_for, motion_for, standing
+from player.scene.scene import MANNEQUINS, Scene, SceneAvatar, SceneCamera
+from player.scene.track import Track
+
+
+def opened_avatars(scene: Scene, levels: int | None = None) -> list[Avatar]:
+    """The avatars of a scene, their `levels` finest levels of detail (None: all); one that stands several times is read
+    once."""
+    read = {path: opened_avatar(path, levels) for path in dict.fromkeys(entry.path for entry in scene.avatars)}
+    return [read[entry.path] for entry in scene.avatars]
+
+
+def opened_avatar(path: str, levels: int | None = None) -> Avatar:
+    """An avatar file, or the built-in body by its names."""
+    if path in MANNEQUINS:
+        from player.scene.mannequin import mannequin
+
+        body = mannequin("female" if path.endswith(":female") else "male")
+        # its view network is random, to test with
+        return replace(body, default_view="off")
+    return read_avatar(path, levels=levels)
+
+
+def opened_tracks(
+    scene: Scene, avatars: Sequence[Avatar], cameras: Sequence[SceneCamera], capture: CaptureView | None = None
+) -> list[Track]:
+    """The motion of each avatar in its place, as it is seen through these cameras. One that is posed live stands; the
+    first, where it has no motion, moves as in the video of the capture."""
+    tracks = [
+        _track(entry, avatar, ground_for(entry.ground, cameras), capture if index == 0 else None)
+        for index, (entry, avatar) in enumerate(zip(scene.avatars, avatars, strict=True))
+    ]
+    for track, avatar in zip(tracks, avatars, strict=True):
+        track.joints, track.foot_lock = avatar.joint_positions, scene.effects.foot_lock
+    return tracks
+
+
+def _track(entry: SceneAvatar, avatar: Avatar, ground: str, capture: CaptureView | None) -> Track:
+    at, turn = np.array(entry.at, np.float64), float(np.radians(entry.turn_deg))
+    if entry.live is not None:
+        return Track(standing(pelvis_height(avatar)).read, 1, 30.0, at=at, turn=turn, name=entry.live)
+    if entry.motion is None and capture is not None:
+        name = f"the {capture.part} video"
+        return Track(capture.clip, len(capture.images), capture.rate, at=at, turn=turn, name=name)
+    motion = motion_for(avatar, entry.motion, body=entry.body, hands=entry.hands, ground=ground)
+    name = entry.motion or motion.name
+    return Track(motion.read, motion.frames, motion.rate, entry.start, at, turn, name, motion.notes)
+
+
+def notes_of(tracks: Sequence[Track]) -> list[str]:
+    """What was assumed about the motions: what holds for all of them once, the rest by avatar."""
+    if len({track.notes for track in tracks}) == 1:
+        return list(tracks[0].notes)
+    shared = set.intersection(*(set(track.notes) for track in tracks))
+    return [
+        note if note in shared else f"avatar {k} ({track.name}), {note}"
+        for k, track in enumerate(tracks, 1)
+        for note in track.notes
+        if note not in shared or k == 1
+    ]
+
+
+def opened_camera(camera: SceneCamera) -> CameraPath | Sequence[Camera]:
+    """The cameras of a file: along a path, or one for each frame."""
+    assert camera.path is not None, "these kinds have a path"
+    if camera.kind == "capture":
+        return open_capture(camera.path, camera.name or "body").cameras
+    if Path(camera.path).suffix.lower() == ".npz":
+        return read_cameras(camera.path)
+    if camera.kind == "path" or is_path(camera.path):
+        return CameraPath.read(camera.path)
+    return [read_camera(camera.path)]

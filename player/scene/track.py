@@ -1,0 +1,118 @@
+"""One avatar's motion on a timeline: its pose at a moment, read in stretches, and where it stands."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from avatar.motion.clip import Clip
+from avatar.rotation import (
+    axis_angle_from_matrix,
+    axis_angle_from_quaternion,
+    matrix_from_axis_angle,
+    quaternion_from_axis_angle,
+    slerp,
+)
+from player.draw.drawing import FASTEST, TURNED, Pose
+from player.effects.foot_lock import FootLock
+from player.scene.motions import BLOCK
+
+
+@dataclass
+class Track:
+    """One avatar's motion and where it stands. Place and start may be changed while it plays.
+
+    A motion of any length takes the memory of two blocks.
+    """
+
+    clip: Callable[[int, int], Clip]
+    frames: int
+    rate: float
+    # seconds into the motion at which the timeline begins
+    start: float = 0.0
+    at: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))  # metres
+    turn: float = 0.0  # radians about y
+    name: str = ""
+    # what was assumed in reading it
+    notes: tuple[str, ...] = ()
+    # the avatar's joints in pose 0, metres; with them its feet can be held
+    joints: Float[np.ndarray, "52 3"] | None = None
+    # whether they are
+    foot_lock: FootLock | None = None
+    _held: tuple[FootLock, Callable[[int, int, Clip], Pose]] | None = field(default=None, repr=False)
+    _blocks: list[tuple[int, Clip]] = field(default_factory=list, repr=False)
+
+    @property
+    def end(self) -> float:
+        """Seconds into the timeline at which the motion has been shown."""
+        return self.frames / self.rate - self.start
+
+    def frame(self, seconds: float | int) -> int:
+        """The motion's own frame at a moment of the timeline; past its end the last is held."""
+        return min(max(int((seconds + self.start) * self.rate + 1e-6), 0), self.frames - 1)
+
+    def pose(self, seconds: float | int) -> Pose:
+        """The pose at a moment, in its place."""
+        return self.placed(self._own(self.frame(seconds)))
+
+    def pose_beside(self, seconds: float, away: float) -> Pose:
+        """The pose `away` seconds from a moment, between two frames of the motion; where it jumps between them (faster
+        than FASTEST, or turned by more than TURNED), the pose on this moment's side of the jump."""
+        here = self.frame(seconds)
+        # a moment shows the frame that began last; times beside it are counted from there
+        at = min(max(here + away * self.rate, 0.0), self.frames - 1.0)
+        while here + 1 <= at and not self._jumps(here):
+            here += 1
+        while here - 1 >= at and not self._jumps(here - 1):
+            here -= 1
+        part = at - here
+        low = here if part > 0 else here - 1
+        if part == 0 or abs(part) >= 1 or self._jumps(low):
+            return self.placed(self._own(here))
+        part = at - low
+        (before, root_before), (after, root_after) = self._own(low), self._own(low + 1)
+        q = slerp(quaternion_from_axis_angle(before), quaternion_from_axis_angle(after), np.full(52, part))
+        return self.placed((axis_angle_from_quaternion(q), root_before + part * (root_after - root_before)))
+
+    def _jumps(self, frame: int) -> bool:
+        """Whether the motion jumps between this frame and the next."""
+        (before, root_before), (after, root_after) = self._own(frame), self._own(frame + 1)
+        if np.linalg.norm(root_after - root_before) * self.rate > FASTEST:
+            return True
+        q_before, q_after = quaternion_from_axis_angle(before[0]), quaternion_from_axis_angle(after[0])
+        return bool(2 * np.arccos(min(abs(float(q_before @ q_after)), 1.0)) > TURNED)
+
+    def _own(self, frame: int) -> Pose:
+        """The motion's own frame, its feet held where that is asked for."""
+        first = frame - frame % BLOCK
+        block = next((clip for start, clip in self._blocks if start == first), None)
+        if block is None:
+            block = self.clip(first, min(first + BLOCK, self.frames))
+            # the one before stays, for stepping back
+            self._blocks = [*self._blocks[-1:], (first, block)]
+        i = frame - first
+        held = self._held_feet()
+        return (block.axis_angle[i], block.root[i]) if held is None else held(frame, first, block)
+
+    def _held_feet(self) -> Callable[[int, int, Clip], Pose] | None:
+        """What holds the feet, where that is asked for and there is something to hold."""
+        if self.foot_lock is None or self.joints is None or self.frames < 2:
+            return None
+        if self._held is None or self._held[0] != self.foot_lock:
+            # inverse kinematics only where they are asked for
+            from player.effects.held_feet import HeldFeet
+
+            feet = HeldFeet(self.clip, self.frames, self.rate, self.joints, self.foot_lock)
+            self._held = self.foot_lock, feet.pose
+        return self._held[1]
+
+    def placed(self, pose: Pose) -> Pose:
+        """A pose turned about the world's y axis, then moved."""
+        axis_angle, root = pose
+        if self.turn:
+            turned = matrix_from_axis_angle(np.array([0.0, self.turn, 0.0]))
+            axis_angle = axis_angle.copy()
+            axis_angle[0] = axis_angle_from_matrix(turned @ matrix_from_axis_angle(axis_angle[0]))
+            root = turned @ root
+        return axis_angle, root + self.at

@@ -1,0 +1,237 @@
+"""The panels around the picture: Dear ImGui's context, its input, and where each panel stands.
+
+On the left what is shown and how, at the bottom time, on the right posing; the picture keeps the middle. A panel is a
+function in its own file, of the widgets (player/window/panels/widgets.py) and of the parts of the window that it shows.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import glfw
+import imgui_bundle
+import moderngl
+from imgui_bundle import imgui
+
+from player.window.panels.draw import DrawLists
+from player.window.panels.hud_panel import hud_panel, joint_mark
+from player.window.panels.pose_overlay import pose_overlay
+from player.window.panels.pose_panel import PosePanels
+from player.window.panels.side_panels import avatars_panel, camera_panel, live_panel, view_panel
+from player.window.panels.timeline_panel import timeline_panel
+from player.window.panels.widgets import Widgets
+from player.window.parts import WindowParts
+from player.window.screen import LETTER, density
+
+# width and height of the panels, in letters' heights
+SIDE, BOTTOM = 19.0, 4.5
+# letters' heights that the picture must keep, else there are no panels
+LEAST = 12.0
+FIXED = (
+    imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_collapse
+    | imgui.WindowFlags_.no_bring_to_front_on_focus | imgui.WindowFlags_.no_saved_settings
+)  # fmt: skip
+SPECIAL = {
+    glfw.KEY_TAB: imgui.Key.tab, glfw.KEY_BACKSPACE: imgui.Key.backspace, glfw.KEY_ENTER: imgui.Key.enter,
+    glfw.KEY_KP_ENTER: imgui.Key.keypad_enter, glfw.KEY_ESCAPE: imgui.Key.escape, glfw.KEY_DELETE: imgui.Key.delete,
+    glfw.KEY_LEFT: imgui.Key.left_arrow, glfw.KEY_RIGHT: imgui.Key.right_arrow, glfw.KEY_UP: imgui.Key.up_arrow,
+    glfw.KEY_DOWN: imgui.Key.down_arrow, glfw.KEY_HOME: imgui.Key.home, glfw.KEY_END: imgui.Key.end,
+    glfw.KEY_LEFT_CONTROL: imgui.Key.left_ctrl, glfw.KEY_RIGHT_CONTROL: imgui.Key.right_ctrl,
+    glfw.KEY_LEFT_SHIFT: imgui.Key.left_shift, glfw.KEY_RIGHT_SHIFT: imgui.Key.right_shift,
+    glfw.KEY_LEFT_ALT: imgui.Key.left_alt, glfw.KEY_RIGHT_ALT: imgui.Key.right_alt,
+    glfw.KEY_LEFT_SUPER: imgui.Key.left_super, glfw.KEY_RIGHT_SUPER: imgui.Key.right_super,
+    glfw.KEY_SPACE: imgui.Key.space,
+}  # fmt: skip
+MODIFIERS = {
+    imgui.Key.left_ctrl: imgui.Key.mod_ctrl, imgui.Key.right_ctrl: imgui.Key.mod_ctrl,
+    imgui.Key.left_shift: imgui.Key.mod_shift, imgui.Key.right_shift: imgui.Key.mod_shift,
+    imgui.Key.left_alt: imgui.Key.mod_alt, imgui.Key.right_alt: imgui.Key.mod_alt,
+    imgui.Key.left_super: imgui.Key.mod_super, imgui.Key.right_super: imgui.Key.mod_super,
+}  # fmt: skip
+# text fields have shortcuts with these letters
+LETTERS = {
+    ord("A"): imgui.Key.a, ord("C"): imgui.Key.c, ord("V"): imgui.Key.v, ord("X"): imgui.Key.x, ord("Y"): imgui.Key.y,
+    ord("Z"): imgui.Key.z,
+}  # fmt: skip
+
+
+class Panels:
+    """Everything of Dear ImGui that one window has."""
+
+    def __init__(self, parts: WindowParts):
+        self._parts, self._layout = parts, parts.state.layout
+        self._layout.borders = self._borders
+        self._ui = Widgets()
+        self._posing = PosePanels(self._ui, parts)
+        context = self._layout.screen.context
+        self._imgui = imgui.create_context()
+        imgui.set_current_context(self._imgui)
+        io = imgui.get_io()
+        # nothing is written beside the user's files
+        io.set_ini_filename("")
+        io.set_log_filename("")
+        io.backend_flags |= imgui.BackendFlags_.renderer_has_textures
+        imgui.get_platform_io().renderer_texture_max_width = context.gl.info["GL_MAX_TEXTURE_SIZE"]
+        imgui.get_platform_io().renderer_texture_max_height = context.gl.info["GL_MAX_TEXTURE_SIZE"]
+        self._use_clipboard()
+        self._scale = density(self._layout.screen.handle)
+        _set_style(self._scale)
+        self._lists = DrawLists(context)
+
+    @property
+    def places(self) -> dict[str, tuple[float, float]]:
+        """Middle of each widget of the last frame, window units, by its name."""
+        return self._ui.places
+
+    @property
+    def tips(self) -> dict[str, str]:
+        """Tooltip of each widget of the last frame."""
+        return self._ui.tips
+
+    def _use_clipboard(self) -> None:
+        """Text fields copy to and paste from the system's clipboard."""
+        # glfw's clipboard belongs to none since 3.4, its types do not know
+        no_window: Any = None
+
+        def copied(_context: object) -> str:
+            found: Any = glfw.get_clipboard_string(no_window)
+            return (found or b"").decode("utf-8", "replace")
+
+        def copy(_context: object, text: str) -> None:
+            glfw.set_clipboard_string(no_window, text)
+
+        imgui.get_platform_io().platform_get_clipboard_text_fn = copied
+        imgui.get_platform_io().platform_set_clipboard_text_fn = copy
+
+    # -- input; each answers whether a panel took it
+
+    def _io(self) -> imgui.IO:
+        imgui.set_current_context(self._imgui)
+        return imgui.get_io()
+
+    def on_pointer(self, x: float | int, y: float | int) -> None:
+        self._io().add_mouse_pos_event(x, y)
+
+    def on_button(self, button: int, down: bool, over_picture: bool) -> bool:
+        if button < 5:
+            self._io().add_mouse_button_event(button, down)
+        return self.takes_pointer(over_picture)
+
+    def on_wheel(self, clicks: float | int, over_picture: bool) -> bool:
+        self._io().add_mouse_wheel_event(0.0, clicks)
+        return self.takes_pointer(over_picture)
+
+    def takes_pointer(self, over_picture: bool) -> bool:
+        """Where panels stand is known at once; what lies over the picture (a list that opened) since the last frame."""
+        return self._layout.panels_drawn and (self._io().want_capture_mouse or not over_picture)
+
+    def on_key(self, key: int, down: bool) -> bool:
+        io = self._io()
+        found = SPECIAL.get(key) or LETTERS.get(key)
+        if found == imgui.Key.tab and down and not io.want_text_input:
+            # outside a text field Tab selects an avatar; here it would begin to type in the next field
+            found = None
+        if found is not None:
+            io.add_key_event(found, down)
+            if found in MODIFIERS:
+                io.add_key_event(MODIFIERS[found], down)
+        return self._layout.panels_drawn and io.want_text_input
+
+    def on_text(self, letter: int) -> None:
+        self._io().add_input_character(letter)
+
+    # -- places
+
+    def _borders(self) -> tuple[int, int, int]:
+        """Left, right and lower border, pixels: none when panels are switched off, nor where they would leave too
+        little of the picture."""
+        size, letter = self._layout.screen.size, LETTER * self._scale * self._layout.screen.scale
+        left = round(SIDE * letter)
+        right, bottom = left if self._parts.posing.edit is not None else 0, round(BOTTOM * letter)
+        fits = min(size[0] - left - right, size[1] - bottom) >= LEAST * letter
+        return (left, right, bottom) if self._layout.panels_on and fits else (0, 0, 0)
+
+    # -- one frame
+
+    def draw(self, screen: moderngl.Framebuffer) -> None:
+        """Ask the panels what they show, and draw it."""
+        imgui.set_current_context(self._imgui)
+        io, size, (wide, high) = imgui.get_io(), self._layout.screen.size, self._layout.screen.units
+        io.display_size = imgui.ImVec2(wide, high)
+        io.display_framebuffer_scale = imgui.ImVec2(size[0] / max(wide, 1), size[1] / max(high, 1))
+        times = self._parts.state.last.times
+        io.delta_time = min(max(times[-1] if times else 1 / 60, 1e-4), 0.25)
+        imgui.new_frame()
+        self._ui.begin()
+        self._layout.panels_drawn = self._borders() != (0, 0, 0)
+        if self._layout.panels_drawn:
+            self._draw_overlays()
+            self._draw_panels(wide, high)
+        self._ui.end()
+        imgui.render()
+        self._lists.draw(imgui.get_draw_data(), screen, size)
+
+    def _draw_overlays(self) -> None:
+        """Over the picture, under the panels. Posing shows in its own way what is selected."""
+        parts = self._parts
+        if parts.posing.edit is None:
+            joint_mark(parts.state)
+        else:
+            pose_overlay(parts.posing.edit.tool, parts.state)
+        hud_panel(parts)
+
+    def _draw_panels(self, wide: int, high: int) -> None:
+        letter = LETTER * self._scale
+        side, bottom = SIDE * letter, BOTTOM * letter
+        ui, parts = self._ui, self._parts
+
+        def left() -> None:
+            for title, tip, draw in self._sections():
+                if ui.section(title, tip):
+                    draw()
+
+        self._panel("left", (0.0, 0.0, side, high - bottom), left)
+        self._panel("time", (0.0, high - bottom, float(wide), bottom), lambda: timeline_panel(ui, parts))
+        if parts.posing.edit is not None:
+            self._panel("right", (wide - side, 0.0, side, high - bottom), self._posing.draw)
+
+    def _sections(self) -> list[tuple[str, str, Callable[[], None]]]:
+        """What stands on the left: headings that fold what is under them, their tooltips and panels."""
+        ui, parts, playback = self._ui, self._parts, self._parts.state.playback
+        live = ("Live", "Who sends poses, and how late they are.", lambda: live_panel(ui, playback))
+        return [
+            ("Avatars", "Which avatars there are, and where they stand.", lambda: avatars_panel(ui, parts)),
+            *([live] if playback.live else []),
+            ("Camera", "What the picture is seen through.", lambda: camera_panel(ui, parts)),
+            ("View", "How the avatars are drawn.", lambda: view_panel(ui, parts)),
+        ]
+
+    def _panel(self, name: str, place: tuple[float, float, float, float], draw: Callable[[], None]) -> None:
+        """A panel at a place: left, top, width, height in window units."""
+        left, top, width, height = place
+        imgui.set_next_window_pos(imgui.ImVec2(left, top))
+        imgui.set_next_window_size(imgui.ImVec2(width, max(height, 1.0)))
+        if imgui.begin(f"##{name}", None, FIXED | imgui.WindowFlags_.no_title_bar)[0]:
+            imgui.push_item_width(-7.0 * LETTER * self._scale)
+            draw()
+            imgui.pop_item_width()
+        imgui.end()
+
+    def release(self) -> None:
+        imgui.set_current_context(self._imgui)
+        self._lists.release()
+        imgui.destroy_context(self._imgui)
+
+
+def _set_style(scale: float) -> None:
+    """Letters and colours; `scale` is window units a usual screen's pixel."""
+    font = Path(imgui_bundle.__file__).parent / "assets" / "fonts" / "DroidSans.ttf"
+    if font.is_file():
+        imgui.get_io().fonts.add_font_from_file_ttf(str(font), LETTER)
+    style = imgui.get_style()
+    style.font_size_base, style.font_scale_dpi = LETTER, scale
+    style.scale_all_sizes(scale)
+    style.window_rounding = style.frame_rounding = 3 * scale
+    style.set_color_(imgui.Col_.window_bg, imgui.ImVec4(0.11, 0.12, 0.14, 0.97))
+    style.set_color_(imgui.Col_.popup_bg, imgui.ImVec4(0.11, 0.12, 0.14, 1.0))
+    style.set_color_(imgui.Col_.frame_bg, imgui.ImVec4(0.2, 0.22, 0.26, 1.0))

@@ -1,0 +1,165 @@
+"""The panels on the left: avatars, live sources, the camera, and how it is drawn (effects: effects_panel.py)."""
+
+from dataclasses import replace
+
+import numpy as np
+from imgui_bundle import imgui
+
+from command.progress import plural
+from player.live.playback import LivePlayback
+from player.scene.cameras import NAMES
+from player.window.actions import (
+    ADD_CAMERA_KEY,
+    FILM,
+    FIRST_PERSON,
+    FOLLOW,
+    POSE,
+    RESET_CAMERA,
+    SAVE_CAMERA_PATH,
+    SCREENSHOT,
+    T_POSE,
+)
+from player.window.panels.effects_panel import effects_panel
+from player.window.panels.widgets import Widgets, tip_of
+from player.window.parts import WindowParts
+from player.window.playback import Playback
+from player.window.state import joint_name
+from player.window.viewpoint import Viewpoint
+from player.window.wipe import Wipe
+
+SPANS = ("sent to received", "received to applied", "received to drawn")
+
+
+def avatars_panel(ui: Widgets, parts: WindowParts) -> None:
+    """A row an avatar; below, the place and the start of the one that is selected."""
+    selection, posing = parts.state.selection, parts.posing
+    for index, name in enumerate(selection.names):
+        tip = f"{name}\nSelect this avatar. Key: tab selects the next."
+        if ui.row(name, tip, name=f"avatar {index}", selected=index == selection.avatar):
+            selection.choose(index)
+    track = parts.state.playback.tracks[selection.avatar]
+    ui.path("motion: ", track.name or "its own")
+    tip = "Where the avatar stands, metres: x, y (up) and z. Drag, or Ctrl+click to type."
+    at = ui.numbers("place, m", track.at.tolist(), tip, name="place")
+    if at is not None:
+        track.at = np.array(at, np.float64)
+    turn = ui.slider("turn", float(np.degrees(track.turn)), (-180.0, 180.0), "Turn the avatar about the vertical.")
+    if turn is not None:
+        track.turn = float(np.radians(turn))
+    if track.frames > 1:
+        tip = "The second of its motion at which this avatar begins."
+        start = ui.slider("start, s", track.start, (0.0, track.frames / track.rate), tip, name="start at", form="%.2f")
+        track.start = track.start if start is None else start
+    ui.action("Pose by hand" if posing.edit is None else "Stop posing", POSE, parts, name="pose")
+    joint = selection.joint
+    imgui.text_disabled(f"joint: {joint_name(joint)}" if joint is not None else "click the avatar to pick a joint")
+
+
+def live_panel(ui: Widgets, playback: Playback) -> None:
+    """A block for each source."""
+    for number, (live, _) in enumerate(playback.live):
+        imgui.push_id(number)
+        _source(live)
+        asked = live.countdown is not None
+        text = f"T-pose in {live.countdown:.0f} s" if asked else "Take the T-pose in 3 s"
+        if ui.button(text, tip_of(T_POSE), name="T-pose"):
+            live.ask_for_t_pose()
+        imgui.pop_id()
+
+
+def _source(live: LivePlayback) -> None:
+    facts = live.inbox.facts(live.clock())
+    imgui.text(str(live.address))
+    if facts.age is None:
+        imgui.text_disabled("waiting for poses")
+    else:
+        imgui.text(f"{facts.rate:.0f} poses/s, the newest {1000 * facts.age:.0f} ms old")
+        if not facts.tracking:
+            imgui.text_colored(imgui.ImVec4(1.0, 0.6, 0.3, 1.0), "the sender lost its tracking")
+    counts = {name: n for name, n in vars(facts.counters).items() if n or name in ("frames", "lost")}
+    imgui.text_disabled(", ".join(f"{name} {n}" for name, n in counts.items()))
+    spans = np.array(live.latency.spans).reshape(-1, 3)
+    if len(spans) and imgui.begin_table("latency", 4, imgui.TableFlags_.sizing_stretch_prop):
+        for text in ("ms", "p50", "p95", "p99"):
+            imgui.table_next_column()
+            imgui.text_disabled(text)
+        for name, values in zip(SPANS, spans.T, strict=True):
+            values = 1000 * values[np.isfinite(values)]
+            imgui.table_next_column()
+            imgui.text(name)
+            for percentile in (50, 95, 99):
+                imgui.table_next_column()
+                imgui.text(f"{np.percentile(values, percentile):.1f}" if len(values) else "-")
+        imgui.end_table()
+
+
+def camera_panel(ui: Widgets, parts: WindowParts) -> None:
+    """The camera, and what belongs to its kind."""
+    viewpoint = parts.viewpoint
+    cameras, kinds = viewpoint.cameras, viewpoint.cameras.kinds
+    tip = "What the picture is seen through. Key: c takes the next."
+    chosen = ui.choice("camera", kinds.index(cameras.kind), [NAMES.get(kind, kind) for kind in kinds], tip)
+    if chosen is not None:
+        viewpoint.choose(kinds[chosen])
+    if cameras.kind in ("orbit", "turntable"):
+        ui.action("Reset", RESET_CAMERA, parts, name="reset camera")
+        viewpoint.follow = ui.checkbox(
+            "follow the avatar", viewpoint.follow, tip_of(FOLLOW), name="follow", beside=True
+        )
+    elif cameras.kind == "walk":
+        imgui.text_disabled("\n".join(f"{action.shown_keys[0]}  {action.means}" for action in FIRST_PERSON.actions))
+    if parts.wipe is not None and viewpoint.shows_video:
+        _wipe(ui, parts.wipe, viewpoint)
+    ui.action("Add camera key", ADD_CAMERA_KEY, parts, name="add key")
+    if cameras.keys:
+        ui.action("Save path", SAVE_CAMERA_PATH, parts, beside=True)
+        if ui.button("Clear", "Forget the recorded keys.", name="clear keys", beside=True):
+            cameras.clear_keys()
+    if cameras.keys:
+        imgui.text_disabled(f"{plural(len(cameras.keys), 'camera key')}, the last at {cameras.keys[-1][0]:.2f} s")
+
+
+def _wipe(ui: Widgets, wipe: Wipe, viewpoint: Viewpoint) -> None:
+    tip = "How much of the width shows the video alone. Drag the yellow line in the picture, or press - and =."
+    part = ui.slider("wipe", wipe.part, (0.0, 1.0), tip, form="video | avatar")
+    if part is not None:
+        wipe.move(part)
+    tip = "On: the video is behind the avatar too. Off: the plain background is."
+    wipe.behind = ui.checkbox("video behind the avatar", wipe.behind, tip, name="behind")
+    imgui.text_disabled(f"{wipe.capture.part} video, picture {viewpoint.video_frame}")
+
+
+def view_panel(ui: Widgets, parts: WindowParts) -> None:
+    """Choices that change the plan make a new renderer, so nothing that is not chosen is ever run."""
+    look = parts.look
+    # above the effects, of which there are more than a small window shows
+    film = parts.recorder.film
+    ui.action("Screenshot", SCREENSHOT, parts)
+    ui.action("Stop film" if film else "Film", FILM, parts, name="film", beside=True)
+    tip = "Milliseconds that each effect adds to a frame now, beside it; timing them takes a moment."
+    if ui.button("Prices", tip, name="prices", beside=True):
+        parts.prices.ask()
+    if film is not None:
+        imgui.same_line()
+        imgui.text(plural(film.frames, "frame"))
+    effects_panel(ui, parts)
+    if look.renderer.has_view:
+        tip = "How much of the view dependence is shown. 0 is the paper."
+        amount = ui.slider("amount", look.renderer.view_amount, (0.0, 1.0), tip, form="%.2f")
+        look.renderer.view_amount = look.renderer.view_amount if amount is None else amount
+    levels = max(len(avatar.levels) for avatar in parts.state.avatars)
+    if levels > 1:
+        names = [f"{len(level.faces)} triangles" for level in parts.state.avatars[0].levels]
+        names += [f"level {k}" for k in range(len(names), levels)]
+        chosen = ui.choice("detail", min(look.level, levels - 1), names, "Level of detail: fewer triangles are faster.")
+        if chosen is not None:
+            look.change(level=chosen)
+        tip = "Each avatar gets a coarser level where it is small on the screen; the level above is the finest."
+        follows = ui.checkbox("by size", look.by_size, tip, name="detail by size", beside=True)
+        if follows != look.by_size:
+            look.follow_size(follows)
+    if look.background.kind == "color":
+        color = ui.color("background", look.background.color[:3], "Colour behind the avatars; click the patch.")
+        if color is not None:
+            red, green, blue = color
+            look.change(background=replace(look.background, color=(red, green, blue, 1.0)))

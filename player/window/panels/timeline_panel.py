@@ -1,0 +1,77 @@
+"""The panel of time: play, step, scrub, speed, loop, the range A to B."""
+
+from imgui_bundle import imgui
+
+from player.window.actions import (
+    FIRST_FRAME,
+    HELP,
+    LAST_FRAME,
+    PLAY,
+    RANGE_A,
+    RANGE_B,
+    RANGE_OFF,
+    STEP_BACK,
+    STEP_ON,
+)
+from player.window.panels.widgets import Widgets
+from player.window.parts import WindowParts
+from player.window.timeline import LOOPS, SPEEDS
+
+MARK = imgui.IM_COL32(255, 204, 51, 255)
+RANGE = imgui.IM_COL32(255, 204, 51, 60)
+
+
+def timeline_panel(ui: Widgets, parts: WindowParts) -> None:
+    """One row of buttons and one long slider."""
+    line, letter = parts.state.timeline, imgui.get_font_size()
+    ui.action("|<", FIRST_FRAME, parts, name="start")
+    ui.action("<", STEP_BACK, parts, name="back", beside=True)
+    ui.action("Pause" if line.playing else "Play", PLAY, parts, name="play", beside=True, width=4.2 * letter)
+    ui.action(">", STEP_ON, parts, name="on", beside=True)
+    ui.action(">|", LAST_FRAME, parts, name="end", beside=True)
+    imgui.same_line()
+    speeds = sorted({*SPEEDS, line.speed})
+    chosen = ui.choice("##speed", speeds.index(line.speed), [f"x {speed:g}" for speed in speeds],
+                       "How fast it plays. Keys: [ and ]", name="speed", width=5.5 * letter)  # fmt: skip
+    line.speed = line.speed if chosen is None else speeds[chosen]
+    imgui.same_line()
+    chosen = ui.choice("##loop", LOOPS.index(line.loop), LOOPS, "What happens at the end. Key: l", name="loop",
+                       width=7.0 * letter)  # fmt: skip
+    if chosen is not None:
+        line.loop, line.backwards = LOOPS[chosen], False
+    for name, action in (("A", RANGE_A), ("B", RANGE_B), ("A-B off", RANGE_OFF)):
+        ui.action(name, action, parts, name=name, beside=True)
+    ui.action("Keys", HELP, parts, name="keys", beside=True)
+    imgui.same_line()
+    if line.frames == 1 and parts.posing.edit is None:
+        imgui.text("live" if parts.state.playback.live else "one pose")
+        return
+    imgui.text(f"frame {line.frame} of {line.frames}   {line.seconds:.2f} s of {line.duration:.2f} s")
+    _scrubber(ui, parts)
+
+
+def _scrubber(ui: Widgets, parts: WindowParts) -> None:
+    line, edit = parts.state.timeline, parts.posing.edit
+    tip = "Drag to any moment. Yellow: the range A-B. Triangles: camera keys. Diamonds: keyframes of the pose."
+    frame = ui.scrubber(line.frame, max(line.frames - 1, 1), tip)
+    if frame is not None:
+        line.seek(frame)
+    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    draw = imgui.get_window_draw_list()
+
+    def across(frame: float | int) -> float:
+        return low.x + (high.x - low.x) * (frame + 0.5) / line.frames
+
+    if line.a is not None or line.b is not None:
+        last = line.frames - 1 if line.b is None else line.b
+        draw.add_rect_filled(imgui.ImVec2(across(line.a or 0), low.y), imgui.ImVec2(across(last), high.y), RANGE)
+    if edit is not None:
+        y = 0.5 * (low.y + high.y)
+        # a diamond each
+        for frame, _ in edit.session.keys:
+            draw.add_ngon_filled(imgui.ImVec2(across(frame * line.rate / edit.session.rate), y), 5.0, MARK, 4)
+    for seconds, _ in parts.viewpoint.cameras.keys:
+        x = across(seconds * line.rate - 0.5)
+        draw.add_triangle_filled(
+            imgui.ImVec2(x - 4, low.y - 1), imgui.ImVec2(x + 4, low.y - 1), imgui.ImVec2(x, low.y + 6), MARK
+        )

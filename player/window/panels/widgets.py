@@ -1,0 +1,204 @@
+"""Dear ImGui's widgets as the panels use them: each has a tooltip, and a name by which scripts find it.
+
+A widget answers with its new value, or None (a button: False) where nothing happened. A button that does what a key
+does is made from the table of keys and shows the key.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import PurePath
+
+from imgui_bundle import imgui
+
+from player.window.actions import Action
+from player.window.parts import WindowParts
+from player.window.text import shortened
+
+Span = tuple[float, float]
+# letters' heights at which a tooltip's line ends
+TIP_WIDTH = 22.0
+
+
+class Widgets:
+    """The widgets of one window, and where those of the last frame were."""
+
+    def __init__(self):
+        # middle of each widget of the last frame, window units, and its tooltip
+        self.places: dict[str, tuple[float, float]] = {}
+        self.tips: dict[str, str] = {}
+        self._placing: dict[str, tuple[float, float]] = {}
+        self._tipping: dict[str, str] = {}
+
+    def begin(self) -> None:
+        """A frame begins."""
+        self._placing, self._tipping = {}, {}
+
+    def end(self) -> None:
+        """The frame is complete: scripts find what it has."""
+        self.places, self.tips = self._placing, self._tipping
+
+    def _done(self, name: str, tip: str) -> None:
+        """The last widget is `name`; `tip` is shown while the pointer rests on it."""
+        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+        self._placing[name] = (0.5 * (low.x + high.x), 0.5 * (low.y + high.y))
+        self._tipping[name] = tip
+        if tip and imgui.begin_item_tooltip():
+            imgui.push_text_wrap_pos(TIP_WIDTH * imgui.get_font_size())
+            imgui.text_unformatted(tip)
+            imgui.pop_text_wrap_pos()
+            imgui.end_tooltip()
+
+    # -- buttons
+
+    def button(self, text: str, tip: str, *, name: str = "", beside: bool = False, width: float = 0.0) -> bool:
+        """Whether it was pressed. `beside` keeps it on the line, where it fits."""
+        if beside:
+            _stay_on_line(text, width)
+        pressed = imgui.button(f"{text}##{name}", imgui.ImVec2(width, 0))
+        self._done(name or text.lower(), tip)
+        return pressed
+
+    def action(
+        self, text: str, action: Action, parts: WindowParts, *, name: str = "", beside: bool = False, width: float = 0.0
+    ) -> None:
+        """A button that does what a key does."""
+        if self.button(text, tip_of(action), name=name, beside=beside, width=width):
+            action.do(parts)
+
+    def small_button(self, text: str, tip: str, *, name: str) -> bool:
+        pressed = imgui.small_button(f"{text}##{name}")
+        self._done(name, tip)
+        return pressed
+
+    # -- values
+
+    def checkbox(self, text: str, on: bool, tip: str, *, name: str = "", beside: bool = False) -> bool:
+        """Whether it is on now."""
+        if beside:
+            _stay_on_line(text, imgui.get_frame_height())
+        on = imgui.checkbox(text, on)[1]
+        self._done(name or text, tip)
+        return on
+
+    def choice(
+        self, label: str, chosen: int, known: Sequence[str], tip: str, *, name: str = "", width: float | None = None
+    ) -> int | None:
+        """One of a short list."""
+        if width is not None:
+            imgui.set_next_item_width(width)
+        changed, chosen = imgui.combo(label, chosen, list(known))
+        self._done(name or label, tip)
+        return chosen if changed else None
+
+    def slider(
+        self, label: str, value: float, span: Span, tip: str, *, name: str = "", form: str = "%.0f deg"
+    ) -> float | None:
+        changed, value = imgui.slider_float(f"{label}##{name}", value, *span, form)
+        self._done(name or label, tip)
+        return value if changed else None
+
+    def scrubber(self, frame: int, last: int, tip: str) -> int | None:
+        """The long slider of the timeline."""
+        imgui.set_next_item_width(-1)
+        changed, frame = imgui.slider_int("##scrub", frame, 0, last, "")
+        self._done("scrub", tip)
+        return frame if changed else None
+
+    def numbers(self, label: str, values: Sequence[float], tip: str, *, name: str) -> list[float] | None:
+        """Three numbers that are dragged or typed."""
+        changed, values = imgui.drag_float3(label, [float(v) for v in values], 0.01, -100.0, 100.0, "%.2f")
+        self._done(name, tip)
+        return values if changed else None
+
+    def number(self, label: str, value: float, tip: str, *, name: str) -> float | None:
+        """A number to type, or to step by one or by five."""
+        changed, value = imgui.input_float(label, value, 1.0, 5.0, "%.2f")
+        self._done(name, tip)
+        return value if changed else None
+
+    def color(self, label: str, color: Sequence[float], tip: str) -> list[float] | None:
+        changed, color = imgui.color_edit3(label, list(color))
+        self._done(label, tip)
+        return color if changed else None
+
+    def field(self, label: str, text: str, tip: str, *, hint: str = "") -> str:
+        """A field of text; what is in it now."""
+        text = imgui.input_text_with_hint(label, hint, text)[1]
+        self._done(label, tip)
+        return text
+
+    # -- lists and folds
+
+    def row(self, text: str, tip: str, *, name: str, selected: bool = False) -> bool:
+        """A line to choose; whether it was."""
+        chosen = imgui.selectable(f"{elided(text)}##{name}", selected)[0]
+        self._done(name, tip)
+        return chosen
+
+    def long_choice(self, name: str, preview: str, tip: str, rows: Callable[[], None]) -> None:
+        """A list that opens; `rows` are drawn while it is open."""
+        imgui.set_next_item_width(-1)
+        opened = imgui.begin_combo(f"##{name}", preview, imgui.ComboFlags_.height_large)
+        if opened:
+            rows()
+            imgui.end_combo()
+        self._done(name, tip)
+
+    def section(self, title: str, tip: str) -> bool:
+        """A heading that folds what is under it; whether that is to be drawn."""
+        opened = imgui.collapsing_header(title, imgui.TreeNodeFlags_.default_open)
+        self._done(title, tip)
+        return opened
+
+    def fold(self, title: str, tip: str, rows: Callable[[], None]) -> None:
+        """What is drawn only when it is unfolded."""
+        opened = imgui.tree_node(title)
+        self._done(title, tip)
+        if opened:
+            rows()
+            imgui.tree_pop()
+
+    # -- text
+
+    def note(self, text: str) -> None:
+        """A few words beside the last widget; none where there are no words."""
+        if text:
+            imgui.same_line()
+            imgui.text_disabled(text)
+
+    def path(self, label: str, path: str) -> None:
+        """A file of which as much is shown as fits, its name first; the whole in the tooltip."""
+        room = imgui.get_content_region_avail().x - imgui.calc_text_size(label).x
+        imgui.text_disabled(label + elided(path, room))
+        self._done(f"path {label.strip(' :')}", path)
+
+
+def tip_of(action: Action) -> str:
+    """What an action does, and its keys."""
+    return f"{action.means[0].upper()}{action.means[1:]}.\nKey: {' or '.join(action.shown_keys)}"
+
+
+def elided(text: str, room: float | None = None) -> str:
+    """A path or name that fits the room in window units (None: what is left of the line). First the folders go, from
+    the left, then the middle of the name."""
+    width = imgui.get_content_region_avail().x if room is None else room
+
+    def fits(cut: str) -> bool:
+        return imgui.calc_text_size(cut).x <= width
+
+    if fits(text):
+        return text
+    parts = PurePath(text).parts
+    for first in range(1, len(parts)):
+        cut = ".../" + "/".join(parts[first:])
+        if fits(cut):
+            return cut
+    return shortened(parts[-1] if parts else text, fits)
+
+
+def _stay_on_line(text: str, more: float) -> None:
+    """The next widget beside the last one, where the panel is wide enough for it."""
+    style = imgui.get_style()
+    width = imgui.calc_text_size(text).x + more + 3 * style.frame_padding.x
+    right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
+    if imgui.get_item_rect_max().x + style.item_spacing.x + width <= right:
+        imgui.same_line()

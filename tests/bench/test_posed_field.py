@@ -1,0 +1,121 @@
+"""Which direction the field is asked at for a pixel: the global one, the pixel's own, or that inside the cone."""
+
+import numpy as np
+import pytest
+import torch
+from posed_fields import NearField, run_of, view_of
+from scipy import ndimage
+
+from avatar.camera import orbit_camera, pixel_rays
+from avatar.rotation import matrix_from_axis_angle
+from avatar.skeleton import BIG_POSE
+from bench.field.rungs import draw_volume, field_rungs
+from bench.ladder.rung_pictures import ComparedFrame
+from player.draw.raster import Rasteriser
+from player.gl.context import open_context
+from train.fused import FusedField
+
+TURN = np.array([0.0, 0.8, 0.1])
+SIZE = (96, 96)
+
+
+class DirectionField(FusedField):
+    """A field whose color is the direction it is asked at; every point is on its surface."""
+
+    def __init__(self):
+        torch.nn.Module.__init__(self)
+
+    def distance(self, points, *, grad=False):
+        return torch.zeros(len(points))
+
+    def color(self, points, directions):
+        return 0.5 + 0.5 * directions
+
+
+@pytest.fixture(scope="module")
+def view():
+    return view_of(lambda vertices, faces: DirectionField())
+
+
+def test_volume_rendering_shows_the_surface_and_converges():
+    """Many thin sections of a thin surface show its color where the rays hit it; few are near, in this order."""
+    view = view_of(NearField)
+    pose = np.zeros((52, 3))
+    pose[0], pose[18, 1] = TURN, -1.0
+    camera = orbit_camera((0, 0, 0), 3.2, 0.4, 0.1, SIZE)
+    context = open_context()
+    raster = Rasteriser(context)
+    try:
+        surface = view.draw(raster, pose, np.zeros(3), camera, directions="cone")
+        pictures = [
+            draw_volume(view, raster, (pose, np.zeros(3)), camera, beta=0.0008, sections=count)
+            for count in (2, 8, 32, 64)
+        ]
+    finally:
+        raster.release()
+        context.release()
+    best = pictures[-1]
+    assert (best.mask & surface.mask).sum() > 0.9 * surface.mask.sum()
+    inside = ndimage.binary_erosion(surface.mask & best.mask, iterations=2)
+    assert np.abs(best.color - surface.color)[inside].mean() < 0.01
+    errors = [np.square(picture.color - best.color).mean() for picture in pictures[:-1]]
+    assert errors[0] > errors[1] > errors[2] and errors[2] < 1e-5
+
+
+def test_the_rungs_of_a_run_are_its_surface_and_its_volume(monkeypatch):
+    run = run_of(NearField)
+    monkeypatch.setattr("bench.field.rungs.read_run", lambda path: run)
+    pose = np.zeros((52, 3)), np.zeros(3)
+    camera = orbit_camera((0, 0, 0), 3.2, 0.4, 0.1, (48, 48))
+    context = open_context()
+    try:
+        surface, volume = field_rungs(context, run.path, [ComparedFrame(pose, camera, None)])
+    finally:
+        context.release()
+    assert (surface.name, volume.name) == ("field, surface", "field, volume of 64")
+    assert len(surface.ms) == 3 and len(volume.ms) == 1 and min(*surface.ms, *volume.ms) > 0
+    assert surface.bytes == volume.bytes == 4000
+    both = (surface.pictures[0].max(-1) > 0) & (volume.pictures[0].max(-1) > 0)
+    assert both.sum() > 100
+    assert np.median(np.abs(surface.pictures[0] - volume.pictures[0])[both]) < 0.02
+
+
+@pytest.fixture(scope="module")
+def drawn(view):
+    """Directions asked for at covered pixels, by mode, and the pixels' rays; the whole person turned by TURN."""
+    context = open_context()
+    raster = Rasteriser(context)
+    pose = np.zeros((52, 3))
+    pose[0] = TURN
+    pose[[1, 2]] = BIG_POSE[[1, 2]]  # the canonical pose but for the turn: every bone turns alike
+    camera = orbit_camera((0, 0, 0), 3.2, 0.4, 0.1, SIZE)
+    try:
+        pictures = {
+            mode: view.draw(raster, pose, np.zeros(3), camera, directions=mode) for mode in ("global", "own", "cone")
+        }
+    finally:
+        raster.release()
+        context.release()
+    mask = pictures["own"].mask
+    rays = pixel_rays(camera)[1].reshape(*SIZE, 3)[mask]
+    return {mode: 2 * picture.color[mask] - 1 for mode, picture in pictures.items()}, rays
+
+
+def test_with_the_ray_transformation_every_pixel_asks_at_the_global_direction(drawn):
+    asked, _ = drawn
+    assert len(asked["global"]) > 300
+    np.testing.assert_allclose(asked["global"], np.tile([0, 0, -1], (len(asked["global"]), 1)), atol=1e-6)
+
+
+def test_without_it_a_pixel_asks_at_its_own_ray_turned_into_the_canonical_frame(drawn):
+    asked, rays = drawn
+    canonical = rays @ matrix_from_axis_angle(TURN)  # R^T d, row by row
+    np.testing.assert_allclose(asked["own"], canonical, atol=1e-5)
+
+
+def test_the_cone_lies_between_the_two(drawn):
+    asked, _ = drawn
+    to_axis = {mode: np.arccos(np.clip(-d[:, 2], -1, 1)) for mode, d in asked.items()}
+    assert to_axis["own"].max() > 0.5 and to_axis["own"].min() > 0.02
+    assert (to_axis["cone"] < to_axis["own"]).all() and (to_axis["cone"] > 0.01).all()
+    assert to_axis["cone"].max() < 0.2  # 1.6 deviations of .1: nowhere beyond what was seen

@@ -1,0 +1,131 @@
+"""COLMAP models: text and binary say the same, and files that lie are refused at once."""
+
+import struct
+import time
+
+import numpy as np
+import pytest
+from foreign_layouts import write_colmap
+
+from capture.read.colmap import read_colmap
+from command.errors import AssetError
+
+MODELS = ["SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"]
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("binary", [True, False], ids=["binary", "text"])
+def test_cameras_are_those_written(source, tmp_path, model, binary):
+    found = read_colmap(write_colmap(source, tmp_path / "model", binary=binary, model=model))
+    assert list(found) == ["000000.png", "000001.png", "000002.png"]
+    for camera, expected in zip(found.values(), source.videos["head"].cameras):
+        np.testing.assert_allclose(camera.camera_from_world, expected.camera_from_world, atol=1e-12)
+        np.testing.assert_array_equal(camera.K, expected.K)
+        assert camera.size == expected.size
+
+
+def test_parameters_go_where_each_model_has_them(tmp_path):
+    cases = {
+        "SIMPLE_PINHOLE 64 48 50 31 23": (50, 50, 31, 23, [0, 0, 0, 0, 0]),
+        "PINHOLE 64 48 50 51 31 23": (50, 51, 31, 23, [0, 0, 0, 0, 0]),
+        "SIMPLE_RADIAL 64 48 50 31 23 .1": (50, 50, 31, 23, [0.1, 0, 0, 0, 0]),
+        "RADIAL 64 48 50 31 23 .1 .2": (50, 50, 31, 23, [0.1, 0.2, 0, 0, 0]),
+        "OPENCV 64 48 50 51 31 23 .1 .2 .3 .4": (50, 51, 31, 23, [0.1, 0.2, 0.3, 0.4, 0]),
+    }
+    lines = [f"{i} {text}" for i, text in enumerate(cases)]
+    (tmp_path / "cameras.txt").write_text("\n".join(lines))
+    # x, y, z of a quarter turn about z; a name with a space; no line of points after the last
+    images = [f"{i} .70710678 0 0 .70710678 1 2 3 {i} a {i}.png\n" for i in range(5)]
+    (tmp_path / "images.txt").write_text("# w x y z\n" + "\n".join(images))
+    for i, (camera, (fx, fy, cx, cy, d)) in enumerate(zip(read_colmap(tmp_path).values(), cases.values())):
+        np.testing.assert_array_equal(camera.K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        np.testing.assert_array_equal(camera.distortion, d)
+        np.testing.assert_allclose(camera.camera_from_world[:3, :3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-12)
+        np.testing.assert_array_equal(camera.camera_from_world[:3, 3], [1, 2, 3])
+        assert f"a {i}.png" in read_colmap(tmp_path)
+
+
+def test_the_usual_subfolders_are_looked_into(source, tmp_path):
+    write_colmap(source, tmp_path / "work/sparse/0")
+    assert len(read_colmap(tmp_path / "work")) == 3
+    with pytest.raises(AssetError, match="expected a COLMAP model"):
+        read_colmap(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin"])
+def test_a_file_cut_at_any_byte_is_refused(source, tmp_path, name):
+    write_colmap(source, tmp_path / "m")
+    whole = (tmp_path / "m" / name).read_bytes()
+    for length in range(len(whole)):
+        (tmp_path / "m" / name).write_bytes(whole[:length])
+        with pytest.raises(AssetError, match=name.replace(".", r"\.")) as error:
+            read_colmap(tmp_path / "m")
+        assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("count", [2, 1 << 20, 1 << 40, (1 << 64) - 1])
+@pytest.mark.parametrize("name, at", [("cameras.bin", 0), ("images.bin", 0), ("images.bin", "points")])
+def test_counts_beyond_the_file_are_refused_within_a_second(source, tmp_path, name, at, count):
+    write_colmap(source, tmp_path / "m")
+    data = bytearray((tmp_path / "m" / name).read_bytes())
+    if at == "points":
+        at = data.index(b"000000.png\0") + 11
+    data[at : at + 8] = struct.pack("<Q", max(count, 4) if at == 0 else count)
+    (tmp_path / "m" / name).write_bytes(data)
+    began = time.process_time()
+    with pytest.raises(AssetError, match=name.replace(".", r"\.")):
+        read_colmap(tmp_path / "m")
+    assert time.process_time() - began < 1
+
+
+def test_flipped_bytes_are_refused_or_read(source, tmp_path):
+    rng = np.random.default_rng(3)
+    write_colmap(source, tmp_path / "m", model="OPENCV")
+    for name in ("cameras.bin", "images.bin"):
+        whole = (tmp_path / "m" / name).read_bytes()
+        for _ in range(200):
+            damaged = bytearray(whole)
+            for place in rng.integers(0, len(whole), 2):
+                damaged[place] = rng.integers(256)
+            (tmp_path / "m" / name).write_bytes(damaged)
+            try:
+                cameras = read_colmap(tmp_path / "m")
+                assert all(np.isfinite(c.camera_from_world).all() for c in cameras.values())
+            except AssetError as error:
+                assert "\n" not in str(error)
+        (tmp_path / "m" / name).write_bytes(whole)
+
+
+BAD = {
+    "1 FOV 64 48 50 50 32 24 .9": r"camera 1: camera model should be one of SIMPLE_PINHOLE, .* is FOV",
+    "1 PINHOLE 64 48 0 0 32 24": r"camera 1: focal length should be positive, is 0, 0",
+    "1 PINHOLE 64 48 50 50 32": r"camera 1: PINHOLE has 4 parameters, found 3",
+    "1 PINHOLE 64 48 50 nan 32 24": r"camera 1: K should be finite",
+    "1 PINHOLE 0 48 50 50 32 24": r"camera 1: size should be two whole numbers",
+    "1 PINHOLE wide 48 50 50 32 24": r"expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, found",
+    "2 PINHOLE 64 48 50 50 32 24": r"image a\.png: no camera 1",
+}
+
+
+@pytest.mark.parametrize("line", BAD)
+def test_cameras_that_are_none_are_refused_by_name(tmp_path, line):
+    (tmp_path / "cameras.txt").write_text(line)
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 1 a.png\n\n")
+    with pytest.raises(AssetError, match=BAD[line]):
+        read_colmap(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "line, message",
+    [
+        ("1 2 0 0 0 0 0 0 1 a.png", r"image a\.png: the quaternion should have length 1, has 2"),
+        ("1 1 0 0 0 0 0 inf 1 a.png", r"image a\.png: camera_from_world should be finite"),
+        ("1 1 0 0 0 0 0 0 1", r"expected IMAGE_ID"),
+        ("1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 0 0 0 1 a.png", r"image a\.png: is there twice"),
+    ],
+)
+def test_images_that_have_no_pose_are_refused(tmp_path, line, message):
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 64 48 50 50 32 24")
+    (tmp_path / "images.txt").write_text(line + "\n\n")
+    with pytest.raises(AssetError, match=message):
+        read_colmap(tmp_path)

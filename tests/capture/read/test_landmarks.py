@@ -1,0 +1,121 @@
+"""Landmarks: triangulated exactly, reported in pixels, refused where the pixels say something else."""
+
+import json
+
+import numpy as np
+import pytest
+
+from avatar.body import builtin_body
+from avatar.camera import Camera, orbit_camera, project
+from capture.read.landmarks import read_pixels, triangulated
+from capture.read.places import SMPLH_COUNT, SMPLH_VERTICES, landmark_vertices
+from capture.read.template import part_of
+from command.errors import AssetError
+
+POINT = np.array([0.03, 0.05, -0.02])
+
+
+def cameras(*degrees: float) -> list[Camera]:
+    lens = np.array([0.08, -0.03, 0.002, -0.001, 0.01])
+    out = []
+    for angle in degrees:
+        c = orbit_camera([0, 0, 0], 0.9, np.radians(angle), 0.2, (640, 480))
+        out.append(Camera(c.K, c.camera_from_world, c.size, lens))
+    return out
+
+
+def pixels(views: list[Camera]) -> np.ndarray:
+    return np.concatenate([project(view, POINT[None])[0] for view in views])
+
+
+@pytest.mark.parametrize("degrees", [(0, 10), (0, 90), (-40, 0, 35, 60), (0, 180)])
+def test_exact_pixels_give_the_point(degrees):
+    views = cameras(*degrees)
+    point, error = triangulated("file: nose", views, pixels(views))
+    np.testing.assert_allclose(point, POINT, atol=1e-8)
+    assert error < 1e-5
+
+
+def test_noisy_pixels_give_the_point_of_least_squares():
+    views = cameras(-50, -20, 10, 40)
+    seen = pixels(views) + np.random.default_rng(0).normal(size=(4, 2))
+    point, error = triangulated("file: nose", views, seen)
+    assert np.linalg.norm(point - POINT) < 0.003  # a pixel is 1.2 mm there
+
+    def cost(p):
+        return sum(((project(v, p[None])[0][0] - s) ** 2).sum() for v, s in zip(views, seen))
+
+    assert error == pytest.approx(np.sqrt(cost(point) / 4))
+    for step in 1e-5 * np.concatenate([np.eye(3), -np.eye(3)]):
+        assert cost(point + step) > cost(point)
+
+
+def test_what_no_point_explains_is_refused():
+    views = cameras(0, 40, 80)
+    seen = pixels(views)
+    with pytest.raises(
+        AssetError, match=r"file: nose should be one place in all its pictures within 6\.4 pixels, its pixels"
+    ):
+        triangulated("file: nose", views, seen + [[0, 0], [0, 40], [0, -40]])
+    with pytest.raises(AssetError, match="at least 2 registered pictures, is in 1"):
+        triangulated("file: nose", views[:1], seen[:1])
+    with pytest.raises(AssetError, match=r"from 3 degrees apart or more, they are 0\.9"):
+        near = cameras(0, 1)
+        triangulated("file: nose", near, pixels(near))
+
+
+def test_pixels_that_meet_behind_a_camera_are_refused():
+    views = cameras(0, 20)
+    # rays that diverge in front meet behind
+    with pytest.raises(AssetError, match="file: nose should lie before its cameras, its pixels meet behind one"):
+        triangulated("file: nose", views, pixels(views) + [[-300, 0], [300, 0]])
+
+
+@pytest.mark.parametrize(
+    "content, message",
+    [
+        ("[", "expected landmarks"),
+        ("[]", 'expected {"pixels"'),
+        ('{"pixels": {"nose_tip": [1, 2]}}', r"pixels\.nose_tip should be \{picture"),
+        ('{"pixels": {"nose_tip": {"a.png": [1]}}}', r"pixels\.nose_tip\.a\.png should be \[x, y\]"),
+        (
+            '{"pixels": {"nose_tip": {"a.png": [1, NaN]}}}',
+            r"expected landmarks \(JSON\), found: NaN, which is not a number of JSON",
+        ),
+        ('{"pixels": {}, "vertices": {"mole": -1}}', r"vertices\.mole should be the number of a vertex"),
+        ("[" * 5000, "expected landmarks"),
+    ],
+)
+def test_files_that_are_none_are_refused(tmp_path, content, message):
+    (tmp_path / "l.json").write_text(content)
+    with pytest.raises(AssetError, match=rf"l\.json: {message}"):
+        read_pixels(tmp_path / "l.json")
+
+
+def test_pixels_and_own_vertices_are_read(tmp_path):
+    (tmp_path / "l.json").write_text(json.dumps({"pixels": {"mole": {"a.png": [1, 2.5]}}, "vertices": {"mole": 7}}))
+    seen, own = read_pixels(tmp_path / "l.json")
+    assert seen["mole"]["a.png"].tolist() == [1, 2.5] and own == {"mole": 7}
+
+
+@pytest.mark.parametrize("sex", ["male", "female"])
+def test_places_of_the_free_body_are_where_their_names_say(sex):
+    body = builtin_body(sex)
+    found = landmark_vertices(body.vertices, part_of(body.skin) == 1)
+    assert len(found) >= 12
+    at = {name: body.vertices[v] for name, v in found.items()}
+    assert at["nose_tip"][2] == max(p[2] for p in at.values())
+    for left in ("left_eye", "left_ear", "left_mouth"):
+        right = at[left.replace("left", "right")]
+        np.testing.assert_allclose(at[left][1:], right[1:], atol=1e-4)
+        assert at[left][0] - at["nose_tip"][0] == pytest.approx(at["nose_tip"][0] - right[0], abs=0.003)
+        assert at[left][0] > 0.015
+    assert at["chin"][1] < at["left_mouth"][1] < at["nose_tip"][1] < at["left_eye"][1] < at["forehead"][1]
+
+
+def test_a_mesh_of_smplh_has_its_published_vertices():
+    rest = np.zeros((SMPLH_COUNT, 3))
+    rest[:, 1] = np.linspace(0, 0.2, SMPLH_COUNT)
+    found = landmark_vertices(rest, np.ones(SMPLH_COUNT, bool))
+    assert SMPLH_VERTICES.items() <= found.items()
+    assert SMPLH_VERTICES["nose_tip"] == 332

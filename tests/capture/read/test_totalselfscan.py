@@ -1,0 +1,273 @@
+"""The authors' released layout: what comes out is the capture that went in, trap by trap."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+from capture_agreement import assert_same_capture, assert_same_head
+from foreign_layouts import J0, copied, numbers, object_array, write_weight_grid
+from PIL import Image
+
+from avatar.rotation import matrix_from_axis_angle
+from avatar.skeleton import joint_transforms
+from avatar.skinning import dense_weights
+from capture.folder import read_capture
+from capture.read.folder import anchored, chosen_frames, read_mask
+from capture.read.totalselfscan import AUTHORS_FRAMES, import_totalselfscan
+from command.errors import AssetError
+from files.npz import read_npy
+
+
+@pytest.fixture
+def damaged(authors, tmp_path):
+    """A copy of the authors' folder to change."""
+    return copied(authors, tmp_path / "male-anna")
+
+
+def changed(path, change):
+    """The dict of an object file, changed and saved again."""
+    held = read_npy(path, "a test's file")
+    change(held if len(held) > 1 else held[0])
+    object_array(path, held if len(held) > 1 else held[0])
+
+
+def refused(root, tmp_path, body, match):
+    """One line that names what is wrong, and no folder."""
+    with pytest.raises(AssetError, match=match) as error:
+        import_totalselfscan(root, tmp_path / "out", body=body)
+    assert "\n" not in str(error.value) and str(root) in str(error.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_authors_folder_becomes_the_capture_that_it_was_written_from(authors, source, body, tmp_path):
+    notes = import_totalselfscan(authors, tmp_path / "out", body=body)
+    found = assert_same_capture(tmp_path / "out", source)
+    assert_same_head(found, source)
+    assert "not redistributable" in found.facts["body_licence"] and body.name in found.facts["body_licence"]
+    assert found.facts["subject"] == "male-anna" and found.facts["notes"] == notes
+    known = json.loads((tmp_path / "out/head/landmarks.json").read_text())
+    assert len(known["points"]) >= 12
+    for name, vertex in known["vertices"].items():
+        np.testing.assert_allclose(known["points"][name], source.subject.vertices[vertex] + J0, atol=1e-7)
+
+
+def test_without_a_model_the_weights_come_from_the_grid(damaged, source, tmp_path):
+    write_weight_grid(source, damaged / "lbs/bigpose_bw.npy")
+    notes = import_totalselfscan(damaged, tmp_path / "out")
+    found = read_capture(tmp_path / "out").subject
+    np.testing.assert_allclose(found.vertices, source.subject.vertices, atol=1e-6)
+    assert any("bigpose_bw" in note for note in notes)
+    apart = np.abs(dense_weights(found.skin) - dense_weights(source.subject.skin)).sum(1)
+    away_from_hands = source.subject.part < 2
+    assert np.median(apart[away_from_hands]) < 0.08  # a grid of 25 mm blurs; the nearest joint alone is .5 off
+    assert (found.part != source.subject.part).mean() < 0.02
+
+
+def test_a_grid_of_another_margin_is_refused(damaged, source, tmp_path):
+    write_weight_grid(source, damaged / "lbs/bigpose_bw.npy")
+    grid = np.load(damaged / "lbs/bigpose_bw.npy")
+    numbers(damaged / "lbs/bigpose_bw.npy", grid[3:-3])
+    refused(damaged, tmp_path, None, r"bigpose_bw\.npy: expected about .* found")
+
+
+@pytest.mark.parametrize("folder, factor, unit", [(".", 1e-3, "millimetres"), ("hand/handl", 1e3, "metres")])
+def test_the_wrong_unit_of_a_camera_is_refused(damaged, tmp_path, body, folder, factor, unit):
+    path = damaged / folder / "annots.npy"
+    changed(path, lambda held: held["cams"].update(T=[factor * held["cams"]["T"][0]]))
+    refused(damaged, tmp_path, body, rf"annots\.npy: cams\.T, in {unit}, should place the camera .* places it at")
+
+
+def test_a_body_in_millimetres_is_refused(damaged, tmp_path, body):
+    for name in ("joints", "bigpose_vertices"):
+        numbers(damaged / f"lbs/{name}.npy", 1000 * np.load(damaged / f"lbs/{name}.npy"))
+    refused(damaged, tmp_path, body, r"bigpose_vertices\.npy: the body should be .* tall .* is 1\d{3}.*: millimetres\?")
+
+
+def test_the_rotation_is_about_the_origin(authors, tmp_path, body):
+    import_totalselfscan(authors, tmp_path / "out", body=body)
+    for part, folder in (("body", "."), ("hand_right", "hand/handr")):
+        video = read_capture(tmp_path / "out").videos[part]
+        elsewhere = []  # where a rotation about the pelvis would put it
+        for k, file in enumerate(sorted((authors / folder / "params").iterdir())):
+            (params,) = read_npy(file, "params")
+            R = matrix_from_axis_angle(params["Rh"][0])
+            np.testing.assert_allclose(video.root[k], params["Th"][0] + R @ J0, atol=1e-9)
+            elsewhere.append(np.abs(video.root[k] - (params["Th"][0] + J0)).max())
+        assert max(elsewhere) > 0.02
+
+
+def test_poses_that_are_not_those_of_the_vertices_are_refused(damaged, tmp_path, body):
+    file = min((damaged / "params").iterdir())
+    changed(file, lambda held: held.update(Th=held["Th"] + [0.2, 0, 0]))
+    refused(damaged, tmp_path, body, r"vertices/000500\.npy: vertices should lie within 3 cm .* are \d")
+
+
+def test_a_root_inside_poses_turns_about_the_pelvis_first(damaged, source, tmp_path, body):
+    for file in (damaged / "params").iterdir():
+
+        def half(held):  # Rh and the root share the turn
+            R = matrix_from_axis_angle(held["Rh"][0])
+            pelvis = held["Th"][0] + R @ J0
+            held["poses"] = np.concatenate([held["Rh"], held["poses"][:, 3:]], 1)
+            held["Rh"] = np.zeros((1, 3))
+            held["Th"] = (pelvis - J0)[None]
+
+        changed(file, half)
+    import_totalselfscan(damaged, tmp_path / "out", body=body)
+    assert_same_capture(tmp_path / "out", source)
+
+
+def test_frame_remove_leaves_out_half_open_ranges_of_indices(damaged, source, tmp_path, body):
+    (damaged / "hand/handl/frame_remove.json").write_text('{"bad_frame": [[1, 2], [7, 9]]}')
+    notes = import_totalselfscan(damaged, tmp_path / "out", body=body)
+    found = read_capture(tmp_path / "out")
+    np.testing.assert_array_equal(found.videos["hand_left"].images, source.videos["hand_left"].images[[0, 2]])
+    np.testing.assert_allclose(found.videos["hand_left"].root, source.videos["hand_left"].root[[0, 2]], atol=1e-9)
+    assert len(found.videos["hand_right"].images) == 3
+    assert "hand_left: 1 frames left out by frame_remove.json" in notes
+
+
+def test_frames_are_the_authors_where_the_video_is_as_long_and_the_users_where_given(authors, tmp_path, body):
+    start, step, number = AUTHORS_FRAMES["body"]
+    frames = chosen_frames(1400, 100, AUTHORS_FRAMES["body"], "video")
+    assert (frames[0], frames[-1], len(frames)) == (start, start + step * (number - 1), number) == (500, 1390, 90)
+    assert chosen_frames(1000, 4, None, "video").tolist() == [0, 333, 666, 999]
+    with pytest.raises(AssetError, match=r"video: frame 6 is chosen .* has 5"):
+        chosen_frames(5, 100, (0, 2, 4), "video")
+    import_totalselfscan(authors, tmp_path / "out", body=body, select={"body": (1, 1, 2), "head": (0, 2, 2)})
+    found = read_capture(tmp_path / "out")
+    assert [len(found.videos[part].images) for part in ("body", "head", "hand_left")] == [2, 2, 3]
+
+
+def test_a_face_camera_without_its_leading_axis_is_refused(damaged, tmp_path, body):
+    path = damaged / "face/new_cameras.npy"
+    changed(path, lambda held: held[1].update(R=held[1]["R"][0]))
+    refused(
+        damaged, tmp_path, body, r"new_cameras\.npy: camera 1: R should be finite with a leading axis of 1, is \(3, 3\)"
+    )
+
+
+def test_a_face_in_another_frame_is_refused(damaged, tmp_path, body):
+    path = damaged / "face/tvertices_face.npy"
+    numbers(path, np.load(path) + [0, 0.3, 0])
+    refused(damaged, tmp_path, body, r"tvertices_face\.npy: the face should lie within 3 cm .* is \d+(\.\d+)? cm away")
+
+
+def test_masks_are_labels_or_0_and_1_and_jpeg_rings_are_no_person(tmp_path):
+    person = np.zeros((40, 40), bool)
+    person[8:32, 10:30] = True
+    for name, values, any_value in [
+        ("a.png", 13, True),
+        ("b.png", 1, True),
+        ("c.png", 1, False),
+        ("d.png", 255, False),
+    ]:
+        Image.fromarray((person * values).astype(np.uint8)).save(tmp_path / name)
+        np.testing.assert_array_equal(read_mask(tmp_path / name, (40, 40), any_value=any_value), person)
+    Image.fromarray((person * 255).astype(np.uint8)).save(tmp_path / "e.jpg", quality=60)
+    assert (np.asarray(Image.open(tmp_path / "e.jpg"))[~person] > 0).any()  # nonzero would be wrong
+    np.testing.assert_array_equal(read_mask(tmp_path / "e.jpg", (40, 40), any_value=True), person)
+    with pytest.raises(AssetError, match=r"a\.png: mask should be \(20, 40\) pixels .* is \(40, 40\)"):
+        read_mask(tmp_path / "a.png", (20, 40), any_value=True)
+
+
+def test_a_wrist_stays_where_its_own_skeleton_had_it(source):
+    video, joints = source.videos["hand_left"], source.subject.joints
+    other = 1.07 * joints
+    root = anchored(video.axis_angle, video.root, other, joints, "hand_left")
+    ours = joint_transforms(video.axis_angle, joints, root)[:, 20, :3, 3]
+    theirs = joint_transforms(video.axis_angle, other, video.root)[:, 20, :3, 3]
+    np.testing.assert_allclose(ours, theirs, atol=1e-12)
+    assert np.linalg.norm(root - video.root, axis=1).min() > 0.02
+
+
+class Bomb:
+    def __init__(self, place):
+        self.place = place
+
+    def __reduce__(self):
+        return (os.mkdir, (self.place,))
+
+
+@pytest.mark.parametrize("file", ["annots.npy", "params/000500.npy", "face/new_cameras.npy", "hand/handr/annots.npy"])
+def test_code_in_an_object_array_is_never_run(damaged, tmp_path, body, file):
+    place = str(tmp_path / "executed")
+    object_array(damaged / file, {"cams": Bomb(place), "poses": Bomb(place)})
+    refused(damaged, tmp_path, body, r"mkdir.*nothing was run")
+    assert not os.path.exists(place)
+
+
+def remove(root, name):
+    (root / name).unlink()
+
+
+BAD = {
+    "three of four videos": (
+        lambda r: (r / "hand/handr").rename(r / "hand/other"),
+        r"expected four videos, found no hand_right \(hand/handr\)",
+    ),
+    "no masks": (lambda r: (r / "mask_cihp").rename(r / "masks"), r"000500\.png: no mask; expected one of .*mask_cihp"),
+    "no face mask": (lambda r: remove(r, "face/masks/0001.png"), r"face/masks/0001\.png: no such mask"),
+    "poses shorter than frames": (lambda r: remove(r, "params/000502.npy"), r"params/000502\.npy: no such file"),
+    "a pose of 24 joints": (
+        lambda r: changed(r / "params/000501.npy", lambda p: p.update(poses=np.zeros((1, 72)))),
+        r"params/000501\.npy: poses should be \(156,\), is \(1, 72\)",
+    ),
+    "zero focal length": (
+        lambda r: changed(r / "annots.npy", lambda a: a["cams"].update(K=[np.diag([0.0, 0.0, 1.0])])),
+        r"annots\.npy, cams: focal length should be positive, is 0, 0",
+    ),
+    "a camera that mirrors": (
+        lambda r: changed(r / "annots.npy", lambda a: a["cams"].update(R=[np.diag([1.0, 1.0, -1.0])])),
+        r"annots\.npy, cams: camera_from_world should hold a rotation",
+    ),
+    "no cameras": (lambda r: changed(r / "annots.npy", lambda a: a.pop("cams")), r"annots\.npy: cams should be a dict"),
+    "frames of different sizes": (
+        lambda r: Image.new("RGB", (30, 32)).save(r / "images/00/000501.png"),
+        r"000501\.png: should be \(32, 32\) pixels .* is \(30, 32\)",
+    ),
+    "a picture that is none": (
+        lambda r: (r / "face/images/0002.png").write_bytes(b"no picture"),
+        r"0002\.png: expected a picture",
+    ),
+    "a path out of the folder": (
+        lambda r: changed(r / "annots.npy", lambda a: a["ims"][1].update(ims=["../../secret.png"])),
+        r"annots\.npy: ims\[1\] should be a path within the folder",
+    ),
+    "fewer face cameras than images": (
+        lambda r: object_array(r / "face/new_cameras.npy", read_npy(r / "face/new_cameras.npy", "x")[:2]),
+        r"new_cameras\.npy: expected a camera for each of 3 images, found 2",
+    ),
+    "joints of SMPL": (
+        lambda r: numbers(r / "lbs/joints.npy", np.zeros((24, 3))),
+        r"joints\.npy: joints should be \(52, 3\), is \(24, 3\)",
+    ),
+    "another tree": (
+        lambda r: numbers(r / "lbs/parents.npy", np.arange(52) - 1),
+        r"parents\.npy: expected SMPL\+H's 52 joints",
+    ),
+    "not finite": (
+        lambda r: numbers(r / "lbs/joints.npy", np.full((52, 3), np.nan)),
+        r"joints\.npy: joints is not finite",
+    ),
+    "another body": (
+        lambda r: numbers(r / "lbs/bigpose_vertices.npy", np.load(r / "lbs/bigpose_vertices.npy")[:-5]),
+        r"bigpose_vertices\.npy: expected 13380 vertices as model, found 13375",
+    ),
+    "all frames removed": (
+        lambda r: (r / "frame_remove.json").write_text('{"bad_frame": [[0, 99]]}'),
+        r"bad_frame leaves no frame",
+    ),
+    "a cut file": (
+        lambda r: (r / "annots.npy").write_bytes((r / "annots.npy").read_bytes()[:-40]),
+        r"annots\.npy: expected cameras",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_folders_are_refused_in_one_line(damaged, tmp_path, body, case):
+    change, message = BAD[case]
+    change(damaged)
+    refused(damaged, tmp_path, body, message)

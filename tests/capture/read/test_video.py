@@ -1,0 +1,159 @@
+"""Four videos of a painted figure become a capture folder; the fit is a stand-in that knows nothing of them."""
+
+import json
+
+import numpy as np
+import pytest
+from filmed_figure import film_all
+
+from avatar.body import builtin_body
+from avatar.camera import Camera, look_at, pinhole, project
+from avatar.skeleton import PARTS
+from capture.folder import read_capture
+from capture.raw.scan import FittedScan, FittedVideo
+from capture.read.close_up import UNKNOWN, PartMasks
+from capture.read.places import landmark_vertices
+from capture.read.template import body_template
+from capture.read.video import VideoImport, import_video
+from command.errors import AssetError
+from selfscan.__main__ import main
+
+
+def given(folder, **changed):
+    names = {"body": "body", "head": "head", "hand_left": "left", "hand_right": "right"}
+    paths = {part: folder / f"{name}.mp4" for part, name in names.items()}
+    return VideoImport(paths, folder / "keypoints", **({"frames": 8} | changed))
+
+
+def stand_in(scan, work, left_out=()):
+    """A template and cameras of the right kind."""
+    template = body_template(builtin_body("male"))
+    videos = {}
+    for part, raw in scan.videos.items():
+        count = len(raw.frames)
+        middle = template.vertices[template.part == PARTS.index(part)].mean(0) if part != "body" else np.zeros(3)
+        eye = middle + [0, 0, 3.0 if part == "body" else 0.6]
+        camera = Camera(pinhole(raw.size, 0.6), look_at(eye, middle), raw.size)
+        posed = part != "head"
+        usable = ~np.isin(np.arange(count), left_out)
+        videos[part] = FittedVideo(
+            (camera,) * count,
+            np.zeros((count, 52, 3)) if posed else None,
+            np.zeros((count, 3)) if posed else None,
+            usable,
+        )
+    places = landmark_vertices(template.vertices, template.part == 1)
+    landmarks = {name: (template.vertices[v], v) for name, v in places.items()}
+    return FittedScan(template, videos, landmarks, ("fitted by a stand-in",))
+
+
+def test_a_capture_is_written_whole_with_soft_rims_and_its_origin(filmed_four, tmp_path):
+    out = tmp_path / "capture"
+    notes = import_video(given(filmed_four), out, lambda scan, work: stand_in(scan, work, left_out=(2,)))
+    capture = read_capture(out)
+    assert capture.facts["input"] == "from_pixels" and capture.facts["body_licence"].startswith("CC0")
+    for part in PARTS:
+        video = capture.videos[part]
+        # 8 chosen, one left out by the fit
+        assert 6 <= len(video.images) == len(capture.facts["frame_numbers"][part]) <= 7
+        assert video.unsure is not None and 0 < video.unsure.mean() < (0.1 if part == "body" else 0.6)
+        assert 0.01 < video.masks.mean() < 0.7
+    assert any("body.mp4: 8 frames kept" in note for note in notes) and notes[-1] == "fitted by a stand-in"
+    assert not out.with_name("capture.partial").exists()
+
+
+@pytest.mark.parametrize("part", PARTS[1:])
+def test_the_rest_of_the_person_is_unknown_in_a_close_up(part):
+    template = body_template(builtin_body("male"))
+    members = template.vertices[template.part == PARTS.index(part)]
+    middle = members.mean(0)
+    camera = Camera(pinhole((120, 90), 0.9), look_at(middle + [0, 0, 0.6], middle), (120, 90))
+    posed = part != "head"
+    poses, root = (np.zeros((1, 52, 3)), np.zeros((1, 3))) if posed else (None, None)
+    fit = FittedVideo((camera,), poses, root, np.ones(1, bool))
+    places = landmark_vertices(template.vertices, template.part == 1)
+    close_up = PartMasks(template, part, {name: (template.vertices[v], v) for name, v in places.items()})
+    mask = np.full((90, 120), 255, np.uint8)
+    mask[:, :20] = 0
+    found = close_up.mask(mask, camera, fit, 0)
+    assert (found[:, :20] == 0).all()
+    pixels, _ = project(camera, members)
+    x, y = np.floor(pixels).astype(int).T
+    inside = (x >= 20) & (x < 120) & (y >= 0) & (y < 90)
+    assert inside.sum() > 100 and (found[y[inside], x[inside]] == 255).all()
+    # a corner is far from it
+    assert found[0, 119] == UNKNOWN and 0.1 < (found[:, 20:] == UNKNOWN).mean() < 0.95
+
+
+def test_what_was_interrupted_goes_on_and_other_input_begins_anew(filmed_four, tmp_path, capsys):
+    out = tmp_path / "capture"
+
+    def stopped(scan, work):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        import_video(given(filmed_four), out, stopped)
+    work = out.with_name("capture.partial")
+    assert work.is_dir() and not out.exists()
+    made = {path: path.stat().st_mtime_ns for path in work.rglob("*.png")}
+    assert len(made) == 2 * 4 * 8
+    with pytest.raises(KeyboardInterrupt):
+        import_video(given(filmed_four), out, stopped)
+    assert "goes on with what is done" in capsys.readouterr().out
+    assert {path: path.stat().st_mtime_ns for path in work.rglob("*.png")} == made
+    with pytest.raises(KeyboardInterrupt):
+        import_video(given(filmed_four, frames=6), out, stopped)
+    assert len(list(work.rglob("*.png"))) == 2 * 4 * 6
+
+
+def test_a_folder_of_somebody_elses_is_left_alone(filmed_four, tmp_path):
+    (tmp_path / "capture.partial").mkdir()
+    (tmp_path / "capture.partial" / "diary.txt").write_text("mine")
+    with pytest.raises(AssetError, match=r"capture\.partial: is in the way"):
+        import_video(given(filmed_four), tmp_path / "capture", stand_in)
+    assert (tmp_path / "capture.partial" / "diary.txt").read_text() == "mine"
+
+
+def test_bad_videos_stop_before_anything_is_fitted(tmp_path):
+    film_all(tmp_path, body={"second": True})
+    with pytest.raises(AssetError, match=r"body\.mp4: two people are in view"):
+        import_video(given(tmp_path), tmp_path / "capture", lambda scan, work: pytest.fail("fitted"))
+    assert not list(tmp_path.glob("capture*"))
+
+
+def test_masks_of_another_tool_are_taken_as_they_are(filmed_four, tmp_path):
+    from PIL import Image
+
+    masks = tmp_path / "masks"
+    for part in PARTS:
+        (masks / part).mkdir(parents=True)
+        for i in range(90):
+            pixels = np.zeros((180, 240), np.uint8)
+            pixels[50:130, 60 + i // 3 : 180] = 255
+            Image.fromarray(pixels).save(masks / part / f"{i:06d}.png")
+    import_video(given(filmed_four, masks=masks), tmp_path / "capture", stand_in)
+    capture = read_capture(tmp_path / "capture")
+    numbers = json.loads((tmp_path / "capture" / "capture.json").read_text())["frame_numbers"]["body"]
+    firsts = [int(np.flatnonzero(mask.any(0))[0]) for mask in capture.videos["body"].masks]
+    assert firsts == [60 + number // 3 for number in numbers]
+    (masks / "head" / "000000.png").unlink()
+    with pytest.raises(AssetError, match=r"expected a mask for each of 90 frames of head\.mp4, found 89"):
+        import_video(given(filmed_four, masks=masks), tmp_path / "again", stand_in)
+
+
+def test_keypoints_of_three_videos_are_not_enough(filmed_four, tmp_path):
+    points = tmp_path / "keypoints"
+    points.mkdir()
+    for part in PARTS[:3]:
+        (points / f"{part}.json").write_text((filmed_four / "keypoints" / f"{part}.json").read_text())
+    with pytest.raises(AssetError, match=r"hand_right: expected keypoints .* found nothing of right\.mp4"):
+        import_video(VideoImport(given(filmed_four).videos, points), tmp_path / "capture", stand_in)
+
+
+def test_the_command_wants_four_videos(filmed_four, tmp_path, capsys):
+    three = [str(filmed_four / f"{name}.mp4") for name in ("body", "head", "left")]
+    assert main(["import", "video", *three, "-o", str(tmp_path / "capture")]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("selfscan import: expected four videos, BODY HEAD LEFT RIGHT, found 3")
+    assert said.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,97 @@
+"""Hollows carved by colour: a ball of skin, a block of brown hair at its side, and cells that are nothing."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from avatar.camera import Camera, look_at
+from avatar.skinning import SkinWeights
+from capture.folder import CaptureSubject
+from capture.template.hollows import ColorView, carve_hollows, color_views
+from geometry.rasterise import rasterise
+
+CELL = 0.006
+SKIN, BROWN = np.array([0.9, 0.7, 0.6]), np.array([0.3, 0.2, 0.1])
+LOW = np.array([-0.15, -0.15, -0.15])
+
+
+def cells(low, high):
+    axis = LOW[0] + CELL * np.arange(51)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    return np.all([(a >= lo) & (a <= hi) for a, lo, hi in zip((x, y, z), low, high)], axis=0)
+
+
+def ball_cells():
+    axis = LOW[0] + CELL * np.arange(51)
+    return np.sqrt(sum(a**2 for a in np.meshgrid(axis, axis, axis, indexing="ij"))) < 0.06
+
+
+TRUE = cells((0.06, -0.05, -0.03), (0.10, 0.05, 0.03))
+NOTHING = cells((-0.03, -0.03, 0.05), (0.03, 0.03, 0.09)) & ~ball_cells()
+
+
+def template() -> CaptureSubject:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.06)
+    count = len(ball.vertices)
+    skin = SkinWeights(np.zeros((count, 4), int), np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)))
+    return CaptureSubject("ball", ball.vertices, ball.vertices, ball.faces, skin, np.zeros((52, 3)),
+                          np.ones(count, int), np.zeros(count, bool))  # fmt: skip
+
+
+def filmed(tint: float = 0.0) -> list[ColorView]:
+    """Sixteen pictures from around; `tint` makes hair look different from every side."""
+    ball = template()
+    box = trimesh.creation.box((0.04, 0.10, 0.06)).subdivide()
+    box.apply_translation((0.08, 0, 0))
+    vertices = np.concatenate([ball.vertices, box.vertices])
+    faces = np.concatenate([ball.faces, box.faces + len(ball.vertices)])
+    # two halves of the skin in two colours: a cell before it would have to be both
+    middle = vertices[faces].mean(1)
+    color = np.where((middle[:, :1] * 40).astype(int) % 2 == 0, SKIN, SKIN * 0.8)
+    color[len(ball.faces) :] = BROWN
+    K = np.array([[150.0, 0, 48], [0, 150, 48], [0, 0, 1]])
+    views = []
+    for i in range(16):
+        a = 2 * np.pi * i / 16
+        eye = np.array([np.sin(a), 0.3 * np.sin(3 * a), np.cos(a)])
+        camera = Camera(K, look_at(eye * 0.45 / np.linalg.norm(eye), np.zeros(3)), (96, 96))
+        face = rasterise(vertices, faces, camera).face
+        picture = np.where((face >= 0)[..., None], color[face], 0)
+        picture = picture + tint * (i % 2) * (face >= len(ball.faces))[..., None]
+        views.append(ColorView(picture, face >= 0, camera))
+    return views
+
+
+@pytest.fixture(scope="module")
+def carved() -> np.ndarray:
+    hair = TRUE | NOTHING
+    return carve_hollows(hair | ball_cells(), hair, LOW, CELL, template(), filmed())
+
+
+def test_cells_that_show_what_lies_behind_them_are_carved(carved):
+    # cells close before one colour may as well be skin that stands out a little
+    assert (carved & NOTHING).sum() > 0.5 * NOTHING.sum()
+
+
+def test_hair_stays(carved):
+    assert (carved & TRUE).sum() < 0.05 * TRUE.sum()
+
+
+def test_skin_is_never_carved(carved):
+    assert not (carved & ball_cells() & ~TRUE & ~NOTHING).any()
+
+
+def test_hair_that_shines_a_little_stays():
+    hair = TRUE | NOTHING
+    carved = carve_hollows(hair | ball_cells(), hair, LOW, CELL, template(), filmed(tint=0.1))
+    assert (carved & TRUE).sum() < 0.05 * TRUE.sum()
+
+
+def test_pictures_are_averaged_down_with_their_cameras():
+    camera = Camera(np.array([[600.0, 0, 150], [0, 600, 150], [0, 0, 1]]), np.eye(4), (300, 300))
+    image = np.zeros((300, 300, 3), np.uint8)
+    image[:150] = 255
+    (view,) = color_views(image[None], np.ones((1, 300, 300), bool), [camera])
+    assert view.image.shape == (100, 100, 3) and view.camera.size == (100, 100)
+    assert view.image[:50].min() == 1 and view.image[50:].max() == 0
+    assert view.camera.K[0, 0] == 200 and view.camera.K[0, 2] == 50

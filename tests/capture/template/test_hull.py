@@ -1,0 +1,117 @@
+"""Hair carved from masks: a ball with a block behind it, filmed all round in silhouette."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from avatar.camera import orbit_camera, pixel_rays
+from capture.template.grid import DistanceGrid
+from capture.template.hull import STANDS_OFF, MaskView, background_share, carve, hair_mesh
+
+RADIUS = 0.1  # metres, of the head, at the origin
+HAIR = np.array([[-0.08, -0.16, -0.16], [0.08, 0.02, -0.03]])  # a block, behind and below
+LOW, HIGH, CELL = np.array([-0.2, -0.25, -0.25]), np.array([0.2, 0.15, 0.2]), 0.006
+
+
+def ball() -> DistanceGrid:
+    axes = [np.arange(LOW[i], HIGH[i] + CELL, CELL) for i in range(3)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    return DistanceGrid((np.linalg.norm(grid, axis=-1) - RADIUS).astype(np.float32), LOW.astype(np.float32), CELL)
+
+
+def filmed(hair: bool) -> list[MaskView]:
+    """Exact silhouettes of the ball, with or without the block, from 30 places on three circles."""
+    views = []
+    for i in range(30):
+        camera = orbit_camera(np.zeros(3), 1.0, np.radians(12.0 * i), np.radians((-25, 0, 25)[i % 3]), (160, 160), 0.6)
+        origins, directions = pixel_rays(camera)
+        along = -(origins * directions).sum(1)
+        mask = np.linalg.norm(origins + along[:, None] * directions, axis=1) < RADIUS
+        if hair:
+            near, far = (HAIR[0] - origins) / directions, (HAIR[1] - origins) / directions
+            mask |= np.minimum(near, far).max(1) < np.maximum(near, far).min(1)
+        views.append(MaskView(mask.reshape(160, 160), camera))
+    return views
+
+
+def grown(view: MaskView, pixels: int) -> MaskView:
+    change = ndimage.binary_dilation if pixels > 0 else ndimage.binary_erosion
+    return replace_mask(view, change(view.mask, iterations=abs(pixels)))
+
+
+def replace_mask(view: MaskView, mask: np.ndarray) -> MaskView:
+    return view._replace(mask=np.asarray(mask, bool))
+
+
+def standing(views: list[MaskView]) -> np.ndarray | None:
+    """The cells of the hair carved, farther off the ball than what counts as hair."""
+    template = ball()
+    hair = carve(views, template, neck=-0.05)
+    return None if hair is None else (hair.share > 0.5) & (template.values > STANDS_OFF)
+
+
+def block() -> np.ndarray:
+    axes = [np.arange(LOW[i], HIGH[i] + CELL, CELL) for i in range(3)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    inside = ((grid > HAIR[0]) & (grid < HAIR[1])).all(-1)
+    return inside & (np.linalg.norm(grid, axis=-1) > RADIUS + STANDS_OFF)
+
+
+def test_nothing_is_added_to_a_bald_head():
+    assert standing(filmed(hair=False)) is None
+
+
+@pytest.mark.parametrize("pixels", [-2, 2])
+def test_masks_two_pixels_off_add_nothing_to_a_bald_head(pixels):
+    assert standing([grown(view, pixels) for view in filmed(hair=False)]) is None
+
+
+def test_carved_hair_is_the_block_less_the_margin():
+    found, true = standing(filmed(hair=True)), block()
+    assert found is not None
+    assert (found & ~true).sum() <= 0.12 * true.sum()  # a hull is never smaller, the margin mostly takes it back
+    core = ndimage.binary_erosion(true, iterations=2)
+    assert (found & core).sum() >= 0.98 * core.sum()
+
+
+@pytest.mark.parametrize("noise", ["eroded", "dilated", "mixed"])
+def test_masks_two_pixels_off_move_the_hair_by_little(noise):
+    views = [
+        grown(view, {"eroded": -2, "dilated": 2, "mixed": 2 if i % 2 else -2}[noise])
+        for i, view in enumerate(filmed(hair=True))
+    ]
+    found, exact = standing(views), standing(filmed(hair=True))
+    assert found is not None and exact is not None
+    pixel = 0.6 / 160  # metres, at a metre's distance: 2 px are 7.5 mm, little over a cell
+    reach = int(np.ceil(2 * pixel / CELL)) + 1
+    beyond = found & ~np.asarray(ndimage.binary_dilation(exact, iterations=reach), bool)
+    assert beyond.sum() <= 0.02 * exact.sum()  # the hull's wedges between ball and block grow faster
+    core = ndimage.binary_erosion(exact, iterations=reach)
+    assert core.any() and (found & core).sum() >= 0.97 * core.sum()
+
+
+def test_one_bad_mask_in_thirty_changes_little():
+    views = filmed(hair=True)
+    views[4] = replace_mask(views[4], np.zeros_like(views[4].mask))
+    found, exact = standing(views), standing(filmed(hair=True))
+    assert found is not None and exact is not None
+    assert (found ^ exact).sum() <= 0.1 * exact.sum()
+
+
+def test_background_share_counts_only_pictures_that_hold_the_point():
+    views = filmed(hair=False)
+    share, seen = background_share(np.array([[0.0, 0.0, 0.0], [0.0, 0.14, 0.0], [0.0, 0.0, 5.0]]), views)
+    assert seen[0] == 30 and share[0] == 0.0
+    assert seen[1] == 30 and share[1] == 1.0
+    assert seen[2] < 30
+
+
+def test_the_mesh_of_hair_is_closed_faces_outwards_and_holds_its_volume():
+    hair = carve(filmed(hair=True), ball(), neck=-0.05)
+    assert hair is not None
+    vertices, faces = hair_mesh(hair)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    assert set(map(tuple, edges)) == set(map(tuple, edges[:, ::-1]))  # each edge once in each direction
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    volume = (a * np.cross(b, c)).sum() / 6
+    assert volume == pytest.approx(hair.share.sum() * CELL**3, rel=0.03)

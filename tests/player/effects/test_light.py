@@ -1,0 +1,233 @@
+"""Avatars lit anew: read back and held against avatar/light.py, and nothing where it is not asked for."""
+
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+import pytest
+from PIL import Image
+from radiance_writer import radiance_bytes, sky
+
+from avatar.camera import orbit_camera
+from avatar.gltf.avatar_file import read_avatar, write_avatar
+from avatar.light import CaptureLight, lamps_of
+from avatar.skeleton import skin_transforms
+from avatar.skinning import blended_rotations, skin_points
+from player.draw.raster import Rasteriser
+from player.effects.background import Background
+from player.effects.background_source import read_panorama
+from player.effects.light import Light, background_gains
+from player.effects.panorama_light import fitted_light
+from player.film.shot import Shot, with_whole_paths
+from player.scene.effects import PLAIN
+from player.scene.scene import Scene, SceneAvatar
+
+SIZE = (120, 140)
+CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)
+SIDE = lamps_of(np.array([[0.8, 0.5, 0.2], [-0.7, 0.1, -0.3]]), np.array([0.6, 0.3]))
+OFF = replace(PLAIN, view="off")
+
+
+def lit_avatar(avatar, gamma: float = 1.0, gloss: float = 0.1):
+    """The built-in body as if it had been filmed in a light; what it was seen under varies over it."""
+    level = avatar.levels[0]
+    seen = np.stack([0.9 + 0.2 * level.normals[:, 1], 0.02 + 0.01 * level.normals[:, 0]], 1).astype(np.float32)
+    light = CaptureLight(0.4, SIDE, gloss=gloss, gamma=gamma, frame="world")
+    return replace(avatar, levels=(replace(level, light=seen),), light=light)
+
+
+def expected(context, avatar, pose, base, light):
+    """The picture by NumPy, where a pixel shows one triangle in the middle of others."""
+    level = avatar.levels[0]
+    axis_angle, root = pose
+    transforms = skin_transforms(axis_angle, avatar.joint_positions, root, rest=avatar.canonical_pose)
+    posed = skin_points(level.positions, level.skin, transforms)
+    normals = np.einsum("vij,vj->vi", blended_rotations(level.skin, transforms), level.normals)
+    raster = Rasteriser(context)
+    try:
+        drawn = raster.draw(posed, level.faces.astype(np.int64), CAMERA)
+    finally:
+        raster.release()
+    hit = drawn.face >= 0
+    corners, weight = level.faces[drawn.face[hit]], drawn.barycentric[hit].astype(np.float64)
+    of = lambda values: (weight[:, :, None] * values[corners]).sum(1)
+    unit = lambda v: v / np.linalg.norm(v, axis=-1, keepdims=True)
+    # at the vertices, of three each, and between them
+    n, eye, seen = normals[corners], unit(CAMERA.eye - posed[corners]), level.light.astype(np.float64)[corners]
+    each = lambda k: light.shown(
+        light.albedo(base[hit] / 255, seen[:, k, 0], seen[:, k, 1]),
+        light.shading(n[:, k]),
+        light.highlight(n[:, k], eye[:, k]),
+    )
+    by_vertex = sum(weight[:, k, None] * each(k) for k in range(3))
+    n, seen, eye = unit(of(normals)), of(level.light.astype(np.float64)), unit(CAMERA.eye - of(posed))
+    albedo = light.albedo(base[hit] / 255, seen[:, 0], seen[:, 1])
+    by_pixel = light.shown(albedo, light.shading(n), light.highlight(n, eye))
+    return hit, 255 * by_vertex, 255 * by_pixel
+
+
+def assert_lit(context, avatar, pose, base, shown, light):
+    """As NumPy has it at the vertices; on the whole as it has it in each pixel."""
+    hit, by_vertex, by_pixel = expected(context, avatar, pose, base[..., :3].astype(np.float64), light)
+    off = np.abs(shown[..., :3][hit] - by_vertex).max(1)
+    assert np.quantile(off, 0.9) <= 0.6
+    assert np.abs(shown[..., :3][hit] - by_pixel).max(1).mean() < 1.2
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+@pytest.mark.parametrize("skinning", ["lbs", "dual_quaternion"])
+def test_the_captures_light_is_what_numpy_says_and_stays_where_it_was(render, context, avatar, pose, gamma, skinning):
+    filmed = lit_avatar(avatar, gamma)
+    effects = replace(OFF, skinning=skinning)
+    base = render(filmed, SIZE, effects=effects).draw([pose], CAMERA)
+    shown = render(filmed, SIZE, effects=replace(effects, light=Light())).draw([pose], CAMERA)
+    if skinning == "dual_quaternion":
+        # its surface lies elsewhere; that it is lit is enough
+        assert np.abs(shown[..., :3].astype(int) - base[..., :3]).max() > 30
+        return
+    assert_lit(context, filmed, pose, base, shown, filmed.light)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.2])
+def test_light_without_a_highlight_is_one_factor_of_each_vertex(render, context, avatar, pose, gamma):
+    filmed = lit_avatar(avatar, gamma, gloss=0.0)
+    matt = filmed.levels[0].light * np.float32([1, 0])
+    filmed = replace(filmed, levels=(replace(filmed.levels[0], light=matt),))
+    base = render(filmed, SIZE, effects=OFF).draw([pose], CAMERA)
+    asked = render(filmed, SIZE, effects=replace(OFF, light=Light()))
+    assert_lit(context, filmed, pose, base, asked.draw([pose], CAMERA), filmed.light)
+    programs = [handle for handle in asked.plan.handles if handle.kind is moderngl.Program]
+    assert any(("LIT", 1) in program.depends_on for program in programs)
+
+
+def test_without_light_albedo_is_shown(render, context, avatar, pose):
+    filmed = lit_avatar(avatar)
+    base = render(filmed, SIZE, effects=OFF).draw([pose], CAMERA)
+    shown = render(filmed, SIZE, effects=replace(OFF, light=Light(by="albedo"))).draw([pose], CAMERA)
+    assert_lit(context, filmed, pose, base, shown, CaptureLight(1.0))
+
+
+def test_lamps_that_a_scene_names_light_an_avatar_whose_file_tells_no_light(render, avatar, pose):
+    lamps = Light(by="lamps", ambient=0.0, strength=1.0, direction=(0.0, 0.0, 1.0))
+    base = render(avatar, SIZE, effects=OFF).draw([pose], CAMERA)
+    shown = render(avatar, SIZE, effects=replace(OFF, light=lamps)).draw([pose], CAMERA)
+    assert (shown <= base).all()
+    assert shown[..., :3].sum() < 0.95 * base[..., :3].sum()
+    even = Light(by="lamps", ambient=1.0, strength=0.0)
+    same = render(avatar, SIZE, effects=replace(OFF, light=even)).draw([pose], CAMERA)
+    assert np.abs(same.astype(int) - base).max() <= 1
+
+
+@pytest.mark.parametrize("view", ["off", "vertex", "network"])
+def test_not_asked_for_it_is_the_same_frame_program_and_objects(render, context, avatar, pose, view):
+    plain = render(avatar, SIZE, effects=replace(PLAIN, view=view))
+    before = plain.draw([pose], CAMERA).copy(), context.counts.objects(), plain.plan.bytes
+    plain.release()
+    filmed = render(lit_avatar(avatar), SIZE, effects=replace(PLAIN, view=view))
+    after = filmed.draw([pose], CAMERA), context.counts.objects(), filmed.plan.bytes
+    assert np.array_equal(before[0], after[0])
+    assert before[1:] == after[1:]
+    programs = [handle for handle in filmed.plan.handles if handle.kind is moderngl.Program]
+    assert programs
+    assert all(("LIT", 0) in program.depends_on for program in programs)
+
+
+def test_view_dependence_is_lit_too_and_explained(render, avatar, pose):
+    filmed = lit_avatar(avatar)
+    lit = render(filmed, SIZE, effects=replace(PLAIN, view="network", light=Light()))
+    dark = lit.draw([pose], CAMERA).copy()
+    assert any("lit by ambient 0.40 and 2 lamps" in one.decision.why for one in lit.drawn)
+    bright = render(filmed, SIZE, effects=replace(PLAIN, view="network")).draw([pose], CAMERA)
+    assert np.abs(dark.astype(int) - bright).max() > 30
+
+
+def test_the_file_gives_the_light_back(tmp_path, avatar):
+    filmed = lit_avatar(avatar, 2.2)
+    write_avatar(tmp_path / "lit.glb", filmed)
+    found = read_avatar(tmp_path / "lit.glb")
+    assert found.light == filmed.light
+    np.testing.assert_array_equal(found.levels[0].light, filmed.levels[0].light)
+    with pytest.raises(ValueError, match="light should be in the avatar and all of its levels"):
+        write_avatar(tmp_path / "half.glb", replace(filmed, light=None))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"by": "sun"}, "by"),
+        ({"by": "lamps", "direction": (0.0, 0.0, 0.0)}, "direction: expected a direction"),
+        ({"by": "lamps", "ambient": 0.0, "strength": 0.0}, "ambient: expected some light"),
+    ],
+)
+def test_what_lights_nothing_is_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        Light(**settings)
+
+
+# -- panoramas, and what is behind
+
+
+@pytest.fixture(scope="module")
+def behind(tmp_path_factory):
+    """A panorama, and a warm dark picture."""
+    folder = tmp_path_factory.mktemp("behind")
+    (folder / "sky.hdr").write_bytes(radiance_bytes(sky(64)))
+    Image.fromarray(np.full((8, 12, 3), (120, 70, 40), np.uint8)).save(folder / "warm.png")
+    return {
+        "hdr": Background("hdr", path=str(folder / "sky.hdr"), turn_deg=40.0),
+        "image": Background("image", path=str(folder / "warm.png")),
+    }
+
+
+def test_a_panorama_lights_avatars_as_its_lamps_would(render, avatar, pose, behind):
+    path = behind["hdr"].path
+    own = render(avatar, SIZE, effects=replace(OFF, light=Light("panorama")), background=behind["hdr"])
+    light = fitted_light(read_panorama(path), np.radians(40.0), gamma=1.0, most=4).light
+    (drawn,) = [item for item in own.plan.passes if item.name == "avatar: paper"]
+    assert drawn.shading.variants[-1].light.light == light and 1 <= len(light.lamps) <= 4
+    named = render(avatar, SIZE, effects=replace(OFF, light=Light("panorama", path)), background=behind["image"])
+    lit, turned_back = own.draw([pose], CAMERA), named.draw([pose], CAMERA)
+    body = render(avatar, SIZE, effects=OFF).draw([pose], CAMERA)[..., 3] > 0
+    assert np.abs(lit[body].astype(int) - turned_back[body]).max() > 20, "the background's own turn counts"
+    said = next(one.decision.why for one in own.drawn if one.item.name == "avatar: paper")
+    assert "its file has no light, its colors are taken for albedo" in said
+
+
+def test_a_panorama_that_is_nowhere_is_said(render, avatar, behind):
+    with pytest.raises(ValueError, match="light by panorama: expected its path, or a background of kind hdr"):
+        render(avatar, SIZE, effects=replace(OFF, light=Light("panorama")), background=behind["image"])
+    with pytest.raises(ValueError, match="path: of panorama, not of lamps"):
+        Light("lamps", path=behind["hdr"].path)
+
+
+@pytest.mark.parametrize("kind", ["image", "hdr"])
+def test_avatars_are_fitted_to_what_is_behind(render, avatar, pose, behind, kind):
+    """Every color times the same gains, which the reason says."""
+    plain = render(avatar, SIZE, effects=OFF).draw([pose], CAMERA)
+    fitted = render(avatar, SIZE, effects=replace(OFF, light=Light(fit="background")), background=behind[kind])
+    image, body = fitted.draw([pose], CAMERA), plain[..., 3] > 0
+    gains = np.array(background_gains(behind[kind]))
+    assert (gains != 1).all() and ((gains >= 0.5) & (gains <= 2)).all()
+    expected = np.clip(plain[body][:, :3] * gains, 0, 255)
+    assert np.abs(image[body][:, :3] - expected).max() <= 1.01
+    said = next(one.decision.why for one in fitted.drawn if one.item.name == "avatar: paper")
+    assert " ".join(f"{gain:.2f}" for gain in gains) in said
+    if kind == "image":
+        assert gains[0] > gains[1] > gains[2], "warm behind, warm before"
+
+
+def test_light_that_changes_nothing_is_the_plan_without_it(render, context, avatar, pose):
+    """Even light of 1 on an avatar whose file tells none, and the capture's where there is none."""
+    for light in (Light("lamps", ambient=1.0, strength=0.0), Light("capture"), Light("albedo")):
+        asked, plain = (render(avatar, SIZE, effects=replace(OFF, light=one)) for one in (light, None))
+        assert set(asked.plan.handles) == set(plain.plan.handles)
+        assert np.array_equal(asked.draw([pose], CAMERA), plain.draw([pose], CAMERA))
+    why = next(one.decision.why for one in asked.drawn if one.item.name == "avatar: paper")
+    assert "not lit anew: its file has no light" in why
+
+
+def test_a_panorama_is_one_of_the_files_of_a_film(behind):
+    scene = Scene((SceneAvatar("mannequin"),), effects=replace(OFF, light=Light("panorama", behind["hdr"].path)))
+    shot = Shot(scene, 0, 1, SIZE, 30.0, None)
+    assert behind["hdr"].path in shot.files()
+    assert with_whole_paths(scene).effects.light.path == behind["hdr"].path

@@ -1,0 +1,138 @@
+"""Every effect of a scene: wanted, it is what its plan names; hidden, small or still, the frame that never asked."""
+
+from collections import Counter
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from loose_avatar import dressed
+from loose_paths import dance
+
+from avatar.camera import Camera, orbit_camera
+from command.settings import settings_of
+from player.effects import contact, grid, ground, outline, secondary_motion, shadow
+from player.effects.contact import Contact
+from player.effects.depth_of_field import DepthOfField
+from player.effects.foot_lock import FootLock
+from player.effects.grid import Grid
+from player.effects.ground import Ground
+from player.effects.light import Light
+from player.effects.motion_blur import MotionBlur
+from player.effects.outline import Outline
+from player.effects.secondary_motion import SecondaryMotion
+from player.scene.effects import PLAIN, Effects
+
+SIZE = (150, 170)
+OFF = replace(PLAIN, view="off")
+WHITE = (1.0, 1.0, 1.0, 1.0)
+CAMERA = orbit_camera((0, 0.8, 0), 3.4, 0.6, 0.35, SIZE)
+AWAY = orbit_camera((0, 1.0, 10), 2.0, np.pi, 0.1, SIZE)
+UP = orbit_camera((0, 9.0, 0), 3.0, 0.3, -0.9, SIZE)
+FAR = orbit_camera((0, 0.8, 0), 200.0, 0.3, 0.3, SIZE)
+EVERYTHING = replace(OFF, outline=Outline(), ground=Ground(), contact=Contact())
+
+
+class Unseen(NamedTuple):
+    """An effect where it cannot show: what --explain says of its rows, and what the frame has beside it."""
+
+    wish: object
+    camera: Camera
+    rows: dict
+    beside: Effects = OFF
+    # the dance is over and the body stands as it was filmed
+    rests: bool = False
+
+
+# the GL objects that settings of each effect add to a bare frame
+ADDS = {
+    "light": (Light("lamps"), {"buffer": 2}),
+    "ground": (Ground(), {"program": 4, "vertex_array": 4, "texture": 2, "framebuffer": 2}),
+    "contact": (Contact(1.0), {"program": 2, "vertex_array": 2, "buffer": 5}),
+    "grid": (Grid(), {"program": 2, "vertex_array": 2}),
+    "grid alone": (Grid(axes=0.0), {"program": 1, "vertex_array": 1}),
+    "outline": (Outline(), {"program": 1, "buffer": 1, "vertex_array": 1}),
+    "secondary_motion": (SecondaryMotion(), {"program": 1, "buffer": 2, "vertex_array": 1}),
+    # what these do is done to poses and frames of films: test_held_feet.py, test_exposure.py
+    "foot_lock": (FootLock(), {}),
+    "motion_blur": (MotionBlur(), {}),
+    "depth_of_field": (DepthOfField(), {}),
+}
+OF_FILMS = ("foot_lock", "motion_blur", "depth_of_field")
+FLOOR, SHADOW = "ground: floor", ("ground: shadow", "ground: mask")
+SWINGS = "avatar: secondary motion"
+UNSEEN = {
+    "ground hidden": Unseen(Ground("shadow"), AWAY, dict.fromkeys(SHADOW, shadow.SHADOW_AWAY)),
+    "ground above": Unseen(Ground("checker"), UP, dict.fromkeys(SHADOW, shadow.SHADOW_AWAY) | {FLOOR: ground.BELOW}),
+    "ground small": Unseen(Ground("shadow"), FAR, dict.fromkeys(SHADOW, shadow.SMALL)),
+    "contact hidden": Unseen(Contact(), AWAY, {"contact: avatar on the ground": contact.AWAY}),
+    "contact small": Unseen(Contact(), FAR, {"contact: avatar on the ground": contact.SMALL}),
+    "grid hidden": Unseen(Grid(), UP, {"grid": grid.AWAY, "grid: axes": grid.AXES_AWAY}),
+    "outline hidden": Unseen(Outline(), AWAY, {"outline": outline.OUT_OF_VIEW}),
+    "swing hidden": Unseen(SecondaryMotion(), AWAY, {SWINGS: secondary_motion.OUT_OF_VIEW}, EVERYTHING),
+    "swing small": Unseen(SecondaryMotion(), FAR, {SWINGS: secondary_motion.SMALL}, EVERYTHING),
+    "swing still": Unseen(SecondaryMotion(), CAMERA, {SWINGS: secondary_motion.AT_REST}, EVERYTHING, rests=True),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def dressed_avatar():
+    return dressed()
+
+
+def danced(renderer):
+    """The renderer told of 0.7 seconds of a dance; its last pose."""
+    for frame in range(43):
+        renderer.move([dance(frame / 60)], frame / 60)
+    return dance(0.7)
+
+
+def field_of(wish) -> str:
+    return next(setting.name for setting in settings_of(Effects) if setting.table is type(wish))
+
+
+def test_every_effect_has_its_rows_here():
+    every = {setting.name for setting in settings_of(Effects) if setting.table is not None}
+    assert {field_of(wish) for wish, _ in ADDS.values()} == every
+    # light has tests of its own, of what changes nothing
+    assert {field_of(case.wish) for case in UNSEEN.values()} == every - {*OF_FILMS, "light"}
+
+
+@pytest.mark.parametrize("bare", [OFF, Effects("network", "dual_quaternion", "fxaa")], ids=["bare", "network"])
+@pytest.mark.parametrize("name", ADDS)
+def test_wanted_it_is_what_its_plan_names_and_off_frees_all(context, render, dressed_avatar, name, bare):
+    wish, adds = ADDS[name]
+    renderer = render(dressed_avatar, SIZE, effects=bare)
+    pose = dance(0.7)
+    before, objects, kept = renderer.draw([pose], CAMERA), context.counts.objects(), set(renderer.plan.kept)
+    renderer.change(effects=replace(bare, **{field_of(wish): wish}))
+    assert bare is not OFF or Counter(context.counts.objects()) - Counter(objects) == adds
+    assert context.counts.objects() == renderer.plan.objects()
+    assert context.counts.live_bytes == renderer.plan.bytes
+    made = context.counts.calls["create"]
+    danced(renderer)
+    assert (renderer.draw([pose], CAMERA) != before).any() == (name not in OF_FILMS)
+    assert context.counts.calls["create"] == made
+    renderer.change(effects=bare)
+    assert context.counts.objects() == objects and np.array_equal(renderer.draw([pose], CAMERA), before)
+    assert set(renderer.plan.kept) == kept
+
+
+@pytest.mark.parametrize("antialiasing", ["none", "fxaa", "msaa"])
+@pytest.mark.parametrize("name", UNSEEN)
+def test_where_it_cannot_show_it_is_the_frame_that_never_asked(context, render, dressed_avatar, name, antialiasing):
+    case = UNSEEN[name]
+    bare = replace(case.beside, antialiasing=antialiasing)
+    images, calls = [], []
+    for effects in (bare, replace(bare, **{field_of(case.wish): case.wish})):
+        renderer = render(dressed_avatar, SIZE, effects=effects, background=WHITE)
+        pose = (np.zeros((52, 3)), np.array([0, 0.95, 0])) if case.rests else danced(renderer)
+        renderer.move([pose], 1.0)
+        renderer.draw([pose], case.camera)
+        before = context.counts.calls.copy()
+        images.append(renderer.draw([pose], case.camera))
+        calls.append(context.counts.calls - before)
+    rows = {one.item.name: one.decision for one in renderer.drawn}
+    assert {name: rows[name] for name in case.rows} == case.rows
+    assert np.array_equal(*images)
+    assert calls[0] == calls[1], "draws, copies, clears, uniforms and reads"
