@@ -16,7 +16,7 @@ from command.settings import AtLeast, AtMost, OneOf
 
 MOST_STEPS = 100_000_000
 # the presets of train/preset.py, which needs torch: a command line is read without it
-PRESET_NAMES = ("demo", "fast", "paper")
+PRESET_NAMES = ("demo", "fast", "paper", "preview")
 ITEM_NAMES = ("light", "hair", "clothes", "eyes")
 
 
@@ -55,6 +55,8 @@ class TrainOptions:
     def __post_init__(self):
         if self.resume and self.force:
             raise ValueError("--resume goes on, --force begins anew: choose one")
+        if self.preset == "preview" and self.iterations is not None:
+            raise ValueError("--iterations: the preset preview learns nothing, it has no steps")
 
 
 DESCRIPTION = """\
@@ -62,6 +64,8 @@ Learn a person from a capture folder: one signed distance and color field for ea
 into one. Writes a run folder, which `selfscan bake` turns into an avatar.
 
 presets
+  preview nothing is learned: the fitted template with hair and clothes as carved, in the colors that the videos show.
+          Seconds; a run like any other.
   demo    2 CPU cores, about 2 GB of memory, minutes. Tri-planes over the body template; no GPU needed.
   fast    a CUDA device: hash grids, more rays, finer in the end. Runs on a CPU too, in hours.
   paper   the supplement's networks and 100 000 steps a part: a CUDA device and hours. For comparison.

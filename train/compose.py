@@ -70,7 +70,7 @@ class TrainedParts:
 
     # in the order of PARTS; one: a single network, which stands for everyone
     fields: list[PartField]
-    # the body's; None for a single network
+    # the body's; None for a single network, and where nothing was learned
     rays: RayTensors | None
     # before composition only Eq. 6 is known of the parts' head; a single network learned it where it lies in the end
     head: HeadPlacement
@@ -108,7 +108,7 @@ def compose(
 ) -> Composition:  # fmt: skip
     """Four parts into one person with one surface; refines the body (stage 2) and sets the reference codes in place.
 
-    `checkpoints` and `watch` are stage 2's. A single network has nothing to register, refine or match.
+    `checkpoints` and `watch` are stage 2's. Without rays there is nothing to register, refine or match.
     """
     subject, rays, timed = capture.subject, parts.rays, parts.timed
     head, head_from_field = parts.head, np.eye(4)
@@ -122,7 +122,7 @@ def compose(
         inverse = torch.tensor(np.linalg.inv(head_from_field), dtype=torch.float32)
         fused = FusedField(parts.fields, part_boxes(subject), inverse)
         fused.seen = seen
-    if preset.open_eyes and rays is not None:
+    if preset.open_eyes and len(parts.fields) > 1:
         with timed("eyes"):
             closed = fused.field(PARTS.index("head")).template.cpu()
             filmed = filmed_eyes(subject, closed, capture.videos["head"], head.canonical_from_head)

@@ -9,12 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from jaxtyping import Bool
 
+from avatar.skeleton import PARTS
 from capture.fit.refine import poses_refined, with_refined, write_learned
-from capture.folder import Capture, PartVideo, read_capture, read_subject
+from capture.folder import Capture, CaptureSubject, PartVideo, read_capture, read_subject
 from capture.template.clothes import THICK
 from capture.template.parts import part_boxes
-from capture.template.surface import neck_height, surface_cloud, visible_faces
+from capture.template.surface import SurfaceCloud, neck_height, surface_cloud, visible_faces
 from command.progress import Reporter
 from files.whole import whole_file
 from train import run as run_folder
@@ -197,22 +199,31 @@ def part_untrained(job: PartJob, capture: Capture, prepared: Callable[[float], N
     """A part's untrained field in its box, and the rays of its video."""
     name, settings, device = job.name, job.settings, torch.device(job.device)
     subject, part, video = capture.subject, part_boxes(capture.subject)[job.index], capture.videos[name]
-    visible, cell = visible_faces(subject), settings.cell
-    cloud = surface_cloud(subject, job.index, visible, settings.spacing)
-    if name == "body" and subject.behind_cloth is not None:
-        cell = min(cell, 0.5 * THICK)
-    template = template_grid(cloud, part.extent.low, part.extent.high, cell,
-                             (subject, neck_height(subject)) if name == "head" else None)  # fmt: skip
+    visible = visible_faces(subject)
+    field, cloud = template_field(subject, job.index, settings, len(video.images), visible)
+    field.to(device)
     if subject.behind_cloth is not None:
         # or rays would look for surfaces behind the cloth, with a fourth of their sections on it
         shown = visible & ~subject.behind_cloth[subject.faces].all(1)
         cloud = surface_cloud(subject, job.index, shown, settings.spacing)
-    field = run_folder.build_field(subject, job.index, settings, template, len(video.images)).to(device)
     field.light = None if job.light is None else job.light.tensors(device)
     filmed = FilmedPart(part, video, subject, cloud, job.canonical_from_head if name == "head" else None)
     generator = np.random.default_rng([job.seed, job.index])
     rays = part_rays(filmed, ray_settings(settings, job.preset), generator, prepared)
     return Untrained(field, ray_tensors(rays, cloud, device), rays.flagged, rays.lost, job_preview(job, filmed))
+
+
+def template_field(
+    subject: CaptureSubject, index: int, settings: PartPreset, frames: int, visible: Bool[Array, "faces"]
+) -> tuple[PartField, SurfaceCloud]:
+    """The untrained field of part `index`, and the samples of the template's `visible` faces that it was made of."""
+    name, extent, cell = PARTS[index], part_boxes(subject)[index].extent, settings.cell
+    cloud = surface_cloud(subject, index, visible, settings.spacing)
+    if name == "body" and subject.behind_cloth is not None:
+        cell = min(cell, 0.5 * THICK)
+    closed = (subject, neck_height(subject)) if name == "head" else None
+    template = template_grid(cloud, extent.low, extent.high, cell, closed)
+    return run_folder.build_field(subject, index, settings, template, frames), cloud
 
 
 def ray_settings(part: PartPreset, preset: Preset) -> RaySettings:

@@ -9,11 +9,12 @@ from command.settings import Kinds, Rows
 from train.command import PRESET_NAMES, TrainOptions
 from train.networks.hash import HashNetworks
 from train.networks.paper import PaperNetworks
+from train.networks.seen import SeenNetworks
 from train.networks.triplane import TriPlaneNetworks
 from train.rays import Band
 
 # all kinds
-Networks = TriPlaneNetworks | HashNetworks | PaperNetworks
+Networks = TriPlaneNetworks | HashNetworks | PaperNetworks | SeenNetworks
 KIND = Kinds({sizes.kind: sizes for sizes in get_args(Networks)})
 
 
@@ -130,6 +131,11 @@ class Preset:
         """What the parts are called; each is a file of the run folder."""
         return PARTS if len(self.parts) == len(PARTS) else ("single",)
 
+    @property
+    def learns(self) -> bool:
+        """Whether there is anything to train; else the parts are the template in the colors that the videos show."""
+        return any(part.iterations for part in self.parts)
+
 
 _DEMO_BODY = PartPreset(
     iterations=900,
@@ -234,7 +240,19 @@ PAPER = Preset(
     appearance_last_rate=0.1,
 )
 
-PRESETS: dict[str, Preset] = dict(zip(PRESET_NAMES, (DEMO, FAST, PAPER), strict=True))
+# A first avatar: the demo's template, light and hair, in seen colors; nothing is learned
+PREVIEW = replace(
+    DEMO,
+    name="preview",
+    parts=tuple(
+        replace(part, iterations=0, networks=SeenNetworks(cell=cell))
+        for part, cell in zip(DEMO.parts, (0.012, 0.004, 0.0025, 0.0025), strict=True)
+    ),
+    union=UnionPreset(iterations=0),
+    appearance_steps=0,
+)
+
+PRESETS: dict[str, Preset] = dict(zip(PRESET_NAMES, (DEMO, FAST, PAPER, PREVIEW), strict=True))
 
 
 def shortened(preset: Preset, iterations: int) -> Preset:

@@ -44,6 +44,7 @@ from train.light import VideoLight, video_light
 from train.log import tensorboard_installed
 from train.part_job import PartJob, megabytes, memory_text, step_note, train_part
 from train.preset import Preset, chosen_preset
+from train.seen import seen_parts
 from train.session import Session, capture_digest, capture_place, digest_of, exclusive_lock, open_session
 from train.trainer import Checkpoints, Watch, peak_memory
 from train.union import read_rays
@@ -124,8 +125,13 @@ def train(options: TrainOptions, preset: Preset | None = None) -> Path:
         training = begin(options, chosen_preset(options) if preset is None else preset, held)
         if training is not None:
             training = prepared(training)
-            jobs = [part_job(training, training.session.partial, index) for index in HEAVIEST_FIRST]
-            finish(training, train_parts(training, jobs))
+            if training.preset.learns:
+                jobs = [part_job(training, training.session.partial, index) for index in HEAVIEST_FIRST]
+                finish(training, train_parts(training, jobs))
+            else:
+                at = training.session.partial
+                facts = seen_parts(training.capture, training.preset, training.lights, at, options.seed)
+                finish(training, facts)
     return options.out
 
 
@@ -148,11 +154,15 @@ def begin(
     if session is None:
         return None
     began = Clocks.now()
-    if ranks.writes and not tensorboard_installed():
+    if ranks.writes and preset.learns and not tensorboard_installed():
         say("logs: CSV only; `pip install tensorboard` adds events for it")
     head = landmark_placement(_register_landmarks(capture, say))
-    say(f"stage 1: {', '.join(preset.names)} by volume rendering of signed distance (Eq. 10-12), preset {preset.name}")
-    say(f"logs, previews and checkpoints: {session.partial}")
+    if preset.learns:
+        names = ", ".join(preset.names)
+        say(f"stage 1: {names} by volume rendering of signed distance (Eq. 10-12), preset {preset.name}")
+        say(f"logs, previews and checkpoints: {session.partial}")
+    else:
+        say("a first avatar: the template as carved, in the colors that the videos show; nothing is learned")
     return Training(options, preset, capture, session, ranks, device, head, say, began)
 
 
@@ -191,10 +201,11 @@ def finish(training: Training, facts: dict[str, dict]) -> None:
     torch.set_num_threads(os.cpu_count() or 1)
     progress = Progress("body, stage 2", preset.union.iterations)
     alone = len(fields) == 1
+    meets = preset.learns and not alone
     with whole_folder(out) as folder:
         lit = {part: training.video_light(part, head.canonical_from_head) for part in training.lights}
         parts = TrainedParts(
-            fields=fields, rays=None if alone else read_rays(partial / "body.rays", torch.device(device)), head=head,
+            fields=fields, rays=read_rays(partial / "body.rays", torch.device(device)) if meets else None, head=head,
             seed=training.options.seed, seconds=seconds,
             lights={part: light for part, light in lit.items() if light is not None},
         )  # fmt: skip
@@ -203,7 +214,7 @@ def finish(training: Training, facts: dict[str, dict]) -> None:
             checkpoints=Checkpoints(path=partial / "union.ckpt", resume=training.session.resumed),
             watch=Watch(report=lambda step, report: progress.update(step, step_note(report))),
         )  # fmt: skip
-        if not alone:
+        if meets:
             shutil.copyfile(partial / "body.pt", folder / "body_stage1.pt")
         run_folder.write_codes(folder / "codes.npz", dict(zip(preset.names, fields)))
         for name, field in zip(preset.names, fields):

@@ -55,14 +55,15 @@ def lit_pixels(capture: Capture, frame: Frame, *, per_video: int = 40_000, seed:
         own = (capture.subject.part[capture.subject.faces] == index).any(1) & ~hair
         if part == "body":
             own = ~hair
-        pieces = _video_pixels(capture, part, own, frame, per_video, rng)
-        found.append(LitPixels(np.full(len(pieces.face), index), *pieces[1:]))
+        pieces = video_pixels(capture, part, own, frame, per_video, rng)
+        found.append(pieces)
     return LitPixels(*(np.concatenate(values) for values in zip(*found, strict=True)))
 
 
-def _video_pixels(
+def video_pixels(
     capture: Capture, part: str, own: Bool[Array, "faces"], frame: Frame, most: int, rng: np.random.Generator
 ) -> LitPixels:
+    """At most `most` pixels of one video that show the template's faces `own`; left out is what `lit_pixels` names."""
     video, faces = capture.videos[part], capture.subject.faces
     turns = light_from_video(capture, part, frame)
     frames = even(len(video.cameras), MOST_FRAMES)
@@ -86,7 +87,8 @@ def _video_pixels(
         facing = np.flatnonzero((normal * towards_eye).sum(1) > GRAZING)[:each]
         R = turns[number].T
         color = image[tuple(pixels[facing].T)] / 255
-        pieces.append(LitPixels(facing, face[facing], color, normal[facing] @ R, towards_eye[facing] @ R))
+        video_index = np.full(len(facing), PARTS.index(part))
+        pieces.append(LitPixels(video_index, face[facing], color, normal[facing] @ R, towards_eye[facing] @ R))
     return LitPixels(*(np.concatenate(values) for values in zip(*pieces, strict=True)))
 
 

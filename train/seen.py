@@ -1,0 +1,52 @@
+"""The parts of the `preview` preset: the template itself, painted as the videos show it; nothing is learned."""
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial import KDTree
+
+from avatar.light import CaptureLight
+from capture.folder import Capture, CaptureSubject
+from capture.light.seen_colors import seen_colors
+from capture.template.surface import visible_faces
+from train import run as run_folder
+from train.field import PartField
+from train.networks.seen import SeenColor
+from train.part_job import template_field
+from train.preset import Preset
+
+Array = np.ndarray
+
+# metres from the template beyond which no color is asked for
+REACH = 0.06
+
+
+def seen_parts(
+    capture: Capture, preset: Preset, lights: Mapping[str, CaptureLight], folder: Path, seed: int
+) -> dict[str, dict]:
+    """Write PART.pt of the painted parts into `folder`; what run.json says of each. `lights` are the videos'."""
+    began = time.monotonic()
+    colors = seen_colors(capture, lights, seed)
+    visible, facts = visible_faces(capture.subject), {}
+    for index, (name, settings) in enumerate(zip(preset.names, preset.parts, strict=True)):
+        frames = len(capture.videos[name].images)
+        field, _ = template_field(capture.subject, index, settings, frames, visible)
+        paint(field, capture.subject, colors)
+        run_folder.write_part(folder / f"{name}.pt", field)
+        facts[name] = {"steps": 0, "seconds": round(time.monotonic() - began, 1), "peak_memory_mb": None}
+        began = time.monotonic()
+    return facts
+
+
+def paint(field: PartField, subject: CaptureSubject, colors: Float[Array, "vertices 3"]) -> None:
+    """Give each node of the part's colors that of the nearest vertex; far from all, their mean."""
+    color = field.color_network
+    assert isinstance(color, SeenColor)
+    places = (color.places() + 1) / 2 * (field.high - field.low) + field.low
+    _, nearest = KDTree(subject.vertices).query(places.numpy(), distance_upper_bound=REACH, workers=-1)
+    painted = np.concatenate([colors, colors.mean(0, keepdims=True)])[nearest]
+    color.values.copy_(torch.as_tensor(painted.T, dtype=torch.float32).view_as(color.values))
