@@ -11,13 +11,14 @@ is 1, so albedo is about as bright as the person was. A lamp that no surface fac
 person) is not known. Cast shadows are not part of it.
 """
 
-from collections.abc import Mapping, Sequence
+import math
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
 
+from command.settings import AtLeast, AtMost, SettingsSource, check, record_of, settings_json
 from files.input_file import Json, JsonObject
 
 Array = np.ndarray
@@ -25,7 +26,6 @@ Frame = Literal["camera", "world"]
 # at most; as many as shaders/light.glsl has room for
 LAMPS = 4
 EXPONENT = 20.0
-GAMMA = (1.0, 4.0)
 STRONGEST = 100.0
 
 
@@ -33,38 +33,34 @@ STRONGEST = 100.0
 class Lamp:
     """A lamp so far away that its direction and strength are the same everywhere on the person."""
 
-    direction: tuple[float, float, float]  # unit, towards the lamp
-    strength: float
+    direction: Annotated[tuple[float, float, float], "unit, towards the lamp"]
+    strength: Annotated[float, AtLeast(0), AtMost(STRONGEST)]
 
     def __post_init__(self):
-        _check_number("lamp strength", self.strength, 0.0, STRONGEST)
-        length = float(np.linalg.norm(np.array(self.direction, np.float64)))
-        if len(self.direction) != 3 or not abs(length - 1) < 1e-4:
-            raise ValueError(f"lamp direction should be three numbers of length 1, is {self.direction}")
+        check(self)
+        if not abs(math.hypot(*self.direction) - 1) < 1e-4:
+            raise ValueError(f"direction: expected three numbers of length 1, found {self.direction}")
 
 
 @dataclass(frozen=True)
 class CaptureLight:
     """Light of a capture; see the module. Frozen once it is fitted, before anything is trained."""
 
-    ambient: float
+    ambient: Annotated[float, AtLeast(0), AtMost(STRONGEST)]
     lamps: tuple[Lamp, ...] = ()
     # strength of the highlight, in the space of gamma; 0: none
-    gloss: float = 0.0
-    exponent: float = EXPONENT
-    gamma: float = 1.0
+    gloss: Annotated[float, AtLeast(0), AtMost(STRONGEST)] = 0.0
+    exponent: Annotated[float, AtLeast(1), AtMost(1000)] = EXPONENT
+    gamma: Annotated[float, AtLeast(1), AtMost(4)] = 1.0
     # where it stands still: camera, every video's own (a phone on a tripod; OpenCV, +y down); world, +y up
     frame: Frame = "camera"
 
     def __post_init__(self):
-        _check_number("ambient", self.ambient, 0.0, STRONGEST)
-        _check_number("gloss", self.gloss, 0.0, STRONGEST)
-        _check_number("exponent", self.exponent, 1.0, 1000.0)
-        _check_number("gamma", self.gamma, *GAMMA)
+        check(self)
         if len(self.lamps) > LAMPS:
-            raise ValueError(f"lamps should be at most {LAMPS}, are {len(self.lamps)}")
+            raise ValueError(f"lamps: expected at most {LAMPS}, found {len(self.lamps)}")
         if self.ambient + sum(lamp.strength for lamp in self.lamps) <= 0:
-            raise ValueError("ambient and the lamps together should be brighter than 0")
+            raise ValueError("ambient: expected light, with that of the lamps, found none")
 
     @property
     def directions(self) -> Float[Array, "lamps 3"]:
@@ -127,14 +123,7 @@ class CaptureLight:
 
     def json(self) -> JsonObject:
         """What JSON holds of it; `light_from_json` gives it back exactly."""
-        return {
-            "ambient": self.ambient,
-            "lamps": [{"direction": list(lamp.direction), "strength": lamp.strength} for lamp in self.lamps],
-            "gloss": self.gloss,
-            "exponent": self.exponent,
-            "gamma": self.gamma,
-            "frame": self.frame,
-        }
+        return settings_json(self)
 
 
 def lamps_of(directions: Float[Array, "lamps 3"], strengths: Float[Array, "lamps"]) -> tuple[Lamp, ...]:
@@ -149,49 +138,4 @@ def light_from_json(content: Json) -> CaptureLight:
     Raises:
         ValueError: a field is absent, unknown or out of its range; the message names it, what was expected and found.
     """
-    names = ("ambient", "lamps", "gloss", "exponent", "gamma", "frame")
-    _check_keys("light", content, names)
-    lamps = content["lamps"]
-    if not isinstance(lamps, list):
-        raise ValueError(f"lamps should be a list, is {_short(lamps)}")
-    if content["frame"] not in get_args(Frame):
-        raise ValueError(f"frame should be one of {get_args(Frame)}, is {_short(content['frame'])}")
-    return CaptureLight(
-        _number("ambient", content["ambient"]), tuple(_lamp_from_json(lamp) for lamp in lamps),
-        _number("gloss", content["gloss"]), _number("exponent", content["exponent"]),
-        _number("gamma", content["gamma"]), content["frame"],
-    )  # fmt: skip
-
-
-def _lamp_from_json(content: Json) -> Lamp:
-    _check_keys("a lamp", content, ("direction", "strength"))
-    direction = content["direction"]
-    if not isinstance(direction, Sequence) or isinstance(direction, str) or len(direction) != 3:
-        raise ValueError(f"lamp direction should be three numbers, is {_short(direction)}")
-    x, y, z = (_number("lamp direction", value) for value in direction)
-    return Lamp((x, y, z), _number("lamp strength", content["strength"]))
-
-
-def _check_keys(what: str, content: Json, names: Sequence[str]) -> None:
-    if not isinstance(content, Mapping) or set(content) != set(names):
-        found = sorted(map(str, content)) if isinstance(content, Mapping) else _short(content)
-        raise ValueError(f"{what} should hold {', '.join(names)}, is {found}")
-
-
-def _number(name: str, value: Json) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{name} should be a number, is {_short(value)}")
-    try:
-        return float(value)
-    except OverflowError:
-        raise ValueError(f"{name} should be a number that a float holds, is {_short(value)}") from None
-
-
-def _check_number(name: str, value: float, least: float, most: float) -> None:
-    # not a number compares false with everything
-    if not least <= value <= most:
-        raise ValueError(f"{name} should be from {least:g} to {most:g}, is {value}")
-
-
-def _short(value: Json) -> str:
-    return repr(value)[:80]
+    return record_of(CaptureLight, content, SettingsSource(whole=True), shown="a light")

@@ -11,10 +11,10 @@ _BODY = (
     "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot "
     "neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist right_wrist"
 ).split()
-_FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # SMPL+H order, not anatomical
+FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # SMPL+H order, not anatomical
 
 JOINTS: tuple[str, ...] = tuple(
-    _BODY + [f"{side}_{finger}{n}" for side in ("left", "right") for finger in _FINGERS for n in (1, 2, 3)]
+    _BODY + [f"{side}_{finger}{n}" for side in ("left", "right") for finger in FINGERS for n in (1, 2, 3)]
 )
 LEFT_HAND, RIGHT_HAND = slice(22, 37), slice(37, 52)
 

@@ -176,7 +176,7 @@ class Refused(ValueError):
 
 class SettingsSource(NamedTuple):
     """What settings are read from: the folder that its paths count from; whether all were written, so that none may be
-    absent, and one that nothing reads any more is passed over."""
+    absent, whatever its default."""
 
     folder: Path | None = None
     whole: bool = False
@@ -192,7 +192,7 @@ def record_of(record: type[Record], found: object, source: SettingsSource, at: K
     if not isinstance(found, dict):
         raise Refused(at, f"expected a table, {shown}, found {described(found)}")
     known = {setting.key: setting for setting in settings_of(record)}
-    for key in () if source.whole else found:
+    for key in found:
         if key not in known:
             near = get_close_matches(key.lower(), known, 1, 0.5)
             hint = f"did you mean {near[0]}?" if near else f"{shown} has {', '.join(known)}"

@@ -31,7 +31,6 @@ from avatar.gltf.avatar_write import (
     VERSION,
     canonical_bones,
     helper_joints,
-    rigid_inverse,
     write_avatar,
 )
 from avatar.gltf.document import Gltf, read_gltf
@@ -46,7 +45,7 @@ from avatar.gltf.scene import (
 )
 from avatar.helper_joints import CARRIER
 from avatar.light import light_from_json
-from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
 from command.errors import AssetError
 from files.input_file import JsonObject
 from files.picture import decode_png, png_pixels

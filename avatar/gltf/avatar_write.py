@@ -8,7 +8,7 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar, Level, check_avatar
 from avatar.gltf.write import INDICES, VERTICES, GltfBuilder
 from avatar.helper_joints import CARRIER, HelperJoints
-from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+from avatar.skeleton import JOINTS, PARENTS, joint_transforms, rigid_inverse
 from files.input_file import JsonObject
 from files.picture import encode_png
 from files.whole import whole_file
@@ -165,16 +165,6 @@ def canonical_bones(avatar: Avatar) -> Float[np.ndarray, "bones 4 4"]:
 def helper_joints(avatar: Avatar) -> HelperJoints | None:
     """Those of an avatar; None: it has none."""
     return None if avatar.levels[0].twist is None else HelperJoints(avatar.joint_positions, avatar.bend)
-
-
-def rigid_inverse(transforms: Float[np.ndarray, "*b 4 4"]) -> Float[np.ndarray, "*b 4 4"]:
-    """The inverse of rotations with translation; the last row stays exactly 0 0 0 1."""
-    inverse = np.zeros_like(transforms)
-    rotation = np.swapaxes(transforms[..., :3, :3], -1, -2)
-    inverse[..., :3, :3] = rotation
-    inverse[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, transforms[..., :3, 3])
-    inverse[..., 3, 3] = 1
-    return inverse
 
 
 def _flat(values: np.ndarray) -> list[float]:

@@ -8,11 +8,9 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from avatar.skeleton import JOINTS
+from avatar.skeleton import FINGERS, JOINTS
 from command.errors import AssetError
 from files.input_file import Json, JsonObject
-
-FINGERS = ("index", "middle", "pinky", "ring", "thumb")
 
 _MIXAMO_BODY = {
     "pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2", "neck": "Neck", "head": "Head",

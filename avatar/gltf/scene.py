@@ -1,11 +1,14 @@
 """What a glTF file's accessors mean: the node tree, skins, triangles, materials and their base color."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from avatar.gltf.document import Gltf, refusal
+from avatar.rotation import matrix_from_quaternion
+from avatar.texture import bytes_of, linear_from_srgb, srgb_from_linear
 from command.errors import AssetError
 from files.picture import WITH_WEBP, decode_picture
 
@@ -65,28 +68,35 @@ def parents_first(parents: Int[np.ndarray, "nodes"]) -> list[int]:
     return order
 
 
-def parent_from_node(gltf: Gltf, index: int) -> Float[np.ndarray, "4 4"]:
-    """A node's own transform: its `matrix`, or T R S. Quaternions xyzw."""
+class NodePlace(NamedTuple):
+    """A node's own transform, T R S: parent_from_node x = translation + R (scale * x)."""
+
+    translation: Float[np.ndarray, "3"]
+    rotation: Float[np.ndarray, "4"]  # unit quaternion, xyzw
+    scale: Float[np.ndarray, "3"]
+
+
+def node_place(gltf: Gltf, index: int) -> NodePlace:
+    """The transform of a node that has no `matrix`."""
     node, where = gltf.items("nodes")[index], f"nodes[{index}]"
+    translation = gltf.numbers(node, "translation", where, (3,)) if "translation" in node else np.zeros(3)
+    rotation = gltf.numbers(node, "rotation", where, (4,)) if "rotation" in node else np.array([0.0, 0, 0, 1])
+    scale = gltf.numbers(node, "scale", where, (3,)) if "scale" in node else np.ones(3)
+    length = np.linalg.norm(rotation)
+    # files round their quaternions; more is another mistake
+    if abs(length - 1) > 0.01:
+        raise gltf.error(f"{where}.rotation", "a unit quaternion", node["rotation"])
+    return NodePlace(translation, rotation / length, scale)
+
+
+def parent_from_node(gltf: Gltf, index: int) -> Float[np.ndarray, "4 4"]:
+    """A node's own transform: its `matrix`, or T R S."""
+    node = gltf.items("nodes")[index]
     if "matrix" in node:
-        return gltf.numbers(node, "matrix", where, (4, 4)).T.copy()
+        return gltf.numbers(node, "matrix", f"nodes[{index}]", (4, 4)).T.copy()
+    translation, rotation, scale = node_place(gltf, index)
     matrix = np.eye(4)
-    if "rotation" in node:
-        x, y, z, w = quaternion = gltf.numbers(node, "rotation", where, (4,))
-        length = np.linalg.norm(quaternion)
-        # files round their quaternions; more is another mistake
-        if abs(length - 1) > 0.01:
-            raise gltf.error(f"{where}.rotation", "a unit quaternion", node["rotation"])
-        x, y, z, w = quaternion / length
-        matrix[:3, :3] = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    if "scale" in node:
-        matrix[:3, :3] *= gltf.numbers(node, "scale", where, (3,))
-    if "translation" in node:
-        matrix[:3, 3] = gltf.numbers(node, "translation", where, (3,))
+    matrix[:3, :3], matrix[:3, 3] = matrix_from_quaternion(rotation) * scale, translation
     return matrix
 
 
@@ -275,11 +285,8 @@ def read_base_color(gltf: Gltf, index: int, notes: list[str]) -> tuple[np.ndarra
         rgba = np.full((1, 1, 4), 255, np.uint8)
     color = rgba[..., :3]
     if not np.array_equal(factor[:3], [1, 1, 1]):  # the factor is linear, the texture sRGB
-        steps = np.arange(256) / 255
-        linear = np.where(steps <= 0.04045, steps / 12.92, ((steps + 0.055) / 1.055) ** 2.4)
-        scaled = np.clip(linear[:, None] * factor[:3], 0, 1)
-        encoded = np.where(scaled <= 0.0031308, 12.92 * scaled, 1.055 * scaled ** (1 / 2.4) - 0.055)
-        table = np.round(255 * encoded).astype(np.uint8)
+        linear = linear_from_srgb(np.arange(256) / 255)
+        table = bytes_of(srgb_from_linear(linear[:, None] * factor[:3]))
         color = np.stack([table[color[..., c], c] for c in range(3)], -1)
 
     mode = material.get("alphaMode", "OPAQUE")

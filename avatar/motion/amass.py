@@ -90,6 +90,7 @@ def read_amass(path: Path | str, *, body: Body | None = None) -> Motion:
     pelvis, height = _pelvis(npz, body, turn, notes)
 
     def block(start: int, stop: int) -> tuple[Array, Array]:
+        """Poses and roots of frames start .. stop - 1, as `Motion.block` gives them."""
         pose = np.zeros((stop - start, 52, 3))
         for part in parts:
             values = part.rows.rows(start, stop)

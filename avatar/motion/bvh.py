@@ -7,7 +7,7 @@ the place of the joint's OFFSET (as Blender and most exporters mean it).
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -141,24 +141,23 @@ def open_bvh(path: Path | str) -> Bvh:
     try:
         with open_input(path, "a BVH file", most=MAX_BYTES) as file:
             reader = _Lines(path, file)
-            names, parents, offsets, ends, channels = _hierarchy(reader)
+            tree = _hierarchy(reader)
             frames, rate = _motion_header(reader)
-            places = _index(reader, frames, sum(len(c) for c in channels))
+            places = _index(reader, frames, sum(len(c) for c in tree.channels))
     except OSError as error:
         raise AssetError(f"{path}: cannot be read: {error.strerror}") from None
-    return Bvh(path, names, parents, offsets, ends, channels, frames, rate, places)
+    return Bvh(path, *tree, frames, rate, places)
 
 
 class _Lines:
     """Non-empty lines of a file as words, with their numbers for messages."""
 
     def __init__(self, path: Path, file: BinaryIO):
-        self.path, self.file, self.number, self.byte = path, file, 0, 0
+        self.path, self.file, self.number = path, file, 0
 
     def next(self) -> list[str]:
         """The words of the next line that is not empty; AssetError at the end of the file."""
         while True:
-            self.byte = self.file.tell()
             line = self.file.readline(LONGEST_LINE)
             self.number += 1
             if not line:
@@ -168,6 +167,14 @@ class _Lines:
             words = line.decode("utf-8", "replace").removeprefix("\ufeff").split()
             if words:
                 return words
+
+    def before_brace(self, words: list[str]) -> str:
+        """The name of what a line opens; its brace ends that line, or is the next one."""
+        if words[-1] == "{":
+            return " ".join(words[1:-1])
+        if self.next() != ["{"]:
+            raise self.error(f"expected the brace of {' '.join(words)[:60]}")
+        return " ".join(words[1:])
 
     def error(self, text: str) -> AssetError:
         return AssetError(f"{self.path}: line {self.number}: {text}")
@@ -182,88 +189,77 @@ class _Lines:
         return values
 
 
-def _hierarchy(reader: _Lines):
+class _Tree(NamedTuple):
+    """The hierarchy of a file, as `Bvh` holds it."""
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    offsets: Float[Array, "joints 3"]
+    ends: tuple[tuple[int, tuple[float, float, float]], ...]
+    channels: tuple[tuple[str, ...], ...]
+
+
+def _hierarchy(reader: _Lines) -> _Tree:
+    """Everything up to the brace that closes the root's."""
     words = reader.next()
     if words[0].upper() != "HIERARCHY":
         raise reader.error(f"expected HIERARCHY, found {words[0][:30]!r}; is this a BVH file?")
-    names: list[str] = []
-    parents: list[int] = []
-    offsets: list[list[float] | None] = []
-    ends: list[tuple[int, tuple[float, float, float]]] = []
-    channels: list[tuple[str, ...]] = []
-    # joint numbers of the open braces, -1 for an End Site
-    open_joints: list[int] = []
-    # a joint that was named and awaits its brace
-    waiting: int | None = None
-    while True:
+    names, parents, ends = list[str](), list[int](), list[tuple[int, tuple[float, float, float]]]()
+    offsets, channels = list[list[float] | None](), list[tuple[str, ...]]()
+    # numbers of the joints whose braces are open; -1: an End Site's
+    inside: list[int] = []
+    while inside or not names:
         words = reader.next()
-        # brace on the line of the name
-        if words[-1] == "{" and len(words) > 1:
-            words, brace = words[:-1], True
-        else:
-            brace = words == ["{"]
-        key = words[0].upper()
-        if key in ("ROOT", "JOINT"):
-            if waiting is not None or (key == "ROOT") != (not names) or (open_joints and open_joints[-1] < 0):
-                raise reader.error(
-                    f"{key} {' '.join(words[1:])} cannot stand here; one ROOT, then JOINTs inside braces"
-                )
-            if key == "JOINT" and not open_joints:
-                raise reader.error("JOINT outside of the root's braces")
-            if len(words) < 2 or len(names) == MOST_JOINTS:
-                raise reader.error(f"{key} needs a name" if len(words) < 2 else f"more than {MOST_JOINTS} joints")
-            waiting = len(names)
-            names.append(" ".join(words[1:]))
-            parents.append(open_joints[-1] if open_joints else -1)
+        key, joint = words[0].upper(), inside[-1] if inside else None
+        if key in ("ROOT", "JOINT", "END"):
+            if (key == "ROOT") != (not names) or joint == -1:
+                raise reader.error(f"{key} cannot stand here; one ROOT, then JOINTs and End Sites inside braces")
+            name = reader.before_brace(words)
+            if key == "END":
+                inside.append(-1)
+                continue
+            if not name or len(names) == MOST_JOINTS:
+                raise reader.error(f"more than {MOST_JOINTS} joints" if name else f"{key} needs a name")
+            inside.append(len(names))
+            names.append(name)
+            parents.append(-1 if joint is None else joint)
             offsets.append(None)
             channels.append(())
-        elif key == "END":
-            if waiting is not None or not open_joints or open_joints[-1] < 0:
-                raise reader.error("End Site outside of a joint")
-            waiting = -1
+        elif key not in ("OFFSET", "CHANNELS", "}") or joint is None:
+            found = "MOTION before the hierarchy is closed" if key == "MOTION" else f"found {words[0][:30]!r}"
+            raise reader.error(f"expected ROOT, JOINT, End Site, OFFSET, CHANNELS or a closing brace, {found}")
         elif key == "OFFSET":
-            value = reader.floats(words[1:], 3, "OFFSET")
-            if not open_joints:
-                raise reader.error("OFFSET outside of a joint")
-            if open_joints[-1] < 0:
-                ends.append((open_joints[-2], (value[0], value[1], value[2])))
+            x, y, z = reader.floats(words[1:], 3, "OFFSET")
+            if joint < 0:
+                ends.append((inside[-2], (x, y, z)))
             else:
-                offsets[open_joints[-1]] = value
+                offsets[joint] = [x, y, z]
         elif key == "CHANNELS":
-            listed = [word.capitalize() for word in words[2:]]
-            if not open_joints or open_joints[-1] < 0:
-                raise reader.error("CHANNELS outside of a joint")
-            if not words[1:] or words[1] != str(len(listed)):
-                raise reader.error(f"CHANNELS promises {' '.join(words[1:2])} names, {len(listed)} follow")
-            known = {axis + kind for axis in "XYZ" for kind in ("position", "rotation")}
-            if set(listed) - known or len(set(listed)) != len(listed):
-                raise reader.error(
-                    f"CHANNELS should be different ones of X/Y/Zposition and X/Y/Zrotation, are {listed}"
-                )
-            channels[open_joints[-1]] = tuple(listed)
-        elif key == "}":
-            if not open_joints or waiting is not None:
-                raise reader.error("a brace closes that was not opened")
-            joint = open_joints.pop()
+            if joint < 0:
+                raise reader.error("CHANNELS of an End Site, which has none")
+            channels[joint] = _channel_names(reader, words)
+        else:
             if joint >= 0 and offsets[joint] is None:
                 raise reader.error(f"joint {names[joint]} has no OFFSET")
-        elif key == "MOTION":
-            break
-        elif not brace:
-            raise reader.error(
-                f"expected JOINT, End Site, OFFSET, CHANNELS, a brace or MOTION, found {words[0][:30]!r}"
-            )
-        if brace:
-            if waiting is None:
-                raise reader.error("a brace opens without a joint")
-            open_joints.append(waiting)
-            waiting = None
-    if open_joints or waiting is not None or not names:
-        raise reader.error("MOTION before the hierarchy is closed")
-    return tuple(names), tuple(parents), np.array(offsets, np.float64), tuple(ends), tuple(channels)
+            inside.pop()
+    return _Tree(tuple(names), tuple(parents), np.array(offsets, np.float64), tuple(ends), tuple(channels))
+
+
+def _channel_names(reader: _Lines, words: list[str]) -> tuple[str, ...]:
+    """What CHANNELS lists, behind their number."""
+    listed = [word.capitalize() for word in words[2:]]
+    if not words[1:] or words[1] != str(len(listed)):
+        raise reader.error(f"CHANNELS promises {' '.join(words[1:2])} names, {len(listed)} follow")
+    known = {axis + kind for axis in "XYZ" for kind in ("position", "rotation")}
+    if set(listed) - known or len(set(listed)) != len(listed):
+        raise reader.error(f"CHANNELS should be different ones of X/Y/Zposition and X/Y/Zrotation, are {listed}")
+    return tuple(listed)
 
 
 def _motion_header(reader: _Lines) -> tuple[int, float]:
+    words = reader.next()
+    if words[0].upper() != "MOTION":
+        raise reader.error(f"expected MOTION, found {words[0][:30]!r}")
     words = reader.next()
     if words[0].upper().rstrip(":") != "FRAMES" or not words[-1].isdecimal() or len(words[-1]) > 12:
         raise reader.error(f"expected 'Frames: N', found {' '.join(words)[:40]!r}")
@@ -285,8 +281,9 @@ def _index(reader: _Lines, frames: int, width: int) -> tuple[tuple[int, int], ..
     if not width:
         raise reader.error("no joint has channels")
     file, places, found, words = reader.file, [], 0, 0
+    line, byte = b"", file.tell()
     while True:
-        byte = file.tell()
+        byte += len(line)
         line = file.readline(LONGEST_LINE)
         reader.number += 1
         if not line:

@@ -111,6 +111,7 @@ def _write_hierarchy(file: IO[str], joints: Float[Array, "52 3"], unit: float) -
         return " ".join(f"{x:.8f}" for x in v + 0.0)
 
     def write(joint: int, depth: int) -> None:
+        """A joint, and below it its children, or where it has none its End Site."""
         order.append(joint)
         pad = "\t" * depth
         offset = joints[joint] - joints[PARENTS[joint]] if joint else joints[0]

@@ -91,6 +91,7 @@ def read_easymocap(path: Path | str, *, body: Body | None = None) -> Motion:
     notes.append(f"no frame rate in EasyMocap's files: {ASSUMED_RATE:g} frames per second assumed")
 
     def block(start: int, stop: int) -> tuple[Array, Array]:
+        """Poses and roots of frames start .. stop - 1, as `Motion.block` gives them."""
         values = rows(start, stop)
         pose = _joint_poses(values, layout, apart, body)
         places = np.broadcast_to(J0, (stop - start, 3))

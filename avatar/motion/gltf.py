@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from avatar.gltf.document import Gltf, read_gltf
 from avatar.gltf.humanoid import Naming, find_naming
-from avatar.gltf.scene import node_parents, parents_first, read_skin
+from avatar.gltf.scene import NodePlace, node_parents, node_place, parents_first, read_skin
 from avatar.motion.clip import Motion, RestSkeleton
 from avatar.motion.retarget import retarget
 from avatar.motion.smplh_rig import LIMBS, is_smplh, off_t_pose, read_exactly
@@ -188,16 +188,14 @@ def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
     place = {node: k for k, node in enumerate(order)}
     if not order:
         raise AssetError(f"{gltf.path}: nodes: expected a humanoid's joints, found none")
-    local = [_trs(gltf, node) for node in order]
+    local = [_rest_place(gltf, node) for node in order]
     channels = _channels(gltf, place, notes)
     rate, start, frames = _timing(gltf, channels, notes)
     rig = GltfRig(
         gltf.path,
         tuple(joint_of.get(n, f"__{n}") if named else str(nodes[n].get("name", f"__{n}"))[:100] for n in order),
         tuple(place[int(parents[n])] if parents[n] >= 0 else -1 for n in order),
-        np.array([t for t, _, _ in local]),
-        np.array([q for _, q, _ in local]),
-        np.array([s for _, _, s in local]),
+        *(np.array(values) for values in zip(*local, strict=True)),
         channels, frames, rate, start, np.zeros((len(order), 3, 3)), np.zeros((len(order), 3)),
     )  # fmt: skip
     _check_scales(gltf, rig, order)
@@ -215,23 +213,19 @@ def _check_scales(gltf: Gltf, rig: GltfRig, order: list[int]) -> None:
             raise gltf.error(f"nodes[{order[k]}] in the world", "of scale and place below 1e9", float(total[k]))
 
 
-def _trs(gltf: Gltf, index: int) -> tuple[Array, Array, Array]:
-    """Translation, rotation (unit quaternion) and scale of a node at rest; a `matrix` is taken apart."""
+def _rest_place(gltf: Gltf, index: int) -> NodePlace:
+    """A node at rest; a `matrix` is taken apart."""
     node, where = gltf.items("nodes")[index], f"nodes[{index}]"
     if "matrix" in node:
         matrix = gltf.numbers(node, "matrix", where, (4, 4)).T
         scale = np.linalg.norm(matrix[:3, :3], axis=0)
         if not (np.linalg.det(matrix[:3, :3]) > 0 and (scale > 0).all()):
             raise gltf.error(f"{where}.matrix", "one that does not mirror or flatten", node["matrix"])
-        return matrix[:3, 3], quaternion_from_matrix(matrix[:3, :3] / scale), scale
-    translation = gltf.numbers(node, "translation", where, (3,)) if "translation" in node else np.zeros(3)
-    rotation = gltf.numbers(node, "rotation", where, (4,)) if "rotation" in node else np.array([0.0, 0, 0, 1])
-    scale = gltf.numbers(node, "scale", where, (3,)) if "scale" in node else np.ones(3)
-    if abs(np.linalg.norm(rotation) - 1) > 0.01:
-        raise gltf.error(f"{where}.rotation", "a unit quaternion", node["rotation"])
-    if not (scale > 0).all():
+        return NodePlace(matrix[:3, 3], quaternion_from_matrix(matrix[:3, :3] / scale), scale)
+    place = node_place(gltf, index)
+    if not (place.scale > 0).all():
         raise gltf.error(f"{where}.scale", "positive, a mirrored bone has no rotation", node["scale"])
-    return translation, rotation / np.linalg.norm(rotation), scale
+    return place
 
 
 def _channels(gltf: Gltf, place: dict[int, int], notes: list[str]) -> dict[tuple[int, str], Channel]:

@@ -91,6 +91,7 @@ def read_pickled_motion(path: Path | str, *, body: Body | None = None) -> Motion
     R = matrix_from_quaternion(turn)
 
     def block(start: int, stop: int) -> tuple[Array, Array]:
+        """Poses and roots of frames start .. stop - 1, as `Motion.block` gives them."""
         pose = expanded(rows[start:stop].astype(np.float64), layout, body)
         check_numbers(path, name, pose, start)
         root = np.zeros((stop - start, 3)) + pelvis

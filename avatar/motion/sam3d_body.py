@@ -156,6 +156,7 @@ def _fields(npz: NpzFile, place: str) -> tuple[int, Rows]:
         frames = count
 
     def values(key: str, start: int, stop: int) -> Array:
+        """A field in frames start .. stop - 1, checked."""
         member, tail = members[key], tails[key]
         if member.shape == tail:
             with np.errstate(invalid="ignore"):

@@ -24,8 +24,9 @@ def test_a_preset_comes_back_as_it_was(name):
     assert read(stored(name) | {"rays": 7}) == replace(PRESETS[name], rays=7)
 
 
-def test_a_setting_that_is_gone_is_passed_over():
-    assert read(stored() | {"what_is_gone": 1}) == DEMO
+def test_a_setting_that_is_unknown_is_named():
+    with pytest.raises(ValueError, match=r"settings\.what_is_gone: unknown key in \[settings\]; "):
+        read(stored() | {"what_is_gone": 1})
 
 
 def test_a_setting_that_is_absent_is_named():
