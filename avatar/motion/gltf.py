@@ -195,7 +195,9 @@ def _rig(gltf: Gltf, naming: Naming, notes: list[str]) -> GltfRig:
         gltf.path,
         tuple(joint_of.get(n, f"__{n}") if named else str(nodes[n].get("name", f"__{n}"))[:100] for n in order),
         tuple(place[int(parents[n])] if parents[n] >= 0 else -1 for n in order),
-        *(np.array(values) for values in zip(*local, strict=True)),
+        np.array([place.translation for place in local]),
+        np.array([place.rotation for place in local]),
+        np.array([place.scale for place in local]),
         channels, frames, rate, start, np.zeros((len(order), 3, 3)), np.zeros((len(order), 3)),
     )  # fmt: skip
     _check_scales(gltf, rig, order)
