@@ -9,15 +9,13 @@ stopped; once a stage has run anew, all after it run anew as well.
 """
 
 import argparse
-import subprocess
 import sys
-import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from avatar.gltf.avatar_file import read_avatar
 from command.errors import AssetError
+from command.stages import Stage, command, run_stages
 from files.whole import whole_file
 
 # strength of the shine that depends on the view
@@ -39,29 +37,6 @@ color = "#3a4656"
 view = "{view}"
 antialiasing = "auto"
 """
-
-
-@dataclass(frozen=True)
-class Stage:
-    name: str
-    # written whole or not at all by the stage, last of what it writes
-    product: Path
-    run: Callable[[], object]
-    # on two cores
-    minutes: float = 1.0
-
-
-def command(*words: str | Path) -> Callable[[], int]:
-    """A command of the project as a process of its own.
-
-    Training must not share a process with drawing: torch's optimiser brings its own LLVM (triton), which crashes
-    where Mesa's was loaded first. A person types the commands one by one as well.
-    """
-
-    def run() -> int:
-        return subprocess.run([sys.executable, "-m", *map(str, words)], check=False).returncode
-
-    return run
 
 
 def film(avatar: Path, scene: Path, out: Path) -> Callable[[], int]:
@@ -109,30 +84,6 @@ def stages(out: Path) -> list[Stage]:
             1.0,
         ),
     ]
-
-
-def run_stages(todo: list[Stage], after: float = 0.0) -> dict[str, float]:
-    """Run what is not there yet, and everything after it; the seconds of what ran, by name. `after`: minutes of what
-    comes behind these stages.
-
-    Raises:
-        AssetError: a stage ended without its product.
-    """
-    seconds: dict[str, float] = {}
-    for number, stage in enumerate(todo, 1):
-        label = f"[{number}/{len(todo)}] {stage.name}"
-        if stage.product.exists() and not seconds:
-            print(f"{label}: kept {stage.product}", flush=True)
-            continue
-        left = sum(later.minutes for later in todo[number - 1 :]) + after
-        print(f"\n{label}: about {stage.minutes:.2g} min on 2 cores, {left:.0f} to the end ...", flush=True)
-        start = time.perf_counter()
-        code = stage.run()
-        if code not in (None, 0) or not stage.product.exists():
-            raise AssetError(f"{stage.product}: the stage {stage.name!r} ended without writing it")
-        seconds[stage.name] = time.perf_counter() - start
-        print(f"{label}: {seconds[stage.name]:.0f} s, {stage.product}", flush=True)
-    return seconds
 
 
 def summary(out: Path, seconds: dict[str, float]) -> list[str]:

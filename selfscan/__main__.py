@@ -17,6 +17,7 @@ USAGE = """usage: selfscan COMMAND ...
 Turn four phone videos of a person into an avatar to pose, watch and film in real time.
 
 make an avatar
+  make    FILMS -o NAME.glb    four films to an avatar in one go: all of import, train and bake
   synth   SUBJECT OUT          four self-scan videos of a built-in or rigged person, with ground truth
   import  KIND ...             your own videos (video, easymocap) or the authors' data (totalselfscan) as a capture
   check   CAPTURE_OR_VIDEOS      is this usable? overlays, numbers, a verdict with what to do
@@ -44,7 +45,7 @@ PACKAGES = ("files", "command", "avatar", "geometry", "capture", "train", "playe
             "experiments")
 # what a command needs beyond the base install
 EXTRAS = {
-    "synth": "bench", "import": "train", "check": "train", "train": "train",
+    "make": "bake", "synth": "bench", "import": "train", "check": "train", "train": "train",
     "bake": "bake", "eval": "bake,bench", "bench": "bake,bench", "inspect": "inspect",
 }  # fmt: skip
 # commands that hold decoded images
@@ -132,7 +133,9 @@ def _dispatch(name: str, rest: list[str]) -> int:
     # before torch is loaded: threads that spin while they wait take the processor from each other, several times slower
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
-        if name == "synth":
+        if name == "make":
+            from selfscan.make import main as run
+        elif name == "synth":
             from synth.options import main as run
         elif name == "import":
             from capture.read.command import main as run

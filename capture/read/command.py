@@ -69,15 +69,9 @@ class EasyMocapCommand:
 
 
 @dataclass(frozen=True)
-class VideoCommand:
-    """`selfscan import video`."""
+class FilmOptions:
+    """What is known of four films beside them, and how they are read."""
 
-    videos: Annotated[
-        tuple[Path, ...],
-        Option(positional=True, metavar="BODY HEAD LEFT RIGHT", several=True),
-        "the four videos, or a folder with body.mp4, head.mp4, left.mp4 and right.mp4",
-    ]
-    out: Annotated[Path, Option(("-o", "--out"), "OUT"), "capture folder to write"]
     keypoints: Annotated[
         str,
         Option(metavar="auto|DIR"),
@@ -101,6 +95,19 @@ class VideoCommand:
         float | None, Above(0), Option(metavar="PX"), "focal length of the phone, pixels of the videos (default: found)"
     ] = None
     frames: Annotated[int, AtLeast(8), AtMost(1000), "most frames of a video that are used"] = 60
+
+
+@dataclass(frozen=True)
+class VideoCommand:
+    """`selfscan import video`."""
+
+    videos: Annotated[
+        tuple[Path, ...],
+        Option(positional=True, metavar="BODY HEAD LEFT RIGHT", several=True),
+        "the four videos, or a folder with body.mp4, head.mp4, left.mp4 and right.mp4",
+    ]
+    out: Annotated[Path, Option(("-o", "--out"), "OUT"), "capture folder to write"]
+    reading: Annotated[FilmOptions, "how the films are read"]
 
 
 KINDS = """usage: selfscan import KIND ...
@@ -149,24 +156,25 @@ def _import_video(command: VideoCommand) -> list[str]:
     from capture.raw.four_videos import KEYPOINTS, find_videos
     from capture.read.video import VideoImport, import_video
 
+    reading = command.reading
     check_folder(command.out)
     files = find_videos(command.videos)
     beside = files["body"].parent / "keypoints"
-    if command.keypoints != "auto":
-        keypoints = Path(command.keypoints)
+    if reading.keypoints != "auto":
+        keypoints = Path(reading.keypoints)
     elif beside.is_dir():
         keypoints = beside
     else:
         try:
-            models = model_files(command.models)
+            models = model_files(reading.models)
         except AssetError as error:
             raise AssetError(f"{beside}: expected {KEYPOINTS}, found no such folder; {error}") from None
         keypoints = command.out.with_name(command.out.name + ".keypoints")
         _detect(keypoints, files, models)
-    masks = None if command.masks == "auto" else Path(command.masks)
-    given = VideoImport(files, keypoints, masks, command.frames, command.focal)
+    masks = None if reading.masks == "auto" else Path(reading.masks)
+    given = VideoImport(files, keypoints, masks, reading.frames, reading.focal)
     return import_video(
-        given, command.out, lambda scan, work: fit_scan(scan, sex=command.sex, stature=command.stature, work=work)
+        given, command.out, lambda scan, work: fit_scan(scan, sex=reading.sex, stature=reading.stature, work=work)
     )
 
 

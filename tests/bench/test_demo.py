@@ -5,8 +5,9 @@ from dataclasses import replace
 import pytest
 
 from avatar.gltf.avatar_file import write_avatar
-from bench.demo import SCENE, Stage, command, film, run_stages, stages, summary
+from bench.demo import SCENE, film, stages, summary
 from command.errors import AssetError
+from command.stages import Stage, command, run_stages
 from player.scene.mannequin import mannequin
 from player.scene.scene_file import read_scene
 
@@ -60,22 +61,16 @@ def test_a_command_that_fails_in_its_own_process_stops_the_demo(tmp_path, capfd)
 
 def test_the_person_calls_for_a_view_network_and_the_report_has_intervals(tmp_path, monkeypatch):
     commands = []
-    monkeypatch.setattr("bench.demo.subprocess.run", lambda words, check: commands.append(words[3:]) or Done())
-    for stage in stages(tmp_path):
-        if stage.name != "film":
-            stage.run()
+    monkeypatch.setattr("bench.demo.command", lambda *words: commands.append([str(word) for word in words]) or (lambda: 0))
+    stages(tmp_path)
     synth, _, bake, _, bench = commands
     assert float(synth[synth.index("--sheen") + 1]) > 0
     assert "--capture" in bake and "--capture" in bench and "--run" not in bench
     assert int(bench[bench.index("--rounds") + 1]) >= 20 and int(bench[bench.index("--frames") + 1]) > 1
 
 
-class Done:
-    returncode = 0
-
-
 def test_the_film_is_a_scene_that_shows_the_view_mode_of_the_avatar(tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.demo.subprocess.run", lambda words, check: Done())
+    monkeypatch.setattr("bench.demo.command", lambda *words: lambda: 0)
     avatar = mannequin()
     write_avatar(tmp_path / "avatar.glb", avatar)
     film(tmp_path / "avatar.glb", tmp_path / "film.toml", tmp_path / "avatar.mp4")()
