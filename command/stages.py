@@ -21,7 +21,7 @@ class Stage:
     name: str
     # written whole or not at all by the stage, last of what it writes
     product: Path
-    run: Callable[[], object]
+    run: Callable[[], int | None]
     # on two cores
     minutes: float = 1.0
 

@@ -61,7 +61,12 @@ def test_a_command_that_fails_in_its_own_process_stops_the_demo(tmp_path, capfd)
 
 def test_the_person_calls_for_a_view_network_and_the_report_has_intervals(tmp_path, monkeypatch):
     commands = []
-    monkeypatch.setattr("bench.demo.command", lambda *words: commands.append([str(word) for word in words]) or (lambda: 0))
+
+    def command(*words):
+        commands.append([str(word) for word in words])
+        return lambda: 0
+
+    monkeypatch.setattr("bench.demo.command", command)
     stages(tmp_path)
     synth, _, bake, _, bench = commands
     assert float(synth[synth.index("--sheen") + 1]) > 0

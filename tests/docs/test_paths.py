@@ -50,7 +50,7 @@ def test_every_module_that_is_run_is_there():
 
 def test_every_command_that_is_named_is_there():
     named = list(found(COMMAND))
-    assert len(COMMANDS) == 14 and len(named) > 60
+    assert len(COMMANDS) == 15 and len(named) > 60
     assert [(place, name) for place, name in named if name not in COMMANDS] == []
 
 

@@ -99,6 +99,6 @@ def test_other_films_are_not_mixed_with_work_that_is_there(films, ran, tmp_path)
 
 
 def test_films_that_are_not_there_are_refused_before_anything_is_made(tmp_path):
-    with pytest.raises(AssetError, match="nowhere.mp4: expected a film"):
+    with pytest.raises(AssetError, match=r"nowhere\.mp4: expected a film"):
         make.main([str(tmp_path / "nowhere.mp4"), "-o", str(tmp_path / "me.glb")])
     assert not list(tmp_path.iterdir())

@@ -7,7 +7,7 @@ import pytest
 
 from command.settings import SettingsSource, record_of, settings_json
 from train.command import ITEM_NAMES, PRESET_NAMES
-from train.preset import DEMO, ITEMS, PRESETS, Preset
+from train.preset import ITEMS, PRESETS, Preset
 
 
 def stored(name="demo"):
