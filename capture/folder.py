@@ -94,7 +94,7 @@ def read_capture(path: Path | str, *, parts: Sequence[str] = PARTS, frames_on_de
         AssetError: something is absent, misshapen, not finite, or disagrees with its neighbour.
     """
     path = Path(path)
-    facts = read_json_object(path / "capture.json", "the facts of a capture folder, as `selfscan synth` makes it")
+    facts = read_json_object(path / "capture.json", "a capture, as `selfscan import` and `selfscan synth` make it")
     if facts.get("format") != "selfscan-capture" or facts.get("version") != 1:
         found = f"{facts.get('format')!r} version {facts.get('version')!r}"
         raise AssetError(f"{path / 'capture.json'}: expected format 'selfscan-capture' version 1, found {found}")

@@ -1,6 +1,6 @@
 """Command lines made of settings: names, types, choices, defaults and help of options come from a dataclass's fields.
 
-    size: Annotated[int, AtLeast(64), Option(("-s",), "PIXELS"), Group("picture").rare, "of the picture"] = 520
+size: Annotated[int, AtLeast(64), Option(("-s",), "PIXELS"), OptionGroup("picture").rare, "of the picture"] = 520
 """
 
 import argparse
@@ -129,6 +129,13 @@ def parser_of(record: type, about: Help, *, everything: bool = False) -> "_Parse
     return parser
 
 
+class _HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Texts as they are broken into lines."""
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return [part for line in text.splitlines() for part in super(_HelpFormatter, self)._split_lines(line, width)]
+
+
 class _Parser(argparse.ArgumentParser):
     """A command's parser. A mistake is one line: the options of `selfscan render` are twenty lines, and hide it."""
 
@@ -136,7 +143,7 @@ class _Parser(argparse.ArgumentParser):
         epilog = f"{about.epilog}\n{about.more}" if everything else about.epilog
         super().__init__(
             about.command, description=about.description, epilog=epilog or None, add_help=False,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=_HelpFormatter,
         )  # fmt: skip
         self.everything, self.rare = everything, 0
         self.groups: dict[str, Any] = {}

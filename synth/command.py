@@ -14,7 +14,7 @@ from avatar.camera import write_cameras
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import PARENTS, PARTS
 from command.errors import AssetError
-from command.progress import Progress
+from command.progress import Progress, plural
 from command.settings import settings_json
 from files.whole import check_folder, whole_file, whole_folder
 from player.draw.raster import Rasteriser
@@ -69,7 +69,8 @@ def synth(subject: str, out: Path, config: SynthConfig) -> dict:
     for part, shots in videos.items():
         camera = shots.cameras[0]
         distance = np.linalg.norm(camera.eye - shots.root.mean(0)) if part == "body" else np.linalg.norm(camera.eye)
-        print(f"{part}: {config.frames} frames of {config.size} px, {1000 * distance / camera.K[0, 0]:.2f} mm a pixel")
+        pixel = f"{1000 * distance / camera.K[0, 0]:.2f} mm a pixel"
+        print(f"{part}: {plural(config.frames, 'frame')} of {config.size} px, {pixel}")
     return facts
 
 
@@ -96,7 +97,7 @@ def synth_raw(subject: str, out: Path, config: SynthConfig, raw: RawConfig) -> d
         write_truth(folder, plan, facts)
     for part, shots in plan.items():
         width, height = shots.camera.size
-        print(f"{FILES[part]}: {len(shots.root)} frames of {width} x {height} px")
+        print(f"{FILES[part]}: {plural(len(shots.root), 'frame')} of {width} x {height} px")
     return facts
 
 

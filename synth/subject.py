@@ -17,6 +17,7 @@ from avatar.gltf.scene import read_base_color
 from avatar.skeleton import JOINTS, PARTS
 from avatar.skinning import SkinWeights
 from capture.read.template import part_of
+from command.errors import AssetError
 
 HAIR_NAME = re.compile(r"wig|hair|ponytail|afro|beard", re.IGNORECASE)
 # eyeballs; lids, lashes, brows and glasses are called after the eye as well
@@ -57,6 +58,10 @@ def read_subject(path: Path) -> SynthSubject:
         AssetError: the file is unreadable, compressed, without a mesh, or its rig lacks a joint.
     """
     path = Path(path)
+    if not path.exists():
+        raise AssetError(
+            f"{path}: no such file; expected builtin, builtin:female or a rigged person (.glb, .gltf, .vrm)"
+        )
     gltf = read_gltf(path)
     rigged = read_rigged(gltf)
     meshes, vertices, skin, joints, notes = rigged.parts, rigged.vertices, rigged.skin, rigged.joints, rigged.notes

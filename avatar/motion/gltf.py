@@ -31,6 +31,7 @@ from avatar.rotation import (
 )
 from avatar.skeleton import JOINTS
 from command.errors import AssetError
+from command.progress import plural
 from files.input_file import JsonObject
 
 Array = np.ndarray
@@ -326,8 +327,8 @@ def _timing(gltf: Gltf, channels: dict[tuple[int, str], Channel], notes: list[st
         if even:
             rate = float(round(own)) if abs(own - round(own)) < 0.02 else own
     frames = int(np.floor((stop - start) * rate + 0.01)) + 1
-    keys = f"its {len(times)} keys are {'even' if even else 'uneven or far apart'}"
-    notes.append(f"sampled at {rate:g} frames per second, {frames} frames ({keys})")
+    keys = f"{plural(len(times), 'key')}, {'even' if even else 'uneven or far apart'}"
+    notes.append(f"sampled at {rate:g} frames per second, {plural(frames, 'frame')} ({keys})")
     if start > 0:
         notes.append(f"starts at {start:.3f} s, its first key")
     return rate, start, frames

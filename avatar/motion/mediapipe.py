@@ -18,6 +18,7 @@ from avatar.motion.landmark_pose import BODY_POINTS, HAND_POINTS, PAIRS, Points,
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS
 from command.errors import AssetError
+from command.progress import plural
 from files.input_file import read_json
 
 Array = np.ndarray
@@ -166,7 +167,7 @@ def _bodies(
             notes.append(f"body: hardly ever visible, so left as in T-pose: {', '.join(hidden)}")
     missing = int((~have).sum())
     if missing:
-        notes.append(f"body: not found in {missing} of {count} frames, which are filled from the frames around them")
+        notes.append(f"body: not found in {missing} of {plural(count, 'frame')}, filled from the frames around them")
     body = _filled(body, len(body))
     kind = "metres (pose_world_landmarks)" if metric else "parts of the picture, whose depth is a guess"
     notes.append(f"body: 33 landmarks in {kind}; turns about bones follow the bends of knees and elbows")
@@ -210,7 +211,7 @@ def _hand_points(
         if not found.any():
             notes.append(f"hands: no {side} hand in the file, flat")
         elif missing:
-            notes.append(f"hands: no {side} hand in {missing} of {len(frames)} frames, flat there")
+            notes.append(f"hands: no {side} hand in {missing} of {plural(len(frames), 'frame')}, flat there")
         out.append(hand)
     return out[0], out[1]
 

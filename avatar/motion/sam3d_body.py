@@ -20,6 +20,7 @@ from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton
 from avatar.motion.mhr_rig import MHR_JOINTS, NUMBERS, MhrRig, mhr_alignment, off_bones
 from avatar.motion.retarget import retarget
 from command.errors import AssetError
+from command.progress import plural
 from files.input_file import name_order
 from files.npz import NpzFile
 
@@ -86,7 +87,7 @@ def _opened(path: Path, notes: list[str]) -> tuple[int, Rows, bool]:
     """How many frames there are, what reads a stretch of them, and whether they are placed before the camera."""
     if path.is_dir():
         files = _files(path)
-        notes.append(f"frames: {len(files)} files in the order of their names, {files[0].name} to {files[-1].name}")
+        notes.append(f"frames: {plural(len(files), 'file')} in the order of names, {files[0].name} to {files[-1].name}")
         with NpzFile(files[0], WHAT) as npz:
             placed = _key(npz, CAMERA_KEYS) is not None
 

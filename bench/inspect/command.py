@@ -14,7 +14,7 @@ from bench.inspect.face_section import face
 from bench.inspect.inspection import Inspection, Inspector, KnownDistances
 from bench.inspect.page import PageSection, page
 from command.errors import missing_package
-from command.progress import progress
+from command.progress import plural, progress
 from files.whole import whole_folder
 from player.gl.context import opened
 
@@ -73,7 +73,7 @@ def inspect(
         for picture in (picture for section in sections for picture in section.pictures):
             (folder / f"{picture.name}.{picture.kind}").write_bytes(picture.data)
         inspection = Inspection(inspector.checks, sections, inspector.facts)
-        lines = [f"{path.name}, {len(avatar.levels)} levels, view dependence: {avatar.default_view}"]
+        lines = [f"{path.name}, {plural(len(avatar.levels), 'level')}, view dependence: {avatar.default_view}"]
         lines += [f"{what}: {place.name}" for what, place in (("run", run), ("capture", capture)) if place is not None]
         (folder / "inspect.html").write_text(page(avatar.name, lines, inspection.checks, sections), "utf-8")
         facts = inspection.facts | {"checks": [vars(check) for check in inspection.checks]}

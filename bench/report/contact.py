@@ -16,6 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from avatar.texture import bytes_of
 from bench.field.drawer import Drawer
 from capture.held_out import HeldOutView, read_capture_facts, read_held_out
+from command.progress import plural
 from files.input_file import open_film
 from files.whole import whole_file
 
@@ -126,7 +127,7 @@ def film_sheet(film: Path, out: Path, *, frames: int = 24, columns: int = 6) -> 
     chosen = np.unique(np.linspace(0, len(pictures) - 1, frames).round().astype(int))
     rows = [[pictures[i]] for i in chosen]
     titles = [[f"frame {i}"] for i in chosen]
-    save_sheet(out, sheet(rows, titles, f"{film.name}, {len(pictures)} frames", columns=columns))
+    save_sheet(out, sheet(rows, titles, f"{film.name}, {plural(len(pictures), 'frame')}", columns=columns))
 
 
 def main(argv: list[str] | None = None) -> int:

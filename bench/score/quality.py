@@ -57,7 +57,7 @@ from bench.score.true_mesh import TrueMesh, read_true_mesh
 from capture.folder import CaptureSubject, input_kind, read_subject
 from capture.held_out import SETS, HeldOutView, read_held_out, read_truth_facts
 from command.errors import AssetError
-from command.progress import progress
+from command.progress import plural, progress
 from files.input_file import read_json_object
 from player.gl.context import open_context
 from synth.visibility import visible_faces
@@ -274,7 +274,7 @@ def held_out_rows(what: Evaluated, surfaces: JudgedSurfaces, name: str) -> tuple
     T-pose by design; among novel poses a T-pose frame would flatter, and stands by itself."""
     views, own_views, novel = what.filmed[name], what.posed(name), name == "novel_pose"
     text = name.replace("_", " ")
-    print_stage(f"{text}: {len(views)} pictures")
+    print_stage(f"{text}: {plural(len(views), 'picture')}")
     few = frozenset(view.pose_index for view in some_poses(views, what.few)) if novel and what.few else frozenset()
     images = score_images(what.judge, views, f"{name} pictures", t_pose_apart=novel, few=few, ours=own_views)
     kept = [i for i, view in enumerate(views) if not (novel and is_t_pose(view))]

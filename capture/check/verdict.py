@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from capture.check.report import CaptureReport, PartReport
 from capture.check.silhouette import MISALIGNED, common
+from command.progress import plural
 
 Frames = tuple[int, ...]
 
@@ -96,7 +97,7 @@ def _of_face(report: CaptureReport) -> list[Finding]:
 def _of_frames(part: PartReport) -> list[Finding]:
     found = []
     if part.frames < FEW:
-        found.append(Finding(part.part, False, f"{part.frames} frames only", f"take {FEW} or more from the video"))
+        found.append(Finding(part.part, False, f"{plural(part.frames, 'frame')} only", f"take {FEW} or more from it"))
     if part.missing:
         found.append(Finding(part.part, False, f"frame numbers are missing: {listed(part.missing)}",
                              "extract the video again, or rename if they were left out on purpose"))  # fmt: skip

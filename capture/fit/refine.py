@@ -26,7 +26,7 @@ from capture.fit.masks import believed_offset, mask_offsets, pixels_off, redrawn
 from capture.folder import Capture, PartVideo, read_capture
 from capture.videos import changed, only
 from command.errors import AssetError
-from command.progress import Reporter
+from command.progress import Reporter, plural
 from files.npz import read_npz
 from files.whole import whole_file
 
@@ -108,7 +108,7 @@ def refine_part(job: RefineJob, reporter: Reporter) -> dict:
         np.savez(file, axis_angle=aligned.axis_angle[kept], root=aligned.root[kept], frames=kept)
     reporter.say(
         f"{job.part}: poses on the masks, outlines {facts['outline_px']:.2f} px apart, "
-        f"{len(facts['frames_left_out'])} frames left out"
+        f"{plural(len(facts['frames_left_out']), 'frame')} left out"
     )
     return facts
 

@@ -19,7 +19,7 @@ from capture.fit.refusals import check_fit, check_footage, check_upright
 from capture.fit.stored import fingerprint, read_estimate, read_focal, write_estimate, write_focal
 from capture.raw.scan import FittedScan, FittedVideo, RawScan, RawVideo
 from capture.read.template import TemplateMesh
-from command.progress import Progress
+from command.progress import Progress, plural
 
 Array = np.ndarray
 
@@ -88,7 +88,7 @@ def fit_scan(scan: RawScan, *, sex: str = "male", stature: float | None = None, 
     for part, fitted in found.items():
         if not fitted.usable.all():
             bad = scan.videos[part].frames[~fitted.usable]
-            notes.append(f"{part}: {len(bad)} frames left out, the fit does not explain them: {bad.tolist()[:20]}")
+            notes.append(f"{part}: {plural(len(bad), 'frame')} left out, unexplained by the fit: {bad.tolist()[:20]}")
     vertices = estimate.person.vertices(estimate.g)
     table = body_points()
     landmarks = {name: int(table[point].vertices[0]) for name, point in LANDMARKS.items()}

@@ -212,8 +212,8 @@ def main(argv: Sequence[str]) -> int:
         command = parse(VideoCommand, rest, FILMED)
         notes = _import_video(command)
     else:
-        parser = argparse.ArgumentParser(prog="selfscan import", usage="selfscan import KIND ...")
-        parser.error(f"KIND: expected video, totalselfscan or easymocap, found {kind or 'nothing'}")
+        parser = argparse.ArgumentParser(prog="selfscan import", usage=argparse.SUPPRESS)
+        parser.error(f"KIND: expected video, totalselfscan or easymocap, found {kind or 'nothing'}; see --help")
     for note in notes:
         print(note)
     print(f"{command.out}: imported; `selfscan check {command.out}` says whether it can be used")

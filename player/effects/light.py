@@ -17,6 +17,7 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera
 from avatar.light import LAMPS, CaptureLight, lamps_of
+from command.progress import plural
 from command.settings import AtLeast, AtMost, FilePlace, OneOf, check
 from player.draw.plan import Draft, Pass, Stage
 from player.draw.posed_mesh import vertex_order
@@ -182,7 +183,9 @@ class AvatarLight:
     @property
     def note(self) -> str:
         """For people: the end of a pass's reason."""
-        return f", lit by ambient {self.light.ambient:.2f} and {len(self.light.lamps)} lamps{self.explanation}"
+        return (
+            f", lit by ambient {self.light.ambient:.2f} and {plural(len(self.light.lamps), 'lamp')}{self.explanation}"
+        )
 
     @property
     def buffer(self) -> tuple[Any, ...]:

@@ -16,6 +16,7 @@ from avatar.limits import clamped, with_angle
 from avatar.motion.clip import Clip
 from avatar.rotation import axis_angle_from_matrix
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
+from command.progress import plural
 from player.pose import pose_file
 from player.pose.fingers import HandShape, Side, with_curl, with_hand, with_spread
 from player.pose.gizmo import turned
@@ -300,7 +301,7 @@ class PoseSession:
             pose_file.write_keys(
                 path, self.keys, self.rate, easing=self.state.easing, pelvis_height=self.pelvis_height, up=up
             )
-            done = f"{path}: {len(self.keys)} keyframes, {self.keys[-1][0] + 1} frames"
+            done = f"{path}: {plural(len(self.keys), 'keyframe')}, {plural(self.keys[-1][0] + 1, 'frame')}"
         else:
             pose_file.write_pose(path, self.pose, pelvis_height=self.pelvis_height, up=up)
             done = f"{path}: one pose"

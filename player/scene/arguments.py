@@ -130,8 +130,8 @@ def add_effects(add: Callable[..., None]) -> None:
         group = LOOKS if setting.name == "view" else LOOKS.rare
         add(group, f"--{setting.name}", choices=known.values, help=f"{setting.means} (default: {setting.default})")
     names = [setting.name for setting in tables]
-    means = "; ".join(f"{setting.name}: {setting.means}" for setting in tables)
-    means += "; may be given several times, docs/scenes.md has their settings"
+    means = "may be given several times; docs/scenes.md has their settings\n"
+    means += "\n".join(f"{setting.name}: {setting.means}" for setting in tables)
     add(LOOKS, "--effect", action="append", choices=names, metavar="NAME", default=[], help=means)
 
 
