@@ -28,11 +28,11 @@ class Option(NamedTuple):
 
     names: tuple[str, ...] = ()
     metavar: str | None = None
-    parse: Callable[[str], Any] | None = None
+    parse: Callable[[str], object] | None = None
     positional: bool = False
     several: bool = False
     repeated: bool = False
-    const: Any = None
+    const: object = None
     exclusive: str = ""
 
 
@@ -87,7 +87,7 @@ def parse(record: type[Record], argv: Sequence[str], about: Help) -> Record:
         parser.error(str(error))
 
 
-def _filled(record: type[Record], given: dict[str, Any], parser: "_Parser") -> Record:
+def _filled(record: type[Record], given: Mapping[str, object], parser: "_Parser") -> Record:
     values = {}
     for setting in settings_of(record):
         several = rule_of(setting, Several)
@@ -268,11 +268,11 @@ def _short(text: str) -> str:
 _METAVARS = {int: "N", float: "X", Path: "PATH"}
 
 
-def _reader(kind: Any) -> Callable[[str], Any]:
+def _reader(kind: object) -> Callable[[str], object]:
     """How text becomes a value of a type; of a tuple, of each of its members."""
     if get_origin(kind) is tuple:
         kind = get_args(kind)[0]
     if get_origin(kind) is Literal:
         return str
-    readers: dict[Any, Callable[[str], Any]] = {int: integer, float: number, Path: Path, str: str}
+    readers: dict[object, Callable[[str], object]] = {int: integer, float: number, Path: Path, str: str}
     return readers[kind]

@@ -128,7 +128,7 @@ def settings_of(record: type) -> tuple[Setting, ...]:
     return tuple(out)
 
 
-def broken_rule(setting: Setting, value: Any) -> str | None:
+def broken_rule(setting: Setting, value: object) -> str | None:
     """What a value of the right type breaks, as "expected ..., found ...", or None."""
     for number in value if isinstance(value, tuple) else (value,):
         if isinstance(number, float) and not math.isfinite(number):
@@ -147,7 +147,7 @@ def broken_rule(setting: Setting, value: Any) -> str | None:
     return None
 
 
-def check(record: Any) -> None:
+def check(record: object) -> None:
     """Refuse a dataclass whose values break their rules.
 
     Raises:
@@ -245,7 +245,7 @@ def value_of(setting: Setting, found: object, source: SettingsSource, at: KeyPat
     return _place(value, source.folder, place.names, at)
 
 
-def _typed(kind: Any, found: Any, source: SettingsSource, at: KeyPath) -> Any:
+def _typed(kind: Any, found: object, source: SettingsSource, at: KeyPath) -> Any:
     """A value of this type; whole numbers are numbers too, true is none."""
     if is_dataclass(kind):
         return record_of(cast(type, kind), found, source, at)
@@ -310,7 +310,7 @@ def described(found: object) -> str:
     return {list: "an array", dict: "a table", type(None): "nothing"}.get(type(found), f"a {type(found).__name__}")
 
 
-def settings_json(record: Any) -> dict[str, Any]:
+def settings_json(record: object) -> dict[str, Any]:
     """The fields of a settings record as JSON holds them, for run.json and provenance."""
     out = {}
     for setting in settings_of(type(record)):
@@ -320,7 +320,7 @@ def settings_json(record: Any) -> dict[str, Any]:
     return out
 
 
-def _json(value: Any) -> Any:
+def _json(value: object) -> object:
     if isinstance(value, tuple):
         return [settings_json(one) if is_dataclass(one) else _json(one) for one in value]
     return str(value) if isinstance(value, Path) else value

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -33,21 +33,15 @@ CHUNK = 1 << 18
 KINDS = "biufSU"
 
 
-class _Bounded:
+class _Bounded(io.BufferedReader):
     """A file that is read a little at a time: a zip may claim a directory of gigabytes."""
 
-    def __init__(self, file: io.BufferedReader):
-        self.file = file
-        self.seek, self.tell, self.close = file.seek, file.tell, file.close
-
-    def read(self, size: int = -1) -> bytes:
-        data = self.file.read(min(size, MAX_DIRECTORY_BYTES + 1) if size >= 0 else MAX_DIRECTORY_BYTES + 1)
+    def read(self, size: int | None = -1, /) -> bytes:
+        most = MAX_DIRECTORY_BYTES + 1
+        data = super().read(most if size is None or size < 0 else min(size, most))
         if len(data) > MAX_DIRECTORY_BYTES:
             raise zipfile.BadZipFile(f"a list of members of more than {MAX_DIRECTORY_BYTES} bytes")
         return data
-
-    def seekable(self) -> bool:
-        return True
 
 
 class NpzFile:
@@ -55,13 +49,12 @@ class NpzFile:
 
     def __init__(self, path: Path | str, what: str):
         self.path, self.what = Path(path), f"{what} (.npz)"
-        self.file = open_input(path, self.what, most=MAX_ARCHIVE_BYTES)
+        self.file = _Bounded(open_input(path, self.what, most=MAX_ARCHIVE_BYTES).detach())
         # a motion keeps its file open while it is played
         weakref.finalize(self, self.file.close)
         try:
             with _readable(f"{path}: expected {self.what}, found"):
-                bounded: Any = _Bounded(self.file)
-                self.archive: Any = zipfile.ZipFile(bounded)
+                self.archive = zipfile.ZipFile(self.file)
         except AssetError:
             self.close()
             raise
@@ -94,7 +87,7 @@ class NpzMember:
     def __init__(self, npz: NpzFile, name: str):
         self.npz, self.name = npz, name
         # an open member and the row it stands at
-        self.file: Any = None
+        self.file: IO[bytes] | None = None
         self.next_row = 0
         self.whole: Array | None = None
         info = npz.archive.getinfo(f"{name}.npy")
@@ -184,7 +177,7 @@ def read_npz(
         return {member.name: member.all(most) for member in members}
 
 
-def read_npy(path: Path | str, what: str) -> Any:
+def read_npy(path: Path | str, what: str) -> Array | list:
     """The array of an .npy file. An array of objects comes as the flat list of what it holds.
 
     Objects are a pickle, which is never run: arrays, numbers, text, lists and dicts are rebuilt from their bytes

@@ -251,19 +251,7 @@ def _put_in_place(unfinished: Path, target: Path) -> None:
     except BaseException:
         os.rename(aside, target)
         raise
-    _remove_listed(aside)
-
-
-def _remove_listed(folder: Path) -> None:
-    """Remove what the mark of a folder lists, and the folder if nothing else has come into it."""
-    listed = _listed(folder)
-    for name, path in list(_content(folder)):
-        if name in listed and not name.endswith("/"):
-            path.unlink()
-    (folder / MARK).unlink(missing_ok=True)
-    for inner, _, _ in os.walk(folder, topdown=False):
-        with contextlib.suppress(OSError):
-            os.rmdir(inner)
+    shutil.rmtree(aside)
 
 
 def _free(path: Path, ending: str) -> Path:

@@ -248,26 +248,25 @@ def _read_surface(gltf: Gltf, mesh: int) -> dict[str, np.ndarray]:
     if gltf.items("accessors")[accessors["WEIGHTS_0"]].get("normalized") is not True:
         raise gltf.error(f"{where}.WEIGHTS_0", "normalised bytes", "not normalised")
     arrays = {field: gltf.accessor(accessors[name]) for field, name in ATTRIBUTES.items()}
-    seen = arrays["view_seen"]
-    if seen.ndim != 2 or seen.shape[1] != 3 or seen[:, 1:].any():
-        raise gltf.error(f"{where}._VIEW_SEEN", "v, 0, 0 for each vertex", seen.shape)
-    arrays["view_seen"] = np.ascontiguousarray(seen[:, 0])
+    arrays["view_seen"] = _unpadded(gltf, arrays["view_seen"], 1, f"{where}._VIEW_SEEN")[:, 0]
     q0, q1 = gltf.accessor(accessors["_VIEW_Q0"]), gltf.accessor(accessors["_VIEW_Q1"])
     if q0.shape != q1.shape or q0.ndim != 2:
         raise gltf.error(f"{where}._VIEW_Q1", f"of the shape of _VIEW_Q0 {q0.shape}", q1.shape)
     arrays["view_q"] = np.concatenate([q0, q1], axis=1)
     if "_LIGHT" in accessors:
-        light = gltf.accessor(accessors["_LIGHT"])
-        if light.ndim != 2 or light.shape[1] != 3 or light[:, 2].any():
-            raise gltf.error(f"{where}._LIGHT", "S, H, 0 for each vertex", light.shape)
-        arrays["light"] = np.ascontiguousarray(light[:, :2])
+        arrays["light"] = _unpadded(gltf, gltf.accessor(accessors["_LIGHT"]), 2, f"{where}._LIGHT")
     if "_LOOSE" in accessors:
-        loose = gltf.accessor(accessors["_LOOSE"])
-        if loose.ndim != 2 or loose.shape[1] != 3 or loose[:, 1:].any():
-            raise gltf.error(f"{where}._LOOSE", "looseness, 0, 0 for each vertex", loose.shape)
-        arrays["loose"] = np.ascontiguousarray(loose[:, 0])
+        arrays["loose"] = _unpadded(gltf, gltf.accessor(accessors["_LOOSE"]), 1, f"{where}._LOOSE")[:, 0]
     arrays["faces"] = triangles(gltf, mesh, 0, len(arrays["positions"]))
     return arrays
+
+
+def _unpadded(gltf: Gltf, values: np.ndarray, used: int, where: str) -> np.ndarray:
+    """The columns of an attribute that are used; avatar_write.py fills the others of its three with zeros."""
+    if values.ndim != 2 or values.shape[1] != 3 or values[:, used:].any():
+        numbers = f"{used} number{'s' * (used > 1)} and {3 - used} of 0 for each vertex"
+        raise gltf.error(where, numbers, values.shape)
+    return np.ascontiguousarray(values[:, :used])
 
 
 def _twist_skin(gltf: Gltf, mesh: int, arrays: dict[str, np.ndarray]) -> TwistSkin:

@@ -43,13 +43,10 @@ def write_avatar(path: str | Path, avatar: Avatar) -> None:
 
 def _avatar_bytes(avatar: Avatar) -> bytes:
     builder = GltfBuilder()
-    helpers = helper_joints(avatar)
-    # behind the 52 joints is the node of the mesh
-    numbers = [*range(52), *(range(53, 53 + len(helpers.names)) if helpers else ())]
     joint_from_mesh = rigid_inverse(canonical_bones(avatar))
     skin = {
         "name": "SMPL+H",
-        "joints": numbers,
+        "joints": _joint_nodes(avatar),
         "skeleton": 0,
         "inverseBindMatrices": builder.add_accessor(joint_from_mesh.astype(np.float32)),
     }
@@ -78,6 +75,32 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
                 title = f"{name} features" + (f" {first} to {first + 3}" if first else "")
                 levels[i][key] = builder.add_image(encode_png(planes), title)
 
+    return builder.to_bytes(
+        {
+            "asset": {"version": "2.0", "generator": "selfscan"},
+            "extensionsUsed": ["KHR_materials_unlit", EXTENSION],
+            "extensions": {EXTENSION: _extension(avatar, levels)},
+            "scene": 0,
+            "scenes": [{"name": avatar.name, "nodes": [0, 52]}],
+            "nodes": _nodes(avatar),
+            "skins": [skin],
+            "meshes": meshes,
+            "materials": materials,
+            "textures": textures,
+            "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
+        }
+    )
+
+
+def _joint_nodes(avatar: Avatar) -> list[int]:
+    """The node of each joint; behind the 52 of the skeleton is the node of the mesh."""
+    helpers = helper_joints(avatar)
+    return [*range(52), *(range(53, 53 + len(helpers.names)) if helpers else ())]
+
+
+def _nodes(avatar: Avatar) -> list[JsonObject]:
+    """The skeleton in pose 0, the mesh, and the helper joints."""
+    numbers, helpers = _joint_nodes(avatar), helper_joints(avatar)
     nodes: list[JsonObject] = []
     for joint, name in enumerate(JOINTS):
         parent = PARENTS[joint]
@@ -92,7 +115,11 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
             {"name": name, "translation": [float(x) for x in offset]}
             for name, offset in zip(helpers.names, helpers.offsets, strict=True)
         ]
+    return nodes
 
+
+def _extension(avatar: Avatar, levels: list[JsonObject]) -> JsonObject:
+    """What SELFSCAN_avatar says; `levels` are where the levels lie in the file."""
     extension: JsonObject = {
         "version": VERSION,
         "name": avatar.name,
@@ -103,7 +130,7 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         "amplitude": float(avatar.amplitude),
         "provenance": avatar.provenance,
     }
-    if helpers:
+    if avatar.levels[0].twist is not None:
         extension["twist"] = True
     if avatar.bend is not None:
         extension["bend"] = _flat(avatar.bend)
@@ -114,21 +141,7 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         extension["linear"] = _flat(avatar.linear)
     if avatar.light is not None:
         extension["light"] = avatar.light.json()
-    return builder.to_bytes(
-        {
-            "asset": {"version": "2.0", "generator": "selfscan"},
-            "extensionsUsed": ["KHR_materials_unlit", EXTENSION],
-            "extensions": {EXTENSION: extension},
-            "scene": 0,
-            "scenes": [{"name": avatar.name, "nodes": [0, 52]}],
-            "nodes": nodes,
-            "skins": [skin],
-            "meshes": meshes,
-            "materials": materials,
-            "textures": textures,
-            "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
-        }
-    )
+    return extension
 
 
 def _add_surface(builder: GltfBuilder, level: Level) -> JsonObject:
@@ -136,13 +149,12 @@ def _add_surface(builder: GltfBuilder, level: Level) -> JsonObject:
     q = level.view_q
     arrays = {name: getattr(level, field) for field, name in ATTRIBUTES.items()}
     arrays |= {"_VIEW_Q0": q[:, :3], "_VIEW_Q1": q[:, 3:]}
+    few = {"_VIEW_SEEN": level.view_seen[:, None], "_LIGHT": level.light}
+    few["_LOOSE"] = None if level.loose is None else level.loose[:, None]
     # three numbers as the others: Blender up to 5.1 takes attributes of several types for one another (its #2658)
-    seen = level.view_seen[:, None]
-    arrays["_VIEW_SEEN"] = np.concatenate([seen, np.zeros((len(seen), 2), np.float32)], axis=1)
-    if level.light is not None:
-        arrays["_LIGHT"] = np.concatenate([level.light, np.zeros((len(seen), 1), np.float32)], axis=1)
-    if level.loose is not None:
-        arrays["_LOOSE"] = np.concatenate([level.loose[:, None], np.zeros((len(seen), 2), np.float32)], axis=1)
+    arrays |= {
+        name: np.pad(values, ((0, 0), (0, 3 - values.shape[1]))) for name, values in few.items() if values is not None
+    }
     joints, arrays["WEIGHTS_0"] = level.drawn_skin
     arrays["JOINTS_0"] = np.where(arrays["WEIGHTS_0"] > 0, joints, 0).astype(np.uint8)
     attributes = {
