@@ -16,6 +16,7 @@ FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # SMPL+H order, not ana
 JOINTS: tuple[str, ...] = tuple(
     _BODY + [f"{side}_{finger}{n}" for side in ("left", "right") for finger in FINGERS for n in (1, 2, 3)]
 )
+JOINT_NUMBERS = {name: number for number, name in enumerate(JOINTS)}
 LEFT_HAND, RIGHT_HAND = slice(22, 37), slice(37, 52)
 
 # parts of the person, each with a video and a field of its own; the index is the part's number everywhere

@@ -13,10 +13,8 @@ from avatar.rotation import matrix_from_quaternion, quaternion_from_matrix, quat
 
 Array = np.ndarray
 
-SINGULAR = (
-    # |det| of a blended matrix under which its inverse is refused: B moves points by < 1/50 of volume
-    0.02
-)
+# |det| of a blended matrix under which its inverse is refused: B moves points by < 1/50 of volume
+SINGULAR = 0.02
 
 
 class SkinWeights(NamedTuple):

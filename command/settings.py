@@ -128,7 +128,7 @@ def settings_of(record: type) -> tuple[Setting, ...]:
     return tuple(out)
 
 
-def broken_rule(setting: Setting, value: object) -> str | None:
+def broken_rule(setting: Setting, value: Any) -> str | None:
     """What a value of the right type breaks, as "expected ..., found ...", or None."""
     for number in value if isinstance(value, tuple) else (value,):
         if isinstance(number, float) and not math.isfinite(number):
@@ -245,7 +245,7 @@ def value_of(setting: Setting, found: object, source: SettingsSource, at: KeyPat
     return _place(value, source.folder, place.names, at)
 
 
-def _typed(kind: Any, found: object, source: SettingsSource, at: KeyPath) -> Any:
+def _typed(kind: Any, found: Any, source: SettingsSource, at: KeyPath) -> Any:
     """A value of this type; whole numbers are numbers too, true is none."""
     if is_dataclass(kind):
         return record_of(cast(type, kind), found, source, at)

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from math import prod
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -54,7 +54,7 @@ class NpzFile:
         weakref.finalize(self, self.file.close)
         try:
             with _readable(f"{path}: expected {self.what}, found"):
-                self.archive = zipfile.ZipFile(self.file)
+                self.archive: Any = zipfile.ZipFile(self.file)
         except AssetError:
             self.close()
             raise
@@ -87,7 +87,7 @@ class NpzMember:
     def __init__(self, npz: NpzFile, name: str):
         self.npz, self.name = npz, name
         # an open member and the row it stands at
-        self.file: IO[bytes] | None = None
+        self.file: Any = None
         self.next_row = 0
         self.whole: Array | None = None
         info = npz.archive.getinfo(f"{name}.npy")

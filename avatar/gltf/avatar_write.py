@@ -55,17 +55,8 @@ def _avatar_bytes(avatar: Avatar) -> bytes:
         name = f"{avatar.name} {len(level.faces)}"
         image = builder.add_image(encode_png(level.base_color), f"{name} base colour")
         textures.append({"name": name, "sampler": 0, "source": image})
-        materials.append(
-            {
-                "name": name,
-                "pbrMetallicRoughness": {
-                    "baseColorTexture": {"index": i},
-                    "metallicFactor": 0,
-                    "roughnessFactor": 1,
-                },
-                "extensions": {"KHR_materials_unlit": {}},
-            }
-        )
+        color = {"baseColorTexture": {"index": i}, "metallicFactor": 0, "roughnessFactor": 1}
+        materials.append({"name": name, "pbrMetallicRoughness": color, "extensions": {"KHR_materials_unlit": {}}})
         primitive = {**_add_surface(builder, level), "material": i}
         meshes.append({"name": name, "primitives": [primitive]})
         levels.append({"mesh": i})

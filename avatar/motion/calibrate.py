@@ -31,12 +31,10 @@ from avatar.rotation import (
     slerp,
     unit_or_zero,
 )
-from avatar.skeleton import JOINTS
 from command.errors import AssetError
 
 Array = np.ndarray
 
-J = {name: index for index, name in enumerate(JOINTS)}
 NEAR_AXES = np.radians(25.0)
 # mean of the sines of a hinge's angle under which it says nothing, and the share of it that must agree
 LEAST_BEND, LEAST_AGREEMENT = 0.05, 0.7

@@ -29,6 +29,7 @@ from avatar.rotation import (
     quaternion_from_matrix,
     slerp,
 )
+from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS
 from command.errors import AssetError
 from command.progress import plural
@@ -45,7 +46,6 @@ SLOWEST, FASTEST = 10.0, 480.0
 ASSUMED_RATE = 30.0
 # degrees by which the bind pose must beat the default nodes
 BIND_CLOSER = 5.0
-J = {name: index for index, name in enumerate(JOINTS)}
 
 
 @dataclass(frozen=True)

@@ -35,10 +35,10 @@ from avatar.rotation import (
     slerp,
     unit_or_zero,
 )
-from avatar.skeleton import JOINTS, PARENTS
+from avatar.skeleton import JOINT_NUMBERS as J
+from avatar.skeleton import PARENTS
 
 Array = np.ndarray
-J = {name: index for index, name in enumerate(JOINTS)}
 
 BODY_POINTS, HAND_POINTS = 33, 21
 # MediaPipe's numbers of the body's points: the left one, the right one

@@ -16,13 +16,12 @@ from avatar.motion.clip import Motion, RestSkeleton, builtin_skeleton, checked_r
 from avatar.motion.landmark_file import WHAT, FilmFacts, Frame, is_mediapipe, read_landmarks
 from avatar.motion.landmark_pose import BODY_POINTS, HAND_POINTS, PAIRS, Points, pose_from_points
 from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import JOINTS
+from avatar.skeleton import JOINT_NUMBERS as J
 from command.errors import AssetError
 from command.progress import plural
 from files.input_file import read_json
 
 Array = np.ndarray
-J = {name: index for index, name in enumerate(JOINTS)}
 
 ASSUMED_RATE = 30.0
 # width over height that pictures have

@@ -34,10 +34,9 @@ from avatar.rotation import (
     rotation_between,
     unit_or_zero,
 )
-from avatar.skeleton import JOINTS
+from avatar.skeleton import JOINT_NUMBERS as J
 
 Array = np.ndarray
-J = {name: index for index, name in enumerate(JOINTS)}
 
 MHR_JOINTS = 127
 # our joint of the left side -> the joint that turns it, the joint that places it

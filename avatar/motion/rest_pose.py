@@ -17,12 +17,11 @@ from avatar.rotation import (
     matrix_from_axis_angle,
     rotation_between,
 )
-from avatar.skeleton import JOINTS
+from avatar.skeleton import JOINT_NUMBERS as J
 from command.errors import AssetError
 
 Array = np.ndarray
 
-J = {name: index for index, name in enumerate(JOINTS)}
 # cosine of a thigh to the way from hips to head, above which no person stands: it points up, or sideways like a split
 THIGH_UP = -0.2
 

@@ -25,6 +25,7 @@ from avatar.rotation import (
     rotation_between,
     slerp,
 )
+from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS
 from command.errors import AssetError
 
@@ -32,7 +33,6 @@ Array = np.ndarray
 
 # looked at for up axis, rest pose and soles
 SAMPLED_FRAMES = 200
-J = {name: index for index, name in enumerate(JOINTS)}
 
 
 def retarget(

@@ -14,11 +14,11 @@ from jaxtyping import Float
 from avatar.motion.clip import Motion, builtin_skeleton
 from avatar.motion.rig import REQUIRED, AnimatedRig
 from avatar.rotation import axis_angle_from_matrix
+from avatar.skeleton import JOINT_NUMBERS as J
 from avatar.skeleton import JOINTS, PARENTS
 
 Array = np.ndarray
 
-J = {name: index for index, name in enumerate(JOINTS)}
 LIMBS = tuple(f"{side}_{name}" for side in ("left", "right") for name in REQUIRED) + ("head",)
 # degrees that limbs may rest off a T-pose: people differ, an A-pose is 40
 MOST_OFF = 20.0

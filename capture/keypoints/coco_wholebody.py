@@ -17,7 +17,6 @@ from jaxtyping import Float
 from capture.keypoints.numbers import checked, number, triples
 from capture.keypoints.record import FACE, Keypoints, hand_points, keypoints_of, largest
 from command.errors import AssetError
-from command.progress import plural
 
 Array = np.ndarray
 
@@ -57,7 +56,7 @@ def wholebody_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Key
             rows[k], others[k] = largest(people, notes)
     empty = sum(not people for people in pictures)
     if empty:
-        notes.append(f"no person in {empty} of {plural(len(pictures), 'frame')}")
+        notes.append(f"no person in {empty} of {len(pictures)} frames")
     rows[:, :, :2] += 0.5
     return keypoints_of(NAMES, rows, None, notes, others)
 

@@ -13,7 +13,6 @@ from jaxtyping import Float
 from capture.keypoints.numbers import triples
 from capture.keypoints.record import FACE, SIDES, Keypoints, hand_points, keypoints_of, largest
 from command.errors import AssetError
-from command.progress import plural
 
 Array = np.ndarray
 
@@ -50,7 +49,7 @@ def openpose_keypoints(frames: list[tuple[Path, Any]], notes: list[str]) -> Keyp
     if empty == len(frames):
         raise AssetError(f"{frames[0][0].parent}: no person in any of {len(frames)} frames")
     if empty:
-        notes.append(f"no person in {empty} of {plural(len(frames), 'frame')}")
+        notes.append(f"no person in {empty} of {len(frames)} frames")
     if rows[:, :, :2].max() <= 1:
         raise AssetError(f"{frames[0][0]}: expected pixels, found parts of the picture (OpenPose's keypoint_scale 3)")
     rows[:, :, :2] += 0.5

@@ -8,7 +8,6 @@ from scipy import ndimage
 
 from capture.raw.glance import SURE, Glance
 from capture.raw.judge import BLURRED, Judged
-from command.progress import plural
 
 Array = np.ndarray
 
@@ -37,7 +36,7 @@ class KeptFrames:
     def line(self, name: str) -> str:
         """What was chosen, in words."""
         out = ", ".join(f"{count} {reason}" for reason, count in self.left_out.items() if count)
-        return f"{name}: {plural(len(self.frames), 'frame')} kept" + (f"; left out: {out}" if out else "")
+        return f"{name}: {len(self.frames)} frames kept" + (f"; left out: {out}" if out else "")
 
 
 def select(judged: Judged, most: int) -> KeptFrames:

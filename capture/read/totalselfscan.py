@@ -42,7 +42,6 @@ from capture.read.folder import (
 from capture.read.places import landmark_vertices
 from capture.read.template import TemplateMesh
 from command.errors import AssetError
-from command.progress import plural
 from files.input_file import read_json_object
 from files.npz import read_npy
 from files.picture import picture_size
@@ -120,7 +119,7 @@ def _body_video(
     removed = _removed(folder / "frame_remove.json")
     kept = frames[[not any(start <= k < stop for start, stop in removed) for k in frames]]
     if len(kept) < len(frames):
-        notes.append(f"{part}: {plural(len(frames) - len(kept), 'frame')} left out by frame_remove.json")
+        notes.append(f"{part}: {len(frames) - len(kept)} frames left out by frame_remove.json")
     if not len(kept):
         raise AssetError(f"{folder / 'frame_remove.json'}: bad_frame leaves no frame of the chosen ones")
     names = [relative[k] for k in kept]
