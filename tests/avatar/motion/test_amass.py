@@ -68,14 +68,15 @@ def test_the_capture_folders_y_up_file_puts_the_pelvis_at_trans(tmp_path):
     np.testing.assert_array_equal(clip.axis_angle.reshape(7, 156), POSES)
 
 
+@pytest.mark.parametrize("root, body", [("root_orient", "pose_body"), ("global_orient", "body_pose")])
 @pytest.mark.parametrize("hands", [True, False])
-def test_newer_keys_mean_the_same(tmp_path, hands):
+def test_newer_keys_mean_the_same(tmp_path, hands, root, body):
     split = {
         "poses": None,
         "mocap_framerate": None,
         "mocap_frame_rate": np.array(60),
-        "root_orient": POSES[:, :3],
-        "pose_body": POSES[:, 3:66],
+        root: POSES[:, :3],
+        body: POSES[:, 3:66],
         "pose_hand": POSES[:, 66:] if hands else None,
         "pose_jaw": np.ones((7, 3)),
     }
