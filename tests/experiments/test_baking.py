@@ -1,7 +1,6 @@
 """The experiment on a bake's settings: which bakes it makes and keeps, how it scores them, number formats, its page."""
 
 import json
-import shutil
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -15,10 +14,9 @@ import experiments.baking_scores
 from avatar.gltf.avatar_file import write_avatar
 from avatar.texture import mipmaps
 from bake.options import BakeOptions
-from command.errors import AssetError
-from experiments.baking import StageClock, main, rows_of
-from experiments.baking_formats import SHIPPED, format_rows, integers, moved, of_bits
-from experiments.baking_page import change, sentence
+from experiments.baking import main, rows_of
+from experiments.baking_formats import SHIPPED, format_rows, moved
+from experiments.baking_page import change
 from experiments.baking_scores import References, Seen, avatar_pictures, read_references
 from player.gl.context import open_context
 from player.scene.mannequin import mannequin
@@ -60,21 +58,6 @@ def test_each_row_differs_from_the_default_in_what_it_names():
     words = {row.key: row.words for row in rows}
     assert words["faces-60000"] == "60,000 triangles" and words["texture-512"] == "512 x 512 texels"
     assert words["texture_from-field+texel_samples-1"] == "textures from the field, 1 sample a texel"
-
-
-def test_seconds_of_stages_are_taken_between_the_lines_that_a_bake_reports(monkeypatch):
-    now = iter([10.0, 13.0, 14.5, 20.0, 26.0])
-    monkeypatch.setattr(experiments.baking, "own_seconds", lambda: next(now))
-    clock = StageClock(lambda line: None)
-    for line in (
-        "[  3.0 s, + 3.0] surface: 100 triangles",
-        "  a line between",
-        "[  4.5 s, + 1.5] level 0: 10 triangles, 2 charts",
-        "[ 10.0 s, + 5.5] default view: off (it is so)",
-        "[ 16.0 s, + 6.0] /somewhere/avatar.glb: 1.0 MB",
-    ):
-        clock(line)
-    assert clock.stages == {"surface": 3.0, "level 0": 1.5, "default view": 5.5, "writing": 6.0}
 
 
 class InThisProcess:
@@ -185,24 +168,6 @@ def test_every_bake_is_made_and_scored_once_and_the_page_says_what_it_costs(
     assert [one.texture for one in bakes] == [256, 512, 128]
 
 
-def test_the_sentence_names_the_cheapest_that_loses_nothing():
-    def row(words, seconds, flip, head=0.1):
-        scores = {
-            region: {"flip": value, "flip_each": [value, value]} for region, value in (("total", flip), ("head", head))
-        }
-        return {"words": words, "cpu_seconds": seconds, "scores": {"truth": scores}}
-
-    rows = [row("default: all", 100.0, 0.07), row("less", 40.0, 0.0705), row("more", 300.0, 0.06)]
-    rows += [row("bad", 10.0, 0.09), row("bad head", 20.0, 0.06, 0.11)]
-    trained = {"subject": "someone", "cpu_seconds": None}
-    said = sentence({"rows": rows, "trained": trained})
-    assert "nearest to them is more (0.0600, 300 s)" in said
-    assert (
-        "The cheapest that loses no more than 0.001 over the person, head and hands is less: 40 s, FLIP 0.0705" in said
-    )
-    assert "Nothing cheaper keeps within 0.001" in sentence({"rows": [rows[0], rows[3]], "trained": trained})
-
-
 def test_numbers_of_fewer_bits_change_the_picture_the_less_the_more_bits_they_keep(avatar, small, oracle, tmp_path):
     path = tmp_path / "avatar.glb"
     write_avatar(path, avatar)
@@ -223,12 +188,6 @@ def test_numbers_of_fewer_bits_change_the_picture_the_less_the_more_bits_they_ke
     assert shipped["frame"] is None and shipped["largest"] <= 2
 
 
-def test_rounding_keeps_so_many_values():
-    values = np.linspace(-1, 1, 1001, dtype=np.float32)
-    assert len(np.unique(integers(8)(values))) == 255 and np.abs(integers(8)(values) - values).max() <= 0.5 / 127 + 1e-6
-    assert len(np.unique(of_bits(np.arange(256, dtype=np.uint8), 4))) == 16
-
-
 def test_a_person_and_a_camera_moved_together_give_the_same_view(oracle, tmp_path):
     seen: Seen = read_references(tmp_path, oracle[0], 1).seen[0]
     pose, camera = moved(seen.pose, seen.camera)
@@ -242,13 +201,3 @@ def test_without_truth_avatars_are_compared_with_the_field_in_the_bake_s_own_vie
     references: References = read_references(tmp_path, None, 3)
     assert not references.has_truth and references.names == "field"
     assert {one.region for one in references.seen} == {"total", "head", "hands"} and references.bodies
-
-
-def test_what_is_asked_wrongly_is_said(run, tmp_path, capsys):
-    for more, said in ((["--texture", "1000"], "expected a power of two"), (["--poses", "0"], "should be at least 1")):
-        with pytest.raises(SystemExit):
-            main([str(run), "-o", str(tmp_path / "out"), *more])
-        assert said in capsys.readouterr().err
-    with pytest.raises(AssetError, match=r"no run\.json"):
-        main([str(tmp_path / "nothing"), "-o", str(tmp_path / "out")])
-    shutil.rmtree(tmp_path / "out", ignore_errors=True)

@@ -6,16 +6,11 @@ import numpy as np
 
 from avatar.camera import orbit_camera
 from avatar.motion.read import builtin_motion
-from experiments.bare_program import BareProgram, main
+from experiments.bare_program import BareProgram
 from player.gl.context import open_context
 from player.scene.effects import PLAIN, STUDIO
 from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer
-
-
-def test_the_command_prints_the_ratio(capsys):
-    assert main(["--rounds", "6"]) == 0
-    assert "processor time: " in capsys.readouterr().out
 
 
 def test_the_program_without_effects_draws_the_bare_scenes_picture():

@@ -61,11 +61,3 @@ def test_folders_of_other_lengths_are_refused(pictures):
         (root / "one").mkdir()
         Image.new("L", (SIZE, SIZE), 255).save(root / "one" / "0.png")
         pictures_of_body(root / "images", root / "one", root / "points")
-
-
-def test_pictures_are_chosen_with_their_masks_and_points(pictures):
-    root, _ = pictures
-    video = pictures_of_body(root / "images", root / "masks", root / "points", most=3)
-    assert [path.name for path in video.pictures] == [f"{i}.png" for i in (0, 5, 10)] and len(video.masks) == 3
-    whole = pictures_of_body(root / "images", root / "masks", root / "points")
-    np.testing.assert_array_equal(video.keypoints.pixels, whole.keypoints.pixels[[0, 5, 10]])

@@ -7,9 +7,8 @@ import pytest
 
 import experiments.claim
 from command.errors import AssetError
-from experiments.claim import collect, main, person_and_sex
+from experiments.claim import collect, main
 from experiments.claim_page import page
-from experiments.quality_page import claim_section
 
 
 def result(kind: str, p2s: float) -> dict:
@@ -80,13 +79,6 @@ def test_one_person_is_filmed_once_and_judged_in_three_columns_on_the_same_pictu
     assert "200 steps a part, 16% of those of preset demo" in text
 
 
-def test_a_column_alone_is_made(made):
-    calls, out = made
-    assert main(["builtin", "-o", str(out), *WORDS, "--only", "given"]) == 0
-    assert [call[1] for call in calls] == ["synth", "synth", "train", "eval"]
-    assert "| 0.50 / 0.50 / 0.50 | - | - | 1.84" in (out / "claim.md").read_text()
-
-
 def test_what_is_there_is_kept_and_other_settings_go_elsewhere(made, capsys):
     calls, out = made
     assert main(["builtin", "-o", str(out), *WORDS]) == 0
@@ -127,22 +119,3 @@ def test_the_mean_is_of_all_people_or_of_nobody():
     text = page(people, facts)
     mean = text[text.index("## Mean of 2 people") : text.index("## He")]
     assert "| held-out poses: P2S in place, cm | 1.50 / 1.50 / 1.50 | - | - | - |" in mean
-
-
-def test_the_quality_page_ends_with_the_mean(made):
-    _, out = made
-    assert main(["builtin", "-o", str(out), *WORDS]) == 0
-    with pytest.raises(AssetError, match="format should be 'selfscan-claim', is None"):
-        claim_section(out / "options.json")
-    text = claim_section(out / "claim.json")
-    assert text.startswith("## From pixels, beside what is given") and "\n### builtin\n" in text
-
-
-def test_a_person_is_named_as_synth_takes_them():
-    assert person_and_sex("builtin:female") == ("builtin:female", "female")
-    assert person_and_sex("builtin") == ("builtin", "male") and person_and_sex("a/B.glb:female") == (
-        "a/B.glb",
-        "female",
-    )
-    with pytest.raises(AssetError, match=r"B\.glb:her: expected PERSON"):
-        person_and_sex("B.glb:her")

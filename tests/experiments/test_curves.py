@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import experiments.curves
-from command.errors import AssetError
 from command.settings import settings_json
-from experiments.curve_page import items_table, markdown, plot, seconds_to
-from experiments.curves import TimeLeft, leaves_out, main, planned
+from experiments.curve_page import items_table, seconds_to
+from experiments.curves import leaves_out, main
 from train.preset import DEMO, ITEMS
 
 CAPTURE = {"format": "selfscan-capture", "subject": "Person", "light": "even", "size": 64}
@@ -44,30 +43,10 @@ def test_an_item_is_compared_with_the_same_training_that_has_it():
     assert items_table(points[:2]) == []
 
 
-def test_a_run_without_seconds_stands_in_the_table_and_on_no_curve(tmp_path):
-    points = [point(50, 24), point(70, 26, total_steps=80, cpu_seconds=None, given=True)]
-    result = {"points": points, "cpu": "a processor", "cores": 2, "absent": ["x: training failed"]}
-    text = markdown(result)
-    assert "| Person, demo, a run given | 10 | - |" in text
-    assert "reaches 24.0 dB" in text and "25 of the first's seconds are no training" in text
-    assert "Not measured: x: training failed" in text
-    plot(result, tmp_path / "curves.png")
-    assert (tmp_path / "curves.png").stat().st_size > 1000
-
-
 def test_what_a_run_left_out_is_read_from_its_settings():
     for name, change in ITEMS.items():
         assert not leaves_out(settings_json(DEMO), "demo", change)
         assert leaves_out(settings_json(change(DEMO)), "demo", change), name
-
-
-def test_time_left_follows_the_trainings_that_are_done(tmp_path, capture):
-    plan = planned(experiments.curves.Options((capture,), tmp_path, (100, 200, 400), ("demo",), (), None, 2, "cpu", 0))
-    left = TimeLeft(plan)
-    assert left.done(plan[0], 60.0) == "2 points left, about 2 min left"
-    # a minute more for 100 steps more: 240 s for 400
-    assert left.done(plan[1], 120.0) == "1 points left, about 4 min left"
-    assert left.done(plan[2], 240.0) == "all points are there"
 
 
 @pytest.fixture
@@ -151,23 +130,3 @@ def test_a_finished_run_is_a_point_of_its_capture_and_is_not_trained(calls, capt
     points = json.loads((out / "curves.json").read_text())["points"]
     assert [(p["capture"], p["given"], p["cpu_seconds"]) for p in points] == [("cap", True, 33.0), ("cap", True, None)]
     assert points[1]["seconds"] is None
-
-
-def test_what_fails_is_said_and_the_rest_is_made(calls, capture, tmp_path, monkeypatch, capsys):
-    whole = experiments.curves.command
-    monkeypatch.setattr(experiments.curves, "command", lambda *words: whole(*words) if "10" not in words else lambda: 1)
-    assert main([str(capture), "-o", str(tmp_path / "out"), "--steps", "10", "20"]) == 1
-    assert "not measured: cap: 10 steps a part, 1% of those of preset demo: training failed" in capsys.readouterr().err
-    assert [p["steps"] for p in json.loads((tmp_path / "out" / "curves.json").read_text())["points"]] == [20]
-
-
-def test_what_is_asked_wrongly_is_said(capture, tmp_path, capsys):
-    for words, said in (
-        (["--without", "shoes"], "should be of light, hair, clothes, eyes, joined by +, is 'shoes'"),
-        (["--steps", "0"], "should be a positive number or whole, is '0'"),
-    ):
-        with pytest.raises(SystemExit):
-            main([str(capture), "-o", str(tmp_path), *words])
-        assert said in capsys.readouterr().err
-    with pytest.raises(AssetError, match=r"capture\.json"):
-        main([str(tmp_path / "nothing"), "-o", str(tmp_path / "out")])

@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from experiments import fitting
-from experiments.fitting import main, markdown
+from experiments.fitting import main
 
 
 def test_a_tiny_row_is_fitted_once_and_lies_near_the_truth(tmp_path, capsys, monkeypatch):
@@ -40,15 +40,3 @@ def test_pictures_of_a_fit_show_where_its_outline_is(tmp_path):
         for across in range(4):
             part = orange[down * height // 2 :, across * width // 4 :][: height // 2, : width // 4]
             assert part.sum() > 100
-
-
-def test_the_table_holds_means_and_the_largest_of_each_source_in_order():
-    def row(source, seed, joints):
-        values = dict.fromkeys(fitting.COLUMNS, 1.0) | {"joints": joints}
-        return {"subject": "builtin", "seed": seed, "source": source, "input": "keypoints", "frames": 40, "size": 540,
-                "commit": "abc1234", "scores": values}  # fmt: skip
-
-    lines = markdown([row("all", 0, 1.0), row("exact", 0, 0.5), row("all", 1, 2.0)]).splitlines()
-    assert lines[2].startswith("| nothing | keypoints | 1 | 0.50 (0.50) |")
-    assert lines[3].startswith("| all of these | keypoints | 2 | 1.50 (2.00) |")
-    assert lines[-1].endswith("40 frames of 540 px; commit abc1234.")

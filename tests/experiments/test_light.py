@@ -1,6 +1,5 @@
 """The experiment on light: what it makes, keeps and resumes, and the numbers and page it makes of pictures."""
 
-import json
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -9,11 +8,11 @@ import numpy as np
 import pytest
 
 import experiments.light
-from avatar.light import CaptureLight, lamps_of
+from avatar.light import CaptureLight
 from bench.field.drawer import Drawer
 from capture.held_out import HeldOutView
 from experiments.light import main
-from experiments.light_scores import Compared, common_gain, compare, found_light, scores
+from experiments.light_scores import Compared, common_gain, compare, scores
 from synth.light import light_of
 from synth.photo import Studio
 from train.fused import FusedField
@@ -53,16 +52,6 @@ def test_one_gain_stands_between_albedo_and_texture():
     assert found["albedo_rms"]["hands"] == pytest.approx(0, abs=1e-6)
     # the key light is asked for with that gain
     assert found["key"]["total"] == pytest.approx(-20 * np.log10(0.005), abs=0.006)
-
-
-def test_the_light_found_is_said_beside_the_light_there_was():
-    fixed, even = light_of("fixed", "body", 0), light_of("even", "body", 0)
-    found = CaptureLight(0.41, lamps_of(np.array([fixed.direction]), np.array([0.5])), frame="world")
-    assert found_light(found, fixed) == "a lamp, gamma 1: key 0.0 degrees off, ambient / key 0.82 for 0.82"
-    assert found_light(None, fixed) == "none, there were key"
-    assert found_light(None, even) == "none"
-    room = light_of("room", "body", 0)
-    assert "source 1 " in found_light(found, room) and "source 2 " in found_light(found, room)
 
 
 @pytest.fixture
@@ -120,23 +109,6 @@ def test_a_training_without_the_factor_is_asked_for_beside_it(made):
     assert ["--without" in call for call in trainings] == [False, True]
     assert trainings[1][trainings[1].index("--without") + 1] == "light"
     assert "| builtin, even, no factor |" in (out / "light.md").read_text()
-
-
-def test_what_fails_is_said_and_the_rest_is_made(made, monkeypatch, capsys):
-    calls, out = made
-    whole = experiments.light.command
-    monkeypatch.setattr(
-        experiments.light, "command", lambda *words: whole(*words) if "fixed" not in words else lambda: 1
-    )
-    assert main(["builtin:female", "-o", str(out), "--lights", "fixed"]) == 1
-    assert "not measured: builtin_female, fixed: filming failed" in capsys.readouterr().err
-    assert [row["light"] for row in json.loads((out / "light.json").read_text())["scores"]] == ["even"]
-
-
-def test_people_of_one_name_are_refused(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        main(["a/x.glb", "b/x.glb", "-o", str(tmp_path)])
-    assert "people are told apart by their files' names, which are x, x" in capsys.readouterr().err
 
 
 def _as_bright_as_its_light(light) -> Mock:

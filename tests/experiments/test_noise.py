@@ -1,14 +1,12 @@
 """The bench of noise: what it adds to a capture, and the page it makes of the scores."""
 
-import json
-
 import numpy as np
 import pytest
 from painted_capture import write_capture
 
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from capture.folder import read_capture
-from experiments.noise import NOISES, lost, markdown, noisy_capture, rows_in
+from experiments.noise import NOISES, noisy_capture
 
 KINDS = {noise.name: noise for noise in NOISES}
 
@@ -46,24 +44,3 @@ def test_masks_are_off_by_their_pixels_on_all_sides(folder, tmp_path, name):
         np.testing.assert_array_equal(video.images, noisy.videos[part].images)
     row = true[0, true.shape[1] // 2]
     assert abs(int(row.sum()) - int(given[0, true.shape[1] // 2].sum())) >= 2
-
-
-def _score(path, total, head, hands):
-    each = {"total": total, "head": head, "hands": hands}
-    scores = {region: {"psnr_db": value, "p2s_cm": 0.2} for region, value in each.items()}
-    path.write_text(json.dumps({"novel_pose": scores, "machine": {"commit": "abc1234"}}))
-
-
-def test_the_page_holds_every_row_that_was_scored_and_judges_it_against_the_clean_one(tmp_path):
-    _score(tmp_path / "none_off.json", 28.6, 25.8, 24.9)
-    _score(tmp_path / "poses_off.json", 20.3, 23.5, 17.7)
-    _score(tmp_path / "poses_auto.json", 28.2, 25.4, 24.7)
-    rows = {(row["noise"], row["refine"]): row for row in lost(rows_in(tmp_path))}
-    assert len(rows) == 3
-    assert rows["poses", "auto"]["total_lost"] == 0.4 and rows["poses", "auto"]["met"]
-    assert rows["poses", "off"]["hands_lost"] == 7.2 and not rows["poses", "off"]["met"]
-    page = markdown(list(rows.values()), "python -m experiments.noise out")
-    assert (
-        "| 2 degrees of pose noise | auto | 28.20 (+0.400) | 25.40 (+0.400) | 24.70 (+0.200) | 0.200 | yes | abc1234 |"
-        in page
-    )

@@ -8,7 +8,7 @@ import torch
 from painted_capture import write_capture
 
 import experiments.presets
-from experiments.presets import checkpoints, main, markdown
+from experiments.presets import checkpoints, main
 from train.preset import DEMO, PRESETS
 
 SMALL = replace(
@@ -52,19 +52,6 @@ def test_scores_rise_with_the_steps_and_time_runs_forward(measured):
     assert points[-1]["iteration"] == 60 and points[-1]["psnr_db"] > points[0]["psnr_db"] + 1
     assert all(a["seconds"] < b["seconds"] for a, b in zip(points, points[1:]))
     assert preset["held_out_rays"] > 20
-
-
-def test_hours_are_extrapolated_and_said_to_be_so(measured):
-    result, out, _ = measured
-    preset = result["presets"][0]
-    assert preset["extrapolated"] and preset["own_iterations"] == DEMO.parts[2].iterations
-    expected = preset["checkpoints"][-1]["seconds"] / 60 * preset["own_iterations"] / 3600
-    assert preset["hours_of_own_iterations"] == pytest.approx(expected)
-    text = (out / "presets.md").read_text()
-    assert "extrapolated |" in text and "On a CPU: smoke-sized." in text
-    result["presets"][0] = preset | {"extrapolated": False}
-    assert "extrapolated |" not in markdown(result)
-    assert (out / "presets.png").stat().st_size > 5_000
 
 
 def test_scores_are_taken_at_steps_the_trainer_reports_at():

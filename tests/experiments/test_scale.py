@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from avatar.motion.read import read_motion
-from experiments.scale import ScaleSteps, bench_scale, crowd, fitted_power, main, take_turns, write_still_motion
+from experiments.scale import ScaleSteps, bench_scale, crowd, fitted_power, write_still_motion
 from player.gl.context import open_context
 from player.scene.mannequin import mannequin
 
@@ -20,18 +20,6 @@ def test_the_exponent_is_that_of_the_times(power):
     noisy = exact * np.exp(0.1 * np.random.default_rng(1).normal(size=exact.shape))
     found = fitted_power(x, noisy)
     assert found.low < power < found.high and found.high - found.low < 0.15
-
-
-def test_a_fixed_cost_draws_the_exponent_below_one():
-    x = np.array([1, 10, 100])
-    assert 0.2 < fitted_power(x.tolist(), np.tile(10.0 + x, (3, 1))).exponent < 0.8
-
-
-def test_programs_take_turns_and_run_once_untimed():
-    ran = []
-    wall, cpu = take_turns([lambda n: ran.append(("a", n)), lambda n: ran.append(("b", n))], 2)
-    assert ran == [(who, n) for first in (0, 2) for who in "ab" for n in (first, first + 1)]
-    assert wall.shape == cpu.shape == (2, 2) and wall.min() > 0 and cpu.min() > 0
 
 
 def test_a_crowd_is_all_in_the_picture():
@@ -67,10 +55,3 @@ def test_every_sweep_is_measured_and_written(tmp_path):
     assert [row["x"] for row in result["sweeps"]] == [[1, 3], [256, 1024], [600, 1200]]
     text = (tmp_path / "out/scale.md").read_text()
     assert all(name in text for name in names)
-
-
-def test_the_command_prints_the_exponents(tmp_path, capsys, monkeypatch):
-    row = {"name": "avatars", "exponents": {"cpu": {"exponent": 0.97, "low": 0.9, "high": 1.0}}}
-    monkeypatch.setattr("experiments.scale.bench_scale", lambda *_, **__: {"sweeps": [row], "warning": None})
-    assert main(["-o", str(tmp_path / "x")]) == 0
-    assert "x^0.97 (0.90 to 1.00)" in capsys.readouterr().out

@@ -1,15 +1,8 @@
-from pathlib import Path
-
 import numpy as np
-import pytest
 from capsules import ball_mesh
 
-from avatar.motion.read import builtin_motion
 from avatar.skinning import SkinWeights
-from command.errors import AssetError
-from experiments.skin_rules import crossing_pairs, nearest_vertex_weights, real_poses
-
-COUNTING = Path(__file__).parents[2] / "avatar" / "data" / "motions" / "counting.npz"
+from experiments.skin_rules import crossing_pairs, nearest_vertex_weights
 
 
 def test_two_balls_cross_exactly_where_they_overlap():
@@ -31,13 +24,3 @@ def test_nearest_vertex_rule_copies_a_vertex():
     found = nearest_vertex_weights(np.array([[0.4, 0, 0], [0.6, 0, 0]]), vertices, skin)
     np.testing.assert_array_equal(found.joints[:, 0], [3, 5])
     np.testing.assert_allclose(found.weights[1], [0.6, 0.4, 0, 0], atol=1 / 255)
-
-
-def test_poses_are_spread_over_all_frames_and_too_few_are_refused():
-    motion = builtin_motion("counting")
-    found = real_poses([COUNTING, COUNTING], 5)
-    whole = motion.read(0, motion.frames).axis_angle
-    np.testing.assert_array_equal(found[0], whole[0])
-    np.testing.assert_array_equal(found[-1], whole[-1])
-    with pytest.raises(AssetError, match="poses asked"):
-        real_poses([COUNTING], motion.frames + 1)

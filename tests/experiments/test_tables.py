@@ -1,7 +1,6 @@
 """The tables command on a tiny person: rows in processes' stead in this one, training by a small preset."""
 
 import json
-import re
 import shutil
 import subprocess
 import sys
@@ -11,10 +10,10 @@ from painted_capture import write_capture
 
 import experiments.table_row
 import experiments.tables
-from bench.score.quality_table import PAPER_GEOMETRY, PAPER_IMAGE, QUOTED_GEOMETRY
+from bench.score.quality_table import PAPER_IMAGE
 from command.errors import AssetError
-from experiments.table_page import as_in_paper, mean_of, page, seams_as_in_paper
-from experiments.tables import collect, main
+from experiments.table_page import as_in_paper, mean_of, page
+from experiments.tables import main
 
 # the demo preset in name and networks, so that its run reads as one; everything else small
 TRAIN = """
@@ -90,20 +89,6 @@ def test_a_second_call_trains_nothing_measures_nothing_and_writes_the_same_page(
     assert (out / "tables.md").read_text() == page_before
 
 
-def test_a_row_measured_on_other_poses_is_measured_again(people, monkeypatch):
-    arguments, _ = people
-    asked = []
-
-    def count(*words):
-        asked.append(words[3])
-        return lambda: 0
-
-    monkeypatch.setattr(experiments.tables, "command", count)
-    arguments = [*arguments[:3], "--poses", "2", "--our-poses", "1", "--rows", "no_fusion"]
-    assert main(arguments) == 0
-    assert asked == ["no_fusion"]
-
-
 def test_a_run_of_another_capture_is_refused(people, tmp_path):
     arguments, out = people
     capture = tmp_path / "striped"
@@ -112,19 +97,6 @@ def test_a_run_of_another_capture_is_refused(people, tmp_path):
     (capture / "capture.json").write_text(json.dumps(facts | {"light": "fixed"}))
     with pytest.raises(AssetError, match=r"light 'fixed'.*is light 'even'"):
         main([str(tmp_path / "out"), "--captures", str(capture), "--runs", str(out / "runs")])
-
-
-def test_the_page_quotes_the_paper_and_says_where_the_order_differs(people):
-    text = (people[1] / "tables.md").read_text()
-    assert "## Even light" in text
-    neural = [f"{v:.2f}" for scores in QUOTED_GEOMETRY["NeuralBody"].values() for v in scores.values()]
-    assert f"| NeuralBody (quoted from the paper) | {' | '.join(neural)} |" in text
-    assert re.search(r"\| without ray transformation \(Eq\. 14\) \|.* \| (yes \(6 of 6\)|no: [^|]+) \|", text)
-    assert re.search(r"\| without fusion \(Eq\. 9\) \| as ours \|", text)
-    assert "[striped](striped/seed0/no_L_g.png)" in text
-    paper = [f"{v:.2f}" for scores in PAPER_GEOMETRY["single"].values() for v in scores.values()]
-    assert f"| the paper's: single network, as many parameters | {' | '.join(paper)} |" in text
-    assert re.search(r"\n\| single network, as many parameters \|.* \| (yes \(6 of 6\)|no: [^|]+) \|", text)
 
 
 def result(row, seed=0, name="a", total=20.0, neck=1.0):
@@ -149,12 +121,6 @@ def test_order_is_judged_on_the_same_people_and_by_every_measured_number():
     assert as_in_paper("single", ours, [], PAPER_IMAGE) == "not measured"
 
 
-def test_a_seam_that_should_be_worse_and_is_not_is_told():
-    ours, same = [result("ours")], [result("landmarks_only")]
-    assert seams_as_in_paper("landmarks_only", ours, same) == "no: neck mm"
-    assert seams_as_in_paper("landmarks_only", ours, [result("landmarks_only", neck=1.2)]) == "yes (1 of 1)"
-
-
 def test_seeds_give_mean_and_deviation_of_the_means_over_people():
     results = [result("ours", seed, name, total) for seed, name, total in
                [(0, "a", 20.0), (0, "b", 22.0), (1, "a", 22.0), (1, "b", 24.0)]]  # fmt: skip
@@ -165,23 +131,6 @@ def test_seeds_give_mean_and_deviation_of_the_means_over_people():
     text = page(results, [], ["c, seed 0: ours (training failed)"])
     assert "22.00 ± 1.41" in text and "## Varied light, sheen 0.5" in text
     assert "- c, seed 0: ours (training failed)" in text
-
-
-def test_what_cannot_be_measured_is_said_and_the_rest_goes_on(people, monkeypatch, capsys):
-    arguments, out = people
-    tried = []
-
-    def fail(*words):
-        tried.append(words[3])
-        return lambda: 3
-
-    monkeypatch.setattr(experiments.tables, "command", fail)
-    arguments = [*arguments[:3], "--poses", "2", "--our-poses", "2", "--rows", "ours", "no_fusion"]
-    assert main(arguments) == 1
-    assert tried == ["ours", "no_fusion"]
-    assert "without fusion (Eq. 9) (failed with status 3)" in capsys.readouterr().err
-    assert "## Not measured" in (out / "tables.md").read_text()
-    assert {r["row"] for r in collect(out)[0]} == set(ROWS)  # what was there stays
 
 
 def test_a_row_of_another_training_is_trained_apart_and_asked_for_it(people, monkeypatch, capsys):
