@@ -93,6 +93,27 @@ def filmed_four(made_once) -> Path:
     return made_once("filmed", film)
 
 
+@pytest.fixture(scope="module")
+def context():
+    """An OpenGL context for the tests of a file."""
+    from player.gl.context import open_context
+
+    context = open_context()
+    yield context
+    assert context.gl.error == "GL_NO_ERROR"
+    context.release()
+
+
+@pytest.fixture(scope="module")
+def rasteriser(context):
+    """A rasteriser of that context."""
+    from player.draw.raster import Rasteriser
+
+    rasteriser = Rasteriser(context)
+    yield rasteriser
+    rasteriser.release()
+
+
 @pytest.fixture
 def within(record_property):
     """Asserts measured <= bound and puts both into the report of the hard cases.
@@ -136,7 +157,7 @@ class HardCases:
             "largest error measured against the *bound* that the test asserts. Rows without a number assert an exact",
             "value, a flag or a refusal that names the file and field.",
             "",
-            f"{platform.python_implementation()} {platform.python_version()}, NumPy {np.__version__}, {rasteriser()}.",
+            f"{platform.python_implementation()} {platform.python_version()}, NumPy {np.__version__}, {renderer()}.",
         ]
         files = sorted({file for file, _ in self.rows})
         for file in files:
@@ -163,7 +184,7 @@ class HardCases:
         return f"| {name.removeprefix('test_').replace('_', ' ')} | {len(outcomes)} | {state} | {worst} | {bound} |"
 
 
-def rasteriser() -> str:
+def renderer() -> str:
     from player.gl.context import open_context
 
     try:

@@ -5,6 +5,7 @@ first unless `empty` is false. MMPose's JSON, since it is one file a video.
 """
 
 import json
+import shutil
 
 import av
 import numpy as np
@@ -133,6 +134,12 @@ def _person(at, rng, upside_down):
 NAMES_OF_FILES = {"body": "body", "head": "head", "hand_left": "left", "hand_right": "right"}
 
 
-def film_all(folder, **changed):
-    """Four videos; `changed`: what is different about one part."""
-    return {part: film(folder, part, name, **changed.get(part, {})) for part, name in NAMES_OF_FILES.items()}
+def film_all(folder):
+    """Four videos; returns the true masks by part."""
+    return {part: film(folder, part, name) for part, name in NAMES_OF_FILES.items()}
+
+
+def film_anew(filmed_four, folder, part, **changed):
+    """The four videos of `filmed_four` in `folder`, one of them filmed otherwise; returns that one's true masks."""
+    shutil.copytree(filmed_four, folder, dirs_exist_ok=True)
+    return film(folder, part, NAMES_OF_FILES[part], **changed)

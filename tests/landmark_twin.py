@@ -4,13 +4,10 @@ import json
 import re
 
 import numpy as np
-from mhr_twin import world
+from mhr_twin import SIDES, J, world
 
 from avatar.motion.landmark_pose import FACE, FACE_AT_REST, HAND_STARTS, PAIRS
-from avatar.skeleton import JOINTS
 
-J = {name: k for k, name in enumerate(JOINTS)}
-SIDES = ("left", "right")
 # from our axes to the picture's: y down, z away
 DOWN = np.array([1.0, -1, -1])
 

@@ -17,9 +17,13 @@ from avatar.motion.mhr_rig import (
 )
 from avatar.motion.sam3d_body import FLIP
 from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import JOINTS, joint_transforms
+from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 
 J = {name: k for k, name in enumerate(JOINTS)}
+SIDES = ("left", "right")
+LIMBS = [(f"{s}_{a}", f"{s}_{b}") for s in SIDES for a, b in (
+    ("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))]  # fmt: skip
+FINGERS = [(JOINTS[PARENTS[k]], JOINTS[k]) for k in range(22, 52) if JOINTS[k][-1] in "23"]
 WITHOUT_CURVE = [J[name] for name in ("spine1", "spine2", "spine3")]
 
 
@@ -38,6 +42,23 @@ def natural_poses(frames, seed=0, share=0.7):
 def world(axis_angle, joints, root):
     transforms = joint_transforms(axis_angle, joints, root)
     return transforms[:, :, :3, :3], transforms[:, :, :3, 3]
+
+
+def placed(motion, joints):
+    """Rotations and places of the joints of a motion's frames, in the world."""
+    clip = motion.read()
+    return world(clip.axis_angle, joints, clip.root)
+
+
+def directions(places, pairs):
+    """Unit vectors from the first to the second joint of each pair."""
+    bones = np.stack([places[:, J[b]] - places[:, J[a]] for a, b in pairs], 1)
+    return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+
+
+def degrees_between(a, b):
+    """Degrees between unit vectors, exact for small angles as well."""
+    return np.degrees(2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1)))
 
 
 def sam3d_fields(axis_angle, root, skeleton=None, camera=(0.3, 0.9, 5.0)):

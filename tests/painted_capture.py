@@ -9,12 +9,22 @@ from PIL import Image
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, pinhole, pixel_rays, write_cameras
 from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import PARTS, skin_transforms
+from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import skin_normals, skin_points
-from capture.folder import read_subject
+from capture.folder import CaptureSubject, read_subject
+from capture.read.template import part_of
 from capture.template.surface import surface_cloud
 from files.whole import whole_folder
 from train.rays import Band, Samples, march
+
+
+def free_subject(sex: str) -> CaptureSubject:
+    """The free body as the subject of a capture, without hair."""
+    body = builtin_body(sex)
+    rest = body.vertices.astype(np.float64)
+    canonical = skin_points(rest, body.skin, skin_transforms(BIG_POSE, body.joints, rest=np.zeros((52, 3))))
+    part, hair = part_of(body.skin).astype(np.int64), np.zeros(len(rest), bool)
+    return CaptureSubject("test", rest, canonical, body.faces.astype(np.int64), body.skin, body.joints, part, hair)
 
 
 def write_capture(out: Path, *, size: int = 48, frames: int = 4) -> Path:

@@ -19,18 +19,10 @@ from bake.truth import (
     read_true_views,
 )
 from command.errors import AssetError
-from player.gl.context import open_context
 from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer
 
 SIZE = (96, 96)
-
-
-@pytest.fixture(scope="module")
-def context():
-    context = open_context()
-    yield context
-    context.release()
 
 
 def write_truth(context, capture, avatar, view):

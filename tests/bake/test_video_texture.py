@@ -33,8 +33,6 @@ from bake.texture.video_texture import averaged, averaging, solve_texture
 from capture.folder import PartVideo
 from command.errors import AssetError
 from geometry.mesh import TriangleMesh
-from player.draw.raster import Rasteriser
-from player.gl.context import open_context
 from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer
 from train.session import capture_place
@@ -61,13 +59,6 @@ def painted():
     image = np.clip(0.5 + 0.2 * smooth / smooth.std(), 0, 1)
     level = replace(avatar.levels[0], base_color=np.uint8(255 * image))
     return replace(avatar, levels=(level,), network=None, linear=None, default_view="off")
-
-
-@pytest.fixture(scope="module")
-def context():
-    context = open_context()
-    yield context
-    context.release()
 
 
 @pytest.fixture(scope="module")
@@ -134,9 +125,8 @@ def shining(level):
     return ViewChange(field, charted.points, charted._replace(cone=everywhere), base)
 
 
-def test_what_follows_the_eye_stays_out_of_the_texture(context, painted, videos):
+def test_what_follows_the_eye_stays_out_of_the_texture(rasteriser, painted, videos):
     mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
-    rasteriser = Rasteriser(context)
     level = painted.levels[0]
     change, found = shining(level), {}
     for part, video in videos.found.items():
@@ -146,7 +136,6 @@ def test_what_follows_the_eye_stays_out_of_the_texture(context, painted, videos)
             added = (drawn.barycentric[..., None] * change.seen_along(frame.along)[mesh.faces[drawn.face]]).sum(2)
             image[drawn.face >= 0] += 255 * added[drawn.face >= 0]
         found[part] = replace(video, images=np.uint8(np.clip(np.round(images), 0, 255)))
-    rasteriser.release()
     filmed = replace(videos, found=found)
     grey = level_of_file(replace(level, base_color=np.full_like(level.base_color, 128)))
 
@@ -159,11 +148,10 @@ def test_what_follows_the_eye_stays_out_of_the_texture(context, painted, videos)
     assert left[False]["head"] < 0.8 * left[True]["head"]
 
 
-def test_pixels_read_what_the_player_draws(context, painted, videos):
+def test_pixels_read_what_the_player_draws(rasteriser, painted, videos):
     """Rows of the reads, applied to the true atlas, are the pictures, up to the player's nearest mip."""
     mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
     true = painted.levels[0].base_color.reshape(-1, 3)[mesh.texels.index] / 255
-    rasteriser = Rasteriser(context)
     video = videos.video("body")
     frame = next(posed_frames(mesh, video, videos.head_from_canonical))
     drawn = drawn_finer(rasteriser, mesh, frame, 3)
@@ -174,17 +162,14 @@ def test_pixels_read_what_the_player_draws(context, painted, videos):
     # a lens moves what each pixel reads
     bent = frame._replace(camera=replace(frame.camera, distortion=np.array([-0.3, 0.1, 0, 0, 0])))
     moved = drawn_finer(rasteriser, mesh, bent, 3)
-    rasteriser.release()
     assert 0 < (moved.face >= 0).sum() != (drawn.face >= 0).sum()
 
 
-def test_outlines_hardly_count(context, painted, videos):
+def test_outlines_hardly_count(rasteriser, painted, videos):
     mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
-    rasteriser = Rasteriser(context)
     video = videos.video("body")
     frame = next(posed_frames(mesh, video, videos.head_from_canonical))
     drawn = drawn_finer(rasteriser, mesh, frame, 2)
-    rasteriser.release()
     ones = np.ones(len(mesh.positions))
     whole = frame_reads(mesh, frame, drawn, video.images[0], video.masks[0], ones, 0)
     cut = video.masks[0].copy()
@@ -195,16 +180,14 @@ def test_outlines_hardly_count(context, painted, videos):
 
 
 @pytest.mark.parametrize("still", ["camera", "world"])
-def test_the_light_of_a_frame_is_divided_out(context, painted, videos, still):
+def test_the_light_of_a_frame_is_divided_out(rasteriser, painted, videos, still):
     """A plain person under a lamp is as plain as without it, as the light of the base color shows it."""
     mesh = atlas_mesh(painted.levels[0], painted.joint_positions)
     mesh = mesh._replace(light=np.tile([1.1, 0.02], (len(mesh.positions), 1)))
     light = CaptureLight(0.5, (Lamp((0.6, 0.0, 0.8 if still == "world" else -0.8), 0.6),), 0.1, gamma=2.2, frame=still)
-    rasteriser = Rasteriser(context)
     video = videos.video("body")
     frame = list(posed_frames(mesh, video, videos.head_from_canonical))[1]
     drawn = drawn_finer(rasteriser, mesh, frame, 1)
-    rasteriser.release()
     lit = frame_light(mesh, frame, light, np.eye(3))
     assert lit is not None
     hit = drawn.face >= 0

@@ -7,7 +7,7 @@ import pytest
 from avatar.gltf.avatar_file import write_avatar
 from bench.demo import SCENE, film, stages, summary
 from command.errors import AssetError
-from command.stages import Stage, command, run_stages
+from command.stages import Stage, run_stages
 from player.scene.mannequin import mannequin
 from player.scene.scene_file import read_scene
 
@@ -46,19 +46,6 @@ def test_the_demo_ends_with_film_contact_sheet_and_report(tmp_path):
     assert names[-4:] == ["avatar.glb", "avatar.mp4", "contact.png", "report/bench.json"]
 
 
-def test_a_command_that_fails_in_its_own_process_stops_the_demo(tmp_path, capfd):
-    todo = [
-        Stage(
-            "bake",
-            tmp_path / "a.glb",
-            command("selfscan", "bake", tmp_path / "none", "-o", tmp_path / "a.glb"),
-        )
-    ]
-    with pytest.raises(AssetError, match="'bake' ended without"):
-        run_stages(todo)
-    assert "none" in capfd.readouterr().err
-
-
 def test_the_person_calls_for_a_view_network_and_the_report_has_intervals(tmp_path, monkeypatch):
     commands = []
 
@@ -92,9 +79,3 @@ def test_the_end_says_times_and_what_the_avatar_missed(tmp_path):
     assert "missed: 34.7 dB" in text and "film.toml" in text
     assert text.index("avatar.mp4") < text.index("contact.png") < text.index("bench.html")
     assert text.endswith(f"selfscan play {tmp_path / 'avatar.glb'}")
-
-
-def test_stages_say_their_names_and_what_is_left(tmp_path, capsys):
-    run_stages([writing(tmp_path / name, [], name) for name in ("a", "b")])
-    said = capsys.readouterr().out
-    assert "[1/2] a: about 1 min on 2 cores, 2 to the end" in said and "[2/2] b: about 1 min" in said

@@ -9,19 +9,8 @@ from bench.score.picture_scores import PictureJudge, eye_region, score_images
 from bench.score.region_scores import without_eyes
 from bench.score.true_mesh import TrueMesh
 from capture.held_out import HeldOutView
-from player.draw.raster import Rasteriser
-from player.gl.context import open_context
 
 SIZE = 64
-
-
-@pytest.fixture(scope="module")
-def raster():
-    context = open_context()
-    raster = Rasteriser(context)
-    yield raster
-    raster.release()
-    context.release()
 
 
 def quad(x, y, z, half):
@@ -43,9 +32,9 @@ CAMERA = Camera(pinhole((SIZE, SIZE), 0.1), look_at((0, 0, 1.0), (0, 0, 0)), (SI
 FACE, EYE, LID = quad(0, 0, 0, 0.04), quad(0.01, 0, 0.001, 0.004), quad(0.012, 0, 0.002, 0.002)
 
 
-def test_the_region_is_what_shows_of_the_eye_and_three_millimetres_round_it(raster):
+def test_the_region_is_what_shows_of_the_eye_and_three_millimetres_round_it(rasteriser):
     mesh = truth(FACE, EYE, eye=[1])
-    region = eye_region(raster, mesh, mesh.vertices, CAMERA)
+    region = eye_region(rasteriser, mesh, mesh.vertices, CAMERA)
     pixel = 1 / CAMERA.K[0, 0]  # metres, at one metre
     rows, columns = np.nonzero(region)
     across = 0.008 + 2 * 0.003
@@ -54,15 +43,15 @@ def test_the_region_is_what_shows_of_the_eye_and_three_millimetres_round_it(rast
     assert abs(columns.mean() - (SIZE / 2 + 0.01 / pixel - 0.5)) < 1
 
 
-def test_a_lid_hides_what_is_behind_it(raster):
+def test_a_lid_hides_what_is_behind_it(rasteriser):
     open_eye, covered = truth(FACE, EYE, eye=[1]), truth(FACE, EYE, quad(0.01, 0, 0.002, 0.005), eye=[1])
-    assert eye_region(raster, open_eye, open_eye.vertices, CAMERA).any()
-    assert not eye_region(raster, covered, covered.vertices, CAMERA).any()
+    assert eye_region(rasteriser, open_eye, open_eye.vertices, CAMERA).any()
+    assert not eye_region(rasteriser, covered, covered.vertices, CAMERA).any()
 
 
-def test_a_truth_that_does_not_know_its_eyes_has_no_region(raster):
+def test_a_truth_that_does_not_know_its_eyes_has_no_region(rasteriser):
     mesh = truth(FACE, EYE, eye=None)
-    assert not eye_region(raster, mesh, mesh.vertices, CAMERA).any()
+    assert not eye_region(rasteriser, mesh, mesh.vertices, CAMERA).any()
     assert without_eyes("why")["psnr_db"] is None and without_eyes("why")["reasons"]["psnr_db"] == "why"
 
 
@@ -76,13 +65,13 @@ class Painted(HeldOutView):
         return np.full((SIZE, SIZE), 2, np.uint8)
 
 
-def test_a_wrong_eye_costs_the_eyes_what_it_costs_and_the_head_little(raster, tmp_path):
+def test_a_wrong_eye_costs_the_eyes_what_it_costs_and_the_head_little(rasteriser, tmp_path):
     mesh = truth(FACE, EYE, eye=[1])
     pose = np.zeros((52, 3))
     pose[1] = 0.3  # no T-pose
     view = Painted(tmp_path, "000000_head", "head", 0, pose, np.zeros(3), CAMERA)
     posed = mesh.posed(pose, np.zeros(3))
-    region = eye_region(raster, mesh, posed, CAMERA)
+    region = eye_region(rasteriser, mesh, posed, CAMERA)
     assert region.any()
 
     def draw(axis_angle, root, camera, samples, where):
@@ -92,7 +81,7 @@ def test_a_wrong_eye_costs_the_eyes_what_it_costs_and_the_head_little(raster, tm
         color[region] += 0.1
         return MaskedPicture(color, np.ones((SIZE, SIZE), bool))
 
-    scores = score_images(PictureJudge(mesh, draw, raster=raster), [view], "test", t_pose_apart=False).scored
+    scores = score_images(PictureJudge(mesh, draw, rasteriser=rasteriser), [view], "test", t_pose_apart=False).scored
     assert scores["eyes"].scores()["psnr_db"].value == pytest.approx(20.0, abs=1e-4)  # -10 log10(.1²)
     head = scores["head"].scores()["psnr_db"].value
     assert head is not None and head > 25

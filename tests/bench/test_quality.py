@@ -14,7 +14,7 @@ from bench.eval_command import eval_main
 from bench.score.ceiling import ceiling_surface
 from bench.score.picture_scores import box_pixels, is_t_pose, region_of
 from bench.score.quality import evaluate, not_chosen_on, view_modes
-from bench.score.quality_table import markdown, view_mode_lines
+from bench.score.quality_table import view_mode_lines
 from bench.score.true_mesh import read_true_mesh
 from capture.held_out import read_held_out
 from command.errors import AssetError
@@ -113,13 +113,6 @@ def test_pictures_on_which_the_mode_was_chosen_do_not_judge_it(oracle):
     assert not_chosen_on(recorded | {"chosen_on": {"poses": everything}}, facts, held_out) is held_out
 
 
-def test_decibels_that_differ_say_why(result):
-    for text in (markdown(result), people_table([result])):
-        assert "background" in text and "box" in text and "true person alone" in " ".join(text.split())
-        assert "| box dB | mask dB |" in text
-    assert any("color alone" in line for line in view_mode_lines(result))
-
-
 def test_the_command_prints_a_table_and_writes_json(oracle, tmp_path, capsys, result, monkeypatch):
     capture, avatar, _ = oracle
     monkeypatch.setattr("bench.score.quality.evaluate", lambda *_, **__: result)
@@ -127,13 +120,6 @@ def test_the_command_prints_a_table_and_writes_json(oracle, tmp_path, capsys, re
     printed = capsys.readouterr().out
     assert "input: given" in printed and "novel pose: total" in printed
     assert json.loads((tmp_path / "q.json").read_text())["novel_pose"]["total"] == result["novel_pose"]["total"]
-
-
-def test_the_markdown_of_one_evaluation_names_what_was_measured(result):
-    text = markdown(result)
-    assert text.startswith("avatar `oracle.glb`; subject striped, light even")
-    novel = result["novel_pose"]["head"]
-    assert f"| novel pose: head | {novel['p2s_cm']:.2f} |" in text and f"| {novel['flip']:.3f} |" in text
 
 
 def test_people_of_different_lights_are_in_sections_of_their_own_and_never_averaged(result):
@@ -162,25 +148,6 @@ def test_kinds_of_input_are_in_sections_of_their_own_and_the_paper_beside_what_w
     given, pixels = text[text.index("## Room light") :].split("## Room light, from pixels")
     assert "| **mean** | 0.10 | - | 27.00 |" in given and "paper" not in given
     assert "| **mean** | 0.10 | - | 20.00 |" in pixels and "| paper (SynTotalHuman; crops unknown) | 1.84 |" in pixels
-
-
-def test_view_modes_of_every_capture_stand_side_by_side(result):
-    def avatar(light, true, **field):
-        modes = {"psnr_db": {"all": true}, "default": max(true, key=true.get)}
-        facts = {"subject": "she", "light": light}
-        return {**result, "capture": facts, "view_modes": modes, "baked_vs_field": field}
-
-    text = people_table([
-        avatar("varied", {"off": 18.567, "network": 19.201}, said={"against_field": {
-            "paper_db": 39.64, "cone_db": {"off": 30.64, "network": 36.36}}}),
-        avatar("even", {"off": 28.75}, paper_db=42.1),
-        {**result, "view_modes": None},
-    ])  # fmt: skip
-    section = text[text.index("## View modes") :]
-    assert "| she, even light | 28.75 | - | - | - | off | 42.1 | - | - | - | - |" in section
-    assert "| she, varied light | 18.57 | - | - | 19.20 | network | 39.6 | 30.6 | - | - | 36.4 |" in section
-    assert section.index("even light") < section.index("varied light")
-    assert "View modes" not in people_table([{**result, "view_modes": None}])
 
 
 def test_box_pixels_are_those_of_the_projected_box():

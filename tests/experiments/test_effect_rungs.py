@@ -12,7 +12,6 @@ from bench.ladder.rung_pictures import motion_frames, rung_pictures
 from bench.ladder.rung_scores import crop_of
 from experiments.effect_rungs import effect_rows, effect_rungs, effects_section, main
 from player.budget.ladder import rungs_of
-from player.gl.context import open_context
 from player.scene.effects import PLAIN
 from player.scene.mannequin import mannequin
 
@@ -20,13 +19,6 @@ from player.scene.mannequin import mannequin
 @pytest.fixture(scope="module")
 def avatar():
     return mannequin(texture=64)
-
-
-@pytest.fixture(scope="module")
-def context():
-    made = open_context()
-    yield made
-    made.release()
 
 
 def test_only_what_the_file_allows_is_compared(avatar):

@@ -17,19 +17,10 @@ from experiments.bare_draw import BareDraw, coverage, posed_vertices
 from experiments.live_sender import sending
 from experiments.speed import bars, body_frames, main, with_stand_in
 from player.draw.raster import Rasteriser
-from player.gl.context import open_context
 from player.live.inbox import Inbox
 from player.live.osc import OscError, parse_packet
 from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer
-
-
-@pytest.fixture(scope="module")
-def context():
-    context = open_context()
-    yield context
-    assert context.gl.error == "GL_NO_ERROR"
-    context.release()
 
 
 @pytest.fixture(scope="module")

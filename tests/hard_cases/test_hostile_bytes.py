@@ -19,6 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from animated_rig import animated_glb
+from landmark_twin import landmarks, points
+from mhr_twin import sam3d_fields
 from PIL import Image
 from radiance_writer import radiance_bytes
 from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_high_avatar
@@ -125,6 +127,16 @@ def surface_bytes(folder: Path) -> bytes:
     return written(lambda path: np.savez(path, **(rows | {"faces": np.zeros((2, 3), np.uint32)})))(folder)
 
 
+def mediapipe_bytes(_: Path) -> bytes:
+    body, left, right, _ = landmarks(np.zeros((1, 52, 3)), builtin_body("male").joints, np.zeros((1, 3)))
+    frame = {"pose_world_landmarks": points(body[0]), "left_hand_landmarks": points(left[0])}
+    return json.dumps({"frames": [frame | {"right_hand_landmarks": points(right[0])}]}).encode()
+
+
+def sam3d_bytes(folder: Path) -> bytes:
+    return written(lambda path: np.savez(path, **sam3d_fields(np.zeros((1, 52, 3)), np.zeros((1, 3)))))(folder)
+
+
 def standing(path: Path) -> None:
     write_bvh(path, Clip(np.zeros((2, 52, 3)), np.zeros((2, 3)), 30.0), builtin_body("male").joints)
 
@@ -161,6 +173,8 @@ FORMATS = {
     **{f"sequence {n}": Format("a.pkl", sequence(n), finite_motion) for n in (0, 2, 5)},
     "bvh": Format("a.bvh", written(standing), finite_motion, parts=True),
     "EasyMocap": Format("000000.json", plain(PERSON), finite_motion, **JSON),
+    "MediaPipe": Format("a.json", mediapipe_bytes, finite_motion, **JSON),
+    "SAM 3D Body": Format("a.npz", sam3d_bytes, finite_motion, 80),
     "camera": Format("camera.json", plain(CAMERA), read_camera, **JSON),
     "camera path": Format("path.json", plain({"keys": KEYS}), CameraPath.read, **JSON),
     "landmarks": Format("landmarks.json", plain(LANDMARKS), read_pixels, **JSON),

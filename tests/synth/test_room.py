@@ -5,14 +5,10 @@ import pytest
 
 from avatar.rotation import matrix_from_axis_angle
 from avatar.texture import linear_from_srgb, srgb_from_linear
-from geometry.mesh import vertex_normals
-from player.draw.raster import Rasteriser
-from player.gl.context import open_context
 from synth.light import light_of
 from synth.room import (
     ROOM,
     LightSource,
-    Openness,
     ReceivedLight,
     Room,
     RoomLighting,
@@ -24,15 +20,6 @@ from synth.room import (
 )
 
 UP = np.array([0.0, 1, 0])
-
-
-@pytest.fixture(scope="module")
-def rasteriser():
-    context = open_context()
-    rasteriser = Rasteriser(context)
-    yield rasteriser
-    rasteriser.release()
-    context.release()
 
 
 def plane(side: float, cells: int):
@@ -213,20 +200,3 @@ def test_a_triangle_that_dips_into_the_body_is_not_darkened_by_its_hidden_corner
 
 def test_the_room_is_the_same_for_every_video_and_seed():
     assert all(light_of("room", video, seed) is ROOM for video in ("body", "head", "hand_left") for seed in (0, 7))
-
-
-def test_openness_is_a_record_of_what_arrives_and_what_there_is(rasteriser):
-    points, faces, normals = ball(0.5, [0, 0, 0])
-    open_to = openness(rasteriser, points, faces, points, normals)
-    assert isinstance(open_to, Openness)
-    assert (open_to.arriving[:, 0] <= open_to.whole[:, 0] + 1e-12).all()
-    # mean of max(n.k, 0) over the sphere is a quarter
-    np.testing.assert_allclose(open_to.whole[:, 0].mean() / 24, 0.25, atol=0.01)
-
-
-def test_vertex_normals_of_the_test_bodies_face_outwards():
-    points, faces, normals = ball(0.5, [0, 0, 0])
-    inner = slice(200, -200)
-    assert (vertex_normals(points, faces)[inner] * normals[inner]).sum(1).min() > 0.99
-    ground, ground_faces = plane(1.0, 4)
-    assert (vertex_normals(ground, ground_faces) @ UP).min() > 0.99

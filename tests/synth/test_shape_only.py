@@ -39,6 +39,7 @@ def test_the_template_is_a_shape_of_the_free_body_with_its_own_joints_and_no_hai
     assert input_kind(json.loads((captured / "capture.json").read_text())) == "shape only"
 
 
+@pytest.mark.slow
 def test_its_joints_stand_near_the_persons_in_every_frame(captured):
     """Poses are of the template's pelvis, which is not the person's."""
     capture, person = read_capture(captured), cut_out(load_subject("builtin"))

@@ -1,21 +1,9 @@
 """What of a mesh can be seen from outside."""
 
 import numpy as np
-import pytest
 import trimesh
 
-from player.draw.raster import Rasteriser
-from player.gl.context import open_context
 from synth.visibility import visible_faces
-
-
-@pytest.fixture(scope="module")
-def rasteriser():
-    context = open_context()
-    rasteriser = Rasteriser(context)
-    yield rasteriser
-    rasteriser.release()
-    context.release()
 
 
 def _sphere(radius, subdivisions=3):

@@ -5,16 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from painted_capture import free_subject
 from painted_eyes import FORWARD, filmed
 from scipy.spatial import KDTree
 
-from avatar.body import builtin_body
 from avatar.camera import Camera
 from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import BIG_POSE, skin_transforms
-from avatar.skinning import skin_points
-from capture.folder import CaptureSubject, PartVideo
-from capture.read.template import part_of
+from capture.folder import PartVideo
 from capture.register.iris import FlatIris
 from capture.template.eyes import body_sockets, eye_openings, eye_spheres, hidden_lengths
 from capture.template.parts import part_boxes
@@ -30,11 +27,7 @@ from train.template_grid import template_grid
 
 @pytest.fixture(scope="module")
 def subject():
-    body = builtin_body("male")
-    canonical = skin_points(body.vertices, body.skin, skin_transforms(BIG_POSE, body.joints, rest=np.zeros((52, 3))))
-    part = part_of(body.skin).astype(np.int64)
-    hair = np.zeros(len(part), bool)
-    return CaptureSubject("man", body.vertices, canonical, body.faces, body.skin, body.joints, part, hair)
+    return free_subject("male")
 
 
 @pytest.fixture(scope="module")
@@ -88,6 +81,7 @@ def test_an_iris_is_seen_where_it_was_found(subject, closed):
     np.testing.assert_allclose(depth, spheres.radii * (1 - np.cos(angle)), atol=3e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [0, 25])
 def test_irises_are_as_flat_as_the_heads_video_has_them(subject, closed, angle):
     """Filmed in a frame of its own, turned and shifted."""

@@ -316,6 +316,7 @@ def test_stage_2_brings_the_body_nearer_to_every_part_and_the_run_keeps_both_bod
         np.testing.assert_array_equal(codes[f"{name}_matched"], field.reference.numpy())
 
 
+@pytest.mark.slow
 def test_variants_differ_from_the_run_in_what_they_name_and_leave_it_alone(capture, run):
     before = {name: value.clone() for name, value in run.field.state_dict().items()}
     got = {name: variant(run, capture, name) for name in VARIANTS}

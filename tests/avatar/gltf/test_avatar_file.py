@@ -100,26 +100,17 @@ def test_a_plain_viewer_opens_the_finest_level_in_pose_zero(path):
     np.testing.assert_allclose(world_from_node(gltf)[:52, :3, 3], world, atol=1e-12)
 
 
-def test_features_lie_as_four_grey_planes_one_below_the_other(path):
-    avatar = tiny_avatar()
-    write_avatar(path, avatar)
-    gltf = read_gltf(path)
-    index = gltf.json["extensions"]["SELFSCAN_avatar"]["levels"][0]["featureImage"]
-    image = Image.open(io.BytesIO(gltf.image(index)[0]))
-    features = avatar.levels[0].features
-    assert image.mode == "L" and not image.info  # no colour profile, no gamma: nothing for a decoder to apply
-    np.testing.assert_array_equal(np.array(image), np.concatenate([features[..., i] for i in range(4)]))
-
-
-def test_eight_features_lie_in_two_such_images(path):
-    avatar = tiny_high_avatar()
+@pytest.mark.parametrize("avatar, keys", [(tiny_avatar(), ["featureImage"]),
+                                          (tiny_high_avatar(), ["featureImage", "featureImage2"])])  # fmt: skip
+def test_four_features_lie_as_grey_planes_one_below_the_other_in_each_image(path, avatar, keys):
     write_avatar(path, avatar)
     gltf = read_gltf(path)
     for item, level in zip(gltf.json["extensions"]["SELFSCAN_avatar"]["levels"], avatar.levels, strict=True):
-        for key, first in (("featureImage", 0), ("featureImage2", 4)):
+        for first, key in enumerate(keys):
             image = Image.open(io.BytesIO(gltf.image(item[key])[0]))
-            planes = [level.features[..., i] for i in range(first, first + 4)]
-            assert image.mode == "L"
+            planes = [level.features[..., i] for i in range(4 * first, 4 * first + 4)]
+            # no color profile, no gamma: nothing for a decoder to apply
+            assert image.mode == "L" and not image.info
             np.testing.assert_array_equal(np.array(image), np.concatenate(planes))
 
 

@@ -49,30 +49,10 @@ def test_mosh_coefficients_are_left_for_the_full_pose(tmp_path):
     np.testing.assert_allclose(clip.axis_angle.reshape(FRAMES, 156), fields["fullpose"], atol=1e-15)
 
 
-@pytest.mark.parametrize("columns", [66, 72, 165])
-def test_lengths(tmp_path, columns):
-    values = poses(columns)
-    clip = read_motion(saved(tmp_path / "a.pkl", {"poses": values, "trans": TRANS})).read()
-    np.testing.assert_allclose(clip.axis_angle[:, :22].reshape(FRAMES, 66), values[:, :66], atol=1e-15)
-    hands = values[:, 75:] if columns == 165 else np.zeros((FRAMES, 90))
-    np.testing.assert_allclose(clip.axis_angle[:, 22:].reshape(FRAMES, 90), hands, atol=1e-15)
-
-
 def test_joints_in_rows_of_three_are_the_same(tmp_path):
     a = read_motion(saved(tmp_path / "a.pkl", {"poses": poses(72)})).read()
     b = read_motion(saved(tmp_path / "b.pkl", {"poses": poses(72).reshape(FRAMES, 24, 3)})).read()
     np.testing.assert_array_equal(a.axis_angle, b.axis_angle)
-
-
-@pytest.mark.parametrize("columns", [78, 87])
-def test_hand_coefficients_need_the_model(tmp_path, columns):
-    path = saved(tmp_path / "a.pkl", {"poses": poses(columns), "trans": TRANS})
-    with pytest.raises(AssetError, match=r"2 x 6 hand coefficients: .* --body"):
-        read_motion(path)
-    body = model_body(tmp_path)
-    clip = read_motion(path, body=body).read()
-    right = poses(columns)[:, 72:78] @ body.hands.components[1, :6] + body.hands.mean[1]
-    np.testing.assert_allclose(clip.axis_angle[:, 37:].reshape(FRAMES, 45), right, atol=1e-12)
 
 
 def test_root_and_body_apart(tmp_path):

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from filmed_figure import film, film_all
+from filmed_figure import film_anew
 
 from capture.check.options import main
 
@@ -19,10 +19,9 @@ def test_good_videos_are_usable_as_a_folder_and_as_four_files(filmed_four, tmp_p
     assert main(files) == 0 and capsys.readouterr().out == text
 
 
-def test_a_hand_that_leaves_the_picture_is_said_with_the_time(tmp_path, capsys):
-    film_all(tmp_path)
-    film(tmp_path, "hand_left", "left", shift=(0, -66))
-    assert main([str(tmp_path)]) == 1
+def test_a_hand_that_leaves_the_picture_is_said_with_the_time(filmed_four, tmp_path, capsys):
+    film_anew(filmed_four, tmp_path / "me", "hand_left", shift=(0, -66))
+    assert main([str(tmp_path / "me")]) == 1
     text = capsys.readouterr().out
     assert "not usable because left.mp4: the left hand leaves the picture at the top from" in text
     assert "film again with it in the middle" in text

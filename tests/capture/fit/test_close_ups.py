@@ -61,7 +61,7 @@ def joints_off(truth, found, side):
     return np.array([b.place[own] - a.place[own] for a, b in zip(posed_frames(truth), posed_frames(found))])
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("side", ["left", pytest.param("right", marks=pytest.mark.slow)])
 def test_hand_that_turns_is_found(side):
     truth, footage = turned_hand(side)
     found = hand.first_guess(truth.person, truth.g, footage, side)

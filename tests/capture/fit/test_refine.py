@@ -14,7 +14,7 @@ from avatar.camera import project
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
-from capture.fit.align import AlignSettings, _share_of_pixel, align, moving_joints, outline_offset
+from capture.fit.align import AlignSettings, align, moving_joints, outline_offset
 from capture.fit.contours import pixel_contour
 from capture.fit.masks import regrown
 from capture.fit.outline import ShapeCells, placement
@@ -124,11 +124,6 @@ def test_shape_is_the_mean_of_what_is_seen_around_and_nothing_where_nothing_is(c
     assert np.abs(beyond[subject.vertices[:, 0] < 0.2]).max() < 1e-6
     once = cells.shared(left[:1], np.array([0.02]), 10.0)
     assert 0 < once.max() <= 0.02 / 11 * 1.001
-
-
-def test_points_that_share_a_pixel_share_its_say():
-    pixels = np.array([[3.2, 4.1], [3.9, 4.9], [5.0, 4.0], [3.5, 4.5]])
-    np.testing.assert_allclose(_share_of_pixel(pixels), [1 / 3, 1 / 3, 1, 1 / 3])
 
 
 def test_only_joints_that_show_are_moved(capture):

@@ -267,14 +267,6 @@ def test_a_folder_with_a_file_of_mediapipe_for_each_frame_is_refused(tmp_path):
         read_keypoints(tmp_path / "head")
 
 
-def test_a_mesh_of_another_size_is_refused(tmp_path):
-    path = tmp_path / "a.json"
-    frame = {"pose_landmarks": POSE, "face_landmarks": [POSE[0]] * 100}
-    path.write_text(json.dumps({"image_width": 10, "image_height": 10, "frames": [frame]}))
-    with pytest.raises(AssetError, match="face_landmarks should be 468 or 478 landmarks, are 100"):
-        read_keypoints(path)
-
-
 def test_results_of_mediapipes_tasks_are_written_as_its_files_and_read_back(tmp_path):
     point = lambda x, y: SimpleNamespace(x=x, y=y, z=0.0, visibility=0.7)
     pose = [point(0.1 + k / 100, 0.5) for k in range(33)]

@@ -84,6 +84,7 @@ def test_a_soft_light_is_a_light():
     assert light.ambient / light.lamps[0].strength == pytest.approx(3, abs=0.15)
 
 
+@pytest.mark.slow
 def test_a_second_lamp_is_found_where_it_explains_more():
     lamps = lamps_of(np.array([[0.8, -0.2, -0.6], [-0.7, -0.7, -0.2]]), np.array([0.5, 0.4]))
     light = fit_light(seen(shared(CaptureLight(0.3, lamps)))).lights["body"]

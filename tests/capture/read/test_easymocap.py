@@ -162,13 +162,6 @@ def swap_sides(pixels):
         pixels[name], pixels[other] = pixels[other], pixels[name]
 
 
-def zero_focal(own):
-    names, matrices = read_opencv_yaml(own.root / "body/intri.yml")
-    assert names == ["01"]
-    K = matrices["K_01"] * [[0, 1, 1], [1, 0, 1], [1, 1, 1]]
-    (own.root / "body/intri.yml").write_text("%YAML:1.0\n---\n" + opencv_matrix("K_01", K))
-
-
 def metres_to_millimetres(own):
     _, matrices = read_opencv_yaml(own.root / "hand_left/extri.yml")
     text = (own.root / "hand_left/extri.yml").read_text().split("T_01:")[0]
@@ -197,10 +190,6 @@ BAD = {
     "results twice": (
         lambda o: copied(o.root / "body/smpl", o.root / "body/output/smplfull"),
         r"body: expected EasyMocap's results in one of smpl/, .* found \['output/smplfull', 'smpl'\]",
-    ),
-    "zero focal length": (
-        zero_focal,
-        r"intri\.yml and extri\.yml, camera 01: focal length should be positive, is 0, 0",
     ),
     "millimetres for metres": (
         metres_to_millimetres,

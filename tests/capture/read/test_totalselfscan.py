@@ -214,22 +214,10 @@ BAD = {
         lambda r: changed(r / "params/000501.npy", lambda p: p.update(poses=np.zeros((1, 72)))),
         r"params/000501\.npy: poses should be \(156,\), is \(1, 72\)",
     ),
-    "zero focal length": (
-        lambda r: changed(r / "annots.npy", lambda a: a["cams"].update(K=[np.diag([0.0, 0.0, 1.0])])),
-        r"annots\.npy, cams: focal length should be positive, is 0, 0",
-    ),
-    "a camera that mirrors": (
-        lambda r: changed(r / "annots.npy", lambda a: a["cams"].update(R=[np.diag([1.0, 1.0, -1.0])])),
-        r"annots\.npy, cams: camera_from_world should hold a rotation",
-    ),
     "no cameras": (lambda r: changed(r / "annots.npy", lambda a: a.pop("cams")), r"annots\.npy: cams should be a dict"),
     "frames of different sizes": (
         lambda r: Image.new("RGB", (30, 32)).save(r / "images/00/000501.png"),
         r"000501\.png: should be \(32, 32\) pixels .* is \(30, 32\)",
-    ),
-    "a picture that is none": (
-        lambda r: (r / "face/images/0002.png").write_bytes(b"no picture"),
-        r"0002\.png: expected a picture",
     ),
     "a path out of the folder": (
         lambda r: changed(r / "annots.npy", lambda a: a["ims"][1].update(ims=["../../secret.png"])),

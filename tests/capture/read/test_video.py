@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from filmed_figure import film_all
+from filmed_figure import film_anew
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, pinhole, project
@@ -114,10 +114,10 @@ def test_a_folder_of_somebody_elses_is_left_alone(filmed_four, tmp_path):
     assert (tmp_path / "capture.partial" / "diary.txt").read_text() == "mine"
 
 
-def test_bad_videos_stop_before_anything_is_fitted(tmp_path):
-    film_all(tmp_path, body={"second": True})
+def test_bad_videos_stop_before_anything_is_fitted(filmed_four, tmp_path):
+    film_anew(filmed_four, tmp_path / "me", "body", second=True)
     with pytest.raises(AssetError, match=r"body\.mp4: two people are in view"):
-        import_video(given(tmp_path), tmp_path / "capture", lambda scan, work: pytest.fail("fitted"))
+        import_video(given(tmp_path / "me"), tmp_path / "capture", lambda scan, work: pytest.fail("fitted"))
     assert not list(tmp_path.glob("capture*"))
 
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from painted_capture import free_subject
 from scipy import ndimage
 from scipy.spatial import KDTree
 
-from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, pinhole
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, skin_transforms
@@ -26,16 +26,7 @@ CONE = ((0.06, 0.17), (-0.46, 0.33))
 
 @pytest.fixture(scope="module")
 def subject() -> CaptureSubject:
-    body = builtin_body("female")
-    heaviest = body.skin.joints[:, 0]
-    part = np.zeros(len(body.vertices), np.int64)
-    part[heaviest == 15] = 1
-    part[(heaviest == 20) | ((heaviest >= 22) & (heaviest < 37))] = 2
-    part[(heaviest == 21) | (heaviest >= 37)] = 3
-    rest = body.vertices.astype(np.float64)
-    canonical = skin_points(rest, body.skin, skin_transforms(BIG_POSE, body.joints, rest=np.zeros((52, 3))))
-    faces, hair = body.faces.astype(np.int64), np.zeros(len(rest), bool)
-    return CaptureSubject("test", rest, canonical, faces, body.skin, body.joints, part, hair)
+    return free_subject("female")
 
 
 def cone(count: int = 64) -> tuple[np.ndarray, np.ndarray]:
@@ -144,6 +135,7 @@ def test_behind_cloth_the_surface_is_the_templates_whatever_a_field_says(subject
     assert (junk(dressed.vertices[outside] + 0.003 * normals[outside]) == 7).mean() > 0.97
 
 
+@pytest.mark.slow
 def test_nothing_hangs_below_a_hem_and_the_template_fades_into_the_field(subject, dressed):
     """Where the field has air, no sheet's plane makes anything solid; from one to the other there is no jump."""
     air = template_behind_cloth(lambda points: np.full(len(points), 0.02), dressed)
@@ -161,6 +153,7 @@ def test_nothing_hangs_below_a_hem_and_the_template_fades_into_the_field(subject
     assert np.quantile(steps, 0.999) < 0.006
 
 
+@pytest.mark.slow
 def test_poses_with_legs_turned_right_round_are_an_error_that_says_so(subject):
     """The same skirt filmed of a person whose poses put one thigh half a turn off the other."""
     video = filmed(subject, skirt=True)

@@ -4,23 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from painted_capture import free_subject
 
-from avatar.body import builtin_body
-from avatar.skeleton import BIG_POSE, skin_transforms
-from avatar.skinning import skin_points
-from capture.folder import CaptureSubject, read_subject, write_subject
-from capture.read.template import part_of
+from capture.folder import read_subject, write_subject
 from capture.template.eyes import body_sockets, eye_openings, eye_spheres, fit_sphere, near_eyes, sphere_directions
 from command.errors import AssetError
 
 
 @pytest.fixture(scope="module")
 def subject():
-    body = builtin_body("male")
-    canonical = skin_points(body.vertices, body.skin, skin_transforms(BIG_POSE, body.joints, rest=np.zeros((52, 3))))
-    part = part_of(body.skin).astype(np.int64)
-    hair = np.zeros(len(part), bool)
-    return CaptureSubject("man", body.vertices, canonical, body.faces, body.skin, body.joints, part, hair)
+    return free_subject("male")
 
 
 def spheres_of(subject):

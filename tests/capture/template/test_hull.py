@@ -74,7 +74,7 @@ def test_carved_hair_is_the_block_less_the_margin():
     assert (found & core).sum() >= 0.98 * core.sum()
 
 
-@pytest.mark.parametrize("noise", ["eroded", "dilated", "mixed"])
+@pytest.mark.parametrize("noise", ["eroded", "dilated", pytest.param("mixed", marks=pytest.mark.slow)])
 def test_masks_two_pixels_off_move_the_hair_by_little(noise):
     views = [
         grown(view, {"eroded": -2, "dilated": 2, "mixed": 2 if i % 2 else -2}[noise])
