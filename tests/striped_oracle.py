@@ -102,15 +102,7 @@ def oracle_avatar(subject):
         features=None,
     )
     return Avatar(
-        "striped",
-        subject.joints,
-        BIG_POSE,
-        (level,),
-        None,
-        None,
-        0.6,
-        "off",
-        {"paper_db": 40.0, "network_db": None},
+        "striped", subject.joints, BIG_POSE, (level,), None, None, 0.6, "off", {"paper_db": 40.0, "network_db": None}
     )
 
 

@@ -84,11 +84,7 @@ def test_high_quality_holds_eight_features_and_the_large_network(sheen):
     folder, avatar = sheen
     assert avatar.provenance["baked"]["quality"] == "high"
     assert avatar.levels[0].features.shape == (128, 128, 8) and avatar.linear.shape == (8, 3, 3)
-    assert avatar.network is not None and [w.shape for w, _ in avatar.network.layers] == [
-        (16, 12),
-        (16, 16),
-        (3, 16),
-    ]
+    assert avatar.network is not None and [w.shape for w, _ in avatar.network.layers] == [(16, 12), (16, 16), (3, 16)]
 
 
 @pytest.mark.slow

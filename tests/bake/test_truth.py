@@ -9,15 +9,7 @@ from PIL import Image
 from avatar.camera import orbit_camera
 from bake.bake import chosen_view
 from bake.network import Distilled
-from bake.truth import (
-    better_mode,
-    halves,
-    measured_default,
-    mode_errors,
-    modes_of,
-    pose_numbers,
-    read_true_views,
-)
+from bake.truth import better_mode, halves, measured_default, mode_errors, modes_of, pose_numbers, read_true_views
 from command.errors import AssetError
 from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer
@@ -27,13 +19,7 @@ SIZE = (96, 96)
 
 def write_truth(context, capture, avatar, view):
     """Two poses and two views of the avatar drawn in one mode, as `selfscan synth` writes the truth."""
-    facts = {
-        "format": "selfscan-capture",
-        "version": 1,
-        "subject": "mannequin",
-        "light": "even",
-        "sheen": 0.5,
-    }
+    facts = {"format": "selfscan-capture", "version": 1, "subject": "mannequin", "light": "even", "sheen": 0.5}
     capture.mkdir()
     (capture / "capture.json").write_text(json.dumps(facts))
     renderer = Renderer(context, [avatar], SIZE, view=view)

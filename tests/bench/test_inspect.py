@@ -194,10 +194,7 @@ def test_a_page_holds_everything_and_escapes_what_is_not_its_own():
         "look", "Looks", "a < b", [PagePicture("one", b"\x89PNG", "png", 'says "hi"')], None, [("x",), ("<i>",)]
     )
     text = page(
-        "<b>Eve</b>",
-        ["from a & b"],
-        [Check("size", "1 MB", "12 MB", True), Check("hole", "2", "0", False)],
-        [section],
+        "<b>Eve</b>", ["from a & b"], [Check("size", "1 MB", "12 MB", True), Check("hole", "2", "0", False)], [section]
     )
     assert "&lt;b&gt;Eve&lt;/b&gt;" in text and "<b>Eve" not in text and "a &lt; b" in text and "&lt;i&gt;" in text
     assert 'src="data:image/png;base64,iVBORw==' in text and "says &quot;hi&quot;" in text

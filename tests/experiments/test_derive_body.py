@@ -44,13 +44,7 @@ def test_a_committed_body_is_at_most_two_megabytes_and_moves_its_pelvis_nowhere(
 
 def test_bones_merge_onto_the_joints_they_move_with():
     pairs = {"metacarpal3.L": "left_wrist", "finger1-2.R": "right_thumb2", "finger5-3.L": "left_pinky3"}
-    pairs |= {
-        "toe2-1.R": "right_foot",
-        "jaw": "head",
-        "tongue05.L": "head",
-        "neck03": "head",
-        "spine04": "spine1",
-    }
+    pairs |= {"toe2-1.R": "right_foot", "jaw": "head", "tongue05.L": "head", "neck03": "head", "spine04": "spine1"}
     assert {bone: JOINTS[merged(bone)] for bone in pairs} == pairs
 
 

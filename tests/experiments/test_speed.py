@@ -72,10 +72,7 @@ def test_every_round_has_every_program_in_an_order_of_its_own():
 def test_the_bare_draw_is_the_players_picture_in_paper_mode(context, body):
     avatar, poses, camera = body
     renderer = Renderer(context, [avatar], camera.size, view="off")
-    bare, static = (
-        BareDraw(context, avatar, poses, camera),
-        BareDraw(context, avatar, poses, camera, static=True),
-    )
+    bare, static = (BareDraw(context, avatar, poses, camera), BareDraw(context, avatar, poses, camera, static=True))
     for number in (0, 5):
         apart = np.abs(bare.draw(number).astype(int) - renderer.draw([poses[number]], camera)).max(-1) > 1
         assert apart.sum() <= 4  # its depth range is that of all poses: a pixel where two surfaces meet may turn

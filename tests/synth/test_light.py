@@ -35,9 +35,7 @@ def test_sheen_depends_on_the_angle_between_normal_and_view_only():
     even = light_of("even", "body", 0)
     base = np.full((200, 3), 90.0)
     np.testing.assert_allclose(
-        shade(base, normals, views, even, 0.5),
-        shade(base, normals @ turn.T, views @ turn.T, even, 0.5),
-        atol=1e-9,
+        shade(base, normals, views, even, 0.5), shade(base, normals @ turn.T, views @ turn.T, even, 0.5), atol=1e-9
     )
     assert np.ptp(shade(base, normals, views, even, 0.5)) > 25  # of 255: sheen at .5 is plainly seen
 

@@ -107,11 +107,7 @@ def test_under_a_ball_less_of_the_sky_is_seen(rasteriser):
     points, faces, _ = ball(0.2, [0, 0.3, 0])
     vertices = np.concatenate([ground, points])
     open_to = openness(
-        rasteriser,
-        vertices,
-        np.concatenate([ground_faces, faces + len(ground)]),
-        ground,
-        np.tile(UP, (len(ground), 1)),
+        rasteriser, vertices, np.concatenate([ground_faces, faces + len(ground)]), ground, np.tile(UP, (len(ground), 1))
     )
     lit = ambient(Room((), 1.0, 1.0, 1.0), np.tile(UP, (len(ground), 1)), open_to, UP)
     radius = np.linalg.norm(ground, axis=1)

@@ -6,14 +6,7 @@ import rigs
 
 from avatar.gltf.document import read_gltf
 from avatar.gltf.humanoid import find_joints, mixamo_names, vrm_names
-from avatar.gltf.scene import (
-    node_parents,
-    parent_from_node,
-    parents_first,
-    read_primitive,
-    read_skin,
-    world_from_node,
-)
+from avatar.gltf.scene import node_parents, parent_from_node, parents_first, read_primitive, read_skin, world_from_node
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points

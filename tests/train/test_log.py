@@ -31,10 +31,7 @@ def test_a_resumed_log_has_every_step_once(tmp_path):
     path.write_text(path.read_text() + "80,9.9")
     log_steps(tmp_path / "halves", 50, range(60, 110, 10))
     assert path.read_text() == (tmp_path / "whole" / "head.csv").read_text()
-    assert read(path)[:2] == [
-        ["step", "seconds", "rate", "loss", "psnr"],
-        ["10", "1.250", "0.5", "0.1", "30"],
-    ]
+    assert read(path)[:2] == [["step", "seconds", "rate", "loss", "psnr"], ["10", "1.250", "0.5", "0.1", "30"]]
 
 
 def test_a_log_begun_anew_holds_nothing_of_the_old_one(tmp_path):
@@ -74,11 +71,7 @@ def test_tensorboard_reads_what_was_logged_and_resumed(tmp_path):
     events = EventAccumulator(str(tmp_path / "events" / "head"))
     events.Reload()
     assert [(e.step, e.value) for e in events.Scalars("loss")][-1] == (30, 0.25)
-    assert [e.step for e in events.Scalars("loss")] == [
-        10,
-        20,
-        30,
-    ]  # the row taken again replaced the old one
+    assert [e.step for e in events.Scalars("loss")] == [10, 20, 30]  # the row taken again replaced the old one
     assert (events.Images("preview")[0].width, events.Images("preview")[0].height) == (6, 4)
 
 

@@ -37,25 +37,14 @@ def paper_networks():
 
 
 def test_the_geometry_network_has_eight_layers_of_256_and_the_input_again_in_the_middle(paper_networks):
-    hidden = [
-        (39, 256),
-        (256, 256),
-        (256, 256),
-        (256, 256),
-        (256 + 39, 256),
-        (256, 256),
-        (256, 256),
-        (256, 256),
-    ]
+    hidden = [(39, 256), (256, 256), (256, 256), (256, 256), (256 + 39, 256), (256, 256), (256, 256), (256, 256)]
     assert _layers(paper_networks.geometry) == [*hidden, (256, 1 + 256)]
     x = torch.linspace(-0.1, 0.1, 5)
     trunk = paper_networks.geometry.trunk
     torch.testing.assert_close(trunk.activation(x), torch.log1p((100 * x).exp()) / 100)
 
 
-def test_the_colour_network_has_four_layers_of_256_and_reads_point_direction_normal_feature_and_code(
-    paper_networks,
-):
+def test_the_colour_network_has_four_layers_of_256_and_reads_point_direction_normal_feature_and_code(paper_networks):
     inputs = 39 + 27 + 3 + 256 + 128
     hidden = [(inputs, 256), (256, 256), (256 + inputs, 256), (256, 256)]
     assert _layers(paper_networks.color) == [*hidden, (256, 3)]
@@ -283,8 +272,7 @@ def hand(tiny_capture):
 
 # 256 wide and 100k steps long in earnest, the paper's networks have only begun after 60 steps
 @pytest.mark.parametrize(
-    "name, left, gained",
-    [("demo", 0.6, 3), ("fast", 0.6, 3), pytest.param("paper", 0.85, 0.5, marks=pytest.mark.slow)],
+    "name, left, gained", [("demo", 0.6, 3), ("fast", 0.6, 3), pytest.param("paper", 0.85, 0.5, marks=pytest.mark.slow)]
 )
 def test_each_preset_learns_the_painted_hand(hand, name, left, gained):
     preset, part, field, rays = hand(name)
@@ -319,10 +307,7 @@ def test_normals_are_the_derivative_of_the_distance(hand, name):
         step = torch.zeros(3, dtype=torch.double)
         step[axis] = 1e-6
         with torch.no_grad():
-            ahead, behind = (
-                field.geometry(field.unit(points + step))[0],
-                field.geometry(field.unit(points - step))[0],
-            )
+            ahead, behind = (field.geometry(field.unit(points + step))[0], field.geometry(field.unit(points - step))[0])
         slope = (ahead - behind) / 2e-6
         if field.geometry.over_template:
             slope = slope + field.template.sample(points)[1][:, axis]

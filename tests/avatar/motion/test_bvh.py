@@ -135,13 +135,7 @@ def test_the_walk_goes_forward_at_walking_speed_with_bending_knees(data):
 
 def test_notes_say_scale_up_axis_hands_and_calibration_frame(data):
     notes = "\n".join(read_bvh(data / "bvh" / "fairmotion_cmu_01_01.bvh").notes)
-    for word in (
-        "scale: leg 14.8 units -> 0.867 m",
-        "up: +y",
-        "no separate fingers",
-        "frame 0",
-        "17 degrees off",
-    ):
+    for word in ("scale: leg 14.8 units -> 0.867 m", "up: +y", "no separate fingers", "frame 0", "17 degrees off"):
         assert word in notes
     assert "up: +z" in "\n".join(read_bvh(data / "bvh" / "pybvh_example.bvh").notes)
     assert "left_foot" in "\n".join(read_bvh(data / "bvh" / "bvhpython_mocapbank.bvh").notes)
@@ -216,11 +210,7 @@ def test_channels_compose_in_the_order_written_and_frames_may_wrap(tmp_path):
         ("Frame Time: 0.5", "Frame Time: 0", "line 18: Frame Time should be positive"),
         ("Frame Time: 0.5", "Frame Time: nan", "line 18: Frame Time"),
         ("CHANNELS 3 Zrotation", "CHANNELS 4 Zrotation", "line 9: CHANNELS promises 4"),
-        (
-            "Zrotation Xrotation Yrotation",
-            "Zrotation Zrotation Yrotation",
-            "line 9: CHANNELS should be different",
-        ),
+        ("Zrotation Xrotation Yrotation", "Zrotation Zrotation Yrotation", "line 9: CHANNELS should be different"),
         ("OFFSET 1 0 0", "OFFSET 1 zero 0", "line 8: OFFSET"),
         ("    OFFSET 1 0 0\n", "", "has no OFFSET"),
         ("  }\n}\nMOTION", "  }\nMOTION", "before the hierarchy is closed"),

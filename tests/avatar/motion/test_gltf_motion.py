@@ -40,12 +40,7 @@ def add_animation(document, tracks, name="dance"):
             )
             count = array.size // (1 if kind == "SCALAR" else array.shape[-1])
             document.setdefault("accessors", []).append(
-                {
-                    "bufferView": len(document["bufferViews"]) - 1,
-                    "componentType": 5126,
-                    "count": count,
-                    "type": kind,
-                }
+                {"bufferView": len(document["bufferViews"]) - 1, "componentType": 5126, "count": count, "type": kind}
             )
             refs.append(len(document["accessors"]) - 1)
             data += array.tobytes()

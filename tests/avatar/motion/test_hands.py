@@ -28,11 +28,7 @@ def test_hands_are_replaced_in_every_frame_and_nothing_else(tmp_path, choice):
     body = model_body(tmp_path)
     motion = builtin_motion("counting")
     new, old = with_hands(motion, choice, body).read(120, 140), motion.read(120, 140)
-    expected = {
-        "flat": np.zeros((30, 3)),
-        "relaxed": relaxed_hands(),
-        "mean": body.hands.mean.reshape(30, 3),
-    }[choice]
+    expected = {"flat": np.zeros((30, 3)), "relaxed": relaxed_hands(), "mean": body.hands.mean.reshape(30, 3)}[choice]
     np.testing.assert_array_equal(new.axis_angle[:, 22:], np.broadcast_to(expected, (20, 30, 3)))
     np.testing.assert_array_equal(new.axis_angle[:, :22], old.axis_angle[:, :22])
     np.testing.assert_array_equal(new.root, old.root)

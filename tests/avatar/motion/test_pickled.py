@@ -56,12 +56,7 @@ def test_joints_in_rows_of_three_are_the_same(tmp_path):
 
 
 def test_root_and_body_apart(tmp_path):
-    fields = {
-        "global_orient": poses(3),
-        "body_pose": poses(69, 1),
-        "transl": TRANS,
-        "betas": np.zeros((FRAMES, 10)),
-    }
+    fields = {"global_orient": poses(3), "body_pose": poses(69, 1), "transl": TRANS, "betas": np.zeros((FRAMES, 10))}
     clip = read_motion(saved(tmp_path / "a.pkl", fields)).read()
     np.testing.assert_allclose(clip.axis_angle[:, 0], fields["global_orient"], atol=1e-15)
     np.testing.assert_allclose(clip.axis_angle[:, 1:22].reshape(FRAMES, 63), fields["body_pose"][:, :63], atol=1e-15)

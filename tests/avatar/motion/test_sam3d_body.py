@@ -122,10 +122,7 @@ def put(index, value):
         (spoilt("pred_global_rots", put((1, 3), np.zeros((3, 3)))), "should be rotations, joint 3 of frame 1"),
         (spoilt("pred_global_rots", lambda R: -R), "should be rotations"),
         (spoilt("pred_global_rots", lambda R: R[:, :70]), r"pred_global_rots should be \(127, 3, 3\)"),
-        (
-            spoilt("pred_joint_coords", lambda p: p[:1]),
-            "pred_global_rots has 2 frames, expected 1 as in",
-        ),
+        (spoilt("pred_joint_coords", lambda p: p[:1]), "pred_global_rots has 2 frames, expected 1 as in"),
         (spoilt("pred_joint_coords", lambda p: p[:0]), "0 frames, expected at least 1"),
         (spoilt("pred_joint_coords", lambda p: p.astype(str)), "should be.*numbers"),
         (spoilt("pred_joint_coords", np.zeros_like), "are at one place"),

@@ -18,14 +18,7 @@ from capture.fit.align import AlignSettings, align, moving_joints, outline_offse
 from capture.fit.contours import pixel_contour
 from capture.fit.masks import regrown
 from capture.fit.outline import ShapeCells, placement
-from capture.fit.refine import (
-    RefineJob,
-    frames_on_the_mask,
-    refine_capture,
-    refine_part,
-    refined_path,
-    with_refined,
-)
+from capture.fit.refine import RefineJob, frames_on_the_mask, refine_capture, refine_part, refined_path, with_refined
 from capture.folder import read_capture
 from capture.template.surface import surface_cloud
 from command.errors import AssetError

@@ -185,15 +185,9 @@ def spoilt(change):
 @pytest.mark.parametrize(
     "spoil, match",
     [
-        (
-            spoilt(lambda c: c[0]["pose_keypoints_2d"].pop()),
-            "pose_keypoints_2d should be 25 times x",
-        ),
+        (spoilt(lambda c: c[0]["pose_keypoints_2d"].pop()), "pose_keypoints_2d should be 25 times x"),
         (spoilt(lambda c: c[0]["pose_keypoints_2d"].__setitem__(4, "x")), "should be finite numbers"),
-        (
-            spoilt(lambda c: c[0]["pose_keypoints_2d"].__setitem__(5, -1.0)),
-            "confidence should not be negative",
-        ),
+        (spoilt(lambda c: c[0]["pose_keypoints_2d"].__setitem__(5, -1.0)), "confidence should not be negative"),
         (spoilt(lambda c: c.append(5)), r"people\[1\] should be an object"),
         (lambda c: {"people": []}, "no person in any of 1 frames"),
         (lambda c: {"who": 1}, "expected keypoints"),
@@ -203,10 +197,7 @@ def spoilt(change):
         (lambda c: {"instance_info": [7]}, r"instance_info\[0\] should be an object"),
         (lambda c: {"instance_info": []}, "no person in any of 0 frames"),
         (lambda c: [{"keypoints": [1.0] * 399, "image_id": []}], "image_id should be a number or a name"),
-        (
-            lambda c: {"frames": [{"pose_world_landmarks": [{"x": 0, "y": 0, "z": 0}] * 33}]},
-            "of unknown size",
-        ),
+        (lambda c: {"frames": [{"pose_world_landmarks": [{"x": 0, "y": 0, "z": 0}] * 33}]}, "of unknown size"),
     ],
 )
 def test_bad_keypoints_are_refused_by_name(tmp_path, spoil, match):
