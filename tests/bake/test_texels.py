@@ -3,7 +3,6 @@ import pytest
 from capsules import ball_mesh
 
 from bake.atlas import unwrap
-from bake.texture.seams import chart_edges, seam_steps
 from bake.texture.texels import JITTER, barycentric, bytes_from_unit, rasterise_charts, sample_texels, spread
 from geometry.decimate import decimate
 
@@ -16,10 +15,6 @@ def chart():
     part = (mesh.vertices[mesh.faces].mean(1)[:, 1] > 0.05).astype(int)
     found = unwrap(mesh.vertices, mesh.faces, part, np.array([1.0, 2.5]), size=SIZE, padding=4)
     return mesh, part, found
-
-
-def smooth_color(points):
-    return 0.5 + 0.3 * np.sin(points * [20.0, 30.0, 25.0])
 
 
 def texture(mesh, found, color):
@@ -72,30 +67,11 @@ def test_charts_do_not_overlap_and_keep_their_gutter(chart):
         assert not ((one != other) & (one >= 0) & (other >= 0)).any()
 
 
-def test_both_sides_of_a_chart_edge_agree(chart):
-    mesh, _, found = chart
-    _, image = texture(mesh, found, smooth_color)
-    edges = chart_edges(found.uv, found.faces, found.source)
-    steps = seam_steps(found.uv, edges, bytes_from_unit(image))
-    assert len(steps) > 100
-    assert np.median(steps) <= 1 and np.quantile(steps, 0.99) <= 4
-
-
 def test_gutters_hold_the_color_of_the_nearest_chart(chart):
     mesh, _, found = chart
     texels, image = texture(mesh, found, lambda p: np.full((len(p), 3), 0.25))
     assert len(texels.index) < SIZE * SIZE
     np.testing.assert_allclose(image, 0.25, atol=1e-12)
-
-
-def test_chart_thinner_than_a_texel_owns_the_texels_it_crosses():
-    uv = np.array([[0.1, 0.5], [0.9, 0.5], [0.5, 0.5 + 0.05 / 64]])
-    texels = rasterise_charts(uv, np.array([[0, 1, 2]]), 64)
-    columns = texels.index % 64
-    assert set(range(7, 57)) <= set(columns.tolist())
-    weight = barycentric(uv, np.array([[0, 1, 2]]), texels, np.zeros(2))
-    assert np.isfinite(weight).all() and np.abs(weight.sum(1) - 1).max() < 1e-9
-    assert np.abs(weight).max() < 60
 
 
 def test_texel_is_the_mean_of_its_samples_where_color_changes():

@@ -81,7 +81,7 @@ def test_a_wrong_eye_costs_the_eyes_what_it_costs_and_the_head_little(rasteriser
         color[region] += 0.1
         return MaskedPicture(color, np.ones((SIZE, SIZE), bool))
 
-    scores = score_images(PictureJudge(mesh, draw, rasteriser=rasteriser), [view], "test", t_pose_apart=False).scored
+    scores = score_images(PictureJudge(mesh, draw, raster=rasteriser), [view], "test", t_pose_apart=False).scored
     assert scores["eyes"].scores()["psnr_db"].value == pytest.approx(20.0, abs=1e-4)  # -10 log10(.1²)
     head = scores["head"].scores()["psnr_db"].value
     assert head is not None and head > 25

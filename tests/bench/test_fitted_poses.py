@@ -114,6 +114,7 @@ def scored(oracle, fits):
         drawer.release()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("region", "near"), [("head", 0.6), ("hands", 0.8), ("total", 5.0)])
 def test_regions_are_measured_where_their_own_picture_has_them_and_aligned_by_themselves(scored, region, near):
     placed, aligned = scored["novel_pose"][region]["p2s_cm"], scored["beside"]["aligned"][region]["p2s_cm"]
@@ -121,6 +122,7 @@ def test_regions_are_measured_where_their_own_picture_has_them_and_aligned_by_th
     assert aligned < (0.12 if region == "head" else near)
 
 
+@pytest.mark.slow
 def test_the_template_stands_beside_as_it_was_before_training(scored):
     """It is the same body here; its pictures are none, since it has no colors."""
     row = scored["beside"]["zero_steps"]
@@ -163,6 +165,7 @@ def test_pictures_without_keypoints_are_refused_by_name(oracle, tmp_path):
         fitted_views(read_subject(capture / "subject.npz"), {"novel_pose": views})
 
 
+@pytest.mark.slow
 def test_the_folder_of_a_raw_scan_holds_the_truth(oracle, tmp_path):
     """No capture.json lies there: what was filmed stands in truth/raw.json."""
     capture, path, _ = oracle

@@ -11,8 +11,6 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE
 from bench.field.rungs import draw_volume, field_rungs
 from bench.ladder.rung_pictures import ComparedFrame
-from player.draw.raster import Rasteriser
-from player.gl.context import open_context
 from train.fused import FusedField
 
 TURN = np.array([0.0, 0.8, 0.1])
@@ -37,23 +35,17 @@ def view():
     return view_of(lambda vertices, faces: DirectionField())
 
 
-def test_volume_rendering_shows_the_surface_and_converges():
+def test_volume_rendering_shows_the_surface_and_converges(rasteriser):
     """Many thin sections of a thin surface show its color where the rays hit it; few are near, in this order."""
     view = view_of(NearField)
     pose = np.zeros((52, 3))
     pose[0], pose[18, 1] = TURN, -1.0
     camera = orbit_camera((0, 0, 0), 3.2, 0.4, 0.1, SIZE)
-    context = open_context()
-    raster = Rasteriser(context)
-    try:
-        surface = view.draw(raster, pose, np.zeros(3), camera, directions="cone")
-        pictures = [
-            draw_volume(view, raster, (pose, np.zeros(3)), camera, beta=0.0008, sections=count)
-            for count in (2, 8, 32, 64)
-        ]
-    finally:
-        raster.release()
-        context.release()
+    surface = view.draw(rasteriser, pose, np.zeros(3), camera, directions="cone")
+    pictures = [
+        draw_volume(view, rasteriser, (pose, np.zeros(3)), camera, beta=0.0008, sections=count)
+        for count in (2, 8, 32, 64)
+    ]
     best = pictures[-1]
     assert (best.mask & surface.mask).sum() > 0.9 * surface.mask.sum()
     inside = ndimage.binary_erosion(surface.mask & best.mask, iterations=2)
@@ -62,16 +54,12 @@ def test_volume_rendering_shows_the_surface_and_converges():
     assert errors[0] > errors[1] > errors[2] and errors[2] < 1e-5
 
 
-def test_the_rungs_of_a_run_are_its_surface_and_its_volume(monkeypatch):
+def test_the_rungs_of_a_run_are_its_surface_and_its_volume(context, monkeypatch):
     run = run_of(NearField)
     monkeypatch.setattr("bench.field.rungs.read_run", lambda path: run)
     pose = np.zeros((52, 3)), np.zeros(3)
     camera = orbit_camera((0, 0, 0), 3.2, 0.4, 0.1, (48, 48))
-    context = open_context()
-    try:
-        surface, volume = field_rungs(context, run.path, [ComparedFrame(pose, camera, None)])
-    finally:
-        context.release()
+    surface, volume = field_rungs(context, run.path, [ComparedFrame(pose, camera, None)])
     assert (surface.name, volume.name) == ("field, surface", "field, volume of 64")
     assert len(surface.ms) == 3 and len(volume.ms) == 1 and min(*surface.ms, *volume.ms) > 0
     assert surface.bytes == volume.bytes == 4000
@@ -81,21 +69,15 @@ def test_the_rungs_of_a_run_are_its_surface_and_its_volume(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def drawn(view):
+def drawn(view, rasteriser):
     """Directions asked for at covered pixels, by mode, and the pixels' rays; the whole person turned by TURN."""
-    context = open_context()
-    raster = Rasteriser(context)
     pose = np.zeros((52, 3))
     pose[0] = TURN
     pose[[1, 2]] = BIG_POSE[[1, 2]]  # the canonical pose but for the turn: every bone turns alike
     camera = orbit_camera((0, 0, 0), 3.2, 0.4, 0.1, SIZE)
-    try:
-        pictures = {
-            mode: view.draw(raster, pose, np.zeros(3), camera, directions=mode) for mode in ("global", "own", "cone")
-        }
-    finally:
-        raster.release()
-        context.release()
+    pictures = {
+        mode: view.draw(rasteriser, pose, np.zeros(3), camera, directions=mode) for mode in ("global", "own", "cone")
+    }
     mask = pictures["own"].mask
     rays = pixel_rays(camera)[1].reshape(*SIZE, 3)[mask]
     return {mode: 2 * picture.color[mask] - 1 for mode, picture in pictures.items()}, rays

@@ -8,8 +8,6 @@ from scipy.spatial import KDTree
 from avatar.skinning import SkinWeights, blended_rotations
 from capture.template.parts import Box, Part
 from capture.template.surface import SurfaceCloud
-from geometry.closest import closest_on_triangles
-from geometry.sample import lattice_samples
 from train.deform import canonical_directions, inverse_transforms
 from train.parts import part_weight
 from train.skin import harmonic_fill
@@ -64,28 +62,6 @@ def test_template_gradient_is_the_derivative_of_its_own_values():
             (auto,) = torch.autograd.grad(same.sum(), points)
             close = (auto - gradient).abs().amax(1) < 1e-2
             assert close.float().mean() > 0.98  # cells' faces have two derivatives
-
-
-def test_samples_of_a_face_are_its_own_and_evenly_spaced():
-    vertices = np.array([[0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]])
-    face, barycentric = lattice_samples(vertices, np.array([[0, 1, 2]]), np.array([0.1]))
-    assert (barycentric >= 0).all() and np.allclose(barycentric.sum(1), 1)
-    points = barycentric @ vertices
-    gap, _ = KDTree(points).query(np.random.default_rng(0).dirichlet([1, 1, 1], 2000) @ vertices)
-    assert gap.max() < 0.1 and len(face) == 14**2
-
-
-def test_closest_point_of_triangles_beats_every_sample():
-    rng = np.random.default_rng(4)
-    corners, points = rng.normal(size=(300, 3, 3)), rng.normal(size=(300, 3))
-    corners[:20, 2] = corners[:20, 1]  # without area
-    corners[:5, 1:] = corners[:5, :1]
-    nearest, weights = closest_on_triangles(points, corners)
-    assert (weights >= -1e-12).all() and np.allclose(weights.sum(1), 1)
-    gap = np.linalg.norm(points - nearest, axis=1)
-    for _ in range(200):
-        other = np.einsum("nk,nkc->nc", rng.dirichlet([0.5, 0.5, 0.5], 300), corners)
-        assert (gap <= np.linalg.norm(points - other, axis=1) + 1e-9).all()
 
 
 def test_canonical_directions_equal_the_numpy_rule():

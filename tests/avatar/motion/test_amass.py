@@ -88,13 +88,6 @@ def test_newer_keys_mean_the_same(tmp_path, hands, root, body):
     assert any("flat" in n for n in clip.notes if "hands" in n)
 
 
-def test_smplx_columns_leave_out_jaw_and_eyes(tmp_path):
-    wide = np.concatenate([POSES[:, :66], np.full((7, 9), 5.0), POSES[:, 66:]], 1)
-    clip = read_motion(save(tmp_path / "a.npz", poses=wide)).read()
-    np.testing.assert_array_equal(clip.axis_angle, read_motion(save(tmp_path / "b.npz")).read().axis_angle)
-    assert any("jaw" in n for n in clip.notes)
-
-
 @pytest.mark.parametrize("gender", [np.array("female"), np.array(b"female"), np.array(["male"])])
 def test_gender_may_be_text_or_bytes(tmp_path, gender):
     assert read_motion(save(tmp_path / "a.npz", gender=gender)).frames == 7

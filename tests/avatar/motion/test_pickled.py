@@ -118,15 +118,10 @@ def test_the_model_places_the_pelvis(tmp_path):
         ({"betas": np.zeros(10)}, "no poses; expected one of poses, .* found .*betas"),
         ([1.0], "no poses; .* found a list"),
         ({"poses": poses(69)}, "poses should have 156, .* has 69: 69 is 23 joints"),
-        ({"poses": poses(75)}, "poses should have .* has 75: 75 may be"),
         ({"poses": poses(100)}, "poses should have .* has 100: no known layout"),
-        ({"poses": np.zeros((0, 72))}, "poses has 0 frames"),
         ({"poses": "x"}, "poses should be numbers"),
         ({"poses": np.zeros(())}, r"poses should be \(frames, numbers\)"),
         ({"poses": [[1.0, 2], [3.0]]}, ".* unequal lengths"),
-        ({"poses": poses(72), "trans": TRANS[:3]}, r"trans should be \(5, 3\), is \(3, 3\)"),
-        ({"poses": poses(72), "fps": 0}, "fps should be positive"),
-        ({"poses": poses(72), "fps": np.nan}, "fps should be positive"),
         ({"poses": poses(72), "fps": np.zeros(2)}, "fps should be positive"),
         ({"poses": poses(72), "betas": np.array([np.inf])}, "betas should be finite"),
         ({"poses": poses(72), "up_axis": "q"}, "up_axis should be"),
@@ -140,18 +135,3 @@ def test_the_model_places_the_pelvis(tmp_path):
 def test_what_cannot_be_explained_is_named(tmp_path, fields, message):
     with pytest.raises(AssetError, match=rf"a\.pkl: {message}"):
         read_motion(saved(tmp_path / "a.pkl", fields))
-
-
-@pytest.mark.parametrize("joint, name", [(0, "pelvis"), (4, "left_knee")])
-def test_a_number_that_is_not_finite_is_named(tmp_path, joint, name):
-    values = poses(72)
-    values[3, 3 * joint] = np.nan
-    with pytest.raises(AssetError, match=rf"a\.pkl: poses is not finite at frame 3, joint {name}"):
-        read_motion(saved(tmp_path / "a.pkl", {"poses": values})).read()
-    values[3, 3 * joint] = 1e200
-    with pytest.raises(AssetError, match=rf"poses is 1e\+200, expected below 1e\+09, at frame 3, joint {name}"):
-        read_motion(saved(tmp_path / "a.pkl", {"poses": values})).read()
-    place = TRANS.copy()
-    place[2, 1] = np.inf
-    with pytest.raises(AssetError, match="trans is not finite at frame 2"):
-        read_motion(saved(tmp_path / "b.pkl", {"poses": poses(72), "trans": place})).read()

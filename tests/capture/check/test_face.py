@@ -4,17 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from painted_capture import free_subject
 from turning_capture import with_video
 
-from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, pinhole
-from avatar.skeleton import BIG_POSE, skin_transforms
-from avatar.skinning import skin_points
 from capture.check.face import IRIS, SIDE, close_ups, face_line, face_report
 from capture.check.report import CaptureReport
 from capture.check.verdict import verdict
-from capture.folder import Capture, CaptureSubject, PartVideo
-from capture.read.template import part_of
+from capture.folder import Capture, PartVideo
 from capture.template.eyes import body_sockets
 from geometry.rasterise import rasterise
 
@@ -25,11 +22,8 @@ SHUT = 4
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory) -> Capture:
-    body = builtin_body("male")
-    canonical = skin_points(body.vertices, body.skin, skin_transforms(BIG_POSE, body.joints, rest=np.zeros((52, 3))))
-    part = part_of(body.skin).astype(np.int64)
-    subject = CaptureSubject("man", body.vertices, canonical, body.faces, body.skin, body.joints, part,
-                             np.zeros(len(part), bool))  # fmt: skip
+    subject = free_subject("male")
+    canonical, part = subject.vertices, subject.part
     eyes = canonical[np.concatenate([socket.rim for socket in body_sockets()])].mean(0)
     color = np.full(len(canonical), 170.0)
     for socket in body_sockets():
@@ -41,9 +35,9 @@ def capture(tmp_path_factory) -> Capture:
     for frame, turn in enumerate(np.radians(TURNS)):
         away = UNITS * 0.6 * np.array([np.sin(turn), 0, np.cos(turn)])
         camera = Camera(K, look_at(UNITS * eyes + away, UNITS * eyes, (0, 1, 0)), size)
-        drawn = rasterise(UNITS * canonical, body.faces, camera)
+        drawn = rasterise(UNITS * canonical, subject.faces, camera)
         shown = np.full(len(color), 170.0) if frame == SHUT else color
-        grey = np.where(drawn.face >= 0, shown[body.faces[drawn.face]].mean(-1), 0)
+        grey = np.where(drawn.face >= 0, shown[subject.faces[drawn.face]].mean(-1), 0)
         images.append(np.repeat(np.uint8(grey)[..., None], 3, 2))
         masks.append(drawn.face >= 0)
         cameras.append(camera)

@@ -111,8 +111,3 @@ def test_videos_in_lights_of_their_own_get_one_each_on_one_scale():
     for part in PARTS:
         assert degrees_between(found.lights[part].lamps[0], lights[part].lamps[0]) < 2
         assert found.lights[part].ambient / lights[part].ambient == pytest.approx(scale, rel=0.05)
-
-
-def test_too_few_pixels_say_nothing():
-    few = seen(shared(CaptureLight(0.45, SIDE)), triangles=10, frames=2)
-    assert fit_light(few).lights == {}

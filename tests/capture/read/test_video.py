@@ -85,6 +85,7 @@ def test_the_rest_of_the_person_is_unknown_in_a_close_up(part):
     assert found[0, 119] == UNKNOWN and 0.1 < (found[:, 20:] == UNKNOWN).mean() < 0.95
 
 
+@pytest.mark.slow
 def test_what_was_interrupted_goes_on_and_other_input_begins_anew(filmed_four, tmp_path, capsys):
     out = tmp_path / "capture"
 
