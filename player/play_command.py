@@ -1,10 +1,10 @@
 """`selfscan play`: avatars in a window, moved by files or by live poses."""
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from avatar.baked_avatar import Avatar
 from avatar.motion.hands import HANDS
 from avatar.skeleton import PARTS
 from command.command_line import Help, Option, parse
-from command.errors import AssetError
+from command.errors import AssetError, missing_package
 from command.interrupt import deferred_stop
 from command.settings import AtLeast, OneOf
 from player.budget.rungs import parse_budget
@@ -36,10 +36,6 @@ from player.scene.arguments import (
 from player.scene.motions import beside
 from player.scene.scene import GROUNDS, Scene, SceneAvatar, SceneCamera
 from player.window.help import command_line_help
-
-if TYPE_CHECKING:
-    from player.window.panels.panels import Panels
-    from player.window.parts import WindowParts
 
 EXAMPLES = """examples
   selfscan play me.glb                                      the counting motion
@@ -119,7 +115,7 @@ class PlayCommand:
         bool, TIME.rare, "coarser levels of detail for avatars that are small on the screen"
     ] = False
     gui: Annotated[
-        bool, MACHINE.rare, Option(("--no-gui",)), "no panels, only keys and a line of text (as without imgui-bundle)"
+        bool, MACHINE.rare, Option(("--no-gui",)), "panels are hidden at first: keys and a line of text"
     ] = True
     platform: Annotated[
         str, MACHINE.rare, OneOf(("auto", "null")), "null: no display, drawn by OSMesa in memory (for tests)"
@@ -209,15 +205,24 @@ def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:
 
 
 def play_scene(scene: Scene, command: PlayCommand) -> int:
-    """Open the scene's files and sources, then the window."""
+    """Open the scene's files and sources, then the window.
+
+    Raises:
+        AssetError: a file cannot be read, or imgui-bundle is not installed.
+    """
     from player.scene.opened import opened_avatars
     from player.window.show import opened_show
 
-    # glfw only when a window is asked for
-    from player.window.window import play
-
+    # an exception from a signal handler inside the initialisation of imgui-bundle would abort the process
+    with deferred_stop() as stop:
+        try:
+            from player.window.window import play
+        except ModuleNotFoundError as error:
+            if (error.name or "").split(".")[0] != "imgui_bundle":
+                raise
+            raise missing_package("imgui-bundle", "gui", "selfscan play") from None
+    stop.check()
     avatars = opened_avatars(scene)
-    panels = installed_panels() if command.gui else None
     with ExitStack() as sources:
         live = [
             (sources.enter_context(_listening(address, command, [avatars[k] for k in indices])), indices)
@@ -230,25 +235,11 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
             show,
             size=scene.size or (1280, 800),
             null=command.platform == "null",
-            panels=panels,
+            panels=command.gui,
             script=None if command.script is None else command.script.split(),
             screenshot=command.screenshot,
             budget=None if command.budget is None else (command.budget, [entry.path for entry in scene.avatars]),
         )
-
-
-def installed_panels() -> "Callable[[WindowParts], Panels] | None":
-    """What makes the panels; None where imgui-bundle is not installed: then there are keys and a line of text."""
-    try:
-        # an exception from a signal handler inside the extension's initialisation would abort the process
-        with deferred_stop() as stop:
-            from player.window.panels.panels import Panels
-        stop.check()
-    except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] != "imgui_bundle":
-            raise
-        return None
-    return Panels
 
 
 def _addresses(scene: Scene, command: PlayCommand) -> list[tuple[Address, list[int]]]:

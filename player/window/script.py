@@ -92,7 +92,7 @@ def _tap(window: "Window", key: int) -> Callable[[], None]:
 
 def _aim(window: "Window", name: str) -> None:
     """Move the pointer to the middle of a widget that was drawn in the last frame."""
-    places = window.panels.places if window.panels is not None else {}
+    places = window.panels.places
     if name not in places:
         raise ValueError(f"script: no widget {name!r} is shown; there are {', '.join(places) or 'none'}")
     window.on_pointer(*places[name])

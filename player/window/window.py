@@ -1,33 +1,30 @@
 """The window: its parts put together, one frame after the other.
 
 What is shown is a `Show` (player/window/show.py). The parts that keys, mouse and panels change are
-player/window/parts.py, each in a file of its own; what keys do is the table of player/window/actions.py. Panels
-(player/window/panels/) are given to the window, which knows of them only what `PanelLayer` says. The same code runs
-without a display: glfw's null platform with OSMesa, driven by a script (player/window/script.py) that calls what
-glfw calls.
+player/window/parts.py, each in a file of its own; what keys do is the table of player/window/actions.py. Text and
+widgets are Dear ImGui's (player/window/panels/). The same code runs without a display: glfw's null platform with
+OSMesa, driven by a script (player/window/script.py) that calls what glfw calls.
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Protocol
 
 import glfw
 import moderngl
 
 from command.interrupt import deferred_stop
 from player.scene.cameras import moved_into
-from player.window.actions import GROUPS
 from player.window.budgeted import Budgeted
 from player.window.keyboard import Keyboard
-from player.window.parts import WindowParts, opened_parts
+from player.window.panels.panels import Panels
+from player.window.parts import opened_parts
 from player.window.picture import PictureLayer
 from player.window.pointer import Pointer
 from player.window.recorder import save_picture
 from player.window.screen import Screen
 from player.window.script import RATE, steps
 from player.window.show import Show
-from player.window.text import TextPlate
 from player.window.timeline import LONGEST_STEP
 
 Clock = Callable[[], float]
@@ -35,31 +32,6 @@ Clock = Callable[[], float]
 STILL = 0.25
 # frames drawn after an event: a panel answers one or two frames late
 ANSWERS = 4
-
-
-class PanelLayer(Protocol):
-    """Panels over and round the picture. Events answer whether a panel took them."""
-
-    @property
-    def places(self) -> Mapping[str, tuple[float, float]]:
-        """Middle of each named widget of the last frame, window units."""
-        ...
-
-    def on_key(self, key: int, down: bool) -> bool: ...
-
-    def on_text(self, letter: int) -> None: ...
-
-    def on_wheel(self, clicks: float | int, over_picture: bool) -> bool: ...
-
-    def on_pointer(self, x: float | int, y: float | int) -> None: ...
-
-    def on_button(self, button: int, down: bool, over_picture: bool) -> bool: ...
-
-    def draw(self, screen: moderngl.Framebuffer) -> None:
-        """Draw the panels that there is room for, and note in the layout whether there were any."""
-        ...
-
-    def release(self) -> None: ...
 
 
 class Window:
@@ -71,26 +43,27 @@ class Window:
         *,
         size: tuple[int, int],
         null: bool = False,
-        panels: Callable[[WindowParts], PanelLayer] | None = None,
+        panels: bool = True,
         clock: Clock = time.perf_counter,
         budget: tuple[float, Sequence[str]] | None = None,
     ):
-        """budget: milliseconds of a frame's own work, and the files of the avatars, by which its prices are kept."""
+        """panels: whether they are shown at first. budget: milliseconds of a frame's own work, and the files of the
+        avatars, by which its prices are kept."""
         self.clock, self.screen = clock, Screen(size, null=null)
         self.parts = opened_parts(show, self.screen, clock)
         self.keyboard, self.pointer = Keyboard(self.parts), Pointer(self.parts)
-        context = self.screen.context
-        self.status_line, self.key_list, self.backdrop = TextPlate(context), TextPlate(context), PictureLayer(context)
-        self.panels = panels(self.parts) if panels is not None else None
+        self.backdrop = PictureLayer(self.screen.context)
+        self.parts.state.layout.panels_on = panels
+        self.panels = Panels(self.parts)
         show.fit_orbit(self.parts.state.layout.area[2:])
         if show.level_by_size:
             self.parts.look.follow_size(True)
         # seconds that have passed for loose parts: also while the timeline stands
         self._moved = 0.0
-        if budget is not None:
-            self.parts.budget = self._budgeted(*budget)
         self._last_tick = clock()
         self._answers = ANSWERS
+        if budget is not None:
+            self.parts.budget = self._budgeted(*budget)
         self._connect()
 
     def _budgeted(self, budget: float, files: Sequence[str]) -> Budgeted:
@@ -102,18 +75,10 @@ class Window:
         tracks = parts.state.playback.tracks
         moments = [share * max(track.end for track in tracks) for share in (0.1, 0.35, 0.6, 0.85)]
         frames = [([track.pose(seconds) for track in tracks], camera) for seconds in moments]
-        self._announce(f"timing what holds {budget:.3g} ms a frame; this takes up to a minute the first time ...")
-        return Budgeted(self.screen.context, parts.look, files, frames, size, budget, parts.state.messages)
-
-    def _announce(self, text: str) -> None:
-        """Show the first picture with a line of text, before work that takes long."""
-        screen, size = self.screen.begin(), self.screen.size
-        self.parts.state.last.poses = self.parts.posing.poses()
-        self._draw_picture(screen)
-        screen.use()
-        self.status_line.line(text, size, self.screen.letter)
-        glfw.swap_buffers(self.screen.handle)
+        parts.state.messages.say(f"timing what holds {budget:.3g} ms a frame; up to a minute the first time ...")
+        self.draw()
         glfw.poll_events()
+        return Budgeted(self.screen.context, parts.look, files, frames, size, budget, parts.state.messages)
 
     def _connect(self) -> None:
         """glfw calls what a script calls."""
@@ -133,29 +98,27 @@ class Window:
         """A key went down (or repeats), or up."""
         if not down:
             self.keyboard.release(key)
-        taken = self.panels is not None and self.panels.on_key(key, down)
+        taken = self.panels.on_key(key, down)
         if down and not taken:
             self.keyboard.press(key)
 
     def on_text(self, letter: int) -> None:
-        if self.panels is not None:
-            self.panels.on_text(letter)
+        self.panels.on_text(letter)
 
     def on_wheel(self, clicks: float | int) -> None:
-        if self.panels is None or not self.panels.on_wheel(clicks, self._over_picture()):
+        if not self.panels.on_wheel(clicks, self._over_picture()):
             self.parts.viewpoint.cameras.approach(clicks)
 
     def on_pointer(self, x: float | int, y: float | int) -> None:
         """The pointer moved, window units."""
-        if self.panels is not None:
-            self.panels.on_pointer(x, y)
+        self.panels.on_pointer(x, y)
         self.pointer.move(x, y)
 
     def on_button(self, button: int, down: bool) -> None:
         """A mouse button went down or up where the pointer is. On a minimised window there is nothing to press."""
         if down and 0 in self.screen.size:
             return
-        taken = self.panels is not None and self.panels.on_button(button, down, self._over_picture())
+        taken = self.panels.on_button(button, down, self._over_picture())
         if not down:
             self.pointer.release(button)
         elif not taken:
@@ -189,9 +152,7 @@ class Window:
         if parts.recorder.wants_picture:
             parts.recorder.take(self.screen.read(parts.state.layout.area))
         screen.use()
-        if self.panels is not None:
-            self.panels.draw(screen)
-        self._draw_text(size)
+        self.panels.draw(screen)
         if keep:
             last.image = self.screen.read((0, 0, *size))
         glfw.swap_buffers(self.screen.handle)
@@ -219,30 +180,6 @@ class Window:
             if viewpoint.shows_video:
                 parts.wipe.draw(viewpoint.video_frame, area, size, around)
             self.backdrop.fill(around, (0, 0, *size), size, under=True)
-
-    def _draw_text(self, size: tuple[int, int]) -> None:
-        """The line of text where there are no panels, and the list of keys."""
-        layout, letter = self.parts.state.layout, self.screen.letter
-        if not layout.panels_drawn:
-            self.status_line.line(self.status(), size, letter)
-        if layout.help_on:
-            self.key_list.keys([group for group in GROUPS if group.when(self.parts)], size, letter)
-
-    def status(self) -> str:
-        """The line of text: a message, or frames per second, where the playback is, view and selection."""
-        parts, state = self.parts, self.parts.state
-        if state.messages.shown:
-            return state.messages.shown
-        words = [f"{state.last.rate:.0f} fps", state.playback.status(), parts.look.status]
-        if parts.budget is not None:
-            words.append(parts.budget.words)
-        if parts.viewpoint.cameras.kind != "orbit":
-            words.append(parts.viewpoint.cameras.kind)
-        if parts.recorder.film is not None:
-            words.append(f"filming {parts.recorder.film.frames}")
-        if state.selection.any:
-            words.append(state.selection.name)
-        return "    ".join([*words, "h: keys"])
 
     # -- the loop
 
@@ -305,9 +242,7 @@ class Window:
             parts.recorder.close()
         finally:
             parts.state.playback.close()
-            for thing in (
-                self.panels, parts.wipe, self.backdrop, self.status_line, self.key_list, parts.look.renderer,
-            ):  # fmt: skip
+            for thing in (self.panels, parts.wipe, self.backdrop, parts.look.renderer):
                 if thing is not None:
                     thing.release()
             self.screen.close()
@@ -318,7 +253,7 @@ def play(
     *,
     size: tuple[int, int],
     null: bool,
-    panels: Callable[[WindowParts], PanelLayer] | None,
+    panels: bool,
     script: Sequence[str] | None,
     screenshot: str | None,
     budget: tuple[float, Sequence[str]] | None = None,

@@ -31,12 +31,8 @@ def window(request):
         open_context("osmesa").release()
     except NoContextError as error:
         pytest.skip(str(error))
-    if request.param == "panels":
-        pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
-        from player.window.panels.panels import Panels
     show = opened_show(Scene((SceneAvatar("tiny.glb", "counting"),)), [tiny_avatar()])
-    panels = Panels if request.param == "panels" else None
-    window = Window(show, size=(700, 400), null=True, panels=panels, clock=Clock(MONTH))
+    window = Window(show, size=(700, 400), null=True, panels=request.param == "panels", clock=Clock(MONTH))
     try:
         window.run(["space", "home", "wait"], keep=True)
         yield window

@@ -22,7 +22,6 @@ from player.scene.effects import PLAIN, Effects
 from player.scene.opened import opened_avatars
 from player.window.panels.draw import DrawLists
 from player.window.panels.effects_panel import NO_LIGHT, NOT_LOOSE, without_effect
-from player.window.panels.panels import Panels
 from player.window.show import opened_show
 from player.window.window import Window
 
@@ -34,7 +33,7 @@ def window(osmesa, avatar_path, tmp_path, monkeypatch):
     """A window with panels, paused at its first frame."""
     monkeypatch.chdir(tmp_path)
     scene = scene_of(parse(PlayCommand, [avatar_path], PLAY))
-    window = Window(opened_show(scene, opened_avatars(scene)), size=SIZE, null=True, panels=Panels)
+    window = Window(opened_show(scene, opened_avatars(scene)), size=SIZE, null=True)
     try:
         run(window, "space home wait")
         yield window
@@ -326,7 +325,7 @@ def test_thousands_of_triangles_make_the_buffers_grow(context, imgui_context):
 
 def opened(avatar_path, size, live=()):
     scene = scene_of(parse(PlayCommand, [avatar_path, *(("--live", "udp:1") if live else ())], PLAY))
-    return Window(opened_show(scene, opened_avatars(scene), live), size=size, null=True, panels=Panels)
+    return Window(opened_show(scene, opened_avatars(scene), live), size=size, null=True)
 
 
 @pytest.mark.parametrize("system", ["units", "pixels"])

@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from command.command_line import parser_of
@@ -12,7 +11,8 @@ from player.window import actions
 from player.window.actions import GROUPS, Action
 from player.window.help import DOCS, TABLES, command_line_help, rows, with_table
 from player.window.keyboard import KEYS
-from player.window.text import in_columns, keys_image, line_image, shortened
+from player.window.panels.hud_panel import in_columns
+from player.window.panels.widgets import shortened
 
 ACTIONS = [action for group in GROUPS for action in group.actions]
 
@@ -74,32 +74,11 @@ def test_modes_go_before_what_keys_mean_elsewhere():
     assert actions.found("t", parts()) is None
 
 
-@pytest.mark.parametrize(
-    ("size", "letter"), [((1280, 800), 15), ((1920, 1080), 15), ((2560, 1600), 30), ((640, 480), 15)]
-)
-def test_the_list_of_keys_fits_the_window_in_readable_letters(size, letter):
-    image = keys_image(GROUPS, size, letter)
-    assert image.width <= size[0] and image.height <= size[1]
-    # as large as asked for where the window is no smaller than usual
-    smaller = keys_image(GROUPS, size, letter - 1)
-    assert (image.height > smaller.height) == (size[0] > 640)
-
-
 def test_columns_keep_groups_whole_and_in_order():
     blocks = [("a", [("k", "m")] * 5), ("b", [("k", "m")] * 2), ("c", [("k", "m")] * 3)]
     assert [[title for title, _ in column] for column in in_columns(blocks, 2)] == [["a"], ["b", "c"]]
     assert [[title for title, _ in column] for column in in_columns(blocks, 1)] == [["a", "b", "c"]]
     assert len(in_columns(blocks, 9)) == 3
-
-
-def test_the_line_of_text_is_smooth_and_grows_with_the_screen():
-    """Letters have grey edges, which those of a bitmap font do not, and are twice as high on a dense screen."""
-    plain, dense = (np.asarray(line_image("frame 72/300", 4000, letter))[..., 0].astype(int) for letter in (15, 30))
-    assert len(np.unique(plain)) > 20
-    high = [np.ptp(np.flatnonzero((image > 128).any(1))) + 1 for image in (plain, dense)]
-    assert 1.8 < high[1] / high[0] < 2.2 and high[0] >= 10
-    short = line_image("a" * 500, 300, 15)
-    assert short.width <= 302
 
 
 def test_what_is_too_long_loses_its_middle():

@@ -20,7 +20,6 @@ from player.pose.mirror import mirrored_in_place
 from player.scene.framing import pelvis_height
 from player.scene.motions import motion_for
 from player.scene.opened import opened_avatars
-from player.window.panels.panels import Panels
 from player.window.pose_tool import HANDLES
 from player.window.show import opened_show
 from player.window.window import Window
@@ -37,9 +36,9 @@ def opened(osmesa, avatar_path, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     windows = []
 
-    def open_(*more, gui=True):
+    def open_(*more):
         scene = scene_of(parse(PlayCommand, [avatar_path, *more], PLAY))
-        window = Window(opened_show(scene, opened_avatars(scene)), size=SIZE, null=True, panels=Panels if gui else None)
+        window = Window(opened_show(scene, opened_avatars(scene)), size=SIZE, null=True)
         windows.append(window)
         run(window, "space home p wait")
         edit = window.parts.posing.edit

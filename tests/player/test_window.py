@@ -21,6 +21,7 @@ from player.scene.effects import USUAL
 from player.scene.framing import extent, facing, fitted_camera
 from player.scene.motions import motion_for
 from player.scene.renderer import Renderer
+from player.window.panels import hud_panel
 from player.window.script import NUMBERS, steps
 from player.window.window import Window
 
@@ -120,13 +121,13 @@ def test_two_avatars_have_motions_and_places_of_their_own(avatar_path, tmp_path)
 @pytest.mark.usefixtures("osmesa")
 def test_a_click_picks_and_its_joint_is_named(avatar_path, tmp_path, monkeypatch):
     """Without panels the name is in the line of text; a drag picks nothing, a click beside lets go."""
-    seen, real = [], Window.status
+    seen, real = [], hud_panel.status
 
-    def status(self):
-        seen.append(real(self))
+    def status(parts):
+        seen.append(real(parts))
         return seen[-1]
 
-    monkeypatch.setattr(Window, "status", status)
+    monkeypatch.setattr(hud_panel, "status", status)
     screenshot(avatar_path, tmp_path / "a.png", "space home click:92:33 wait drag:80:60:90:60 wait click:3:3 wait")
     words = [re.search(r"a: (\w+)", text) for text in seen]
     named = [match[1] for match in words if match]
@@ -206,23 +207,24 @@ def test_a_window_that_cannot_be_made_says_so_and_the_next_one_opens(avatar, ava
 
 
 @pytest.mark.usefixtures("osmesa")
-def test_text_is_twice_as_high_on_a_dense_screen(avatar_path, tmp_path, monkeypatch):
-    heights, real = [], Window.close
-    # what the line says depends on the clock
-    monkeypatch.setattr(Window, "status", lambda self: "60 fps")
-
-    def close(self):
-        heights.append((self.status_line.texture.size[1], np.sqrt(np.prod(self.key_list.texture.size))))
-        real(self)
-
-    monkeypatch.setattr(Window, "close", close)
+def test_letters_are_smooth_and_twice_as_high_on_a_dense_screen(avatar_path, tmp_path, monkeypatch):
+    """The line of text: letters have grey edges, which those of a bitmap font do not."""
+    monkeypatch.setattr(hud_panel, "status", lambda parts: "frame 72/300")
+    heights = []
     for scale in (1.0, 2.0):
         monkeypatch.setattr("glfw.get_window_content_scale", lambda handle, scale=scale: (scale, scale))
-        image = screenshot(avatar_path, tmp_path / "a.png", "space h", size="2000x1600")
-        assert (np.abs(image - [255, 204, 51]).max(-1) < 40).sum() > 500
-    plain, dense = np.array(heights)
-    # columns may be others, letters are as large
-    assert np.abs(dense / plain - 2).max() < 0.2
+        line = screenshot(avatar_path, tmp_path / "a.png", "space wait", size="500x400")[350:, :200, 0]
+        heights.append(np.ptp(np.flatnonzero((line > 128).any(1))) + 1)
+        assert len(np.unique(line)) > 20
+    assert 1.8 < heights[1] / heights[0] < 2.2 and heights[0] >= 10
+
+
+@pytest.mark.usefixtures("osmesa")
+@pytest.mark.parametrize("size", ["1280x800", "640x480", "200x160"])
+def test_the_list_of_keys_is_shown_in_windows_of_every_size(avatar_path, tmp_path, size):
+    image = screenshot(avatar_path, tmp_path / "a.png", "space h wait wait", size=size)
+    keys = (np.abs(image - [255, 204, 51]).max(-1) < 60).nonzero()
+    assert len(keys[0]) > 50 and np.ptp(keys[0]) > 0.4 * image.shape[0]
 
 
 def test_an_unknown_word_in_a_script_is_refused(avatar_path):
@@ -260,29 +262,14 @@ def test_options_that_do_not_fit_are_refused(avatar_path):
         assert stopped.value.code == 2
 
 
-def test_without_imgui_bundle_there_are_keys_and_the_line_of_text(avatar_path, tmp_path):
-    """The window opens and shows what --no-gui shows."""
+def test_without_imgui_bundle_one_line_says_what_to_install(avatar_path):
     code = (
         "import sys; sys.modules['imgui_bundle'] = None\n"
-        "from player.play_command import play_main\nsys.exit(play_main(sys.argv[1:]))"
+        "from selfscan.__main__ import main\nsys.exit(main(sys.argv[1:]))"
     )
-    out = tmp_path / "a.png"
-    arguments = [
-        avatar_path,
-        "--platform",
-        "null",
-        "--size",
-        "160x200",
-        "--script",
-        "space home",
-        "--screenshot",
-        str(out),
-    ]
-    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    plain = screenshot(avatar_path, tmp_path / "b.png", "space home")
-    assert np.array_equal(pixels(out)[:170], plain[:170])
-    assert (pixels(out)[185:] != plain[0, 0]).any()  # the line of text
+    done = subprocess.run([sys.executable, "-c", code, "play", avatar_path], capture_output=True, text=True)
+    assert done.returncode == 1 and done.stderr.count("\n") == 1
+    assert "selfscan play needs the package 'imgui-bundle'" in done.stderr and ".[gui]" in done.stderr
 
 
 def test_the_orbit_never_passes_a_pole_and_stays_finite():

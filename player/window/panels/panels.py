@@ -14,7 +14,7 @@ import moderngl
 from imgui_bundle import imgui
 
 from player.window.panels.draw import DrawLists
-from player.window.panels.hud_panel import hud_panel, joint_mark
+from player.window.panels.hud_panel import hud_panel, joint_mark, key_list, status_line
 from player.window.panels.pose_overlay import pose_overlay
 from player.window.panels.pose_panel import PosePanels
 from player.window.panels.side_panels import avatars_panel, camera_panel, live_panel, view_panel
@@ -123,7 +123,7 @@ class Panels:
 
     def takes_pointer(self, over_picture: bool) -> bool:
         """Where panels stand is known at once; what lies over the picture (a list that opened) since the last frame."""
-        return self._layout.panels_drawn and (self._io().want_capture_mouse or not over_picture)
+        return self._io().want_capture_mouse or (self._layout.panels_drawn and not over_picture)
 
     def on_key(self, key: int, down: bool) -> bool:
         io = self._io()
@@ -167,6 +167,10 @@ class Panels:
         if self._layout.panels_drawn:
             self._draw_overlays()
             self._draw_panels(wide, high)
+        else:
+            status_line(self._parts)
+        if self._layout.help_on:
+            key_list(self._parts)
         self._ui.end()
         imgui.render()
         self._lists.draw(imgui.get_draw_data(), screen, size)

@@ -11,7 +11,6 @@ from imgui_bundle import imgui
 
 from player.window.actions import Action
 from player.window.parts import WindowParts
-from player.window.text import shortened
 
 Span = tuple[float, float]
 # letters' heights at which a tooltip's line ends
@@ -193,6 +192,17 @@ def elided(text: str, room: float | None = None) -> str:
         if fits(cut):
             return cut
     return shortened(parts[-1] if parts else text, fits)
+
+
+def shortened(text: str, fits: Callable[[str], bool]) -> str:
+    """A text, or as much of its beginning and, twice as much, of its end as fits, with dots for its middle."""
+    cut = text
+    for kept in range(len(text) - 1, 1, -1):
+        if fits(cut):
+            break
+        start = kept // 3
+        cut = f"{text[:start]}...{text[len(text) - (kept - start) :]}"
+    return cut
 
 
 def _stay_on_line(text: str, more: float) -> None:

@@ -22,6 +22,7 @@ from player.gl.context import open_context
 from player.scene.effects import PLAIN
 from player.scene.mannequin import mannequin
 from player.scene.scene import Scene, SceneAvatar
+from player.window.panels.hud_panel import status
 from player.window.show import opened_show
 from player.window.window import Window
 from selfscan.__main__ import main
@@ -216,7 +217,7 @@ def test_the_window_goes_down_under_load_and_up_again(said, monkeypatch):
         frames(110)
         assert seen[-1] == "vertex" and sum(a != b for a, b in zip(seen, seen[1:])) == 2
         assert "budget 13 ms: per vertex, 27k; network per pixel, 27k 12.0 ms more" in budget.words
-        assert budget.words in window.status()
+        assert budget.words in status(window.parts)
         # by hand it ends
         window.parts.look.change(effects=dataclasses.replace(window.parts.look.effects, view="network"))
         frames(2)
