@@ -14,12 +14,11 @@ from jaxtyping import Float
 
 from avatar.limits import clamped, with_angle
 from avatar.motion.clip import Clip
-from avatar.rotation import axis_angle_from_matrix
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from command.progress import plural
 from player.pose import pose_file
 from player.pose.fingers import HandShape, Side, with_curl, with_hand, with_spread
-from player.pose.gizmo import turned
 from player.pose.history import History, PoseState
 from player.pose.ik import LIMBS, reach_for
 from player.pose.keyframes import Easing, Keys, Pose, clip_of, moved_key, pose_at, with_key, without_key
@@ -165,7 +164,7 @@ class PoseSession:
         drag: object | None = None,
     ) -> None:
         """The gizmo: one joint turned about a world axis, from the pose in which the ring was seized."""
-        pose = turned(start.axis_angle, start.root, self.joints, joint, axis, angle)
+        pose = turned(start, self.joints, joint, axis, angle)
         self.put(JOINTS[joint], pose, start.root, drag=drag, joint=joint)
 
     def reach(
@@ -327,3 +326,16 @@ class PoseSession:
     def load_pose(self, label: str, pose: Pose) -> None:
         """A pose from the library."""
         self.put(label, pose.axis_angle, pose.root, limited=False, hold=False)
+
+
+def turned(
+    pose: Pose, joints: Float[Array, "52 3"], joint: int, axis: Float[Array, "3"], angle: float | int
+) -> Float[Array, "52 3"]:
+    """The pose with one joint turned about a world axis through it, radians; all below follows, the root stays."""
+    world = joint_transforms(pose.axis_angle, joints, pose.root)[:, :3, :3]
+    parent = np.eye(3) if joint == 0 else world[PARENTS[joint]]
+    out = np.array(pose.axis_angle, np.float64)
+    if angle != 0:
+        turn = matrix_from_axis_angle(np.asarray(axis) * angle)
+        out[joint] = axis_angle_from_matrix(parent.T @ turn @ world[joint])
+    return out

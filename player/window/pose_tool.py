@@ -1,36 +1,26 @@
 """The mouse over an avatar that is posed by hand: what lies over it, and what a drag of it does.
 
-Over the picture are the gizmo on the selected joint (player/pose/gizmo.py), a handle at each hand and foot, one at
-the pelvis for the whole body, and dots at elbows and knees that swing them about the line from shoulder to hand. A
-drag is always worked out from the pose in which it began, so that it is one step of undo and that coming back to
-where it began is coming back to the pose.
+Over the picture are the rings on the selected joint (ImGuizmo's, player/window/panels/pose_overlay.py), a handle at
+each hand and foot, one at the pelvis for the whole body, and dots at elbows and knees that swing them about the line
+from shoulder to hand. A drag is always worked out from the pose in which it began, so that it is one step of undo and
+that coming back to where it began is coming back to the pose.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from avatar.camera import Camera, project
+from avatar.camera import Camera, pixel_rays, project
+from avatar.limits import joint_angles, limits
+from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import joint_transforms
-from player.pose.gizmo import (
-    Frame,
-    Gizmo,
-    Grab,
-    drag_angle,
-    gizmo_at,
-    grabbed,
-    on_plane_through,
-    picked_joint,
-    picked_ring,
-)
 from player.pose.ik import LIMBS
 from player.pose.keyframes import Pose
 from player.pose.session import PoseSession
 from player.window.state import WindowState
 
-# the gizmo's, window units
-RADIUS = 75.0
 # window units round a handle that still seize it
 HANDLE = 11.0
 DOT = 8.0
@@ -59,11 +49,13 @@ class Drag:
     """What the pointer holds, and the pose in which it took hold."""
 
     start: Pose
-    pressed: tuple[float, float]
-    grab: Grab | None = None
-    angle: float = 0.0  # the ring's
+    pressed: tuple[float, float] | None = None
+    # a handle, and from the pointer to it, metres
     handle: PullHandle | None = None
-    offset: Float[np.ndarray, "3"] | None = None  # from the pointer to the handle, metres
+    offset: Float[np.ndarray, "3"] | None = None
+    # the rings: their axes when they were seized and now, world
+    seized: Float[np.ndarray, "3 3"] | None = None
+    axes: Float[np.ndarray, "3 3"] | None = None
     moved: bool = False
 
 
@@ -72,12 +64,16 @@ class PoseTool:
 
     def __init__(self, state: WindowState, session: PoseSession, index: int):
         self.state, self.session, self.index = state, session, index
-        self.frame: Frame = "local"
+        # the axes that the rings turn about
+        self.frame: Literal["world", "local"] = "local"
         # hands and feet turn with forearm and shin
         self.follow = False
         self.held: Drag | None = None
-        # a ring or a handle
-        self.hovered: int | PullHandle | None = None
+        self.hovered: PullHandle | None = None
+        # the pointer is on a ring, or holds one
+        self.on_ring = False
+        # the drag of a ring was given up, and the button is still down
+        self.given_up = False
 
     # -- places
 
@@ -96,22 +92,27 @@ class PoseTool:
         """Pixels a window unit."""
         return self.state.layout.screen.scale
 
-    def gizmo(self) -> Gizmo | None:
-        """The rings on the selected joint; while one is held they stay as they were seized."""
-        if self.held is not None and self.held.grab is not None:
-            return self.held.grab.gizmo
-        camera, joint = self._camera, self.joint
-        if camera is None or joint is None:
-            return None
-        pose = self.session.pose
-        size = self._scale * RADIUS * (0.55 if joint >= 22 else 1.0)  # fingers are small
-        return gizmo_at(pose.axis_angle, pose.root, self.session.joints, joint, camera, frame=self.frame, pixels=size)
+    def ring_axes(self) -> Float[np.ndarray, "3 3"]:
+        """Axes of the rings as columns, world: x, y and z, or the joint's own. Those are flexion, abduction and
+        twist, carried along by its swing and not by its twist, so that a hinge's first ring changes its flexion
+        alone, and every third ring the twist alone. While a ring is held they are as it was turned, whatever the
+        joint's limits make of it."""
+        if self.held is not None and self.held.axes is not None:
+            return self.held.axes
+        joint, axis_angle = self.joint, self.session.pose.axis_angle
+        if joint is None or self.frame == "world":
+            return np.eye(3)
+        axes = limits().axes[joint]
+        untwisted = matrix_from_axis_angle(-joint_angles(axis_angle)[joint, 2] * axes[2])
+        out = self.session.world()[joint, :3, :3] @ untwisted @ axes.T
+        # the table's axes of some joints are left-handed, those of the gizmo are not
+        return out * [1.0, 1.0, np.sign(np.linalg.det(out))]
 
     def place(self, handle: PullHandle) -> Float[np.ndarray, "3"]:
         return self.session.world()[handle.joint, :3, 3]
 
-    def under(self, x: float, y: float) -> int | PullHandle | None:
-        """The handle or ring at a pixel. Handles of ends come first, then rings, then the rest."""
+    def under(self, x: float, y: float) -> PullHandle | None:
+        """The handle at a pixel; those of ends come first."""
         camera = self._camera
         # nothing is seized that is not shown
         if camera is None or not self.state.layout.panels_drawn:
@@ -122,51 +123,47 @@ class PoseTool:
         ends = distance[:4]
         if ends.min() <= HANDLE:
             return HANDLES[int(np.argmin(ends))]
-        gizmo = self.gizmo()
-        if gizmo is not None:
-            ring = picked_ring(gizmo, camera, np.array([x, y], np.float64))
-            if ring is not None:
-                return ring
         distance = np.where(np.arange(len(HANDLES)) > 4, distance * HANDLE / DOT, distance)
         return HANDLES[int(np.argmin(distance))] if distance.min() <= HANDLE else None
 
     # -- the pointer
 
     def press(self, x: float, y: float) -> bool:
-        """Take hold of a ring or handle; False where there is none."""
+        """Take hold of a handle; False where there is none."""
         camera, found = self._camera, self.under(x, y)
         if camera is None or found is None:
             return False
         pixel = np.array([x, y], np.float64)
-        self.held = Drag(self.session.pose, (x, y))
-        if isinstance(found, PullHandle):
-            place = self.place(found)
-            self.held.handle = found
-            self.held.offset = place - on_plane_through(camera, place, pixel)
-        else:
-            gizmo = self.gizmo()
-            assert gizmo is not None
-            self.held.grab = grabbed(gizmo, found, camera, pixel)
+        place = self.place(found)
+        self.held = Drag(self.session.pose, (x, y), found, place - on_plane_through(camera, place, pixel))
         return True
 
     def drag(self, x: float, y: float) -> None:
         """Move what is held."""
         held, camera = self.held, self._camera
-        if held is None or camera is None:
+        if held is None or camera is None or held.handle is None or held.pressed is None or held.offset is None:
             return
         if not held.moved and np.hypot(x - held.pressed[0], y - held.pressed[1]) <= CLICK * self._scale:
             return
         held.moved = True
         pixel = np.array([x, y], np.float64)
-        if held.grab is not None:
-            joint = self.joint
-            if joint is None:
-                return
-            held.angle = drag_angle(held.grab, camera, pixel, held.angle)
-            axis = held.grab.gizmo.axes[held.grab.ring]
-            self.session.turn(held.start, joint, axis, held.angle, drag=held)
-        elif held.handle is not None and held.offset is not None:
-            self._pull(held.handle, held, on_plane_through(camera, self._start_place(held), pixel) + held.offset)
+        self._pull(held.handle, held, on_plane_through(camera, self._start_place(held), pixel) + held.offset)
+
+    def turn(self, axes: Float[np.ndarray, "3 3"]) -> None:
+        """A ring is held and turned so that the rings' axes are these."""
+        joint = self.joint
+        if joint is None:
+            return
+        if self.held is None:
+            self.held = Drag(self.session.pose, seized=self.ring_axes())
+        held = self.held
+        assert held.seized is not None
+        # ImGuizmo's numbers are of single precision: a press alone is no turn
+        if not held.moved and np.abs(axes - held.seized).max() < 1e-5:
+            return
+        held.moved = True
+        held.axes = axes
+        self.session.turn(held.start, joint, axis_angle_from_matrix(axes @ held.seized.T), 1.0, drag=held)
 
     def _start_place(self, held: Drag) -> Float[np.ndarray, "3"]:
         """Where the handle was: all of a drag is at that depth."""
@@ -198,7 +195,7 @@ class PoseTool:
         self.hovered = self.under(x, y) if self.held is None else None
 
     def pick(self, x: float, y: float) -> bool:
-        """A click beside rings and handles: the joint whose dot is there; False: let the picture decide."""
+        """A click beside handles: the joint whose dot is there; False: let the picture decide."""
         camera = self._camera
         if camera is None:
             return False
@@ -213,6 +210,7 @@ class PoseTool:
         if self.held is None:
             return False
         held, self.held = self.held, None
+        self.given_up = held.handle is None
         self.session.put("cancel", held.start.axis_angle, held.start.root, drag=held, limited=False, hold=False)
         self.session.history.end_drag()
         return True
@@ -220,3 +218,26 @@ class PoseTool:
 
 def _places(session: PoseSession, pose: Pose) -> Float[np.ndarray, "52 3"]:
     return joint_transforms(pose.axis_angle, session.joints, pose.root)[:, :3, 3]
+
+
+def picked_joint(
+    places: Float[np.ndarray, "joints 3"],
+    camera: Camera,
+    pixel: Float[np.ndarray, "2"],
+    near_enough: float | int = 14.0,
+) -> int | None:
+    """The joint under the pointer: of those within `near_enough` pixels the nearest on the screen, then to the eye."""
+    pixels, depth = project(camera, places)
+    distance = np.where(depth > 1e-3, np.linalg.norm(pixels - pixel, axis=1), np.inf)
+    if not distance.min() <= near_enough:
+        return None
+    return int(np.lexsort((depth, np.round(distance)))[0])
+
+
+def on_plane_through(
+    camera: Camera, point: Float[np.ndarray, "3"], pixel: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "3"]:
+    """The world point under the pointer at the same depth as `point`: where a handle is dragged to."""
+    origins, directions = pixel_rays(camera, np.asarray(pixel, np.float64)[None])
+    forward = camera.camera_from_world[2, :3]
+    return origins[0] + directions[0] * float((point - origins[0]) @ forward) / float(directions[0] @ forward)

@@ -13,7 +13,7 @@ from pathlib import Path
 import glfw
 import moderngl
 
-from command.interrupt import deferred_stop
+from command.interrupt import StopRequest, deferred_stop
 from player.scene.cameras import moved_into
 from player.window.budgeted import Budgeted
 from player.window.keyboard import Keyboard
@@ -28,10 +28,12 @@ from player.window.show import Show
 from player.window.timeline import LONGEST_STEP
 
 Clock = Callable[[], float]
-# seconds that a still window waits for an event before it looks whether anything has changed
+# seconds that a still window sleeps before it looks whether it was asked to stop, or a message has run out
 STILL = 0.25
 # frames drawn after an event: a panel answers one or two frames late
 ANSWERS = 4
+# seconds after an event in which a tooltip may still appear
+LINGER = 1.0
 
 
 class Window:
@@ -61,7 +63,8 @@ class Window:
         # seconds that have passed for loose parts: also while the timeline stands
         self._moved = 0.0
         self._last_tick = clock()
-        self._answers = ANSWERS
+        # when the last event came, and how many frames are to be drawn at once after it
+        self._stirred, self._answers = clock(), ANSWERS
         if budget is not None:
             self.parts.budget = self._budgeted(*budget)
         self._connect()
@@ -88,14 +91,21 @@ class Window:
         glfw.set_scroll_callback(handle, lambda _w, _dx, dy: self.on_wheel(dy))
         glfw.set_cursor_pos_callback(handle, lambda _w, x, y: self.on_pointer(x, y))
         glfw.set_mouse_button_callback(handle, lambda _w, button, action, _m: self.on_button(button, bool(action)))
+        glfw.set_window_refresh_callback(handle, lambda _w: self._stir())
+        glfw.set_framebuffer_size_callback(handle, lambda _w, _wide, _high: self._stir())
         glfw.set_window_close_callback(
             handle, lambda handle: glfw.set_window_should_close(handle, self.parts.posing.may_leave())
         )
+
+    def _stir(self) -> None:
+        """Something happened that may change the picture."""
+        self._stirred, self._answers = self.clock(), ANSWERS
 
     # -- events; a script calls the same
 
     def on_key(self, key: int, down: bool) -> None:
         """A key went down (or repeats), or up."""
+        self._stir()
         if not down:
             self.keyboard.release(key)
         taken = self.panels.on_key(key, down)
@@ -103,19 +113,23 @@ class Window:
             self.keyboard.press(key)
 
     def on_text(self, letter: int) -> None:
+        self._stir()
         self.panels.on_text(letter)
 
     def on_wheel(self, clicks: float | int) -> None:
+        self._stir()
         if not self.panels.on_wheel(clicks, self._over_picture()):
             self.parts.viewpoint.cameras.approach(clicks)
 
     def on_pointer(self, x: float | int, y: float | int) -> None:
         """The pointer moved, window units."""
+        self._stir()
         self.panels.on_pointer(x, y)
         self.pointer.move(x, y)
 
     def on_button(self, button: int, down: bool) -> None:
         """A mouse button went down or up where the pointer is. On a minimised window there is nothing to press."""
+        self._stir()
         if down and 0 in self.screen.size:
             return
         taken = self.panels.on_button(button, down, self._over_picture())
@@ -152,7 +166,7 @@ class Window:
         if parts.recorder.wants_picture:
             parts.recorder.take(self.screen.read(parts.state.layout.area))
         screen.use()
-        self.panels.draw(screen)
+        self.panels.draw(screen, self.clock())
         if keep:
             last.image = self.screen.read((0, 0, *size))
         glfw.swap_buffers(self.screen.handle)
@@ -188,7 +202,7 @@ class Window:
         waiting = None if script is None else steps(script)
         last = self.clock()
         with deferred_stop(patience=0) as stop:
-            while not (self.parts.closing or glfw.window_should_close(self.screen.handle)):
+            while not self._ends:
                 stop.check()
                 if waiting is not None:
                     if not waiting:
@@ -203,23 +217,32 @@ class Window:
                     last = now
                 self.draw(keep=keep)
                 if waiting is None:
-                    self._take_events()
+                    self._take_events(stop)
                 else:
                     glfw.poll_events()
 
-    def _take_events(self) -> None:
-        """Take what has happened. A window in which nothing moves sleeps until something does."""
+    def _take_events(self, stop: StopRequest) -> None:
+        """Take what has happened. A window in which nothing moves sleeps, and draws nothing, until something does."""
         if 0 not in self.screen.size:
             self._answers = ANSWERS if self._moves() else self._answers - 1
             if self._answers > 0:
                 glfw.poll_events()
                 return
-        began = self.clock()
-        glfw.wait_events_timeout(STILL)
-        waited = self.clock() - began
+        began, shown = self.clock(), self.parts.state.messages.shown
+        while True:
+            before = self._stirred
+            glfw.wait_events_timeout(STILL)
+            stop.check()
+            changed = self._stirred != before or self.parts.state.messages.shown != shown
+            # a tooltip waits for the pointer to rest, a text field blinks
+            if changed or self.clock() - self._stirred < LINGER or self.panels.typing or self._ends:
+                break
         # frames are timed by their work, not by the sleep before them
-        self._last_tick += waited
-        self._answers = ANSWERS if waited < 0.9 * STILL else 1
+        self._last_tick += self.clock() - began
+
+    @property
+    def _ends(self) -> bool:
+        return self.parts.closing or bool(glfw.window_should_close(self.screen.handle))
 
     def _moves(self) -> bool:
         """Whether the next frame differs from the last one even if no one touches the window."""

@@ -1,13 +1,16 @@
 """The ray under the pointer meets what the screen shows there."""
 
 import numpy as np
+import pytest
 
+from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, project
 from avatar.skeleton import JOINTS, joint_transforms
 from player.draw.posing import posed_vertices
 from player.draw.raster import Rasteriser
 from player.scene.mannequin import mannequin
 from player.window.pick import pick
+from player.window.pose_tool import on_plane_through, picked_joint
 
 SIZE = (60, 80)
 
@@ -61,3 +64,25 @@ def test_the_nearer_of_two_avatars_is_picked_and_a_ray_beside_them_meets_nothing
     assert pick([avatar], [avatar.levels[0]], poses[:1], camera, (1.0, 1.0)) is None
     behind = Camera(camera.K, look_at((0, 0, 4.0), (0, 0, 8.0)), SIZE)
     assert pick([avatar], [avatar.levels[0]], poses[:1], behind, tuple(chest[0].tolist())) is None
+
+
+def test_the_joint_under_the_pointer_is_picked_nearest_first():
+    places = builtin_body("male").joints.astype(float)
+    camera = orbit_camera((0, 0, 0), 3.0, 0.0, 0.0, (640, 480))
+    pixels, depth = project(camera, places)
+    for joint in ("left_elbow", "right_knee", "head"):
+        k = JOINTS.index(joint)
+        assert picked_joint(places, camera, pixels[k] + [3, -2]) == k
+    assert picked_joint(places, camera, np.array([5.0, 5.0])) is None
+    # one behind the other, one behind the eye
+    two = np.array([[0, 0, 0.5], [0, 0, -0.5], [0, 0, 9.0]])
+    assert picked_joint(two, camera, np.array([320.0, 240.0])) == 0
+
+
+@pytest.mark.parametrize("pixel", [(0.0, 0.0), (320.0, 240.0), (639.0, 17.0)])
+def test_a_handle_is_dragged_to_the_pointer_at_its_own_depth(pixel):
+    camera, place = orbit_camera((0.1, 0.2, 0), 2.0, 0.7, -0.4, (640, 480)), np.array([0.3, -0.2, 0.1])
+    dragged = on_plane_through(camera, place, np.array(pixel))
+    shown, depth = project(camera, np.stack([dragged, place]))
+    np.testing.assert_allclose(shown[0], pixel, atol=1e-6)
+    assert depth[0] == pytest.approx(depth[1], abs=1e-9)

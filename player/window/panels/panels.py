@@ -15,7 +15,7 @@ from imgui_bundle import imgui
 
 from player.window.panels.draw import DrawLists
 from player.window.panels.hud_panel import hud_panel, joint_mark, key_list, status_line
-from player.window.panels.pose_overlay import pose_overlay
+from player.window.panels.pose_overlay import pose_overlay, rings
 from player.window.panels.pose_panel import PosePanels
 from player.window.panels.side_panels import avatars_panel, camera_panel, live_panel, view_panel
 from player.window.panels.timeline_panel import timeline_panel
@@ -77,6 +77,8 @@ class Panels:
         self._scale = density(self._layout.screen.handle)
         _set_style(self._scale)
         self._lists = DrawLists(context)
+        # seconds of the window's clock at the last frame
+        self._drawn = 0.0
 
     @property
     def places(self) -> dict[str, tuple[float, float]]:
@@ -122,8 +124,11 @@ class Panels:
         return self.takes_pointer(over_picture)
 
     def takes_pointer(self, over_picture: bool) -> bool:
-        """Where panels stand is known at once; what lies over the picture (a list that opened) since the last frame."""
-        return self._io().want_capture_mouse or (self._layout.panels_drawn and not over_picture)
+        """Where panels stand is known at once; what lies over the picture (a list that opened, a ring) since the last
+        frame."""
+        edit = self._parts.posing.edit
+        on_panel = not over_picture or (edit is not None and edit.tool.on_ring)
+        return self._io().want_capture_mouse or (self._layout.panels_drawn and on_panel)
 
     def on_key(self, key: int, down: bool) -> bool:
         io = self._io()
@@ -153,14 +158,19 @@ class Panels:
 
     # -- one frame
 
-    def draw(self, screen: moderngl.Framebuffer) -> None:
-        """Ask the panels what they show, and draw it."""
+    @property
+    def typing(self) -> bool:
+        """Whether a text field takes the letters."""
+        return self._io().want_text_input
+
+    def draw(self, screen: moderngl.Framebuffer, now: float) -> None:
+        """Ask the panels what they show, and draw it; `now` is seconds of the window's clock."""
         imgui.set_current_context(self._imgui)
         io, size, (wide, high) = imgui.get_io(), self._layout.screen.size, self._layout.screen.units
         io.display_size = imgui.ImVec2(wide, high)
         io.display_framebuffer_scale = imgui.ImVec2(size[0] / max(wide, 1), size[1] / max(high, 1))
-        times = self._parts.state.last.times
-        io.delta_time = min(max(times[-1] if times else 1 / 60, 1e-4), 0.25)
+        io.delta_time = min(max(now - self._drawn, 1e-4), 0.25)
+        self._drawn = now
         imgui.new_frame()
         self._ui.begin()
         self._layout.panels_drawn = self._borders() != (0, 0, 0)
@@ -182,6 +192,7 @@ class Panels:
             joint_mark(parts.state)
         else:
             pose_overlay(parts.posing.edit.tool, parts.state)
+            rings(parts.posing.edit, parts.state)
         hud_panel(parts)
 
     def _draw_panels(self, wide: int, high: int) -> None:

@@ -1,22 +1,18 @@
-"""What posing draws over the avatar: rings of the gizmo, handles of hands, feet and body, dots of the joints."""
+"""What posing draws over the avatar: the rings on the selected joint (ImGuizmo), handles of hands, feet and body, dots
+of the joints."""
 
 import numpy as np
 from imgui_bundle import imgui
+from imgui_bundle.imguizmo import im_guizmo
 from jaxtyping import Float
 
-from avatar.camera import Camera, project
+from avatar.camera import Camera, clip_from_view, project, view_from_world
 from avatar.skeleton import PARENTS
-from player.pose.gizmo import VIEW_RING, Gizmo, ring_front, ring_points
 from player.window.pose_tool import HANDLES, PoseTool, PullHandle
+from player.window.posing import PoseEdit
 from player.window.state import WindowState
 
-COLORS = (
-    (230, 70, 70),
-    (95, 200, 80),
-    (80, 140, 250),
-    (215, 215, 215),
-)  # flexion, abduction, twist; the view
-HELD = (255, 214, 64)
+HELD = imgui.IM_COL32(255, 214, 64, 255)
 BONE = imgui.IM_COL32(255, 255, 255, 60)
 DOT = imgui.IM_COL32(255, 255, 255, 130)
 HANDLE = imgui.IM_COL32(255, 150, 40, 235)
@@ -25,6 +21,8 @@ BODY = imgui.IM_COL32(240, 240, 240, 200)
 INK = imgui.IM_COL32(0, 0, 0, 200)
 # window units from wrist to finger tip from which the fingers' joints are shown
 FEWEST = 40.0
+# of the rings, window units; fingers are small
+RADIUS, FINGER_RADIUS = 75.0, 41.0
 
 
 class OverlayCanvas:
@@ -60,9 +58,6 @@ def pose_overlay(tool: PoseTool, state: WindowState) -> None:
     for handle in HANDLES:
         if ahead[handle.joint]:
             _handle(paper, tool, handle, places[handle.joint])
-    gizmo = tool.gizmo()
-    if gizmo is not None:
-        _rings(paper, tool, gizmo)
 
 
 def _hand_size(places: Float[np.ndarray, "52 2"]) -> float:
@@ -76,7 +71,7 @@ def _handle(paper: OverlayCanvas, tool: PoseTool, handle: PullHandle, place: Flo
     lit = held or tool.hovered is handle
     center, draw = imgui.ImVec2(*map(float, place)), paper.draw
     if handle.kind == "middle":
-        draw.add_circle(center, 6.0 if lit else 4.5, _color(HELD, 255) if lit else HANDLE, 0, 2.0)
+        draw.add_circle(center, 6.0 if lit else 4.5, HELD if lit else HANDLE, 0, 2.0)
         return
     size = 8.0 if lit else 6.0
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size
@@ -84,49 +79,47 @@ def _handle(paper: OverlayCanvas, tool: PoseTool, handle: PullHandle, place: Flo
     if handle.kind == "body":
         corners, color = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]]) * (size + 2), BODY
     shape = _vectors(place + corners)
-    draw.add_convex_poly_filled(shape, _color(HELD, 255) if lit else color)
+    draw.add_convex_poly_filled(shape, HELD if lit else color)
     draw.add_polyline(shape, INK, 1.0, imgui.ImDrawFlags_.closed)
 
 
-def _rings(paper: OverlayCanvas, tool: PoseTool, gizmo: Gizmo) -> None:
-    """Near halves bold, far halves faint; the ring that is held with the angle it was turned by."""
-    held = tool.held.grab.ring if tool.held is not None and tool.held.grab is not None else None
-    for ring in (VIEW_RING, 0, 1, 2):
-        world = ring_points(gizmo, ring)
-        points, depth = paper.points(world)
-        front = ring_front(gizmo, world, paper.camera) | (ring == VIEW_RING)
-        lit = ring in (held, tool.hovered)
-        color = HELD if lit else COLORS[ring]
-        for near in (False, True):
-            for run in _runs((front == near) & (depth > 1e-3)):
-                width = (3.5 if lit else 2.5) if near and ring != VIEW_RING else 1.5
-                paper.stroke(points[run], _color(color, 255 if near else 70), width)
-    if held is None or tool.held is None or tool.held.grab is None:
+def rings(edit: PoseEdit, state: WindowState) -> None:
+    """ImGuizmo's rings on the selected joint, drawn and dragged; red, green and blue turn about the axes of
+    `PoseTool.ring_axes`, the outer one in the picture's plane."""
+    tool, camera, joint = edit.tool, state.last.camera, edit.tool.joint
+    im_guizmo.begin_frame()
+    if tool.given_up:
+        # it lets go of what it holds when it is switched off
+        im_guizmo.enable(False)
+        im_guizmo.enable(True)
+    tool.given_up = tool.given_up and imgui.is_mouse_down(0)
+    if camera is None or joint is None or tool.given_up:
+        tool.on_ring = False
         return
-    grab, angle = tool.held.grab, tool.held.angle
-    axis, start = gizmo.axes[held], grab.start * gizmo.radii[held]
-    turn = np.linspace(0, np.clip(angle, -6.2, 6.2), 48)[:, None]
-    sector = gizmo.center + np.cos(turn) * start + np.sin(turn) * np.cross(axis, start)
-    points, depth = paper.points(np.concatenate([gizmo.center[None], sector]))
-    if (depth > 1e-3).all():
-        paper.draw.add_concave_poly_filled(_vectors(points), _color(HELD, 50))
-        paper.stroke(points[[0, 1]], _color(HELD, 200), 1.5)
-        paper.stroke(points[[0, -1]], _color(HELD, 255), 1.5)
-        at = points[-1] + [10.0, -10.0]
-        text = f"{np.degrees(angle):+.1f} deg"
-        for shift, ink in ((1.0, INK), (0.0, _color(HELD, 255))):
-            paper.draw.add_text(imgui.ImVec2(float(at[0] + shift), float(at[1] + shift)), ink, text)
+    wide, high = imgui.get_io().display_size
+    world_from_rings = np.eye(4)
+    world_from_rings[:3, :3], world_from_rings[:3, 3] = tool.ring_axes(), tool.session.world()[joint, :3, 3]
+    edited = _matrix(world_from_rings)
+    im_guizmo.set_drawlist(imgui.get_background_draw_list())
+    im_guizmo.set_rect(0.0, 0.0, wide, high)
+    im_guizmo.set_gizmo_size_clip_space(2 * (RADIUS if joint < 22 else FINGER_RADIUS) / max(wide, 1.0))
+    im_guizmo.manipulate(
+        _matrix(view_from_world(camera)), _matrix(clip_from_view(camera, 0.01, 100.0)), im_guizmo.OPERATION.rotate,
+        im_guizmo.MODE.local, edited,
+    )  # fmt: skip
+    using = im_guizmo.is_using()
+    tool.on_ring = using or im_guizmo.is_over()
+    if using:
+        edit.pause()
+        tool.turn(np.array(edited.values, np.float64).reshape(4, 4)[:3, :3].T)
+    elif tool.held is not None and tool.held.handle is None:
+        tool.release(0.0, 0.0)
 
 
-def _runs(chosen: np.ndarray) -> list[slice]:
-    """Stretches of True, each as a slice."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]])))
-    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+def _matrix(matrix: Float[np.ndarray, "4 4"]) -> im_guizmo.Matrix16:
+    """A matrix as ImGuizmo takes it, by columns."""
+    return im_guizmo.Matrix16(matrix.T.reshape(-1).tolist())
 
 
 def _vectors(points: Float[np.ndarray, "n 2"]) -> list:
     return [imgui.ImVec2(float(x), float(y)) for x, y in points]
-
-
-def _color(rgb: tuple[int, int, int], alpha: int) -> int:
-    return imgui.IM_COL32(*rgb, alpha)

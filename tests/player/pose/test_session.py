@@ -9,13 +9,13 @@ from avatar.body import builtin_body
 from avatar.limits import joint_angles, within
 from avatar.motion.read import read_motion
 from avatar.rotation import matrix_from_axis_angle
-from avatar.skeleton import JOINTS, PARENTS
+from avatar.skeleton import JOINTS, PARENTS, joint_transforms
 from command.errors import AssetError
 from player.pose.fingers import PRESETS
 from player.pose.ik import LIMBS
 from player.pose.keyframes import Pose, clip_of, pose_at, with_key
 from player.pose.mirror import PARTNER, hand_joints, limb_of
-from player.pose.session import PoseSession
+from player.pose.session import PoseSession, turned
 
 SOME = settings(max_examples=12, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
@@ -342,3 +342,18 @@ def test_poses_are_copies_that_nobody_writes_to():
     with pytest.raises(ValueError, match="read-only"):
         pose.axis_angle[0] = 1
     assert PARENTS[J["left_elbow"]] == J["left_shoulder"]
+
+
+@pytest.mark.parametrize("angle", [-3.0, 0.4, 3.1])
+def test_a_turn_turns_the_joint_and_what_hangs_on_it_about_the_axis(angle):
+    rng = np.random.default_rng(int(10 * abs(angle)))
+    joints = builtin_body("male").joints.astype(float)
+    pose, joint = Pose(rng.normal(size=(52, 3)) * 0.4, rng.normal(size=3) * 0.2), int(rng.integers(0, 52))
+    axis = rng.normal(size=3)
+    axis /= np.linalg.norm(axis)
+    out = turned(pose, joints, joint, axis, angle)
+    before, after = (joint_transforms(p, joints, pose.root)[joint] for p in (pose.axis_angle, out))
+    np.testing.assert_allclose(after[:3, :3], matrix_from_axis_angle(axis * angle) @ before[:3, :3], atol=1e-9)
+    np.testing.assert_allclose(after[:3, 3], before[:3, 3], atol=1e-12)
+    assert np.array_equal(np.delete(out, joint, 0), np.delete(pose.axis_angle, joint, 0))
+    assert np.array_equal(turned(pose, joints, joint, axis, 0.0), pose.axis_angle)
