@@ -1,9 +1,15 @@
-"""The similarity that takes one set of points to another: rotation, translation and scale (Umeyama 1991)."""
+"""Similarities: the one that takes a set of points to another (Umeyama 1991), and small ones that refine others.
+
+A small similarity has seven increments: turn (x, y, z), shift (x, y, z) and scale. Turn and scale are counted in metres
+at `arm` metres from its centre, so that all unknowns are alike in size.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
+
+from avatar.rotation import matrix_from_axis_angle
 
 Array = np.ndarray
 
@@ -47,3 +53,22 @@ def similarity_from_landmarks(source: Float[Array, "n 3"], target: Float[Array, 
     out[:3, 3] = middle_t - scale * R @ middle_s
     error = source @ out[:3, :3].T + out[:3, 3] - target
     return Registration(out, float(np.sqrt((error**2).sum(1).mean())))
+
+
+def small_similarity(delta: Float[Array, "7"], centre: Float[Array, "3"], arm: float) -> Float[Array, "4 4"]:
+    """Turn, shift and scale about `centre` of the increments delta."""
+    A = matrix_from_axis_angle(delta[:3] / arm) * (1 + delta[6] / arm)
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = A, centre - A @ centre + delta[3:6]
+    return out
+
+
+def similarity_rows(points: Float[Array, "n 3"], centre: Float[Array, "3"], arm: float) -> Float[Array, "n 3 7"]:
+    """Derivative of points under `small_similarity` to its increments, at zero."""
+    about = (points - centre) / arm
+    D = np.zeros((len(points), 3, 7))
+    for axis in range(3):
+        D[:, :, axis] = np.cross(np.eye(3)[axis], about)
+        D[:, axis, 3 + axis] = 1
+    D[:, :, 6] = about
+    return D

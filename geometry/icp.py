@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from avatar.rotation import matrix_from_axis_angle, nearest_rotation
-from avatar.similarity import Registration
+from avatar.similarity import Registration, similarity_rows, small_similarity
 from geometry.closest import TriangleIndex, closest_points
 
 Array = np.ndarray
@@ -106,25 +106,14 @@ def _anchored_step(
     # spread of a surface point, from the median of |r|
     spread = max(1.48 * residual, 1e-4)
     w = w * (INDEPENDENT / w.sum() / spread**2)
-    about = (points - centre) / size
-    J = np.concatenate([np.cross(about, normals), normals, (about * normals).sum(1)[:, None]], 1)
+    J = np.einsum("ni,nij->nj", normals, similarity_rows(points, centre, size))
     placed = anchors.source @ transform[:3, :3].T + transform[:3, 3]
     e = placed - anchors.target
-    about = (placed - centre) / size
-    K = np.zeros((len(placed), 3, 7))
-    for axis in range(3):
-        K[:, :, axis] = np.cross(np.eye(3)[axis], about)
-        K[:, axis, 3 + axis] = 1
-    K[:, :, 6] = about
-    K = K.reshape(-1, 7)
+    K = similarity_rows(placed, centre, size).reshape(-1, 7)
     H = (J.T * w) @ J + K.T @ K / anchors.spread**2
     g = (J.T * w) @ r + K.T @ e.ravel() / anchors.spread**2
     delta = -np.linalg.solve(H, g)
-    A = matrix_from_axis_angle(delta[:3] / size) * (1 + delta[6] / size)
-    update = np.eye(4)
-    update[:3, :3] = A
-    update[:3, 3] = centre - A @ centre + delta[3:6]
-    return update, float(np.abs(delta).max())
+    return small_similarity(delta, centre, size), float(np.abs(delta).max())
 
 
 def _plane_step(

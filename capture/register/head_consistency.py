@@ -21,7 +21,7 @@ from avatar.camera import Camera, project
 from avatar.kinematics import pixel_rows
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject, PartVideo
-from capture.register.photometric import _anchor_terms, _moves, _similarity
+from capture.register.placement import PlaceEquations, refine
 from capture.template.hull import moved_camera
 from capture.template.surface import neck_height, visible_faces
 from geometry.icp import Anchors
@@ -81,24 +81,23 @@ def place_by_consistency(
     S, tried = np.eye(4), []
     for blur in BLURS:
         frames = [_blurred(image, mask, blur) for image, mask in zip(images, masks)]
-        for _ in range(ROUNDS):
+
+        def equations_at(S: Float[Array, "4 4"], frames=frames) -> PlaceEquations:
             placed = subject.vertices @ S[:3, :3].T + S[:3, 3]
             turned = normals @ (S[:3, :3] / np.cbrt(np.linalg.det(S[:3, :3]))).T
             rows = [
                 _rows(placed, subject.faces, vertex, turned, camera, frame, mask)
                 for camera, frame, mask in zip(cameras, frames, masks)
             ]
-            H, b = _anchor_terms(back, S, centre)
-            error, count = _add_consistency(H, b, rows, placed[vertex], centre)
-            if count < 1000:
+            equations = PlaceEquations(S, centre)
+            equations.add_landmarks(back)
+            _add_consistency(equations, rows, placed[vertex])
+            if equations.count < 1000:
                 raise ValueError("the head's video sees hardly any of the template's skin twice")
-            tried.append((blur, float(np.sqrt(error / count)), S))
-            delta = np.linalg.solve(H, b)
-            S = _similarity(delta, centre) @ S
-            if np.abs(delta).max() < 2e-5:
-                break
-    own = [found for found in tried if found[0] == BLURS[-1]]
-    before, after, S = own[0][1], own[-1][1], own[-1][2]
+            return equations
+
+        tried, S = refine(S, equations_at, ROUNDS)
+    before, after, S = tried[0].residual, tried[-1].residual, tried[-1].transform
     moved = np.linalg.norm(subject.vertices[vertex] @ (S - np.eye(4))[:3, :3].T + S[:3, 3], axis=1)
     if not after <= 1.02 * before:
         raise ValueError(f"the frames agree less than before ({before:.4f} -> {after:.4f})")
@@ -148,17 +147,14 @@ def _rows(
     return _Seen(seen, sampled[0], np.stack(sampled[1:], -1), pixel_rows(camera, points[seen])[1])
 
 
-def _add_consistency(
-    H: Float[Array, "7 7"], b: Float[Array, "7"], rows: list[_Seen], points: Float[Array, "n 3"],
-    centre: Float[Array, "3"],
-) -> tuple[float, int]:  # fmt: skip
-    """Add all frames to the normal equations; returns the sum of rho and the number of residuals."""
+def _add_consistency(equations: PlaceEquations, rows: list[_Seen], points: Float[Array, "n 3"]) -> None:
+    """Add all frames, the colors of vertices eliminated."""
     count = len(points)
     vertex = np.concatenate([seen.vertex for seen in rows])
     if len(vertex) == 0:
-        return 0.0, 0
+        return
     color = np.concatenate([seen.color for seen in rows])
-    motion = np.concatenate([seen.derivative @ _moves(points[seen.vertex], centre) for seen in rows])
+    motion = np.concatenate([seen.derivative @ equations.rows(points[seen.vertex]) for seen in rows])
     slope = np.concatenate([seen.slope for seen in rows])
     J = np.einsum("kcp,kpi->kci", slope, motion)
     times = np.bincount(vertex, minlength=count)
@@ -173,6 +169,6 @@ def _add_consistency(
     J = J - total(J, share)[vertex].reshape(J.shape)
     twice = times[vertex] >= 3
     J, r, w = J[twice].reshape(-1, 7), residual[twice].ravel(), np.repeat(weight[twice], 3) / PIXEL**2
-    H += (J * w[:, None]).T @ J
-    b -= (J * w[:, None]).T @ r
-    return float(robust_cost((residual[twice] ** 2).sum(1), OUTLIER).sum()), int(twice.sum())
+    equations.add(J, -r, w)
+    equations.cost += float(robust_cost((residual[twice] ** 2).sum(1), OUTLIER).sum())
+    equations.count += int(twice.sum())

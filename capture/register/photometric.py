@@ -19,11 +19,11 @@ from scipy import ndimage
 
 from avatar.camera import Camera, project
 from avatar.kinematics import pixel_rows
-from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.fit.pixels import compare_pixels
 from capture.folder import CaptureSubject, PartVideo
+from capture.register.placement import PlaceEquations, refine
 from geometry.icp import Anchors
 from geometry.rasterise import rasterise
 
@@ -40,8 +40,6 @@ LARGEST = 160
 PIXEL = 0.3
 # residuals beyond it lose their weight: a hand before the face, light that differs
 OUTLIER = 0.2
-# metres; rotation and scale are counted at this distance, so that all unknowns are alike in size
-ARM = 0.1
 
 
 class ColoredHead(NamedTuple):
@@ -78,25 +76,20 @@ def refine_on_video(
     colors[head.vertices] = head.colors
     scene = _PaintedTemplate(subject, np.asarray(shown[subject.faces].all(1), bool), colors[subject.faces].mean(1))
     chosen = np.unique(np.linspace(0, len(video.images), min(frames, len(video.images)), endpoint=False).astype(int))
-    transform, tried = start, []
-    for _ in range(rounds + 1):
+
+    def equations_at(transform: Float[Array, "4 4"]) -> PlaceEquations:
         placed = subject.vertices.copy()
         placed[head.vertices] = head.points @ transform[:3, :3].T + transform[:3, 3]
-        centre = placed[head.vertices].mean(0)
-        H, b = _anchor_terms(anchors, transform, centre)
-        total, count = 0.0, 0
+        equations = PlaceEquations(transform, placed[head.vertices].mean(0))
+        equations.add_landmarks(anchors)
         for frame in chosen:
-            error, pixels = _add_frame(H, b, scene, placed, video, int(frame), centre)
-            total, count = total + error, count + pixels
-        if count == 0:
+            _add_frame(equations, scene, placed, video, int(frame))
+        if equations.count == 0:
             raise ValueError("the body's video shows no head")
-        tried.append((float(np.sqrt(total / count)), transform))
-        delta = np.linalg.solve(H, b)
-        transform = _similarity(delta, centre) @ transform
-        if np.abs(delta).max() < 2e-5:
-            break
-    before, after = tried[0][0], tried[-1][0]
-    answer = tried[-1][1]
+        return equations
+
+    tried, _ = refine(start, equations_at, rounds + 1)
+    before, after, answer = tried[0].residual, tried[-1].residual, tried[-1].transform
     # the anchors and a changing set of pixels may cost a little
     if not after <= 1.05 * before:
         raise ValueError(f"the pixels of the body's video fit worse than before ({before:.4f} -> {after:.4f})")
@@ -115,45 +108,17 @@ class _PaintedTemplate(NamedTuple):
     color: Float[Array, "faces 3"]
 
 
-def _similarity(delta: Float[Array, "7"], centre: Float[Array, "3"]) -> Float[Array, "4 4"]:
-    """Turn, shift and scale about `centre` of the small increments delta."""
-    A = matrix_from_axis_angle(delta[:3] / ARM) * (1 + delta[6] / ARM)
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = A, centre - A @ centre + delta[3:6]
-    return out
-
-
-def _moves(points: Float[Array, "n 3"], centre: Float[Array, "3"]) -> Float[Array, "n 3 7"]:
-    """Derivative of points under `_similarity` to its increments."""
-    about = (points - centre) / ARM
-    D = np.zeros((len(points), 3, 7))
-    for axis in range(3):
-        D[:, :, axis] = np.cross(np.eye(3)[axis], about)
-        D[:, axis, 3 + axis] = 1
-    D[:, :, 6] = about
-    return D
-
-
-def _anchor_terms(
-    anchors: Anchors, transform: Float[Array, "4 4"], centre: Float[Array, "3"]
-) -> tuple[Float[Array, "7 7"], Float[Array, "7"]]:
-    placed = anchors.source @ transform[:3, :3].T + transform[:3, 3]
-    K = _moves(placed, centre).reshape(-1, 7)
-    return K.T @ K / anchors.spread**2, K.T @ (anchors.target - placed).ravel() / anchors.spread**2
-
-
 def _add_frame(
-    H: Float[Array, "7 7"], b: Float[Array, "7"], scene: _PaintedTemplate, placed: Float[Array, "vertices 3"],
-    video: PartVideo, frame: int, centre: Float[Array, "3"],
-) -> tuple[float, int]:  # fmt: skip
-    """Add one frame's pixels to the normal equations; returns the sum of rho and the number of residuals."""
+    equations: PlaceEquations, scene: _PaintedTemplate, placed: Float[Array, "vertices 3"], video: PartVideo, frame: int
+) -> None:
+    """Add one frame's pixels."""
     assert video.axis_angle is not None and video.root is not None
     subject = scene.subject
     B = skin_transforms(video.axis_angle[frame], subject.joints, video.root[frame])
     posed = skin_points(placed, subject.skin, B)
     cropped = _crop(video, frame, posed[np.unique(subject.faces[scene.head])])
     if cropped is None:
-        return 0.0, 0
+        return
     camera, image, mask = cropped
     width, height = camera.size
     K = camera.K.copy()
@@ -165,7 +130,7 @@ def _add_frame(
     coverage, own, colors = (_averaged(a, FINER) for a in (hit[..., None], is_head[..., None], colors))
     near = np.asarray(ndimage.binary_dilation(own[..., 0] > 0, iterations=RIM), bool)
     if not is_head.any():
-        return 0.0, 0
+        return
     y, x = np.nonzero(near)
     nearest = ndimage.distance_transform_edt(~hit, return_distances=False, return_indices=True)
     assert isinstance(nearest, np.ndarray)
@@ -175,19 +140,18 @@ def _add_frame(
     y, x, face = y[keep], x[keep], face[keep]
     corners = subject.faces[face]
     turn = B[HEAD, :3, :3]  # the head follows its bone (Eq. 4)
-    motion = pixel_rows(camera, posed[corners].mean(1))[1] @ turn @ _moves(placed[corners].mean(1), centre)
+    motion = pixel_rows(camera, posed[corners].mean(1))[1] @ turn @ equations.rows(placed[corners].mean(1))
 
     def add(
         drawn: Float[Array, "height width"], seen: Float[Array, "height width"], where: Bool[Array, "n"]
-    ) -> tuple[float, int]:
+    ) -> None:
         found = compare_pixels(drawn, seen, (y[where], x[where]), OUTLIER)
         J = np.einsum("ni,nij->nj", found.slope, motion[where])
-        weight = found.weight / PIXEL**2
-        H[...] += (J * weight[:, None]).T @ J
-        b[...] += (J * weight[:, None]).T @ found.residual
-        return found.cost, len(weight)
+        equations.add(J, found.residual, found.weight / PIXEL**2)
+        equations.cost += found.cost
+        equations.count += len(found.weight)
 
-    error, count = add(_blurred(coverage[..., 0], 1.0), _blurred(mask, 1.0), np.ones(len(y), bool))
+    add(_blurred(coverage[..., 0], 1.0), _blurred(mask, 1.0), np.ones(len(y), bool))
     deep = np.asarray(ndimage.binary_erosion(own[..., 0] > 0.99, iterations=2), bool)
     deep &= np.asarray(ndimage.binary_erosion(mask > 0.99, iterations=2), bool)
     inside = deep[y, x]
@@ -195,9 +159,7 @@ def _add_frame(
         for channel in range(3):
             drawn_, seen = (_blurred(a[..., channel], 0.6) for a in (colors, image))
             light = np.median((seen - drawn_)[y[inside], x[inside]])  # exposure and light differ between the videos
-            more = add(drawn_ + light, seen, inside)
-            error, count = error + more[0], count + more[1]
-    return error, count
+            add(drawn_ + light, seen, inside)
 
 
 def _crop(
