@@ -20,13 +20,13 @@ from jaxtyping import UInt8
 from avatar.motion.amass import write_amass
 from avatar.motion.clip import Clip
 from bench.report.contact import save_sheet, sheet
-from capture.fit.body_alone import BodyAlone, fit_body_alone, pictures_of_body
 from capture.fit.refusals import misfits
 from capture.fit.scan import STEPS
 from capture.raw.scan import RawVideo
 from capture.read.template import write_template
 from command.errors import AssetError
 from command.progress import Progress
+from experiments.body_alone import BodyAlone, fit_body_alone, pictures_of_body
 from experiments.fitting_pictures import overlay, shown_frames
 from files.whole import check_folder, whole_file, whole_folder
 

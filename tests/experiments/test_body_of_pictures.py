@@ -8,9 +8,9 @@ from PIL import Image
 
 from avatar.motion.read import read_motion
 from capture.fit import body
-from capture.fit.body_alone import pictures_of_body
 from capture.keypoints.openpose import BODY_25
 from command.errors import AssetError
+from experiments.body_alone import pictures_of_body
 from experiments.body_of_pictures import main
 from tests.turning_twin import turning_twin
 
