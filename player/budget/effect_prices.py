@@ -26,12 +26,19 @@ def called_for(effects: Effects) -> list[str]:
     return [one.name for one in settings_of(Effects) if one.value_in(effects) != one.value_in(NOTHING)]
 
 
-def effect_prices(context: Context, scene: BudgetScene, rung: Rung, *, rounds: int = ROUNDS) -> dict[str, float]:
+def effect_prices(
+    context: Context, scene: BudgetScene, rung: Rung, *, rounds: int = ROUNDS, offered: Sequence[str] = ()
+) -> dict[str, float]:
     """Milliseconds that each effect the scene calls for adds to a frame drawn as `rung` says, its view mode too: the
-    median over the rounds of the difference to a frame without it. Effects of films alone add nothing here."""
+    median over the rounds of the difference to a frame without it. Effects of films alone add nothing here.
+
+    offered: effects that the scene does not call for yet, by name; theirs is the difference to a frame with it.
+    """
     names = called_for(scene.effects)
     nothing = {setting.name: setting.value_in(NOTHING) for setting in settings_of(Effects)}
     ways = [scene.effects, *(replace(scene.effects, **{name: nothing[name]}) for name in names)]
+    tables = {setting.name: setting.table for setting in settings_of(Effects) if setting.table is not None}
+    ways += [replace(scene.effects, **{name: tables[name]()}) for name in offered]
     renderers: list[Renderer] = []
     try:
         for effects in ways:
@@ -44,8 +51,9 @@ def effect_prices(context: Context, scene: BudgetScene, rung: Rung, *, rounds: i
         for renderer in renderers:
             renderer.release()
     # one that shows nothing now is as fast as none, and half of the time faster
-    costs = np.maximum(np.median(ms[:, :1] - ms[:, 1:], axis=0), 0.0)
-    return dict(zip(names, costs.tolist(), strict=True))
+    signs = np.repeat([1.0, -1.0], [len(names), len(offered)])
+    costs = np.maximum(np.median(ms[:, :1] - ms[:, 1:], axis=0) * signs, 0.0)
+    return dict(zip([*names, *offered], costs.tolist(), strict=True))
 
 
 def _round(context: Context, renderers: Sequence[Renderer], scene: BudgetScene, number: int) -> list[float]:

@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 
+from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
+from command.settings import settings_of
 from player.budget.controller import BudgetController
 from player.budget.effect_prices import effect_prices
 from player.budget.measure import BudgetScene
 from player.budget.rungs import choice_words
 from player.budget.table import rung_within
 from player.draw.drawing import Pose
+from player.effects.secondary_motion import is_loose
 from player.gl.context import Context
 from player.scene.effects import Effects
 from player.window.look import Appearance
@@ -16,6 +19,10 @@ from player.window.state import Messages
 
 # frames that are timed: while the window plays they move, while it stands they do not
 FRAMES = 4
+# times that each is timed
+ROUNDS = 4
+# as --explain says it
+NOT_LOOSE, NO_LIGHT = "nothing of it is loose", "not lit anew: its file has no light"
 
 
 class Budgeted:
@@ -68,7 +75,7 @@ class Budgeted:
 
 
 class EffectPrices:
-    """Milliseconds a frame of each effect, as long as what is asked for stays the same."""
+    """Milliseconds a frame of each effect, ticked or not, as long as what is asked for stays the same."""
 
     def __init__(self) -> None:
         self.wanted, self._of, self._ms = False, None, dict[str, float]()
@@ -87,9 +94,26 @@ class EffectPrices:
             scene = BudgetScene(
                 look.avatars, self._seen, camera.size, look.effects, look.background, reads_back=False
             )  # fmt: skip
-            self._ms, self._of = effect_prices(context, scene, look.rung), look.effects
+            offered = [
+                setting.name for setting in settings_of(Effects)
+                if setting.table is not None and setting.value_in(look.effects) is None
+                and not without_effect(setting.name, look.effects, look.avatars)
+            ]  # fmt: skip
+            self._ms = effect_prices(context, scene, look.rung, rounds=ROUNDS, offered=offered)
+            self._of = look.effects
             self.wanted = False
 
     def words(self, name: str, effects: Effects) -> str:
         """What an effect costs, by the name of its setting; nothing where that is not known or no longer holds."""
         return f"{self._ms[name]:.1f} ms" if self._of == effects and name in self._ms else ""
+
+
+def without_effect(name: str, effects: Effects, avatars: Sequence[Avatar]) -> str:
+    """Why an effect changes nothing on these avatars, as `--explain` says it; empty where it does. Lamps and panoramas
+    light any avatar; the light of its videos only one whose file holds it."""
+    if name == "secondary_motion" and not any(is_loose(level) for avatar in avatars for level in avatar.levels):
+        return NOT_LOOSE
+    by_capture = effects.light is None or effects.light.by == "capture"
+    if name == "light" and by_capture and not any(avatar.light is not None for avatar in avatars):
+        return NO_LIGHT
+    return ""

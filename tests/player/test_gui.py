@@ -20,8 +20,8 @@ from player.effects.outline import Outline
 from player.play_command import PLAY, PlayCommand, scene_of
 from player.scene.effects import PLAIN, Effects
 from player.scene.opened import opened_avatars
+from player.window.budgeted import NO_LIGHT, NOT_LOOSE, without_effect
 from player.window.panels.draw import DrawLists
-from player.window.panels.effects_panel import NO_LIGHT, NOT_LOOSE, without_effect
 from player.window.show import opened_show
 from player.window.window import Window
 
@@ -194,8 +194,9 @@ def test_what_each_effect_costs_stands_beside_it_until_something_changes(window)
     run(window, "g wait press:prices wait wait wait wait wait wait")
     told = {name: prices.words(name, wanted) for name in ("outline", "antialiasing", "motion_blur", "contact")}
     assert all(told[name].endswith(" ms") and float(told[name][:-3]) > 0 for name in ("outline", "antialiasing"))
-    # the window draws each moment once; what is not asked for has no price
-    assert told["motion_blur"].endswith(" ms") and told["contact"] == ""
+    # the window draws each moment once; what is not asked for has its price before it is ticked
+    assert told["motion_blur"].endswith(" ms") and float(told["contact"][:-3]) > 0
+    assert prices.words("secondary_motion", wanted) == ""
     assert np.array_equal(run(window, "g wait")[:-30], before[:-30])
     window.parts.look.change(effects=replace(wanted, outline=None))
     assert prices.words("antialiasing", window.parts.look.effects) == ""

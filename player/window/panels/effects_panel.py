@@ -1,20 +1,17 @@
 """What is drawn beside the avatars' colors, as the scene's dataclass lists it: a list of words, or a box to tick
 with the settings of what is ticked below it."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, get_origin
 
 from imgui_bundle import imgui
 
-from avatar.baked_avatar import Avatar
 from command.settings import Color, OneOf, Setting, broken_rule, rule_of, settings_of
-from player.effects.secondary_motion import is_loose
 from player.scene.effects import Effects
+from player.window.budgeted import NO_LIGHT, without_effect
 from player.window.panels.widgets import Widgets
 from player.window.parts import WindowParts
 
-NOT_LOOSE, NO_LIGHT = "nothing of it is loose", "its file has no light"
 # shorter than the field's own name
 LABELS = {"antialiasing": "edges"}
 
@@ -31,26 +28,21 @@ def effects_panel(ui: Widgets, parts: WindowParts) -> None:
         else:
             why = without_effect(setting.name, effects, parts.state.avatars)
             # one that is on can always be taken off
-            imgui.begin_disabled(why == NOT_LOOSE and value is None)
-            on = ui.checkbox(setting.name, value is not None, f"{setting.means}.", name=setting.name)
+            imgui.begin_disabled(bool(why) and value is None and setting.name != "light")
+            on = ui.checkbox(setting.name, value is not None, f"{setting.means}.", name=setting.name, grey=bool(why))
             imgui.end_disabled()
-            ui.note(price or why)
-            chosen = None if on == (value is not None) else setting.table() if on else _OFF
+            ui.note(why or price)
+            chosen = None if on == (value is not None) else _ticked(setting, why) if on else _OFF
             if on and value is not None:
                 chosen = _changed(ui, setting, value)
         if chosen is not None:
             parts.look.change(effects=replace(effects, **{setting.name: None if chosen is _OFF else chosen}))
 
 
-def without_effect(name: str, effects: Effects, avatars: Sequence[Avatar]) -> str:
-    """Why an effect changes nothing on these avatars, as `--explain` says it; empty where it does. Lamps and panoramas
-    light any avatar; the light of its videos only one whose file holds it."""
-    if name == "secondary_motion" and not any(is_loose(level) for avatar in avatars for level in avatar.levels):
-        return NOT_LOOSE
-    by_capture = effects.light is None or effects.light.by == "capture"
-    if name == "light" and by_capture and not any(avatar.light is not None for avatar in avatars):
-        return NO_LIGHT
-    return ""
+def _ticked(setting: Setting, why: str) -> Any:
+    """An effect as it begins when it is ticked. A light that would change nothing begins with lamps."""
+    assert setting.table is not None
+    return setting.table(by="lamps") if why == NO_LIGHT else setting.table()
 
 
 def _changed(ui: Widgets, effect: Setting, value: Any) -> Any | None:
