@@ -71,7 +71,7 @@ class HeldOutView:
 def read_capture_facts(capture: Path) -> dict:
     """capture.json as a dictionary."""
     path = Path(capture) / "capture.json"
-    facts = read_json_object(path, "the facts of a capture")
+    facts = read_json_object(path, "a capture")
     if facts.get("format") != "selfscan-capture":
         raise AssetError(f"{path}: format should be 'selfscan-capture'")
     return facts

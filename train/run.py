@@ -213,7 +213,7 @@ def read_facts(path: Path) -> dict:
     Raises:
         AssetError: there is none, or it is of another format.
     """
-    facts = read_json(path / "run.json", "the facts of a run folder made by `selfscan train`")
+    facts = read_json(path / "run.json", "a run folder, as `selfscan train` makes it")
     if not isinstance(facts, dict) or facts.get("format") != FORMAT or facts.get("version") != VERSION:
         raise AssetError(f"{path / 'run.json'}: expected format {FORMAT!r} version {VERSION}")
     return facts

@@ -13,6 +13,7 @@ from avatar.motion.amass import read_amass, write_amass
 from avatar.motion.clip import Clip, fitted
 from avatar.motion.read import read_motion
 from command.errors import AssetError
+from command.progress import plural
 from files.npz import read_npz
 from player.pose.keyframes import Easing, Keys, Pose, clip_of
 
@@ -45,7 +46,7 @@ def read_pose(path: Path | str, frame: int = 0, *, pelvis_height: float | None =
     """
     motion = read_motion(path)
     if not 0 <= frame < motion.frames:
-        raise AssetError(f"{path}: frame {frame} asked for, it has {motion.frames} (0 to {motion.frames - 1})")
+        raise AssetError(f"{path}: frame {frame} asked for, it has {plural(motion.frames, 'frame')}, the first is 0")
     if pelvis_height is not None:
         motion = fitted(motion, pelvis_height)
     clip = motion.read(frame, frame + 1)

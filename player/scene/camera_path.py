@@ -164,7 +164,7 @@ def is_path(path: Path | str) -> bool:
 
 
 def read_json(path: Path | str) -> Any:
-    return input_file.read_json(path, "a camera or a camera path", most=MAX_BYTES)
+    return input_file.read_json(path, "front, orbit, turntable, or a camera (path) in JSON", most=MAX_BYTES)
 
 
 def slopes_at(times: Float[Array, "keys"], values: Float[Array, "keys numbers"]) -> Float[Array, "keys numbers"]:

@@ -65,7 +65,7 @@ def open_capture(path: Path | str, part: str = "body") -> CaptureView:
         AssetError: not a capture, or the video's pictures, cameras and poses do not agree.
     """
     path = Path(path)
-    facts = read_json_object(path / "capture.json", "the facts of a capture")
+    facts = read_json_object(path / "capture.json", "a capture")
     if facts.get("format") != "selfscan-capture":
         raise AssetError(f"{path}: expected a capture folder, found format {facts.get('format')!r}")
     if part not in PARTS:

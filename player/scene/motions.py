@@ -13,6 +13,7 @@ from avatar.motion.ground import on_ground
 from avatar.motion.hands import with_hands
 from avatar.motion.read import read_motion
 from command.errors import AssetError
+from command.progress import plural
 from player.scene.framing import pelvis_height
 from player.scene.scene import SceneCamera
 
@@ -79,7 +80,7 @@ def frame_range(
     start, stop = start or 0, motion.frames if stop is None else stop
     if stop > motion.frames or start >= stop:
         asked = f"frame {start}" if stop == start + 1 else f"frames {start}:{stop}"
-        raise AssetError(f"{motion.name}: {asked} asked for, it has {motion.frames} (0 to {motion.frames - 1})")
+        raise AssetError(f"{motion.name}: {asked} asked for, it has {plural(motion.frames, 'frame')}, the first is 0")
     return start, stop
 
 
