@@ -34,6 +34,7 @@ def command(*words: str | Path) -> Callable[[], int]:
     """
 
     def run() -> int:
+        """The process's exit code, once it has ended."""
         process = subprocess.Popen([sys.executable, "-m", *map(str, words)])
         try:
             return process.wait()

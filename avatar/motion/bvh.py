@@ -153,13 +153,13 @@ class _Lines:
     """Non-empty lines of a file as words, with their numbers for messages."""
 
     def __init__(self, path: Path, file: BinaryIO):
-        self.path, self.file, self.number = path, file, 0
+        self.path, self.file, self.number, self.byte = path, file, 0, 0
 
     def next(self) -> list[str]:
         """The words of the next line that is not empty; AssetError at the end of the file."""
         while True:
             line = self.file.readline(LONGEST_LINE)
-            self.number += 1
+            self.number, self.byte = self.number + 1, self.byte + len(line)
             if not line:
                 raise self.error("the file ends too early")
             if len(line) == LONGEST_LINE:
@@ -281,7 +281,7 @@ def _index(reader: _Lines, frames: int, width: int) -> tuple[tuple[int, int], ..
     if not width:
         raise reader.error("no joint has channels")
     file, places, found, words = reader.file, [], 0, 0
-    line, byte = b"", file.tell()
+    line, byte = b"", reader.byte
     while True:
         byte += len(line)
         line = file.readline(LONGEST_LINE)
