@@ -1,4 +1,7 @@
-"""A small capture written in the layouts that others use, with their traps: the authors' folders, EasyMocap, COLMAP."""
+"""A small capture written in the layouts that others use, with their traps: the authors' folders, EasyMocap, COLMAP.
+
+And whether what was imported of them is that capture: pictures, masks, cameras, poses, and every projected vertex.
+"""
 
 import json
 import shutil
@@ -11,9 +14,10 @@ from smplh_model import J0, model_fields
 
 from avatar.camera import project
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, quaternion_from_matrix
+from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import BIG_POSE, PARENTS, skin_transforms
 from avatar.skinning import dense_weights, skin_points
-from capture.folder import Capture, PartVideo
+from capture.folder import Capture, PartVideo, read_capture
 
 HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # pixel centres lie on whole numbers out there
 FIRST = {"body": 500, "head": 0, "hand_left": 480, "hand_right": 7}  # number of the first frame
@@ -70,8 +74,6 @@ def write_authors(capture: Capture, root: Path) -> Path:
 
 
 def _head_from_canonical(capture: Capture) -> np.ndarray:
-    from avatar.similarity import similarity_from_landmarks
-
     video = capture.videos["head"]
     return similarity_from_landmarks(capture.subject.vertices[video.landmark_vertices], video.landmarks).transform
 
@@ -272,3 +274,57 @@ def copied(source: Path, target: Path) -> Path:
     """A copy to damage."""
     shutil.copytree(source, target)
     return target
+
+
+# what an import made of them
+
+
+def posed(capture: Capture, part: str, frame: int) -> np.ndarray:
+    subject, video = capture.subject, capture.videos[part]
+    B = skin_transforms(video.axis_angle[frame], subject.joints, video.root[frame], np.zeros((52, 3)))
+    return skin_points(subject.rest, subject.skin, B)
+
+
+def assert_same_capture(
+    out, source: Capture, *, metres: float = 1e-6, pixels: float = 1e-4, raw: bool = True
+) -> Capture:
+    found = read_capture(out)
+    np.testing.assert_allclose(found.subject.rest, source.subject.rest, atol=metres)
+    np.testing.assert_allclose(found.subject.joints, source.subject.joints, atol=metres)
+    np.testing.assert_array_equal(found.subject.faces, source.subject.faces)
+    np.testing.assert_array_equal(found.subject.part, source.subject.part)
+    for part in ("body", "hand_left", "hand_right"):
+        a, b = found.videos[part], source.videos[part]
+        np.testing.assert_array_equal(a.images, b.images)
+        np.testing.assert_array_equal(a.masks, b.masks)
+        if raw:
+            np.testing.assert_allclose(a.root, b.root, atol=metres)
+            np.testing.assert_allclose(a.axis_angle[:, 1:], b.axis_angle[:, 1:], atol=1e-9)
+        for frame, (mine, theirs) in enumerate(zip(a.cameras, b.cameras)):
+            assert mine.size == theirs.size
+            here, there = posed(found, part, frame), posed(source, part, frame)
+            if raw:
+                np.testing.assert_allclose(mine.camera_from_world, theirs.camera_from_world, atol=1e-9)
+                np.testing.assert_allclose(here, there, atol=metres)
+            seen, depth = project(mine, here)
+            expected, expected_depth = project(theirs, there)
+            np.testing.assert_allclose(depth, expected_depth, atol=metres)
+            inside = (depth > 0) & (np.abs(expected) < 3 * mine.size[0]).all(1)  # the lens bends no farther
+            assert inside.sum() > 500
+            np.testing.assert_allclose(seen[inside], expected[inside], atol=pixels)
+    return found
+
+
+def head_pixels(capture: Capture, frame: int) -> np.ndarray:
+    """The template's head as the frame's camera sees it, through the landmarks."""
+    subject, head = capture.subject, _head_from_canonical(capture)
+    points = subject.vertices[subject.part == 1] @ head[:3, :3].T + head[:3, 3]
+    return project(capture.videos["head"].cameras[frame], points)[0]
+
+
+def assert_same_head(found: Capture, source: Capture, *, pixels: float = 1e-4) -> None:
+    a, b = found.videos["head"], source.videos["head"]
+    np.testing.assert_array_equal(a.images, b.images)
+    np.testing.assert_array_equal(a.masks, b.masks)
+    for frame in range(len(b.images)):
+        np.testing.assert_allclose(head_pixels(found, frame), head_pixels(source, frame), atol=pixels)

@@ -18,11 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from animated_rig import animated_glb
-from landmark_twin import landmarks, points
-from mhr_twin import sam3d_fields
 from PIL import Image
+from pose_twins import landmarks, points, sam3d_fields
 from radiance_writer import radiance_bytes
+from rigs import animated_glb
 from tiny_avatar import join_glb, split_glb, tiny_avatar, tiny_high_avatar
 from tiny_film import film
 

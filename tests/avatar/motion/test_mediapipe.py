@@ -4,8 +4,21 @@ import json
 
 import numpy as np
 import pytest
-from landmark_twin import DOWN, from_text, landmarks, points
-from mhr_twin import FINGERS, LIMBS, SIDES, J, degrees_between, directions, natural_poses, placed, world
+from pose_twins import (
+    DOWN,
+    FINGERS,
+    LIMBS,
+    SIDES,
+    J,
+    degrees_between,
+    directions,
+    from_text,
+    landmarks,
+    natural_poses,
+    placed,
+    points,
+    world,
+)
 
 from avatar.body import builtin_body
 from avatar.limits import axis_angle_from_joint_angles, joint_angles

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mhr_twin import FINGERS, LIMBS, SIDES, J, degrees_between, directions, natural_poses, placed, sam3d_fields, world
+from pose_twins import FINGERS, LIMBS, SIDES, J, degrees_between, directions, natural_poses, placed, sam3d_fields, world
 
 from avatar.body import builtin_body
 from avatar.limits import joint_angles

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from landmark_twin import from_text
+from pose_twins import from_text
 
 from capture.keypoints import coco_wholebody, mediapipe, openpose
 from capture.keypoints.detect import frame_json, model_files

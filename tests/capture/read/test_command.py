@@ -1,7 +1,7 @@
 """`selfscan import` as it is typed: both kinds, one line for bad input, usage for wrong usage."""
 
 import pytest
-from capture_agreement import assert_same_capture
+from foreign_layouts import assert_same_capture
 
 from selfscan.__main__ import main
 

@@ -5,8 +5,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from capture_agreement import assert_same_capture, assert_same_head
-from foreign_layouts import J0, copied, opencv_matrix, write_colmap, write_easymocap, write_landmark_pixels
+from foreign_layouts import (
+    J0,
+    assert_same_capture,
+    assert_same_head,
+    copied,
+    opencv_matrix,
+    write_colmap,
+    write_easymocap,
+    write_landmark_pixels,
+)
 from PIL import Image
 
 from avatar.body import shaped

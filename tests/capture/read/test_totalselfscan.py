@@ -5,8 +5,7 @@ import os
 
 import numpy as np
 import pytest
-from capture_agreement import assert_same_capture, assert_same_head
-from foreign_layouts import J0, copied, numbers, object_array, write_weight_grid
+from foreign_layouts import J0, assert_same_capture, assert_same_head, copied, numbers, object_array, write_weight_grid
 from PIL import Image
 
 from avatar.rotation import matrix_from_axis_angle
