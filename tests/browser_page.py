@@ -20,6 +20,9 @@ import numpy as np
 from chromium import chromium
 from websockets.sync.client import ClientConnection, connect
 
+# seconds after which a browser is no longer slow, on a machine however busy
+HANGS = 600
+
 
 class BrowserPage:
     """One tab."""
@@ -37,7 +40,7 @@ class BrowserPage:
         self.number += 1
         self.socket.send(json.dumps({"id": self.number, "method": method, "params": parameters}))
         while True:
-            answer = json.loads(self.socket.recv(timeout=120))
+            answer = json.loads(self.socket.recv(timeout=HANGS))
             if answer.get("id") == self.number:
                 assert "error" not in answer, f"{method}: {answer['error']}"
                 return answer["result"]
@@ -65,11 +68,11 @@ class BrowserPage:
         failure = self.ask("document.getElementById('failure').textContent")
         assert not failure, failure
 
-    def wait(self, condition: str, seconds: float = 60) -> None:
+    def wait(self, condition: str) -> None:
         """Until an expression is true."""
-        end = time.monotonic() + seconds
+        end = time.monotonic() + HANGS
         while not self.ask(f"(() => {{ try {{ return Boolean({condition}) }} catch {{ return false }} }})()"):
-            assert time.monotonic() < end, f"not within {seconds:g} s: {condition}; {self.problems}"
+            assert time.monotonic() < end, f"not within {HANGS} s: {condition}; {self.problems}"
             time.sleep(0.05)
 
     def ask(self, expression: str) -> Any:
@@ -123,12 +126,12 @@ def browser_page(profile: Path) -> Iterator[BrowserPage]:
 
 def _address(browser: subprocess.Popen, profile: Path, log: str) -> str:
     """Where the first tab listens."""
-    place, end = profile / "DevToolsActivePort", time.monotonic() + 60
+    place, end = profile / "DevToolsActivePort", time.monotonic() + HANGS
     while not (place.exists() and place.read_text().count("\n")):
         assert browser.poll() is None and time.monotonic() < end, f"Chromium: {Path(log).read_text()[-2000:]}"
         time.sleep(0.05)
     port = int(place.read_text().split()[0])
     # whatever proxy this machine uses, a tab of its own is not behind it
-    with build_opener(ProxyHandler({})).open(f"http://127.0.0.1:{port}/json/list", timeout=30) as answer:
+    with build_opener(ProxyHandler({})).open(f"http://127.0.0.1:{port}/json/list", timeout=HANGS) as answer:
         tabs = json.load(answer)
     return next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
