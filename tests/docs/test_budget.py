@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2_930,
     "bench": 6_520,
     "selfscan": 400,
-    "tests": 38_230,
+    "tests": 38_090,
 }
 
 
