@@ -109,6 +109,7 @@ class BoundedListener(socket.socket):
     connections: set[socket.socket]
 
     def accept(self) -> tuple[socket.socket, Any]:
+        """The next connection and its address; waits for one."""
         while True:
             try:
                 connection, place = super().accept()

@@ -15,7 +15,7 @@ BUDGET = {
     "capture": 12_040,
     "train": 5_950,
     "bake": 4_500,
-    "player": 20_400,
+    "player": 20_440,
     "shaders": 1_050,
     "synth": 2_930,
     "bench": 6_520,

@@ -131,6 +131,7 @@ class Panels:
         return self._io().want_capture_mouse or (self._layout.panels_drawn and on_panel)
 
     def on_key(self, key: int, down: bool) -> bool:
+        """A key of glfw's went down or up; whether a text field takes it."""
         io = self._io()
         found = SPECIAL.get(key) or LETTERS.get(key)
         if found == imgui.Key.tab and down and not io.want_text_input:

@@ -21,7 +21,7 @@ BODY = imgui.IM_COL32(240, 240, 240, 200)
 INK = imgui.IM_COL32(0, 0, 0, 200)
 # window units from wrist to finger tip from which the fingers' joints are shown
 FEWEST = 40.0
-# of the rings, window units; fingers are small
+# how large the rings are, window units; fingers are small
 RADIUS, FINGER_RADIUS = 75.0, 41.0
 
 

@@ -44,6 +44,7 @@ class PosePanels:
         self.ui, self.parts = ui, parts
 
     def draw(self) -> None:
+        """All panels, each under its heading; none where no avatar is posed."""
         edit = self.parts.posing.edit
         if edit is None:
             return
