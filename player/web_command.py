@@ -17,6 +17,9 @@ from player.scene.motions import frame_range, ground_for, motion_for
 from player.scene.opened import opened_avatar
 from player.scene.scene import GROUNDS
 
+# what people call those whose names are for commands
+PEOPLE = {"builtin:male": "The built-in man", "builtin:female": "The built-in woman"}
+
 EXAMPLES = """examples
   selfscan web me.glb -o me.html                                  the counting motion
   selfscan web me.glb --motion walk.bvh --frames 0:600 -o me.html
@@ -44,7 +47,7 @@ class WebCommand:
         tuple[int | None, int | None] | None, Option(metavar="A:B", parse=parse_frames), "only frames A to B-1"
     ] = None
     levels: Annotated[str, OneOf(("all", "1", "2", "3")), "how many levels of detail, the finest first"] = "all"
-    title: Annotated[str | None, Option(metavar="TEXT"), "heading of the page (default: the avatar's name)"] = None
+    title: Annotated[str | None, Option(metavar="TEXT"), "heading of the page (default: the person's name)"] = None
     body: Annotated[
         str | None, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
     ] = None
@@ -70,7 +73,7 @@ def web_main(argv: list[str]) -> int:
         avatar, command.motion, body=command.body, hands=command.hands, ground=ground_for(command.ground, ())
     )
     start, stop = frame_range(motion, None, command.frames, single=False)
-    written = write_page(command.output, avatar, motion, start, stop, command.title or avatar.name)
+    written = write_page(command.output, avatar, motion, start, stop, command.title or PEOPLE.get(avatar.name, avatar.name))
     for note in motion.notes:
         print(note)
     size = command.output.stat().st_size / 1e6

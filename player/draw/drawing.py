@@ -160,5 +160,13 @@ class Warming(NamedTuple):
         write_frame(self.resources, self.look, _ANY_CAMERA, (1.0, 2.0), flipped=True)
         return True
 
+    def enter_picture(self) -> bool:
+        """Draw on the picture itself, blended and without depth, if it is there."""
+        if self.framebuffer is None:
+            return False
+        self.framebuffer.use()
+        self.resources.context.gl.enable_only(moderngl.BLEND)
+        return True
+
 
 _ANY_CAMERA = Camera(np.eye(3), np.eye(4), (1, 1))

@@ -331,6 +331,11 @@ class Draft:
             self.image = self.framebuffer("image", self.canvas.size, depth=depth)
         return self.image
 
+    @property
+    def behind_avatars(self) -> tuple[Handle[Any], ...]:
+        """What a pass writes that draws on the picture before the avatars are drawn; a window is nothing of ours."""
+        return self.own_image(depth=self.layer.image is None).handles if self.canvas.own_image else ()
+
     def result(self, stages: Sequence[tuple[Stage, Sequence[Pass]]]) -> Plan:
         """The plan of these passes, in drawing order."""
         passes = tuple(item for _, some in stages for item in some)

@@ -14,7 +14,7 @@ import numpy as np
 
 from command.errors import AssetError
 from command.settings import Above, AtMost, Color, FilePlace, OneOf, check
-from player.draw.drawing import Drawing, Warming
+from player.draw.drawing import Drawing
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Handle, Image
 from player.effects.background_source import RGBA, Frames, Placing, Source, StillPicture, Video
@@ -129,9 +129,6 @@ class UploadPass(Pass):
         texture.write(np.ascontiguousarray(pixels).tobytes())
         self.behind.holds = self._wanted(drawing)
 
-    def warm(self, warming: Warming) -> None:
-        """Nothing is compiled."""
-
     def _wanted(self, drawing: Drawing) -> tuple[Any, int]:
         return drawing.resources[self.image.color], self.behind.source.number(drawing.inputs.seconds)
 
@@ -157,9 +154,6 @@ class CopyPass(Pass):
         background = drawing.resources[self.image.framebuffer]
         drawing.blit(background, inputs.framebuffer, (0, 0, width, height), turned=turned)
         inputs.framebuffer.use()
-
-    def warm(self, warming: Warming) -> None:
-        """Nothing is compiled."""
 
 
 def opened_source(background: Background) -> Source:

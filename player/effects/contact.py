@@ -60,8 +60,7 @@ class Contact:
         check(self)
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
-        image = draft.own_image(depth=draft.layer.image is None) if draft.canvas.own_image else None
-        drawn_on = () if image is None else image.handles
+        drawn_on = draft.behind_avatars
         program = draft.program("contact_floor.vert", "contact_floor.frag")
         return tuple(
             self._floor(draft, drawn_on, program, touch)
@@ -212,9 +211,7 @@ class ContactFloorPass(Pass):
         draw_behind(drawing, self.layer, draw)
 
     def warm(self, warming: Warming) -> None:
-        if warming.framebuffer is not None:
-            warming.framebuffer.use()
-            warming.resources.context.gl.enable_only(moderngl.BLEND)
+        if warming.enter_picture():
             for handle in (self.block, self.cells):
                 warming.resources[handle].write(bytes(handle.bytes))
             warming.resources[self.block].bind_to_uniform_block(BINDING["Capsules"][1])

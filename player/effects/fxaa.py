@@ -79,15 +79,13 @@ class FxaaPass(Pass):
 
     def warm(self, warming: Warming) -> None:
         resources = warming.resources
-        uniform(resources[self.program], "image_size").value = self.image.size
-        if warming.framebuffer is not None:
-            warming.framebuffer.use()
-            resources.context.gl.enable_only(moderngl.BLEND)
+        if warming.enter_picture():
             resources[warming.look.frame].bind_to_uniform_block(0)
             resources[self.tiles].write(np.array([0, 0, 1, 1], np.uint16))
             self._filter(resources, 1)
 
     def _filter(self, resources: PlanResources, count: int) -> None:
+        uniform(resources[self.program], "image_size").value = self.image.size
         for unit, texture in enumerate(self.image.attachments):
             resources[texture].use(unit)
         resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=count)

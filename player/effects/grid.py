@@ -49,8 +49,7 @@ class Grid:
             raise ValueError("color: lines are opaque: expected #rrggbb")
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
-        image = draft.own_image(depth=draft.layer.image is None) if draft.canvas.own_image else None
-        drawn_on = () if image is None else image.handles
+        drawn_on = draft.behind_avatars
         program = draft.program("plane.vert", "grid.frag")
         array = draft.array(program)
         passes: list[Pass] = [GridPass((*drawn_on, array), self, draft.layer, program, array)]
@@ -92,9 +91,7 @@ class GridPass(Pass):
         draw_behind(drawing, self.layer, draw)
 
     def warm(self, warming: Warming) -> None:
-        if warming.framebuffer is not None:
-            warming.framebuffer.use()
-            warming.resources.context.gl.enable_only(moderngl.BLEND)
+        if warming.enter_picture():
             self._render(warming.resources)
 
     def _render(self, resources: PlanResources) -> None:
@@ -143,9 +140,7 @@ class AxesPass(Pass):
         draw_behind(drawing, self.layer, draw)
 
     def warm(self, warming: Warming) -> None:
-        if warming.framebuffer is not None:
-            warming.framebuffer.use()
-            warming.resources.context.gl.enable_only(moderngl.BLEND)
+        if warming.enter_picture():
             self._render(warming.resources)
 
     def _render(self, resources: PlanResources) -> None:

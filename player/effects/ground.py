@@ -70,8 +70,7 @@ class Ground:
             )
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
-        image = draft.own_image(depth=draft.layer.image is None) if draft.canvas.own_image else None
-        drawn_on = () if image is None else image.handles
+        drawn_on = draft.behind_avatars
         passes: list[Pass] = []
         if self.kind != "shadow":
             program = draft.program("plane.vert", "floor.frag")
@@ -108,9 +107,7 @@ class FloorPass(Pass):
         draw_behind(drawing, self.layer, draw)
 
     def warm(self, warming: Warming) -> None:
-        if warming.framebuffer is not None:
-            warming.framebuffer.use()
-            warming.resources.context.gl.enable_only(moderngl.BLEND)
+        if warming.enter_picture():
             self._render(warming.resources)
 
     def _render(self, resources: PlanResources) -> None:

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from player.draw.drawing import Drawing, Layer, Warming
+from player.draw.drawing import Drawing, Layer
 from player.draw.plan import SAMPLES, Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Handle, Image
+from player.effects.fxaa import Fxaa
 
 OUT_OF_VIEW = Decision(PassState.SKIPPED, "no avatar in view")
 RUNS = Decision(PassState.RUNS, f"{SAMPLES} samples, resolved on the avatars' box")
@@ -36,6 +37,17 @@ class Msaa:
 
 
 @dataclass(frozen=True)
+class BestAntialiasing:
+    """MSAA on a GPU; on a software rasteriser, where MSAA costs more than twice as much, FXAA."""
+
+    stage: ClassVar[Stage] = Stage.PICTURE
+
+    def passes(self, draft: Draft) -> Sequence[Pass]:
+        canvas = draft.canvas
+        return (Fxaa() if canvas.software or canvas.max_samples < SAMPLES else Msaa()).passes(draft)
+
+
+@dataclass(frozen=True)
 class MsaaPass(Pass):
     uses: tuple[Handle[Any], ...]
     samples: Image
@@ -53,9 +65,6 @@ class MsaaPass(Pass):
         if inputs.framebuffer is not image:
             drawing.blit(image, inputs.framebuffer, box, turned=None if inputs.flipped else inputs.camera.size[1])
         inputs.framebuffer.use()
-
-    def warm(self, warming: Warming) -> None:
-        """Nothing is compiled."""
 
 
 def _over_background(drawing: Drawing, samples: Image) -> None:

@@ -255,9 +255,7 @@ class ShadowPass(Pass):
         draw_behind(drawing, self.layer, draw)
 
     def warm(self, warming: Warming) -> None:
-        if warming.framebuffer is not None:
-            warming.framebuffer.use()
-            warming.resources.context.gl.enable_only(moderngl.BLEND)
+        if warming.enter_picture():
             self._render(warming.resources)
 
     def _render(self, resources: PlanResources) -> None:

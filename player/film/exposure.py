@@ -18,7 +18,7 @@ from avatar.camera import Camera
 from avatar.skeleton import JOINTS
 from player.draw.drawing import Pose
 from player.draw.posing import PosedBones, Poser
-from player.effects.depth_of_field import DepthOfField
+from player.effects.lens import DepthOfField
 from player.scene.effects import Effects
 
 Array = np.ndarray

@@ -135,6 +135,7 @@ class ShotRenderer:
                 self.renderer = Renderer(
                     self.context, shot.rung.prepared(stage.avatars), shot.size, effects=shot.scene.effects,
                     background=shot.scene.background, level=shot.rung.level if shot.detail is None else shot.detail,
+                    warm=shot.stop - shot.start > 1,
                 )  # fmt: skip
             stop.check()
         except ValueError as error:

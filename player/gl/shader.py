@@ -13,6 +13,7 @@ import moderngl
 
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"\s*$')
 CONDITION = re.compile(r"^\s*#\s*(?:if|elif)\b(.*)$", re.MULTILINE)
+COMPARISON = re.compile(r"^#\s*if\s+(\w+)\s*([!=]=)\s*(\d+)$")
 NAME = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 PLACE = re.compile(r"^(?:(?:ERROR|WARNING):\s*)?(\d+)[:(](\d+)\)?", re.MULTILINE)  # 0:12(3) | 0(12) | ERROR: 0:12
 
@@ -46,7 +47,11 @@ def assembled(
         # whether each of the open #ifs is compiled
         branches: list[bool] = []
         for at, line in enumerate(text, 1):
-            _follow(line, branches, defines)
+            directive = line.strip()
+            if not directive.startswith("#"):
+                lines.append(line)
+                continue
+            _follow(directive, branches, defines)
             include = INCLUDE.match(line)
             if include:
                 if include[1] not in order and all(branches):
@@ -63,17 +68,18 @@ def assembled(
     return "\n".join(lines) + "\n", order
 
 
-def _follow(line: str, branches: list[bool], defines: Mapping[str, int]) -> None:
+def _follow(directive: str, branches: list[bool], defines: Mapping[str, int]) -> None:
     """Keep track of `#if NAME == 1`, `#else`, `#endif`: an include that is not compiled need not exist."""
-    condition = re.match(r"^\s*#\s*if\s+(\w+)\s*([!=]=)\s*(\d+)\s*$", line)
-    if condition:
+    word = directive[1:].lstrip()
+    if word.startswith("if"):
+        condition = COMPARISON.match(directive)
+        if condition is None:
+            raise ShaderError(f"shaders: only `#if NAME == value` and `!=` are understood, not {directive!r}")
         same = defines.get(condition[1], 0) == int(condition[3])
         branches.append(same == (condition[2] == "=="))
-    elif re.match(r"^\s*#\s*if", line):
-        raise ShaderError(f"shaders: only `#if NAME == value` and `!=` are understood, not {line.strip()!r}")
-    elif re.match(r"^\s*#\s*else\b", line):
+    elif word.startswith("else"):
         branches[-1] = not branches[-1]
-    elif re.match(r"^\s*#\s*endif\b", line):
+    elif word.startswith("endif"):
         branches.pop()
 
 

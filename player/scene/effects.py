@@ -12,17 +12,15 @@ from typing import Annotated, NamedTuple
 
 from command.settings import OneOf, Setting, check, rule_of, settings_of
 from player.draw.plan import Effect, Stage
-from player.effects.antialiasing import BestAntialiasing
 from player.effects.background import Background
 from player.effects.contact import Contact
-from player.effects.depth_of_field import DepthOfField
 from player.effects.foot_lock import FootLock
 from player.effects.fxaa import Fxaa
 from player.effects.grid import Grid
 from player.effects.ground import Ground
+from player.effects.lens import DepthOfField, MotionBlur
 from player.effects.light import Light
-from player.effects.motion_blur import MotionBlur
-from player.effects.msaa import Msaa
+from player.effects.msaa import BestAntialiasing, Msaa
 from player.effects.outline import Outline
 from player.effects.secondary_motion import SecondaryMotion
 from player.effects.view import VIEWS

@@ -1,10 +1,13 @@
 """The built-in body as an avatar: something to draw where there is no avatar file (checks and tests)."""
 
+from dataclasses import replace
+
 import numpy as np
+from PIL import Image, ImageDraw
 
 from avatar.baked_avatar import Avatar, Level, ViewNetwork
 from avatar.body import builtin_body
-from avatar.skeleton import BIG_POSE, skin_transforms
+from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
 from avatar.skinning import skin_points
 
 
@@ -57,6 +60,48 @@ def mannequin(sex: str = "male", *, texture: int = 512, seed: int = 0) -> Avatar
         default_view="network",
         provenance={"body_licence": body.licence},
     )
+
+
+# sRGB of what the clothed body wears, by the first letters of the joints that move it; the rest is skin
+CLOTHES = {
+    "male": {"spine": (62, 92, 122), "pelvis": (52, 52, 60), "hair": (58, 44, 36), "skin": (214, 168, 140)},
+    "female": {"spine": (150, 60, 66), "pelvis": (46, 62, 92), "hair": (92, 62, 40), "skin": (226, 182, 156)},
+}
+WORN = {
+    "spine": ("spine", "left_collar", "right_collar", "left_shoulder", "right_shoulder"),
+    "pelvis": ("pelvis", "left_hip", "right_hip", "left_knee", "right_knee"),
+    "shoes": ("left_ankle", "right_ankle", "left_foot", "right_foot"),
+}
+SHOES = (38, 36, 38)
+# metres above the middle of the head, along a line that leans back, from which on there is hair
+HAIRLINE = 0.05
+
+
+def clothed(sex: str = "male", *, texture: int = 1024) -> Avatar:
+    """The built-in body in plain clothes, as example scenes show it: each triangle painted by the joint that moves it,
+    a little darker where it faces down."""
+    body = mannequin(sex)
+    level, colors = body.levels[0], CLOTHES[sex] | {"shoes": SHOES}
+    heaviest = np.take_along_axis(level.joints, level.weights.argmax(1)[:, None], 1)[:, 0]
+    names = [next((what for what, first in WORN.items() if name.startswith(first)), "skin") for name in JOINTS]
+    paint = np.array([colors[names[joint]] for joint in heaviest], np.float64)
+    # where the scalp is, in the pose of the mesh
+    above = level.positions - level.positions[heaviest == JOINTS.index("head")].mean(0)
+    paint[(heaviest == JOINTS.index("head")) & (above[:, 1] - 0.8 * above[:, 2] > HAIRLINE)] = colors["hair"]
+    paint *= (0.88 + 0.12 * level.normals[:, 1] + 0.04 * level.normals[:, 2])[:, None]
+    image = Image.new("RGB", (texture, texture), colors["skin"])
+    draw = ImageDraw.Draw(image)
+    corners = (level.uv * texture)[level.faces]
+    tones = np.clip(paint[level.faces].mean(1), 0, 255).astype(int)
+    painted = [
+        ([tuple(at) for at in triangle], tuple(tone)) for triangle, tone in zip(corners.tolist(), tones.tolist())
+    ]
+    # beyond the edges of charts first: coarse mips look there
+    for triangle, tone in painted:
+        draw.line([*triangle, triangle[0]], tone, width=5)
+    for triangle, tone in painted:
+        draw.polygon(triangle, tone, tone)
+    return replace(body, levels=(replace(level, base_color=np.asarray(image)),), default_view="off")
 
 
 def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

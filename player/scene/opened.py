@@ -1,7 +1,6 @@
 """The files of a scene, opened: avatars, their motions and the cameras. Films and the window begin here."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +26,9 @@ def opened_avatars(scene: Scene, levels: int | None = None) -> list[Avatar]:
 def opened_avatar(path: str, levels: int | None = None) -> Avatar:
     """An avatar file, or the built-in body by its names."""
     if path in MANNEQUINS:
-        from player.scene.mannequin import mannequin
+        from player.scene.mannequin import clothed
 
-        body = mannequin("female" if path.endswith(":female") else "male")
-        # its view network is random, to test with
-        return replace(body, default_view="off")
+        return clothed("female" if path.endswith(":female") else "male")
     return read_avatar(path, levels=levels)
 
 

@@ -46,7 +46,8 @@ class Renderer:
     its first frame. `effects` and `background` say what is asked for; level picks a level of detail (the coarsest
     if there are fewer), of all avatars or of each; with by_size it is the finest, and coarser ones are drawn where an
     avatar is small (player/draw/detail.py). view_amount is u_view, 0 for the paper's colours. view is short for
-    Effects(view=view), an RGBA tuple (premultiplied, [0,1]) for a Background of one colour.
+    Effects(view=view), an RGBA tuple (premultiplied, [0,1]) for a Background of one colour. warm: every program draws
+    once beforehand, so that no frame waits for a driver's compiler; one picture needs only those it draws with.
 
     Raises:
         ValueError: the view mode is not in an avatar, a texture or the image exceeds the device.
@@ -65,6 +66,7 @@ class Renderer:
         by_size: bool = False,
         view_amount: float = 1.0,
         view: str | None = None,
+        warm: bool = True,
     ):
         self.context, self.avatars = context, tuple(avatars)
         self.level, self._view_amount = level, view_amount
@@ -73,6 +75,7 @@ class Renderer:
         self._by_size = DetailBySize(self.avatars) if by_size else None
         # plans whose levels of detail are ready to be drawn at once
         self._ready: list[Plan] = []
+        self._warm = warm
         self.effects = effects if view is None else replace(effects, view=view)
         self.background = _as_background(background)
         self.size, self.own_image = size, size is not None
@@ -381,7 +384,7 @@ class Renderer:
         self.look = Look(self.background.color, self._view_amount, plan.margin, plan.background, plan.frame)
         window = self.context.screen() if self.context.kind == "window" else None
         warming = Warming(self.resources, self.look, self.target or window)
-        for item in plan.passes:
+        for item in plan.passes if self._warm else ():
             if any(handle in new for handle in item.uses if handle.kind is moderngl.VertexArray):
                 item.warm(warming)
 

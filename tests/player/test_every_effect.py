@@ -13,12 +13,11 @@ from avatar.camera import Camera, orbit_camera
 from command.settings import settings_of
 from player.effects import contact, grid, ground, outline, secondary_motion, shadow
 from player.effects.contact import Contact
-from player.effects.depth_of_field import DepthOfField
 from player.effects.foot_lock import FootLock
 from player.effects.grid import Grid
 from player.effects.ground import Ground
+from player.effects.lens import DepthOfField, MotionBlur
 from player.effects.light import Light
-from player.effects.motion_blur import MotionBlur
 from player.effects.outline import Outline
 from player.effects.secondary_motion import SecondaryMotion
 from player.scene.effects import PLAIN, Effects

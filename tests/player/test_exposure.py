@@ -9,9 +9,8 @@ from tiny_avatar import tiny_avatar
 from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.clip import Clip
-from player.effects.depth_of_field import SHARP, DepthOfField
 from player.effects.ground import Ground
-from player.effects.motion_blur import STILL, MotionBlur
+from player.effects.lens import SHARP, STILL, DepthOfField, MotionBlur
 from player.film import exposure, parts, render
 from player.film.command import render_main
 from player.film.exposure import exposures, lens_point, through

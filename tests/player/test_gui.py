@@ -14,8 +14,8 @@ from imgui_bundle import imgui
 
 from command.command_line import parse
 from player.effects.background import Background
+from player.effects.lens import MotionBlur
 from player.effects.light import Light
-from player.effects.motion_blur import MotionBlur
 from player.effects.outline import Outline
 from player.play_command import PLAY, PlayCommand, scene_of
 from player.scene.effects import PLAIN, Effects

@@ -15,7 +15,7 @@ from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
 from player.effects.contact import Contact
 from player.effects.ground import Ground
-from player.effects.motion_blur import MotionBlur
+from player.effects.lens import MotionBlur
 from player.effects.outline import Outline
 from player.effects.secondary_motion import SecondaryMotion
 from player.film import parts
