@@ -141,6 +141,12 @@ def test_drawing_makes_nothing(context, render, avatar, pose, view):
     assert context.counts.calls["draw"] == draws + 3
 
 
+def test_a_single_picture_is_the_same_without_warming(render, avatar, pose):
+    effects = Effects(antialiasing="fxaa")
+    warm, cold = (render([avatar], effects=effects, warm=warm).draw([pose], CAMERA) for warm in (True, False))
+    assert np.array_equal(warm, cold)
+
+
 def test_what_is_not_asked_for_is_not_compiled_nor_allocated(avatar):
     off, vertex = (planned(avatar, view) for view in ("off", "vertex"))
     named = [{handle.name for handle in plan.handles} for plan in (off, vertex)]
