@@ -73,7 +73,8 @@ def web_main(argv: list[str]) -> int:
         avatar, command.motion, body=command.body, hands=command.hands, ground=ground_for(command.ground, ())
     )
     start, stop = frame_range(motion, None, command.frames, single=False)
-    written = write_page(command.output, avatar, motion, start, stop, command.title or PEOPLE.get(avatar.name, avatar.name))
+    title = command.title or PEOPLE.get(avatar.name, avatar.name)
+    written = write_page(command.output, avatar, motion, start, stop, title)
     for note in motion.notes:
         print(note)
     size = command.output.stat().st_size / 1e6

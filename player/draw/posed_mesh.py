@@ -87,6 +87,15 @@ def posed_mesh(draft: Draft, avatar: int, *, directions: bool = False, level: in
     return PosedMesh(avatar, vertices, faces, bones, duals, turns)
 
 
+def normals_of(draft: Draft, avatar: int) -> Handle[moderngl.Buffer]:
+    """The normals of an avatar's vertices, canonical, three floats each."""
+    level, first = draft.levels[avatar], draft.first(avatar)
+    return draft.buffer(
+        f"{draft.tag(first)} normals", level.normals.nbytes, first, draft.detail[avatar],
+        content=lambda made: level.normals[vertex_order(made, level)[0]].tobytes(),
+    )  # fmt: skip
+
+
 def vertex_order(made: PlanResources, mesh: Level) -> tuple[np.ndarray, np.ndarray]:
     """The order in which vertices are stored, and the faces that count so."""
     return made.shared(("order", id(mesh)), lambda: draw_order(mesh.positions, mesh.faces))

@@ -6,6 +6,7 @@ by vertex, in a variant of their program (shaders/contact.glsl).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import moderngl
@@ -17,7 +18,7 @@ from avatar.camera import view_from_world
 from command.settings import Above, AtLeast, AtMost, check
 from player.draw.drawing import Drawing, Layer, Warming
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
-from player.draw.posed_mesh import vertex_order
+from player.draw.posed_mesh import normals_of, vertex_order
 from player.draw.resources import Handle, PlanResources
 from player.effects.contact_capsules import LEAST, Capsules, capsules_of
 from player.effects.ground_plane import Sheet, draw_behind
@@ -128,13 +129,10 @@ class LazyCapsules:
 
     def __init__(self, avatar: Avatar, level: Level):
         self._of: tuple[Avatar, Level] = avatar, level
-        self._found: Capsules | None = None
 
-    @property
+    @cached_property
     def capsules(self) -> Capsules:
-        if self._found is None:
-            self._found = capsules_of(*self._of)
-        return self._found
+        return capsules_of(*self._of)
 
 
 def contact_of(draft: Draft, avatar: int) -> AvatarContact | None:
@@ -155,10 +153,7 @@ def contact_of(draft: Draft, avatar: int) -> AvatarContact | None:
         avatar, asked.strength, body,
         draft.buffer(f"{tag} capsules", CAPSULES.itemsize, avatar),
         draft.buffer(f"{shared} contact", VERTEX.itemsize * len(level.positions), first, number, content=vertices),
-        draft.buffer(
-            f"{shared} normals", level.normals.nbytes, first, number,
-            content=lambda made: level.normals[vertex_order(made, level)[0]].tobytes(),
-        ),
+        normals_of(draft, avatar),
     )  # fmt: skip
 
 

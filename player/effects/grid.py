@@ -9,10 +9,10 @@ import numpy as np
 
 from avatar.camera import clip_from_view, view_from_world
 from command.settings import Above, AtLeast, AtMost, Color, check
-from player.draw.drawing import Drawing, Layer, Warming
+from player.draw.drawing import Drawing, Layer
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Handle, PlanResources
-from player.effects.ground_plane import FAR, NEAR, Sheet, draw_behind
+from player.effects.ground_plane import FAR, NEAR, PassBehind, Sheet, draw_behind
 from player.gl.shader import uniform
 
 AWAY = Decision(PassState.SKIPPED, "the ground is out of view, or seen from below")
@@ -61,7 +61,7 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class GridPass(Pass):
+class GridPass(PassBehind):
     uses: tuple[Handle[Any], ...]
     grid: Grid
     layer: Layer
@@ -90,10 +90,6 @@ class GridPass(Pass):
 
         draw_behind(drawing, self.layer, draw)
 
-    def warm(self, warming: Warming) -> None:
-        if warming.enter_picture():
-            self._render(warming.resources)
-
     def _render(self, resources: PlanResources) -> None:
         resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4)
 
@@ -103,7 +99,7 @@ class GridPass(Pass):
 
 
 @dataclass(frozen=True)
-class AxesPass(Pass):
+class AxesPass(PassBehind):
     uses: tuple[Handle[Any], ...]
     grid: Grid
     layer: Layer
@@ -138,10 +134,6 @@ class AxesPass(Pass):
             self._render(resources)
 
         draw_behind(drawing, self.layer, draw)
-
-    def warm(self, warming: Warming) -> None:
-        if warming.enter_picture():
-            self._render(warming.resources)
 
     def _render(self, resources: PlanResources) -> None:
         resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=3)

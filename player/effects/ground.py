@@ -11,10 +11,10 @@ import moderngl
 import numpy as np
 
 from command.settings import Above, AtLeast, AtMost, Color, OneOf, check
-from player.draw.drawing import Drawing, Layer, Warming
+from player.draw.drawing import Drawing, Layer
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Handle, PlanResources
-from player.effects.ground_plane import Sheet, draw_behind
+from player.effects.ground_plane import PassBehind, Sheet, draw_behind
 from player.effects.shadow import LOWEST, ShadowSettings, shadow_passes
 from player.gl.shader import uniform
 
@@ -83,7 +83,7 @@ class Ground:
 
 
 @dataclass(frozen=True)
-class FloorPass(Pass):
+class FloorPass(PassBehind):
     uses: tuple[Handle[Any], ...]
     ground: Ground
     layer: Layer
@@ -105,10 +105,6 @@ class FloorPass(Pass):
             self._render(drawing.resources)
 
         draw_behind(drawing, self.layer, draw)
-
-    def warm(self, warming: Warming) -> None:
-        if warming.enter_picture():
-            self._render(warming.resources)
 
     def _render(self, resources: PlanResources) -> None:
         ground, program = self.ground, resources[self.program]

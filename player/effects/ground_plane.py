@@ -4,6 +4,7 @@ Places on it are metres about an anchor near the avatars, (x, z) of the world le
 scene far from the world's origin cancel in double precision before anything is rounded.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -12,7 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.camera import Camera, clip_from_view, view_from_world
-from player.draw.drawing import Drawing, Layer
+from player.draw.drawing import Drawing, Layer, Warming
+from player.draw.plan import Pass
+from player.draw.resources import PlanResources
 from player.gl.shader import uniform
 
 Array = np.ndarray
@@ -55,10 +58,22 @@ class Sheet(NamedTuple):
         uniform(program, "clip_from_plane").write(np.ascontiguousarray(columns, np.float32).tobytes())
 
 
+class PassBehind(Pass):
+    """A pass that draws on the picture before the avatars are."""
+
+    @abstractmethod
+    def _render(self, resources: PlanResources) -> None:
+        """Its draw, with the uniforms that stand."""
+
+    def warm(self, warming: Warming) -> None:
+        if warming.enter_picture():
+            self._render(warming.resources)
+
+
 def draw_behind(drawing: Drawing, layer: Layer, draw: Callable[[bool], None]) -> None:
     """Draw on the picture before the avatars are; once more on their layer, where that begins with what is behind them.
 
-    `draw` is told whether row 0 is the top.
+    `draw` takes whether row 0 is the top.
     """
     gl = drawing.gl
     drawing.inputs.framebuffer.use()

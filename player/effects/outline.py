@@ -12,7 +12,7 @@ import numpy as np
 from command.settings import Above, AtMost, Color, check
 from player.draw.drawing import Drawing, Layer, Warming
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
-from player.draw.posed_mesh import PosedMesh, posed_mesh, vertex_order
+from player.draw.posed_mesh import PosedMesh, normals_of, posed_mesh
 from player.draw.resources import Handle, PlanResources
 from player.effects.secondary_motion import LooseOffsets, offsets_of
 from player.gl.shader import uniform
@@ -41,13 +41,8 @@ class Outline:
     def passes(self, draft: Draft) -> Sequence[Pass]:
         draft.widen(ceil(self.width))
         hulls, uses = [], [*draft.drawn_on]
-        for index, level in enumerate(draft.levels):
-            mesh = posed_mesh(draft, index)
-            first = draft.first(index)
-            normals = draft.buffer(
-                f"{draft.tag(first)} normals", level.normals.nbytes, first, draft.detail[index],
-                content=lambda made, level=level: level.normals[vertex_order(made, level)[0]].tobytes(),
-            )  # fmt: skip
+        for index in range(len(draft.levels)):
+            mesh, normals = posed_mesh(draft, index), normals_of(draft, index)
             loose = offsets_of(draft, index)
             moves = int(loose is not None)
             program = draft.program("outline.vert", "plain.frag", SKINNING=int(draft.dual), LOOSE=moves)

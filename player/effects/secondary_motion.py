@@ -8,6 +8,7 @@ their program (shaders/loose.glsl).
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import moderngl
@@ -70,21 +71,18 @@ class LazyMotion:
     def __init__(self, avatar: Avatar, level: Level, springs: SecondaryMotion):
         self._of = avatar, level
         self._springs = springs
-        self._found: "LooseMotion | None" = None
         # milliseconds of the last step
         self.ms = 0.0
 
-    @property
+    @cached_property
     def found(self) -> "LooseMotion":
-        if self._found is None:
-            # only where it is asked for
-            from player.effects.loose_motion import LooseMotion
-            from player.effects.loose_parts import loose_parts
+        # only where it is asked for
+        from player.effects.loose_motion import LooseMotion
+        from player.effects.loose_parts import loose_parts
 
-            parts = loose_parts(*self._of)
-            assert parts is not None, "planned for what is loose"
-            self._found = LooseMotion(parts, self._springs)
-        return self._found
+        parts = loose_parts(*self._of)
+        assert parts is not None, "planned for what is loose"
+        return LooseMotion(parts, self._springs)
 
     def move(self, pose: Pose, seconds: float) -> None:
         motion, began = self.found, time.perf_counter()

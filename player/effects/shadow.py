@@ -19,7 +19,7 @@ from player.draw.drawing import Drawing, Layer, Warming
 from player.draw.plan import Decision, Draft, Pass, PassState
 from player.draw.posed_mesh import PosedMesh, posed_mesh
 from player.draw.resources import Handle, PlanResources
-from player.effects.ground_plane import Sheet, draw_behind
+from player.effects.ground_plane import PassBehind, Sheet, draw_behind
 from player.effects.light import light_on
 from player.effects.secondary_motion import LooseOffsets, offsets_of
 from player.gl.shader import uniform
@@ -65,12 +65,7 @@ def shadow_passes(draft: Draft, drawn_on: tuple[Handle[Any], ...], settings: Sha
     side = (SOFTWARE_TEXELS if draft.canvas.software else TEXELS) * (1 if len(draft.avatars) == 1 else 2)
     size = sum(4 * (side >> i) ** 2 for i in range(side.bit_length()))
     mask = draft.texture("shadow mask", size, side, make=lambda made: _mask_texture(made, side))
-    target = draft.need(
-        Handle(
-            moderngl.Framebuffer, "shadow mask", 0, (mask,),
-            lambda made: made.context.gl.framebuffer([made[mask]]),
-        )
-    )  # fmt: skip
+    target = _target_of(draft, mask)
     meshes = []
     for index in range(len(draft.avatars)):
         loose = offsets_of(draft, index)
@@ -82,14 +77,8 @@ def shadow_passes(draft: Draft, drawn_on: tuple[Handle[Any], ...], settings: Sha
         array = mesh.array(draft, thrown, *(() if loose is None else (loose.buffer,)))
         meshes.append(Thrown(mesh, array, thrown, loose))
     soft = draft.texture("soft shadow", side * side, side, make=lambda made: _soft_texture(made, side))
-    soft_target = draft.need(
-        Handle(
-            moderngl.Framebuffer, "soft shadow", 0, (soft,),
-            lambda made: made.context.gl.framebuffer([made[soft]]),
-        )
-    )  # fmt: skip
     softened = draft.program("shadow_cells.vert", "shadow.frag", samplers=("mask",))
-    softening = Softening(softened, draft.array(softened), soft_target)
+    softening = Softening(softened, draft.array(softened), _target_of(draft, soft))
     program = draft.program("shadow_cells.vert", "shadow_laid.frag", samplers=("mask", "soft"))
     array = draft.array(program)
     x, y, z = _lamp_of(draft, settings.direction).tolist()
@@ -217,7 +206,7 @@ def footprint(drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
 
 
 @dataclass(frozen=True)
-class ShadowPass(Pass):
+class ShadowPass(PassBehind):
     """The softened shadow laid on the ground."""
 
     uses: tuple[Handle[Any], ...]
@@ -253,10 +242,6 @@ class ShadowPass(Pass):
             self._render(resources)
 
         draw_behind(drawing, self.layer, draw)
-
-    def warm(self, warming: Warming) -> None:
-        if warming.enter_picture():
-            self._render(warming.resources)
 
     def _render(self, resources: PlanResources) -> None:
         resources[self.mask].use(0)
@@ -378,6 +363,14 @@ def _soft_texture(made: PlanResources, side: int) -> moderngl.Texture:
     texture = made.context.gl.texture((side, side), 1, dtype="f1")
     texture.repeat_x = texture.repeat_y = False
     return texture
+
+
+def _target_of(draft: Draft, texture: Handle[moderngl.Texture]) -> Handle[moderngl.Framebuffer]:
+    """A framebuffer that draws into one texture."""
+    kind = moderngl.Framebuffer
+    return draft.need(
+        Handle(kind, texture.name, 0, (texture,), lambda made: made.context.gl.framebuffer([made[texture]]))
+    )
 
 
 def _lamp_of(draft: Draft, direction: tuple[float, float, float]) -> Float[np.ndarray, "3"]:

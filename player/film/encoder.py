@@ -118,7 +118,7 @@ def chosen_encoder(kind: str, wanted: str, size: tuple[int, int], *, alpha: bool
 def refusal(encoder: Encoder, size: tuple[int, int]) -> str | None:
     """Why an encoder does not encode two frames of this size here; None: it does.
 
-    Only encoding tells: drivers list encoders that the chip beneath has not (H100 has no NVENC).
+    Only encoding shows it: drivers list encoders that the chip beneath has not (H100 has no NVENC).
     """
     try:
         context: Any = av.CodecContext.create(encoder.name, "w")

@@ -126,8 +126,8 @@ def buy_rung(command: RenderCommand, stage: Stage, context: Context, fit: Fit | 
 
 
 def detail_by_size(stage: Stage, fit: Fit | None, start: int, stop: int, finest: int) -> tuple[int, ...]:
-    """The level of detail of each avatar: what its largest size in the film calls for (player/draw/detail.py), as some
-    frames spread over it tell."""
+    """The level of detail of each avatar: what its largest size in the film calls for (player/draw/detail.py), in some
+    frames spread over it."""
     size, heights = stage.size(), [0.0] * len(stage.avatars)
     camera_at = stage.camera_at(fit, start, stop, size)
     posers = {id(avatar): Poser(avatar, avatar.levels[0]) for avatar in stage.avatars}

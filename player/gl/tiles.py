@@ -4,6 +4,7 @@ In software a filter costs what it covers: on these tiles FXAA is about half as 
 """
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt16
@@ -91,11 +92,13 @@ class SurfacePatches:
     """Patches of each avatar's surface, found when they are first asked for."""
 
     def __init__(self, levels: Sequence[Level]):
-        self._levels, self._found = tuple(levels), list[Patches]()
+        self._levels = tuple(levels)
+
+    @cached_property
+    def _found(self) -> list[Patches]:
+        return [Patches(level) for level in self._levels]
 
     def __iter__(self) -> Iterator[Patches]:
-        if not self._found:
-            self._found = [Patches(level) for level in self._levels]
         return iter(self._found)
 
 
