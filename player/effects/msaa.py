@@ -7,9 +7,8 @@ from typing import Any, ClassVar
 from player.draw.drawing import Drawing, Layer
 from player.draw.plan import SAMPLES, Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Handle, Image
-from player.effects.fxaa import Fxaa
+from player.effects.fxaa import OUT_OF_VIEW, Fxaa
 
-OUT_OF_VIEW = Decision(PassState.SKIPPED, "no avatar in view")
 RUNS = Decision(PassState.RUNS, f"{SAMPLES} samples, resolved on the avatars' box")
 
 

@@ -72,7 +72,6 @@ WORN = {
     "pelvis": ("pelvis", "left_hip", "right_hip", "left_knee", "right_knee"),
     "shoes": ("left_ankle", "right_ankle", "left_foot", "right_foot"),
 }
-SHOES = (38, 36, 38)
 # metres above the middle of the head, along a line that leans back, from which on there is hair
 HAIRLINE = 0.05
 
@@ -81,7 +80,7 @@ def clothed(sex: str = "male", *, texture: int = 1024) -> Avatar:
     """The built-in body in plain clothes, as example scenes show it: each triangle painted by the joint that moves it,
     a little darker where it faces down."""
     body = mannequin(sex)
-    level, colors = body.levels[0], CLOTHES[sex] | {"shoes": SHOES}
+    level, colors = body.levels[0], CLOTHES[sex] | {"shoes": (38, 36, 38)}
     heaviest = np.take_along_axis(level.joints, level.weights.argmax(1)[:, None], 1)[:, 0]
     names = [next((what for what, first in WORN.items() if name.startswith(first)), "skin") for name in JOINTS]
     paint = np.array([colors[names[joint]] for joint in heaviest], np.float64)
