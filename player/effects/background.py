@@ -37,11 +37,8 @@ class Background:
     """
 
     kind: Annotated[str, OneOf(BACKGROUNDS), "what it is; image, video and hdr need a path"] = "color"
-    color: Annotated[
-        RGBA,
-        Color(),
-        "of kind color, and where an image or a video does not reach",
-    ] = STUDIO_COLOR  # premultiplied sRGB
+    # premultiplied sRGB
+    color: Annotated[RGBA, Color(), "of kind color, and where an image or a video does not reach"] = STUDIO_COLOR
     path: Annotated[
         str | None, FilePlace(), "picture; film or folder of frames; panorama (Radiance .hdr, twice as wide as high)"
     ] = None

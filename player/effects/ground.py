@@ -18,6 +18,7 @@ from player.effects.ground_plane import PassBehind, Sheet, draw_behind
 from player.effects.shadow import LOWEST, ShadowSettings, shadow_passes
 from player.gl.shader import uniform
 
+FLOOR_COLOR = (88 / 255, 91 / 255, 99 / 255, 1.0)
 KINDS = ("plane", "checker", "shadow")
 OTHER_CHECKS = 0.72
 # share of the metres to the floor's edge
@@ -39,12 +40,7 @@ class Ground:
     kind: Annotated[
         str, OneOf(KINDS), "plane: one color; checker: checks of two; shadow: nothing but the shadow, on the background"
     ] = "plane"
-    color: Annotated[tuple[float, float, float, float], Color(), "of the floor, opaque"] = (
-        88 / 255,
-        91 / 255,
-        99 / 255,
-        1.0,
-    )
+    color: Annotated[tuple[float, float, float, float], Color(), "of the floor, opaque"] = FLOOR_COLOR
     height: Annotated[float, AtLeast(-1e4), AtMost(1e4), "of the ground above the world's origin, metres"] = 0.0
     radius: Annotated[
         float, Above(0), AtMost(1e3), "of the floor about the avatars, metres; it fades into what is behind"
@@ -55,9 +51,7 @@ class Ground:
         "towards the lamp, world, any length; with `light` by lamps, capture or panorama its brightest lamp instead",
     ] = (0.4, 0.85, 0.45)  # fmt: skip
     strength: Annotated[float, AtLeast(0), AtMost(1), "of the shadow; 0: none"] = 0.6
-    softness: Annotated[float, AtLeast(0), AtMost(20), "how large the lamp is, degrees from its middle to its edge"] = (
-        2.0
-    )
+    softness: Annotated[float, AtLeast(0), AtMost(20), "size of the lamp, degrees from its middle to its edge"] = 2.0
 
     def __post_init__(self):
         check(self)

@@ -28,7 +28,7 @@ from player.effects.panorama_light import fitted_light, gains_of, irradiance, li
 from player.gl.shader import uniform
 
 KINDS = ("capture", "albedo", "lamps", "panorama")
-FITS = ("none", "background")
+FITS, FIRST_LAMP = ("none", "background"), (0.45, 0.65, 0.6)
 ATTRIBUTES = ("3f4 2f4", "normal", "seen_light")
 VERTEX = np.dtype([("normal", "f4", 3), ("seen_light", "f4", 2)])
 # pixels to which a picture behind is brought before its mean is taken
@@ -56,16 +56,11 @@ class Light:
         str | None, FilePlace(), "of panorama (Radiance .hdr, twice as wide as high); none: the background"
     ] = None
     fit: Annotated[
-        str,
-        OneOf(FITS),
+        str, OneOf(FITS),
         "background: brightness and tint of the picture, film or panorama that is behind; none: their own",
     ] = "none"
     ambient: Annotated[float, AtLeast(0), AtMost(10), "of lamps: light from everywhere"] = 0.5
-    direction: Annotated[tuple[float, float, float], "of lamps: towards the first, world, any length"] = (
-        0.45,
-        0.65,
-        0.6,
-    )
+    direction: Annotated[tuple[float, float, float], "of lamps: towards the first, world, any length"] = FIRST_LAMP
     strength: Annotated[float, AtLeast(0), AtMost(10), "of lamps: the first"] = 0.8
     second_direction: Annotated[tuple[float, float, float], "of lamps: towards the second"] = (-0.7, 0.3, 0.5)
     second_strength: Annotated[float, AtLeast(0), AtMost(10), "of lamps: the second; 0: none"] = 0.0
