@@ -1,9 +1,8 @@
 """Closest points: of one triangle, of a whole mesh, and of a mesh where it faces the same way."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import trimesh
 from jaxtyping import Bool, Float, Integer
 from scipy.spatial import KDTree
 
@@ -13,6 +12,9 @@ Array = np.ndarray
 
 # point-triangle pairs held in memory
 PAIRS_AT_ONCE = 500_000
+POINTS_AT_ONCE = 1024
+# triangles of less than a 64th of the largest one's size stand together
+SIZES = 7
 
 
 def closest_on_triangles(
@@ -48,12 +50,21 @@ def closest_on_triangles(
     return np.einsum("nk,nkc->nc", best, corners), best
 
 
+class SizeGroup(NamedTuple):
+    """Triangles of about one size."""
+
+    faces: Integer[Array, "g"]
+    middles: KDTree
+    # metres, from a middle to the farthest corner of its triangle
+    radius: float
+
+
 class TriangleIndex(NamedTuple):
     """A mesh ready to be asked for closest points many times."""
 
     corners: Float[Array, "faces 3 3"]
-    vertices: KDTree  # those that a face names
-    boxes: Any  # rtree.index.Index: bounding boxes of the faces
+    # those of most triangles first
+    groups: list[SizeGroup]
 
 
 class ClosestPoints(NamedTuple):
@@ -65,47 +76,64 @@ class ClosestPoints(NamedTuple):
 
 
 def triangle_index(vertices: Float[Array, "vertices 3"], faces: Integer[Array, "faces 3"]) -> TriangleIndex:
-    """Search structure over the triangles of a mesh."""
+    """Search structure over the triangles of a mesh: trees of their middles, one for each halving of their size."""
     check_mesh(vertices, faces, "mesh to measure against")
-    vertices = np.asarray(vertices, np.float64)
-    corners = vertices[faces]
-    return TriangleIndex(corners, KDTree(vertices[np.unique(faces)]), trimesh.triangles.bounds_tree(corners))
+    corners = np.asarray(vertices, np.float64)[faces]
+    middles = corners.mean(1)
+    radius = np.linalg.norm(corners - middles[:, None], axis=2).max(1)
+    halvings = np.log2(radius.max() / np.maximum(radius, 1e-300), where=radius > 0, out=np.full(len(radius), np.inf))
+    size = np.minimum(halvings, SIZES - 1).astype(np.int64)
+    groups = []
+    for number in np.argsort(-np.bincount(size), kind="stable"):
+        own = np.flatnonzero(size == number)
+        if len(own):
+            groups.append(SizeGroup(own, KDTree(middles[own]), float(radius[own].max())))
+    return TriangleIndex(corners, groups)
 
 
 def closest_points(points: Float[Array, "n 3"], index: TriangleIndex) -> ClosestPoints:
     """The exact closest point of a mesh to each point.
 
-    The nearest vertex bounds the distance; every face whose box reaches into the cube of that size is tried, as
-    trimesh.proximity does, here for many points at once and in bounded memory.
+    The triangle with the nearest middle bounds the distance; of each group every triangle is tried whose middle lies
+    within that bound and the group's radius. Of triangles equally near the first one counts.
     """
     points = np.asarray(points, np.float64)
-    found = ClosestPoints(np.empty_like(points), np.empty(len(points)), np.empty(len(points), np.int64))
-    bound = index.vertices.query(points)[0] * (1 + 1e-9) + 1e-12
-    # near points first: the number of faces in a cube grows slowly from one group to the next
-    order = np.argsort(bound, kind="stable")
-    start, size = 0, 1024
-    while start < len(points):
-        rows = order[start : start + size]
-        reach = bound[rows, None]
-        faces, counts = (
-            a.astype(np.int64) for a in index.boxes.intersection_v(points[rows] - reach, points[rows] + reach)
-        )
-        ends = np.cumsum(counts)
-        for piece in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(ends // PAIRS_AT_ONCE)) + 1):
-            of = np.repeat(rows[piece], counts[piece])
-            tried = faces[ends[piece[0]] - counts[piece[0]] : ends[piece[-1]]]
-            nearest, _ = closest_on_triangles(points[of], index.corners[tried])
-            distance = np.linalg.norm(nearest - points[of], axis=1)
-            first = np.cumsum(counts[piece]) - counts[piece]
-            least = np.repeat(np.minimum.reduceat(distance, first), counts[piece])
-            hit = np.flatnonzero(distance == least)
-            # the first of faces that are equally near
-            row, chosen = np.unique(of[hit], return_index=True)
-            best = hit[chosen]
-            found.point[row], found.distance[row], found.face[row] = nearest[best], distance[best], tried[best]
-        start += size
-        size = int(np.clip(PAIRS_AT_ONCE // max(counts.mean(), 1), 1, 1 << 14))
+    unknown = np.full(len(points), len(index.corners))
+    found = ClosestPoints(np.empty_like(points), np.full(len(points), np.inf), unknown)
+    for start in range(0, len(points), POINTS_AT_ONCE):
+        rows = np.arange(start, min(start + POINTS_AT_ONCE, len(points)))
+        for group in index.groups:
+            _keep_nearer(found, points, rows, group.faces[group.middles.query(points[rows])[1]], index)
+            reach = found.distance[rows] * (1 + 1e-9) + group.radius + 1e-12
+            near = group.middles.query_ball_point(points[rows], reach, return_sorted=False)
+            counts = np.array([len(members) for members in near])
+            splits = np.flatnonzero(np.diff(np.cumsum(counts) // PAIRS_AT_ONCE)) + 1
+            for piece in np.split(np.arange(len(rows)), splits):
+                tried = np.concatenate([np.asarray(near[i], np.int64) for i in piece])
+                _keep_nearer(found, points, np.repeat(rows[piece], counts[piece]), group.faces[tried], index)
     return found
+
+
+def _keep_nearer(
+    found: ClosestPoints, points: Float[Array, "n 3"], rows: Integer[Array, "k"], faces: Integer[Array, "k"],
+    index: TriangleIndex,
+) -> None:  # fmt: skip
+    """Enter the pairs of points, by their rising `rows`, and faces that are nearer than what was found."""
+    if not len(rows):
+        return
+    nearest, _ = closest_on_triangles(points[rows], index.corners[faces])
+    distance = np.linalg.norm(nearest - points[rows], axis=1)
+    first = np.flatnonzero(np.r_[True, np.diff(rows) > 0])
+    least = np.repeat(np.minimum.reduceat(distance, first), np.diff(np.r_[first, len(rows)]))
+    hit = np.flatnonzero(distance == least)
+    hit = hit[np.lexsort((faces[hit], rows[hit]))]
+    row, chosen = np.unique(rows[hit], return_index=True)
+    hit = hit[chosen]
+    nearer = (distance[hit] < found.distance[row]) | (
+        (distance[hit] == found.distance[row]) & (faces[hit] < found.face[row])
+    )
+    row, hit = row[nearer], hit[nearer]
+    found.point[row], found.distance[row], found.face[row] = nearest[hit], distance[hit], faces[hit]
 
 
 class Match(NamedTuple):

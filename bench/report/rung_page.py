@@ -16,6 +16,8 @@ from files.whole import whole_file
 
 # names in the figure, one line each
 MOST_NAMED = 12
+# FLIP up to which two pictures are the same to the eye, and what can be seen when they are flicked or side by side
+SAME, ROUGHER = 0.005, (0.015, 0.035)
 
 
 class Point(NamedTuple):
@@ -94,39 +96,43 @@ def points_of(result: Json) -> list[Point]:
 
 def frontier_of(points: Sequence[Point], most: int = MOST_NAMED) -> list[Point]:
     """The points than which none is both faster and more exact, by time. Where they are more than `most`, those go
-    first whose neighbours say nearly the same: the area between the steps with and without them is least."""
+    first without which a budget gets nearly the same: the area between the steps with and without them is least."""
     front: list[Point] = []
     for point in sorted(points):
         if not front or point.flip < front[-1].flip:
             front.append(point)
     while len(front) > most:
-        area = [np.log(b.ms / a.ms) * (b.flip - c.flip) for a, b, c in zip(front, front[1:], front[2:])]
+        area = [np.log(c.ms / b.ms) * (a.flip - b.flip) for a, b, c in zip(front, front[1:], front[2:])]
         del front[1 + int(np.argmin(area))]
     return front
 
 
 def trade_sentence(result: Json) -> str:
-    """What time gains, in numbers: the most exact rung, the fastest that is as exact as the slowest one, the fastest
-    with no more than twice the least error, and the fastest of all."""
+    """What time gains, in numbers of the figure: the fastest rung that is as exact as any, beside the slowest one,
+    and the fastest ones with up to a quarter more and twice its error, or up to ROUGHER where it has none."""
     points = points_of(result)
-    front, slowest = frontier_of(points, len(points)), max(points)
-    exact, fastest = front[-1], front[0]
+    front, slowest = frontier_of(points), max(points)
+    exact = front[-1]
+    enough = next(point for point in front if point.flip <= max(1.05 * exact.flip, SAME))
     parts = [f"FLIP is least, {exact.flip:.3f}, at {duration(exact.ms)}"]
-    equal = next(point for point in front if point.flip <= slowest.flip)
-    if equal.ms < 0.5 * slowest.ms:
-        parts.append(f"{duration(equal.ms)} are as exact as {duration(slowest.ms)} ({slowest.name})")
-    twice = next(point for point in front if point.flip <= 2 * exact.flip)
-    for point in dict.fromkeys((twice, fastest)):
-        if point.ms < exact.ms:
-            share = f"leave {point.flip / exact.flip:.1f} times the error" if exact.flip else f"leave {point.flip:.3f}"
-            parts.append(f"{duration(point.ms)} {share}")
+    if 2 * enough.ms < slowest.ms:
+        how = "as exact as" if slowest.flip <= max(1.05 * enough.flip, SAME) else "more exact than"
+        errors = f"FLIP {enough.flip:.3f} and {slowest.flip:.3f}"
+        parts = [f"{duration(enough.ms)} is {how} {duration(slowest.ms)} ({errors})"]
+    last = enough
+    for most in ROUGHER if exact.flip < SAME else (1.25 * exact.flip, 2 * exact.flip, np.inf):
+        point = next(point for point in front if point.flip <= most)
+        if point.ms < 0.8 * last.ms:
+            times = f"{point.flip / exact.flip:.1f} times the error" if exact.flip >= SAME else f"FLIP {point.flip:.3f}"
+            parts.append(f"{times} at {duration(point.ms)}")
+            last = point
     return "; ".join(parts) + "."
 
 
 def duration(ms: float) -> str:
     """Milliseconds, or seconds from one on, to two digits."""
     value, unit = (ms / 1e3, "s") if ms >= 1e3 else (ms, "ms")
-    return f"{value:.0f} {unit}" if value >= 9.95 else f"{value:.1f} {unit}"
+    return f"{value:.0f} {unit}" if value >= 9.95 else f"{value:.{1 if value >= 0.995 else 2}f} {unit}"
 
 
 def plot(result: Json, path: Path) -> None:

@@ -10,7 +10,7 @@ place. Head cameras of a capture stand in a frame of their own, so the head's vi
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Int
@@ -38,20 +38,22 @@ class FilmedPoses(NamedTuple):
 
     by_part: dict[str, list[Placement]]
     reason: str = ""
+    # of each video, in a quick look, surfaces of so many frames; None: of FRAMES
+    most: int | None = None
 
     def placements(self) -> list[Placement]:
         return [placement for part in self.by_part.values() for placement in part]
 
     def some(self) -> "FilmedPoses":
-        """FRAMES of each video: surfaces are slow to measure."""
-        few = {
-            part: [found[i] for i in np.unique(np.linspace(0, len(found), FRAMES[part], endpoint=False).astype(int))]
-            for part, found in self.by_part.items()
-        }
-        return FilmedPoses(few, self.reason)
+        """FRAMES of each video, or `most`: surfaces are slow to measure."""
+        few = {}
+        for part, found in self.by_part.items():
+            count = min(FRAMES[part], self.most or FRAMES[part])
+            few[part] = [found[i] for i in np.unique(np.linspace(0, len(found), count, endpoint=False).astype(int))]
+        return self._replace(by_part=few)
 
 
-def filmed_poses(run: Path | None, facts: Mapping[str, Any], scan: Path) -> FilmedPoses:
+def filmed_poses(run: Path | None, facts: Mapping[str, object], scan: Path, most: int | None = None) -> FilmedPoses:
     """Frames of the videos that `run` was trained on, whose run.json holds `facts`; `scan` is the folder of the raw
     videos where the capture was imported from such.
 
@@ -78,7 +80,7 @@ def filmed_poses(run: Path | None, facts: Mapping[str, Any], scan: Path) -> Film
         kept = kept_frames(run, part)
         video = with_refined(capture, run).videos[part]
         found[part] = _placements(filmed, video, rows if kept is None else rows[kept])
-    return FilmedPoses(found)
+    return FilmedPoses(found, most=most)
 
 
 def _placements(filmed: Path, video: PartVideo, rows: Int[np.ndarray, "frames"]) -> list[Placement]:

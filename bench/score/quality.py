@@ -159,7 +159,7 @@ def prepared(
         ours = fitted_views(template, held_out, drawer.surface, drawer.raster)
     own_run = drawer.path if drawer.field is not None else run
     run_facts = {} if own_run is None else read_json_object(own_run / "run.json", "the facts of a run")
-    videos = filmed_poses(own_run, run_facts, capture)
+    videos = filmed_poses(own_run, run_facts, capture, poses)
     return Evaluated(drawer, truth, held_out, ours, template, videos)
 
 
