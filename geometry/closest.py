@@ -83,11 +83,8 @@ def triangle_index(vertices: Float[Array, "vertices 3"], faces: Integer[Array, "
     radius = np.linalg.norm(corners - middles[:, None], axis=2).max(1)
     halvings = np.log2(radius.max() / np.maximum(radius, 1e-300), where=radius > 0, out=np.full(len(radius), np.inf))
     size = np.minimum(halvings, SIZES - 1).astype(np.int64)
-    groups = []
-    for number in np.argsort(-np.bincount(size), kind="stable"):
-        own = np.flatnonzero(size == number)
-        if len(own):
-            groups.append(SizeGroup(own, KDTree(middles[own]), float(radius[own].max())))
+    groups = [np.flatnonzero(size == number) for number in np.argsort(-np.bincount(size), kind="stable")]
+    groups = [SizeGroup(own, KDTree(middles[own]), float(radius[own].max())) for own in groups if len(own)]
     return TriangleIndex(corners, groups)
 
 
@@ -95,11 +92,10 @@ def closest_points(points: Float[Array, "n 3"], index: TriangleIndex) -> Closest
     """The exact closest point of a mesh to each point.
 
     The triangle with the nearest middle bounds the distance; of each group every triangle is tried whose middle lies
-    within that bound and the group's radius. Of triangles equally near the first one counts.
+    within that bound and the group's radius.
     """
     points = np.asarray(points, np.float64)
-    unknown = np.full(len(points), len(index.corners))
-    found = ClosestPoints(np.empty_like(points), np.full(len(points), np.inf), unknown)
+    found = ClosestPoints(np.empty_like(points), np.full(len(points), np.inf), np.zeros(len(points), np.int64))
     for start in range(0, len(points), POINTS_AT_ONCE):
         rows = np.arange(start, min(start + POINTS_AT_ONCE, len(points)))
         for group in index.groups:
@@ -126,13 +122,9 @@ def _keep_nearer(
     first = np.flatnonzero(np.r_[True, np.diff(rows) > 0])
     least = np.repeat(np.minimum.reduceat(distance, first), np.diff(np.r_[first, len(rows)]))
     hit = np.flatnonzero(distance == least)
-    hit = hit[np.lexsort((faces[hit], rows[hit]))]
     row, chosen = np.unique(rows[hit], return_index=True)
-    hit = hit[chosen]
-    nearer = (distance[hit] < found.distance[row]) | (
-        (distance[hit] == found.distance[row]) & (faces[hit] < found.face[row])
-    )
-    row, hit = row[nearer], hit[nearer]
+    nearer = distance[hit[chosen]] < found.distance[row]
+    row, hit = row[nearer], hit[chosen[nearer]]
     found.point[row], found.distance[row], found.face[row] = nearest[hit], distance[hit], faces[hit]
 
 

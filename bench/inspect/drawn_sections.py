@@ -47,9 +47,7 @@ def posed(inspector: Inspector) -> PageSection:
     """Poses that strain the skin."""
     pictures = [
         picture(f"pose_{name.replace(' ', '_')}", image, name, width=380)
-        for name, image in strained(
-            inspector.context, inspector.avatar, max(inspector.size * 3 // 4, 64)
-        ).items()
+        for name, image in strained(inspector.context, inspector.avatar, max(inspector.size * 3 // 4, 64)).items()
     ]
     return PageSection(
         "poses",
@@ -79,9 +77,7 @@ def levels(inspector: Inspector) -> PageSection:
     pictures, rows = [], [("level", "triangles", "texture", "PSNR against the finest, dB")]
     first = None
     for number, level in enumerate(inspector.avatar.levels):
-        front, _, head, _, hand, _ = standing(
-            inspector.context, inspector.avatar, inspector.views, "off", number
-        )
+        front, _, head, _, hand, _ = standing(inspector.context, inspector.avatar, inspector.views, "off", number)
         image = np.hstack([front, np.vstack([head, hand])])
         first = image if first is None else first
         error = float(np.square((image.astype(float) - first) / 255).mean())

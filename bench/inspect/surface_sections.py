@@ -119,17 +119,8 @@ def seams(inspector: Inspector) -> PageSection:
             median, p99 = (float(value) for value in np.quantile(steps, [0.5, 0.99]))
             drawn, most = mip < mip_levels(level.base_color.shape), float(steps.max())
             found.append({"level": number, "mip": mip, "drawn": drawn, "median": median, "p99": p99, "max": most})
-            rows.append(
-                (
-                    str(number),
-                    str(mip),
-                    "yes" if drawn else "no",
-                    f"{median:.2f}",
-                    f"{p99:.2f}",
-                    f"{most:.1f}",
-                    str(len(seam.edges)),
-                )
-            )
+            steps_text = f"{median:.2f}", f"{p99:.2f}", f"{most:.1f}"
+            rows.append((str(number), str(mip), "yes" if drawn else "no", *steps_text, str(len(seam.edges))))
     inspector.facts["seam_steps"] = found
     if found:
         median, p99 = (max(row[key] for row in found if row["drawn"]) for key in ("median", "p99"))
@@ -195,31 +186,16 @@ def triangles(inspector: Inspector) -> PageSection:
     """Sizes of triangles, and whether the mesh is closed."""
     millimetres = mesh_facts.edge_millimetres(inspector.level)
     part, area = mesh_facts.face_parts(inspector.level), mesh_facts.areas(inspector.level)
-    rows = [("level", "triangles", "vertices", "texture", "open edges", "edges of more than two", "pieces")]
+    head = ("level", "triangles", "vertices", "texture", "open edges", "edges of more than two", "pieces")
+    rows: list[tuple[str, ...]] = [head]
     found, good = [], True
     for number, level in enumerate(inspector.avatar.levels):
         closed = mesh_facts.closedness(mesh_facts.weld(level))
         good &= closed.open_edges == 0 and closed.crowded_edges == 0
         height, width = level.base_color.shape[:2]
-        found.append(
-            {
-                "faces": len(level.faces),
-                "vertices": len(level.positions),
-                "texture": [width, height],
-                **closed._asdict(),
-            }
-        )
-        rows.append(
-            (
-                str(number),
-                str(len(level.faces)),
-                str(len(level.positions)),
-                f"{width} x {height}",
-                str(closed.open_edges),
-                str(closed.crowded_edges),
-                str(closed.pieces),
-            )
-        )
+        faces, vertices = len(level.faces), len(level.positions)
+        found.append({"faces": faces, "vertices": vertices, "texture": [width, height], **closed._asdict()})
+        rows.append((str(number), str(faces), str(vertices), f"{width} x {height}", *map(str, closed)))
     inspector.facts["levels"] = found
     holes = ", ".join(f"{f['open_edges']} and {f['crowded_edges']}" for f in found)
     inspector.check("open edges, and edges of more than two triangles, level by level", holes, "0 and 0", good)

@@ -4,7 +4,6 @@ The field is drawn on the run's own surface, posed by the run's own weights: not
 the bake on both sides, so that wrong skin weights or a broken mesh in the file show as well.
 """
 
-
 import numpy as np
 from jaxtyping import Integer
 from scipy.spatial import KDTree

@@ -86,15 +86,10 @@ def flicker(
 
 
 def row_of(name: str, ms: Float[np.ndarray, "n"], size: int) -> Json:
-    median, tail = float(np.median(ms)), float(np.percentile(ms, 95))
+    """Name, time and memory of a rung, as bench.json holds them; `ms` are single frames, `size` is bytes."""
+    median, tail = round(float(np.median(ms)), 3), round(float(np.percentile(ms, 95)), 3)
     interval = [round(edge, 3) for edge in median_interval(ms)]
-    return {
-        "name": name,
-        "ms_median": round(median, 3),
-        "ms_interval": interval,
-        "ms_p95": round(tail, 3),
-        "bytes": int(size),
-    }
+    return {"name": name, "ms_median": median, "ms_interval": interval, "ms_p95": tail, "bytes": int(size)}
 
 
 def median_interval(values: Float[np.ndarray, "n"]) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 import flip_evaluator
 import numpy as np
-from flip_evaluator import nbflip
+from flip_evaluator import nbflip  # pyright: ignore[reportAttributeAccessIssue]
 from jaxtyping import Bool, Float
 from skimage.metrics import structural_similarity
 

@@ -77,12 +77,7 @@ class Distances:
     hair_to_surface: list[np.ndarray] = field(default_factory=list)
 
     def merged(self, other: "Distances") -> "Distances":
-        return Distances(
-            self.to_truth + other.to_truth,
-            self.to_surface + other.to_surface,
-            self.hair_to_truth + other.hair_to_truth,
-            self.hair_to_surface + other.hair_to_surface,
-        )
+        return Distances(**{name: own + getattr(other, name) for name, own in vars(self).items()})
 
     def scores(self, hair: bool | None = None) -> SurfaceDistance:
         """All surface, or only what is hair (True) or is not (False)."""
@@ -107,12 +102,9 @@ class PosedPair(NamedTuple):
 def posed_pair(
     case: GeometryCase, truth_posed: Float[np.ndarray, "vertices 3"], posed: Float[np.ndarray, "w 3"]
 ) -> PosedPair:
-    return PosedPair(
-        truth_posed,
-        posed,
-        triangle_index(truth_posed, case.truth_faces),
-        triangle_index(posed, case.faces),
-    )
+    """Both surfaces posed, metres, each with the search structure of what can be seen of it."""
+    indices = triangle_index(truth_posed, case.truth_faces), triangle_index(posed, case.faces)
+    return PosedPair(truth_posed, posed, *indices)
 
 
 def measure_pose(
@@ -138,10 +130,7 @@ def measure_pose(
         there, back = there @ R.T + t, (back - t) @ R
     to_truth = closest_points(there, pair.truth_index)
     to_surface = closest_points(back, pair.index)
-    ends = (
-        np.cumsum([len(samples.face) for samples in ours])[:-1],
-        np.cumsum([len(s.face) for s in true])[:-1],
-    )
+    ends = [np.cumsum([len(samples.face) for samples in these])[:-1] for these in (ours, true)]
     distance, face = np.split(to_truth.distance, ends[0]), np.split(to_truth.face, ends[0])
     returning = np.split(to_surface.distance, ends[1])
     for i, region in enumerate(regions):

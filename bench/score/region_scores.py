@@ -1,15 +1,12 @@
 """Scores of head, hands and the whole person as JSON, from pictures and surface distances; hands pool both."""
 
-
 from bench.report.writer import Json
 from bench.score.metrics import METRICS, PICTURE_METRICS, ImageScores
 from bench.score.posed_geometry import Distances
 from bench.score.surface_distance import SurfaceDistance
 
 
-def regions_of(
-    distances: dict[str, Distances], images: dict[str, ImageScores] | None = None
-) -> dict[str, Json]:
+def regions_of(distances: dict[str, Distances], images: dict[str, ImageScores] | None = None) -> dict[str, Json]:
     """{"head": M, "left_hand": M, "right_hand": M, "hands": M, "total": M}; hands pool left and right.
 
     "eyes" stands beside the head where pictures of them were scored, "skin_beside_hair" last where there is hair.
