@@ -5,27 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Integer
-from scipy.ndimage import (
-    binary_dilation,
-    distance_transform_edt,
-    find_objects,
-    generate_binary_structure,
-    label,
-)
+from scipy.ndimage import binary_dilation, distance_transform_edt, find_objects, generate_binary_structure, label
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from command.errors import AssetError
-from geometry.mesh import (
-    TriangleMesh,
-    concatenated,
-    enclosed_volume,
-    face_areas,
-    largest_component,
-    separate_pieces,
-)
+from geometry.mesh import TriangleMesh, concatenated, enclosed_volume, face_areas, largest_component, separate_pieces
 
 PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 
@@ -297,13 +284,7 @@ def extract(
     Raises:
         AssetError: the field is not finite, never changes sign, or leaves the hints' box.
     """
-    spans: list[list[tuple[float, float]]] = [[], [], []]
-    if fine.any():
-        labels = _clusters(hints[fine])
-        for label in range(labels.max() + 1):
-            own = hints[fine][labels == label]
-            for axis in range(3):
-                spans[axis].append((own[:, axis].min() - 0.01, own[:, axis].max() + 0.01))
+    spans = _fine_spans(hints[fine])
     low, high = hints.min(0) - margin, hints.max(0) + margin
     axes = tuple(
         graded_axis(
@@ -348,6 +329,18 @@ def extract(
     exceeded = float(np.quantile(residual, 0.999))
     return Extraction(mesh, normal(projected), queries, islands, island_area, exceeded, slits,
                       np.zeros(len(projected), np.int64))  # fmt: skip
+
+
+def _fine_spans(points: Float[np.ndarray, "n 3"]) -> list[list[tuple[float, float]]]:
+    """Along each axis the low and high end of every group of points, a centimetre wider on both sides."""
+    spans: list[list[tuple[float, float]]] = [[], [], []]
+    if len(points):
+        labels = _clusters(points)
+        for label in range(labels.max() + 1):
+            own = points[labels == label]
+            for axis in range(3):
+                spans[axis].append((own[:, axis].min() - 0.01, own[:, axis].max() + 0.01))
+    return spans
 
 
 def _clusters(points: Float[np.ndarray, "n 3"], cell: float = 0.03) -> Integer[np.ndarray, "n"]:

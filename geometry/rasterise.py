@@ -22,6 +22,16 @@ class FaceBuffer(NamedTuple):
     depth: Float[Array, "height width"]
 
 
+class _Projected(NamedTuple):
+    """Triangles on the picture."""
+
+    corner: Float[Array, "faces 3 2"]  # pixels
+    closeness: Float[Array, "faces 3"]  # 1 / depth
+    area: Float[Array, "faces"]  # twice the signed one, square pixels
+    low: Int[Array, "faces 2"]  # first column and row of the pixels tried
+    size: Int[Array, "faces 2"]  # columns and rows
+
+
 def rasterise(
     vertices: Float[Array, "vertices 3"], faces: Int[Array, "faces 3"], camera: Camera, *, near: float = 1e-3
 ) -> FaceBuffer:
@@ -41,21 +51,23 @@ def rasterise(
     area = _cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     drawn = np.flatnonzero((z > near).all(1) & (size > 0).all(1) & (np.abs(area) > 1e-12))
     count = size[drawn].prod(1)
+    triangles = _Projected(corner, 1 / np.maximum(z, near), area, low, size)
     face = np.full(height * width, -1)
     closeness = np.zeros(height * width)  # 1 / depth
     # a new group wherever the running count of candidates passes another multiple
     group = np.cumsum(count) // CANDIDATES
     for chosen in np.split(drawn, np.flatnonzero(np.diff(group)) + 1):
-        _draw(face, closeness, chosen, corner, 1 / np.maximum(z, near), area, low, size, width)
+        _draw(face, closeness, triangles, chosen, width)
     with np.errstate(divide="ignore"):
         return FaceBuffer(face.reshape(height, width), (1 / closeness).reshape(height, width))
 
 
 def _draw(
-    face: Array, closeness: Array, chosen: Array, corner: Array, inverse: Array, area: Array, low: Array,
-    size: Array, width: int,
+    face: Int[Array, "pixels"], closeness: Float[Array, "pixels"], triangles: _Projected,
+    chosen: Int[Array, "chosen"], width: int,
 ) -> None:  # fmt: skip
     """Draw the chosen faces over what is there, in place."""
+    corner, inverse, area, low, size = triangles
     count = size[chosen].prod(1)
     of = np.repeat(chosen, count)
     place = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)

@@ -71,6 +71,7 @@ class Outlines:
         sigma = SIGMA * self.scale
 
         def add(equations: NormalEquations, estimate: Estimate, footage: Footage, frames: list[Posed]) -> float:
+            """Adds the pairs' weighted rows to the equations; returns their robust cost."""
             layout, camera, cost = shared_layout(estimate, footage), estimate.camera(footage), 0.0
             for f, (frame, pair) in enumerate(zip(frames, pairs)):
                 points = estimate.skin(pair.vertices)

@@ -107,6 +107,7 @@ class _Fit:
             work.mkdir(parents=True, exist_ok=True)
 
     def step(self, part: str, person: Person, g: Array, footage: Footage, fit: Callable[..., Estimate]) -> Estimate:
+        """The part's estimate: `fit` from coefficients `g`, or what was stored of the same inputs."""
         inputs = fingerprint(footage, self.before, person.body.name, person.stature)
         path = None if self.work is None else self.work / f"{part}.npz"
         estimate = None if path is None else read_estimate(path, person, inputs)

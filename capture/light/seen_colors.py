@@ -20,7 +20,7 @@ from geometry.harmonic import anchored, fill_harmonic
 
 Array = np.ndarray
 
-# of each video; twenty for each triangle that it may show
+# a video gives at most so many; twenty for each triangle that it may show
 PIXELS = 300_000
 
 

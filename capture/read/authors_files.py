@@ -42,9 +42,8 @@ def field(path: Path, fields: dict[str, Any], name: str, shape: tuple[int, ...])
         array = np.asarray(fields[name], np.float64)
     except (TypeError, ValueError):
         raise AssetError(f"{path}: {name} should be numbers {shape}, is {str(fields[name])[:60]}") from None
-    if array.size != int(np.prod(shape)) or tuple(n for n in array.shape if n != 1) != tuple(
-        n for n in shape if n != 1
-    ):
+    long_axes, expected = ([n for n in sizes if n != 1] for sizes in (array.shape, shape))
+    if long_axes != expected:
         raise AssetError(f"{path}: {name} should be {shape}, is {array.shape}")
     if not np.isfinite(array).all():
         raise AssetError(f"{path}: {name} is not finite")

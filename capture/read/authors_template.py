@@ -31,6 +31,7 @@ class AuthorsSkeleton:
 
 
 def read_skeleton(folder: Path) -> AuthorsSkeleton:
+    """The big pose and its joints, metres, the pelvis at the origin; AssetError where the tree is not SMPL+H's."""
     joints = numbers(folder / "joints.npy", "joints", (52, 3))
     vertices = numbers(folder / "bigpose_vertices.npy", "vertices in the big pose", (None, 3))
     parents = numbers(folder / "parents.npy", "parents", (52,)).astype(np.int64)

@@ -9,6 +9,7 @@ The template is the body model in the mean shape of the body video's fits. A han
 there the wrist stays where the fit has it.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +18,13 @@ from jaxtyping import Float
 
 from avatar.body import Body, shaped
 from avatar.camera import Camera
-from avatar.motion.easymocap import RESULT_FOLDERS, frame_numbers, read_fit
+from avatar.motion.easymocap import RESULT_FOLDERS, EasyMocapFit, frame_numbers, read_fit
 from avatar.motion.pose_vector import TURNS, up_axis
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, matrix_from_quaternion
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.read.colmap import read_colmap
-from capture.read.folder import (
-    PICTURES,
-    SourceVideo,
-    anchored,
-    chosen_frames,
-    pictures_in,
-    write_capture,
-)
+from capture.read.folder import PICTURES, SourceVideo, anchored, chosen_frames, pictures_in, write_capture
 from capture.read.landmarks import LEAST, read_pixels, triangulated
 from capture.read.opencv_yaml import read_easymocap_camera
 from capture.read.places import SPOTS, landmark_vertices
@@ -90,28 +84,36 @@ def import_easymocap(
         source / "head", head, masks / "head", most, chosen.get("head"), landmarks, notes
     )
     for part in fits:
-        fit, images = fits[part], tuple(image for image, _ in files[part])
-        camera = _world_camera(source / part, images[0])
-        video_notes: list[str] = []
-        turn = matrix_from_quaternion(np.array(TURNS[up_axis(fit.Rh, video_notes)]))
-        notes += [f"{part}: {note}" for note in video_notes]
-        own = np.stack([body.joints + body.joint_directions[..., : len(s)] @ s for s in fit.shapes])
-        R = matrix_from_axis_angle(fit.Rh)
-        pelvis = fit.Th + (R @ (own[:, 0] + body.origin)[..., None])[..., 0]
-        axis_angle = fit.axis_angle.copy()
-        axis_angle[:, 0] = axis_angle_from_matrix(turn @ matrix_from_axis_angle(axis_angle[:, 0]))
-        root = anchored(axis_angle, pelvis @ turn.T, own - own[:, :1], template.joints, part)
-        pose = camera.camera_from_world.copy()
-        pose[:3, :3] = pose[:3, :3] @ turn.T
-        turned = Camera(camera.K, pose, camera.size, camera.distortion)
-        masked = tuple(_mask_of(masks / part, image) for image in images)
-        place = f"{source / part / 'extri.yml'}: T and Th of {files[part][0][1].parent}"
-        videos[part] = SourceVideo(images, masked, False, (turned,) * len(images), axis_angle, root, place)
+        videos[part] = _fitted_video(source / part, masks / part, files[part], fits[part], body, template, notes)
     content = _landmarks(landmarks, template, points, own_vertices, error, notes)
     facts = {"subject": source.resolve().name, "source": "easymocap", "light": "as filmed", "body": body.name,
              "body_licence": template.licence, "betas": [round(float(v), 6) for v in mean], "notes": notes}  # fmt: skip
     write_capture(out, template, videos, content, facts)
     return notes
+
+
+def _fitted_video(
+    folder: Path, masks: Path, files: Sequence[tuple[Path, Path]], fit: EasyMocapFit, body: Body,
+    template: TemplateMesh, notes: list[str],
+) -> SourceVideo:  # fmt: skip
+    """A video of body or hand: its poses about the template's joints, the world turned so that +y is up."""
+    images = tuple(image for image, _ in files)
+    camera = _world_camera(folder, images[0])
+    video_notes: list[str] = []
+    turn = matrix_from_quaternion(np.array(TURNS[up_axis(fit.Rh, video_notes)]))
+    notes += [f"{folder.name}: {note}" for note in video_notes]
+    own = np.stack([body.joints + body.joint_directions[..., : len(s)] @ s for s in fit.shapes])
+    R = matrix_from_axis_angle(fit.Rh)
+    pelvis = fit.Th + (R @ (own[:, 0] + body.origin)[..., None])[..., 0]
+    axis_angle = fit.axis_angle.copy()
+    axis_angle[:, 0] = axis_angle_from_matrix(turn @ matrix_from_axis_angle(axis_angle[:, 0]))
+    root = anchored(axis_angle, pelvis @ turn.T, own - own[:, :1], template.joints, folder.name)
+    pose = camera.camera_from_world.copy()
+    pose[:3, :3] = pose[:3, :3] @ turn.T
+    turned = Camera(camera.K, pose, camera.size, camera.distortion)
+    masked = tuple(_mask_of(masks, image) for image in images)
+    place = f"{folder / 'extri.yml'}: T and Th of {files[0][1].parent}"
+    return SourceVideo(images, masked, False, (turned,) * len(images), axis_angle, root, place)
 
 
 def _frame_files(

@@ -51,11 +51,8 @@ def _seen(path: Path, name: str, frames: Any) -> dict[str, Array]:
         raise AssetError(f"{path}: pixels.{name} should be {{picture: [x, y]}}, is {str(frames)[:40]}")
     found = {}
     for picture, pixel in frames.items():
-        if (
-            not isinstance(pixel, list)
-            or len(pixel) != 2
-            or not all(type(v) in (int, float) and abs(v) < 1e6 for v in pixel)
-        ):
+        pair = isinstance(pixel, list) and len(pixel) == 2
+        if not (pair and all(type(v) in (int, float) and abs(v) < 1e6 for v in pixel)):
             raise AssetError(f"{path}: pixels.{name}.{picture} should be [x, y], is {str(pixel)[:40]}")
         found[picture] = np.array(pixel, np.float64)
     return found

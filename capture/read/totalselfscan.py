@@ -32,13 +32,7 @@ from avatar.skeleton import PARTS, skin_transforms
 from avatar.skinning import skin_points
 from capture.read.authors_files import field, numbers, record
 from capture.read.authors_template import AuthorsSkeleton, authors_template, read_skeleton
-from capture.read.folder import (
-    SourceVideo,
-    anchored,
-    chosen_frames,
-    pictures_in,
-    write_capture,
-)
+from capture.read.folder import SourceVideo, anchored, chosen_frames, pictures_in, write_capture
 from capture.read.places import landmark_vertices
 from capture.read.template import TemplateMesh
 from command.errors import AssetError

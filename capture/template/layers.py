@@ -93,6 +93,7 @@ class HairLayers:
         divided = self.distance(layer, whole)
 
         def normals(points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+            """Unit normals at canonical points."""
             out = np.array(normal(points), np.float64)
             apart = np.abs(divided(points) - whole(points)) > 1e-6
             cut = np.flatnonzero(apart)

@@ -48,6 +48,7 @@ def template_behind_cloth(distance: PointFunction, subject: CaptureSubject) -> P
     behind, seen = (surface_cloud(subject, body, near & one, SPACING, SPACING).tree for one in (hidden, ~hidden))
 
     def replaced(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        """Signed distance at canonical points, metres; behind cloth it fades into the template's."""
         value = distance(points)
         inside = np.flatnonzero(((points > low) & (points < high)).all(1))
         further = seen.query(points[inside])[0] - behind.query(points[inside])[0]
@@ -124,6 +125,7 @@ def solid_inside(distance: PointFunction, subject: CaptureSubject) -> PointFunct
     distance = template_behind_cloth(distance, subject)
 
     def solid(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        """Signed distance at canonical points, metres; deep inside, minus the way to the outer surface."""
         value = distance(points)
         # only what is positive, or nearly, can be wrong; an island deeper in is dropped as one
         doubtful = np.flatnonzero((value > -0.005) & (value < 0.06))

@@ -143,6 +143,7 @@ class _Lighting:
         self.known: dict[int, VertexLight] = {}
 
     def at(self, i: int) -> VertexLight | None:
+        """The room's light in frame i, linear between steps of LIGHT_STEP; None where the light is no room's."""
         if not isinstance(self.light, Room):
             return None
         first = i // self.step
