@@ -76,15 +76,10 @@ def unwrap(
         if done.returncode:
             last = (done.stderr.strip().splitlines() or ["no message"])[-1]
             raise AssetError(f"atlas: the unwrapper failed with status {done.returncode}: {last}")
-        data = read_npz(found, "unwrapped triangles", ("source", "uv", "faces", "part", "charts", "utilisation"))
-    result = Unwrapped(
-        data["source"],
-        data["uv"].astype(np.float64),
-        data["faces"],
-        data["part"],
-        int(data["charts"]),
-        float(data["utilisation"]),
-    )
+        data = read_npz(found, "unwrapped triangles", Unwrapped._fields)
+    charts, utilisation = int(data["charts"]), float(data["utilisation"])
+    uv = data["uv"].astype(np.float64)
+    result = Unwrapped(data["source"], uv, data["faces"], data["face_part"], charts, utilisation)
     if len(result.faces) != len(faces):
         raise AssetError(f"atlas: {len(faces)} triangles went in and {len(result.faces)} came out")
     return result
@@ -175,12 +170,4 @@ if __name__ == "__main__":
     packed = pack(
         mesh["vertices"], mesh["faces"], mesh["part"], mesh["density"], int(mesh["size"]), int(mesh["padding"])
     )
-    np.savez(
-        sys.argv[2],
-        source=packed.source,
-        uv=packed.uv,
-        faces=packed.faces,
-        part=packed.face_part,
-        charts=packed.charts,
-        utilisation=packed.utilisation,
-    )
+    np.savez(sys.argv[2], **packed._asdict())

@@ -14,7 +14,7 @@ from avatar.gltf.avatar_file import Avatar, write_avatar
 from avatar.light import CaptureLight
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, PARTS
-from avatar.skinning import SkinWeights, dense_weights, strongest_four
+from avatar.skinning import dense_weights, strongest_four
 from bake import measure
 from bake.cone import view_cone
 from bake.field import NumpyField, numpy_field
@@ -23,11 +23,10 @@ from bake.level import (
     BakedLevel,
     PlacesOnFinest,
     SourceSurface,
-    TransferredData,
     bake_level,
     enlargements,
     field_picture,
-    level_line,
+    field_texels,
     places_on_finest,
     rounded,
     surface_points,
@@ -45,7 +44,7 @@ from bake.texture.pixel_reads import view_change
 from bake.texture.video_texture import with_video_textures
 from bake.truth import Mode, TrueViews, measured_default, read_true_views
 from bake.twist import with_twist
-from capture.check.unseen import UnseenPlace, unseen_places
+from capture.check.unseen import unseen_places
 from capture.folder import CaptureSubject
 from command.errors import AssetError
 from geometry.isosurface import Extraction
@@ -100,10 +99,6 @@ def bake_run(
     joints = np.asarray(run.subject.joints, np.float64)
     origin = run_surface(run.surface, len(joints))
     layers, extraction = extracted(run, origin, field, options, clock)
-    fine = layered_data(origin, extraction.mesh, extraction.normals, extraction.layer)
-    seen = float((origin.cone.seen > 0.5).mean())
-    clock(f"statistics: {seen * 100:.0f} % of the surface seen, skin and cone carried over")
-
     baked = bake_levels(extraction, layers, origin, field, joints, options, clock)
     levels, distilled = [loosened(level, run.subject) for level in baked.levels], baked.distilled
     facts: Facts = {
@@ -117,7 +112,8 @@ def bake_run(
             "islands_dropped": extraction.islands,
             "island_area_share": rounded(extraction.island_area),
         },
-        "seen_share": rounded(seen),
+        "seen_share": rounded(float((origin.cone.seen > 0.5).mean())),
+        "texture_from": options.texture_from,
         "distilled_db": {k: rounded(v) for k, v in distilled.decibels.items()},
         "missed": [],
     }
@@ -134,21 +130,21 @@ def bake_run(
         light=avatar_light(run.world_light, run.provenance),
     )
     # with the field's own textures, whatever the file will hold
-    facts["against_field"] = compared_with_field(avatar, extraction, fine, field, options, clock)
-    facts["texture_from"] = options.texture_from
+    facts["against_field"] = compared_with_field(avatar, field_surface(run, origin, field), options, clock)
     if videos is not None:
-        change = None if distilled.default_view == "off" else view_change(field, levels[0].charted)
+        change = view_change(field, levels[0].charted, distilled)
         levels, facts["videos"] = with_video_textures(levels, baked.places, joints, videos, clock.report, change)
         avatar = replace(avatar, levels=tuple(level.level for level in levels))
-        facts["unseen"] = [place.line() for place in unseen_on_surface(run.surface)]
+        unseen = unseen_places(origin.vertices, origin.faces, run.surface.skin, run.surface.view_count)
+        facts["unseen"] = [place.line() for place in unseen]
         for line in facts["unseen"]:
             clock.report(f"  {line}")
     facts["levels"] = [level.facts for level in levels]
-    clock(f"textures from the {facts['texture_from']}: chart edges step {edge_steps(levels)}")
+    steps = " / ".join(f"{level.facts['seam_step']['seen_p99']:.1f}" for level in levels)
+    clock(f"textures from the {facts['texture_from']}: chart edges step p99 {steps} of 255 beyond the picture's own")
     view, facts["default_view"] = chosen_view(avatar, distilled, true)
     clock(f"default view: {view} ({facts['default_view']['reason']})")
-    avatar = replace(avatar, default_view=view)
-    return written(avatar, out, facts, options, clock)
+    return written(replace(avatar, default_view=view), out, facts, options, clock)
 
 
 def extracted(
@@ -200,21 +196,6 @@ def loosened(baked: BakedLevel, subject: CaptureSubject) -> BakedLevel:
     level = baked.level
     found = looseness(level.positions.astype(np.float64), level.faces.astype(np.int64), level.skin, subject)
     return baked._replace(level=replace(level, loose=found))
-
-
-def unseen_on_surface(surface: Surface) -> tuple[UnseenPlace, ...]:
-    """Sides of limbs of a run's surface that hardly any frame shows, with what to film."""
-    skin = SkinWeights(np.asarray(surface.skin.joints), np.asarray(surface.skin.weights))
-    vertices, faces = np.asarray(surface.vertices, np.float64), np.asarray(surface.faces, np.int64)
-    if enclosed_volume(TriangleMesh(vertices, faces)) < 0:
-        faces = faces[:, ::-1]
-    return unseen_places(vertices, faces, skin, np.asarray(surface.view_count, np.float64))
-
-
-def edge_steps(levels: list[BakedLevel]) -> str:
-    """How far the steps across chart edges of each level exceed its picture's own."""
-    steps = " / ".join(f"{level.facts['seam_step']['seen_p99']:.1f}" for level in levels)
-    return f"p99 {steps} of 255 beyond the picture's own"
 
 
 def avatar_light(light: CaptureLight | None, provenance: Facts) -> CaptureLight | None:
@@ -307,13 +288,22 @@ def bake_levels(
     """
     parts = enlargements(joints, options, field.details)
     levels: list[BakedLevel] = []
+    mesh, layer = extraction.mesh, extraction.layer
     for count, size in level_plan(options):
-        surface = collapsed(extraction, layers, count, parts, clock.report)
+        # each out of the one before
+        surface = collapsed(mesh, layer, layers, count, parts, clock.report)
+        mesh, layer = surface.mesh, surface.layer
         data = layered_data(origin, surface.mesh, surface.normals, surface.layer)
         levels.append(bake_level(surface, data, field, size, options))
-        clock(level_line(len(levels) - 1, levels[-1].facts))
-    finest, picture, texels = levels[0], *field_picture(levels[0], field, options.texel_samples)
-    clock(f"colors of the field at {len(texels.index) / 1e6:.1f} M texels")
+        facts = levels[-1].facts
+        clock(
+            f"level {len(levels) - 1}: {facts['faces']} triangles, {facts['charts']} charts in {size} px, "
+            f"{facts['field_to_mesh_mm']['mean']:.3f} mm from the field"
+        )
+    finest, by_field = levels[0], options.texture_from == "field"
+    placed = field_texels(field, finest.charted, options.texture)
+    picture = field_picture(field, finest.charted, placed, options.texel_samples if by_field else 1)
+    clock(f"colors of the field at {len(placed.texels.index) / 1e6:.1f} M texels")
     distilled = distil(
         field.color,
         surface_points(field, finest.level, origin, options),
@@ -323,8 +313,9 @@ def bake_levels(
         report=clock.report,
     )
     clock(f"view dependence: the richest mode worth its place is {distilled.default_view}")
-    colored = with_picture if options.texture_from == "field" else with_prior
-    levels[0] = colored(with_features(finest, picture, distilled, field), picture, texels)
+    # the field's picture is where the videos' solution begins: its chart edges are in their equations
+    colored = with_picture if by_field else with_prior
+    levels[0] = colored(with_features(finest, picture, distilled, field), picture, placed.texels)
     places = [places_on_finest(baked, finest) for baked in levels[1:]]
     for number, place in enumerate(places, 1):
         baked = colored(levels[number], place.read(picture), place.texels)
@@ -333,26 +324,22 @@ def bake_levels(
     return BakedLevels(levels, places, distilled)
 
 
-def compared_with_field(
-    avatar: Avatar,
-    extraction: Extraction,
-    fine: TransferredData,
-    field: NumpyField,
-    options: BakeOptions,
-    clock: "_Clock",
-) -> Facts:
-    """What baking lost, in decibels, as the file's provenance says it."""
-    joints = avatar.joint_positions
-    drawn = measure.FieldSurface(
-        extraction.mesh,
-        extraction.normals,
-        strongest_four(fine.weights),
-        fine.cone,
-        joints,
+def field_surface(run: BakeSource, origin: SourceSurface, field: NumpyField) -> measure.FieldSurface:
+    """The run's field on the run's own mesh, `origin`."""
+    return measure.FieldSurface(
+        TriangleMesh(origin.vertices, origin.faces),
+        np.asarray(run.surface.normals, np.float64),
+        strongest_four(origin.weights),
+        origin.cone,
+        np.asarray(run.subject.joints, np.float64),
         field.distance,
         field.color,
     )
-    score = measure.compare(avatar, drawn, measure.test_views(joints, options.image))
+
+
+def compared_with_field(avatar: Avatar, drawn: measure.FieldSurface, options: BakeOptions, clock: "_Clock") -> Facts:
+    """What baking lost, in decibels, as the file's provenance says it."""
+    score = measure.compare(avatar, drawn, measure.test_views(drawn.joints, options.image))
     worst = min(score.per_view, key=lambda name: score.per_view[name])
     clock(
         f"baked paper mode against the field: {score.paper_db:.1f} dB over {len(score.per_view)} pictures of "

@@ -1,6 +1,8 @@
 """The field that is baked: asked with NumPy arrays, in pieces."""
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -25,14 +27,17 @@ class NumpyField(NamedTuple):
     details: tuple[Detail, ...] = ()
 
 
-def numpy_field(field: CanonicalField, *, piece: int = 1 << 16) -> NumpyField:
+def numpy_field(field: CanonicalField, *, piece: int = 1 << 15) -> NumpyField:
     """The field behind functions that take and give float64, `piece` points at a time."""
 
     def ask(function: Callable[..., torch.Tensor], *arrays: np.ndarray) -> np.ndarray:
-        pieces = []
-        for start in range(0, len(arrays[0]), piece):
+        def answer(start: int) -> np.ndarray:
             tensors = [torch.from_numpy(np.ascontiguousarray(a[start : start + piece], np.float32)) for a in arrays]
-            pieces.append(function(*tensors).detach().cpu().numpy().astype(np.float64))
+            return function(*tensors).detach().cpu().numpy().astype(np.float64)
+
+        # a piece for each core: within one, most of the time is spent between torch's own parallel loops
+        with ThreadPoolExecutor(os.cpu_count()) as cores:
+            pieces = list(cores.map(answer, range(0, len(arrays[0]), piece)))
         return np.concatenate(pieces) if pieces else np.zeros((0, 3))
 
     seen, lit = field.seen_light, field.light_normal

@@ -73,15 +73,16 @@ def extract_layers(
 
 
 def collapsed(
-    extraction: Extraction, layers: list[Layer], count: int, parts: Sequence[Enlargement | Magnifier],
-    report: Callable[[str], None],
+    mesh: TriangleMesh, layer: Integer[np.ndarray, "vertices"], layers: list[Layer], count: int,
+    parts: Sequence[Enlargement | Magnifier], report: Callable[[str], None],
 ) -> LayeredMesh:  # fmt: skip
-    """Each connected piece collapsed to its share of `count` triangles and balanced on its own layer's surface."""
-    pieces = pieces_of(extraction)
-    areas = np.array([face_areas(enlarged(mesh.vertices, parts), mesh.faces).sum() for mesh, _ in pieces])
+    """Each connected piece of a mesh collapsed to its share of `count` triangles and balanced on its own layer's
+    surface."""
+    pieces = pieces_of(mesh, layer)
+    areas = np.array([face_areas(enlarged(piece.vertices, parts), piece.faces).sum() for piece, _ in pieces])
     meshes, normals, labels = [], [], []
-    for (mesh, k), share in zip(pieces, areas / areas.sum(), strict=True):
-        own = decimate(mesh, max(int(round(count * share)), 4), parts, report=report)
+    for (piece, k), share in zip(pieces, areas / areas.sum(), strict=True):
+        own = decimate(piece, max(int(round(count * share)), 4), parts, report=report)
         own = balanced(own, layers[k].distance, layers[k].normal)
         meshes.append(own)
         normals.append(layers[k].normal(own.vertices))
@@ -90,16 +91,15 @@ def collapsed(
     return LayeredMesh(concatenated(meshes), np.concatenate(normals), np.concatenate(labels), nearest)
 
 
-def pieces_of(extraction: Extraction) -> list[tuple[TriangleMesh, int]]:
-    """The connected pieces of an extraction, each with its layer."""
-    mesh = extraction.mesh
-    if not extraction.layer.any():
+def pieces_of(mesh: TriangleMesh, layer: Integer[np.ndarray, "vertices"]) -> list[tuple[TriangleMesh, int]]:
+    """The connected pieces of a mesh, each with its layer."""
+    if not layer.any():
         return [(mesh, BODY)]
     piece = component_labels(mesh.faces, len(mesh.vertices))
     out = []
     for label in np.unique(piece[mesh.faces[:, 0]]):
         faces = mesh.faces[piece[mesh.faces[:, 0]] == label]
-        out.append((compact(mesh.vertices, faces)[0], int(extraction.layer[faces[0, 0]])))
+        out.append((compact(mesh.vertices, faces)[0], int(layer[faces[0, 0]])))
     return out
 
 

@@ -27,6 +27,9 @@ from geometry.mesh import TriangleMesh, face_areas
 from geometry.repair import find_faults
 from geometry.sample import stratified_samples
 
+# texels whose points are in memory at once
+PIECE = 1 << 18
+
 
 class Charted(NamedTuple):
     """What the texels of a level show: its surface by atlas vertex, float64."""
@@ -157,12 +160,52 @@ def level_of_file(level: Level) -> BakedLevel:
     return BakedLevel(level, charted, chart_edges(uv, faces, source.reshape(-1)), {})
 
 
+class FieldTexels(NamedTuple):
+    """Texels of a level's atlas, of any size, on the field's zero set."""
+
+    texels: TexelMap
+    lift: Float[np.ndarray, "texels"]  # metres along the normal from the triangles to the zero set
+
+    def points(
+        self, charted: Charted, rows: Integer[np.ndarray, "rows"], jitter: Float[np.ndarray, "2"]
+    ) -> tuple[Float[np.ndarray, "rows 3"], Float[np.ndarray, "rows 3"], ViewCone]:
+        """Points on the zero set under some texels, moved by `jitter` texels, with unit normals and cones."""
+        points, facing, local = surface_at(charted, self.texels.rows(rows), jitter)
+        return points + self.lift[rows, None] * facing, facing, local
+
+
+def field_texels(field: NumpyField, charted: Charted, size: int) -> FieldTexels:
+    """The texels of an atlas of `size` texels a side. The lift is asked once for every 2 x 2 texels of a triangle's
+    inside, which is many texels wide, and everywhere on the skirts, where the triangle's plane runs off it."""
+    texels = rasterise_charts(charted.uv, charted.faces, size)
+    row, column = texels.index // texels.size, texels.index % texels.size
+    block = np.where(texels.inside, row // 2 * texels.size + column // 2, texels.size**2 + texels.index)
+    order = np.argsort(block, kind="stable")
+    first = np.r_[True, np.diff(block[order]) > 0]
+    asked = order[first]
+    found = np.empty(len(asked))
+    for start in range(0, len(asked), PIECE):
+        points, facing, _ = surface_at(charted, texels.rows(asked[start : start + PIECE]), np.zeros(2))
+        found[start : start + PIECE] = lifted(field, points, facing)[1]
+    lift = np.empty(len(texels.index))
+    lift[order] = found[np.cumsum(first) - 1]
+    return FieldTexels(texels, lift)
+
+
 def field_picture(
-    baked: BakedLevel, field: NumpyField, samples: int
-) -> tuple[Float[np.ndarray, "size size 3"], TexelMap]:
-    """The atlas of a level as the field colors it, its chart edges not closed yet, and its texels."""
-    texels = rasterise_charts(baked.charted.uv, baked.charted.faces, len(baked.level.base_color))
-    return spread(texel_colors(field, baked.charted, texels, samples), texels), texels
+    field: NumpyField, charted: Charted, placed: FieldTexels, samples: int
+) -> Float[np.ndarray, "size size 3"]:
+    """The atlas as the field colors it, its chart edges not closed yet: its zero set at the global view direction
+    (Eq. 14), [0, 1] sRGB."""
+
+    def color_at(rows: np.ndarray, jitter: np.ndarray) -> np.ndarray:
+        result = np.empty((len(rows), 3))
+        for start in range(0, len(rows), PIECE):
+            points, _, local = placed.points(charted, rows[start : start + PIECE], jitter)
+            result[start : start + PIECE] = field.color(points, local.direction)
+        return result
+
+    return spread(sample_texels(color_at, placed.texels, samples=samples), placed.texels)
 
 
 def with_picture(baked: BakedLevel, picture: Float[np.ndarray, "size size 3"], texels: TexelMap) -> BakedLevel:
@@ -222,22 +265,6 @@ def surface_at(
     return points, facing, interpolated(charted.cone, corners, near)
 
 
-def texel_colors(field: NumpyField, charted: Charted, texels: TexelMap, samples: int) -> Float[np.ndarray, "texels 3"]:
-    """Base color of each texel, [0, 1] sRGB: the field on its zero set at the global view direction (Eq. 14)."""
-    lift = texel_lift(field, charted, texels)
-
-    def color_at(rows: np.ndarray, jitter: np.ndarray) -> np.ndarray:
-        result = np.empty((len(rows), 3))
-        for start in range(0, len(rows), 1 << 18):
-            own = rows[start : start + (1 << 18)]
-            points, facing, local = surface_at(charted, texels.rows(own), jitter)
-            points += lift[own, None] * facing
-            result[start : start + (1 << 18)] = field.color(points, local.direction)
-        return result
-
-    return sample_texels(color_at, texels, samples=samples)
-
-
 def light_at(
     field: NumpyField, charted: Charted
 ) -> tuple[Float[np.ndarray, "corners 3"], Float32[np.ndarray, "corners 2"] | None]:
@@ -252,24 +279,6 @@ def light_at(
     along = (smooth * charted.normals).sum(1, keepdims=True) > 0.5
     normals = np.where(along, smooth, charted.normals)
     return normals, field.seen_light(charted.points, normals).astype(np.float32)
-
-
-def texel_lift(field: NumpyField, charted: Charted, texels: TexelMap) -> Float[np.ndarray, "texels"]:
-    """Metres along the normal from the triangles to the zero set: asked once for every 2 x 2 texels of a triangle's
-    inside, which is many texels wide, and everywhere on the skirts, where the triangle's plane runs off it."""
-    row, column = texels.index // texels.size, texels.index % texels.size
-    block = np.where(texels.inside, row // 2 * texels.size + column // 2, texels.size**2 + texels.index)
-    order = np.argsort(block, kind="stable")
-    first = np.r_[True, np.diff(block[order]) > 0]
-    asked = order[first]
-    found = np.empty(len(asked))
-    for start in range(0, len(asked), 1 << 18):
-        own = asked[start : start + (1 << 18)]
-        points, facing, _ = surface_at(charted, texels.rows(own), np.zeros(2))
-        found[start : start + (1 << 18)] = lifted(field, points, facing)[1]
-    lift = np.empty(len(texels.index))
-    lift[order] = found[np.cumsum(first) - 1]
-    return lift
 
 
 def lifted(
@@ -293,7 +302,6 @@ def level_facts(
     away = measure.field_to_mesh(surface.away, mesh)
     fault = find_faults(mesh.faces, len(mesh.vertices))
     return {
-        "faces": len(mesh.faces),
         "vertices": len(level.positions),
         "charts": chart.charts,
         "texture": size,
@@ -301,9 +309,34 @@ def level_facts(
         "field_to_mesh_mm": {"mean": rounded(away.mean() * 1e3), "max": rounded(away.max() * 1e3)},
         "open_edges": fault.open_edges,
         "non_manifold_edges": fault.crowded_edges,
-        "faces_by_part": {name: int((face_part == part).sum()) for part, name in enumerate(PARTS)},
-        "texel_mm_by_part": _texel_sizes(chart, mesh, face_part, size),
-        "triangle_mm_by_part": _triangle_sizes(mesh, face_part),
+        **size_facts(mesh, face_part, chart.uv[chart.faces] * size, chart.face_part),
+    }
+
+
+def size_facts(
+    mesh: TriangleMesh,
+    part: Integer[np.ndarray, "faces"],
+    corners: Float[np.ndarray, "faces 3 2"],
+    corner_part: Integer[np.ndarray, "faces"],
+) -> Facts:
+    """Triangles by part, and the sides of squares as large as a part's mean triangle and as one of its texels, mm.
+
+    `corners` are the triangles in the atlas, in texels, in an order of their own, which `corner_part` follows.
+    """
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    covered = 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+    areas = face_areas(mesh.vertices, mesh.faces)
+    triangle, texel = {}, {}
+    for number in np.unique(part):
+        own, name = part == number, PARTS[int(number)]
+        texels = max(covered[corner_part == number].sum(), 1e-9)
+        triangle[name] = rounded(1e3 * float(np.sqrt(areas[own].mean())))
+        texel[name] = rounded(1e3 * float(np.sqrt(areas[own].sum() / texels)))
+    return {
+        "faces": len(mesh.faces),
+        "faces_by_part": {name: int((part == number).sum()) for number, name in enumerate(PARTS)},
+        "texel_mm_by_part": texel,
+        "triangle_mm_by_part": triangle,
     }
 
 
@@ -318,26 +351,6 @@ def seam_facts(level: Level, edges: ChartEdges, picture: UInt8[np.ndarray, "size
         seen = float(np.quantile(seen_steps(uv, faces, edges, image, picture), 0.99)) if len(steps) else 0.0
         mips.append({"median": rounded(float(at[0])), "p99": rounded(float(at[1])), "seen_p99": rounded(seen)})
     return {key: max(mip[key] for mip in mips) for key in ("median", "p99", "seen_p99")} | {"mips": mips}
-
-
-def _triangle_sizes(mesh: TriangleMesh, part: Integer[np.ndarray, "faces"]) -> dict[str, float | None]:
-    """Side of a square as large as the mean triangle of each part, millimetres."""
-    areas = face_areas(mesh.vertices, mesh.faces)
-    return {PARTS[int(p)]: rounded(1e3 * float(np.sqrt(areas[part == p].mean()))) for p in np.unique(part)}
-
-
-def _texel_sizes(
-    chart: Unwrapped, mesh: TriangleMesh, mesh_parts: Integer[np.ndarray, "faces"], size: int
-) -> dict[str, float | None]:
-    """Side of a texel on each part's surface, millimetres."""
-    a, b, c = (chart.uv[chart.faces[:, i]] * size for i in range(3))
-    covered = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    areas = face_areas(mesh.vertices, mesh.faces)
-    result = {}
-    for part in np.unique(mesh_parts):
-        texels, square = covered[chart.face_part == part].sum(), areas[mesh_parts == part].sum()
-        result[PARTS[int(part)]] = rounded(1e3 * float(np.sqrt(square / max(texels, 1e-9))))
-    return result
 
 
 def surface_points(field: NumpyField, level: Level, origin: SourceSurface, options: BakeOptions) -> SurfacePoints:
@@ -365,16 +378,12 @@ def with_features(
     """The finest level, which the field colors as in `picture`, with its feature texture, half as wide."""
     if distilled.features is None:
         return baked
-    half = len(picture) // 2
-    texels = rasterise_charts(baked.charted.uv, baked.charted.faces, half)
-    base = halved(picture).reshape(-1, 3)[texels.index]
-    values = []
-    for start in range(0, len(base), 1 << 18):
-        piece = slice(start, start + (1 << 18))
-        points, facing, local = surface_at(baked.charted, texels.rows(np.arange(len(base))[piece]), np.zeros(2))
-        points, _ = lifted(field, points, facing)
-        values.append(distilled.features(SurfacePoints(points, facing, base[piece], local)))
-    return with_feature_image(baked, spread(np.concatenate(values) / 255.0, texels), texels)
+    half = field_texels(field, baked.charted, len(picture) // 2)
+    base, values = halved(picture).reshape(-1, 3)[half.texels.index], []
+    for rows in np.split(np.arange(len(base)), range(PIECE, len(base), PIECE)):
+        points, facing, local = half.points(baked.charted, rows, np.zeros(2))
+        values.append(distilled.features(SurfacePoints(points, facing, base[rows], local)))
+    return with_feature_image(baked, spread(np.concatenate(values) / 255.0, half.texels), half.texels)
 
 
 def with_features_of(
@@ -393,14 +402,6 @@ def with_feature_image(
     """The level with an image of features as its feature texture, its chart edges closed."""
     image = solve_seams(image, texels, baked.charted.uv, baked.edges, mip_levels(image.shape))
     return baked._replace(level=replace(baked.level, features=bytes_from_unit(image)))
-
-
-def level_line(number: int, facts: Facts) -> str:
-    """One line of progress on a level."""
-    return (
-        f"level {number}: {facts['faces']} triangles, {facts['charts']} charts in {facts['texture']} px, "
-        f"{facts['field_to_mesh_mm']['mean']:.3f} mm from the field"
-    )
 
 
 def rounded(value: float) -> float | None:

@@ -1,6 +1,6 @@
 """What baking lost: avatar file drawn by the player against the field drawn as its first surface crossing."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -153,19 +153,13 @@ def compare(
     avatar: Avatar,
     surface: FieldSurface,
     views: list[ScoredView],
-    *,
-    keep: dict[str, np.ndarray] | None = None,
-    modes: Sequence[str] | None = None,
 ) -> Score:
-    """Draw every view of field and file and score them; pictures go into `keep` when it is given.
-
-    `modes` are all that the file holds unless given; views are drawn at the size of their cameras.
-    """
+    """Draw every view of field and file, in all modes that the file holds, and score them."""
     from player.draw.raster import Rasteriser
     from player.gl.context import open_context
     from player.scene.renderer import Renderer
 
-    modes = modes_of(avatar) if modes is None else modes
+    modes = modes_of(avatar)
     errors = {view.group: dict.fromkeys(["paper", *modes], PooledError()) for view in views}
     per_view = {}
     context = open_context()
@@ -187,8 +181,6 @@ def compare(
                     error = error_between(image, np.round(field.paper * 255) / 255, inside)
                     into["paper"] = into["paper"].plus(error)
                     per_view[view.name] = error.psnr()
-                    if keep is not None:
-                        keep[f"{view.name} field"], keep[f"{view.name} baked"] = field.paper, image
                 if field.cone is not None:
                     into[mode] = into[mode].plus(error_between(image, field.cone, inside))
         for renderer in renderers.values():

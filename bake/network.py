@@ -61,6 +61,14 @@ class Distilled(NamedTuple):
     # why this is the default
     reason: str = ""
 
+    def residual(self, features: UInt8[np.ndarray, "n features"], tangent: Float[np.ndarray, "n 3"]) -> np.ndarray:
+        """What the default view adds to the base color of points with these features, at t' (n, 3); sRGB."""
+        unit = features / 255.0
+        if self.network is not None:
+            return network_residual(self.network, unit, tangent)
+        assert self.linear is not None
+        return linear_residual(self.linear, unit, tangent)
+
 
 class FeatureEncoder(nn.Module):
     """Surface point -> four or eight features in [0, 1], rounded to 1/255 with the gradient passed straight through.
@@ -150,7 +158,7 @@ def distil(
     high: bool = False,
     seed: int = 0,
     steps: int = 1200,
-    batch: int = 8192,
+    batch: int = 4096,
     report: Callable[[str], None] = lambda line: None,
 ) -> Distilled:
     """Features, network and linear residual for the cone field color(points, directions); `high`, the large ones.

@@ -107,6 +107,7 @@ def summary(out: Path, seconds: dict[str, float]) -> list[str]:
 
 
 def main(argv: list[str] | None = None) -> int:
+    """Run the demo; 0, or 1 where a stage failed."""
     parser = argparse.ArgumentParser(prog="python -m bench.demo", description="The whole path on the built-in person.")
     parser.add_argument("out", type=Path, nargs="?", default=Path("out/demo"), help="folder (%(default)s)")
     options = parser.parse_args(argv)

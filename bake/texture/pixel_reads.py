@@ -5,7 +5,7 @@ samples, a row of a sparse matrix over the texels. Pixels that lie half on the p
 outline or a depth jump, where a millimetre of geometry shows another place, hardly count.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -18,9 +18,10 @@ from avatar.gltf.avatar_file import Level
 from avatar.light import CaptureLight
 from avatar.skeleton import LEFT_HAND, PARTS, RIGHT_HAND, skin_transforms
 from avatar.skinning import SkinWeights, blended_transforms, dense_weights
-from bake.cone import clamped_tangent, cone_direction
+from bake.cone import ViewCone, clamped_tangent
 from bake.field import NumpyField
 from bake.level import Charted, lifted
+from bake.network import Distilled, SurfacePoints
 from bake.texture.texels import TexelMap, rasterise_charts
 from capture.folder import PartVideo
 from geometry.cells import nearest_marked
@@ -91,6 +92,7 @@ class PixelReads(NamedTuple):
     weight: Float[Array, "pixels"]
     # the same whatever the angle, as long as it is not grazing
     visible: Float[Array, "pixels"]
+    cosine: Float[Array, "pixels"]  # between normal and view
     place: "Place"  # what lies at each pixel's first sample
     index: Integer[Array, "pixels"]  # row * width + column of each pixel in its frame
 
@@ -140,29 +142,30 @@ class FrameLight(NamedTuple):
 
 
 class ViewChange(NamedTuple):
-    """The field's change of color with direction, at the vertices of a level, so that textures hold the base alone.
+    """What the file's view mode adds to the base color at a level's vertices, so that textures hold the base alone.
 
     The base color is the surface at its global view direction (Eq. 14); a shine that follows the eye is the view
     network's. Left in the pixels it would be averaged into the texture, and the grid of pixels would show where frames
     disagree.
     """
 
-    field: NumpyField
-    points: Float[Array, "corners 3"]  # canonical, on the zero set
-    charted: Charted
-    base: Float[Array, "corners 3"]  # sRGB at the global direction
+    cone: ViewCone
+    # what is added at tangents t' (bake/cone.py), sRGB
+    residual: Callable[[Float[Array, "corners 3"]], Float[Array, "corners 3"]]
 
     def seen_along(self, directions: Float[Array, "corners 3"]) -> Float[Array, "corners 3"]:
-        """Color along unit canonical directions (away from the camera), pulled into the cone, less the base; sRGB."""
-        cone = self.charted.cone
-        along = cone_direction(clamped_tangent(directions, cone), cone)
-        return self.field.color(self.points, along) - self.base
+        """What is added along unit canonical directions (away from the camera); sRGB."""
+        return self.residual(clamped_tangent(directions, self.cone))
 
 
-def view_change(field: NumpyField, charted: Charted) -> ViewChange:
-    """The change of color at a level's vertices."""
+def view_change(field: NumpyField, charted: Charted, distilled: Distilled) -> ViewChange | None:
+    """The change of color at a level's vertices; None where the file's default view adds nothing."""
+    if distilled.features is None:
+        return None
     points, _ = lifted(field, charted.points, charted.normals)
-    return ViewChange(field, points, charted, field.color(points, charted.cone.direction))
+    base = field.color(points, charted.cone.direction)
+    features = distilled.features(SurfacePoints(points, charted.normals, base, charted.cone))
+    return ViewChange(charted.cone, lambda tangent: distilled.residual(features, tangent))
 
 
 def atlas_mesh(level: Level, joints: Float[Array, "52 3"]) -> AtlasMesh:
@@ -356,7 +359,7 @@ def frame_reads(
     if lit is not None:
         color = as_base_color(color, lit, place).astype(np.float32)
     return PixelReads(
-        reads, color, counts[used].astype(np.float32), visible[used].astype(np.float32), place,
+        reads, color, counts[used].astype(np.float32), visible[used].astype(np.float32), cosine[used], place,
         rows[used] * width + columns[used],
     )  # fmt: skip
 

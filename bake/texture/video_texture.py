@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 
 from avatar.camera import Camera
 from avatar.skeleton import PARTS
-from bake.level import BakedLevel, PlacesOnFinest, rounded, surface_at, with_picture
+from bake.level import BakedLevel, PlacesOnFinest, rounded, with_picture
 from bake.promises import Facts
 from bake.run_capture import RunVideos
 from bake.texture.fill import TexelSurface, filled_colors
@@ -25,6 +25,7 @@ from bake.texture.pixel_reads import (
     PixelReads,
     ViewChange,
     atlas_mesh,
+    blended,
     part_of_corners,
     pixel_size,
     samples_for,
@@ -57,8 +58,10 @@ STAY, STAY_POWER, SMOOTH = 0.06, 1.5, 4.0
 SMOOTH_SHINY = 16.0
 # weight of a point on a chart edge looking the same from both sides
 AGREE = 1.0
-# frames that show a texel, away from outlines, up to which it counts as unseen, and from which as seen
+# frames that show a texel, away from outlines, up to which it counts as unseen, and from which as seen; the same of
+# their mean squared cosine: at grazing angles a frame shows the colors of a print as one grey
 UNSEEN, SEEN = 0.3, 1.0
+GRAZING, FACING = 0.1, 0.3
 
 
 class VideoTexture(NamedTuple):
@@ -96,9 +99,16 @@ class ReadVideos(NamedTuple):
     shown: list[ShownVideo]
     ranges: list[ShownRange]
     frames: Float[Array, "texels"]  # frames that show each texel, away from outlines
+    faced: Float[Array, "texels"]  # the same, each times its squared cosine
     pixel: Float[Array, "parts"]  # metres of a pixel
     texel: Float[Array, "texels"]  # metres of a texel
     part: Integer[Array, "texels"]
+
+    def seen_share(self) -> Float[Array, "texels"]:
+        """How far each texel counts as seen, [0, 1]."""
+        often = np.clip((self.frames - UNSEEN) / (SEEN - UNSEEN), 0, 1)
+        square = self.faced / np.maximum(self.frames, 1e-9)
+        return often * np.clip((square - GRAZING) / (FACING - GRAZING), 0, 1)
 
 
 def solve_texture(
@@ -124,12 +134,12 @@ def solve_texture(
         moved = ", ".join(f"{name} {facts[name]['moved_mm']:.1f}" for name in PARTS)
         report(f"frames moved onto the texture they agree on, mm: {moved}")
         solution = solve_change(found.equations, prior, pairs, stiff=seams)
-    surface = texel_surface(baked, mesh, found.texel)
+    surface = texel_surface(mesh, found.texel)
     solved = np.clip(within_shown(given + solution, given, surface.points, found.ranges), 0, 1)
     for name, own in zip(PARTS, found.equations, strict=True):
         left = own.wanted - own.matrix @ (solved - given)
         facts[name]["rms_after"] = rounded(255 * _rms(left, own.matrix))
-    seen = np.clip((found.frames - UNSEEN) / (SEEN - UNSEEN), 0, 1)[:, None]
+    seen = found.seen_share()[:, None]
     rest = np.flatnonzero(seen < 1)
     fill = filled_colors(surface, solved, seen[:, 0] == 1)
     solved[rest] = seen[rest] * solved[rest] + (1 - seen[rest]) * fill
@@ -151,7 +161,8 @@ def read_videos(
     """The equations of all videos on the atlas `given`. What the file says of each video goes into `facts`."""
     texel = texel_sizes(mesh)
     part = part_of_corners(mesh)[mesh.faces[mesh.texels.face]].max(1)
-    found = ReadVideos([], [], [], np.zeros(len(given)), np.full(len(PARTS), np.inf), texel, part)
+    frames, faced = np.zeros((2, len(given)))
+    found = ReadVideos([], [], [], frames, faced, np.full(len(PARTS), np.inf), texel, part)
     context = open_context()
     try:
         rasteriser = Rasteriser(context)
@@ -167,7 +178,8 @@ def read_videos(
             found.ranges.append(shown_range(read.places, read.colors, max(pixel, own)))
             found.equations.append(read.equations)
             found.shown.append(ShownVideo(read.frames, video.cameras[0].size[0], pixel))
-            np.add(found.frames, np.square(pixel / texel) * read.shown, out=found.frames)
+            for sums, own_sums in ((found.frames, read.shown), (found.faced, read.faced)):
+                np.add(sums, np.square(pixel / texel) * own_sums, out=sums)
             facts[name] = {
                 "pixel_mm": rounded(seen_size * 1e3),
                 "pixels": len(read.equations.wanted),
@@ -188,8 +200,9 @@ class VideoEquations(NamedTuple):
 
     equations: Equations
     frames: list[Integer[Array, "pixels"]]  # each frame's pixels, in the order of the rows
-    # sum over visible pixels of the share of the texel in the pixel
+    # sum over visible pixels of the share of the texel in the pixel, and of that times the squared cosine
     shown: Float[Array, "texels"]
+    faced: Float[Array, "texels"]
     rms: float  # root mean square of what pixels show beside the given atlas, weighted
     places: Float[Array, "rows 3"]  # canonical, metres
     colors: Float[Array, "rows 3"]
@@ -200,11 +213,12 @@ def equations_of(
 ) -> VideoEquations:
     """The equations of a video's frames, one matrix, weights multiplied in."""
     data, indices, lengths, wanted, frames, places, colors = [], [], [], [], [], [], []
-    shown = np.zeros(len(given))
+    shown, faced = np.zeros((2, len(given)))
     for own in reads:
         matrix, root = own.reads, np.sqrt(own.weight)
         each = np.diff(matrix.indptr)
-        shown += np.bincount(matrix.indices, matrix.data * np.repeat(own.visible, each), len(given))
+        for sums, share in ((shown, own.visible), (faced, own.visible * np.square(own.cosine))):
+            sums += np.bincount(matrix.indices, matrix.data * np.repeat(share, each), len(given))
         wanted.append(((own.color - matrix @ given) * root[:, None]).astype(np.float32))
         data.append(matrix.data * np.repeat(root, each))
         indices.append(matrix.indices)
@@ -219,7 +233,7 @@ def equations_of(
     matrix = csr_matrix((_joined(data), _joined(indices), pointers), shape)
     equations = Equations(matrix, _joined(wanted))
     rms = _rms(equations.wanted, matrix)
-    return VideoEquations(equations, frames, shown, rms, _joined(places), _joined(colors))
+    return VideoEquations(equations, frames, shown, faced, rms, _joined(places), _joined(colors))
 
 
 def _joined(pieces: list[Array]) -> Array:
@@ -277,14 +291,16 @@ def averaged(video: PartVideo, k: int) -> PartVideo:
     return replace(video, images=images, masks=blocks(video.masks).all((2, 4)), cameras=tuple(cameras), unsure=unsure)
 
 
-def texel_surface(baked: BakedLevel, mesh: AtlasMesh, texel: Float[Array, "texels"]) -> TexelSurface:
+def texel_surface(mesh: AtlasMesh, texel: Float[Array, "texels"]) -> TexelSurface:
     """The texels as places of the welded mesh."""
     welded, index = np.unique(mesh.positions, axis=0, return_inverse=True)
     faces = index.reshape(-1)[mesh.faces]
     weight = np.clip(barycentric(mesh.uv, mesh.faces, mesh.texels, np.zeros(2)), 0, 1)
     weight /= weight.sum(1, keepdims=True)
-    points, facing, _ = surface_at(baked.charted, mesh.texels, np.zeros(2))
+    corners = mesh.faces[mesh.texels.face]
+    facing = blended(mesh.normals, corners, weight)
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-20)
     return TexelSurface(
-        TriangleMesh(welded, faces), faces[mesh.texels.face], weight, points, facing, np.square(texel),
-        mesh.piece[mesh.texels.face],
+        TriangleMesh(welded, faces), faces[mesh.texels.face], weight, blended(mesh.positions, corners, weight), facing,
+        np.square(texel), mesh.piece[mesh.texels.face],
     )  # fmt: skip

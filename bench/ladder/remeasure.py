@@ -9,27 +9,14 @@ from jaxtyping import Integer
 from scipy.spatial import KDTree
 
 from avatar.baked_avatar import Avatar, Level
-from avatar.skeleton import PARTS
-from avatar.skinning import strongest_four
 from bake import measure
-from bake.bake import run_surface, score_json
+from bake.bake import field_surface, run_surface, score_json
 from bake.field import numpy_field
-from bake.level import rounded
+from bake.level import rounded, size_facts
 from bench.report.writer import Json
 from capture.held_out import HeldOutView
-from geometry.mesh import TriangleMesh, face_areas
+from geometry.mesh import TriangleMesh
 from train.run import BakeSource
-
-
-def field_surface(run: BakeSource) -> measure.FieldSurface:
-    """The run's field on the run's own mesh."""
-    field, joints = numpy_field(run.field), np.asarray(run.subject.joints, np.float64)
-    origin = run_surface(run.surface, len(joints))
-    normals = np.asarray(run.surface.normals, np.float64)
-    mesh = TriangleMesh(origin.vertices, origin.faces)
-    return measure.FieldSurface(
-        mesh, normals, strongest_four(origin.weights), origin.cone, joints, field.distance, field.color
-    )
 
 
 def remeasured(avatar: Avatar, run: BakeSource, held_out: dict[str, list[HeldOutView]]) -> Json:
@@ -38,7 +25,8 @@ def remeasured(avatar: Avatar, run: BakeSource, held_out: dict[str, list[HeldOut
     A file whose textures are from the videos was compared with the field before it got them: what is found against
     the field is then how much they changed, and is no difference from what the file says.
     """
-    surface = field_surface(run)
+    field = numpy_field(run.field)
+    surface = field_surface(run, run_surface(run.surface, len(run.subject.joints)), field)
     said = recorded_facts(avatar)
     views = measure.test_views(surface.joints, said["against_field"].get("image", 512))
     found = {
@@ -95,23 +83,8 @@ def level_facts_again(level: Level, surface: measure.FieldSurface, run: BakeSour
     away = measure.field_to_mesh(surface.distance, mesh)
     part = parts_of_faces(mesh, surface.mesh, np.asarray(run.surface.part, np.int64))
     height, width = level.base_color.shape[:2]
-    corners = level.uv.astype(np.float64)[mesh.faces] * [width, height]
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    texels = 0.5 * np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
-    areas = face_areas(mesh.vertices, mesh.faces)
-    out: Json = {
-        "faces": len(mesh.faces),
-        "field_to_mesh_mm": {"mean": rounded(away.mean() * 1e3), "max": rounded(away.max() * 1e3)},
-        "faces_by_part": {name: int((part == i).sum()) for i, name in enumerate(PARTS)},
-        "texel_mm_by_part": {},
-        "triangle_mm_by_part": {},
-    }
-    for number in np.unique(part):
-        own = part == number
-        square = 1e6 * areas[own].sum()
-        out["texel_mm_by_part"][PARTS[number]] = rounded(float(np.sqrt(square / max(texels[own].sum(), 1e-9))))
-        out["triangle_mm_by_part"][PARTS[number]] = rounded(float(np.sqrt(square / own.sum())))
-    return out
+    sizes = size_facts(mesh, part, level.uv.astype(np.float64)[mesh.faces] * [width, height], part)
+    return {"field_to_mesh_mm": {"mean": rounded(away.mean() * 1e3), "max": rounded(away.max() * 1e3)}, **sizes}
 
 
 def parts_of_faces(

@@ -13,8 +13,7 @@ from scipy.sparse import csr_matrix
 from avatar.camera import Camera, orbit_camera
 from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
-from bake.cone import ViewCone
-from bake.field import NumpyField
+from bake.cone import ViewCone, cone_direction
 from bake.level import level_of_file, places_on_finest
 from bake.run_capture import RunVideos, run_videos
 from bake.texture import video_texture
@@ -119,10 +118,8 @@ def shining(level):
     charted = level_of_file(level).charted
     count = len(charted.points)
     everywhere = ViewCone(-charted.normals, np.zeros((count, 6)), np.ones(count))
-    nothing = lambda *arrays: np.zeros(len(arrays[0]))
-    field = NumpyField(nothing, nothing, lambda points, directions: np.repeat(0.5 + 0.5 * directions[:, :1], 3, 1))
-    base = field.color(charted.points, everywhere.direction)
-    return ViewChange(field, charted.points, charted._replace(cone=everywhere), base)
+    return ViewChange(everywhere, lambda tangent: 0.5 * np.repeat(
+        (cone_direction(tangent, everywhere) - everywhere.direction)[:, :1], 3, 1))  # fmt: skip
 
 
 def test_what_follows_the_eye_stays_out_of_the_texture(rasteriser, painted, videos):
