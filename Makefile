@@ -13,7 +13,7 @@ JOBS ?= 2  # test processes side by side
 demo: setup
 	$(RUN) -m bench.demo out/demo
 
-PYTEST = OMP_WAIT_POLICY=PASSIVE $(RUN) -m pytest -q -n $(JOBS) --dist worksteal --durations=40
+PYTEST = OMP_WAIT_POLICY=PASSIVE OPENBLAS_NUM_THREADS=1 $(RUN) -m pytest -q -n $(JOBS) --dist worksteal --durations=40
 
 # tests/README.md says which tests are slow.
 test: setup lint

@@ -132,6 +132,8 @@ def _version() -> str:
 def _dispatch(name: str, rest: list[str]) -> int:
     # before torch is loaded: threads that spin while they wait take the processor from each other, several times slower
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    # the fits' small products took eight times the processor on two threads that wait for each other as on one
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         if name == "make":
             from selfscan.make import main as run
