@@ -114,13 +114,18 @@ def fit_light(pixels: LitPixels, frame: Frame = "camera") -> LightFit:
 
     whole = _Problem(pixels, groups, gamma)
     best = whole.solve(best.lights)
+    unlit = whole.shown_residual(whole.solve([UNLIT] * len(best.lights)).lights)
+    left = whole.shown_residual(best.lights)
+    if not left < (1 - CLEAR) * unlit:
+        # what a few pixels said does not hold for all
+        return none
     scale = whole.mean_shading(best.lights)
     if not max(one.brightest for one in best.lights) < STRONGEST * scale:
         # nearly nothing of what is seen stands in it
         return none
     lights = [_light_of(one, gamma, frame).scaled(1 / scale) for one in best.lights]
     per_part = {part: lights[groups[index]] for index, part in enumerate(PARTS)}
-    return LightFit(per_part, 255 * without, 255 * best.residual, len(pixels.face))
+    return LightFit(per_part, 255 * unlit, 255 * left, len(pixels.face))
 
 
 def _few_of_each(video: Int[Array, "n"]) -> Int[Array, "m"]:

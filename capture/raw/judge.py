@@ -92,13 +92,16 @@ def judge(at: Glance) -> Judged:
     if not found.any():
         add(True, "no person is found in any frame", "are these keypoints of this video?")
         return Judged(at, empty, found, tuple(problems))
-    if part in ("body", "head") and _upside_down(at):
-        add(True, "the person stands on the head", "turn the video by half a turn and detect keypoints again")
+    turn = _turn(at)
+    if turn is not None:
+        # all else that could be said of it follows from that
+        add(True, turn, "turn the video upright and detect keypoints again")
+        return Judged(at, empty, found, tuple(problems))
     if clear.sum() < 0.2 * found.sum() or clear.sum() < 8:
         other = _other_hand(at, clear)
-        advice = (
-            "is it the other hand's video? exchange LEFT and RIGHT" if other else "film again with it in the middle"
-        )
+        advice = "film again with it in the middle"
+        if other:
+            advice = "is it the other hand's, or mirrored, as by a front camera? exchange LEFT and RIGHT, or mirror it"
         add(True, f"{CALLED[part]} is confidently found in {int(clear.sum())} of {int(found.sum())} frames", advice)
     several = _several_people(at)
     if several.mean() > MOST:
@@ -205,16 +208,24 @@ def _own_points(at: Glance) -> Bool[Array, "frames points"]:
     return at.keypoints.confidence[:, columns] > SURE
 
 
-def _upside_down(at: Glance) -> bool:
-    def height(*names: str) -> Array:
-        seen = np.stack([at.keypoints.seen(name) for name in names])
-        return np.where(seen[..., 2] > SURE, seen[..., 1], np.nan)
+def _turn(at: Glance) -> str | None:
+    """How a film of body or head is turned, by where the head is from hips or shoulders; None: upright, or unknown."""
+    if at.part not in ("body", "head"):
+        return None
 
-    above = np.concatenate([height("nose", "left_ear", "right_ear"), height("left_shoulder", "right_shoulder")[:1]])
-    below = height("left_hip", "right_hip") if at.part == "body" else height("left_shoulder", "right_shoulder")
-    if not (np.isfinite(above).any() and np.isfinite(below).any()):
-        return False
-    return bool(np.nanmedian(above) > np.nanmedian(below))
+    def place(*names: str) -> Array | None:
+        seen = np.concatenate([at.keypoints.seen(name) for name in names])
+        sure = seen[seen[:, 2] > SURE]
+        return np.median(sure[:, :2], axis=0) if len(sure) else None
+
+    above = place("nose", "left_ear", "right_ear")
+    below = place(*(f"{side}_{'hip' if at.part == 'body' else 'shoulder'}" for side in SIDES))
+    if above is None or below is None:
+        return None
+    across, down = above - below
+    if abs(across) > abs(down):
+        return f"the film lies on its side, with the head to the {'right' if across > 0 else 'left'}"
+    return "the person stands on the head" if down > 0 else None
 
 
 def _other_hand(at: Glance, whole: Bool[Array, "frames"]) -> bool:

@@ -166,6 +166,18 @@ def test_what_spoils_a_video_is_said_with_what_to_do(tmp_path, changed, expected
         raise AssetError(said(at))
 
 
+@pytest.mark.parametrize(("quarter", "side"), [(1, "right"), (-1, "left")])
+def test_a_film_on_its_side_is_called_so_and_nothing_else(body, quarter, side):
+    from dataclasses import replace
+
+    at = body[2].glance
+    x, y = (at.keypoints.pixels - np.array(SIZE) / 2).transpose(2, 0, 1)
+    turned = np.stack([-quarter * y, quarter * x], -1) + np.array(SIZE) / 2
+    judged = judge(replace(at, keypoints=replace(at.keypoints, pixels=turned)))
+    (problem,) = judged.problems
+    assert problem.fatal and problem.what == f"the film lies on its side, with the head to the {side}"
+
+
 def test_a_part_that_is_lost_beyond_the_border_counts_as_cut_off(body):
     """Detectors find nothing there; before that, points came near the border."""
     from dataclasses import replace
