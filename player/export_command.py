@@ -7,7 +7,6 @@ from typing import Annotated
 import numpy as np
 
 from avatar.gltf.animation import write_animated
-from avatar.gltf.avatar_file import read_avatar
 from avatar.motion.amass import write_amass
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip, Motion
@@ -19,6 +18,7 @@ from command.settings import OneOf
 from files.whole import check_file
 from player.scene.arguments import GROUND_HELP, HANDS_HELP, parse_frames
 from player.scene.motions import BLOCK, frame_range, ground_for, motion_for
+from player.scene.opened import opened_avatar
 from player.scene.scene import GROUNDS
 
 EXAMPLES = """examples
@@ -82,7 +82,7 @@ def export_main(argv: list[str]) -> int:
     options = parse(ExportCommand, argv, EXPORT)
     out, kind = options.output, options.kind
     check_file(out)
-    avatar = read_avatar(options.avatar)
+    avatar = opened_avatar(options.avatar)
     ground = ground_for(options.ground, ())
     motion = motion_for(avatar, options.motion, body=options.body, hands=options.hands, ground=ground)
     start, stop = frame_range(motion, None, options.frames, single=False)

@@ -17,6 +17,7 @@ from command.interrupt import deferred_stop
 from command.settings import AtLeast, OneOf
 from player.budget.rungs import parse_budget
 from player.effects.background import Background
+from player.effects.ground import Ground
 from player.gl.context import NoContextError
 from player.live.command import LiveCommand
 from player.scene.address import Address, parse_address
@@ -33,8 +34,9 @@ from player.scene.arguments import (
     parse_size,
     with_effects,
 )
+from player.scene.effects import Effects
 from player.scene.motions import beside
-from player.scene.scene import GROUNDS, Scene, SceneAvatar, SceneCamera
+from player.scene.scene import BUILTIN, GROUNDS, Scene, SceneAvatar, SceneCamera
 from player.window.help import command_line_help
 
 EXAMPLES = """examples
@@ -69,7 +71,7 @@ class PlayCommand:
 
     avatar: Annotated[
         tuple[str, ...], Option(positional=True, metavar="AVATAR", several=True),
-        "avatar file (.glb); several stand side by side"
+        "avatar file (.glb), or builtin, the person that travels with the program (default); several stand side by side"
     ] = ()
     scene: Annotated[
         str | None, WHO, Option(metavar="FILE"), "scene file (.toml) instead of AVATAR, --motion and --live"
@@ -129,8 +131,13 @@ class PlayCommand:
     ] = None
     source: Annotated[LiveCommand, "live poses"] = field(default_factory=LiveCommand)
 
+    @property
+    def people(self) -> tuple[str, ...]:
+        """Who is shown where no scene file says it: without a word, the person that travels with the program."""
+        return self.avatar or (BUILTIN,)
+
     def __post_init__(self):
-        if bool(self.scene) == bool(self.avatar):
+        if self.scene and self.avatar:
             raise ValueError("give AVATAR or --scene, one of them")
         live = self.source.live
         given = self.motion or live or self.at or self.body
@@ -140,7 +147,7 @@ class PlayCommand:
             raise ValueError("--smooth, --buffer, --calibrate, --record and --latency go with --live")
         if live is not None and (self.motion or self.capture):
             raise ValueError("give --motion or --capture or --live")
-        count = len(self.avatar)
+        count = len(self.people)
         for name, values in (("--motion", self.motion), ("--at", self.at)):
             if values and len(values) not in (1, count):
                 raise ValueError(f"{name}: expected one, or one for each of {count} avatars, found {len(values)}")
@@ -170,7 +177,8 @@ def scene_of(command: PlayCommand) -> Scene:
 
         scene = read_scene(command.scene)
     else:
-        scene = Scene(_avatars(command))
+        # who is shown to somebody who has no avatar yet stands on a floor
+        scene = Scene(_avatars(command), effects=Effects(ground=None if command.avatar else Ground()))
     cameras = list(scene.cameras)
     if command.camera_path:
         cameras.insert(0, SceneCamera("path", command.camera_path))
@@ -187,11 +195,11 @@ def scene_of(command: PlayCommand) -> Scene:
 
 
 def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:
-    count = len(command.avatar)
+    count = len(command.people)
     motions = command.motion or (None if command.capture or command.source.live else "counting",)
     live = str(command.source.live) if command.source.live else None
     avatars = []
-    for k, path in enumerate(command.avatar):
+    for k, path in enumerate(command.people):
         x, y, z, turn = (*beside(k, count).tolist(), 0.0)
         if command.at and (len(command.at) > 1 or count == 1):
             x, y, z, turn = command.at[k]

@@ -25,7 +25,7 @@ from player.film.stage import Fit, Stage
 from player.gl.context import Context, opened
 from player.scene.effects import Effects
 from player.scene.renderer import Renderer
-from player.scene.scene import MANNEQUINS, Scene
+from player.scene.scene import BUILTIN_AVATARS, Scene
 
 FULL = Rung("as the file is", "auto")
 
@@ -87,7 +87,7 @@ def with_whole_paths(scene: Scene) -> Scene:
     """The scene with absolute paths: a worker stands in another folder."""
 
     def whole(name: str | None) -> str | None:
-        if name is None or name in (*BUILTIN_MOTIONS, *MANNEQUINS) or not Path(name).exists():
+        if name is None or name in (*BUILTIN_MOTIONS, *BUILTIN_AVATARS) or not Path(name).exists():
             return name
         return str(Path(name).absolute())
 

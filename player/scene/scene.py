@@ -19,7 +19,10 @@ CAMERAS = ("front", "orbit", "turntable", "file", "path", "capture")
 # a film's frames per second and a round's seconds: beyond them containers of films count wrong
 FILM_RATES, TURNS = (0.01, 1000.0), (0.01, 86_400.0)
 MOST_AVATARS = 256
+# that travel with the program: a person as `make demo` makes him, and the free body without one
+BUILTIN = "builtin"
 MANNEQUINS = ("mannequin", "mannequin:female")
+BUILTIN_AVATARS = (BUILTIN, *MANNEQUINS)
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,9 @@ class SceneAvatar:
     """One avatar on stage."""
 
     path: Annotated[
-        str, FilePlace(MANNEQUINS), "avatar file (.glb), or mannequin, mannequin:female: the built-in body"
+        str,
+        FilePlace(BUILTIN_AVATARS),
+        "avatar file (.glb), or builtin: a person that travels with the program; or mannequin, mannequin:female: a body",
     ]
     motion: Annotated[
         str | None, FilePlace(BUILTIN_MOTIONS), "pose file, folder of frames, counting or walking; none: T-pose"
