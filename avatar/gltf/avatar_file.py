@@ -7,6 +7,7 @@ view network, the canonical pose and provenance. docs/avatar-format.md is the by
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -54,8 +55,8 @@ __all__ = ["Avatar", "Level", "ViewNetwork", "read_avatar", "write_avatar"]
 
 T = TypeVar("T")
 MAX_LEVELS = 8
-# people that `selfscan synth` films by these names
-FILMED = ("builtin", "builtin:female")
+# the person that travels with the program, and one that `selfscan synth` films but that is no avatar yet
+BUILTIN, FILMED = "builtin", "builtin:female"
 # extensions by which a .vrm differs from any other glTF
 VRM = ("VRMC_vrm", "VRM")
 # images that are unpacked at once
@@ -65,7 +66,7 @@ MAX_PIXELS = 1 << 26
 
 
 def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
-    """Read an avatar file, and check every promise that `Avatar` and `Level` make.
+    """Read an avatar file, or builtin, and check every promise that `Avatar` and `Level` make.
 
     With `levels` only that many of the finest are decoded: a picture needs one, and the others' atlases cost a third
     of the time that reading takes. Of the rest only what the file says of them is checked.
@@ -115,10 +116,12 @@ def read_avatar(path: str | Path, *, levels: int | None = None) -> Avatar:
 
 def _extension(path: str | Path) -> tuple[Gltf, JsonObject]:
     """The file, and the extension that makes it an avatar's."""
-    if str(path) in FILMED and not Path(path).exists():
+    if str(path) == BUILTIN and not Path(path).exists():
+        path = str(files("avatar") / "data" / "avatar" / "man.glb")
+    if str(path) == FILMED and not Path(path).exists():
         raise AssetError(
-            f"{path}: a person to film, no avatar yet; `make demo` makes out/demo/avatar.glb of builtin, or selfscan "
-            f"synth {path} CAPTURE, train CAPTURE -o RUN and bake RUN -o NAME.glb; mannequin is the bare body"
+            f"{path}: a person to film, no avatar yet: selfscan synth {path} CAPTURE, train CAPTURE -o RUN and bake "
+            "RUN -o NAME.glb; builtin is the man, mannequin:female the bare body"
         )
     gltf = read_gltf(path)
     extension = gltf.extensions(gltf.json, "glTF").get(EXTENSION)

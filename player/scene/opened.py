@@ -1,7 +1,6 @@
 """The files of a scene, opened: avatars, their motions and the cameras. Films and the window begin here."""
 
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from player.scene.camera_path import CameraPath, is_path
 from player.scene.capture_view import CaptureView, open_capture
 from player.scene.framing import pelvis_height
 from player.scene.motions import ground_for, motion_for, standing
-from player.scene.scene import BUILTIN, MANNEQUINS, Scene, SceneAvatar, SceneCamera
+from player.scene.scene import MANNEQUINS, Scene, SceneAvatar, SceneCamera
 from player.scene.track import Track
 
 
@@ -26,8 +25,6 @@ def opened_avatars(scene: Scene, levels: int | None = None) -> list[Avatar]:
 
 def opened_avatar(path: str, levels: int | None = None) -> Avatar:
     """An avatar file, or one of those that travel with the program, by its name."""
-    if path == BUILTIN:
-        return read_avatar(str(files("avatar") / "data" / "avatar" / "man.glb"), levels=levels)
     if path in MANNEQUINS:
         from player.scene.mannequin import clothed
 

@@ -6,6 +6,7 @@ docs/scenes.md documents the file. Fields here are keys there, `avatars` as [[av
 from dataclasses import dataclass
 from typing import Annotated
 
+from avatar.gltf.avatar_file import BUILTIN
 from avatar.motion.hands import HANDS
 from avatar.motion.read import BUILTIN_MOTIONS
 from command.settings import AtLeast, AtMost, FilePlace, OneOf, Rows, check
@@ -20,7 +21,6 @@ CAMERAS = ("front", "orbit", "turntable", "file", "path", "capture")
 FILM_RATES, TURNS = (0.01, 1000.0), (0.01, 86_400.0)
 MOST_AVATARS = 256
 # that travel with the program: a person as `make demo` makes him, and the free body without one
-BUILTIN = "builtin"
 MANNEQUINS = ("mannequin", "mannequin:female")
 BUILTIN_AVATARS = (BUILTIN, *MANNEQUINS)
 
@@ -32,7 +32,7 @@ class SceneAvatar:
     path: Annotated[
         str,
         FilePlace(BUILTIN_AVATARS),
-        "avatar file (.glb), or builtin: a person that travels with the program; or mannequin, mannequin:female: a body",
+        "avatar file (.glb); builtin: a person that travels with the program; mannequin, mannequin:female: a body",
     ]
     motion: Annotated[
         str | None, FilePlace(BUILTIN_MOTIONS), "pose file, folder of frames, counting or walking; none: T-pose"
