@@ -14,6 +14,7 @@ from capture.fit.person import Person
 from capture.fit.priors import FROZEN, Priors, standing
 from capture.fit.sides import exchanged_back, sides_restored
 from capture.fit.solve import placed_rigidly, solve
+from capture.fit.standoff import body_standoff
 from capture.keypoints.record import SIDES
 from capture.read.template import part_of
 
@@ -80,9 +81,9 @@ def fit_keypoints(person: Person, footage: Footage, report: Report) -> tuple[Est
 
 
 def fit_outlines(estimate: Estimate, footage: Footage, report: Report) -> Estimate:
-    """`fit_dressed`; a body's video shows hands as a few pixels: the hands' own videos have their own fit."""
-    priors, hands = standing(estimate, footage), hand_vertices(estimate.person)
-    return fit_dressed(estimate, footage, priors, ~hands, WEIGHTS, CUTS[-1], report)
+    """`fit_dressed`; a body's video shows head and hands as a few pixels: their own videos have their own fits."""
+    priors, standoff = standing(estimate, footage), body_standoff()
+    return fit_dressed(estimate, footage, priors, standoff > 0, WEIGHTS, CUTS[-1], report, standoff)
 
 
 def hand_vertices(person: Person, sides: tuple[str, ...] = ("left", "right")) -> Bool[Array, "vertices"]:

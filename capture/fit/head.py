@@ -16,6 +16,7 @@ from capture.fit.outline_term import Outlines
 from capture.fit.person import Person
 from capture.fit.priors import FROZEN, Priors, bias_of
 from capture.fit.solve import placed_rigidly, solve
+from capture.fit.standoff import scalp_standoff
 from capture.keypoints.record import FACE
 from capture.read.template import part_of
 
@@ -62,12 +63,14 @@ def fit_head(person: Person, g: Array, footage: Footage, report: Report) -> Esti
     """The whole video; the person comes back with the head's own offsets."""
     estimate, priors = fit_keypoints(person, g, footage)
     report("keypoints")
-    outlines, head = Outlines(footage), head_vertices(person)
+    # the face's profile places the head, but only the scalp is moved by outlines
+    outlines, head, scalp = Outlines(footage), head_vertices(person), Outlines(footage, scalp_standoff())
+    moving = scalp_standoff() > 0
     for number in range(len(WEIGHTS) + ROUNDS):
         weight = WEIGHTS[min(number, len(WEIGHTS) - 1)]
         estimate = outlines.fit(estimate, footage, priors, head, (weight,), cut=CUTS[-1])
         if number >= len(WEIGHTS) - 1:
-            estimate = dressed(estimate, footage, outlines, head, STIFFNESS[2 * (number > len(WEIGHTS)) :])
+            estimate = dressed(estimate, footage, scalp, moving, STIFFNESS[2 * (number > len(WEIGHTS)) :])
         report("outlines")
     return estimate
 

@@ -52,7 +52,9 @@ def fit_offsets(
     estimate: Estimate, footage: Footage, outlines: Outlines, pairs: list[Pairs], held: Bool[Array, "vertices"],
     stiffness: tuple[float, ...] = STIFFNESS,
 ) -> Float[Array, "vertices 3"]:  # fmt: skip
-    """Offsets in pose 0 for which the outlines agree best; vertices `held` keep those that they have."""
+    """Offsets in pose 0 for which the outlines agree best, within what they may stand off; vertices `held` keep those
+    that they have.
+    """
     person = estimate.person
     bare = person.vertices(estimate.g) - person.offsets
     normals = vertex_normals(bare, person.body.faces)
@@ -83,6 +85,8 @@ def fit_offsets(
         b = np.bincount(vertex, weight * slope * r, minlength=len(d))
         A = stiff * among + sparse.diags(H[free] + BARELY)
         d[free] = factorised(A).solve(b[free] - stiff * across)
+    if outlines.standoff is not None:
+        d[free] = np.clip(d[free], -outlines.standoff[free], outlines.standoff[free])
     return d[:, None] * normals
 
 
@@ -98,14 +102,14 @@ def dressed(
 
 def fit_dressed(
     estimate: Estimate, footage: Footage, priors: Priors, chosen: Bool[Array, "vertices"], weights: tuple[float, ...],
-    cut: float, report: Callable[[str], None],
+    cut: float, report: Callable[[str], None], standoff: Float[Array, "vertices"] | None = None,
 ) -> Estimate:  # fmt: skip
     """What stands off the shape of the `chosen` vertices, then shape and poses from outlines and keypoints; in turn.
 
     Clothes, hair and shoes come first: a bare body grows to fill the outline of a clothed one, and where its stature is
     known, it comes nearer instead.
     """
-    outlines = Outlines(footage)
+    outlines = Outlines(footage, standoff)
     estimate = dressed(estimate, footage, outlines, chosen)
     report("offsets")
     for weight in weights:

@@ -27,6 +27,8 @@ SIGMA = 0.7
 BEND = 20.0
 # standard deviations from which on a pair says little
 CUT = 12.0
+# an outline farther off than so many times what may stand off a vertex is that of something else
+SLACK = 1.5
 
 
 @dataclass(frozen=True)
@@ -39,9 +41,13 @@ class Pairs:
 
 
 class Outlines:
-    """The masks' outlines of a video."""
+    """The masks' outlines of a video.
 
-    def __init__(self, footage: Footage):
+    `standoff`: metres by which they may be off each vertex (standoff.py); None: anything near.
+    """
+
+    def __init__(self, footage: Footage, standoff: Float[Array, "vertices"] | None = None):
+        self.standoff = standoff
         self.scale = min(footage.size) / 512
         self.contours: list[Contour] = [mask_contour(mask) for mask in footage.masks]
 
@@ -50,9 +56,13 @@ class Outlines:
         points, camera, faces = estimate.skin(), estimate.camera(footage), estimate.person.body.faces
         found = []
         for frame, contour in zip(posed_frames(estimate), self.contours):
-            rim = silhouette(skinned(frame, points), faces, camera, chosen)
+            x = skinned(frame, points)
+            rim = silhouette(x, faces, camera, chosen)
             index, length = contour.nearest(rim.at, rim.normals, BEND * self.scale)
             good = (length < 40 * self.scale) & ((rim.normals * contour.normals[index]).sum(1) > 0.5)
+            if self.standoff is not None:
+                pixels = camera.K[0, 0] / np.maximum(-x[rim.vertices, 2], 1e-3)
+                good &= length < SLACK * pixels * self.standoff[rim.vertices]
             found.append(Pairs(rim.vertices[good], contour.at[index[good]], contour.normals[index[good]]))
         return found
 
