@@ -107,7 +107,7 @@ LIES = [
     ("meshes.0.primitives.0.mode", 1, "triangles"),
     ("meshes.0.primitives.0.material", 9, "material"),
     ("meshes.0.primitives.0.attributes._VIEW_DIR", POSITION, r"levels\[0\].view_dir should be of unit length"),
-    ("meshes.0.primitives.0.attributes._VIEW_SEEN", POSITION, r"_VIEW_SEEN should be v, 0, 0 for each vertex"),
+    ("meshes.0.primitives.0.attributes._VIEW_SEEN", POSITION, r"_VIEW_SEEN should be 1 number and 2 of 0 for each"),
     ("meshes.0.primitives.0.attributes.JOINTS_0", WEIGHTS, r"levels\[0\].joints should be"),
     ("meshes.0.primitives.0.attributes.WEIGHTS_0", WEIGHTS - 1, "WEIGHTS_0 should be normalised"),
     ("meshes.0.primitives.0.attributes", {}, "attributes should be an object with POSITION"),

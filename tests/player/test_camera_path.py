@@ -142,7 +142,7 @@ def test_a_wrong_path_names_key_and_field(tmp_path, keys, message):
 
 def test_what_is_no_json_is_refused(tmp_path):
     (tmp_path / "x.json").write_text("[" * 10)
-    with pytest.raises(AssetError, match="camera path"):
+    with pytest.raises(AssetError, match=r"camera \(path\)"):
         is_path(tmp_path / "x.json")
     with pytest.raises(AssetError, match=r"none\.json"):
         CameraPath.read(tmp_path / "none.json")
