@@ -32,8 +32,9 @@ HEAD = JOINTS.index("head")
 CELL = 0.006  # metres, of the carved grid
 # metres beyond the head that hair may hang, x, y (down), z
 AROUND = (0.10, 0.25, 0.10)
-# a cell is empty when more of the views that see it show background there
-AGAINST = 0.1
+# a cell is empty when more of the views that see it show background there; where poses were estimated from the videos,
+# outlines are a centimetre off and a tenth of the views contradicts half of long hair
+AGAINST, AGAINST_ESTIMATED = 0.1, 0.2
 # views at least; what fewer see is taken for empty
 SEEN_BY = 8
 # metres: the hull lies outside the hair, and masks are a pixel or two off
@@ -118,12 +119,13 @@ class Pictures(NamedTuple):
 
 
 def carve(
-    views: Sequence[MaskView], template: DistanceGrid, neck: float, pictures: Pictures | None = None
-) -> Hair | None:
+    views: Sequence[MaskView], template: DistanceGrid, neck: float, pictures: Pictures | None = None,
+    against: float = AGAINST,
+) -> Hair | None:  # fmt: skip
     """What the views hold round the template, where it stands off far enough to be hair; None: nothing.
 
     A piece counts when some of it is above the `neck`. The hair lies on the template's grid. With `pictures` hollows
-    that are full in every mask are carved by color.
+    that are full in every mask are carved by color. `against`: share of views at most that may show background in it.
     """
     distance, cell = template.values.astype(np.float64), template.cell
     low = template.low.astype(np.float64)
@@ -131,7 +133,7 @@ def carve(
     held = distance < 0
     asked = np.argwhere(~held & (distance < FARTHEST))
     share, seen = background_share(low + cell * asked, views)
-    held[tuple(asked.T)] = (share <= AGAINST) & (seen >= SEEN_BY)
+    held[tuple(asked.T)] = (share <= against) & (seen >= SEEN_BY)
     if pictures is not None:
         held &= ~carve_hollows(held, held & (distance > cell), low, cell, *pictures)
     hull = distance_to(~held) * cell > ERODED
@@ -171,7 +173,8 @@ def with_hair(
         video, head_from_canonical = capture.videos["head"], np.linalg.inv(canonical_from_head)
         cameras = [moved_camera(camera, head_from_canonical) for camera in video.cameras]
         pictures = Pictures(subject, color_views(video.images, video.masks, cameras))
-    hair = carve(views, template, neck, pictures)
+    estimated = capture.facts.get("input") == "from_pixels"
+    hair = carve(views, template, neck, pictures, AGAINST_ESTIMATED if estimated else AGAINST)
     if hair is None:
         return subject
     vertices, faces = hair_mesh(hair)
