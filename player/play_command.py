@@ -177,7 +177,7 @@ def scene_of(command: PlayCommand) -> Scene:
 
         scene = read_scene(command.scene)
     else:
-        # who is shown to somebody who has no avatar yet stands on a floor
+        # who is shown to a user without an avatar stands on a floor
         scene = Scene(_avatars(command), effects=Effects(ground=None if command.avatar else Ground()))
     cameras = list(scene.cameras)
     if command.camera_path:

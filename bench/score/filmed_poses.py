@@ -38,7 +38,7 @@ class FilmedPoses(NamedTuple):
 
     by_part: dict[str, list[Placement]]
     reason: str = ""
-    # of each video, in a quick look, surfaces of so many frames; None: of FRAMES
+    # frames of each video whose surfaces are measured in a quick look; None: FRAMES
     most: int | None = None
 
     def placements(self) -> list[Placement]:

@@ -49,7 +49,7 @@ class PlaceEquations:
         self.add(K, (anchors.target - placed).ravel(), np.full(len(K), anchors.spread**-2))
 
 
-class Place(NamedTuple):
+class TriedPlace(NamedTuple):
     """A place that was tried."""
 
     transform: Float[Array, "4 4"]
@@ -58,12 +58,12 @@ class Place(NamedTuple):
 
 def refine(
     start: Float[Array, "4 4"], equations_at: Callable[[Float[Array, "4 4"]], PlaceEquations], rounds: int
-) -> tuple[list[Place], Float[Array, "4 4"]]:
+) -> tuple[list[TriedPlace], Float[Array, "4 4"]]:
     """The places tried, the first being the start, and the one after the last step."""
     S, tried = start, []
     for _ in range(rounds):
         at = equations_at(S)
-        tried.append(Place(S, float(np.sqrt(at.cost / at.count))))
+        tried.append(TriedPlace(S, float(np.sqrt(at.cost / at.count))))
         delta = np.linalg.solve(at.H, at.b)
         S = small_similarity(delta, at.centre, ARM) @ S
         if np.abs(delta).max() < SETTLED:
