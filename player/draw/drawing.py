@@ -1,6 +1,7 @@
 """One frame while it is drawn: what passes decide by, and what they share."""
 
 from collections.abc import Callable
+from ctypes import c_int, c_uint
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -11,13 +12,15 @@ from jaxtyping import Float
 from avatar.camera import Camera, clip_from_view
 from player.draw.posing import PosedBones, ScreenBounds
 from player.draw.resources import Handle, Image, PlanResources
-from player.gl.blit import Blit, Box, blit_of
 from player.gl.blocks import BINDING, FRAME
 
 # axis-angle, pelvis joint in world
 Pose = tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]]
 # metres a second of the root, and radians from one frame to the next: beyond them a motion jumps
 FASTEST, TURNED = 15.0, np.radians(60.0)
+# left, first row, right, end row, in rows as GL counts them
+Box = tuple[int, int, int, int]
+READ_FRAMEBUFFER, DRAW_FRAMEBUFFER, COLOR_BUFFER_BIT, NEAREST = 0x8CA8, 0x8CA9, 0x4000, 0x2600
 
 
 @dataclass(frozen=True)
@@ -83,9 +86,23 @@ class Drawing:
     def gl(self) -> moderngl.Context:
         return self.resources.context.gl
 
-    @property
-    def blit(self) -> Blit:
-        return blit_of(self.resources.context)
+    def blit(
+        self, source: moderngl.Framebuffer, target: moderngl.Framebuffer, box: Box, *, turned: int | None = None
+    ) -> None:
+        """Copy the colors of a box, to the same place: the cheapest way to move pixels, on software and GPU alike.
+        Several samples become one, one becomes several.
+
+        turned: the height of the target, to put the copy there upside down (not with several samples). Neither
+        framebuffer is in use afterwards: call `use` on the next one. (moderngl's own copy takes whole framebuffers with
+        their depth, which fails into a window whose depth has another format.)
+        """
+        bind = self.resources.context.function("glBindFramebuffer", c_uint, c_uint)
+        bind(READ_FRAMEBUFFER, source.glo)
+        bind(DRAW_FRAMEBUFFER, target.glo)
+        left, low, right, high = box
+        rows = (low, high) if turned is None else (turned - low, turned - high)
+        copy = self.resources.context.function("glBlitFramebuffer", *(c_int,) * 8, c_uint, c_uint)
+        copy(*box, left, rows[0], right, rows[1], COLOR_BUFFER_BIT, NEAREST)
 
     def height(self, avatar: int) -> float:
         """Of what the avatar can reach, pixels."""
@@ -107,6 +124,12 @@ class Drawing:
             self._written.add(handle)
             buffer.write(content())
         return buffer
+
+    def bind(
+        self, handle: Handle[moderngl.Buffer], block: str, content: Callable[[], bytes | np.ndarray]
+    ) -> None:
+        """Bind a uniform block with its content of this frame."""
+        self.write(handle, content).bind_to_uniform_block(BINDING[block][1])
 
     def enter(self, layer: Layer) -> None:
         """Draw on the layer of avatars, with depth and culling, in this frame's projection."""

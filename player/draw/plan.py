@@ -12,22 +12,26 @@ of a scene that never asked for it.
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import moderngl
+import numpy as np
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.skeleton import JOINTS
 from player.draw.drawing import Drawing, FrameInputs, Layer, Pose, Warming
-from player.draw.mesh import attributes_read
-from player.draw.resources import KINDS, Handle, Image, PlanResources
+from player.draw.mesh import attributes_read, draw_order
+from player.draw.resources import KINDS, AnyHandle, Handle, Image, PlanResources
 from player.gl.blocks import BINDING, FRAME, bind_block
 from player.gl.shader import compile_program
 from player.gl.tiles import SurfacePatches
 
 T = TypeVar("T")
+# of a vertex array: a buffer, its format, and the names of its attributes
+Attributes = tuple[Any, ...]
+Attachment = moderngl.Texture | moderngl.Renderbuffer
 # samples of MSAA, asked for as a number, never as the device's maximum, so that machines agree
 SAMPLES = 4
 # pixels round an avatar that antialiasing can change
@@ -68,13 +72,14 @@ class Decision(NamedTuple):
         return self.state is PassState.RUNS
 
 
+@dataclass(frozen=True)
 class Pass(ABC):
     """One step of a frame. The renderer knows an effect by these verbs alone; all but the first two may stay empty."""
 
     # for people: `--explain` prints it
     name: str
     # all it reads and writes
-    uses: tuple[Handle[Any], ...]
+    uses: tuple[AnyHandle, ...]
 
     @abstractmethod
     def decide(self, drawing: Drawing) -> Decision:
@@ -113,9 +118,8 @@ class Effect(Protocol):
 class Absent(Pass):
     """A pass that is not in the plan, and why; `state` of one whose work is done before anything is drawn."""
 
-    name: str
+    uses: tuple[AnyHandle, ...] = field(default=(), init=False)
     why: str = "not asked for"
-    uses: tuple[Handle[Any], ...] = ()
     state: PassState = PassState.NOT_ASKED
 
     def decide(self, drawing: Drawing) -> Decision:
@@ -133,7 +137,7 @@ class Plan:
     # those among them that filter the finished picture
     filters: tuple[Pass, ...]
     # in an order in which they can be made
-    handles: tuple[Handle[Any], ...]
+    handles: tuple[AnyHandle, ...]
     frame: Handle[moderngl.Buffer]
     # the renderer's own image, and the background at its size
     image: Image | None
@@ -161,10 +165,8 @@ class Plan:
 class Canvas:
     """Where a plan is to run: facts of the device and of the image, none of them a GL object."""
 
-    # pixels; None: a window that has not said yet
-    size: tuple[int, int] | None
-    # False: a window is drawn into
-    own_image: bool = True
+    size: tuple[int, int] | None  # pixels; None: a window that has not said yet
+    own_image: bool = True  # False: a window is drawn into
     software: bool = True
     max_samples: int = SAMPLES
 
@@ -199,7 +201,7 @@ class Draft:
         self._effects: dict[type[Any], Effect] = {type(effect): effect for effect in effects}
         self.kept: dict[Hashable, Any] = {}
         self._kept_before = kept
-        self.handles: dict[Handle[Any], None] = {}
+        self.handles: dict[AnyHandle, None] = {}
         self.frame = self.buffer("frame", FRAME.itemsize)
 
     def asked(self, kind: type[T]) -> T | None:
@@ -230,7 +232,7 @@ class Draft:
         return self._first[avatar]
 
     @property
-    def drawn_on(self) -> tuple[Handle[Any], ...]:
+    def drawn_on(self) -> tuple[AnyHandle, ...]:
         """What every pass on the avatars' layer writes and reads."""
         image = self.layer.image or self.image
         return (*(() if image is None else image.handles), self.frame)
@@ -249,6 +251,16 @@ class Draft:
             return gl.buffer(reserve=size, dynamic=True) if content is None else gl.buffer(content(resources))
 
         return self.need(Handle(moderngl.Buffer, name, size, depends_on, make))
+
+    def vertices(
+        self, name: str, avatar: int, item_bytes: int, content: Callable[[], np.ndarray]
+    ) -> Handle[moderngl.Buffer]:
+        """What an avatar's vertices hold, given in the file's order; made once for avatars that are the same."""
+        level, first = self.levels[avatar], self.first(avatar)
+        return self.buffer(
+            f"{self.tag(first)} {name}", item_bytes * len(level.positions), first, self.detail[avatar],
+            content=lambda made: content()[vertex_order(made, level)[0]].tobytes(),
+        )  # fmt: skip
 
     def texture(
         self, name: str, size: int, *depends_on: Hashable, make: Callable[[PlanResources], moderngl.Texture]
@@ -281,38 +293,37 @@ class Draft:
         return self.need(Handle(moderngl.Program, f"{vertex} {fragment}", 0, depends_on, make))
 
     def array(
-        self, program: Handle[moderngl.Program], *buffers: tuple[Any, ...], faces: Handle[moderngl.Buffer] | None = None
+        self, program: Handle[moderngl.Program], *buffers: Attributes, faces: Handle[moderngl.Buffer] | None = None
     ) -> Handle[moderngl.VertexArray]:
-        """A vertex array: buffers as (handle, format, names ...), and triangles."""
+        """A vertex array: the attributes of its vertices, and triangles."""
 
         def make(resources: PlanResources) -> moderngl.VertexArray:
             made, index = resources[program], None if faces is None else resources[faces]
             content = [(resources[handle], *attributes_read(made, *rest)) for handle, *rest in buffers]
             return resources.context.gl.vertex_array(made, content, index)
 
-        handle = Handle(moderngl.VertexArray, program.name, 0, (program, *buffers, faces), make)
-        return self.need(handle)
+        return self.need(Handle(moderngl.VertexArray, program.name, 0, (program, *buffers, faces), make))
 
     def framebuffer(
         self, name: str, size: tuple[int, int], *, depth: bool, textures: bool = False, samples: int = 0
     ) -> Image:
         """An image to draw on, with depth or without; its parts are textures where a pass reads them."""
-        kind: type[Any] = moderngl.Texture if textures else moderngl.Renderbuffer
+        kind: type[Attachment] = moderngl.Texture if textures else moderngl.Renderbuffer
         pixels, shape = 4 * size[0] * size[1] * max(samples, 1), (*size, samples)
 
-        def color_of(resources: PlanResources) -> Any:
+        def color_of(resources: PlanResources) -> Attachment:
             gl = resources.context.gl
-            return _clamped(gl.texture(size, 4)) if textures else gl.renderbuffer(size, samples=samples)
+            return clamped(gl.texture(size, 4)) if textures else gl.renderbuffer(size, samples=samples)
 
-        def depth_of(resources: PlanResources) -> Any:
+        def depth_of(resources: PlanResources) -> Attachment:
             gl = resources.context.gl
             if not textures:
                 return gl.depth_renderbuffer(size, samples=samples)
-            texture = gl.depth_texture(size)
+            texture = clamped(gl.depth_texture(size))
             # read as a number
             texture.compare_func = ""
             texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-            return _clamped(texture)
+            return texture
 
         color = self.need(Handle(kind, f"{name} color", pixels, shape, color_of))
         behind = self.need(Handle(kind, f"{name} depth", pixels, shape, depth_of)) if depth else None
@@ -321,8 +332,7 @@ class Draft:
             attached = None if behind is None else resources[behind]
             return resources.context.gl.framebuffer([resources[color]], attached)
 
-        handle = Handle(moderngl.Framebuffer, name, 0, (color, behind), make)
-        return Image(size, self.need(handle), color, behind)
+        return Image(size, self.need(Handle(moderngl.Framebuffer, name, 0, (color, behind), make)), color, behind)
 
     def own_image(self, *, depth: bool) -> Image:
         """The renderer's own image; with depth where avatars are drawn straight on it."""
@@ -332,7 +342,7 @@ class Draft:
         return self.image
 
     @property
-    def behind_avatars(self) -> tuple[Handle[Any], ...]:
+    def behind_avatars(self) -> tuple[AnyHandle, ...]:
         """What a pass writes that draws on the picture before the avatars are drawn; a window is nothing of ours."""
         return self.own_image(depth=self.layer.image is None).handles if self.canvas.own_image else ()
 
@@ -346,6 +356,11 @@ class Draft:
             passes, filters, tuple(self.handles), self.frame, self.image, background, self.margin, self.views,
             frozenset(self.moved), self.kept,
         )  # fmt: skip
+
+
+def vertex_order(made: PlanResources, mesh: Level) -> tuple[np.ndarray, np.ndarray]:
+    """The order in which vertices are stored, and the faces that count so."""
+    return made.shared(("order", id(mesh)), lambda: draw_order(mesh.positions, mesh.faces))
 
 
 @runtime_checkable
@@ -362,6 +377,7 @@ def close_all(kept: Iterable[Any]) -> None:
             one.close()
 
 
-def _clamped(texture: moderngl.Texture) -> moderngl.Texture:
+def clamped(texture: moderngl.Texture) -> moderngl.Texture:
+    """A texture that ends at its edges, not repeated."""
     texture.repeat_x = texture.repeat_y = False
     return texture

@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 
 import moderngl
 
+from player.gl.blocks import BINDING
 from player.gl.context import Context
 
 T = TypeVar("T")
@@ -44,21 +45,24 @@ class Handle(Generic[T]):
         return self.__dict__["_hash"]
 
 
+AnyHandle = Handle[Any]
+
+
 @dataclass(frozen=True)
 class Image:
     """A framebuffer with its attachments, textures where a pass reads them."""
 
     size: tuple[int, int]
     framebuffer: Handle[moderngl.Framebuffer]
-    color: Handle[Any]
-    depth: Handle[Any] | None
+    color: AnyHandle
+    depth: AnyHandle | None
 
     @property
-    def attachments(self) -> tuple[Handle[Any], ...]:
+    def attachments(self) -> tuple[AnyHandle, ...]:
         return (self.color,) if self.depth is None else (self.color, self.depth)
 
     @property
-    def handles(self) -> tuple[Handle[Any], ...]:
+    def handles(self) -> tuple[AnyHandle, ...]:
         return (self.framebuffer, *self.attachments)
 
 
@@ -67,14 +71,14 @@ class PlanResources:
 
     def __init__(self, context: Context):
         self.context = context
-        self._made: dict[Handle[Any], Any] = {}
+        self._made: dict[AnyHandle, Any] = {}
         # what making several objects shares
         self._shared: dict[Hashable, Any] = {}
 
     def __getitem__(self, handle: Handle[T]) -> T:
         return self._made[handle]
 
-    def apply(self, handles: Iterable[Handle[Any]]) -> set[Handle[Any]]:
+    def apply(self, handles: Iterable[AnyHandle]) -> set[AnyHandle]:
         """Free what is not among the handles, make what is new, attachments before framebuffers. Returns the new."""
         wanted = dict.fromkeys(handles)
         # none of ours is freed while bound
@@ -94,6 +98,11 @@ class PlanResources:
         if key not in self._shared:
             self._shared[key] = make()
         return self._shared[key]
+
+    def bind_zeros(self, handle: Handle[moderngl.Buffer], block: str) -> None:
+        """Bind a uniform block of zeros, for a draw that is to show nothing."""
+        self[handle].write(bytes(self[handle].size))
+        self[handle].bind_to_uniform_block(BINDING[block][1])
 
     def release(self) -> None:
         """Free everything."""

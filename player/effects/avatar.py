@@ -2,20 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import moderngl
 
-from player.draw.drawing import Drawing, Layer, Warming
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
-from player.draw.posed_mesh import PosedMesh, posed_mesh
+from player.draw.posed_mesh import posed_mesh
 from player.draw.resources import Handle, PlanResources
 from player.effects.light import light_on
-from player.effects.shaded import AvatarShading, shading_of
-from player.effects.view import OUT_OF_VIEW, ViewPass, view_pass
+from player.effects.shaded import AvatarPass, shading_of
+from player.effects.view import view_pass
 from player.gl.texture import image_texture, mipmapped_bytes, read_finer_mip
-
-VIEW_DRAWS_IT = Decision(PassState.SKIPPED, "the view pass draws this avatar")
 
 
 @dataclass(frozen=True)
@@ -36,54 +33,19 @@ class Avatars:
         return passes
 
 
-@dataclass(frozen=True)
-class PaperPass(Pass):
-    """One avatar in the colors of its texture."""
-
-    name: str
-    uses: tuple[Handle[Any], ...]
-    mesh: PosedMesh
-    layer: Layer
-    shading: AvatarShading
-    base_color: Handle[moderngl.Texture]
-    # draws the avatar instead, where it can show
-    view: ViewPass | None
-    running: Decision
-
-    def decide(self, drawing: Drawing) -> Decision:
-        if not drawing.visible[self.mesh.avatar]:
-            return OUT_OF_VIEW
-        if self.view is not None and self.view.decide(drawing).runs:
-            return VIEW_DRAWS_IT
-        return self.running
-
-    def draw(self, drawing: Drawing) -> None:
-        drawing.enter(self.layer)
-        self.mesh.pose(drawing)
-        drawing.resources[self.base_color].use(0)
-        variant = self.shading.variant(drawing)
-        variant.apply(drawing)
-        drawing.resources[variant.array].render()
-
-    def warm(self, warming: Warming) -> None:
-        if warming.enter(self.layer):
-            self.mesh.warm(warming.resources)
-            warming.resources[self.base_color].use(0)
-            self.shading.warm(warming.resources)
-
-
-def paper_pass(draft: Draft, avatar: int, base_color: Handle[moderngl.Texture], view: Pass) -> PaperPass:
+def paper_pass(draft: Draft, avatar: int, base_color: Handle[moderngl.Texture], view: Pass) -> AvatarPass:
+    """The pass in the paper's colors, where the pass `view` does not show."""
     mesh = posed_mesh(draft, avatar, directions=light_on(draft, avatar) is not None)
     shading = shading_of(draft, avatar, mesh, samplers=("base_color",), VIEW_STAGE=0)
     what = f"{draft.avatars[avatar].name}, {len(draft.levels[avatar].faces)} triangles"
-    return PaperPass(
-        f"{draft.tag(avatar)}: paper", (*draft.drawn_on, *mesh.handles, base_color, *shading.handles),
-        mesh, draft.layer, shading, base_color, view if isinstance(view, ViewPass) else None,
-        Decision(PassState.RUNS, what + draft.dual * ", dual quaternions" + shading.note),
-    )  # fmt: skip
+    running = Decision(PassState.RUNS, what + draft.dual * ", dual quaternions" + shading.note)
+    uses = (*draft.drawn_on, *mesh.handles, base_color, *shading.handles)
+    instead = view if isinstance(view, AvatarPass) else None
+    return AvatarPass(f"{draft.tag(avatar)}: paper", uses, draft.layer, mesh, shading, (base_color,), running, instead)
 
 
 def base_color_of(draft: Draft, avatar: int) -> Handle[moderngl.Texture]:
+    """The texture of an avatar's base color at its level of detail."""
     image, first = draft.levels[avatar].base_color, draft.first(avatar)
 
     def make(made: PlanResources) -> moderngl.Texture:

@@ -16,7 +16,7 @@ from command.errors import AssetError
 from command.settings import Above, AtMost, Color, FilePlace, OneOf, check
 from player.draw.drawing import Drawing
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
-from player.draw.resources import Handle, Image
+from player.draw.resources import Image
 from player.effects.background_source import RGBA, Frames, Placing, Source, StillPicture, Video
 from player.effects.panorama import Panorama, panorama_pass
 
@@ -82,11 +82,11 @@ class Background:
         draft.background = image
         content = self.content(draft)
         if isinstance(content, Panorama):
-            return (panorama_pass(draft, image, content), CopyPass(image.handles, image, None))
-        upload = UploadPass(image.handles, image, content)
+            return (panorama_pass(draft, image, content), CopyPass("background", image.handles, image, None))
+        upload = UploadPass("background: video", image.handles, image, content)
         if self.kind == "video":
-            return (upload, CopyPass(image.handles, image, None))
-        return (CopyPass(image.handles, image, upload),)
+            return (upload, CopyPass("background", image.handles, image, None))
+        return (CopyPass("background", image.handles, image, upload),)
 
     def content(self, draft: Draft) -> "OpenBackground | Panorama":
         """What is drawn, opened once."""
@@ -112,10 +112,8 @@ class OpenBackground:
 class UploadPass(Pass):
     """The frame of a film that belongs to this moment, at the size of the picture."""
 
-    uses: tuple[Handle[Any], ...]
     image: Image
     behind: OpenBackground
-    name: str = "background: video"
 
     def decide(self, drawing: Drawing) -> Decision:
         return SAME_FRAME if self.behind.holds == self._wanted(drawing) else NEW_FRAME
@@ -134,11 +132,9 @@ class UploadPass(Pass):
 class CopyPass(Pass):
     """The background into the picture."""
 
-    uses: tuple[Handle[Any], ...]
     image: Image
     # uploads a picture that changes with its size alone; None: a pass of its own uploads it
     upload: UploadPass | None
-    name: str = "background"
 
     def decide(self, drawing: Drawing) -> Decision:
         return ASKED

@@ -7,7 +7,7 @@ by vertex, in a variant of their program (shaders/contact.glsl).
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import moderngl
 import numpy as np
@@ -16,14 +16,14 @@ from jaxtyping import Float, Int, UInt32
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import view_from_world
 from command.settings import Above, AtLeast, AtMost, check
-from player.draw.drawing import Drawing, Layer, Warming
-from player.draw.plan import Decision, Draft, Pass, PassState, Stage
-from player.draw.posed_mesh import normals_of, vertex_order
+from player.draw.drawing import Drawing
+from player.draw.plan import Attributes, Decision, Draft, Pass, PassState, Stage
+from player.draw.posed_mesh import normals_of
 from player.draw.resources import Handle, PlanResources
 from player.effects.contact_capsules import LEAST, Capsules, capsules_of
-from player.effects.ground_plane import Sheet, draw_behind
-from player.gl.blocks import BINDING, CAPSULES
-from player.gl.shader import uniform
+from player.effects.ground_plane import PassBehind, Sheet, draw_behind
+from player.gl.blocks import CAPSULES
+from player.gl.shader import set_uniforms
 
 # pixels; of a smaller avatar it cannot be seen
 SMALLEST = 60
@@ -61,25 +61,18 @@ class Contact:
         check(self)
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
-        drawn_on = draft.behind_avatars
-        program = draft.program("contact_floor.vert", "contact_floor.frag")
-        return tuple(
-            self._floor(draft, drawn_on, program, touch)
-            for touch in (contact_of(draft, index) for index in range(len(draft.avatars)))
-            if touch is not None
-        )
+        touches = [contact_of(draft, index) for index in range(len(draft.avatars))]
+        return tuple(self._floor(draft, touch) for touch in touches if touch is not None)
 
-    def _floor(
-        self, draft: Draft, drawn_on: tuple[Handle[Any], ...], program: Handle[moderngl.Program], touch: "AvatarContact"
-    ) -> "ContactFloorPass":
+    def _floor(self, draft: Draft, touch: "AvatarContact") -> "ContactFloorPass":
         tag = draft.tag(touch.avatar)
         block = draft.buffer(f"{tag} capsules near the ground", CAPSULES.itemsize, touch.avatar)
         cells = draft.buffer(f"{tag} ground cells", 24 * CELLS**2, touch.avatar)
+        program = draft.program("contact_floor.vert", "contact_floor.frag")
         array = draft.array(program, faces=cells)
-        uses = (*drawn_on, block, cells, array)
-        return ContactFloorPass(
-            f"contact: {tag} on the ground", uses, self, touch, draft.layer, program, array, block, cells
-        )  # fmt: skip
+        uses = (*draft.behind_avatars, block, cells, array)
+        name = f"contact: {tag} on the ground"
+        return ContactFloorPass(name, uses, draft.layer, program, array, self, touch, block, cells)
 
 
 @dataclass(frozen=True)
@@ -89,14 +82,12 @@ class AvatarContact:
     avatar: int
     strength: float
     body: "LazyCapsules"
-    # the capsules of this frame
-    block: Handle[moderngl.Buffer]
-    # what each vertex does not take from its own limb
-    vertices: Handle[moderngl.Buffer]
+    block: Handle[moderngl.Buffer]  # the capsules of this frame
+    vertices: Handle[moderngl.Buffer]  # what each does not take from its own limb
     normals: Handle[moderngl.Buffer]
 
     @property
-    def buffers(self) -> tuple[tuple[Any, ...], ...]:
+    def buffers(self) -> tuple[Attributes, ...]:
         """What a vertex array gains; its normals where nothing else brings them."""
         return (self.vertices, *ATTRIBUTES), (self.normals, "3f4", "normal")
 
@@ -105,13 +96,10 @@ class AvatarContact:
 
     def bind(self, drawing: Drawing) -> None:
         """Bring the capsules of this frame to the GPU, unless another pass has, and bind them."""
-        buffer = drawing.write(self.block, lambda: self.content(drawing))
-        buffer.bind_to_uniform_block(BINDING["Capsules"][1])
+        drawing.bind(self.block, "Capsules", lambda: self.content(drawing))
 
     def warm(self, resources: PlanResources) -> None:
-        buffer = resources[self.block]
-        buffer.write(bytes(buffer.size))
-        buffer.bind_to_uniform_block(BINDING["Capsules"][1])
+        resources.bind_zeros(self.block, "Capsules")
 
     def content(self, drawing: Drawing, chosen: slice | Int[np.ndarray, "near"] = slice(None)) -> bytes:
         """The block of the capsules, or of some of them."""
@@ -140,34 +128,25 @@ def contact_of(draft: Draft, avatar: int) -> AvatarContact | None:
     asked = draft.asked(Contact)
     if asked is None:
         return None
-    level, first = draft.levels[avatar], draft.first(avatar)
-    tag, shared, number = draft.tag(avatar), draft.tag(first), draft.detail[avatar]
-    body = draft.keep(("capsules", first, number), lambda: LazyCapsules(draft.avatars[avatar], level))
+    level, key = draft.levels[avatar], ("capsules", draft.first(avatar), draft.detail[avatar])
+    body = draft.keep(key, lambda: LazyCapsules(draft.avatars[avatar], level))
 
-    def vertices(made: PlanResources) -> bytes:
-        out, order = np.zeros(len(level.positions), VERTEX), vertex_order(made, level)[0]
+    def vertices() -> np.ndarray:
+        out = np.zeros(len(level.positions), VERTEX)
         out["spared"], out["rest"] = body.capsules.spared, body.capsules.rest
-        return out[order].tobytes()
+        return out
 
-    return AvatarContact(
-        avatar, asked.strength, body,
-        draft.buffer(f"{tag} capsules", CAPSULES.itemsize, avatar),
-        draft.buffer(f"{shared} contact", VERTEX.itemsize * len(level.positions), first, number, content=vertices),
-        normals_of(draft, avatar),
-    )  # fmt: skip
+    block = draft.buffer(f"{draft.tag(avatar)} capsules", CAPSULES.itemsize, avatar)
+    stored = draft.vertices("contact", avatar, VERTEX.itemsize, vertices)
+    return AvatarContact(avatar, asked.strength, body, block, stored, normals_of(draft, avatar))
 
 
 @dataclass(frozen=True)
-class ContactFloorPass(Pass):
+class ContactFloorPass(PassBehind):
     """The ground under one avatar, where one of its capsules is near, by those that are."""
 
-    name: str
-    uses: tuple[Handle[Any], ...]
     settings: Contact
     contact: AvatarContact
-    layer: Layer
-    program: Handle[moderngl.Program]
-    array: Handle[moderngl.VertexArray]
     # the capsules near the ground, and the triangles of the cells they reach
     block: Handle[moderngl.Buffer]
     cells: Handle[moderngl.Buffer]
@@ -182,35 +161,31 @@ class ContactFloorPass(Pass):
         under, resources, camera = self._under(drawing), drawing.resources, drawing.inputs.camera
         assert under is not None
         sheet = under.sheet
-        drawing.write(self.block, lambda: self.contact.content(drawing, under.near))
-        resources[self.block].bind_to_uniform_block(BINDING["Capsules"][1])
+        drawing.bind(self.block, "Capsules", lambda: self.contact.content(drawing, under.near))
         triangles, batches = under.triangles()
         drawing.write(self.cells, lambda: triangles)
         program, view = resources[self.program], view_from_world(camera)
         columns = np.stack([view[:3, 0], view[:3, 2], view[:3] @ np.append(sheet.anchor, 1.0)])
-        uniform(program, "view_from_plane").write(np.ascontiguousarray(columns, np.float32).tobytes())
-        uniform(program, "up").value = tuple(view[:3, 1].tolist())
-        uniform(program, "grown").value = GROWN
-        uniform(program, "strength").value = self.settings.strength
-        uniform(program, "across").value = sheet.reach[2:]
-        uniform(program, "high").value = (under.low, len(under.near))
+        set_uniforms(
+            program, view_from_plane=columns, up=tuple(view[:3, 1].tolist()), grown=GROWN, across=sheet.reach[2:],
+            strength=self.settings.strength, high=(under.low, len(under.near)),
+        )  # fmt: skip
 
         def draw(flipped: bool) -> None:
             sheet.apply(program, camera, flipped=flipped)
             first = 0
             for count, size in batches:
-                uniform(program, "count").value = count
+                set_uniforms(program, count=count)
                 resources[self.array].render(vertices=3 * size, first=3 * first)
                 first += size
 
         draw_behind(drawing, self.layer, draw)
 
-    def warm(self, warming: Warming) -> None:
-        if warming.enter_picture():
-            for handle in (self.block, self.cells):
-                warming.resources[handle].write(bytes(handle.bytes))
-            warming.resources[self.block].bind_to_uniform_block(BINDING["Capsules"][1])
-            warming.resources[self.array].render(vertices=3)
+    def render(self, resources: PlanResources) -> None:
+        """One triangle that darkens nothing."""
+        resources.bind_zeros(self.block, "Capsules")
+        resources[self.cells].write(bytes(self.cells.bytes))
+        resources[self.array].render(vertices=3)
 
     def _under(self, drawing: Drawing) -> "Under | None":
         """The ground under what is near it."""
@@ -273,6 +248,5 @@ class Under(NamedTuple):
         a = (column + (CELLS + 1) * row).reshape(-1)[order].astype(np.uint32)
         b, c, d = a + 1, a + CELLS + 1, a + CELLS + 2
         sizes = np.bincount(batch[order], minlength=len(counts)).tolist()
-        return np.stack([a, b, c, c, b, d], 1).reshape(-1, 3), [
-            (count, 2 * size) for count, size in zip(counts, sizes, strict=True) if size
-        ]
+        batches = [(count, 2 * size) for count, size in zip(counts, sizes, strict=True) if size]
+        return np.stack([a, b, c, c, b, d], 1).reshape(-1, 3), batches

@@ -6,7 +6,7 @@ In software a filter costs what it covers: it runs on the tiles that avatars can
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import moderngl
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from player.draw.drawing import Drawing, Layer, Warming
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Handle, Image, PlanResources
-from player.gl.shader import uniform
+from player.gl.shader import set_uniforms
 from player.gl.tiles import TILE, SurfacePatches, covered, rectangles
 
 OUT_OF_VIEW = Decision(PassState.SKIPPED, "no avatar in view")
@@ -41,35 +41,32 @@ class Fxaa:
         program = draft.program("tiles.vert", "fxaa.frag", samplers=("picture", "depth"))
         array = draft.array(program, (tiles, *TILES))
         patches = draft.patches()
-        return (FxaaPass((*output, *image.handles, tiles, array), image, tiles, program, array, patches, draft.dual),)
+        uses = (*output, *image.handles, tiles, array)
+        return (FxaaPass("antialiasing: fxaa", uses, image, tiles, program, array, patches, draft.dual),)
 
 
 @dataclass(frozen=True)
 class FxaaPass(Pass):
-    uses: tuple[Handle[Any], ...]
     image: Image
     tiles: Handle[moderngl.Buffer]
     program: Handle[moderngl.Program]
     array: Handle[moderngl.VertexArray]
     patches: SurfacePatches
     dual: bool
-    name: str = "antialiasing: fxaa"
 
     def decide(self, drawing: Drawing) -> Decision:
         return RUNS if any(drawing.visible) else OUT_OF_VIEW
 
     def draw(self, drawing: Drawing) -> None:
         camera, flipped = drawing.inputs.camera, drawing.inputs.flipped
+        avatars = zip(self.patches, drawing.bones, drawing.visible, drawing.reaches, strict=True)
         boxes = [
             patches.boxes(bones.view_from_canonical, camera, dual=self.dual, reach=reach)
-            for patches, bones, seen, reach in zip(
-                self.patches, drawing.bones, drawing.visible, drawing.reaches, strict=True
-            )
+            for patches, bones, seen, reach in avatars
             if seen
         ]
-        tiles = rectangles(
-            covered(np.concatenate(boxes), camera.size, drawing.look.margin), camera.size, flipped=flipped
-        )
+        reached = covered(np.concatenate(boxes), camera.size, drawing.look.margin)
+        tiles = rectangles(reached, camera.size, flipped=flipped)
         drawing.inputs.framebuffer.use()
         if len(tiles):
             drawing.resources[self.tiles].write(np.ascontiguousarray(tiles))
@@ -85,7 +82,7 @@ class FxaaPass(Pass):
             self._filter(resources, 1)
 
     def _filter(self, resources: PlanResources, count: int) -> None:
-        uniform(resources[self.program], "image_size").value = self.image.size
+        set_uniforms(resources[self.program], image_size=self.image.size)
         for unit, texture in enumerate(self.image.attachments):
             resources[texture].use(unit)
         resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=count)

@@ -9,18 +9,15 @@ import numpy as np
 
 from avatar.camera import clip_from_view, view_from_world
 from command.settings import Above, AtLeast, AtMost, Color, check
-from player.draw.drawing import Drawing, Layer
+from player.draw.drawing import Drawing
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
-from player.draw.resources import Handle, PlanResources
-from player.effects.ground_plane import FAR, NEAR, PassBehind, Sheet, draw_behind
-from player.gl.shader import uniform
+from player.draw.resources import PlanResources
+from player.effects.ground_plane import FAR, NEAR, PassBehind, Sheet, SquarePass, behind_parts, draw_behind
+from player.gl.shader import set_uniforms
 
-AWAY = Decision(PassState.SKIPPED, "the ground is out of view, or seen from below")
 AXES_AWAY = Decision(PassState.SKIPPED, "the origin is out of view")
 RUNS = Decision(PassState.RUNS, "asked for")
-# pixels
-LINE = 1.2
-AXIS = 3.0
+LINE, AXIS = 1.2, 3.0  # pixels
 # share of the metres to the grid's edge
 FULL = 0.3
 
@@ -49,63 +46,27 @@ class Grid:
             raise ValueError("color: lines are opaque: expected #rrggbb")
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
-        drawn_on = draft.behind_avatars
-        program = draft.program("plane.vert", "grid.frag")
-        array = draft.array(program)
-        passes: list[Pass] = [GridPass((*drawn_on, array), self, draft.layer, program, array)]
+        passes: list[Pass] = [
+            SquarePass(
+                "grid", *behind_parts(draft, "plane.vert", "grid.frag"), self.height, self.radius, FULL, 0.0,
+                self._paint, RUNS,
+            )
+        ]  # fmt: skip
         if self.axes > 0:
-            program = draft.program("axes.vert", "axes.frag")
-            array = draft.array(program)
-            passes.append(AxesPass((*drawn_on, array), self, draft.layer, program, array))
+            passes.append(AxesPass("grid: axes", *behind_parts(draft, "axes.vert", "axes.frag"), self))
         return passes
 
-
-@dataclass(frozen=True)
-class GridPass(PassBehind):
-    uses: tuple[Handle[Any], ...]
-    grid: Grid
-    layer: Layer
-    program: Handle[moderngl.Program]
-    array: Handle[moderngl.VertexArray]
-    name: str = "grid"
-
-    def decide(self, drawing: Drawing) -> Decision:
-        return RUNS if self._sheet(drawing).box(drawing.inputs.camera) is not None else AWAY
-
-    def draw(self, drawing: Drawing) -> None:
-        sheet, resources = self._sheet(drawing), drawing.resources
-        program, grid = resources[self.program], self.grid
+    def _paint(self, sheet: Sheet) -> dict[str, Any]:
         # a whole number of lines from the world's origin, so that only small numbers are rounded
-        origin = -np.fmod(sheet.anchor[[0, 2]], grid.spacing)
-        uniform(program, "reach").value = sheet.reach
-        uniform(program, "paint").value = grid.color[:3]
-        uniform(program, "spacing").value = grid.spacing
-        uniform(program, "width").value = LINE
-        uniform(program, "origin").value = tuple(origin.tolist())
-        uniform(program, "fade").value = (FULL * grid.radius, grid.radius)
-
-        def draw(flipped: bool) -> None:
-            sheet.apply(program, drawing.inputs.camera, flipped=flipped)
-            self._render(resources)
-
-        draw_behind(drawing, self.layer, draw)
-
-    def _render(self, resources: PlanResources) -> None:
-        resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4)
-
-    def _sheet(self, drawing: Drawing) -> Sheet:
-        middle, radius = np.mean([root for _, root in drawing.inputs.poses], axis=0), self.grid.radius
-        return Sheet(np.array([middle[0], self.grid.height, middle[2]]), (-radius, -radius, radius, radius))
+        origin = -np.fmod(sheet.anchor[[0, 2]], self.spacing)
+        return {"paint": self.color[:3], "spacing": self.spacing, "width": LINE, "origin": tuple(origin.tolist())}
 
 
 @dataclass(frozen=True)
 class AxesPass(PassBehind):
-    uses: tuple[Handle[Any], ...]
+    """The world's axes, as bars of a few pixels."""
+
     grid: Grid
-    layer: Layer
-    program: Handle[moderngl.Program]
-    array: Handle[moderngl.VertexArray]
-    name: str = "grid: axes"
 
     def decide(self, drawing: Drawing) -> Decision:
         camera, ends = drawing.inputs.camera, self.grid.axes * np.eye(4, 3, -1) + [0, self.grid.height, 0]
@@ -126,14 +87,13 @@ class AxesPass(PassBehind):
         axes[:3, :3] *= self.grid.axes
         axes[1, 3] = self.grid.height
         columns = (clip @ axes).T
-        uniform(program, "half_pixel").value = tuple(AXIS / np.array(camera.size))
+        set_uniforms(program, half_pixel=tuple(AXIS / np.array(camera.size)))
 
         def draw(flipped: bool) -> None:
-            turned = columns * (1, -1, 1, 1) if flipped else columns
-            uniform(program, "clip_from_axes").write(np.ascontiguousarray(turned, np.float32).tobytes())
-            self._render(resources)
+            set_uniforms(program, clip_from_axes=columns * (1, -1, 1, 1) if flipped else columns)
+            self.render(resources)
 
         draw_behind(drawing, self.layer, draw)
 
-    def _render(self, resources: PlanResources) -> None:
+    def render(self, resources: PlanResources) -> None:
         resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=3)

@@ -7,24 +7,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
-import moderngl
 import numpy as np
 
 from command.settings import Above, AtLeast, AtMost, Color, OneOf, check
-from player.draw.drawing import Drawing, Layer
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
-from player.draw.resources import Handle, PlanResources
-from player.effects.ground_plane import PassBehind, Sheet, draw_behind
+from player.effects.ground_plane import Sheet, SquarePass, behind_parts
 from player.effects.shadow import LOWEST, ShadowSettings, shadow_passes
-from player.gl.shader import uniform
 
 FLOOR_COLOR = (88 / 255, 91 / 255, 99 / 255, 1.0)
 KINDS = ("plane", "checker", "shadow")
 OTHER_CHECKS = 0.72
 # share of the metres to the floor's edge
 OPAQUE = 0.35
-
-BELOW = Decision(PassState.SKIPPED, "the ground is out of view, or seen from below")
 
 
 @dataclass(frozen=True)
@@ -64,54 +58,21 @@ class Ground:
             )
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
-        drawn_on = draft.behind_avatars
         passes: list[Pass] = []
         if self.kind != "shadow":
-            program = draft.program("plane.vert", "floor.frag")
-            array = draft.array(program)
-            passes.append(FloorPass((*drawn_on, array), self, draft.layer, program, array))
+            # checks stay where they are in the world
+            step = 2 * self.check if self.kind == "checker" else 0.0
+            passes.append(
+                SquarePass(
+                    "ground: floor", *behind_parts(draft, "plane.vert", "floor.frag"), self.height, self.radius, OPAQUE,
+                    step, self._paint, Decision(PassState.RUNS, self.kind),
+                )
+            )  # fmt: skip
         if self.strength > 0:
             shadow = ShadowSettings(self.direction, self.strength, self.softness, self.height)
-            passes += shadow_passes(draft, drawn_on, shadow)
+            passes += shadow_passes(draft, shadow)
         return passes
 
-
-@dataclass(frozen=True)
-class FloorPass(PassBehind):
-    uses: tuple[Handle[Any], ...]
-    ground: Ground
-    layer: Layer
-    program: Handle[moderngl.Program]
-    array: Handle[moderngl.VertexArray]
-    name: str = "ground: floor"
-
-    def decide(self, drawing: Drawing) -> Decision:
-        seen = self._sheet(drawing).box(drawing.inputs.camera) is not None
-        return Decision(PassState.RUNS, self.ground.kind) if seen else BELOW
-
-    def draw(self, drawing: Drawing) -> None:
-        sheet, program = self._sheet(drawing), drawing.resources[self.program]
-
-        uniform(program, "reach").value = sheet.reach
-
-        def draw(flipped: bool) -> None:
-            sheet.apply(program, drawing.inputs.camera, flipped=flipped)
-            self._render(drawing.resources)
-
-        draw_behind(drawing, self.layer, draw)
-
-    def _render(self, resources: PlanResources) -> None:
-        ground, program = self.ground, resources[self.program]
-        uniform(program, "paint").value = ground.color[:3]
-        uniform(program, "other").value = OTHER_CHECKS
-        uniform(program, "check").value = ground.check if ground.kind == "checker" else 0.0
-        uniform(program, "fade").value = (OPAQUE * ground.radius, ground.radius)
-        resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4)
-
-    def _sheet(self, drawing: Drawing) -> Sheet:
-        """About the middle of the avatars; checks stay where they are in the world."""
-        radius, checks = self.ground.radius, 2 * self.ground.check
-        middle = np.mean([root for _, root in drawing.inputs.poses], axis=0)
-        if self.ground.kind == "checker":
-            middle = np.floor(middle / checks) * checks
-        return Sheet(np.array([middle[0], self.ground.height, middle[2]]), (-radius, -radius, radius, radius))
+    def _paint(self, sheet: Sheet) -> dict[str, Any]:
+        check = self.check if self.kind == "checker" else 0.0
+        return {"paint": self.color[:3], "other": OTHER_CHECKS, "check": check}

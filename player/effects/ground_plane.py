@@ -4,9 +4,9 @@ Places on it are metres about an anchor near the avatars, (x, z) of the world le
 scene far from the world's origin cancel in double precision before anything is rounded.
 """
 
-from abc import abstractmethod
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
@@ -14,15 +14,16 @@ from jaxtyping import Float
 
 from avatar.camera import Camera, clip_from_view, view_from_world
 from player.draw.drawing import Drawing, Layer, Warming
-from player.draw.plan import Pass
-from player.draw.resources import PlanResources
-from player.gl.shader import uniform
+from player.draw.plan import Decision, Draft, Pass, PassState
+from player.draw.resources import AnyHandle, Handle, PlanResources
+from player.gl.shader import set_uniforms
 
 Array = np.ndarray
 # metres; nothing on the plane is tested for depth, so they need not be tight
 NEAR, FAR = 0.01, 1e5
 # metres before the lens from which on a corner is projected
 AHEAD = 0.01
+AWAY = Decision(PassState.SKIPPED, "the ground is out of view, or seen from below")
 
 
 class Sheet(NamedTuple):
@@ -55,19 +56,70 @@ class Sheet(NamedTuple):
         if flipped:
             clip[1] = -clip[1]
         columns = np.stack([clip[:, 0], clip[:, 2], clip @ np.append(self.anchor, 1.0)])
-        uniform(program, "clip_from_plane").write(np.ascontiguousarray(columns, np.float32).tobytes())
+        set_uniforms(program, clip_from_plane=columns)
 
 
+@dataclass(frozen=True)
 class PassBehind(Pass):
-    """A pass that draws on the picture before the avatars are."""
+    """A pass that draws on the picture before the avatars are, by one program."""
 
-    @abstractmethod
-    def _render(self, resources: PlanResources) -> None:
+    layer: Layer
+    program: Handle[moderngl.Program]
+    array: Handle[moderngl.VertexArray]
+
+    def render(self, resources: PlanResources) -> None:
         """Its draw, with the uniforms that stand."""
+        resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4)
+
+    def draw_sheet(self, drawing: Drawing, sheet: Sheet) -> None:
+        """Its draw on a sheet of the ground."""
+
+        def draw(flipped: bool) -> None:
+            sheet.apply(drawing.resources[self.program], drawing.inputs.camera, flipped=flipped)
+            self.render(drawing.resources)
+
+        draw_behind(drawing, self.layer, draw)
 
     def warm(self, warming: Warming) -> None:
         if warming.enter_picture():
-            self._render(warming.resources)
+            self.render(warming.resources)
+
+
+@dataclass(frozen=True)
+class SquarePass(PassBehind):
+    """A square of the ground about the middle of the avatars, strong in the middle and gone at its edge."""
+
+    height: float  # metres
+    radius: float  # metres to its edge
+    share: float  # of the radius, up to where it is as strong as it is
+    # metres, of which its middle goes a whole number; 0: as the avatars do
+    step: float
+    # the uniforms of its program, once it is known where it lies
+    paint: Callable[[Sheet], dict[str, Any]]
+    running: Decision
+
+    def decide(self, drawing: Drawing) -> Decision:
+        return self.running if self._sheet(drawing).box(drawing.inputs.camera) is not None else AWAY
+
+    def draw(self, drawing: Drawing) -> None:
+        sheet, fade = self._sheet(drawing), (self.share * self.radius, self.radius)
+        set_uniforms(drawing.resources[self.program], reach=sheet.reach, fade=fade, **self.paint(sheet))
+        self.draw_sheet(drawing, sheet)
+
+    def _sheet(self, drawing: Drawing) -> Sheet:
+        middle, radius = np.mean([root for _, root in drawing.inputs.poses], axis=0), self.radius
+        if self.step:
+            middle = np.floor(middle / self.step) * self.step
+        return Sheet(np.array([middle[0], self.height, middle[2]]), (-radius, -radius, radius, radius))
+
+
+def behind_parts(
+    draft: Draft, vertex: str, fragment: str, *more: AnyHandle, samplers: Sequence[str] = ()
+) -> tuple[tuple[AnyHandle, ...], Layer, Handle[moderngl.Program], Handle[moderngl.VertexArray]]:
+    """What such a pass begins with, after its name; more: what it reads beside its vertices."""
+    uses, program = draft.behind_avatars, draft.program(vertex, fragment, samplers=samplers)
+    array = draft.array(program)
+    return (*uses, *more, array), draft.layer, program, array
 
 
 def draw_behind(drawing: Drawing, layer: Layer, draw: Callable[[bool], None]) -> None:

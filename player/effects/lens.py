@@ -8,12 +8,11 @@ player/film/exposure.py; a window draws each moment once.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 from command.settings import Above, AtLeast, AtMost, check
 from player.draw.drawing import Drawing, FrameInputs
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
-from player.draw.resources import Handle
 
 STILL = "nothing moves by half a pixel while the shutter is open"
 SHARP = "nothing is out of focus by half a pixel"
@@ -68,10 +67,8 @@ class DepthOfField:
 class LensPass(Pass):
     """Stands for the further frames whose mean a picture is; it draws nothing of its own."""
 
-    name: str
     # why there is one frame where there could be several
     still: str
-    uses: tuple[Handle[Any], ...] = ()
 
     def decide(self, drawing: Drawing) -> Decision:
         count = drawing.inputs.exposures
@@ -90,4 +87,4 @@ def lens_passes(draft: Draft, name: str, still: str) -> Sequence[Pass]:
     """The row of a lens effect in a plan."""
     if not draft.canvas.own_image:
         return (Absent(name, "for films: a window draws each moment once"),)
-    return (LensPass(name, still),)
+    return (LensPass(name, (), still),)

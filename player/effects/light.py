@@ -8,7 +8,7 @@ average. This draws no pass of its own; the passes that draw avatars take that l
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import moderngl
 import numpy as np
@@ -19,13 +19,12 @@ from avatar.camera import Camera
 from avatar.light import LAMPS, CaptureLight, lamps_of
 from command.progress import plural
 from command.settings import AtLeast, AtMost, FilePlace, OneOf, check
-from player.draw.plan import Draft, Pass, Stage
-from player.draw.posed_mesh import vertex_order
+from player.draw.plan import Attributes, Draft, Pass, Stage
 from player.draw.resources import Handle
 from player.effects.background import Background, opened_source
 from player.effects.background_source import read_panorama
 from player.effects.panorama_light import fitted_light, gains_of, irradiance, linear_mean, sphere
-from player.gl.shader import uniform
+from player.gl.shader import set_uniforms
 
 KINDS = ("capture", "albedo", "lamps", "panorama")
 FITS, FIRST_LAMP = ("none", "background"), (0.45, 0.65, 0.6)
@@ -91,15 +90,10 @@ class Light:
             return avatar.light
         if self.by == "panorama":
             panorama, turn = self._panorama(draft)
-            fitted = draft.keep(
-                ("light of a panorama", panorama.path, turn, gamma),
-                lambda: fitted_light(panorama.light(), turn, gamma=gamma, most=LAMPS),
-            )
-            return fitted.light
-        lamps = lamps_of(
-            np.array([self.direction, self.second_direction], np.float64),
-            np.array([self.strength, self.second_strength]),
-        )
+            key = ("light of a panorama", panorama.path, turn, gamma)
+            return draft.keep(key, lambda: fitted_light(panorama.light(), turn, gamma=gamma, most=LAMPS)).light
+        towards = np.array([self.direction, self.second_direction], np.float64)
+        lamps = lamps_of(towards, np.array([self.strength, self.second_strength]))
         there = tuple(lamp for lamp in lamps if lamp.strength > 0)
         if avatar.light is None and not there and self.ambient == 1:
             return None
@@ -147,8 +141,7 @@ def background_gains(behind: Background) -> tuple[float, float, float]:
     """Of a picture, of the first frame of a film, or of a panorama as bright as it is shown; once for all frames."""
     assert behind.path is not None
     if behind.kind == "hdr":
-        mean = irradiance(read_panorama(behind.path), 0.0, sphere(64)).mean(0) * 2.0**behind.exposure
-        return gains_of(mean)
+        return gains_of(irradiance(read_panorama(behind.path), 0.0, sphere(64)).mean(0) * 2.0**behind.exposure)
     source = opened_source(behind)
     try:
         pixels = source.pixels(0.0, FITTED_TO)[..., :3]
@@ -163,9 +156,7 @@ class AvatarLight:
 
     light: CaptureLight
     vertices: Handle[moderngl.Buffer]
-    # what display values are multiplied by at last
-    gains: tuple[float, float, float]
-    # what there is to say of it
+    gains: tuple[float, float, float]  # of display values, at last
     explanation: str
     # whether there is a highlight in it, or in the base color that is lit
     gleams: bool
@@ -178,12 +169,11 @@ class AvatarLight:
     @property
     def note(self) -> str:
         """For people: the end of a pass's reason."""
-        return (
-            f", lit by ambient {self.light.ambient:.2f} and {plural(len(self.light.lamps), 'lamp')}{self.explanation}"
-        )
+        lamps = plural(len(self.light.lamps), "lamp")
+        return f", lit by ambient {self.light.ambient:.2f} and {lamps}{self.explanation}"
 
     @property
-    def buffer(self) -> tuple[Any, ...]:
+    def buffer(self) -> Attributes:
         """What a vertex array gains."""
         return (self.vertices, *ATTRIBUTES)
 
@@ -196,13 +186,11 @@ class AvatarLight:
         lamps[:, 2] = 1
         lamps[:count, :3] = light.directions @ view_from_world.T
         lamps[:count, 3], shares[:count] = light.strengths[:count], light.shares[:count]
-        uniform(program, "lamps").write(lamps.tobytes())
+        set_uniforms(program, lamps=lamps, gains=self.gains, ambience=(light.ambient, light.gloss, light.exponent))
         if self.gleams:
-            uniform(program, "shares").value = tuple(shares.tolist())
-        uniform(program, "gains").value = self.gains
-        uniform(program, "ambience").value = (light.ambient, light.gloss, light.exponent)
+            set_uniforms(program, shares=tuple(shares.tolist()))
         if self.variant != 2:
-            uniform(program, "gamma").value = light.gamma
+            set_uniforms(program, gamma=light.gamma)
 
 
 def light_on(draft: Draft, avatar: int) -> CaptureLight | None:
@@ -216,11 +204,7 @@ def light_of(draft: Draft, avatar: int) -> AvatarLight | None:
     level, asked, light = draft.levels[avatar], draft.asked(Light), light_on(draft, avatar)
     if asked is None or light is None:
         return None
-    first = draft.first(avatar)
-    vertices = draft.buffer(
-        f"{draft.tag(first)} light", VERTEX.itemsize * len(level.positions), first, draft.detail[avatar],
-        content=lambda made: lit_interleaved(level)[vertex_order(made, level)[0]].tobytes(),
-    )  # fmt: skip
+    vertices = draft.vertices("light", avatar, VERTEX.itemsize, lambda: lit_interleaved(level))
     gains, why = asked.gains(draft)
     if draft.avatars[avatar].light is None:
         why += "; its file has no light, its colors are taken for albedo"

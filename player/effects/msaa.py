@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from player.draw.drawing import Drawing, Layer
 from player.draw.plan import SAMPLES, Absent, Decision, Draft, Pass, PassState, Stage
-from player.draw.resources import Handle, Image
+from player.draw.resources import Image
 from player.effects.fxaa import OUT_OF_VIEW, Fxaa
 
 RUNS = Decision(PassState.RUNS, f"{SAMPLES} samples, resolved on the avatars' box")
@@ -32,7 +32,8 @@ class Msaa:
         draft.layer = Layer(
             samples, lambda drawing: _over_background(drawing, samples), always_flipped=True, begins_with_picture=True
         )
-        return (MsaaPass((*resolved.handles, *samples.handles), samples, resolved),)
+        uses = (*resolved.handles, *samples.handles)
+        return (MsaaPass("antialiasing: msaa", uses, samples, resolved),)
 
 
 @dataclass(frozen=True)
@@ -48,10 +49,8 @@ class BestAntialiasing:
 
 @dataclass(frozen=True)
 class MsaaPass(Pass):
-    uses: tuple[Handle[Any], ...]
     samples: Image
     resolved: Image
-    name: str = "antialiasing: msaa"
 
     def decide(self, drawing: Drawing) -> Decision:
         return RUNS if any(drawing.visible) else OUT_OF_VIEW

@@ -4,18 +4,17 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, ClassVar
 
-import moderngl
 import numpy as np
 
 from command.settings import Above, AtMost, Color, check
 from player.draw.drawing import Drawing, Layer, Warming
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
-from player.draw.posed_mesh import PosedMesh, normals_of, posed_mesh
-from player.draw.resources import Handle, PlanResources
-from player.effects.secondary_motion import LooseOffsets, offsets_of
-from player.gl.shader import uniform
+from player.draw.posed_mesh import normals_of
+from player.draw.resources import PlanResources
+from player.effects.secondary_motion import LooseMesh, loose_mesh
+from player.gl.shader import set_uniforms
 
 OUT_OF_VIEW = Decision(PassState.SKIPPED, "no avatar in view")
 
@@ -42,34 +41,19 @@ class Outline:
         draft.widen(ceil(self.width))
         hulls, uses = [], [*draft.drawn_on]
         for index in range(len(draft.levels)):
-            mesh, normals = posed_mesh(draft, index), normals_of(draft, index)
-            loose = offsets_of(draft, index)
-            moves = int(loose is not None)
-            program = draft.program("outline.vert", "plain.frag", SKINNING=int(draft.dual), LOOSE=moves)
-            array = mesh.array(draft, program, (normals, "3f4", "normal"), *(() if loose is None else (loose.buffer,)))
-            hulls.append(OutlineHull(mesh, array, program, loose))
-            uses += [*mesh.handles, normals, array, program, *(() if loose is None else loose.handles)]
+            normals = normals_of(draft, index)
+            hulls.append(loose_mesh(draft, index, "outline.vert", "plain.frag", (normals, "3f4", "normal")))
+            uses += [*hulls[-1].handles, normals]
         running = Decision(PassState.RUNS, f"{self.width:g} pixels")
-        return (OutlinePass(tuple(uses), self, tuple(hulls), draft.layer, running),)
-
-
-class OutlineHull(NamedTuple):
-    """One avatar's."""
-
-    mesh: PosedMesh
-    array: Handle[moderngl.VertexArray]
-    program: Handle[moderngl.Program]
-    loose: LooseOffsets | None
+        return (OutlinePass("outline", tuple(uses), self, tuple(hulls), draft.layer, running),)
 
 
 @dataclass(frozen=True)
 class OutlinePass(Pass):
-    uses: tuple[Handle[Any], ...]
     outline: Outline
-    hulls: tuple[OutlineHull, ...]
+    hulls: tuple[LooseMesh, ...]
     layer: Layer
     running: Decision
-    name: str = "outline"
 
     def decide(self, drawing: Drawing) -> Decision:
         return self.running if any(drawing.visible) else OUT_OF_VIEW
@@ -80,23 +64,16 @@ class OutlinePass(Pass):
         drawing.gl.cull_face = "front"
         for hull in self.hulls:
             if drawing.visible[hull.mesh.avatar]:
-                hull.mesh.pose(drawing)
-                if hull.loose is not None:
-                    hull.loose.bind(drawing)
-                drawing.resources[hull.array].render()
+                hull.draw(drawing)
         drawing.gl.cull_face = "back"
 
     def warm(self, warming: Warming) -> None:
         if warming.enter(self.layer):
             self._color(warming.resources, (1, 1))
             for hull in self.hulls:
-                hull.mesh.warm(warming.resources)
-                if hull.loose is not None:
-                    hull.loose.warm(warming.resources)
-                warming.resources[hull.array].render(vertices=3)
+                hull.warm(warming.resources)
 
     def _color(self, resources: PlanResources, size: tuple[int, int]) -> None:
         for handle in {hull.program for hull in self.hulls}:
-            program = resources[handle]
-            uniform(program, "width").value = tuple(2 * self.outline.width / np.array(size))
-            uniform(program, "plain").value = self.outline.color[:3]
+            width = tuple(2 * self.outline.width / np.array(size))
+            set_uniforms(resources[handle], width=width, plain=self.outline.color[:3])

@@ -13,7 +13,7 @@ from player.draw.drawing import Drawing, Warming
 from player.draw.plan import Decision, Draft, Pass, PassState
 from player.draw.resources import Handle, Image, PlanResources
 from player.effects.background_source import read_panorama
-from player.gl.shader import uniform
+from player.gl.shader import set_uniforms
 
 TURNED = Decision(PassState.RUNS, "the camera turned")
 STILL = Decision(PassState.KEPT, "the camera has not turned")
@@ -49,25 +49,24 @@ class Panorama:
 
 @dataclass(frozen=True)
 class PanoramaPass(Pass):
-    uses: tuple[Handle[Any], ...]
+    """The view of the panorama, into an image that frames copy."""
+
     image: Image
     content: Panorama
     light: Handle[moderngl.Texture]
     program: Handle[moderngl.Program]
     array: Handle[moderngl.VertexArray]
-    name: str = "background: hdr"
 
     def decide(self, drawing: Drawing) -> Decision:
         return STILL if self.content.holds == self._wanted(drawing) else TURNED
 
     def draw(self, drawing: Drawing) -> None:
         camera, resources = drawing.inputs.camera, drawing.resources
-        program = resources[self.program]
-        direction = direction_from_pixel(camera, self.content.turn)
         texels_a_radian = self.content.size[0] / (2 * np.pi)
-        uniform(program, "direction_from_pixel").write(direction.T.astype("f4").tobytes())
-        uniform(program, "exposure").value = 2.0**self.content.exposure
-        uniform(program, "mip").value = max(float(np.log2(texels_a_radian / camera.K[1, 1])), 0.0)
+        set_uniforms(
+            resources[self.program], direction_from_pixel=direction_from_pixel(camera, self.content.turn).T,
+            exposure=2.0**self.content.exposure, mip=max(float(np.log2(texels_a_radian / camera.K[1, 1])), 0.0),
+        )  # fmt: skip
         framebuffer = resources[self.image.framebuffer]
         framebuffer.viewport = (0, 0, *framebuffer.size)
         self._render(resources)
@@ -91,6 +90,7 @@ class PanoramaPass(Pass):
 
 
 def panorama_pass(draft: Draft, image: Image, content: Panorama) -> PanoramaPass:
+    """The pass of an open panorama that fills an image."""
     width, height = content.size
     levels = max(width, height).bit_length()
     texels = sum(max(width >> i, 1) * max(height >> i, 1) for i in range(levels))
@@ -98,7 +98,8 @@ def panorama_pass(draft: Draft, image: Image, content: Panorama) -> PanoramaPass
     light = draft.texture("panorama", 8 * texels, content, make=content.texture)
     program = draft.program("screen.vert", "panorama.frag", samplers=("panorama",))
     array = draft.array(program)
-    return PanoramaPass((*image.handles, light, array), image, content, light, program, array)
+    uses = (*image.handles, light, array)
+    return PanoramaPass("background: hdr", uses, image, content, light, program, array)
 
 
 def direction_from_pixel(camera: Camera, turn: float) -> Float[np.ndarray, "3 3"]:

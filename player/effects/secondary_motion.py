@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, NamedTuple
 
 import moderngl
 import numpy as np
@@ -18,10 +18,10 @@ from avatar.baked_avatar import Avatar, Level
 from avatar.camera import view_from_world
 from command.settings import Above, AtLeast, AtMost, check
 from player.draw.drawing import Drawing, FrameInputs, Pose
-from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
-from player.draw.posed_mesh import vertex_order
-from player.draw.resources import Handle, PlanResources
-from player.gl.blocks import BINDING, LOOSE
+from player.draw.plan import Absent, Attributes, Decision, Draft, Pass, PassState, Stage, vertex_order
+from player.draw.posed_mesh import PosedMesh, posed_mesh
+from player.draw.resources import AnyHandle, Handle, PlanResources
+from player.gl.blocks import LOOSE
 
 if TYPE_CHECKING:
     from player.effects.loose_motion import LooseMotion
@@ -96,17 +96,15 @@ class LooseOffsets:
 
     avatar: int
     motion: LazyMotion
-    # the offsets of this frame
-    block: Handle[moderngl.Buffer]
-    # the particles that each vertex follows
-    vertices: Handle[moderngl.Buffer]
+    block: Handle[moderngl.Buffer]  # the offsets of this frame
+    vertices: Handle[moderngl.Buffer]  # the particles that each vertex follows
 
     @property
-    def handles(self) -> tuple[Handle[Any], ...]:
+    def handles(self) -> tuple[AnyHandle, ...]:
         return self.block, self.vertices
 
     @property
-    def buffer(self) -> tuple[Any, ...]:
+    def buffer(self) -> Attributes:
         """What a vertex array gains."""
         return (self.vertices, *ATTRIBUTES)
 
@@ -115,13 +113,10 @@ class LooseOffsets:
 
     def bind(self, drawing: Drawing) -> None:
         """Bring the offsets of this frame to the GPU, unless another pass has, and bind them."""
-        buffer = drawing.write(self.block, lambda: self._content(drawing))
-        buffer.bind_to_uniform_block(BINDING["Loose"][1])
+        drawing.bind(self.block, "Loose", lambda: self._content(drawing))
 
     def warm(self, resources: PlanResources) -> None:
-        buffer = resources[self.block]
-        buffer.write(bytes(buffer.size))
-        buffer.bind_to_uniform_block(BINDING["Loose"][1])
+        resources.bind_zeros(self.block, "Loose")
 
     def _content(self, drawing: Drawing) -> bytes:
         block, motion = np.zeros((), LOOSE), self.motion.found
@@ -142,29 +137,63 @@ def offsets_of(draft: Draft, avatar: int) -> LooseOffsets | None:
     level, tag, springs = draft.levels[avatar], draft.tag(avatar), draft.asked(SecondaryMotion)
     if springs is None or not is_loose(level):
         return None
-    motion = draft.keep(
-        ("secondary motion", avatar, draft.detail[avatar], springs),
-        lambda: LazyMotion(draft.avatars[avatar], level, springs),
-    )
+    key = ("secondary motion", avatar, draft.detail[avatar], springs)
+    motion = draft.keep(key, lambda: LazyMotion(draft.avatars[avatar], level, springs))
 
     def vertices(made: PlanResources) -> bytes:
         out, parts = np.zeros(len(level.positions), VERTEX), motion.found.parts
         out["near"], out["follows"] = parts.near, parts.follows
         return out[vertex_order(made, level)[0]].tobytes()
 
-    size = VERTEX.itemsize * len(level.positions)
+    size, number = VERTEX.itemsize * len(level.positions), draft.detail[avatar]
+    block = draft.buffer(f"{tag} loose offsets", LOOSE.itemsize, avatar)
     return LooseOffsets(
-        avatar, motion, draft.buffer(f"{tag} loose offsets", LOOSE.itemsize, avatar),
-        draft.buffer(f"{tag} loose parts", size, avatar, draft.detail[avatar], content=vertices),
-    )  # fmt: skip
+        avatar, motion, block, draft.buffer(f"{tag} loose parts", size, avatar, number, content=vertices)
+    )
+
+
+class LooseMesh(NamedTuple):
+    """An avatar's surface with its loose parts where they are, as one program draws it."""
+
+    mesh: PosedMesh
+    program: Handle[moderngl.Program]
+    array: Handle[moderngl.VertexArray]
+    loose: LooseOffsets | None
+
+    @property
+    def handles(self) -> tuple[AnyHandle, ...]:
+        return (*self.mesh.handles, self.program, self.array, *(() if self.loose is None else self.loose.handles))
+
+    def draw(self, drawing: Drawing) -> None:
+        self.mesh.pose(drawing)
+        if self.loose is not None:
+            self.loose.bind(drawing)
+        drawing.resources[self.array].render()
+
+    def warm(self, resources: PlanResources) -> None:
+        self.mesh.warm(resources)
+        if self.loose is not None:
+            self.loose.warm(resources)
+        resources[self.array].render(vertices=3)
+
+
+def loose_mesh(
+    draft: Draft, avatar: int, vertex: str, fragment: str, *more: Attributes, level: int | None = None
+) -> LooseMesh:
+    """An avatar for a program of these shaders, with further attributes of its vertices; where nothing of it is loose,
+    at another level of detail than the plan's."""
+    loose = offsets_of(draft, avatar)
+    # loose parts are bound to the vertices of the level that is drawn
+    mesh = posed_mesh(draft, avatar, level=level if loose is None else None)
+    program = draft.program(vertex, fragment, SKINNING=int(draft.dual), LOOSE=int(loose is not None))
+    array = mesh.array(draft, program, *more, *(() if loose is None else (loose.buffer,)))
+    return LooseMesh(mesh, program, array, loose)
 
 
 @dataclass(frozen=True)
 class LoosePass(Pass):
     """Brings one avatar's offsets to the GPU."""
 
-    name: str
-    uses: tuple[Handle[Any], ...]
     offsets: LooseOffsets
 
     def move(self, poses: Sequence[Pose], seconds: float) -> None:

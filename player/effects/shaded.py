@@ -1,18 +1,25 @@
-"""How an avatar's program is varied by what a scene calls for: other light, contact darkening, loose parts. The passes
-that draw avatars ask for it here; what cannot show in a frame leaves them with the program that never heard of it."""
+"""The pass that draws an avatar, and how its program is varied by what a scene calls for: other light, contact
+darkening, loose parts. What cannot show in a frame leaves it with the program that never heard of it."""
 
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import moderngl
 
-from player.draw.drawing import Drawing
-from player.draw.plan import Draft
+from player.draw.drawing import Drawing, Layer, Warming
+from player.draw.plan import Attributes, Decision, Draft, Pass, PassState
 from player.draw.posed_mesh import PosedMesh
-from player.draw.resources import Handle, PlanResources
+from player.draw.resources import AnyHandle, Handle, PlanResources
 from player.effects.contact import AvatarContact, contact_of
 from player.effects.light import AvatarLight, light_note, light_of
 from player.effects.secondary_motion import LooseOffsets, offsets_of
-from player.gl.shader import uniform
+from player.gl.shader import set_uniforms
+
+# pixels; view dependence of a smaller avatar cannot be seen
+MIN_HEIGHT = 40
+OUT_OF_VIEW = Decision(PassState.SKIPPED, "out of view")
+TOO_SMALL = Decision(PassState.SKIPPED, f"the avatar is less than {MIN_HEIGHT} pixels tall")
+VIEW_DRAWS_IT = Decision(PassState.SKIPPED, "the view pass draws this avatar")
 
 
 class Variant(NamedTuple):
@@ -35,7 +42,7 @@ class Variant(NamedTuple):
             self.light.apply(program, drawing.inputs.camera)
         if self.contact is not None:
             self.contact.bind(drawing)
-            uniform(program, "darkening").value = self.contact.strength
+            set_uniforms(program, darkening=self.contact.strength)
         if self.loose is not None:
             self.loose.bind(drawing)
 
@@ -60,8 +67,8 @@ class AvatarShading(NamedTuple):
             resources[variant.array].render(vertices=3)
 
     @property
-    def handles(self) -> tuple[Handle[Any], ...]:
-        out: list[Handle[Any]] = [variant.array for variant in self.variants]
+    def handles(self) -> tuple[AnyHandle, ...]:
+        out: list[AnyHandle] = [variant.array for variant in self.variants]
         first = self.variants[0]
         if first.light is not None:
             out.append(first.light.vertices)
@@ -75,7 +82,7 @@ class AvatarShading(NamedTuple):
         return tuple(out)
 
 
-def shading_of(draft: Draft, who: int, mesh: PosedMesh, *more: tuple[Any, ...], **program: Any) -> AvatarShading:
+def shading_of(draft: Draft, who: int, mesh: PosedMesh, *more: Attributes, **program: Any) -> AvatarShading:
     """The program of one of the plan's avatars as it calls for it. more: further attributes of the vertices; program:
     as `Draft.program`."""
     light, contact, loose = light_of(draft, who), contact_of(draft, who), offsets_of(draft, who)
@@ -85,16 +92,53 @@ def shading_of(draft: Draft, who: int, mesh: PosedMesh, *more: tuple[Any, ...], 
             "avatar.vert", "avatar.frag", SKINNING=int(draft.dual), LIT=0 if light is None else light.variant,
             CONTACT=int(touch is not None), LOOSE=int(moved is not None), **program,
         )  # fmt: skip
-        buffers = list(more)
-        if light is not None:
-            buffers.append(light.buffer)
+        buffers = [*more, *([] if light is None else [light.buffer])]
         if touch is not None:
             # the light's vertices have normals
             buffers += touch.buffers[:1] if light is not None else touch.buffers
-        if moved is not None:
-            buffers.append(moved.buffer)
+        buffers += [] if moved is None else [moved.buffer]
         return Variant(mesh.array(draft, made, *buffers), made, light, touch, moved)
 
     note = light_note(draft, who, light) + ("" if contact is None else ", darkened where limbs come near")
     ways = [(touch, moved) for touch in dict.fromkeys((contact, None)) for moved in dict.fromkeys((loose, None))]
     return AvatarShading(tuple(variant(*way) for way in ways), note)
+
+
+@dataclass(frozen=True)
+class AvatarPass(Pass):
+    """One avatar, in the colors of its texture or with view dependence."""
+
+    layer: Layer
+    mesh: PosedMesh
+    shading: AvatarShading
+    # by unit: base color, features, more features
+    textures: tuple[Handle[moderngl.Texture], ...]
+    running: Decision
+    # the pass that draws the avatar instead, where it can show; None: it is that pass, or there is none
+    instead: "AvatarPass | None" = None
+    min_height: float = 0.0  # pixels
+
+    def decide(self, drawing: Drawing) -> Decision:
+        if not drawing.visible[self.mesh.avatar]:
+            return OUT_OF_VIEW
+        if self.instead is not None and self.instead.decide(drawing).runs:
+            return VIEW_DRAWS_IT
+        return self.running if drawing.height(self.mesh.avatar) >= self.min_height else TOO_SMALL
+
+    def draw(self, drawing: Drawing) -> None:
+        drawing.enter(self.layer)
+        self.mesh.pose(drawing)
+        self._bind(drawing.resources)
+        variant = self.shading.variant(drawing)
+        variant.apply(drawing)
+        drawing.resources[variant.array].render()
+
+    def warm(self, warming: Warming) -> None:
+        if warming.enter(self.layer):
+            self.mesh.warm(warming.resources)
+            self._bind(warming.resources)
+            self.shading.warm(warming.resources)
+
+    def _bind(self, resources: PlanResources) -> None:
+        for unit, texture in enumerate(self.textures):
+            resources[texture].use(unit)

@@ -15,14 +15,13 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.camera import view_from_world
-from player.draw.drawing import Drawing, Layer, Warming
-from player.draw.plan import Decision, Draft, Pass, PassState
-from player.draw.posed_mesh import PosedMesh, posed_mesh
+from player.draw.drawing import Drawing, Warming
+from player.draw.plan import Decision, Draft, Pass, PassState, clamped
 from player.draw.resources import Handle, PlanResources
-from player.effects.ground_plane import PassBehind, Sheet, draw_behind
+from player.effects.ground_plane import PassBehind, Sheet, behind_parts
 from player.effects.light import light_on
-from player.effects.secondary_motion import LooseOffsets, offsets_of
-from player.gl.shader import uniform
+from player.effects.secondary_motion import LooseMesh, loose_mesh
+from player.gl.shader import set_uniforms
 from player.gl.tiles import SurfacePatches
 
 # degrees above the horizon: the shadow of a lower lamp has no end
@@ -47,49 +46,38 @@ MOVED = Decision(PassState.RUNS, "avatars moved")
 
 
 class ShadowSettings(NamedTuple):
-    """What a scene says of the shadow; lengths in metres."""
+    """What a scene says of the shadow: where its lamp is, the share of the light that it takes, and the ground."""
 
-    # towards the lamp, world
-    direction: tuple[float, float, float]
-    # share of the light that it takes
+    direction: tuple[float, float, float]  # towards the lamp, world
     strength: float
-    # degrees from the lamp's middle to its edge
-    softness: float
-    # the ground above the world's origin
-    height: float
+    softness: float  # degrees from the lamp's middle to its edge
+    height: float  # metres above the world's origin
 
 
-def shadow_passes(draft: Draft, drawn_on: tuple[Handle[Any], ...], settings: ShadowSettings) -> Sequence[Pass]:
+def shadow_passes(draft: Draft, settings: ShadowSettings) -> Sequence[Pass]:
     """The mask, and the shadow that it lays on the ground."""
     # avatars stand apart
     side = (SOFTWARE_TEXELS if draft.canvas.software else TEXELS) * (1 if len(draft.avatars) == 1 else 2)
     size = sum(4 * (side >> i) ** 2 for i in range(side.bit_length()))
     mask = draft.texture("shadow mask", size, side, make=lambda made: _mask_texture(made, side))
-    target = _target_of(draft, mask)
-    meshes = []
-    for index in range(len(draft.avatars)):
-        loose = offsets_of(draft, index)
-        # loose parts are bound to the vertices of the level that is drawn
-        mesh = posed_mesh(draft, index, level=None if loose is not None else thrown_level(draft, index))
-        thrown = draft.program(
-            "shadow_mask.vert", "shadow_mask.frag", SKINNING=int(draft.dual), LOOSE=int(loose is not None)
-        )
-        array = mesh.array(draft, thrown, *(() if loose is None else (loose.buffer,)))
-        meshes.append(Thrown(mesh, array, thrown, loose))
-    soft = draft.texture("soft shadow", side * side, side, make=lambda made: _soft_texture(made, side))
+    soft = draft.texture(
+        "soft shadow", side * side, side, make=lambda made: clamped(made.context.gl.texture((side, side), 1))
+    )
+    meshes = tuple(
+        loose_mesh(draft, index, "shadow_mask.vert", "shadow_mask.frag", level=thrown_level(draft, index))
+        for index in range(len(draft.avatars))
+    )
     softened = draft.program("shadow_cells.vert", "shadow.frag", samplers=("mask",))
     softening = Softening(softened, draft.array(softened), _target_of(draft, soft))
-    program = draft.program("shadow_cells.vert", "shadow_laid.frag", samplers=("mask", "soft"))
-    array = draft.array(program)
     x, y, z = _lamp_of(draft, settings.direction).tolist()
     edge = 2 * float(np.tan(np.radians(settings.softness))) * float(np.hypot(np.hypot(x, z), y)) / y
     lamp = ShadowLamp((-x / y, -z / y), edge, settings.height, side, draft.patches(), draft.dual)
     holds = draft.keep(MaskState, MaskState)
-    uses = tuple(handle for one in meshes for handle in one.handles)
-    shown = (*drawn_on, mask, soft, array)
-    shadow = ShadowPass(shown, settings.strength, lamp, draft.layer, mask, soft, program, array, holds)
-    owned = (*uses, mask, target, soft, *softening)
-    return MaskPass(owned, lamp, tuple(meshes), target, mask, softening, shadow, holds), shadow
+    parts = behind_parts(draft, "shadow_cells.vert", "shadow_laid.frag", mask, soft, samplers=("mask", "soft"))
+    shadow = ShadowPass("ground: shadow", *parts, settings.strength, lamp, mask, soft, holds)
+    target = _target_of(draft, mask)
+    owned = (*(handle for one in meshes for handle in one.handles), mask, target, soft, *softening)
+    return MaskPass("ground: mask", owned, lamp, meshes, target, mask, softening, shadow, holds), shadow
 
 
 def thrown_level(draft: Draft, avatar: int) -> int:
@@ -97,20 +85,6 @@ def thrown_level(draft: Draft, avatar: int) -> int:
     levels = draft.avatars[avatar].levels
     enough = [number for number, level in enumerate(levels) if len(level.faces) >= TRIANGLES]
     return max(draft.detail[avatar], max(enough, default=0))
-
-
-class Thrown(NamedTuple):
-    """One avatar as its shadow is thrown."""
-
-    mesh: PosedMesh
-    array: Handle[moderngl.VertexArray]
-    program: Handle[moderngl.Program]
-    loose: LooseOffsets | None
-
-    @property
-    def handles(self) -> tuple[Handle[Any], ...]:
-        more = () if self.loose is None else self.loose.handles
-        return (*self.mesh.handles, self.array, self.program, *more)
 
 
 class Softening(NamedTuple):
@@ -209,16 +183,11 @@ def footprint(drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
 class ShadowPass(PassBehind):
     """The softened shadow laid on the ground."""
 
-    uses: tuple[Handle[Any], ...]
     strength: float
     lamp: ShadowLamp
-    layer: Layer
     mask: Handle[moderngl.Texture]
     soft: Handle[moderngl.Texture]
-    program: Handle[moderngl.Program]
-    array: Handle[moderngl.VertexArray]
     holds: MaskState
-    name: str = "ground: shadow"
 
     def decide(self, drawing: Drawing) -> Decision:
         here = self.holds.footprint(drawing, self.lamp)
@@ -230,20 +199,13 @@ class ShadowPass(PassBehind):
         return Decision(PassState.RUNS, f"{here.texel * 1e3:.0f} mm a texel")
 
     def draw(self, drawing: Drawing) -> None:
-        here, resources = self.holds.footprint(drawing, self.lamp), drawing.resources
+        here, program = self.holds.footprint(drawing, self.lamp), drawing.resources[self.program]
         assert here is not None
-        program = resources[self.program]
-        uniform(program, "across").value = self.lamp.side * here.texel
-        uniform(program, "reach").value = here.reach(self.lamp)
-        uniform(program, "strength").value = self.strength
+        across = self.lamp.side * here.texel
+        set_uniforms(program, across=across, reach=here.reach(self.lamp), strength=self.strength)
+        self.draw_sheet(drawing, here.sheet)
 
-        def draw(flipped: bool) -> None:
-            here.sheet.apply(program, drawing.inputs.camera, flipped=flipped)
-            self._render(resources)
-
-        draw_behind(drawing, self.layer, draw)
-
-    def _render(self, resources: PlanResources) -> None:
+    def render(self, resources: PlanResources) -> None:
         resources[self.mask].use(0)
         resources[self.soft].use(1)
         resources[self.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.lamp.cells)
@@ -253,15 +215,13 @@ class ShadowPass(PassBehind):
 class MaskPass(Pass):
     """What the lamp throws on the ground, and the shadow that this makes."""
 
-    uses: tuple[Handle[Any], ...]
     lamp: ShadowLamp
-    meshes: tuple[Thrown, ...]
+    meshes: tuple[LooseMesh, ...]
     target: Handle[moderngl.Framebuffer]
     mask: Handle[moderngl.Texture]
     softening: Softening
     shadow: ShadowPass
     holds: MaskState
-    name: str = "ground: mask"
 
     def decide(self, drawing: Drawing) -> Decision:
         read = self.shadow.decide(drawing)
@@ -270,18 +230,15 @@ class MaskPass(Pass):
         return STILL if self.holds.key == self._wanted(drawing) else MOVED
 
     def draw(self, drawing: Drawing) -> None:
-        here, resources, gl = self.holds.footprint(drawing, self.lamp), drawing.resources, drawing.gl
+        here, resources = self.holds.footprint(drawing, self.lamp), drawing.resources
         assert here is not None
-        rows = np.ascontiguousarray(self._rows(drawing, here), np.float32).tobytes()
+        rows = self._rows(drawing, here)
         for program in {one.program for one in self.meshes}:
-            uniform(resources[program], "mask_from_view").write(rows)
+            set_uniforms(resources[program], mask_from_view=rows)
         self._begin(resources)
         for one in self.meshes:
-            one.mesh.pose(drawing)
-            if one.loose is not None:
-                one.loose.bind(drawing)
-            resources[one.array].render()
-        self._end(gl)
+            one.draw(drawing)
+        self._end(drawing.gl)
         resources[self.mask].build_mipmaps()
         self._soften(resources, here)
         drawing.inputs.framebuffer.use()
@@ -290,10 +247,7 @@ class MaskPass(Pass):
     def warm(self, warming: Warming) -> None:
         self._begin(warming.resources)
         for one in self.meshes:
-            one.mesh.warm(warming.resources)
-            if one.loose is not None:
-                one.loose.warm(warming.resources)
-            warming.resources[one.array].render(vertices=3)
+            one.warm(warming.resources)
         self._end(warming.resources.context.gl)
         self._softened(warming.resources)
         # nothing that a frame would keep
@@ -312,14 +266,13 @@ class MaskPass(Pass):
         gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
 
     def _soften(self, resources: PlanResources, here: Footprint) -> None:
-        program, across = resources[self.softening.program], self.lamp.side * here.texel
+        across, search = self.lamp.side * here.texel, max(float(np.log2(SEARCHED / here.texel)), 0.0)
         # the plane's metres to the whole of the target
-        columns = np.array([[2 / across, 0, 0, 0], [0, 2 / across, 0, 0], [-1, -1, 0, 1]], np.float32)
-        uniform(program, "clip_from_plane").write(columns.tobytes())
-        uniform(program, "across").value = across
-        uniform(program, "reach").value = here.reach(self.lamp)
-        uniform(program, "spread").value = here.spread(self.lamp)
-        uniform(program, "search").value = max(float(np.log2(SEARCHED / here.texel)), 0.0)
+        columns = np.array([[2 / across, 0, 0, 0], [0, 2 / across, 0, 0], [-1, -1, 0, 1]])
+        set_uniforms(
+            resources[self.softening.program], clip_from_plane=columns, across=across, reach=here.reach(self.lamp),
+            spread=here.spread(self.lamp), search=search,
+        )  # fmt: skip
         self._softened(resources)
 
     def _softened(self, resources: PlanResources) -> None:
@@ -335,14 +288,10 @@ class MaskPass(Pass):
         (sx, sz), across = self.lamp.slant, self.lamp.side * here.texel
         x0, _, z0 = here.sheet.anchor.tolist()
         low = self.lamp.height
-        rows = np.array(
-            [
-                [2 / across, 2 * sx / across, 0, -2 * (x0 + sx * low) / across - 1],
+        rows = [[2 / across, 2 * sx / across, 0, -2 * (x0 + sx * low) / across - 1],
                 [0, 2 * sz / across, 2 / across, -2 * (z0 + sz * low) / across - 1],
-                [0, 1 / here.tall, 0, -low / here.tall],
-            ]
-        )
-        return rows @ np.linalg.inv(view_from_world(drawing.inputs.camera))
+                [0, 1 / here.tall, 0, -low / here.tall]]  # fmt: skip
+        return np.array(rows) @ np.linalg.inv(view_from_world(drawing.inputs.camera))
 
     def _wanted(self, drawing: Drawing) -> tuple[Any, ...]:
         """Equal while nothing moves, whatever the camera does."""
@@ -355,22 +304,13 @@ def _mask_texture(made: PlanResources, side: int) -> moderngl.Texture:
     texture = made.context.gl.texture((side, side), 2, dtype="f2")
     texture.build_mipmaps()
     texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-    texture.repeat_x = texture.repeat_y = False
-    return texture
-
-
-def _soft_texture(made: PlanResources, side: int) -> moderngl.Texture:
-    texture = made.context.gl.texture((side, side), 1, dtype="f1")
-    texture.repeat_x = texture.repeat_y = False
-    return texture
+    return clamped(texture)
 
 
 def _target_of(draft: Draft, texture: Handle[moderngl.Texture]) -> Handle[moderngl.Framebuffer]:
     """A framebuffer that draws into one texture."""
-    kind = moderngl.Framebuffer
-    return draft.need(
-        Handle(kind, texture.name, 0, (texture,), lambda made: made.context.gl.framebuffer([made[texture]]))
-    )
+    make = lambda made: made.context.gl.framebuffer([made[texture]])
+    return draft.need(Handle(moderngl.Framebuffer, texture.name, 0, (texture,), make))
 
 
 def _lamp_of(draft: Draft, direction: tuple[float, float, float]) -> Float[np.ndarray, "3"]:

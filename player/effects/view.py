@@ -1,18 +1,14 @@
 """View dependence: the avatar's network or linear model changes its colors with the direction of view, per vertex or
 per pixel. Draws the avatar in place of its paper pass."""
 
-from dataclasses import dataclass
-from typing import Any
-
 import moderngl
 
 from avatar.baked_avatar import Avatar
-from player.draw.drawing import Drawing, Layer, Warming
 from player.draw.mesh import VIEW_VERTEX, view_interleaved
-from player.draw.plan import Absent, Decision, Draft, Pass, PassState
-from player.draw.posed_mesh import PosedMesh, posed_mesh, vertex_order
-from player.draw.resources import Handle, PlanResources
-from player.effects.shaded import AvatarShading, shading_of
+from player.draw.plan import Absent, Decision, Draft, PassState
+from player.draw.posed_mesh import posed_mesh
+from player.draw.resources import Handle
+from player.effects.shaded import MIN_HEIGHT, AvatarPass, shading_of
 from player.gl.constants import avatar_constants
 from player.gl.texture import image_texture, mipmapped_bytes
 
@@ -20,51 +16,9 @@ VIEWS = ("off", "vertex", "linear", "network")
 STAGE = {"off": 0, "vertex": 1, "linear": 2, "network": 2}
 ATTRIBUTES = ("3f4 3f4 3f4 1f4", "view_mean", "view_q0", "view_q1", "view_seen")
 SAMPLERS = ("base_color", "features", "more_features")
-# pixels; view dependence of a smaller avatar cannot be seen
-MIN_HEIGHT = 40
-OUT_OF_VIEW = Decision(PassState.SKIPPED, "out of view")
-TOO_SMALL = Decision(PassState.SKIPPED, f"the avatar is less than {MIN_HEIGHT} pixels tall")
 
 
-@dataclass(frozen=True)
-class ViewPass(Pass):
-    """One avatar with view dependence."""
-
-    name: str
-    uses: tuple[Handle[Any], ...]
-    layer: Layer
-    mode: str
-    mesh: PosedMesh
-    shading: AvatarShading
-    # by unit: base color, features, more features
-    textures: tuple[Handle[moderngl.Texture], ...]
-    running: Decision
-
-    def decide(self, drawing: Drawing) -> Decision:
-        if not drawing.visible[self.mesh.avatar]:
-            return OUT_OF_VIEW
-        return self.running if drawing.height(self.mesh.avatar) >= MIN_HEIGHT else TOO_SMALL
-
-    def draw(self, drawing: Drawing) -> None:
-        drawing.enter(self.layer)
-        self.mesh.pose(drawing)
-        self._bind(drawing.resources)
-        variant = self.shading.variant(drawing)
-        variant.apply(drawing)
-        drawing.resources[variant.array].render()
-
-    def warm(self, warming: Warming) -> None:
-        if warming.enter(self.layer):
-            self.mesh.warm(warming.resources)
-            self._bind(warming.resources)
-            self.shading.warm(warming.resources)
-
-    def _bind(self, resources: PlanResources) -> None:
-        for unit, texture in enumerate(self.textures):
-            resources[texture].use(unit)
-
-
-def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.Texture]) -> ViewPass | Absent:
+def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.Texture]) -> AvatarPass | Absent:
     """The pass of the mode that `view` means for an avatar.
 
     Raises:
@@ -80,21 +34,19 @@ def view_pass(draft: Draft, avatar: int, view: str, base_color: Handle[moderngl.
     if mode == "vertex" and view == "auto":
         network = who.default_view == "network"
     posed = posed_mesh(draft, avatar, directions=True)
-    vertices = draft.buffer(
-        f"{draft.tag(first)} view vertices", VIEW_VERTEX.itemsize * len(mesh.positions), first, draft.detail[avatar],
-        content=lambda made: view_interleaved(mesh)[vertex_order(made, mesh)[0]].tobytes(),
-    )  # fmt: skip
-    features = _feature_textures(draft, avatar)
+    vertices = draft.vertices("view vertices", avatar, VIEW_VERTEX.itemsize, lambda: view_interleaved(mesh))
     shading = shading_of(
         draft, avatar, posed, (vertices, *ATTRIBUTES), samplers=SAMPLERS, avatar=first,
         constants=lambda: avatar_constants(who), VIEW_STAGE=STAGE[mode], VIEW_MODEL=int(network),
         VIEW_FEATURES=mesh.features.shape[2],
     )  # fmt: skip
-    textures = (base_color, *features)
+    textures = (base_color, *_feature_textures(draft, avatar))
     uses = (*draft.drawn_on, *posed.handles, vertices, *textures, *shading.handles)
     running = Decision(PassState.RUNS, why + shading.note)
     draft.views[avatar] = mode
-    return ViewPass(f"{tag}: view {mode}", uses, draft.layer, mode, posed, shading, textures, running)
+    return AvatarPass(
+        f"{tag}: view {mode}", uses, draft.layer, posed, shading, textures, running, min_height=MIN_HEIGHT
+    )
 
 
 def _feature_textures(draft: Draft, avatar: int) -> list[Handle[moderngl.Texture]]:

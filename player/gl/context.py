@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable
 from ctypes import POINTER, byref, c_char_p, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import moderngl
 
@@ -44,14 +44,16 @@ class NoContextError(RuntimeError):
 
 @dataclass(frozen=True)
 class EglDevice:
-    index: int  # position in eglQueryDevicesEXT
+    """A device that EGL lists: its place in eglQueryDevicesEXT, its DRM node as /dev/dri/card0, its CUDA ordinal where
+    the driver has one, whether it is Mesa's own rasteriser, its render node as /dev/dri/renderD128, and the card's
+    maker and name where the driver has them."""
+
+    index: int
     handle: int
-    drm: str | None  # DRM node, as /dev/dri/card0
-    # CUDA ordinal, where the driver has one
+    drm: str | None
     cuda: int | None
-    software: bool  # Mesa's own rasteriser, not a GPU
-    render_node: str | None = None  # as /dev/dri/renderD128
-    # maker and name of the card, where the driver has them
+    software: bool
+    render_node: str | None = None
     model: str | None = None
 
     def is_gpu(self, gpu: int | str) -> bool:
@@ -62,11 +64,9 @@ class EglDevice:
         return gpu == (self.index if self.cuda is None else self.cuda)
 
     def __str__(self) -> str:
-        facts = [self.model or "", self.drm or "", self.render_node or ""]
-        facts.append(f"CUDA {self.cuda}" if self.cuda is not None else "")
-        if self.software:
-            facts.append("software")
-        return f"EGL device {self.index}" + "".join(f" {fact}" for fact in facts if fact)
+        cuda = None if self.cuda is None else f"CUDA {self.cuda}"
+        facts = (self.model, self.drm, self.render_node, cuda, "software" if self.software else None)
+        return " ".join([f"EGL device {self.index}", *filter(None, facts)])
 
 
 @dataclass
@@ -81,20 +81,15 @@ class Driver:
     # memory the driver still writes to
     keep: list[object] = field(default_factory=list)
 
-
-class Loader:
-    """The context object moderngl asks for function addresses."""
-
-    def __init__(self, driver: Driver):
-        self.driver = driver
+    # what moderngl asks of a context object
 
     def load_opengl_function(self, name: str) -> int:
-        return self.driver.address(name)
+        return self.address(name)
 
-    def __enter__(self) -> "Loader":
+    def __enter__(self) -> "Driver":
         return self
 
-    def __exit__(self, *_error) -> None:
+    def __exit__(self, *_error: object) -> None:
         pass
 
     def release(self) -> None:
@@ -118,9 +113,10 @@ class Context:
         self.driver, self.kind = driver, kind
         self.released = False
         self._screen: moderngl.Framebuffer | None = None
+        self._functions: dict[str, Callable[..., None]] = {}
         self._claim()
-        loader: Any = Loader(driver)  # moderngl's types know only its own loader
-        self.gl = moderngl.create_context(context=loader, standalone=standalone)
+        # moderngl's types know only its own loader
+        self.gl = moderngl.create_context(context=cast(Any, driver), standalone=standalone)
         self.renderer: str = self.gl.info["GL_RENDERER"]
         self.software = any(name in self.renderer.lower() for name in SOFTWARE_RENDERERS)
         self.attempts = [*attempts, f"{driver.name}: {self.renderer}, OpenGL {self.gl.info['GL_VERSION']}"]
@@ -139,6 +135,12 @@ class Context:
         if self._screen is None:
             self._screen = self.gl.detect_framebuffer(0)
         return self._screen
+
+    def function(self, name: str, *arguments: type) -> Callable[..., None]:
+        """A function of the driver that moderngl has no word for; made once."""
+        if name not in self._functions:
+            self._functions[name] = ctypes.CFUNCTYPE(None, *arguments)(self.driver.address(name))
+        return self._functions[name]
 
     def _claim(self) -> None:
         # EGL and OSMesa of one Mesa share the current-context slot but not the knowledge of it: the one
@@ -216,11 +218,7 @@ def open_context(kind: str = "auto", gpu: int | str | None = None) -> Context:
 
 def wrap_context(address: Callable[[str], int], make_current: Callable[[], None], name: str) -> Context:
     """A context around a window's: `address` finds GL functions, the window owns the context itself."""
-
-    def nothing() -> None:
-        pass
-
-    driver = Driver(name, address, make_current, nothing, nothing)
+    driver = Driver(name, address, make_current, lambda: None, lambda: None)
     return Context(driver, "window", [], standalone=False)
 
 
@@ -301,12 +299,9 @@ class Egl:
             named = "EGL_EXT_device_query_name" in known
             names = [text(handle, name) for name in (EGL_VENDOR, EGL_RENDERER)] if named else []
             model = " ".join(name.decode("utf-8", "replace") for name in names if name)
-            devices.append(
-                EglDevice(
-                    index, handle, drm.decode() if drm else None, cuda, "EGL_MESA_device_software" in known,
-                    node.decode() if node else None, model or None,
-                )
-            )  # fmt: skip
+            drm, node = (one.decode() if one else None for one in (drm, node))
+            software = "EGL_MESA_device_software" in known
+            devices.append(EglDevice(index, handle, drm, cuda, software, node, model or None))
         return devices
 
     def error(self) -> str:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from importlib.resources import files
 
 import moderngl
+import numpy as np
 
 INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"\s*$')
 CONDITION = re.compile(r"^\s*#\s*(?:if|elif)\b(.*)$", re.MULTILINE)
@@ -121,6 +122,15 @@ def uniform(program: moderngl.Program, name: str) -> moderngl.Uniform:
     found = program[name]
     assert isinstance(found, moderngl.Uniform), f"{name} is a {type(found).__name__}"
     return found
+
+
+def set_uniforms(program: moderngl.Program, **values: float | tuple[float, ...] | np.ndarray) -> None:
+    """Give uniforms their values; arrays lie as GLSL has them, matrices by columns."""
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            uniform(program, name).write(np.ascontiguousarray(value, np.float32).tobytes())
+        else:
+            uniform(program, name).value = value
 
 
 def located(message: str, order: list[str]) -> str:

@@ -4,10 +4,7 @@ The bake closes chart edges in just these mips. Mesa's software rasteriser would
 shader that it first has to compile: a tenth of a second of the first frame, against a fiftieth.
 """
 
-import ctypes
 from ctypes import c_float, c_int, c_uint, c_void_p
-from typing import Any
-from weakref import WeakKeyDictionary
 
 import moderngl
 import numpy as np
@@ -33,13 +30,12 @@ def image_texture(context: Context, image: Texels, *, coarse: bool = False) -> m
     """
     height, width, channels = image.shape
     # three bytes a texel are slow to fetch everywhere: the driver keeps four
-    texture = context.gl.texture(
-        (width, height), channels, np.ascontiguousarray(image), alignment=1, internal_format=RGBA8
-    )
+    texels = np.ascontiguousarray(image)
+    texture = context.gl.texture((width, height), channels, texels, alignment=1, internal_format=RGBA8)
     chain = mipmaps(image, mip_levels(image.shape))
     texture.use()
-    _function(context, "glTexParameteri", c_uint, c_uint, c_int)(TEXTURE_2D, MAX_LEVEL, len(chain) - 1)
-    upload = _function(context, "glTexImage2D", c_uint, *(c_int,) * 5, c_uint, c_uint, c_void_p)
+    context.function("glTexParameteri", c_uint, c_uint, c_int)(TEXTURE_2D, MAX_LEVEL, len(chain) - 1)
+    upload = context.function("glTexImage2D", c_uint, *(c_int,) * 5, c_uint, c_uint, c_void_p)
     for level, mip in enumerate(chain[1:], 1):
         upload(TEXTURE_2D, level, RGBA8, mip.shape[1], mip.shape[0], 0, FORMATS[channels], UNSIGNED_BYTE,
                mip.ctypes.data)  # fmt: skip
@@ -62,15 +58,4 @@ def mipmapped_bytes(shape: tuple[int, ...]) -> int:
 def read_finer_mip(context: Context, texture: moderngl.Texture) -> None:
     """Set MIP_BIAS as a state of the texture; moderngl has no word for it."""
     texture.use()
-    _function(context, "glTexParameterf", c_uint, c_uint, c_float)(TEXTURE_2D, LOD_BIAS, MIP_BIAS)
-
-
-def _function(context: Context, name: str, *arguments: type) -> Any:
-    """A function of the driver; made once for each context."""
-    made = _made.setdefault(context, {})
-    if name not in made:
-        made[name] = ctypes.CFUNCTYPE(None, *arguments)(context.driver.address(name))
-    return made[name]
-
-
-_made: WeakKeyDictionary[Context, dict[str, Any]] = WeakKeyDictionary()
+    context.function("glTexParameterf", c_uint, c_uint, c_float)(TEXTURE_2D, LOD_BIAS, MIP_BIAS)
