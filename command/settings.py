@@ -10,12 +10,24 @@ JSON as run.json holds it (`settings_json` writes it). Command lines (command_li
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    cast,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 Record = TypeVar("Record")
 Rule = TypeVar("Rule")
@@ -55,7 +67,9 @@ class AtMost(NamedTuple):
 
 
 class Color(NamedTuple):
-    """#rrggbb or #rrggbbaa in a file, premultiplied RGBA in [0,1] in memory."""
+    """#rrggbb or, where it may be transparent, #rrggbbaa in a file, premultiplied RGBA in [0,1] in memory."""
+
+    opaque: bool = False
 
 
 class FilePlace(NamedTuple):
@@ -123,13 +137,16 @@ def settings_of(record: type) -> tuple[Setting, ...]:
         optional = bool(options) and type(None) in get_args(kind)
         default = entry.default_factory() if entry.default_factory is not MISSING else entry.default
         rules = tuple(note for note in notes if not isinstance(note, str))
-        means = notes[-1] if notes else ""
+        means = next((note for note in reversed(notes) if isinstance(note, str)), "")
         out.append(Setting(entry.name, options[0] if optional else kind, optional, default, rules, means))
     return tuple(out)
 
 
 def broken_rule(setting: Setting, value: Any) -> str | None:
     """What a value of the right type breaks, as "expected ..., found ...", or None."""
+    color = rule_of(setting, Color)
+    if color is not None and color.opaque and value[3] < 1:
+        return "expected an opaque color, #rrggbb"
     for number in value if isinstance(value, tuple) else (value,):
         if isinstance(number, float) and not math.isfinite(number):
             return f"expected a finite number, found {value}"
@@ -158,6 +175,23 @@ def check(record: object) -> None:
         problem = None if value is None else broken_rule(setting, value)
         if problem:
             raise ValueError(f"{setting.name}: {problem}")
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
+def settings(record: type[Record]) -> type[Record]:
+    """Makes a class a frozen dataclass that is refused where its values break their rules.
+
+    Raises:
+        ValueError: when a record is made, as `check`; then as the class's own __post_init__.
+    """
+    more = vars(record).get("__post_init__", lambda self: None)
+
+    def __post_init__(self: object) -> None:
+        check(self)
+        more(self)
+
+    type.__setattr__(record, "__post_init__", __post_init__)
+    return dataclass(frozen=True)(record)
 
 
 # -- files

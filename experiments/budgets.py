@@ -18,7 +18,7 @@ from bench.ladder.machine import machine
 from bench.ladder.quiet import Quiet, warning
 from bench.ladder.rung_pictures import motion_frames
 from files.whole import whole_file
-from player.budget.measure import BudgetScene, frame_ms, price
+from player.budget.measure import BudgetScene, price, rung_times
 from player.budget.rungs import PricedRung, best_within, frontier, scene_rungs
 from player.effects.background import Background
 from player.gl.context import Context, opened
@@ -43,7 +43,7 @@ def tried(
     """What a budget buys from a table, and what every rung of the frontier takes now."""
     front = frontier(bought_from)
     chosen = best_within(bought_from, budget)
-    p95 = np.percentile(frame_ms(context, scene, [one.rung for one in front], frames), 95, axis=0)
+    p95 = np.percentile(rung_times(context, scene, [one.rung for one in front], frames), 95, axis=0)
     taken = {one.rung: ms for one, ms in zip(front, p95.tolist(), strict=True)}
     place = front.index(chosen)
     held = [k for k, one in enumerate(front) if taken[one.rung] <= budget]

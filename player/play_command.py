@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import numpy as np
 
 from avatar.baked_avatar import Avatar
-from avatar.motion.hands import HANDS
 from avatar.skeleton import PARTS
 from command.command_line import Help, Option, parse
 from command.errors import AssetError, missing_package
@@ -24,8 +23,9 @@ from player.scene.address import Address, parse_address
 from player.scene.arguments import (
     CAMERA,
     EFFECTS,
-    GROUND_HELP,
-    HANDS_HELP,
+    BodyOption,
+    GroundOption,
+    HandsOption,
     LOOKS,
     MACHINE,
     TIME,
@@ -36,7 +36,7 @@ from player.scene.arguments import (
 )
 from player.scene.effects import Effects
 from player.scene.motions import beside
-from player.scene.scene import BUILTIN, GROUNDS, Scene, SceneAvatar, SceneCamera
+from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera
 from player.window.help import command_line_help
 
 EXAMPLES = """examples
@@ -93,11 +93,9 @@ class PlayCommand:
     camera_path: Annotated[
         str | None, CAMERA.rare, Option(metavar="FILE"), "a path of camera keys (.json) to look along"
     ] = None
-    body: Annotated[
-        str | None, WHO.rare, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
-    ] = None
-    hands: Annotated[str, WHO.rare, OneOf(HANDS), HANDS_HELP] = "file"
-    ground: Annotated[str, WHO.rare, OneOf(GROUNDS), GROUND_HELP] = "auto"
+    body: Annotated[BodyOption, WHO.rare] = None
+    hands: Annotated[HandsOption, WHO.rare] = "file"
+    ground: Annotated[GroundOption, WHO.rare] = "auto"
     size: Annotated[
         tuple[int, int] | None, MACHINE.rare, AtLeast(1), Option(metavar="WxH", parse=parse_size),
         "of the window (default: 1280x800)"

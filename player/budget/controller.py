@@ -15,8 +15,7 @@ import numpy as np
 from player.budget.rungs import HEADROOM, PricedRung, frontier, within
 
 SLOW, WATCHED = 12, 48
-# frames after a change, in which what the rung needs is made
-SETTLING = 3
+SETTLING = 3  # frames after a change, in which what the rung needs is made
 # slow frames that a rung which holds its p95 may have
 ALLOWED = 3
 PATIENCE = 16

@@ -1,12 +1,13 @@
 """What each effect of a scene costs now: frames with all of them, in turns with frames without one."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from avatar.camera import Camera
 from command.settings import settings_of
+from player.budget.ladder import released
 from player.budget.measure import BudgetScene
 from player.budget.rung import Rung
 from player.draw.drawing import Pose
@@ -17,8 +18,7 @@ from player.scene.renderer import Renderer
 ROUNDS = 8
 # each setting of a scene that calls for nothing
 NOTHING = replace(PLAIN, view="off")
-# seconds between two frames of loose parts
-STEP = 1 / 60
+STEP = 1 / 60  # seconds between two frames of loose parts
 
 
 def called_for(effects: Effects) -> list[str]:
@@ -39,17 +39,14 @@ def effect_prices(
     ways = [scene.effects, *(replace(scene.effects, **{name: nothing[name]}) for name in names)]
     tables = {setting.name: setting.table for setting in settings_of(Effects) if setting.table is not None}
     ways += [replace(scene.effects, **{name: tables[name]()}) for name in offered]
-    renderers: list[Renderer] = []
-    try:
-        for effects in ways:
-            drawn = replace(rung, view=effects.view)
-            renderers.append(
-                drawn.renderer(context, scene.avatars, scene.size, effects=effects, background=scene.background)
-            )
+    drawn = (
+        replace(rung, view=effects.view).renderer(
+            context, scene.avatars, scene.size, effects=effects, background=scene.background
+        )
+        for effects in ways
+    )
+    with released(drawn) as renderers:
         ms = np.array([_round(context, renderers, scene, number) for number in range(rounds)])
-    finally:
-        for renderer in renderers:
-            renderer.release()
     # one that shows nothing now is as fast as none, and half of the time faster
     signs = np.repeat([1.0, -1.0], [len(names), len(offered)])
     costs = np.maximum(np.median(ms[:, :1] - ms[:, 1:], axis=0) * signs, 0.0)
@@ -62,18 +59,13 @@ def _round(context: Context, renderers: Sequence[Renderer], scene: BudgetScene, 
     for renderer in renderers:
         for k in (2 * number, 2 * number + 1):
             poses, camera = scene.frames[k % len(scene.frames)]
-            context.gl.finish()
-            began = time.perf_counter()
-            _moved(renderer, poses, k)
-            assert renderer.target is not None
-            renderer.draw_into(renderer.target, poses, camera)
-            context.gl.finish()
-            took = time.perf_counter() - began
-        out.append(1e3 * took)
+            took = context.milliseconds(lambda: _frame(renderer, poses, camera, k * STEP))
+        out.append(took)
     return out
 
 
-def _moved(renderer: Renderer, poses: Sequence[Pose], number: int) -> None:
-    """Loose parts go on by one frame."""
-    if renderer.moves:
-        renderer.move(poses, number * STEP)
+def _frame(renderer: Renderer, poses: Sequence[Pose], camera: Camera, seconds: float) -> None:
+    """A frame, its loose parts moved on."""
+    assert renderer.target is not None
+    renderer.move(poses, seconds)
+    renderer.draw_into(renderer.target, poses, camera)

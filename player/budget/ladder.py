@@ -5,7 +5,8 @@ is measured by `selfscan bench`.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +17,9 @@ from avatar.camera import Camera
 from player.budget.rung import MOST_JOINTS, SHARE_NAMES, Rung, rung_of
 from player.effects.view import VIEWS
 from player.gl.context import Context
-from player.scene.renderer import Pose
+from player.scene.renderer import Pose, Renderer
 
+Frame = tuple[Sequence[Pose], Camera]
 SMALLEST_TEXTURE = 64  # texels a side
 # more pixels than shown, and fewer
 FINER, COARSER = ([share for share in SHARE_NAMES if (share > 1) is more] for more in (True, False))
@@ -87,48 +89,65 @@ def joints_of(avatar: Avatar, level: int) -> int:
 
 
 def time_rungs(
-    context: Context,
-    avatar: Avatar,
-    rungs: Sequence[Rung],
-    frames: Sequence[tuple[Pose, Camera]],
-    full: tuple[int, int],
-    *,
-    rounds: int = 20,
-) -> list[Timing]:
-    """Milliseconds of posing and drawing one frame on every rung, without reading the picture back.
-
-    Rounds alternate: every rung draws one frame, then every rung the next, so that a slow stretch of a shared
-    machine falls on all alike. Each rung draws a frame untimed before each timed one: the caches hold its own
-    meshes and textures, as they would if nothing else were drawn.
+    context: Context, avatar: Avatar, rungs: Sequence[Rung], frames: Sequence[tuple[Pose, Camera]],
+    full: tuple[int, int], *, rounds: int = 20,
+) -> list[Timing]:  # fmt: skip
+    """Milliseconds of posing and drawing one frame on every rung, without reading the picture back (`frame_times`).
 
     Raises:
         ValueError: no frames, or no rounds.
     """
     if not frames or rounds < 1:
         raise ValueError(f"{len(frames)} frames and {rounds} rounds give nothing to time")
-    renderers, starts = [], []
-    try:
+    seen, starts = [([pose], camera) for pose, camera in frames], []
+
+    def begun() -> Iterator[Renderer]:
         for rung in rungs:
             start = time.perf_counter()
-            renderer = rung.renderer(context, [avatar], full)
-            renderers.append(renderer)
-            assert renderer.target is not None
-            renderer.draw_into(renderer.target, [frames[0][0]], frames[0][1])
-            context.gl.finish()
+            yield (renderer := rung.renderer(context, [avatar], full))
+            frame_ms(context, renderer, *seen[0])
             starts.append(1e3 * (time.perf_counter() - start))
-        ms = np.zeros((len(rungs), rounds))
-        for number in range(rounds):
-            pose, camera = frames[number % len(frames)]
-            for row, renderer in enumerate(renderers):
-                assert renderer.target is not None
-                for _ in range(2):
-                    context.gl.finish()
-                    start = time.perf_counter()
-                    renderer.draw_into(renderer.target, [pose], camera)
-                    context.gl.finish()
-                    ms[row, number] = 1e3 * (time.perf_counter() - start)
+
+    with released(begun()) as renderers:
+        ms = frame_times(context, renderers, seen, range(rounds))
         sizes = [renderer.plan.bytes for renderer in renderers]
-        return [Timing(*row) for row in zip(ms, sizes, starts, strict=True)]
-    finally:
+    return [Timing(*row) for row in zip(ms.T, sizes, starts, strict=True)]
+
+
+@contextmanager
+def released(renderers: Iterable[Renderer]) -> Iterator[list[Renderer]]:
+    """Renderers, each freed in the end, if the next cannot be made too."""
+    with ExitStack() as stack:
+        made = []
         for renderer in renderers:
-            renderer.release()
+            stack.callback(renderer.release)
+            made.append(renderer)
+        yield made
+
+
+def frame_times(
+    context: Context, renderers: Sequence[Renderer], frames: Sequence[Frame], rounds: Iterable[int], *,
+    reads_back: bool = False,
+) -> Float[np.ndarray, "rounds renderers"]:  # fmt: skip
+    """Milliseconds of a frame of each.
+
+    Rounds alternate: every renderer draws one frame, then every one the next, so that a slow stretch of a shared
+    machine falls on all alike. Each draws a frame untimed before each timed one: the caches hold its own meshes and
+    textures, as they would if nothing else were drawn.
+    """
+    out = []
+    for number in rounds:
+        frame = frames[number % len(frames)]
+        out.append([[frame_ms(context, one, *frame, reads_back) for _ in range(2)][1] for one in renderers])
+    return np.array(out)
+
+
+def frame_ms(
+    context: Context, renderer: Renderer, poses: Sequence[Pose], camera: Camera, reads_back: bool = False
+) -> float:
+    """Milliseconds of one frame; a film needs its picture back, a window does not."""
+    if reads_back:
+        return context.milliseconds(lambda: renderer.draw(poses, camera))
+    target = renderer.target
+    assert target is not None
+    return context.milliseconds(lambda: renderer.draw_into(target, poses, camera))

@@ -9,8 +9,9 @@ import json
 import os
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 from command.errors import AssetError
@@ -33,16 +34,12 @@ def cache_folder() -> Path:
 
 
 def rung_within(
-    context: Context,
-    scene: BudgetScene,
-    files: Sequence[str],
-    *,
-    level: int | None = None,
-    budget: float | None = None,
-    quality: float = 1.0,
-) -> tuple[list[PricedRung], PricedRung]:
-    """The prices of a scene's rungs, and the one that a budget buys, ms, or where there is none a place on the
-    frontier. A view mode of the effects that is not auto, and a level that is given, are kept.
+    context: Context, scene: BudgetScene, files: Sequence[str], *, level: int | None = None,
+    budget: float | None = None, quality: float = 1.0,
+) -> tuple[list[PricedRung], PricedRung]:  # fmt: skip
+    """The prices of a scene's rungs, from the cache where they still hold, and the one that a budget buys, ms, or where
+    there is none a place on the frontier. A view mode of the effects that is not auto, and a level that is given, are
+    kept; `files` are those of the avatars.
 
     Raises:
         ValueError: a view mode that an avatar does not hold.
@@ -50,24 +47,7 @@ def rung_within(
     if scene.effects.motion_blur is not None or scene.effects.depth_of_field is not None:
         raise ValueError("motion blur and depth of field draw a frame many times: expected none of them with a budget")
     rungs = scene_rungs(scene.avatars, view=scene.effects.view, level=level)
-
-    def choose(priced: Sequence[PricedRung]) -> PricedRung:
-        if budget is None:
-            return at_quality(priced, quality)
-        return best_within(priced, budget)
-
-    return priced_rungs(context, scene, files, rungs, choose)
-
-
-def priced_rungs(
-    context: Context,
-    scene: BudgetScene,
-    files: Sequence[str],
-    rungs: Sequence[Rung],
-    choose: Callable[[Sequence[PricedRung]], PricedRung],
-) -> tuple[list[PricedRung], PricedRung]:
-    """The table of these rungs, from the cache where it still holds, and what `choose` takes from it. `files` are those
-    of the avatars."""
+    choose = partial(at_quality, quality=quality) if budget is None else partial(best_within, budget=budget)
     path = cache_folder() / "budget" / f"{key_of(context, scene, files, rungs)}.json"
     kept = read_table(path, rungs)
     if kept is not None:

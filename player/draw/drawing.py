@@ -14,12 +14,10 @@ from player.draw.posing import PosedBones, ScreenBounds
 from player.draw.resources import Handle, Image, PlanResources
 from player.gl.blocks import BINDING, FRAME
 
-# axis-angle, pelvis joint in world
-Pose = tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]]
+Pose = tuple[Float[np.ndarray, "52 3"], Float[np.ndarray, "3"]]  # axis-angle, pelvis joint in world
 # metres a second of the root, and radians from one frame to the next: beyond them a motion jumps
 FASTEST, TURNED = 15.0, np.radians(60.0)
-# left, first row, right, end row, in rows as GL counts them
-Box = tuple[int, int, int, int]
+Box = tuple[int, int, int, int]  # left, first row, right, end row, in rows as GL counts them
 READ_FRAMEBUFFER, DRAW_FRAMEBUFFER, COLOR_BUFFER_BIT, NEAREST = 0x8CA8, 0x8CA9, 0x4000, 0x2600
 
 
@@ -33,19 +31,16 @@ class FrameInputs:
     # row 0 of the framebuffer is the top
     flipped: bool
     seconds: float
-    # frames whose mean the picture is
-    exposures: int = 1
+    exposures: int = 1  # frames whose mean the picture is
 
 
 class Look(NamedTuple):
     """What is the same in every frame, until the renderer is changed."""
 
-    # premultiplied sRGB, before anything is drawn
-    color: tuple[float, float, float, float]
+    color: tuple[float, float, float, float]  # premultiplied sRGB, before anything is drawn
     # 0: the paper's colors, 1: with all of the view dependence
     view_amount: float
-    # pixels round an avatar that something can draw on
-    margin: int
+    margin: int  # pixels round an avatar that something can draw on
     # the background at the size of the picture; None: it is one color
     background: Handle[moderngl.Framebuffer] | None
     # the block of constants, shaders/frame.glsl
@@ -75,8 +70,7 @@ class Drawing:
     bones: list[PosedBones]
     bounds: list[ScreenBounds]
     visible: list[bool]
-    # near and far, metres; None: no avatar is in view
-    planes: tuple[float, float] | None
+    planes: tuple[float, float] | None  # near and far, metres; None: no avatar is in view
     # how far each avatar's loose parts are from where they are skinned to, at most; metres
     reaches: list[float]
     _written: set[Handle[moderngl.Buffer]] = field(default_factory=set)

@@ -34,8 +34,7 @@ Attributes = tuple[Any, ...]
 Attachment = moderngl.Texture | moderngl.Renderbuffer
 # samples of MSAA, asked for as a number, never as the device's maximum, so that machines agree
 SAMPLES = 4
-# pixels round an avatar that antialiasing can change
-MARGIN = 2
+MARGIN = 2  # pixels round an avatar that antialiasing can change
 
 
 class Stage(IntEnum):
@@ -142,8 +141,7 @@ class Plan:
     # the renderer's own image, and the background at its size
     image: Image | None
     background: Handle[moderngl.Framebuffer] | None
-    # pixels round an avatar that something can draw on
-    margin: int
+    margin: int  # pixels round an avatar that something can draw on
     # the view mode of each avatar that is drawn with view dependence
     views: Mapping[int, str]
     # avatars that a pass simulates from one moment to the next

@@ -24,8 +24,7 @@ class Fragments(NamedTuple):
     face: Int[np.ndarray, "height width"]  # index into faces, -1 where nothing is
     # perspective-correct, sums to 1; 0 where nothing is
     barycentric: Float[np.ndarray, "height width 3"]
-    # metres along the optical axis; inf where nothing is
-    depth: Float[np.ndarray, "height width"]
+    depth: Float[np.ndarray, "height width"]  # metres along the optical axis; inf where nothing is
 
 
 def clip_planes(depth: Float[np.ndarray, "points"]) -> tuple[float, float] | None:

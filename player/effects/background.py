@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 
 from command.errors import AssetError
-from command.settings import Above, AtMost, Color, FilePlace, OneOf, check
+from command.settings import Above, AtMost, Color, FilePlace, OneOf, settings
 from player.draw.drawing import Drawing
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Image
@@ -28,7 +28,7 @@ NEW_FRAME = Decision(PassState.RUNS, "a new frame")
 SAME_FRAME = Decision(PassState.KEPT, "the same frame")
 
 
-@dataclass(frozen=True)
+@settings
 class Background:
     """What is behind the avatars.
 
@@ -52,7 +52,6 @@ class Background:
     )
 
     def __post_init__(self):
-        check(self)
         if self.kind == "transparent":
             if self.color not in (STUDIO_COLOR, NOTHING):
                 raise ValueError("color: a transparent background takes no color")

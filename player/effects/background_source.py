@@ -19,10 +19,8 @@ from player.effects.radiance import read_radiance
 RGBA = tuple[float, float, float, float]
 Pixels = UInt8[np.ndarray, "_ _ 4"]  # rows, columns
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
-# texels at most: a view of 60 degrees then still has 680 of them across
-PANORAMA_WIDTH = 4096
-# seconds; to go further ahead in a film, seek instead of decoding what lies between
-FAR = 2.0
+PANORAMA_WIDTH = 4096  # texels at most: a view of 60 degrees then still has 680 of them across
+FAR = 2.0  # seconds; to go further ahead in a film, seek instead of decoding what lies between
 
 
 class Placing(NamedTuple):
@@ -30,8 +28,7 @@ class Placing(NamedTuple):
 
     # cover, contain or stretch: see `placed`
     fit: str = "cover"
-    # premultiplied, where the picture does not reach
-    color: RGBA = (0.0, 0.0, 0.0, 0.0)
+    color: RGBA = (0.0, 0.0, 0.0, 0.0)  # premultiplied, where the picture does not reach
 
 
 def placed(size: tuple[int, int], into: tuple[int, int], fit: str) -> tuple[int, int, int, int]:

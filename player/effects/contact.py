@@ -15,7 +15,7 @@ from jaxtyping import Float, Int, UInt32
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import view_from_world
-from command.settings import Above, AtLeast, AtMost, check
+from command.settings import Above, AtLeast, AtMost, settings
 from player.draw.drawing import Drawing
 from player.draw.plan import Attributes, Decision, Draft, Pass, PassState, Stage
 from player.draw.posed_mesh import normals_of
@@ -25,8 +25,7 @@ from player.effects.ground_plane import PassBehind, Sheet, draw_behind
 from player.gl.blocks import CAPSULES
 from player.gl.shader import set_uniforms
 
-# pixels; of a smaller avatar it cannot be seen
-SMALLEST = 60
+SMALLEST = 60  # pixels; of a smaller avatar it cannot be seen
 AWAY = Decision(PassState.SKIPPED, "nothing is near the ground, or it is out of view")
 SMALL = Decision(PassState.SKIPPED, f"the avatar is less than {SMALLEST} pixels tall")
 RUNS = Decision(PassState.RUNS, "asked for")
@@ -42,13 +41,9 @@ ATTRIBUTES = ("1u4 1f4", "spared", "rest")
 VERTEX = np.dtype([("spared", "u4"), ("rest", "f4")])
 
 
-@dataclass(frozen=True)
+@settings
 class Contact:
-    """How dark it gets, and where the ground is.
-
-    Raises:
-        ValueError: a value that is out of its range.
-    """
+    """How dark it gets, and where the ground is."""
 
     stage: ClassVar[Stage] = Stage.GROUND
 
@@ -56,9 +51,6 @@ class Contact:
         float, Above(0), AtMost(1), "share of the sky's light that is lost where all of it is hidden"
     ] = 0.8
     height: Annotated[float, AtLeast(-1e4), AtMost(1e4), "of the ground above the world's origin, metres"] = 0.0
-
-    def __post_init__(self):
-        check(self)
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
         touches = [contact_of(draft, index) for index in range(len(draft.avatars))]

@@ -22,12 +22,9 @@ from player.draw.posing import PosedBones
 
 Array = np.ndarray
 
-# at most; player/gl/blocks.py, shaders/contact.glsl
-CAPSULES = 16
-# percent of the distances from surface to bone: thin enough to stay inside the body
-WITHIN = 20.0
-# metres of a head above its joint
-CROWN = 0.12
+CAPSULES = 16  # at most; player/gl/blocks.py, shaders/contact.glsl
+WITHIN = 20.0  # percent of the distances from surface to bone: thin enough to stay inside the body
+CROWN = 0.12  # metres of a head above its joint
 # less than this share of the hemisphere is left out, so that what a capsule darkens has an end
 LEAST = 0.03
 # capsules and vertices looked at at once
@@ -68,8 +65,7 @@ OWNERS = _owners()
 class Capsules:
     """The capsules of one avatar at a level of detail, and what its surface needs of them."""
 
-    # canonical, metres
-    starts: Float[Array, "capsules 3"]
+    starts: Float[Array, "capsules 3"]  # canonical, metres
     ends: Float[Array, "capsules 3"]
     radii: Float[Array, "capsules"]
     # bit k: capsule k does not darken the vertex

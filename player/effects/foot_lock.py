@@ -1,20 +1,15 @@
 """Feet that stay where they stand: a filter of the motions, before anything is drawn (held_feet.py). No pass."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from command.settings import Above, AtLeast, AtMost, check
+from command.settings import Above, AtLeast, AtMost, settings
 from player.draw.plan import Absent, Draft, Pass, PassState, Stage
 
 
-@dataclass(frozen=True)
+@settings
 class FootLock:
-    """When a toe is held; lengths are those of a grown person's, and scale with the avatar's legs.
-
-    Raises:
-        ValueError: a value that is out of its range.
-    """
+    """When a toe is held; lengths are those of a grown person's, and scale with the avatar's legs."""
 
     stage: ClassVar[Stage] = Stage.AVATARS
 
@@ -26,9 +21,6 @@ class FootLock:
     ] = 0.03
     farthest: Annotated[float, AtLeast(0), AtMost(1), "metres that a toe is moved at most"] = 0.15
     release: Annotated[float, Above(0), AtMost(5), "seconds in which it comes to its place and is let go"] = 0.15
-
-    def __post_init__(self):
-        check(self)
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
         return (Absent("foot lock", "motions are filtered before they are drawn", state=PassState.KEPT),)

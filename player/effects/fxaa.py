@@ -19,8 +19,7 @@ from player.gl.tiles import TILE, SurfacePatches, covered, rectangles
 
 OUT_OF_VIEW = Decision(PassState.SKIPPED, "no avatar in view")
 RUNS = Decision(PassState.RUNS, "on the tiles that avatars reach")
-# left, first row, right, end row
-TILES = ("4u2 /i", "tile")
+TILES = ("4u2 /i", "tile")  # left, first row, right, end row
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 
 from avatar.camera import clip_from_view, view_from_world
-from command.settings import Above, AtLeast, AtMost, Color, check
+from command.settings import RGBA, Above, AtLeast, AtMost, Color, settings
 from player.draw.drawing import Drawing
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import PlanResources
@@ -18,32 +18,22 @@ from player.gl.shader import set_uniforms
 AXES_AWAY = Decision(PassState.SKIPPED, "the origin is out of view")
 RUNS = Decision(PassState.RUNS, "asked for")
 LINE, AXIS = 1.2, 3.0  # pixels
-# share of the metres to the grid's edge
-FULL = 0.3
+FULL = 0.3  # share of the metres to the grid's edge
 
 
-@dataclass(frozen=True)
+@settings
 class Grid:
-    """How the grid looks.
-
-    Raises:
-        ValueError: a value that is out of its range, or a color that is not opaque.
-    """
+    """How the grid looks."""
 
     stage: ClassVar[Stage] = Stage.GROUND
 
     spacing: Annotated[float, AtLeast(1e-3), AtMost(1e3), "of its lines, metres; thinner ones divide it by five"] = 1.0
     height: Annotated[float, AtLeast(-1e4), AtMost(1e4), "above the world's origin, metres"] = 0.0
     radius: Annotated[float, Above(0), AtMost(1e4), "about the avatars, metres; it fades towards its edge"] = 8.0
-    color: Annotated[tuple[float, float, float, float], Color(), "of the lines, opaque"] = (0.55, 0.57, 0.62, 1.0)
+    color: Annotated[RGBA, Color(opaque=True), "of the lines, opaque"] = (0.55, 0.57, 0.62, 1.0)
     axes: Annotated[
         float, AtLeast(0), AtMost(1e3), "length of the world's axes, metres: x red, y green, z blue; 0: none"
     ] = 1.0
-
-    def __post_init__(self):
-        check(self)
-        if self.color[3] < 1:
-            raise ValueError("color: lines are opaque: expected #rrggbb")
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
         passes: list[Pass] = [

@@ -4,12 +4,11 @@ All of it is drawn before the avatars, without depth: nothing fights with soles,
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from command.settings import Above, AtLeast, AtMost, Color, OneOf, check
+from command.settings import RGBA, Above, AtLeast, AtMost, Color, OneOf, settings
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
 from player.effects.ground_plane import Sheet, SquarePass, behind_parts
 from player.effects.shadow import LOWEST, ShadowSettings, shadow_passes
@@ -17,16 +16,15 @@ from player.effects.shadow import LOWEST, ShadowSettings, shadow_passes
 FLOOR_COLOR = (88 / 255, 91 / 255, 99 / 255, 1.0)
 KINDS = ("plane", "checker", "shadow")
 OTHER_CHECKS = 0.72
-# share of the metres to the floor's edge
-OPAQUE = 0.35
+OPAQUE = 0.35  # share of the metres to the floor's edge
 
 
-@dataclass(frozen=True)
+@settings
 class Ground:
     """The floor and the lamp whose shadow falls on it.
 
     Raises:
-        ValueError: a value that is out of its range, a color that is not opaque, or a lamp lower than LOWEST.
+        ValueError: a lamp lower than LOWEST.
     """
 
     stage: ClassVar[Stage] = Stage.GROUND
@@ -34,7 +32,7 @@ class Ground:
     kind: Annotated[
         str, OneOf(KINDS), "plane: one color; checker: checks of two; shadow: nothing but the shadow, on the background"
     ] = "plane"
-    color: Annotated[tuple[float, float, float, float], Color(), "of the floor, opaque"] = FLOOR_COLOR
+    color: Annotated[RGBA, Color(opaque=True), "of the floor, opaque"] = FLOOR_COLOR
     height: Annotated[float, AtLeast(-1e4), AtMost(1e4), "of the ground above the world's origin, metres"] = 0.0
     radius: Annotated[
         float, Above(0), AtMost(1e3), "of the floor about the avatars, metres; it fades into what is behind"
@@ -48,14 +46,10 @@ class Ground:
     softness: Annotated[float, AtLeast(0), AtMost(20), "size of the lamp, degrees from its middle to its edge"] = 2.0
 
     def __post_init__(self):
-        check(self)
-        if self.color[3] < 1:
-            raise ValueError("color: a floor is opaque: expected #rrggbb")
         length = float(np.linalg.norm(self.direction))
         if not length > 1e-6 or np.degrees(np.arcsin(self.direction[1] / length)) < LOWEST:
-            raise ValueError(
-                f"direction: expected a lamp {LOWEST:g} degrees or more above the horizon, found {self.direction}"
-            )
+            expected = f"a lamp {LOWEST:g} degrees or more above the horizon"
+            raise ValueError(f"direction: expected {expected}, found {self.direction}")
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
         passes: list[Pass] = []

@@ -19,10 +19,8 @@ from player.draw.resources import AnyHandle, Handle, PlanResources
 from player.gl.shader import set_uniforms
 
 Array = np.ndarray
-# metres; nothing on the plane is tested for depth, so they need not be tight
-NEAR, FAR = 0.01, 1e5
-# metres before the lens from which on a corner is projected
-AHEAD = 0.01
+NEAR, FAR = 0.01, 1e5  # metres; nothing on the plane is tested for depth, so they need not be tight
+AHEAD = 0.01  # metres before the lens from which on a corner is projected
 AWAY = Decision(PassState.SKIPPED, "the ground is out of view, or seen from below")
 
 
@@ -92,8 +90,7 @@ class SquarePass(PassBehind):
     height: float  # metres
     radius: float  # metres to its edge
     share: float  # of the radius, up to where it is as strong as it is
-    # metres, of which its middle goes a whole number; 0: as the avatars do
-    step: float
+    step: float  # metres, of which its middle goes a whole number; 0: as the avatars do
     # the uniforms of its program, once it is known where it lies
     paint: Callable[[Sheet], dict[str, Any]]
     running: Decision

@@ -32,18 +32,13 @@ LEGS = ("left_foot", "right_foot")
 TOES = [JOINTS.index(leg) for leg in LEGS]
 # hip to ankle, metres: legs of this length have the lengths that the settings say
 GROWN = 0.82
-# frames read at once
-BLOCK = 256
-# frames solved at once; the first of them is a multiple of it
-TOGETHER = 32
-# percent of the heights of both toes: what they stand at
-STANDING = 5.0
-# seconds; a shorter touch is none
-SHORTEST = 0.1
+BLOCK = 256  # frames read at once
+TOGETHER = 32  # frames solved at once; the first of them is a multiple of it
+STANDING = 5.0  # percent of the heights of both toes: what they stand at
+SHORTEST = 0.1  # seconds; a shorter touch is none
 # a leg is not stretched further than this share of its length, unless the motion does
 STRETCHED = 0.998
-# radians of the knee
-MOST_BENT = np.radians(145.0)
+MOST_BENT = np.radians(145.0)  # radians of the knee
 
 
 class Steps(NamedTuple):

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from command.settings import Above, AtLeast, AtMost, check
+from command.settings import Above, AtLeast, AtMost, settings
 from player.draw.drawing import Drawing, FrameInputs
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
 
@@ -18,13 +18,9 @@ STILL = "nothing moves by half a pixel while the shutter is open"
 SHARP = "nothing is out of focus by half a pixel"
 
 
-@dataclass(frozen=True)
+@settings
 class MotionBlur:
-    """How long the shutter is open.
-
-    Raises:
-        ValueError: a value that is out of its range.
-    """
+    """How long the shutter is open."""
 
     stage: ClassVar[Stage] = Stage.PICTURE
 
@@ -33,20 +29,13 @@ class MotionBlur:
     ] = 0.5
     samples: Annotated[int, AtLeast(2), AtMost(64), "moments of which a frame is the mean"] = 8
 
-    def __post_init__(self):
-        check(self)
-
     def passes(self, draft: Draft) -> Sequence[Pass]:
         return lens_passes(draft, "motion blur", STILL)
 
 
-@dataclass(frozen=True)
+@settings
 class DepthOfField:
-    """How large the lens is, and what it is focused on.
-
-    Raises:
-        ValueError: a value that is out of its range.
-    """
+    """How large the lens is, and what it is focused on."""
 
     stage: ClassVar[Stage] = Stage.PICTURE
 
@@ -55,9 +44,6 @@ class DepthOfField:
         float, AtLeast(0), AtMost(1e6), "metres before the lens that are sharp; 0: where the first avatar's head is"
     ] = 0.0
     samples: Annotated[int, AtLeast(4), AtMost(256), "places on the lens of which a frame is the mean"] = 24
-
-    def __post_init__(self):
-        check(self)
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
         return lens_passes(draft, "depth of field", SHARP)

@@ -18,7 +18,7 @@ from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera
 from avatar.light import LAMPS, CaptureLight, lamps_of
 from command.progress import plural
-from command.settings import AtLeast, AtMost, FilePlace, OneOf, check
+from command.settings import AtLeast, AtMost, FilePlace, OneOf, settings
 from player.draw.plan import Attributes, Draft, Pass, Stage
 from player.draw.resources import Handle
 from player.effects.background import Background, opened_source
@@ -30,13 +30,12 @@ KINDS = ("capture", "albedo", "lamps", "panorama")
 FITS, FIRST_LAMP = ("none", "background"), (0.45, 0.65, 0.6)
 ATTRIBUTES = ("3f4 2f4", "normal", "seen_light")
 VERTEX = np.dtype([("normal", "f4", 3), ("seen_light", "f4", 2)])
-# pixels to which a picture behind is brought before its mean is taken
-FITTED_TO = (64, 64)
+FITTED_TO = (64, 64)  # pixels to which a picture behind is brought before its mean is taken
 # OpenGL looks down -z with +y up
 VIEW_FROM_CAMERA = np.diag([1.0, -1.0, -1.0])
 
 
-@dataclass(frozen=True)
+@settings
 class Light:
     """What lights the avatars.
 
@@ -66,7 +65,6 @@ class Light:
     highlight: Annotated[float, AtLeast(0), AtMost(1), "of lamps: the highlight in their middle"] = 0.0
 
     def __post_init__(self):
-        check(self)
         for name, direction in (("direction", self.direction), ("second_direction", self.second_direction)):
             if not np.linalg.norm(direction) > 1e-6:
                 raise ValueError(f"{name}: expected a direction, found {direction}")

@@ -7,8 +7,7 @@ from jaxtyping import Float
 
 Array = np.ndarray
 
-# seconds
-STEP = 1 / 120
+STEP = 1 / 120  # seconds
 # the most by which one frame may be longer than another
 UNEVEN = 4.0
 

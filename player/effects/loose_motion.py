@@ -20,12 +20,10 @@ Array = np.ndarray
 
 # seconds; after a longer frame, or a step back in time, particles begin anew where they are skinned to
 LONGEST = 0.5
-# metres a second relative to the pose, of a grown person
-SPEED_CAP = 8.0
+SPEED_CAP = 8.0  # metres a second relative to the pose, of a grown person
 # asleep: slower than this for so many seconds, while what drives it moved less than this; m/s, s, m
 SLOW, CALM, STILL = 0.01, 0.5, 5e-4
-# metres: what is moved less is drawn as skinned
-UNSEEN = 5e-5
+UNSEEN = 5e-5  # metres: what is moved less is drawn as skinned
 
 
 class LooseMotion:

@@ -25,10 +25,8 @@ Array = np.ndarray
 
 # joint that moves each capsule
 BONE = np.array([joint for joint, _ in BONES])
-# at most; player/gl/blocks.py, shaders/loose.glsl
-PARTICLES = 300
-# metres from one to the next at least, of a grown person
-SPACING = 0.03
+PARTICLES = 300  # at most; player/gl/blocks.py, shaders/loose.glsl
+SPACING = 0.03  # metres from one to the next at least, of a grown person
 # neighbours of each particle
 NEIGHBOURS = 6
 # part of the way that each end of a stretched edge goes in a sweep: half would be all of it, were it alone
@@ -45,10 +43,8 @@ class LooseParts:
     """The particles of one avatar at a level of detail, and what moves them."""
 
     poser: Poser
-    # metres of this body in one of a grown person's
-    unit: float
-    # canonical, metres
-    places: Float[Array, "particles 3"]
+    unit: float  # metres of this body in one of a grown person's
+    places: Float[Array, "particles 3"]  # canonical, metres
     # joints that move any of them
     joints: Int[Array, "movers"]
     # rows on the columns of those joints' transforms: where particles are, then where gravity pulls in pose 0

@@ -16,10 +16,8 @@ from player.effects.secondary_motion import SecondaryMotion
 
 Array = np.ndarray
 
-# metres off the pose, of a grown person
-REACH = 0.3
-# share of critical damping
-DAMPING = 0.3
+REACH = 0.3  # metres off the pose, of a grown person
+DAMPING = 0.3  # share of critical damping
 # looseness counts as at least this: springs stay finite
 STIFFEST = 0.05
 # at most, of the last push out of the capsules, and metres in which they may leave a particle

@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from command.settings import Above, AtMost, Color, check
+from command.settings import RGBA, Above, AtMost, Color, settings
 from player.draw.drawing import Drawing, Layer, Warming
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
 from player.draw.posed_mesh import normals_of
@@ -19,23 +19,14 @@ from player.gl.shader import set_uniforms
 OUT_OF_VIEW = Decision(PassState.SKIPPED, "no avatar in view")
 
 
-@dataclass(frozen=True)
+@settings
 class Outline:
-    """How the line looks.
-
-    Raises:
-        ValueError: a width that is no width, or a color that is not opaque.
-    """
+    """How the line looks."""
 
     stage: ClassVar[Stage] = Stage.AVATARS
 
-    color: Annotated[tuple[float, float, float, float], Color(), "of the line, opaque"] = (0.0, 0.0, 0.0, 1.0)
+    color: Annotated[RGBA, Color(opaque=True), "of the line, opaque"] = (0.0, 0.0, 0.0, 1.0)
     width: Annotated[float, Above(0), AtMost(64), "of the line, pixels"] = 2.0
-
-    def __post_init__(self):
-        check(self)
-        if self.color[3] < 1:
-            raise ValueError("color: an outline is opaque: expected #rrggbb")
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
         draft.widen(ceil(self.width))

@@ -18,8 +18,7 @@ from avatar.light import CaptureLight, lamps_of
 
 Array = np.ndarray
 
-# rows of the panorama that are added up, and normals that are asked
-ROWS, NORMALS = 32, 256
+ROWS, NORMALS = 32, 256  # rows of the panorama that are added up, and normals that are asked
 # a lamp that leaves more than this share of what was left before is none
 WORTH = 0.9
 # linear light that a picture of even brightness has in its middle

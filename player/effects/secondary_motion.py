@@ -16,7 +16,7 @@ import numpy as np
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import view_from_world
-from command.settings import Above, AtLeast, AtMost, check
+from command.settings import Above, AtLeast, AtMost, settings
 from player.draw.drawing import Drawing, FrameInputs, Pose
 from player.draw.plan import Absent, Attributes, Decision, Draft, Pass, PassState, Stage, vertex_order
 from player.draw.posed_mesh import PosedMesh, posed_mesh
@@ -26,8 +26,7 @@ from player.gl.blocks import LOOSE
 if TYPE_CHECKING:
     from player.effects.loose_motion import LooseMotion
 
-# pixels; of a smaller avatar it cannot be seen
-SMALLEST = 40
+SMALLEST = 40  # pixels; of a smaller avatar it cannot be seen
 ATTRIBUTES = ("4u2 4f4", "near_particles", "follows")
 VERTEX = np.dtype([("near", "u2", 4), ("follows", "f4", 4)])
 OUT_OF_VIEW = Decision(PassState.SKIPPED, "out of view")
@@ -35,13 +34,9 @@ SMALL = Decision(PassState.SKIPPED, f"the avatar is less than {SMALLEST} pixels 
 AT_REST = Decision(PassState.SKIPPED, "at rest, as it is skinned")
 
 
-@dataclass(frozen=True)
+@settings
 class SecondaryMotion:
-    """How loose parts move.
-
-    Raises:
-        ValueError: a value that is out of its range.
-    """
+    """How loose parts move."""
 
     stage: ClassVar[Stage] = Stage.AVATARS
 
@@ -49,9 +44,6 @@ class SecondaryMotion:
         float, Above(0), AtMost(20), "swings a second of what hangs loosest; what is less loose swings faster"
     ] = 1.6
     gravity: Annotated[float, AtLeast(0), AtMost(100), "metres a second, squared"] = 9.81
-
-    def __post_init__(self):
-        check(self)
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
         out: list[Pass] = []

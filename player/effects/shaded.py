@@ -15,8 +15,7 @@ from player.effects.light import AvatarLight, light_note, light_of
 from player.effects.secondary_motion import LooseOffsets, offsets_of
 from player.gl.shader import set_uniforms
 
-# pixels; view dependence of a smaller avatar cannot be seen
-MIN_HEIGHT = 40
+MIN_HEIGHT = 40  # pixels; view dependence of a smaller avatar cannot be seen
 OUT_OF_VIEW = Decision(PassState.SKIPPED, "out of view")
 TOO_SMALL = Decision(PassState.SKIPPED, f"the avatar is less than {MIN_HEIGHT} pixels tall")
 VIEW_DRAWS_IT = Decision(PassState.SKIPPED, "the view pass draws this avatar")

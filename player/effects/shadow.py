@@ -24,8 +24,7 @@ from player.effects.secondary_motion import LooseMesh, loose_mesh
 from player.gl.shader import set_uniforms
 from player.gl.tiles import SurfacePatches
 
-# degrees above the horizon: the shadow of a lower lamp has no end
-LOWEST = 15.0
+LOWEST = 15.0  # degrees above the horizon: the shadow of a lower lamp has no end
 # texels a side: in software 128 to 512 cost the same within 5 %, below 256 feet part from their shadow
 SOFTWARE_TEXELS, TEXELS = 256, 512
 # whole texels of the mask's third mip, by which its place goes: within one, an outline keeps its texels
@@ -34,10 +33,8 @@ STEP = 8
 CELL = 4
 # triangles of a body whose shadow looks like that of the finest level
 TRIANGLES = 2500
-# metres of the ground that are looked over for what is above it
-SEARCHED = 0.15
-# pixels of the picture
-SMALLEST = 24
+SEARCHED = 0.15  # metres of the ground that are looked over for what is above it
+SMALLEST = 24  # pixels of the picture
 
 SHADOW_AWAY = Decision(PassState.SKIPPED, "the shadow is out of view")
 SMALL = Decision(PassState.SKIPPED, f"the shadow is less than {SMALLEST} pixels across")
@@ -100,12 +97,10 @@ class ShadowLamp(NamedTuple):
 
     # metres along x and z by which the shadow of a point a metre above the ground falls beside it
     slant: tuple[float, float]
-    # metres that the edge of what is a metre above the ground is wide
-    edge: float
+    edge: float  # metres that the edge of what is a metre above the ground is wide
     # the ground above the world's origin, metres
     height: float
-    # texels of the mask
-    side: int
+    side: int  # texels of the mask
     # the avatars' surface, and whether dual quaternions move it
     patches: SurfacePatches
     dual: bool
@@ -119,10 +114,8 @@ class Footprint(NamedTuple):
     """Where a frame's shadow can lie."""
 
     sheet: Sheet
-    # metres a texel
-    texel: float
-    # metres above the ground of the highest that throws it
-    tall: float
+    texel: float  # metres a texel
+    tall: float  # metres above the ground of the highest that throws it
 
     def spread(self, lamp: ShadowLamp) -> float:
         """Texels that the edge of the highest is wide."""

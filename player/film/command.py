@@ -4,32 +4,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
-from avatar.motion.hands import HANDS
 from command.command_line import Help, Option, parse
 from command.settings import AtLeast, AtMost, OneOf
 from player.budget.rungs import parse_budget
 from player.effects.background import Background
 from player.film.film import film_kind
-from player.scene.arguments import (
-    CAMERA,
-    EFFECTS,
-    FILM,
-    GROUND_HELP,
-    HANDS_HELP,
-    LOOKS,
-    MACHINE,
-    QUALITIES,
-    TIME,
-    WHO,
-    parse_background,
-    parse_frames,
-    parse_gpu,
-    parse_quality,
-    parse_share,
-    parse_size,
-    parse_workers,
-)
-from player.scene.scene import FILM_RATES, GROUNDS, TURNS
+from player.scene.arguments import CAMERA, EFFECTS, FILM, LOOKS, MACHINE, QUALITIES, TIME, WHO
+from player.scene.arguments import BodyOption, FramesOption, GroundOption, HandsOption, parse_background
+from player.scene.arguments import parse_gpu, parse_quality, parse_share, parse_size, parse_workers
+from player.scene.scene import FILM_RATES, TURNS
 
 EXAMPLES = """examples
   selfscan render me.glb --motion counting -o counting.mp4
@@ -58,9 +41,7 @@ class RenderCommand:
         tuple[str, ...], Option(positional=True, metavar="AVATAR", several=True),
         "avatar file (.glb); several stand side by side"
     ] = ()
-    scene: Annotated[
-        str | None, WHO, Option(metavar="FILE"), "scene file (.toml) instead of AVATAR and --motion"
-    ] = None
+    scene: Annotated[str | None, WHO, Option(metavar="FILE"), "scene file (.toml) instead of AVATAR, --motion"] = None
     motion: Annotated[
         str | None, WHO, Option(metavar="FILE"),
         "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking (default: T-pose)"
@@ -113,11 +94,9 @@ class RenderCommand:
         bool, TIME.rare,
         "each avatar at the coarsest level that does for its largest size in the film, none finer than --level"
     ] = False
-    body: Annotated[
-        str | None, WHO.rare, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
-    ] = None
-    hands: Annotated[str, WHO.rare, OneOf(HANDS), HANDS_HELP] = "file"
-    ground: Annotated[str, WHO.rare, OneOf(GROUNDS), GROUND_HELP] = "auto"
+    body: Annotated[BodyOption, WHO.rare] = None
+    hands: Annotated[HandsOption, WHO.rare] = "file"
+    ground: Annotated[GroundOption, WHO.rare] = "auto"
     encoder: Annotated[
         str, FILM.rare, Option(metavar="auto|software|NAME"),
         "of .mp4: auto takes the GPU's if it really encodes a frame, else x264"

@@ -23,10 +23,8 @@ from player.scene.effects import Effects
 
 Array = np.ndarray
 View = tuple[list[Pose], Camera]
-# pixels
-SEEN = 0.5
-# metres before the lens: nothing nearer is focused on
-NEAREST = 0.05
+SEEN = 0.5  # pixels
+NEAREST = 0.05  # metres before the lens: nothing nearer is focused on
 GOLDEN = np.pi * (3 - 5**0.5)
 HEAD = JOINTS.index("head")
 

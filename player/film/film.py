@@ -25,8 +25,7 @@ from files.picture import read_picture
 from files.whole import whole_file, whole_folder
 
 Frame = UInt8[np.ndarray, "height width 4"]
-# frames that may wait for the encoder before drawing waits for it
-WAITING = 8
+WAITING = 8  # frames that may wait for the encoder before drawing waits for it
 VIDEO = (".mp4", ".webm", ".mov")
 ALPHA = (".webm", ".mov")  # videos that hold it
 PICTURE_SEQUENCES = {".gif": "GIF", ".webp": "WEBP"}

@@ -37,8 +37,7 @@ from player.scene.scene import Scene, SceneAvatar, SceneCamera
 
 # 3,000 triangles of a baked avatar: coarser levels are for people far away
 DRAFT_LEVEL = 2
-# frames of a film that a budget is measured on
-BUDGET_FRAMES = 4
+BUDGET_FRAMES = 4  # frames of a film that a budget is measured on
 # frames of a film in which avatars are measured, to choose their levels of detail
 SIZED_FRAMES = 64
 FASTEST = 60.0  # frames a second of a film, unless more are asked for

@@ -25,18 +25,15 @@ from player.scene.scene import Scene, SceneCamera
 CameraAt = Callable[[float, Float[np.ndarray, "3"]], Camera]
 FITTED = ("front", "orbit", "turntable")
 SIZE = (640, 640)
-# frames of each block of a film that fitted cameras look at
-FITTED_TO = 64
-# seconds of a turntable's round when nothing on it moves
-TURN = 6.0
+FITTED_TO = 64  # frames of each block of a film that fitted cameras look at
+TURN = 6.0  # seconds of a turntable's round when nothing on it moves
 
 
 @dataclass(frozen=True)
 class Fit:
     """What a fitted camera must see, and the side it begins from: found once, then good for every machine."""
 
-    # world metres, or about the first pelvis for an orbit
-    points: Float[np.ndarray, "points 3"]
+    points: Float[np.ndarray, "points 3"]  # world metres, or about the first pelvis for an orbit
     azimuth: float  # radians
 
 

@@ -9,6 +9,7 @@ import ctypes
 import ctypes.util
 import logging
 import os
+import time
 from collections.abc import Callable
 from ctypes import POINTER, byref, c_char_p, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass, field
@@ -141,6 +142,14 @@ class Context:
         if name not in self._functions:
             self._functions[name] = ctypes.CFUNCTYPE(None, *arguments)(self.driver.address(name))
         return self._functions[name]
+
+    def milliseconds(self, work: Callable[[], object]) -> float:
+        """How long some drawing takes, until the device is done."""
+        self.gl.finish()
+        start = time.perf_counter()
+        work()
+        self.gl.finish()
+        return 1e3 * (time.perf_counter() - start)
 
     def _claim(self) -> None:
         # EGL and OSMesa of one Mesa share the current-context slot but not the knowledge of it: the one

@@ -3,8 +3,7 @@
 import ctypes
 
 M_MMAP_THRESHOLD = -3
-# bytes: more than a frame, less than an atlas
-LARGE = 4 << 20
+LARGE = 4 << 20  # bytes: more than a frame, less than an atlas
 
 
 def give_back_freed_memory() -> None:

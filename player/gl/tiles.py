@@ -12,10 +12,8 @@ from jaxtyping import Bool, Float, Int, UInt16
 from avatar.baked_avatar import Level
 from avatar.camera import Camera
 
-# pixels a side
-TILE = 16
-# metres; patches of the surface are split until they fit a ball of this radius
-LARGEST = 0.10
+TILE = 16  # pixels a side
+LARGEST = 0.10  # metres; patches of the surface are split until they fit a ball of this radius
 
 
 class Patches:

@@ -4,12 +4,14 @@ import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from command.command_line import OptionGroup, Several
+from avatar.motion.hands import HANDS
+from command.command_line import Option, OptionGroup, Several
 from command.settings import RGBA, OneOf, color_of, rule_of, settings_of
 from player.effects.background import Background
 from player.scene.effects import Effects
+from player.scene.scene import GROUNDS
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
@@ -17,14 +19,19 @@ MOST_WORKERS = 256
 QUALITIES = ("draft", "good", "best")
 
 
+def refused(expected: str, found: str) -> argparse.ArgumentTypeError:
+    """What a command line says of a text that is no value of an option."""
+    return argparse.ArgumentTypeError(f"expected {expected}, found {found}")
+
+
 def parse_size(text: str) -> tuple[int, int]:
     """WxH in pixels."""
     try:
         width, height = (int(part) for part in text.lower().split("x"))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"expected WIDTHxHEIGHT, as 640x640, found {text!r}") from None
+        raise refused("WIDTHxHEIGHT, as 640x640", repr(text)) from None
     if not (1 <= width <= 16384 and 1 <= height <= 16384):
-        raise argparse.ArgumentTypeError(f"expected 1 to 16384 pixels a side, found {text}")
+        raise refused("1 to 16384 pixels a side", text)
     return width, height
 
 
@@ -34,9 +41,9 @@ def parse_frames(text: str) -> tuple[int | None, int | None]:
     try:
         start, stop = (int(part) if part else None for part in parts)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"expected FIRST:END, as 0:120, found {text!r}") from None
+        raise refused("FIRST:END, as 0:120", repr(text)) from None
     if (start or 0) < 0 or (stop is not None and stop <= (start or 0)):
-        raise argparse.ArgumentTypeError(f"expected a first frame before the end, found {text!r}")
+        raise refused("a first frame before the end", repr(text))
     return start, stop
 
 
@@ -44,7 +51,7 @@ def parse_color(text: str) -> RGBA:
     """#rrggbb, #rrggbbaa or "transparent", as premultiplied RGBA."""
     color = color_of("#00000000" if text == "transparent" else f"#{text.removeprefix('#')}")
     if color is None:
-        raise argparse.ArgumentTypeError(f"expected #rrggbb or transparent, found {text!r}")
+        raise refused("#rrggbb or transparent", repr(text))
     return color
 
 
@@ -58,8 +65,7 @@ def parse_background(text: str) -> Background:
     try:
         color = parse_color(text)
     except argparse.ArgumentTypeError:
-        message = f"expected #rrggbb, transparent or a file that is there, found {text!r}"
-        raise argparse.ArgumentTypeError(message) from None
+        raise refused("#rrggbb, transparent or a file that is there", repr(text)) from None
     return Background("transparent") if color[3] == 0 else Background("color", color)
 
 
@@ -70,7 +76,7 @@ def parse_quality(text: str) -> str:
     except ValueError:
         good = False
     if not good:
-        raise argparse.ArgumentTypeError(f"expected {', '.join(QUALITIES)} or a number from 0 to 1, found {text!r}")
+        raise refused(f"{', '.join(QUALITIES)} or a number from 0 to 1", repr(text))
     return text
 
 
@@ -79,8 +85,7 @@ def parse_gpu(text: str) -> int | str:
     if text.startswith("/"):
         return text
     if not text.isdigit():
-        message = f"expected a number from 0 or a DRM node as /dev/dri/renderD128, found {text!r}"
-        raise argparse.ArgumentTypeError(message)
+        raise refused("a number from 0 or a DRM node as /dev/dri/renderD128", repr(text))
     return int(text)
 
 
@@ -89,16 +94,16 @@ def parse_share(text: str) -> tuple[int, int]:
     try:
         number, count = (int(part) for part in text.split("/"))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"expected K/N, as 2/8, found {text!r}") from None
+        raise refused("K/N, as 2/8", repr(text)) from None
     if not 1 <= number <= count:
-        raise argparse.ArgumentTypeError(f"expected a share from 1/{count} to {count}/{count}, found {text}")
+        raise refused(f"a share from 1/{count} to {count}/{count}", text)
     return number, count
 
 
 def parse_workers(text: str) -> str:
     """The address of a scheduler, its file, or a number of processes."""
     if text.isdecimal() and not (len(text) < 5 and 1 <= int(text) <= MOST_WORKERS):
-        raise argparse.ArgumentTypeError(f"expected 1 to {MOST_WORKERS} processes, or an address, found {text[:20]!r}")
+        raise refused(f"1 to {MOST_WORKERS} processes, or an address", repr(text[:20]))
     return text
 
 
@@ -107,15 +112,27 @@ WHO, FILM, CAMERA = OptionGroup("who and what"), OptionGroup("the film"), Option
 LOOKS, TIME, LIVE = OptionGroup("how it looks"), OptionGroup("how exact, and how fast"), OptionGroup("live poses")
 MACHINE = OptionGroup("the machine and the window")
 
-HANDS_HELP = (
-    "the motion's hands: file as they are (flat where there are none), flat, relaxed, or mean, the mean hands of --body"
-)
-
-
-GROUND_HELP = (
+# options that several commands have
+AvatarOption = Annotated[str, Option(positional=True, metavar="AVATAR"), "avatar file (.glb)"]
+MotionOption = Annotated[
+    str, Option(metavar="FILE"),
+    "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking",
+]  # fmt: skip
+FramesOption = Annotated[
+    tuple[int | None, int | None] | None, Option(metavar="A:B", parse=parse_frames), "only frames A to B-1"
+]
+BodyOption = Annotated[
+    str | None, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
+]
+HandsOption = Annotated[
+    str, OneOf(HANDS),
+    "the motion's hands: file as they are (flat where there are none), flat, relaxed, or mean, the mean hands of --body",
+]  # fmt: skip
+GroundOption = Annotated[
+    str, OneOf(GROUNDS),
     "find: the motion is moved up or down so that the soles touch the ground; keep: the file's heights; auto: keep "
-    "before a camera file or a capture, else find"
-)
+    "before a camera file or a capture, else find",
+]  # fmt: skip
 
 
 def add_effects(add: Callable[..., None]) -> None:
@@ -137,22 +154,15 @@ def add_effects(add: Callable[..., None]) -> None:
 
 def asked_effects(given: Mapping[str, Any]) -> dict[str, Any]:
     """What a command line asks of the effects, by field; an effect asked for by name has its usual settings."""
-    asked: dict[str, Any] = {}
-    for setting in settings_of(Effects):
-        if setting.table is None:
-            asked[setting.name] = given[setting.name]
-        elif setting.name in given["effect"]:
-            asked[setting.name] = setting.table()
-    return {name: value for name, value in asked.items() if value is not None}
+    words = {setting.name: given[setting.name] for setting in settings_of(Effects) if setting.table is None}
+    tables = {setting.name: setting.table() for setting in settings_of(Effects) if setting.name in given["effect"]}
+    return {name: value for name, value in (words | tables).items() if value is not None}
 
 
 def with_effects(effects: Effects, asked: Mapping[str, Any]) -> Effects:
     """The effects with what is asked for; an effect that a scene has set up stays as it is."""
-    set_up = {
-        setting.name
-        for setting in settings_of(Effects)
-        if setting.table is not None and setting.value_in(effects) is not None
-    }
+    tables = [setting for setting in settings_of(Effects) if setting.table is not None]
+    set_up = {setting.name for setting in tables if setting.value_in(effects) is not None}
     return replace(effects, **{name: value for name, value in asked.items() if name not in set_up})
 
 

@@ -32,8 +32,7 @@ Array = np.ndarray
 Key = Float[Array, "14"]
 # the most bytes of a file of camera paths
 MAX_BYTES = 1 << 24
-# metres from eye to target under which no direction is left
-SHORTEST = 1e-6
+SHORTEST = 1e-6  # metres from eye to target under which no direction is left
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from files.input_file import read_json_object
 from files.npz import read_npz
 from files.picture import read_picture
 
-# frames a second; the head's video has no poses that would show it
-HEAD_RATE = 10.0
+HEAD_RATE = 10.0  # frames a second; the head's video has no poses that would show it
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,9 @@ is not asked for is in no plan and costs nothing.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-from command.settings import OneOf, Setting, check, rule_of, settings_of
+from command.settings import OneOf, Setting, rule_of, settings, settings_of
 from player.draw.plan import Effect, Stage
 from player.effects.background import Background
 from player.effects.contact import Contact
@@ -35,13 +34,9 @@ class Makes(NamedTuple):
     of: Mapping[str, type[Effect]]
 
 
-@dataclass(frozen=True)
+@settings
 class Effects:
-    """How avatars are drawn.
-
-    Raises:
-        ValueError: a value that is not known.
-    """
+    """How avatars are drawn."""
 
     view: Annotated[
         str, OneOf(("auto", *VIEWS)), "view dependence: off is the paper; auto picks by avatar and device"
@@ -71,9 +66,6 @@ class Effects:
     secondary_motion: Annotated[
         SecondaryMotion | None, "hair, skirts and sleeves swing, where the avatar's file says what is loose"
     ] = None
-
-    def __post_init__(self):
-        check(self)
 
     def effects(self) -> Iterator[tuple[Setting, Stage, Effect | None]]:
         """Every field that can ask for an effect: where in a frame it draws, and what it asks for."""

@@ -18,10 +18,8 @@ Array = np.ndarray
 FOV = np.radians(35.0)  # vertical
 # a little from above, as one stands before a person
 ELEVATION = np.radians(4.0)
-# share of the picture's width and height, left free on each side
-MARGIN = 0.06
-# metres before the lens
-NEAREST = 0.1
+MARGIN = 0.06  # share of the picture's width and height, left free on each side
+NEAREST = 0.1  # metres before the lens
 # directions that a camera going round is checked from
 SIDES = 48
 

@@ -17,8 +17,7 @@ from command.progress import plural
 from player.scene.framing import pelvis_height
 from player.scene.scene import SceneCamera
 
-# frames read at once: memory does not grow with the film
-BLOCK = 256
+BLOCK = 256  # frames read at once: memory does not grow with the film
 SPACING = 1.0  # metres between several avatars, side by side
 
 

@@ -1,6 +1,5 @@
 """Draws posed avatars: makes the objects of a plan on a context, then executes its passes frame by frame."""
 
-import time
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
@@ -24,8 +23,7 @@ from player.gl.context import Context
 from player.scene.effects import PLAIN, Effects
 from player.scene.resolve import resolve
 
-# pixels of one image, whose sides may be anything that the device can hold
-MAX_PIXELS = 1 << 27
+MAX_PIXELS = 1 << 27  # pixels of one image, whose sides may be anything that the device can hold
 BULGE = (
     # dual quaternions leave the hull of the bones' spheres: by less than half of what the bones disagree
     1.5
@@ -250,28 +248,20 @@ class Renderer:
         """
         if self.last is None:
             raise ValueError("nothing was drawn yet: there is no frame to explain")
-        out, inputs = [], self.last
+        out, inputs, milliseconds = [], self.last, self.context.milliseconds
+        frame = lambda: float(np.median([milliseconds(lambda: self._frame(inputs)) for _ in range(3)]))
         for item, decision in list(self.drawn):
             times = []
             for _ in range(repeats if decision.runs else 0):
                 if item in self.plan.filters:
                     # it filters a whole picture
-                    self._frame(self.last)
-                self.context.gl.finish()
-                start = time.perf_counter()
-                self._frame(self.last, only=item)
-                self.context.gl.finish()
-                times.append(1e3 * (time.perf_counter() - start))
+                    self._frame(inputs)
+                times.append(milliseconds(lambda: self._frame(inputs, only=item)))
+            ms = round(item.cost(float(np.median(times)), inputs, frame), 3) if times else 0.0
             out.append(
-                {
-                    "name": item.name,
-                    "runs": decision.runs,
-                    "state": str(decision.state),
-                    "why": decision.why,
-                    "ms": round(item.cost(float(np.median(times)), inputs, self._frame_ms), 3) if times else 0.0,
-                    "bytes": sum(handle.bytes for handle in item.uses),
-                }
-            )
+                {"name": item.name, "runs": decision.runs, "state": str(decision.state), "why": decision.why, "ms": ms,
+                 "bytes": sum(handle.bytes for handle in item.uses)}
+            )  # fmt: skip
         return out
 
     def release(self) -> None:
@@ -281,18 +271,6 @@ class Renderer:
         close_all(self.plan.kept.values())
 
     # -- one frame
-
-    def _frame_ms(self, repeats: int = 3) -> float:
-        """Milliseconds of a whole frame like the last one, the median."""
-        assert self.last is not None
-        times = []
-        for _ in range(repeats):
-            self.context.gl.finish()
-            start = time.perf_counter()
-            self._frame(self.last)
-            self.context.gl.finish()
-            times.append(1e3 * (time.perf_counter() - start))
-        return float(np.median(times))
 
     def _frame(self, inputs: FrameInputs, *, only: Pass | None = None) -> None:
         """Execute the plan, or one pass of it (explain)."""

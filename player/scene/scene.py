@@ -3,13 +3,12 @@
 docs/scenes.md documents the file. Fields here are keys there, `avatars` as [[avatar]], `cameras` as [[camera]].
 """
 
-from dataclasses import dataclass
 from typing import Annotated
 
 from avatar.gltf.avatar_file import BUILTIN
 from avatar.motion.hands import HANDS
 from avatar.motion.read import BUILTIN_MOTIONS
-from command.settings import AtLeast, AtMost, FilePlace, OneOf, Rows, check
+from command.settings import AtLeast, AtMost, FilePlace, OneOf, Rows, settings
 from player.effects.background import Background
 from player.scene.address import PORTS, parse_address
 from player.scene.effects import STUDIO, USUAL, Effects
@@ -25,7 +24,7 @@ MANNEQUINS = ("mannequin", "mannequin:female")
 BUILTIN_AVATARS = (BUILTIN, *MANNEQUINS)
 
 
-@dataclass(frozen=True)
+@settings
 class SceneAvatar:
     """One avatar on stage."""
 
@@ -51,7 +50,6 @@ class SceneAvatar:
     start: Annotated[float, AtLeast(0), AtMost(1e9), "seconds into the motion at which the scene begins"] = 0.0
 
     def __post_init__(self):
-        check(self)
         if self.live is not None:
             try:
                 parse_address(self.live, tuple(PORTS))
@@ -61,7 +59,7 @@ class SceneAvatar:
             raise ValueError("motion and live: expected one of them, found both")
 
 
-@dataclass(frozen=True)
+@settings
 class SceneCamera:
     """One camera. Render uses the first, play switches between them."""
 
@@ -83,7 +81,6 @@ class SceneCamera:
     fov_deg: Annotated[float | None, AtLeast(0.01), "of the fitted cameras: vertical field of view; none: 35"] = None
 
     def __post_init__(self):
-        check(self)
         needs_file = self.kind in ("file", "path", "capture")
         if needs_file != (self.path is not None):
             need = "needs a path" if needs_file else f"takes no path, has {self.path!r}"
@@ -92,7 +89,7 @@ class SceneCamera:
             raise ValueError(f"fov_deg: expected less than 180, found {self.fov_deg:g}")
 
 
-@dataclass(frozen=True)
+@settings
 class Scene:
     """Everything that render and play show."""
 
@@ -118,6 +115,3 @@ class Scene:
         "avatars that are small in the picture are drawn with fewer triangles: in a film each at the coarsest level "
         "that does for its largest size, in the window for its size now",
     ] = False
-
-    def __post_init__(self):
-        check(self)

@@ -29,8 +29,7 @@ class Track:
     clip: Callable[[int, int], Clip]
     frames: int
     rate: float
-    # seconds into the motion at which the timeline begins
-    start: float = 0.0
+    start: float = 0.0  # seconds into the motion at which the timeline begins
     at: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))  # metres
     turn: float = 0.0  # radians about y
     name: str = ""

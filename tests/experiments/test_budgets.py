@@ -22,10 +22,10 @@ def priced(times):
 def tried(monkeypatch, table, now, budget):
     drawn = dict(zip(LADDER, now, strict=True))
 
-    def frame_ms(context, scene, rungs, rounds):
+    def rung_times(context, scene, rungs, rounds):
         return np.array([[drawn[one] for one in rungs]] * rounds)
 
-    monkeypatch.setattr(budgets, "frame_ms", frame_ms)
+    monkeypatch.setattr(budgets, "rung_times", rung_times)
     context = open_context()
     try:
         return budgets.tried(context, SCENE, priced(table), budget, 10)

@@ -11,7 +11,7 @@ from loose_paths import dance
 
 from avatar.camera import Camera, orbit_camera
 from command.settings import settings_of
-from player.effects import contact, grid, ground, outline, secondary_motion, shadow
+from player.effects import contact, grid, ground_plane, outline, secondary_motion, shadow
 from player.effects.contact import Contact
 from player.effects.foot_lock import FootLock
 from player.effects.grid import Grid
@@ -62,11 +62,13 @@ FLOOR, SHADOW = "ground: floor", ("ground: shadow", "ground: mask")
 SWINGS = "avatar: secondary motion"
 UNSEEN = {
     "ground hidden": Unseen(Ground("shadow"), AWAY, dict.fromkeys(SHADOW, shadow.SHADOW_AWAY)),
-    "ground above": Unseen(Ground("checker"), UP, dict.fromkeys(SHADOW, shadow.SHADOW_AWAY) | {FLOOR: ground.BELOW}),
+    "ground above": Unseen(
+        Ground("checker"), UP, dict.fromkeys(SHADOW, shadow.SHADOW_AWAY) | {FLOOR: ground_plane.AWAY}
+    ),
     "ground small": Unseen(Ground("shadow"), FAR, dict.fromkeys(SHADOW, shadow.SMALL)),
     "contact hidden": Unseen(Contact(), AWAY, {"contact: avatar on the ground": contact.AWAY}),
     "contact small": Unseen(Contact(), FAR, {"contact: avatar on the ground": contact.SMALL}),
-    "grid hidden": Unseen(Grid(), UP, {"grid": grid.AWAY, "grid: axes": grid.AXES_AWAY}),
+    "grid hidden": Unseen(Grid(), UP, {"grid": ground_plane.AWAY, "grid: axes": grid.AXES_AWAY}),
     "outline hidden": Unseen(Outline(), AWAY, {"outline": outline.OUT_OF_VIEW}),
     "swing hidden": Unseen(SecondaryMotion(), AWAY, {SWINGS: secondary_motion.OUT_OF_VIEW}, EVERYTHING),
     "swing small": Unseen(SecondaryMotion(), FAR, {SWINGS: secondary_motion.SMALL}, EVERYTHING),

@@ -11,7 +11,7 @@ from tiny_avatar import tiny_avatar
 from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.read import builtin_motion
-from player.budget import measure, table
+from player.budget import ladder, measure, table
 from player.budget.measure import BudgetScene, steady_p95, worth_timing
 from player.budget.rung import Rung
 from player.budget.rungs import PricedRung, best_within, frontier, scene_rungs
@@ -50,9 +50,9 @@ def said(monkeypatch):
     """Frames that take what SAID says; counts the tables that are measured."""
     measured = []
 
-    def seconds(context, renderer, poses, camera, reads_back):
+    def milliseconds(context, renderer, poses, camera, reads_back):
         renderer.draw(poses, camera)
-        return SAID[renderer.effects.view] / 1e3 / 1.5**renderer.level * seconds.load
+        return SAID[renderer.effects.view] / 1.5**renderer.level * milliseconds.load
 
     def price(*given, **more):
         measured.append(1)
@@ -61,12 +61,13 @@ def said(monkeypatch):
     def modes_and_levels(*given, **more):
         return [rung for rung in scene_rungs(*given, **more) if (rung.halvings, rung.joints) == (0, 4)]
 
-    seconds.load = 1.0
+    milliseconds.load = 1.0
     # compiling for the others would take most of the time
     monkeypatch.setattr(table, "scene_rungs", modes_and_levels)
-    monkeypatch.setattr(measure, "_seconds", seconds)
+    for module in (ladder, measure):
+        monkeypatch.setattr(module, "frame_ms", milliseconds)
     monkeypatch.setattr(table, "price", price)
-    return measured, seconds
+    return measured, milliseconds
 
 
 def scene_of(avatar, effects=PLAIN):
@@ -112,7 +113,7 @@ def test_rungs_that_lie_no_farther_apart_than_the_headroom_are_no_choice():
 
 
 def test_a_budget_is_answered_from_the_cache_until_it_no_longer_holds(context, said):
-    measured, seconds = said
+    measured, milliseconds = said
     avatar = mannequin()
     buy = partial(rung_within, context, scene_of(avatar), ["mannequin"])
     assert buy(budget=13.0)[1].rung.view == "vertex"  # closer to the network than the linear map is
@@ -122,7 +123,7 @@ def test_a_budget_is_answered_from_the_cache_until_it_no_longer_holds(context, s
     assert buy(quality=0.0)[1].rung.view == "off" and buy(quality=1.0)[1].rung.view == "network"
     assert len(measured) == 1
     # the machine has become half as fast
-    seconds.load = 2.0
+    milliseconds.load = 2.0
     assert buy(budget=13.0)[1].rung.view == "off" and len(measured) == 2
     assert buy(budget=13.0)[1].rung.view == "off" and len(measured) == 2
     # another size is another table

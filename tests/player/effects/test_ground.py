@@ -224,7 +224,7 @@ def test_the_lamps_that_light_avatars_throw_the_shadow(render, avatar, standing)
         ({"kind": "lawn"}, "kind: expected one of plane, checker, shadow"),
         ({"direction": (1.0, 0.1, 0.0)}, "expected a lamp 15 degrees or more above the horizon"),
         ({"direction": (0.0, 0.0, 0.0)}, "expected a lamp 15 degrees"),
-        ({"color": (0.2, 0.2, 0.2, 0.5)}, "color: a floor is opaque"),
+        ({"color": (0.2, 0.2, 0.2, 0.5)}, "color: expected an opaque color"),
         ({"radius": 0.0}, "radius: expected more than 0"),
     ],
 )

@@ -87,7 +87,7 @@ def test_an_option_and_a_table_of_the_scene_ask_for_it(tmp_path):
     ("line", "complaint"),
     [
         ("width = 0", r"scene\.toml:4: effects\.outline\.width: expected more than 0, found 0"),
-        ('color = "#ff000080"', r"scene\.toml:4: effects\.outline\.color: an outline is opaque"),
+        ('color = "#ff000080"', r"scene\.toml:4: effects\.outline\.color: expected an opaque color"),
         (
             "with = 2",
             r"scene\.toml:4: effects\.outline\.with: unknown key in \[effects\.outline\]; did you mean width\?",
