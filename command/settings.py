@@ -9,25 +9,14 @@ JSON as run.json holds it (`settings_json` writes it). Command lines (command_li
 
 import math
 import re
+import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from types import UnionType
-from typing import (
-    Annotated,
-    Any,
-    Literal,
-    NamedTuple,
-    TypeVar,
-    Union,
-    cast,
-    dataclass_transform,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 Record = TypeVar("Record")
 Rule = TypeVar("Rule")
@@ -177,7 +166,7 @@ def check(record: object) -> None:
             raise ValueError(f"{setting.name}: {problem}")
 
 
-@dataclass_transform(frozen_default=True, field_specifiers=(field,))
+@typing.dataclass_transform(frozen_default=True, field_specifiers=(field,))
 def settings(record: type[Record]) -> type[Record]:
     """Makes a class a frozen dataclass that is refused where its values break their rules.
 

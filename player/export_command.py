@@ -10,16 +10,14 @@ from avatar.gltf.animation import write_animated
 from avatar.motion.amass import write_amass
 from avatar.motion.bvh_write import write_bvh
 from avatar.motion.clip import Clip, Motion
-from avatar.motion.hands import HANDS
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.progress import plural, progress
 from command.settings import OneOf
 from files.whole import check_file
-from player.scene.arguments import GROUND_HELP, HANDS_HELP, parse_frames
+from player.scene.arguments import AvatarOption, BodyOption, FramesOption, GroundOption, HandsOption, MotionOption
 from player.scene.motions import BLOCK, frame_range, ground_for, motion_for
 from player.scene.opened import opened_avatar
-from player.scene.scene import GROUNDS
 
 EXAMPLES = """examples
   selfscan export me.glb --motion counting -o me_counting.glb     for Blender, three.js and others
@@ -42,21 +40,13 @@ UNITS = {"m": 1.0, "cm": 0.01}
 class ExportCommand:
     """`selfscan export`."""
 
-    avatar: Annotated[str, Option(positional=True, metavar="AVATAR"), "avatar file (.glb)"]
-    motion: Annotated[
-        str,
-        Option(metavar="FILE"),
-        "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking",
-    ]
+    avatar: AvatarOption
+    motion: MotionOption
     output: Annotated[Path, Option(("-o", "--output"), "OUT"), "OUT.bvh, OUT.glb or OUT.npz"]
-    frames: Annotated[
-        tuple[int | None, int | None] | None, Option(metavar="A:B", parse=parse_frames), "only frames A to B-1"
-    ] = None
-    body: Annotated[
-        str | None, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
-    ] = None
-    hands: Annotated[str, OneOf(HANDS), HANDS_HELP] = "file"
-    ground: Annotated[str, OneOf(GROUNDS), GROUND_HELP] = "auto"
+    frames: FramesOption = None
+    body: BodyOption = None
+    hands: HandsOption = "file"
+    ground: GroundOption = "auto"
     unit: Annotated[str, OneOf(tuple(UNITS)), "of lengths in a .bvh"] = "m"
 
     def __post_init__(self):
@@ -72,9 +62,8 @@ class ExportCommand:
         return self.output.suffix.lower()
 
 
-EXPORT = Help(
-    "selfscan export", "Write a motion, fitted to an avatar, as BVH, as an animated GLB, or as AMASS npz.", EXAMPLES
-)
+WRITES = "Write a motion, fitted to an avatar, as BVH, as an animated GLB, or as AMASS npz."
+EXPORT = Help("selfscan export", WRITES, EXAMPLES)
 
 
 def export_main(argv: list[str]) -> int:
@@ -108,8 +97,5 @@ def _whole(motion: Motion) -> Clip:
     """All frames at once: these files are written in one piece."""
     firsts = range(0, motion.frames, BLOCK)
     blocks = [motion.read(k, min(k + BLOCK, motion.frames)) for k in progress(firsts, "frames read", len(firsts))]
-    axis_angle, root = (
-        np.concatenate([b.axis_angle for b in blocks]),
-        np.concatenate([b.root for b in blocks]),
-    )
+    axis_angle, root = np.concatenate([b.axis_angle for b in blocks]), np.concatenate([b.root for b in blocks])
     return Clip(axis_angle, root, motion.rate, motion.notes, motion.pelvis_height)

@@ -19,21 +19,9 @@ from player.effects.background import Background
 from player.effects.ground import Ground
 from player.gl.context import NoContextError
 from player.live.command import LiveCommand
+from player.scene import arguments
 from player.scene.address import Address, parse_address
-from player.scene.arguments import (
-    CAMERA,
-    EFFECTS,
-    BodyOption,
-    GroundOption,
-    HandsOption,
-    LOOKS,
-    MACHINE,
-    TIME,
-    WHO,
-    parse_background,
-    parse_size,
-    with_effects,
-)
+from player.scene.arguments import CAMERA, EFFECTS, LOOKS, MACHINE, TIME, WHO
 from player.scene.effects import Effects
 from player.scene.motions import beside
 from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera
@@ -93,18 +81,18 @@ class PlayCommand:
     camera_path: Annotated[
         str | None, CAMERA.rare, Option(metavar="FILE"), "a path of camera keys (.json) to look along"
     ] = None
-    body: Annotated[BodyOption, WHO.rare] = None
-    hands: Annotated[HandsOption, WHO.rare] = "file"
-    ground: Annotated[GroundOption, WHO.rare] = "auto"
+    body: Annotated[arguments.BodyOption, WHO.rare] = None
+    hands: Annotated[arguments.HandsOption, WHO.rare] = "file"
+    ground: Annotated[arguments.GroundOption, WHO.rare] = "auto"
     size: Annotated[
-        tuple[int, int] | None, MACHINE.rare, AtLeast(1), Option(metavar="WxH", parse=parse_size),
+        tuple[int, int] | None, MACHINE.rare, AtLeast(1), Option(metavar="WxH", parse=arguments.parse_size),
         "of the window (default: 1280x800)"
     ] = None
     effects: Annotated[Mapping[str, Any], LOOKS, EFFECTS, "what is asked of the effects, by field"] = field(
         default_factory=dict
     )
     background: Annotated[
-        Background | None, LOOKS, Option(metavar="#rrggbb|FILE", parse=parse_background),
+        Background | None, LOOKS, Option(metavar="#rrggbb|FILE", parse=arguments.parse_background),
         "colour (default #2b2d33), a picture, film or panorama (.hdr)"
     ] = None
     budget: Annotated[
@@ -185,7 +173,7 @@ def scene_of(command: PlayCommand) -> Scene:
     return replace(
         scene,
         cameras=tuple(cameras),
-        effects=with_effects(scene.effects, command.effects),
+        effects=arguments.with_effects(scene.effects, command.effects),
         size=command.size or scene.size,
         background=command.background or scene.background,
         level_by_size=scene.level_by_size or command.level_by_size,

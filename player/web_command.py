@@ -6,16 +6,14 @@ from typing import Annotated
 
 from avatar.baked_avatar import Avatar
 from avatar.motion.clip import Motion
-from avatar.motion.hands import HANDS
 from command.command_line import Help, Option, parse
 from command.errors import AssetError
 from command.progress import plural
 from command.settings import OneOf
 from files.whole import check_file, whole_file
-from player.scene.arguments import GROUND_HELP, HANDS_HELP, parse_frames
+from player.scene.arguments import AvatarOption, BodyOption, FramesOption, GroundOption, HandsOption, MotionOption
 from player.scene.motions import frame_range, ground_for, motion_for
 from player.scene.opened import opened_avatar
-from player.scene.scene import GROUNDS
 
 # what people call those whose names are for commands
 PEOPLE = {"builtin:male": "The built-in man", "builtin:female": "The built-in woman"}
@@ -36,32 +34,23 @@ azimuth, elevation, distance, x, y, z (radians, metres)."""
 class WebCommand:
     """`selfscan web`."""
 
-    avatar: Annotated[str, Option(positional=True, metavar="AVATAR"), "avatar file (.glb)"]
+    avatar: AvatarOption
     output: Annotated[Path, Option(("-o", "--output"), "PAGE"), "page to write (.html)"]
-    motion: Annotated[
-        str,
-        Option(metavar="FILE"),
-        "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking",
-    ] = "counting"
-    frames: Annotated[
-        tuple[int | None, int | None] | None, Option(metavar="A:B", parse=parse_frames), "only frames A to B-1"
-    ] = None
+    motion: MotionOption = "counting"
+    frames: FramesOption = None
     levels: Annotated[str, OneOf(("all", "1", "2", "3")), "how many levels of detail, the finest first"] = "all"
     title: Annotated[str | None, Option(metavar="TEXT"), "heading of the page (default: the person's name)"] = None
-    body: Annotated[
-        str | None, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
-    ] = None
-    hands: Annotated[str, OneOf(HANDS), HANDS_HELP] = "file"
-    ground: Annotated[str, OneOf(GROUNDS), GROUND_HELP] = "auto"
+    body: BodyOption = None
+    hands: HandsOption = "file"
+    ground: GroundOption = "auto"
 
     def __post_init__(self):
         if self.output.suffix.lower() not in (".html", ".htm"):
             raise ValueError(f"-o: expected a name that ends in .html, found {str(self.output)!r}")
 
 
-WEB = Help(
-    "selfscan web", "Write one page that draws an avatar in any browser with WebGL 2: offline, asking no one.", EXAMPLES
-)
+WRITES = "Write one page that draws an avatar in any browser with WebGL 2: offline, asking no one."
+WEB = Help("selfscan web", WRITES, EXAMPLES)
 
 
 def web_main(argv: list[str]) -> int:
@@ -69,9 +58,8 @@ def web_main(argv: list[str]) -> int:
     command = parse(WebCommand, argv, WEB)
     check_file(command.output)
     avatar = opened_avatar(command.avatar, None if command.levels == "all" else int(command.levels))
-    motion = motion_for(
-        avatar, command.motion, body=command.body, hands=command.hands, ground=ground_for(command.ground, ())
-    )
+    ground = ground_for(command.ground, ())
+    motion = motion_for(avatar, command.motion, body=command.body, hands=command.hands, ground=ground)
     start, stop = frame_range(motion, None, command.frames, single=False)
     title = command.title or PEOPLE.get(avatar.name, avatar.name)
     written = write_page(command.output, avatar, motion, start, stop, title)
@@ -99,10 +87,9 @@ def write_page(path: Path, avatar: Avatar, motion: Motion, start: int, stop: int
     text, written = avatar_page(avatar, clip, title)
     size = len(text.encode())
     if size > MOST_BYTES:
-        raise AssetError(
-            f"{path}: expected at most {MOST_BYTES / 1e6:.0f} MB, found {size / 1e6:.1f} ({parts_summary(written)}); "
-            "fewer --frames, --levels 1, or bake with a smaller --texture"
-        )
+        found = f"{size / 1e6:.1f} ({parts_summary(written)})"
+        advice = "fewer --frames, --levels 1, or bake with a smaller --texture"
+        raise AssetError(f"{path}: expected at most {MOST_BYTES / 1e6:.0f} MB, found {found}; {advice}")
     with whole_file(path, "w") as file:
         file.write(text)
     return written

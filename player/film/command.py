@@ -9,9 +9,8 @@ from command.settings import AtLeast, AtMost, OneOf
 from player.budget.rungs import parse_budget
 from player.effects.background import Background
 from player.film.film import film_kind
+from player.scene import arguments
 from player.scene.arguments import CAMERA, EFFECTS, FILM, LOOKS, MACHINE, QUALITIES, TIME, WHO
-from player.scene.arguments import BodyOption, FramesOption, GroundOption, HandsOption, parse_background
-from player.scene.arguments import parse_gpu, parse_quality, parse_share, parse_size, parse_workers
 from player.scene.scene import FILM_RATES, TURNS
 
 EXAMPLES = """examples
@@ -51,8 +50,8 @@ class RenderCommand:
         "only this frame; with a turntable, the one that is shown from all sides"
     ] = None
     frames: Annotated[
-        tuple[int | None, int | None] | None, FILM, Option(metavar="A:B", parse=parse_frames, exclusive="which"),
-        "draw frames A to B-1"
+        tuple[int | None, int | None] | None, FILM, "draw frames A to B-1",
+        Option(metavar="A:B", parse=arguments.parse_frames, exclusive="which")
     ] = None
     camera: Annotated[
         str | None, CAMERA, Option(metavar="front|orbit|turntable|FILE"),
@@ -64,11 +63,11 @@ class RenderCommand:
         "one turn of orbit (default: the film) or turntable (6)"
     ] = None
     size: Annotated[
-        tuple[int, int] | None, FILM, AtLeast(1), Option(metavar="WxH", parse=parse_size),
+        tuple[int, int] | None, FILM, AtLeast(1), Option(metavar="WxH", parse=arguments.parse_size),
         "pixels (default: the camera file's, else 640x640)"
     ] = None
     background: Annotated[
-        Background | None, LOOKS, Option(metavar="#rrggbb|transparent|FILE", parse=parse_background),
+        Background | None, LOOKS, Option(metavar="#rrggbb|transparent|FILE", parse=arguments.parse_background),
         "colour (default #2b2d33), nothing, a picture, film or panorama (.hdr)"
     ] = None
     rate: Annotated[
@@ -79,7 +78,7 @@ class RenderCommand:
         default_factory=dict
     )
     quality: Annotated[
-        str, TIME, Option(metavar="draft|good|best|0..1", parse=parse_quality),
+        str, TIME, Option(metavar="draft|good|best|0..1", parse=arguments.parse_quality),
         "draft: level 2, paper colours, jagged edges, small file; best: the avatar's own view model per pixel, "
         "MSAA, large file; a number: view mode and mesh from the fastest (0) to the most exact (1), by what they cost "
         "on this machine; single options go before it"
@@ -94,25 +93,25 @@ class RenderCommand:
         bool, TIME.rare,
         "each avatar at the coarsest level that does for its largest size in the film, none finer than --level"
     ] = False
-    body: Annotated[BodyOption, WHO.rare] = None
-    hands: Annotated[HandsOption, WHO.rare] = "file"
-    ground: Annotated[GroundOption, WHO.rare] = "auto"
+    body: Annotated[arguments.BodyOption, WHO.rare] = None
+    hands: Annotated[arguments.HandsOption, WHO.rare] = "file"
+    ground: Annotated[arguments.GroundOption, WHO.rare] = "auto"
     encoder: Annotated[
         str, FILM.rare, Option(metavar="auto|software|NAME"),
         "of .mp4: auto takes the GPU's if it really encodes a frame, else x264"
     ] = "auto"
     resume: Annotated[bool, FILM.rare, "go on with the parts that an earlier run of this film left"] = False
     part: Annotated[
-        tuple[int, int] | None, FILM.rare, Option(metavar="K/N", parse=parse_share),
+        tuple[int, int] | None, FILM.rare, Option(metavar="K/N", parse=arguments.parse_share),
         "draw only the Kth of N shares of the film; --resume then joins them"
     ] = None
     workers: Annotated[
-        str | None, FILM.rare, Option(metavar="ADDRESS|N", parse=parse_workers),
+        str | None, FILM.rare, Option(metavar="ADDRESS|N", parse=arguments.parse_workers),
         "draw on a Dask cluster, or on N processes of this machine"
     ] = None
     context: Annotated[str, MACHINE.rare, OneOf(("auto", "egl", "osmesa")), "how to reach OpenGL"] = "auto"
     gpu: Annotated[
-        int | str | None, MACHINE.rare, Option(metavar="N|NODE", parse=parse_gpu),
+        int | str | None, MACHINE.rare, Option(metavar="N|NODE", parse=arguments.parse_gpu),
         "this GPU only, counted as CUDA counts, or its DRM node, as /dev/dri/renderD128"
     ] = None
     explain: Annotated[bool, TIME, "print which passes ran, why, and what each costs"] = False
@@ -129,7 +128,7 @@ class RenderCommand:
         return self.budget is not None or self.share is not None
 
     def __post_init__(self):
-        parse_quality(self.quality)
+        arguments.parse_quality(self.quality)
         kind = film_kind(self.output)
         if self.budget is not None and self.quality != "good":
             raise ValueError("give --budget or --quality")

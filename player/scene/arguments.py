@@ -126,8 +126,8 @@ BodyOption = Annotated[
 ]
 HandsOption = Annotated[
     str, OneOf(HANDS),
-    "the motion's hands: file as they are (flat where there are none), flat, relaxed, or mean, the mean hands of --body",
-]  # fmt: skip
+    "the motion's hands: file as they are (flat where there are none), flat, relaxed, or mean, the mean hands of --body"
+]
 GroundOption = Annotated[
     str, OneOf(GROUNDS),
     "find: the motion is moved up or down so that the soles touch the ground; keep: the file's heights; auto: keep "
