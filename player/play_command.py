@@ -171,13 +171,10 @@ def scene_of(command: PlayCommand) -> Scene:
     if command.capture:
         cameras.insert(0, SceneCamera("capture", command.capture, command.part))
     return replace(
-        scene,
-        cameras=tuple(cameras),
-        effects=arguments.with_effects(scene.effects, command.effects),
-        size=command.size or scene.size,
-        background=command.background or scene.background,
+        scene, cameras=tuple(cameras), effects=arguments.with_effects(scene.effects, command.effects),
+        size=command.size or scene.size, background=command.background or scene.background,
         level_by_size=scene.level_by_size or command.level_by_size,
-    )
+    )  # fmt: skip
 
 
 def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:
@@ -226,14 +223,10 @@ def play_scene(scene: Scene, command: PlayCommand) -> int:
         for note in show.notes:
             print(note)
         return play(
-            show,
-            size=scene.size or (1280, 800),
-            null=command.platform == "null",
-            panels=command.gui,
-            script=None if command.script is None else command.script.split(),
-            screenshot=command.screenshot,
+            show, size=scene.size or (1280, 800), null=command.platform == "null", panels=command.gui,
+            script=None if command.script is None else command.script.split(), screenshot=command.screenshot,
             budget=None if command.budget is None else (command.budget, [entry.path for entry in scene.avatars]),
-        )
+        )  # fmt: skip
 
 
 def _addresses(scene: Scene, command: PlayCommand) -> list[tuple[Address, list[int]]]:
@@ -252,11 +245,7 @@ def _listening(address: Address, command: PlayCommand, avatars: Sequence[Avatar]
 
     live = command.source
     asked = LiveOptions(
-        address,
-        smooth=live.smooth,
-        buffer=live.buffer,
-        record=live.record,
-        latency=live.latency,
+        address, smooth=live.smooth, buffer=live.buffer, record=live.record, latency=live.latency,
         calibrate_after=live.calibrate,
-    )
+    )  # fmt: skip
     return live_session(asked, avatars)

@@ -48,14 +48,9 @@ class Rung:
         return [once[id(avatar)] for avatar in avatars]
 
     def renderer(
-        self,
-        context: Context,
-        avatars: Sequence[Avatar],
-        full: tuple[int, int],
-        *,
-        effects: Effects = PLAIN,
+        self, context: Context, avatars: Sequence[Avatar], full: tuple[int, int], *, effects: Effects = PLAIN,
         background: Background = BLACK,
-    ) -> Renderer:
+    ) -> Renderer:  # fmt: skip
         """A renderer that draws the avatars so, on its share of `full` pixels."""
         effects = replace(effects, view=self.view)
         return Renderer(

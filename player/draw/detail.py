@@ -31,12 +31,9 @@ class DetailBySize:
         self._waited: list[int | None] = [None] * len(avatars)
 
     def chosen(
-        self,
-        levels: Sequence[int],
-        finest: Sequence[int],
-        heights: Sequence[float | None],
+        self, levels: Sequence[int], finest: Sequence[int], heights: Sequence[float | None],
         still: Collection[int] = (),
-    ) -> tuple[int, ...]:
+    ) -> tuple[int, ...]:  # fmt: skip
         """The levels to draw now, after `levels`, none finer than `finest`. heights: pixels, None of one that is out of
         view, which keeps its level as those of `still` do."""
         out = list(levels)

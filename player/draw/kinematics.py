@@ -56,10 +56,7 @@ class Chain:
         self.rest[1:52, :3, 3] = joints[1:] - joints[PARENTS[1:]]
 
     def transforms(
-        self,
-        axis_angle: Float[np.ndarray, "52 3"],
-        root: Float[np.ndarray, "3"],
-        outer: Float[np.ndarray, "4 4"],
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], outer: Float[np.ndarray, "4 4"]
     ) -> Float[np.ndarray, "52 4 4"]:
         """outer_from_joint of each joint: `outer` times avatar.skeleton.joint_transforms, in double precision.
 

@@ -51,14 +51,9 @@ class Rasteriser:
         self.target: moderngl.Framebuffer | None = None
 
     def draw(
-        self,
-        vertices_world: Float[np.ndarray, "vertices 3"],
-        faces: Int[np.ndarray, "faces 3"],
-        camera: Camera,
-        size: tuple[int, int] | None = None,
-        *,
-        cull: bool = False,
-    ) -> Fragments:
+        self, vertices_world: Float[np.ndarray, "vertices 3"], faces: Int[np.ndarray, "faces 3"], camera: Camera,
+        size: tuple[int, int] | None = None, *, cull: bool = False,
+    ) -> Fragments:  # fmt: skip
         """Draw a mesh, world metres, as `camera` sees it (on `size` pixels if given); lens distortion left out.
 
         cull leaves out triangles that turn their back (clockwise corners). Corners behind the camera are clipped.

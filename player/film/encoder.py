@@ -175,10 +175,7 @@ def encode(
         for image in frames:
             if padded is not None:
                 padded[: size[1], : size[0]] = image
-                padded[size[1] :], padded[:, size[0] :] = (
-                    padded[size[1] - 1],
-                    padded[:, size[0] - 1 : size[0]],
-                )
+                padded[size[1] :], padded[:, size[0] :] = (padded[size[1] - 1], padded[:, size[0] - 1 : size[0]])
                 image = padded
             picture = reformatter.reformat(
                 av.VideoFrame.from_numpy_buffer(image, "rgba"), format=encoder.pixel_format,

@@ -52,15 +52,9 @@ class Film:
     """
 
     def __init__(
-        self,
-        path: Path | str,
-        rate: float,
-        *,
-        transparent: bool = False,
-        encoder: str = "auto",
-        quality: str = "good",
+        self, path: Path | str, rate: float, *, transparent: bool = False, encoder: str = "auto", quality: str = "good",
         pieces: Sequence[tuple[Path, int]] = (),
-    ):
+    ):  # fmt: skip
         if not (np.isfinite(rate) and rate > 0):
             raise ValueError(f"rate should be positive frames per second, is {rate}")
         self.path, self.kind, self.rate, self.transparent = Path(path), film_kind(path), rate, transparent

@@ -184,13 +184,9 @@ def scene_of(command: RenderCommand) -> Scene:
         places = [beside(k, len(command.avatar)) for k in range(len(command.avatar))]
         avatars = tuple(
             SceneAvatar(
-                path,
-                command.motion,
-                at=tuple(at.tolist()),
-                hands=command.hands,
-                ground=command.ground,
+                path, command.motion, at=tuple(at.tolist()), hands=command.hands, ground=command.ground,
                 body=command.body,
-            )
+            )  # fmt: skip
             for path, at in zip(command.avatar, places, strict=True)
         )
         scene = Scene(avatars)
@@ -273,9 +269,7 @@ def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Con
             try:
                 frames = chain.from_iterable(range(*part) for part in missing)
                 film = drawn.film(
-                    path,
-                    progress(frames, "frames", sum(b - a for a, b in missing)),
-                    list(map(parts.piece, missing)),
+                    path, progress(frames, "frames", sum(b - a for a, b in missing)), list(map(parts.piece, missing))
                 )
                 notes = [*film.notes, drawing_summary(drawn)]
                 if command.explain:

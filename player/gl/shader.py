@@ -90,12 +90,9 @@ def names_in_conditions(source: str) -> set[str]:
 
 
 def compile_program(
-    gl: moderngl.Context,
-    vertex: str,
-    fragment: str,
-    defines: Mapping[str, int] | None = None,
+    gl: moderngl.Context, vertex: str, fragment: str, defines: Mapping[str, int] | None = None,
     generated: Mapping[str, str] | None = None,
-) -> moderngl.Program:
+) -> moderngl.Program:  # fmt: skip
     """Compile and link shaders/vertex with shaders/fragment in the variant that `defines` names.
 
     Raises:

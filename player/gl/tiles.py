@@ -61,12 +61,7 @@ class Patches:
         return points, self.radii + reach + np.repeat(0.5 * np.linalg.norm(spread, axis=1), counts)
 
     def boxes(
-        self,
-        view_from_canonical: Float[np.ndarray, "bones 4 4"],
-        camera: Camera,
-        *,
-        dual: bool,
-        reach: float = 0.0,
+        self, view_from_canonical: Float[np.ndarray, "bones 4 4"], camera: Camera, *, dual: bool, reach: float = 0.0
     ) -> Float[np.ndarray, "patches 4"]:
         """Left, top, right, bottom of each patch, pixels; infinite where a ball reaches behind the eye."""
         points, radii = self.balls(view_from_canonical, dual=dual, reach=reach)

@@ -77,15 +77,10 @@ class Cameras:
     """All of them; one is looked through. Which there are depends on what was opened."""
 
     def __init__(
-        self,
-        orbit: Orbit,
-        *,
-        path: CameraPath | None = None,
-        capture: Sequence[Camera] = (),
-        named: Mapping[str, CameraPath | Sequence[Camera]] | None = None,
-        kind: str = "orbit",
+        self, orbit: Orbit, *, path: CameraPath | None = None, capture: Sequence[Camera] = (),
+        named: Mapping[str, CameraPath | Sequence[Camera]] | None = None, kind: str = "orbit",
         turn_seconds: float = TURN_SECONDS,
-    ):
+    ):  # fmt: skip
         self.orbit, self.path, self.capture, self.kind = orbit, path, capture, kind
         self.named = dict(named or {})  # further ones by name: a path, or a camera for each frame (the last stays)
         self.turn_seconds = turn_seconds

@@ -66,13 +66,9 @@ class Fitted(NamedTuple):
 
 
 def fitted(
-    points: Float[Array, "points 3"],
-    azimuth: float,
-    size: tuple[int, int],
-    *,
-    elevation: float = ELEVATION,
+    points: Float[Array, "points 3"], azimuth: float, size: tuple[int, int], *, elevation: float = ELEVATION,
     fov: float = FOV,
-) -> Fitted:
+) -> Fitted:  # fmt: skip
     """The nearest camera from that side whose picture shows every point inside its margins, in its middle.
 
     With x, z a point's place to the right of the target and behind it, s the slope of the picture's edge less the
@@ -90,13 +86,9 @@ def fitted(
 
 
 def fitted_camera(
-    points: Float[Array, "points 3"],
-    azimuth: float,
-    size: tuple[int, int],
-    *,
-    elevation: float = ELEVATION,
+    points: Float[Array, "points 3"], azimuth: float, size: tuple[int, int], *, elevation: float = ELEVATION,
     fov: float = FOV,
-) -> Camera:
+) -> Camera:  # fmt: skip
     """The camera of `fitted`."""
     return at_distance(fitted(points, azimuth, size, elevation=elevation, fov=fov), azimuth, elevation, size, fov)
 

@@ -34,32 +34,19 @@ def mannequin(sex: str = "male", *, texture: int = 512, seed: int = 0) -> Avatar
     cone = np.zeros((len(vertex), 6), np.float32)
     cone[:, [0, 3, 5]] = 1 / (1.6 * np.sin(np.radians(20.0))) ** 2
     level = Level(
-        positions=positions[vertex].astype(np.float32),
-        normals=normals,
-        uv=body.uv[texcoord].astype(np.float32),
-        faces=number.reshape(-1, 3).astype(np.uint32),
-        joints=joints.astype(np.uint8),
-        weights=weights.astype(np.uint8),
-        view_dir=-normals,
-        view_q=cone,
-        view_seen=np.ones(len(vertex), np.float32),
-        base_color=color,
+        positions=positions[vertex].astype(np.float32), normals=normals, uv=body.uv[texcoord].astype(np.float32),
+        faces=number.reshape(-1, 3).astype(np.uint32), joints=joints.astype(np.uint8), weights=weights.astype(np.uint8),
+        view_dir=-normals, view_q=cone, view_seen=np.ones(len(vertex), np.float32), base_color=color,
         features=rng.integers(0, 256, (64, 64, 4)).astype(np.uint8),
-    )
+    )  # fmt: skip
     shapes = {"w1": (16, 8), "b1": (16,), "w2": (3, 16), "b2": (3,)}
     network = ViewNetwork(**{name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()})
     linear = (0.2 * rng.normal(size=(4, 3, 3))).astype(np.float32)
     return Avatar(
-        name=f"mannequin {sex}",
-        joint_positions=body.joints,
-        canonical_pose=np.array(BIG_POSE),
-        levels=(level,),
-        network=network,
-        linear=linear,
-        amplitude=0.6,
-        default_view="network",
+        name=f"mannequin {sex}", joint_positions=body.joints, canonical_pose=np.array(BIG_POSE), levels=(level,),
+        network=network, linear=linear, amplitude=0.6, default_view="network",
         provenance={"body_licence": body.licence},
-    )
+    )  # fmt: skip
 
 
 # sRGB of what the clothed body wears, by the first letters of the joints that move it; the rest is skin

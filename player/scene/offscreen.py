@@ -30,16 +30,9 @@ class OffscreenRenderer:
     """
 
     def __init__(
-        self,
-        avatar: Avatar,
-        size: tuple[int, int] = (640, 640),
-        *,
-        camera: Camera | None = None,
-        effects: Effects = USUAL,
-        background: Background = STUDIO,
-        level: int = 0,
-        context: str = "auto",
-    ):
+        self, avatar: Avatar, size: tuple[int, int] = (640, 640), *, camera: Camera | None = None,
+        effects: Effects = USUAL, background: Background = STUDIO, level: int = 0, context: str = "auto",
+    ):  # fmt: skip
         self.avatar, self.size, self.camera = avatar, size, camera
         self._context = opened(context, None)
         try:
@@ -51,10 +44,7 @@ class OffscreenRenderer:
             raise
 
     def draw(
-        self,
-        axis_angle: Float[np.ndarray, "52 3"],
-        root: Float[np.ndarray, "3"],
-        camera: Camera | None = None,
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], camera: Camera | None = None
     ) -> UInt8[np.ndarray, "height width 3"]:
         """The picture of one pose, sRGB, row 0 on top.
 
@@ -66,10 +56,7 @@ class OffscreenRenderer:
         return self.draw_rgba(axis_angle, root, camera)[..., :3].copy()
 
     def draw_rgba(
-        self,
-        axis_angle: Float[np.ndarray, "52 3"],
-        root: Float[np.ndarray, "3"],
-        camera: Camera | None = None,
+        self, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], camera: Camera | None = None
     ) -> UInt8[np.ndarray, "height width 4"]:
         """As `draw`, with premultiplied alpha: for a transparent background."""
         axis_angle, root = np.asarray(axis_angle, np.float64), np.asarray(root, np.float64)

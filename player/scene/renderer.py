@@ -53,19 +53,10 @@ class Renderer:
     """
 
     def __init__(
-        self,
-        context: Context,
-        avatars: Sequence[Avatar],
-        size: tuple[int, int] | None,
-        *,
-        effects: Effects = PLAIN,
-        background: Background | Sequence[float | int] = (0.0, 0.0, 0.0, 0.0),
-        level: int | Sequence[int] = 0,
-        by_size: bool = False,
-        view_amount: float = 1.0,
-        view: str | None = None,
-        warm: bool = True,
-    ):
+        self, context: Context, avatars: Sequence[Avatar], size: tuple[int, int] | None, *, effects: Effects = PLAIN,
+        background: Background | Sequence[float | int] = (0.0, 0.0, 0.0, 0.0), level: int | Sequence[int] = 0,
+        by_size: bool = False, view_amount: float = 1.0, view: str | None = None, warm: bool = True,
+    ):  # fmt: skip
         self.context, self.avatars = context, tuple(avatars)
         self.level, self._view_amount = level, view_amount
         # the number of each avatar's level of detail
@@ -112,13 +103,9 @@ class Renderer:
         return bool(self.plan.views)
 
     def change(
-        self,
-        *,
-        size: tuple[int, int] | None = None,
-        effects: Effects | None = None,
-        background: Background | Sequence[float | int] | None = None,
-        level: int | Sequence[int] | None = None,
-    ) -> None:
+        self, *, size: tuple[int, int] | None = None, effects: Effects | None = None,
+        background: Background | Sequence[float | int] | None = None, level: int | Sequence[int] | None = None,
+    ) -> None:  # fmt: skip
         """Another size, other effects, another background or level of detail. Only what is new is made or compiled;
         what is no longer asked for is freed.
 
@@ -170,13 +157,9 @@ class Renderer:
         return bool(self.plan.moved)
 
     def draw(
-        self,
-        poses: Sequence[Pose],
-        camera: Camera,
-        out: UInt8[np.ndarray, "height width 4"] | None = None,
-        *,
+        self, poses: Sequence[Pose], camera: Camera, out: UInt8[np.ndarray, "height width 4"] | None = None, *,
         seconds: float = 0.0,
-    ) -> UInt8[np.ndarray, "height width 4"]:
+    ) -> UInt8[np.ndarray, "height width 4"]:  # fmt: skip
         """The image, row 0 on top, premultiplied alpha, sRGB. One pose per avatar; the camera is fitted to size.
 
         `out` is an array to read into, so that a film needs no new memory for each frame; `seconds` is the time in
@@ -188,12 +171,9 @@ class Renderer:
         return self.expose([(poses, camera)], out, seconds=seconds)
 
     def expose(
-        self,
-        views: Sequence[tuple[Sequence[Pose], Camera]],
-        out: UInt8[np.ndarray, "height width 4"] | None = None,
-        *,
+        self, views: Sequence[tuple[Sequence[Pose], Camera]], out: UInt8[np.ndarray, "height width 4"] | None = None, *,
         seconds: float = 0.0,
-    ) -> UInt8[np.ndarray, "height width 4"]:
+    ) -> UInt8[np.ndarray, "height width 4"]:  # fmt: skip
         """The mean of several frames, as a shutter and a lens make it (player/film/exposure.py); of one, the frame.
 
         Raises:
@@ -218,12 +198,7 @@ class Renderer:
         return image
 
     def draw_into(
-        self,
-        framebuffer: moderngl.Framebuffer,
-        poses: Sequence[Pose],
-        camera: Camera,
-        *,
-        seconds: float = 0.0,
+        self, framebuffer: moderngl.Framebuffer, poses: Sequence[Pose], camera: Camera, *, seconds: float = 0.0
     ) -> None:
         """The same into another framebuffer, whose rows count from the bottom; nothing is read back. The renderer's
         own image keeps its top row first, as `draw` has it.
