@@ -156,7 +156,7 @@ def with_float_features(drawn: Callable[[Avatar], Renderer], avatar: Avatar, dty
             texture.anisotropy = 8.0
         return texture
 
-    with patch("player.effects.view.image_texture", float_texture):
+    with patch("player.effects.avatar.image_texture", float_texture):
         return drawn(avatar)
 
 
@@ -168,7 +168,7 @@ def with_uniforms(drawn: Callable[[Avatar], Renderer], avatar: Avatar) -> Render
         for text in avatar_constants(avatar).values()
         for _, name, numbers in CONSTANT.findall(text)
     }
-    with patch("player.effects.view.avatar_constants", lambda _: written):
+    with patch("player.effects.avatar.avatar_constants", lambda _: written):
         renderer = drawn(avatar)
     found = 0
     for handle in renderer.plan.handles:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from player.budget.rung import MOST_JOINTS, SHARE_NAMES, Rung, rung_of
-from player.effects.view import VIEWS
+from player.effects.avatar import VIEWS
 from player.gl.context import Context
 from player.scene.renderer import Pose, Renderer
 

@@ -6,7 +6,7 @@ of view, view dependence of one forty pixels tall) is skipped for that frame and
 skips whatever only it needs, so a frame in which an effect cannot show is, byte for byte and draw for draw, the frame
 of a scene that never asked for it.
 
-`player/effects/` holds the effects, one a file; `player/scene/resolve.py` asks each for its passes.
+`player/effects/` holds the effects, one a file; `resolve` in `player/scene/effects.py` asks each for its passes.
 """
 
 from abc import ABC, abstractmethod
@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
+from functools import cache
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import moderngl
@@ -26,7 +27,7 @@ from player.draw.mesh import attributes_read, draw_order
 from player.draw.resources import KINDS, AnyHandle, Handle, Image, PlanResources
 from player.gl.blocks import BINDING, FRAME, bind_block
 from player.gl.shader import compile_program
-from player.gl.tiles import SurfacePatches
+from player.gl.tiles import Patches
 
 T = TypeVar("T")
 # of a vertex array: a buffer, its format, and the names of its attributes
@@ -217,9 +218,10 @@ class Draft:
             self.kept[key] = self._kept_before[key] if key in self._kept_before else make()
         return self.kept[key]
 
-    def patches(self) -> SurfacePatches:
-        """Pieces of the avatars' surface, for passes that draw where it can be; all share them."""
-        return self.keep((SurfacePatches, self.detail), lambda: SurfacePatches(self.levels))
+    def patches(self) -> Callable[[], list[Patches]]:
+        """Pieces of each avatar's surface, for passes that draw where it can be; found when they are first needed."""
+        levels = self.levels
+        return self.keep((Patches, self.detail), lambda: cache(lambda: [Patches(level) for level in levels]))
 
     def tag(self, avatar: int) -> str:
         """What people call an avatar of the scene."""
@@ -277,6 +279,7 @@ class Draft:
             counted["influence_count.glsl"] = f"const int INFLUENCES = {self.influences};\n"
 
         def make(resources: PlanResources) -> moderngl.Program:
+            """Compile it, and give its blocks and samplers their places."""
             generated = {**constants(), **counted}
             program = compile_program(resources.context.gl, vertex, fragment, defines, generated)
             for block in BINDING:
@@ -314,13 +317,11 @@ class Draft:
             return clamped(gl.texture(size, 4)) if textures else gl.renderbuffer(size, samples=samples)
 
         def depth_of(resources: PlanResources) -> Attachment:
-            gl = resources.context.gl
             if not textures:
-                return gl.depth_renderbuffer(size, samples=samples)
-            texture = clamped(gl.depth_texture(size))
-            # read as a number
-            texture.compare_func = ""
-            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+                return resources.context.gl.depth_renderbuffer(size, samples=samples)
+            texture = clamped(resources.context.gl.depth_texture(size))
+            # it is read as a number
+            texture.compare_func, texture.filter = "", (moderngl.NEAREST, moderngl.NEAREST)
             return texture
 
         color = self.need(Handle(kind, f"{name} color", pixels, shape, color_of))

@@ -12,15 +12,13 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera
 from avatar.helper_joints import HelperJoints
-from avatar.skeleton import joint_transforms, rigid_inverse, skin_transforms
-from avatar.skinning import skin_points
+from avatar.skeleton import joint_transforms, rigid_inverse
 from player.draw import kinematics
-
-Array = np.ndarray
 
 
 class PosedBones(NamedTuple):
-    # the 52 joints, then the helper joints of an avatar that has them
+    """The 52 joints, then the helper joints of an avatar that has them."""
+
     view_from_canonical: Float[np.ndarray, "bones 4 4"]
     centers: Float[np.ndarray, "bones 3"]  # joints in view space, metres
     radii: Float[np.ndarray, "bones"]  # a sphere about each joint holds all that its bone moves; < 0: nothing
@@ -118,26 +116,3 @@ def screen_bounds(bones: PosedBones, camera: Camera) -> ScreenBounds:
 
 # OpenGL looks down -z with +y up
 _VIEW_FROM_CAMERA = np.array([[1.0], [-1.0], [-1.0], [1.0]])
-
-
-def posed_vertices(avatar: Avatar, level: Level, pose: tuple[Array, Array]) -> Float[Array, "vertices 3"]:
-    """The avatar's vertices in the world, by linear blend skinning."""
-    transforms = skin_transforms(
-        pose[0], avatar.joint_positions.astype(np.float64), pose[1], avatar.canonical_pose.astype(np.float64)
-    )
-    return skin_points(level.positions.astype(np.float64), level.skin, transforms)
-
-
-def lowest_point(avatar: Avatar, axis_angle: Float[Array, "52 3"]) -> float:
-    """Height of the posed body's lowest vertex above the pelvis joint, metres: negative for a standing body.
-
-    Taken from a coarse level, of 3,000 triangles in a baked avatar: soles of 1,000 lie 3 mm higher.
-    """
-    return float(posed_vertices(avatar, avatar.level(2), (axis_angle, np.zeros(3)))[:, 1].min())
-
-
-def grounded(
-    avatar: Avatar, axis_angle: Float[Array, "52 3"], root: Float[Array, "3"], ground: float | int = 0.0
-) -> Float[Array, "3"]:
-    """The root moved up or down so that the lowest point touches the ground."""
-    return np.array([root[0], ground - lowest_point(avatar, axis_angle), root[2]])

@@ -4,16 +4,15 @@ On the ground it is a pass of its own, under the avatars; on their surface the p
 by vertex, in a variant of their program (shaders/contact.glsl).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache
 from typing import Annotated, ClassVar, NamedTuple
 
 import moderngl
 import numpy as np
 from jaxtyping import Float, Int, UInt32
 
-from avatar.baked_avatar import Avatar, Level
 from avatar.camera import view_from_world
 from command.settings import Above, AtLeast, AtMost, settings
 from player.draw.drawing import Drawing
@@ -73,7 +72,7 @@ class AvatarContact:
 
     avatar: int
     strength: float
-    body: "LazyCapsules"
+    body: Callable[[], Capsules]  # fitted when they are first needed: a quarter of a second
     block: Handle[moderngl.Buffer]  # the capsules of this frame
     vertices: Handle[moderngl.Buffer]  # what each does not take from its own limb
     normals: Handle[moderngl.Buffer]
@@ -95,7 +94,7 @@ class AvatarContact:
 
     def content(self, drawing: Drawing, chosen: slice | Int[np.ndarray, "near"] = slice(None)) -> bytes:
         """The block of the capsules, or of some of them."""
-        capsules, block = self.body.capsules, np.zeros((), CAPSULES)
+        capsules, block = self.body(), np.zeros((), CAPSULES)
         starts, ends = (points[chosen] for points in capsules.posed(drawing.bones[self.avatar]))
         along, count = ends - starts, len(starts)
         block["capsule_start"][:count, :3], block["capsule_start"][:count, 3] = starts, capsules.radii[chosen]
@@ -104,28 +103,18 @@ class AvatarContact:
         return block.tobytes()
 
 
-class LazyCapsules:
-    """Capsules of an avatar, fitted when they are first needed: a quarter of a second."""
-
-    def __init__(self, avatar: Avatar, level: Level):
-        self._of: tuple[Avatar, Level] = avatar, level
-
-    @cached_property
-    def capsules(self) -> Capsules:
-        return capsules_of(*self._of)
-
-
 def contact_of(draft: Draft, avatar: int) -> AvatarContact | None:
     """What darkens an avatar of the plan; None: nothing is to."""
     asked = draft.asked(Contact)
     if asked is None:
         return None
-    level, key = draft.levels[avatar], ("capsules", draft.first(avatar), draft.detail[avatar])
-    body = draft.keep(key, lambda: LazyCapsules(draft.avatars[avatar], level))
+    who, level = draft.avatars[avatar], draft.levels[avatar]
+    key = ("capsules", draft.first(avatar), draft.detail[avatar])
+    body = draft.keep(key, lambda: cache(lambda: capsules_of(who, level)))
 
     def vertices() -> np.ndarray:
         out = np.zeros(len(level.positions), VERTEX)
-        out["spared"], out["rest"] = body.capsules.spared, body.capsules.rest
+        out["spared"], out["rest"] = body().spared, body().rest
         return out
 
     block = draft.buffer(f"{draft.tag(avatar)} capsules", CAPSULES.itemsize, avatar)
@@ -150,6 +139,7 @@ class ContactFloorPass(PassBehind):
         return RUNS if self.contact.shows(drawing) else SMALL
 
     def draw(self, drawing: Drawing) -> None:
+        """The cells that a capsule reaches, those that need few of them apart from those that need all."""
         under, resources, camera = self._under(drawing), drawing.resources, drawing.inputs.camera
         assert under is not None
         sheet = under.sheet
@@ -181,7 +171,7 @@ class ContactFloorPass(PassBehind):
 
     def _under(self, drawing: Drawing) -> "Under | None":
         """The ground under what is near it."""
-        capsules = self.contact.body.capsules
+        capsules = self.contact.body()
         world_from_view = np.linalg.inv(view_from_world(drawing.inputs.camera))
         ends = np.stack(capsules.posed(drawing.bones[self.contact.avatar]))
         ends = ends @ world_from_view[:3, :3].T + world_from_view[:3, 3]

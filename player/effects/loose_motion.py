@@ -11,9 +11,8 @@ Nothing is random and no clock is read.
 import numpy as np
 
 from player.draw.drawing import FASTEST, TURNED, Pose
-from player.effects.loose_driver import STEP, DrivenPose, Way
-from player.effects.loose_parts import LooseParts
-from player.effects.loose_sheets import Sheets
+from player.effects.loose_parts import DrivenPose, LooseParts
+from player.effects.loose_sheets import STEP, Sheets
 from player.effects.secondary_motion import SecondaryMotion
 
 Array = np.ndarray
@@ -23,7 +22,37 @@ LONGEST = 0.5
 SPEED_CAP = 8.0  # metres a second relative to the pose, of a grown person
 # asleep: slower than this for so many seconds, while what drives it moved less than this; m/s, s, m
 SLOW, CALM, STILL = 0.01, 0.5, 5e-4
+# the most by which one frame may be longer than another
+UNEVEN = 4.0
 UNSEEN = 5e-5  # metres: what is moved less is drawn as skinned
+
+
+class Way:
+    """From one driver to the next, on the parabola through them and the one before, where that is known.
+
+        p(s) = b + s (n - b) + s (s - 1) c        c = (o - b + r (n - b)) / (r (r + 1))
+
+    with r the seconds from o to b in those from b to n.
+    """
+
+    def __init__(self, before: DrivenPose, now: DrivenPose, dt: float, older: "Way | None"):
+        """older: the way to `before`."""
+        self.before, self.now, self.dt = before, now, dt
+        self._way = [b - a for a, b in zip(before[2:], now[2:], strict=True)]
+        self._curve = None
+        ratio = 0.0 if older is None else older.dt / dt
+        # the parabola says nothing of frames as uneven as no player's
+        if older is not None and 1 / UNEVEN <= ratio <= UNEVEN:
+            share = 1 / (ratio * (ratio + 1))
+            self._curve = [share * (ratio * b - a) for a, b in zip(older._way, self._way, strict=True)]
+
+    def at(self, share: float) -> DrivenPose:
+        """The driver at a share of the way."""
+        found = [a + share * way for a, way in zip(self.before[2:], self._way, strict=True)]
+        if self._curve is not None:
+            bend = share * (share - 1)
+            found = [value + bend * curve for value, curve in zip(found, self._curve, strict=True)]
+        return DrivenPose(self.now.root, self.now.turn, *found)
 
 
 class LooseMotion:
@@ -38,17 +67,9 @@ class LooseMotion:
         self.steps = 0
         # where the particles are, off where they are skinned to; world, metres
         self.offsets = np.zeros_like(parts.places)
-        self._reach, self._asleep = 0.0, False
-
-    @property
-    def asleep(self) -> bool:
-        """Whether nothing moves any more, and nothing is computed."""
-        return self._asleep
-
-    @property
-    def reach(self) -> float:
-        """Of the farthest particle from where it is skinned to, metres."""
-        return self._reach
+        self.reach = 0.0  # metres of the farthest particle from where it is skinned to
+        # whether nothing moves any more, and nothing is computed
+        self.asleep = False
 
     def move(self, pose: Pose, seconds: float) -> None:
         """Go on to a pose at a moment; the first sets the particles where it skins them to."""
@@ -58,14 +79,14 @@ class LooseMotion:
         dt = seconds - self._seconds
         self._seconds = seconds
         same = np.array_equal(pose[0], self._pose[0]) and np.array_equal(pose[1], self._pose[1])
-        if same and (self._asleep or dt == 0):
+        if same and (self.asleep or dt == 0):
             return
         now = self._driver if same else self.parts.drive(pose)
         self._pose = pose
-        if self._asleep:
+        if self.asleep:
             if _moved(now, self._reference) < STILL * self.parts.unit:
                 return
-            self._asleep, self._calm = False, 0.0
+            self.asleep, self._calm = False, 0.0
         if same:
             self._older = None
         before = self._follow(now, dt)
@@ -85,7 +106,7 @@ class LooseMotion:
         self._aim = self._x
         self._last = self._now = np.zeros_like(self._x)
         self._clock = self._calm = 0.0
-        self._asleep = False
+        self.asleep = False
         # that of the frame before; None: there was a jump, or a pose was held
         self._older: Way | None = None
         self._settle(self._driver)
@@ -145,7 +166,7 @@ class LooseMotion:
         if self._calm == 0 or _moved(now, self._reference) > STILL * self.parts.unit:
             self._reference, self._calm = now, 0.0
         elif self._calm >= CALM:
-            self._asleep, self._last = True, self._now
+            self.asleep, self._last = True, self._now
             self._v = np.zeros_like(self._v)
 
     def _settle(self, now: DrivenPose) -> None:
@@ -153,13 +174,13 @@ class LooseMotion:
         targets, share = now.targets, self._clock / STEP
         offsets = self._last + share * (self._now - self._last)
         self.offsets = self._sheets.settled(targets + offsets, now) - targets
-        self._reach = float(np.sqrt((self.offsets**2).sum(1).max()))
+        self.reach = float(np.sqrt((self.offsets**2).sum(1).max()))
         self.version += 1
 
     @property
     def shows(self) -> bool:
         """Whether anything is moved so far that it can be seen."""
-        return self._seconds is not None and self._reach > UNSEEN * self.parts.unit
+        return self._seconds is not None and self.reach > UNSEEN * self.parts.unit
 
 
 def _moved(a: DrivenPose, b: DrivenPose) -> float:

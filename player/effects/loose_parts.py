@@ -7,6 +7,7 @@ where one takes another's place; skin follows none.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -19,7 +20,6 @@ from player.draw.posing import Poser
 from player.effects.contact_capsules import BONES, capsules_of
 from player.effects.held_feet import GROWN, LEGS, leg_bones
 from player.effects.loose_capsules import capsule_distances
-from player.effects.loose_driver import DrivenPose
 
 Array = np.ndarray
 
@@ -36,6 +36,25 @@ FADED = 0.25
 DOWN = np.array([0.0, -1.0, 0.0])
 # vertices looked at at once
 CHUNK = 4096
+
+
+class DrivenPose(NamedTuple):
+    """What moves the particles in one pose, relative to the pelvis; metres."""
+
+    root: Float[Array, "3"]
+    # turn of the pelvis
+    turn: Float[Array, "3 3"]
+    # where the pose has the particles
+    targets: Float[Array, "particles 3"]
+    # both ends of each capsule
+    capsules: Float[Array, "2 capsules 3"]
+    # to each neighbour, and gravity beyond that of pose 0, parts of it
+    lengths: Float[Array, "neighbours particles"]
+    pull: Float[Array, "particles 3"]
+
+    def moved(self, shift: Float[Array, "3"]) -> "DrivenPose":
+        """The same seen from a pelvis that has moved."""
+        return self._replace(targets=self.targets - shift, capsules=self.capsules - shift)
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ looks as filmed.
 import numpy as np
 
 from player.effects.loose_capsules import Apart
-from player.effects.loose_driver import STEP, DrivenPose
-from player.effects.loose_parts import LooseParts, lengths_of, ways
+from player.effects.loose_parts import DrivenPose, LooseParts, lengths_of, ways
 from player.effects.secondary_motion import SecondaryMotion
 
 Array = np.ndarray
 
+STEP = 1 / 120  # seconds
 REACH = 0.3  # metres off the pose, of a grown person
 DAMPING = 0.3  # share of critical damping
 # looseness counts as at least this: springs stay finite

@@ -5,7 +5,7 @@ shadow is softened once, in the same coordinates (shaders/shadow.frag). Both are
 shadow is laid over the floor, or over any background, by one fetch a pixel.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ from player.effects.ground_plane import PassBehind, Sheet, behind_parts
 from player.effects.light import light_on
 from player.effects.secondary_motion import LooseMesh, loose_mesh
 from player.gl.shader import set_uniforms
-from player.gl.tiles import SurfacePatches
+from player.gl.tiles import Patches
 
 LOWEST = 15.0  # degrees above the horizon: the shadow of a lower lamp has no end
 # texels a side: in software 128 to 512 cost the same within 5 %, below 256 feet part from their shadow
@@ -102,7 +102,7 @@ class ShadowLamp(NamedTuple):
     height: float
     side: int  # texels of the mask
     # the avatars' surface, and whether dual quaternions move it
-    patches: SurfacePatches
+    patches: Callable[[], list[Patches]]
     dual: bool
 
     @property
@@ -150,7 +150,7 @@ def footprint(drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
     world_from_view = np.linalg.inv(view_from_world(drawing.inputs.camera))
     balls = [
         patches.balls(bones.view_from_canonical, dual=lamp.dual, reach=reach)
-        for patches, bones, reach in zip(lamp.patches, drawing.bones, drawing.reaches, strict=True)
+        for patches, bones, reach in zip(lamp.patches(), drawing.bones, drawing.reaches, strict=True)
     ]
     center, radius = (np.concatenate(part) for part in zip(*balls, strict=True))
     center = center @ world_from_view[:3, :3].T + world_from_view[:3, 3]
@@ -163,8 +163,7 @@ def footprint(drawing: Drawing, lamp: ShadowLamp) -> Footprint | None:
     wide = radius[:, None] * np.sqrt(1 + slant * slant) + lamp.edge * np.maximum(above, 0)[:, None]
     low, high = (at - wide).min(0), (at + wide).max(0)
     # STEP at one side for the step itself, and a clear rim at both, which mips bleed over
-    free = lamp.side - 3 * STEP
-    texel = float((high - low).max()) / free
+    texel = float((high - low).max()) / (lamp.side - 3 * STEP)
     texel = float(2.0 ** (np.ceil(4 * np.log2(texel)) / 4))
     first = np.floor(low / (STEP * texel)) * STEP * texel - STEP * texel
     anchor = np.array([first[0], lamp.height, first[1]])
@@ -223,6 +222,7 @@ class MaskPass(Pass):
         return STILL if self.holds.key == self._wanted(drawing) else MOVED
 
     def draw(self, drawing: Drawing) -> None:
+        """The mask, and the shadow softened."""
         here, resources = self.holds.footprint(drawing, self.lamp), drawing.resources
         assert here is not None
         rows = self._rows(drawing, here)

@@ -186,7 +186,7 @@ def scene_of(command: RenderCommand) -> Scene:
             SceneAvatar(
                 path, command.motion, at=tuple(at.tolist()), hands=command.hands, ground=command.ground,
                 body=command.body,
-            )  # fmt: skip
+            )
             for path, at in zip(command.avatar, places, strict=True)
         )
         scene = Scene(avatars)

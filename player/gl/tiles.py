@@ -3,9 +3,6 @@
 In software a filter costs what it covers: on these tiles FXAA is about half as dear as on the whole image.
 """
 
-from collections.abc import Iterator, Sequence
-from functools import cached_property
-
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt16
 
@@ -79,20 +76,6 @@ class Patches:
         boxes[behind] = [-np.inf, -np.inf, np.inf, np.inf]
         lower = np.minimum.reduceat(boxes[:, :2], self.first)
         return np.concatenate([lower, np.maximum.reduceat(boxes[:, 2:], self.first)], 1)
-
-
-class SurfacePatches:
-    """Patches of each avatar's surface, found when they are first asked for."""
-
-    def __init__(self, levels: Sequence[Level]):
-        self._levels = tuple(levels)
-
-    @cached_property
-    def _found(self) -> list[Patches]:
-        return [Patches(level) for level in self._levels]
-
-    def __iter__(self) -> Iterator[Patches]:
-        return iter(self._found)
 
 
 def covered(

@@ -6,23 +6,23 @@ Scene files, their schema and tables, `--effect NAME`, `--explain` and the windo
 is not asked for is in no plan and costs nothing.
 """
 
-from collections.abc import Iterator, Mapping
-from typing import Annotated, NamedTuple
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from typing import Annotated, Any, NamedTuple
 
+from avatar.baked_avatar import Avatar
 from command.settings import OneOf, Setting, rule_of, settings, settings_of
-from player.draw.plan import Effect, Stage
+from player.draw.plan import Absent, Canvas, Draft, Effect, Pass, Plan, Stage, close_all
+from player.effects.antialiasing import BestAntialiasing, Fxaa, Msaa
+from player.effects.avatar import VIEWS, Avatars
 from player.effects.background import Background
 from player.effects.contact import Contact
 from player.effects.foot_lock import FootLock
-from player.effects.fxaa import Fxaa
 from player.effects.grid import Grid
 from player.effects.ground import Ground
 from player.effects.lens import DepthOfField, MotionBlur
 from player.effects.light import Light
-from player.effects.msaa import BestAntialiasing, Msaa
 from player.effects.outline import Outline
 from player.effects.secondary_motion import SecondaryMotion
-from player.effects.view import VIEWS
 
 SKINNINGS = ("lbs", "dual_quaternion")
 ANTIALIASINGS = ("auto", "none", "fxaa", "msaa")
@@ -84,3 +84,36 @@ USUAL = Effects()
 PLAIN = Effects(antialiasing="none")
 # where a scene says nothing
 STUDIO = Background()
+
+
+def resolve(
+    avatars: Sequence[Avatar], canvas: Canvas, effects: Effects,
+    background: Background = Background("transparent"),  # noqa: B008  frozen
+    detail: int | Sequence[int] = 0, kept: Mapping[Hashable, Any] | None = None,
+) -> Plan:  # fmt: skip
+    """The plan for drawing `avatars` with these effects, asked from the last in a frame to the first; all at one level
+    of detail or each at its own. Makes no GL object; opens the background's file, unless `kept` (of an earlier plan)
+    holds it.
+
+    Raises:
+        ValueError: a view mode that an avatar does not hold.
+        AssetError: a file that cannot be read.
+    """
+    kept, levels = kept or {}, [detail] * len(avatars) if isinstance(detail, int) else detail
+    wanted: list[tuple[Stage, Effect | Absent]] = [(Stage.BACKGROUND, background)]
+    wanted.append((Stage.AVATARS, Avatars(effects.view)))
+    for fact, stage, effect in effects.effects():
+        wanted.append((stage, Absent(fact.name.replace("_", " ")) if effect is None else effect))
+    wanted.sort(key=lambda one: one[0])
+    draft = Draft(
+        avatars, canvas, detail=levels, dual=effects.skinning == "dual_quaternion",
+        effects=[one for _, one in wanted if not isinstance(one, Absent)], kept=kept,
+    )  # fmt: skip
+    stages: list[tuple[Stage, Sequence[Pass]]] = []
+    try:
+        for stage, one in reversed(wanted):
+            stages.append((stage, [one] if isinstance(one, Absent) else one.passes(draft)))
+    except BaseException:
+        close_all([one for key, one in draft.kept.items() if key not in kept])
+        raise
+    return draft.result(stages[::-1])

@@ -20,8 +20,7 @@ from player.draw.raster import clip_planes
 from player.draw.resources import PlanResources
 from player.effects.background import Background
 from player.gl.context import Context
-from player.scene.effects import PLAIN, Effects
-from player.scene.resolve import resolve
+from player.scene.effects import PLAIN, Effects, resolve
 
 MAX_PIXELS = 1 << 27  # pixels of one image, whose sides may be anything that the device can hold
 BULGE = (

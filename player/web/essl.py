@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 
 from avatar.baked_avatar import Avatar
-from player.effects.view import STAGE
+from player.effects.avatar import STAGE
 from player.gl.constants import avatar_constants
 from player.gl.shader import ShaderError, assembled, names_in_conditions
 
@@ -62,7 +62,7 @@ def program(defines: Mapping[str, int], generated: Mapping[str, str]) -> dict[st
 
 
 def programs(avatar: Avatar) -> dict[str, dict[str, str]]:
-    """A program for each view mode that the avatar's file holds, by its name (player/effects/view.py)."""
+    """A program for each view mode that the avatar's file holds, by its name (player/effects/avatar.py)."""
     has = {"network": avatar.network is not None, "linear": avatar.linear is not None}
     features = avatar.levels[0].features
     found = {"off": program({"VIEW_STAGE": 0}, {})}

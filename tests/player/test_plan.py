@@ -15,13 +15,12 @@ from avatar.camera import orbit_camera
 from command.errors import AssetError
 from command.settings import settings_of
 from player.draw import plan as plans
+from player.effects.avatar import VIEWS
 from player.effects.background import BACKGROUNDS, Background
-from player.effects.view import VIEWS
 from player.gl.context import open_context
-from player.scene.effects import ANTIALIASINGS, PLAIN, SKINNINGS, Effects
+from player.scene.effects import ANTIALIASINGS, PLAIN, SKINNINGS, Effects, resolve
 from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer
-from player.scene.resolve import resolve
 
 SIZE = (96, 80)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.9, 0.5, 0.1, SIZE)

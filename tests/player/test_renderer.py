@@ -12,9 +12,8 @@ from player.draw.plan import Absent, Canvas, Stage
 from player.draw.posing import Poser, screen_bounds
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
-from player.scene.effects import PLAIN, Effects
+from player.scene.effects import PLAIN, Effects, resolve
 from player.scene.renderer import Renderer
-from player.scene.resolve import resolve
 
 SIZE = (200, 240)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)
