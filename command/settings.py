@@ -10,7 +10,7 @@ JSON as run.json holds it (`settings_json` writes it). Command lines (command_li
 import math
 import re
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
 from functools import cache
@@ -308,6 +308,21 @@ def _place(value: str, folder: Path, names: tuple[str, ...], at: KeyPath) -> str
         or_name = f" (and it is none of {', '.join(names)})" if names else ""
         raise Refused(at, f"no such file: {place}{or_name}")
     return str(place)
+
+
+def with_files(record: Record, change: Callable[[str], str]) -> Record:
+    """The record with every file that it names, itself or in the records that it holds, as `change` has it."""
+
+    def changed(value: object, setting: Setting) -> object:
+        place = rule_of(setting, FilePlace)
+        if isinstance(value, str) and place is not None and value not in place.names:
+            return change(value)
+        if isinstance(value, tuple):
+            return tuple(changed(one, setting) for one in value)
+        return with_files(value, change) if is_dataclass(value) else value
+
+    values = {setting.name: changed(setting.value_in(record), setting) for setting in settings_of(type(record))}
+    return type(record)(**values)
 
 
 def color_of(text: str) -> RGBA | None:

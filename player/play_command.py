@@ -170,11 +170,7 @@ def scene_of(command: PlayCommand) -> Scene:
         cameras.insert(0, SceneCamera("path", command.camera_path))
     if command.capture:
         cameras.insert(0, SceneCamera("capture", command.capture, command.part))
-    return replace(
-        scene, cameras=tuple(cameras), effects=arguments.with_effects(scene.effects, command.effects),
-        size=command.size or scene.size, background=command.background or scene.background,
-        level_by_size=scene.level_by_size or command.level_by_size,
-    )  # fmt: skip
+    return arguments.with_options(replace(scene, cameras=tuple(cameras)), command)
 
 
 def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:

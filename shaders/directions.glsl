@@ -6,8 +6,17 @@
 // The blend stays orthonormal where the blended matrix flattens (a forearm twisted by 180 degrees), and cannot
 // vanish: the heaviest term has weight >= 1/4 and no other term points away from it. joints.x is the heaviest
 // bone; the loader sorts. Quaternions are xyzw.
-#include "turns.glsl"
+#include "bone_count.glsl"
 #include "influence_count.glsl"
+
+// rotations of the bones of the one avatar that is drawn; mirrored by player/gl/blocks.py, TURNS
+layout(std140) uniform Turns {
+    vec4 view_from_canonical_q[BONE_COUNT];
+};
+
+vec4 turn_of(uint joint) {
+    return view_from_canonical_q[joint];
+}
 
 vec4 blended_turn(uvec4 joints, vec4 weights) {
     vec4 heaviest = turn_of(joints.x);

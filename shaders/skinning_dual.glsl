@@ -7,7 +7,15 @@
 // The same sign rule and the same rotations as directions.glsl, whose Turns hold q_k; it mirrors avatar/skinning.py,
 // skin_points_dual_quaternion. |r| >= 1/4: see directions.glsl. xyzw.
 #include "directions.glsl"
-#include "duals.glsl"
+
+// t q / 2 of the bones of the one avatar that is drawn, xyzw; mirrored by player/gl/blocks.py, DUALS
+layout(std140) uniform Duals {
+    vec4 view_from_canonical_d[BONE_COUNT];
+};
+
+vec4 dual_of(uint joint) {
+    return view_from_canonical_d[joint];
+}
 
 vec3 skinned(vec3 point, uvec4 joints, vec4 weights) {
     vec4 heaviest = turn_of(joints.x);

@@ -4,6 +4,7 @@ The GPU gets view_from_canonical = V B_k, multiplied in double precision: the la
 the world's origin cancel before anything is rounded to float32.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,8 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera
 from avatar.helper_joints import HelperJoints
-from avatar.skeleton import joint_transforms, rigid_inverse
+from avatar.skeleton import joint_transforms, rigid_inverse, skin_transforms
+from avatar.skinning import skin_points
 from player.draw import kinematics
 
 
@@ -116,3 +118,21 @@ def screen_bounds(bones: PosedBones, camera: Camera) -> ScreenBounds:
 
 # OpenGL looks down -z with +y up
 _VIEW_FROM_CAMERA = np.array([[1.0], [-1.0], [-1.0], [1.0]])
+
+
+def posed_vertices(avatar: Avatar, level: Level, pose: Sequence[np.ndarray]) -> Float[np.ndarray, "vertices 3"]:
+    """The avatar's vertices in the world, by linear blend skinning."""
+    joints, canonical = avatar.joint_positions.astype(np.float64), avatar.canonical_pose.astype(np.float64)
+    transforms = skin_transforms(pose[0], joints, pose[1], canonical)
+    return skin_points(level.positions.astype(np.float64), level.skin, transforms)
+
+
+def grounded(
+    avatar: Avatar, axis_angle: Float[np.ndarray, "52 3"], root: Float[np.ndarray, "3"], ground: float | int = 0.0
+) -> Float[np.ndarray, "3"]:
+    """The root moved up or down so that the lowest point touches the ground; metres.
+
+    Taken from a coarse level, of 3,000 triangles in a baked avatar: soles of 1,000 lie 3 mm higher.
+    """
+    lowest = float(posed_vertices(avatar, avatar.level(2), (axis_angle, np.zeros(3)))[:, 1].min())
+    return np.array([root[0], ground - lowest, root[2]])

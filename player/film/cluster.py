@@ -5,10 +5,10 @@ worker reads avatar and motion from the same paths and refuses if their content 
 """
 
 import pickle
-import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -51,15 +51,15 @@ def draw_parts_on_cluster(
         waiting = iter(parts.missing())
         futures: dict[Any, tuple[int, int]] = {}
 
-        def submit() -> list[Any]:
-            part = next(waiting, None)
-            if part is None:
-                return []
-            future = client.submit(draw_part, shot, part, kind, dict(fingerprints), pure=False)
-            futures[future] = part
-            return [future]
+        def submit(count: int) -> list[Any]:
+            begun = {
+                client.submit(draw_part, shot, part, kind, dict(fingerprints), pure=False): part
+                for part in islice(waiting, count)
+            }
+            futures.update(begun)
+            return list(begun)
 
-        results = as_completed([future for _ in range(AHEAD * workers) for future in submit()])
+        results = as_completed(submit(AHEAD * workers))
         try:
             for future in results:
                 part = futures.pop(future)
@@ -72,8 +72,7 @@ def draw_parts_on_cluster(
                 future.release()
                 store_part(parts.piece(part)[0], drawn.files)
                 yield part, drawn
-                for more in submit():
-                    results.add(more)
+                results.update(submit(1))
         finally:
             client.cancel(list(futures))
 
@@ -97,17 +96,13 @@ def cluster_client(address: str) -> Iterator[Any]:
     if address.isdecimal():
         # one task at a time in each process: OpenGL belongs to one thread
         options: dict[str, Any] = {"dashboard_address": None, "host": "127.0.0.1"}
-        count = int(address)
-        with (
-            LocalCluster(n_workers=count, threads_per_worker=1, processes=True, **options) as cluster,
-            Client(cluster) as client,
-        ):
+        options |= {"n_workers": int(address), "threads_per_worker": 1, "processes": True}
+        with LocalCluster(**options) as cluster, Client(cluster) as client:
             yield client
         return
     try:
-        client = (
-            Client(scheduler_file=address, timeout="10s") if Path(address).is_file() else Client(address, timeout="10s")
-        )
+        where = {"scheduler_file" if Path(address).is_file() else "address": address}
+        client = Client(**where, timeout="10s")
     except (OSError, ValueError, TimeoutError) as error:
         raise AssetError(f"--workers {address}: no scheduler answers: {error}") from None
     with client:
@@ -118,38 +113,32 @@ def cluster_client(address: str) -> Iterator[Any]:
 
 # -- in the worker
 
-_thread = threading.local()
-_drawing: ThreadPoolExecutor | None = None
-_lock = threading.Lock()
+# one thread for all tasks of a process, whatever threads the worker has; begun with its first task
+_drawing = ThreadPoolExecutor(1, "selfscan draws")
+# the shot that is open, as it was asked for
+_opened: tuple[bytes, ShotRenderer] | None = None
 
 
 def draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mapping[str, str]) -> DrawnPart:
     """A task: draw some frames of a film. Its files and OpenGL stay open for the next part of the same film."""
-    global _drawing
-    with _lock:
-        # one thread for all tasks of a process, whatever threads the worker has
-        if _drawing is None:
-            _drawing = ThreadPoolExecutor(1, "selfscan draws")
     return _drawing.submit(_draw_part, shot, part, kind, fingerprints).result()
 
 
 def _draw_part(shot: Shot, part: tuple[int, int], kind: str, fingerprints: Mapping[str, str]) -> DrawnPart:
-    opened: ShotRenderer | None = getattr(_thread, "opened", None)
+    global _opened
     asked = pickle.dumps(shot)
-    if opened is None or _thread.asked != asked:
-        if opened is not None:
-            opened.release()
-            _thread.opened = None
+    if _opened is None or _opened[0] != asked:
+        if _opened is not None:
+            _opened[1].release()
+            _opened = None
         for name, expected in fingerprints.items():
             if fingerprint(name) != expected:
                 raise AssetError(f"{name}: differs on this worker from the one on the machine that asks")
-        opened = _thread.opened = ShotRenderer(shot)
-        _thread.asked = asked
+        _opened = asked, ShotRenderer(shot)
+    opened = _opened[1]
     with TemporaryDirectory(prefix="selfscan-") as folder:
         out = Path(folder) / f"part{kind}"
         film = opened.film(out, range(*part))
-        if kind:
-            files = [("", out.read_bytes())]
-        else:
-            files = [(file.name, file.read_bytes()) for file in sorted(out.glob("*.png"))]
+        written = [out] if kind else sorted(out.glob("*.png"))
+        files = [("" if kind else file.name, file.read_bytes()) for file in written]
     return DrawnPart(files, opened.context.renderer, film.notes)

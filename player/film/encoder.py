@@ -15,14 +15,7 @@ import av
 import numpy as np
 from av.codec.codec import UnknownCodecError
 from av.error import FFmpegError
-from av.video.reformatter import (
-    ColorPrimaries,
-    ColorRange,
-    Colorspace,
-    ColorTrc,
-    Interpolation,
-    VideoReformatter,
-)
+from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc, Interpolation, VideoReformatter
 from jaxtyping import UInt8
 
 from command.errors import AssetError
@@ -47,10 +40,8 @@ class Encoder:
     name: str
     pixel_format: str
     options: tuple[tuple[str, str], ...] = ()
-    dial: tuple[str, int, int, int] | None = (
-        # the option that sets quality; its value for each of QUALITIES
-        None
-    )
+    # the option that sets quality; its value for each of QUALITIES
+    dial: tuple[str, int, int, int] | None = None
 
     def at(self, quality: str) -> dict[str, str]:
         """Options for a quality."""
@@ -175,7 +166,7 @@ def encode(
         for image in frames:
             if padded is not None:
                 padded[: size[1], : size[0]] = image
-                padded[size[1] :], padded[:, size[0] :] = (padded[size[1] - 1], padded[:, size[0] - 1 : size[0]])
+                padded[size[1] :], padded[:, size[0] :] = padded[size[1] - 1], padded[:, size[0] - 1 : size[0]]
                 image = padded
             picture = reformatter.reformat(
                 av.VideoFrame.from_numpy_buffer(image, "rgba"), format=encoder.pixel_format,

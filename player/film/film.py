@@ -136,11 +136,8 @@ class Film:
             if image is None:
                 return
             yield image
-            self._release(image)
-
-    def _release(self, image: Frame) -> None:
-        if any(image is mine for mine in self._kept):
-            self._free.put(image)
+            if any(image is mine for mine in self._kept):
+                self._free.put(image)
 
     def _write(self, path: Path, frames: Iterator[Frame]) -> None:
         kind = film_kind(path)
@@ -252,7 +249,7 @@ def join_pieces(pieces: Sequence[tuple[Path, int]], path: Path | str, rate: floa
                 _linked(name, folder / f"{number:06d}.png")
         return
     with whole_file(path) as file:
-        save_sequence(file, kind, map(_opened, names), rate)
+        save_sequence(file, kind, (Image.fromarray(read_picture(name, None)) for name in names), rate)
 
 
 def straight(image: Frame) -> Frame:
@@ -265,10 +262,6 @@ def straight(image: Frame) -> Frame:
     some = image[partly].astype(np.uint16)
     out[partly, :3] = np.minimum((some[:, :3] * 255 + some[:, 3:] // 2) // some[:, 3:], 255)
     return out
-
-
-def _opened(path: Path) -> Image.Image:
-    return Image.fromarray(read_picture(path, None))
 
 
 def _linked(source: Path, target: Path) -> None:

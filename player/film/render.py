@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from player.film.parts import LENGTH, Parts
 from player.film.shot import FULL, Shot, ShotRenderer, with_whole_paths
 from player.film.stage import Fit, Stage, camera_from_option
 from player.gl.context import Context, opened
-from player.scene.arguments import with_effects
+from player.scene.arguments import with_options
 from player.scene.effects import Effects
 from player.scene.framing import evenly
 from player.scene.motions import beside, frame_range
@@ -156,9 +157,8 @@ def at_rate(command: RenderCommand, stage: Stage, start: int, stop: int) -> tupl
         return start, stop
     stage.film_at(rate)
     if command.rate is None:
-        stage.notes.append(
-            f"{stage.name}: {before:g} frames a second, filmed at {rate:g} (--rate {before:g} takes all)"
-        )
+        said = f"{stage.name}: {before:g} frames a second, filmed at {rate:g} (--rate {before:g} takes all)"
+        stage.notes.append(said)
     if stage.still is not None:
         return 0, stage.frames
     first, last = (min(math.ceil(frame * rate / before - 1e-6), stage.frames) for frame in (start, stop))
@@ -181,62 +181,36 @@ def scene_of(command: RenderCommand) -> Scene:
 
         scene = read_scene(command.scene)
     else:
-        places = [beside(k, len(command.avatar)) for k in range(len(command.avatar))]
-        avatars = tuple(
-            SceneAvatar(
-                path, command.motion, at=tuple(at.tolist()), hands=command.hands, ground=command.ground,
-                body=command.body,
-            )
-            for path, at in zip(command.avatar, places, strict=True)
-        )
-        scene = Scene(avatars)
+        everyone = partial(SceneAvatar, motion=command.motion, hands=command.hands, ground=command.ground)
+        places = [beside(k, len(command.avatar)).tolist() for k in range(len(command.avatar))]
+        who = zip(command.avatar, places, strict=True)
+        scene = Scene(tuple(everyone(path, at=tuple(at), body=command.body) for path, at in who))
     if command.camera is not None:
         scene = replace(scene, cameras=(camera_from_option(command.camera),))
     if command.seconds is not None:
         camera = replace((scene.cameras or (SceneCamera(),))[0], seconds=command.seconds)
         scene = replace(scene, cameras=(camera,))
-    scene = replace(scene, effects=with_effects(scene.effects, command.effects))
-    if command.size is not None:
-        scene = replace(scene, size=command.size)
-    if command.background is not None:
-        scene = replace(scene, background=command.background)
-    return replace(scene, level_by_size=scene.level_by_size or command.level_by_size)
+    return with_options(scene, command)
 
 
 def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Effects:
     """What a quality means for the effects that are left open."""
-    if quality == "draft":
-        view = "off" if effects.view == "auto" else effects.view
-        return replace(effects, view=view, antialiasing=_unless_given(effects.antialiasing, "none"))
-    if quality == "best":
-        views = {avatar.default_view for avatar in avatars}
-        view = views.pop() if effects.view == "auto" and len(views) == 1 else effects.view
-        return replace(effects, view=view, antialiasing=_unless_given(effects.antialiasing, "msaa"))
-    return effects
-
-
-def _unless_given(value: str, otherwise: str) -> str:
-    return otherwise if value == "auto" else value
+    views = {"draft": {"off"}, "best": {avatar.default_view for avatar in avatars}}.get(quality, set())
+    smooth = {"draft": "none", "best": "msaa"}.get(quality, "auto")
+    view = views.pop() if effects.view == "auto" and len(views) == 1 else effects.view
+    return replace(effects, view=view, antialiasing=smooth if effects.antialiasing == "auto" else effects.antialiasing)
 
 
 def film_at_once(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
     """Draw straight into the file."""
-    path = Path(command.output)
-    drawn = ShotRenderer(shot, stage, context)
-    try:
-        began = time.perf_counter()
+    path, began = Path(command.output), time.perf_counter()
+    with ShotRenderer(shot, stage, context) as drawn:
         film = drawn.film(path, progress(range(shot.start, shot.stop), "frames", shot.stop - shot.start))
-        took = time.perf_counter() - began
-        print_notes(shot, stage, [*film.notes, drawing_summary(drawn)])
-        print_result(
-            shot,
-            path,
-            f"drawn at {frame_count(shot) / max(drawn.drawing, 1e-9):.0f} frames/s, written in {took:.1f} s",
-        )
+        took, rate = time.perf_counter() - began, (shot.stop - shot.start) / max(drawn.drawing, 1e-9)
+        print_notes(stage, [*film.notes, drawing_summary(drawn)])
+        print_result(shot, path, f"drawn at {rate:.0f} frames/s, written in {took:.1f} s")
         if command.explain:
             print_passes(drawn.renderer, command.json)
-    finally:
-        drawn.release()
 
 
 def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Context | None) -> None:
@@ -256,26 +230,21 @@ def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Con
     parts.begin(resume=command.resume or command.part is not None)
     wanted = parts.share(*command.part) if command.part else parts.ranges
     missing = [part for part in parts.missing() if part in wanted]
-    present = sum(b - a for a, b in wanted) - sum(b - a for a, b in missing)
+    total = sum(b - a for a, b in wanted)
+    present = total - sum(b - a for a, b in missing)
     if present:
-        total = sum(b - a for a, b in wanted)
         print(f"{present} of {plural(total, 'frame')} {'is' if present == 1 else 'are'} in {parts.folder}")
     began, notes = time.perf_counter(), []
     try:
         if missing and command.workers:
             notes = draw_on_cluster(command.workers, shot, parts)
         elif missing:
-            drawn = ShotRenderer(shot, stage, context)
-            try:
-                frames = chain.from_iterable(range(*part) for part in missing)
-                film = drawn.film(
-                    path, progress(frames, "frames", sum(b - a for a, b in missing)), list(map(parts.piece, missing))
-                )
+            frames = chain.from_iterable(range(*part) for part in missing)
+            with ShotRenderer(shot, stage, context) as drawn:
+                film = drawn.film(path, progress(frames, "frames", total - present), list(map(parts.piece, missing)))
                 notes = [*film.notes, drawing_summary(drawn)]
                 if command.explain:
                     print_passes(drawn.renderer, command.json)
-            finally:
-                drawn.release()
     except BaseException:
         written = len(parts.ranges) - len(parts.missing())
         if written:
@@ -284,7 +253,7 @@ def film_in_parts(command: RenderCommand, shot: Shot, stage: Stage, context: Con
         else:
             parts.discard()
         raise
-    print_notes(shot, stage, notes)
+    print_notes(stage, notes)
     left = parts.missing()
     if command.part and left:
         print(f"{parts.folder}: share {command.part[0]} of {command.part[1]} is there, {len(left)} of "
@@ -304,10 +273,8 @@ def draw_on_cluster(address: str, shot: Shot, parts: Parts) -> list[str]:
 
     missing = parts.missing()
     if address.isdecimal() and len(missing) < 2 * int(address):
-        print(
-            f"{plural(len(missing), 'part')} of at most {LENGTH} frames for {plural(int(address), 'worker')}: a film "
-            "this short is drawn sooner without --workers"
-        )
+        said = f"{plural(len(missing), 'part')} of at most {LENGTH} frames for {plural(int(address), 'worker')}"
+        print(f"{said}: a film this short is drawn sooner without --workers")
     report, frames = Progress("frames", sum(b - a for a, b in missing)), 0
     notes: list[str] = []
     for (start, stop), drawn in draw_parts_on_cluster(address, shot, parts, parts.identity["files"]):
@@ -317,11 +284,8 @@ def draw_on_cluster(address: str, shot: Shot, parts: Parts) -> list[str]:
     return notes
 
 
-def frame_count(shot: Shot) -> int:
-    return shot.stop - shot.start
-
-
-def print_notes(shot: Shot, stage: Stage, notes: Sequence[str]) -> None:
+def print_notes(stage: Stage, notes: Sequence[str]) -> None:
+    """What was assumed of the scene, and what the drawing had to say."""
     for note in (*stage.notes, *notes):
         print(note)
 
@@ -336,7 +300,7 @@ def print_result(shot: Shot, path: Path, rest: str) -> None:
         from player.film.encoder import padded_size
 
         width, height = padded_size(shot.size)
-    print(f"{path}: {plural(frame_count(shot), 'frame')}, {width}x{height}, {rest}")
+    print(f"{path}: {plural(shot.stop - shot.start, 'frame')}, {width}x{height}, {rest}")
 
 
 def print_passes(renderer: Renderer, json_path: str | None) -> None:

@@ -4,7 +4,7 @@ Every machine that opens a shot draws the same frames: cameras fitted to the who
 """
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,19 +13,17 @@ import numpy as np
 from jaxtyping import UInt8
 
 from avatar.camera import Camera
-from avatar.motion.read import BUILTIN_MOTIONS
 from command.errors import AssetError
 from command.interrupt import deferred_stop
-from command.settings import FilePlace, Setting, rule_of, settings_of
+from command.settings import with_files
 from player.budget.rung import Rung
 from player.draw.drawing import Pose
 from player.film.exposure import exposures
 from player.film.film import Film, Frame
 from player.film.stage import Fit, Stage
 from player.gl.context import Context, opened
-from player.scene.effects import Effects
 from player.scene.renderer import Renderer
-from player.scene.scene import BUILTIN_AVATARS, Scene
+from player.scene.scene import Scene
 
 FULL = Rung("as the file is", "auto")
 
@@ -57,12 +55,9 @@ class Shot:
 
     def files(self) -> list[str]:
         """Every file that is read for it."""
-        scene, names = self.scene, set()
-        for actor in scene.avatars:
-            names |= {actor.path, actor.motion, actor.body}
-        names |= {scene.cameras[0].path if scene.cameras else None, scene.background.path}
-        names |= {key.value_in(effect) for _, effect, key in _effect_paths(scene.effects)}
-        return sorted(name for name in names if name and Path(name).exists())
+        names: list[str] = []
+        with_files(replace(self.scene, cameras=self.scene.cameras[:1]), lambda name: names.append(name) or name)
+        return sorted({name for name in names if Path(name).exists()})
 
     def identity(self) -> dict[str, Any]:
         """This film's identity; parts of two films with one identity may be joined."""
@@ -85,34 +80,7 @@ class Shot:
 
 def with_whole_paths(scene: Scene) -> Scene:
     """The scene with absolute paths: a worker stands in another folder."""
-
-    def whole(name: str | None) -> str | None:
-        if name is None or name in (*BUILTIN_MOTIONS, *BUILTIN_AVATARS) or not Path(name).exists():
-            return name
-        return str(Path(name).absolute())
-
-    avatars = tuple(
-        replace(actor, path=whole(actor.path) or actor.path, motion=whole(actor.motion), body=whole(actor.body))
-        for actor in scene.avatars
-    )
-    cameras = tuple(replace(camera, path=whole(camera.path)) for camera in scene.cameras)
-    background = replace(scene.background, path=whole(scene.background.path))
-    changed = {
-        name: replace(effect, **{key.name: whole(key.value_in(effect))})
-        for name, effect, key in _effect_paths(scene.effects)
-    }
-    effects = replace(scene.effects, **changed)
-    return replace(scene, avatars=avatars, cameras=cameras, background=background, effects=effects)
-
-
-def _effect_paths(effects: Effects) -> Iterator[tuple[str, Any, Setting]]:
-    """Effects that are asked for and name a file: the field, its settings and their key."""
-    for setting in settings_of(Effects):
-        effect = setting.value_in(effects)
-        if setting.table is not None and effect is not None:
-            for inner in settings_of(setting.table):
-                if rule_of(inner, FilePlace) is not None:
-                    yield setting.name, effect, inner
+    return with_files(scene, lambda name: str(Path(name).absolute()) if Path(name).exists() else name)
 
 
 class ShotRenderer:
@@ -190,6 +158,13 @@ class ShotRenderer:
         stop.check()
         return film
 
+    def __enter__(self) -> "ShotRenderer":
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.release()
+
     def release(self) -> None:
+        """Free everything, the context too."""
         self.renderer.release()
         self.context.release()

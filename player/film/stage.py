@@ -4,6 +4,7 @@ All of it follows from the scene and the frame number alone, so any machine that
 frame.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from jaxtyping import Float
 from avatar.camera import Camera
 from avatar.hull import hull_of, outermost, posed_hull
 from command.errors import AssetError
-from player.scene.camera_path import CameraPath, is_path, turntable
+from player.scene.camera_path import CameraPath, is_path
 from player.scene.framing import FOV, evenly, facing, fitted_camera, orbit
 from player.scene.motions import BLOCK
 from player.scene.opened import notes_of, opened_avatars, opened_camera, opened_tracks
@@ -138,13 +139,14 @@ class Stage:
         if fit is not None and kind == "front":
             front = fitted_camera(fit.points, fit.azimuth, size, fov=fov)
             return lambda _frame, _root: front
-        if fit is not None and kind == "orbit":
-            seconds = self.camera.seconds or (stop - start) / self.rate
-            round_ = orbit(fit.points, fit.azimuth, size, fov=fov)
-            return lambda frame, root: round_((frame - start) / self.rate / seconds, root)
         if fit is not None:
-            table = turntable(fit.points, fit.azimuth, size, self.turn, fov=fov)
-            return lambda frame, _root: table((frame - start) / self.rate)
+            round_ = orbit(fit.points, fit.azimuth, size, fov=fov)
+            if kind == "orbit":
+                seconds = self.camera.seconds or (stop - start) / self.rate
+                return lambda frame, root: round_((frame - start) / self.rate / seconds, root)
+            # the turn joins: a film of one turn runs in a loop
+            seconds, middle = self.turn, np.zeros(3)
+            return lambda frame, _root: round_(math.fmod((frame - start) / self.rate / seconds, 1.0), middle)
         if isinstance(kept, CameraPath):
             return lambda frame, _root: kept.camera(frame / self.rate, size)
         assert kept is not None

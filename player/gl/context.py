@@ -76,9 +76,9 @@ class Driver:
 
     name: str
     address: Callable[[str], int]
-    make_current: Callable[[], None]
-    let_go: Callable[[], None]
-    destroy: Callable[[], None]
+    make_current: Callable[[], object]
+    let_go: Callable[[], object]
+    destroy: Callable[[], object]
     # memory the driver still writes to
     keep: list[object] = field(default_factory=list)
 
@@ -196,13 +196,10 @@ def open_context(kind: str = "auto", gpu: int | str | None = None) -> Context:
     if kind in ("auto", "egl"):
         try:
             egl = Egl()
+            devices = [*_chosen_devices(egl, gpu, attempts), *([None] if gpu is None else [])]
+            makers += [("egl", egl_name(device), lambda device=device: egl.driver(device)) for device in devices]
         except OSError as error:
             attempts.append(f"EGL: {error}")
-        else:
-            devices = _chosen_devices(egl, gpu, attempts)
-            makers += [("egl", str(d), lambda d=d: egl.driver(EGL_PLATFORM_DEVICE, d)) for d in devices]
-            if gpu is None:
-                makers.append(("egl", "EGL surfaceless", lambda: egl.driver(EGL_PLATFORM_SURFACELESS, None)))
     if kind in ("auto", "osmesa") and gpu is None:
         makers.append(("osmesa", "OSMesa", osmesa_driver))
     for family, label, make in makers:
@@ -317,11 +314,11 @@ class Egl:
         code = self.library.eglGetError()
         return EGL_ERRORS.get(code, f"error {code:#x}")
 
-    def driver(self, platform: int, device: EglDevice | None) -> Driver:
-        """A 3.3 core context with no surface. An OSError says which call refused and why."""
-        lib = self.library
-        name = str(device) if device else "EGL surfaceless"
-        if platform == EGL_PLATFORM_SURFACELESS and "EGL_MESA_platform_surfaceless" not in self.client_extensions:
+    def driver(self, device: EglDevice | None) -> Driver:
+        """A 3.3 core context with no surface, of Mesa's own platform without a device. An OSError says which call
+        refused and why."""
+        lib, platform = self.library, EGL_PLATFORM_DEVICE if device else EGL_PLATFORM_SURFACELESS
+        if device is None and "EGL_MESA_platform_surfaceless" not in self.client_extensions:
             raise OSError("this EGL has no EGL_MESA_platform_surfaceless")
         get_display = self.function("eglGetPlatformDisplayEXT", c_void_p, c_uint, c_void_p, POINTER(c_int))
         display = get_display(platform, device.handle if device else None, None)
@@ -345,16 +342,15 @@ class Egl:
             if not lib.eglMakeCurrent(display, None, None, context):
                 raise OSError(f"eglMakeCurrent: {self.error()}")
 
-        def let_go() -> None:
-            lib.eglMakeCurrent(display, None, None, None)
+        let_go = lambda: lib.eglMakeCurrent(display, None, None, None)
+        destroy = lambda: lib.eglDestroyContext(display, context)
+        address = lambda function: lib.eglGetProcAddress(function.encode()) or 0
+        return Driver(egl_name(device), address, make_current, let_go, destroy)
 
-        def destroy() -> None:
-            lib.eglDestroyContext(display, context)
 
-        def address(function: str) -> int:
-            return lib.eglGetProcAddress(function.encode()) or 0
-
-        return Driver(name, address, make_current, let_go, destroy)
+def egl_name(device: EglDevice | None) -> str:
+    """What people call a way to EGL."""
+    return "EGL surfaceless" if device is None else str(device)
 
 
 def osmesa_driver() -> Driver:
@@ -376,20 +372,14 @@ def osmesa_driver() -> Driver:
         if not lib.OSMesaMakeCurrent(context, canvas, 0x1401, 16, 16):
             raise OSError("OSMesaMakeCurrent failed")
 
-    def let_go() -> None:
-        lib.OSMesaMakeCurrent(None, None, 0, 0, 0)
-
-    def destroy() -> None:
-        lib.OSMesaDestroyContext(context)
-
-    def address(function: str) -> int:
-        return lib.OSMesaGetProcAddress(function.encode()) or 0
-
+    let_go = lambda: lib.OSMesaMakeCurrent(None, None, 0, 0, 0)
+    destroy = lambda: lib.OSMesaDestroyContext(context)
+    address = lambda function: lib.OSMesaGetProcAddress(function.encode()) or 0
     return Driver("OSMesa", address, make_current, let_go, destroy, [canvas])
 
 
 def opened(kind: str, gpu: int | str | None) -> Context:
-    """A context, or one line about why there is none."""
+    """A context; AssetError, one line about why there is none."""
     try:
         return open_context(kind, gpu)
     except NoContextError as error:

@@ -4,14 +4,14 @@ import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 from avatar.motion.hands import HANDS
 from command.command_line import Option, OptionGroup, Several
 from command.settings import RGBA, OneOf, color_of, rule_of, settings_of
 from player.effects.background import Background
 from player.scene.effects import Effects
-from player.scene.scene import GROUNDS
+from player.scene.scene import GROUNDS, Scene
 
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
@@ -164,6 +164,27 @@ def with_effects(effects: Effects, asked: Mapping[str, Any]) -> Effects:
     tables = [setting for setting in settings_of(Effects) if setting.table is not None]
     set_up = {setting.name for setting in tables if setting.value_in(effects) is not None}
     return replace(effects, **{name: value for name, value in asked.items() if name not in set_up})
+
+
+class SceneOptions(Protocol):
+    """What commands that draw a scene say over it; a None is left to the scene."""
+
+    @property
+    def effects(self) -> Mapping[str, Any]: ...
+    @property
+    def size(self) -> tuple[int, int] | None: ...
+    @property
+    def background(self) -> Background | None: ...
+    @property
+    def level_by_size(self) -> bool: ...
+
+
+def with_options(scene: Scene, given: SceneOptions) -> Scene:
+    """The scene with what a command says over it."""
+    return replace(
+        scene, effects=with_effects(scene.effects, given.effects), size=given.size or scene.size,
+        background=given.background or scene.background, level_by_size=scene.level_by_size or given.level_by_size,
+    )  # fmt: skip
 
 
 EFFECTS = Several(add_effects, asked_effects)

@@ -1,4 +1,4 @@
-"""Cameras that move: through keys set by hand, and round a turntable.
+"""Cameras that move through keys set by hand.
 
 A camera path is a JSON file, times in seconds from the start of the film:
 
@@ -11,7 +11,7 @@ content of a camera file, which the path passes through exactly.
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from avatar.camera import LARGEST, Camera, checked_camera, look_at
 from command.errors import AssetError
 from files import input_file
 from files.whole import whole_file
-from player.scene.framing import ELEVATION, FOV, at_distance, fitted_round
+from player.scene.framing import FOV
 
 Array = np.ndarray
 
@@ -134,24 +134,6 @@ class CameraPath:
             json.dump({"keys": rows}, file, indent=1)
 
 
-def turntable(
-    points: Float[Array, "points 3"], start: float, size: tuple[int, int], seconds: float, *, fov: float = FOV
-) -> Callable[[float], Camera]:
-    """A camera that goes round the middle of `points` once in `seconds`, from azimuth `start`; it sees them all.
-
-    The turn joins: the view at `seconds` is that at 0, so a film of one turn runs in a loop.
-    """
-    if not (math.isfinite(seconds) and seconds > 0):
-        raise ValueError(f"a turn should take a positive number of seconds, not {seconds}")
-    view = fitted_round(points, size, fov=fov)
-
-    def camera(at: float) -> Camera:
-        turn = math.fmod(at / seconds, 1.0)
-        return at_distance(view, start + 2 * np.pi * turn, ELEVATION, size, fov)
-
-    return camera
-
-
 def is_path(path: Path | str) -> bool:
     """Whether a JSON file holds a camera path, not one camera.
 
@@ -162,7 +144,7 @@ def is_path(path: Path | str) -> bool:
     return isinstance(content, dict) and "keys" in content
 
 
-def read_json(path: Path | str) -> Any:
+def read_json(path: Path | str) -> input_file.Json:
     return input_file.read_json(path, "front, orbit, turntable, or a camera (path) in JSON", most=MAX_BYTES)
 
 
@@ -198,10 +180,8 @@ def _read_key(place: str, key: dict[str, Any]) -> Key:
         absent = {"size", "K", "camera_from_world"} - key.keys()
         if absent:
             raise AssetError(f"{place}: no {sorted(absent)}; it has {sorted(key)}")
-        camera = checked_camera(
-            place, key["K"], key["camera_from_world"], key["size"], key.get("distortion", [0.0] * 5)
-        )
-        return key_of(camera, 3.0)
+        distortion = key.get("distortion", [0.0] * 5)
+        return key_of(checked_camera(place, key["K"], key["camera_from_world"], key["size"], distortion), 3.0)
     unknown = key.keys() - {"t", "eye", "target", "up", "fov_deg"}
     if unknown:
         raise AssetError(f"{place}: {sorted(unknown)} is unknown; a key has t, eye, target, up, fov_deg")

@@ -7,14 +7,12 @@ from jaxtyping import Float
 
 from avatar.camera import Camera, look_at, pinhole
 from player.scene.camera_path import CameraPath
-from player.scene.framing import ELEVATION, FOV
+from player.scene.framing import ELEVATION, FOV, direction
 
 STEEPEST = 1.5  # radians; a camera never goes over a pole
 WALK = 1.5  # metres a second
 TURN_SECONDS = 12.0  # a turntable's round
-NAMES = {
-    "orbit": "orbit", "walk": "first person", "turntable": "turntable", "path": "path", "capture": "capture",
-}  # fmt: skip
+NAMES = {name: name for name in ("orbit", "walk", "turntable", "path", "capture")} | {"walk": "first person"}
 
 
 class Orbit:
@@ -164,12 +162,6 @@ class Cameras:
         self.keys, self.path = [], None
         if self.kind == "path":
             self.kind = "orbit"
-
-
-def direction(azimuth: float, elevation: float) -> Float[np.ndarray, "3"]:
-    """Unit vector; azimuth 0 is +z, growing towards +x."""
-    flat = np.cos(elevation)
-    return np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
 
 
 def letterboxed(camera: Camera, size: tuple[int, int]) -> Camera:

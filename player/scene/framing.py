@@ -76,7 +76,7 @@ def fitted(
     (max(x - s z) - min(x + s z)) / 2 s, and c lies where the margins on both sides are equal.
     """
     middle = 0.5 * (points.min(0) + points.max(0))
-    R = look_at(middle + _direction(azimuth, elevation), middle)[:3, :3]
+    R = look_at(middle + direction(azimuth, elevation), middle)[:3, :3]
     x, y, z = ((points - middle) @ R.T).T
     slopes = _slopes(size, fov)
     needed = [((v - s * z).max() - (v + s * z).min()) / (2 * s) for v, s in zip((x, y), slopes, strict=True)]
@@ -100,10 +100,9 @@ def fitted_round(points: Float[Array, "points 3"], size: tuple[int, int], *, fov
     turns = np.linspace(0, 2 * np.pi, SIDES, endpoint=False)
     cos, sin = np.cos(turns)[:, None], np.sin(turns)[:, None]
     x, height, z = (points - middle).T
-    swept = np.stack([cos * x + sin * z, np.broadcast_to(height, (SIDES, len(x))), cos * z - sin * x], -1).reshape(
-        -1, 3
-    )
-    R = look_at(_direction(0.0, ELEVATION), np.zeros(3))[:3, :3]
+    heights = np.broadcast_to(height, (SIDES, len(x)))
+    swept = np.stack([cos * x + sin * z, heights, cos * z - sin * x], -1).reshape(-1, 3)
+    R = look_at(direction(0.0, ELEVATION), np.zeros(3))[:3, :3]
     slopes = _slopes(size, fov)
     lift, distance = 0.0, NEAREST
     # the target stays on the axis, so its height and the distance depend on one another, a little
@@ -134,11 +133,12 @@ def orbit(
 
 def at_distance(view: Fitted, azimuth: float, elevation: float, size: tuple[int, int], fov: float = FOV) -> Camera:
     """The camera on that side of the target that looks at it."""
-    eye = view.target + view.distance * _direction(azimuth, elevation)
+    eye = view.target + view.distance * direction(azimuth, elevation)
     return Camera(pinhole(size, fov), look_at(eye, view.target), size)
 
 
-def _direction(azimuth: float, elevation: float) -> Float[Array, "3"]:
+def direction(azimuth: float, elevation: float) -> Float[Array, "3"]:
+    """Unit vector; azimuth 0 is +z, growing towards +x."""
     flat = np.cos(elevation)
     return np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
 

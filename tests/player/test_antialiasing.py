@@ -11,7 +11,7 @@ from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import skin_points, skin_points_dual_quaternion
 from player.draw.posing import Poser
 from player.draw.raster import Rasteriser
-from player.effects import fxaa as fxaa_pass
+from player.effects import antialiasing as fxaa_pass
 from player.effects.background import Background
 from player.gl.tiles import TILE, Patches, covered, rectangles
 from player.scene.effects import Effects

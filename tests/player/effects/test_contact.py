@@ -7,8 +7,7 @@ import pytest
 from glsl_probe import probe
 
 from avatar.camera import orbit_camera, view_from_world
-from avatar.hull import hull_of, lowest_points
-from player.draw.posing import Poser
+from player.draw.posing import Poser, grounded
 from player.effects.contact import AWAY, CELLS, GROWN, Contact, Under
 from player.effects.contact_capsules import BONES, OWNERS, capsules_of, openness
 from player.effects.ground_plane import Sheet
@@ -35,8 +34,7 @@ def crouching(avatar):
     angles = np.zeros((52, 3))
     angles[[1, 2], 0], angles[[4, 5], 0], angles[3, 0] = -1.9, 2.2, 0.5
     angles[16, 2], angles[17, 2] = -1.2, 1.2
-    lowest = lowest_points(hull_of(avatar), angles[None], np.zeros((1, 3)))[0]
-    return angles, np.array([0.0, -lowest, 0.0])
+    return angles, grounded(avatar, angles, np.zeros(3))
 
 
 def test_capsules_lie_inside_the_body_and_spare_their_own_surface(avatar):

@@ -9,7 +9,7 @@ from PIL import Image
 
 from avatar.camera import orbit_camera
 from command.errors import AssetError
-from player.effects import fxaa as fxaa_pass
+from player.effects import antialiasing as fxaa_pass
 from player.effects.outline import Outline
 from player.film.command import render_main
 from player.gl.tiles import covered

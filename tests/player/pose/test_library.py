@@ -9,12 +9,17 @@ from avatar.limits import within
 from avatar.motion.read import read_motion
 from avatar.skeleton import JOINTS, joint_transforms
 from command.errors import AssetError
-from player.draw.posing import grounded, lowest_point
+from player.draw.posing import grounded
 from player.pose.keyframes import Pose
 from player.pose.library import BUILTIN, Library, builtin_pose, check_name, user_folder
 from player.scene.mannequin import mannequin
 
 ROOT = np.array([0.5, 0.0, -1.0])
+
+
+def lowest(avatar, axis_angle):
+    """Height of the lowest point above the pelvis."""
+    return -grounded(avatar, axis_angle, np.zeros(3))[1]
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +31,7 @@ def body():
 def test_built_in_poses_are_inside_the_limits_and_on_the_ground(name, body):
     pose = Library("/nowhere").read(name, root=ROOT, ground=lambda pose, root: grounded(body, pose, root))
     assert within(pose.axis_angle).all()
-    assert pose.root[1] + lowest_point(body, pose.axis_angle) == pytest.approx(0, abs=1e-9)
+    assert pose.root[1] + lowest(body, pose.axis_angle) == pytest.approx(0, abs=1e-9)
     assert np.array_equal(pose.root[[0, 2]], ROOT[[0, 2]])
 
 
@@ -36,7 +41,7 @@ def test_the_ground_is_that_of_the_third_level_where_coarser_ones_follow(body):
     high = dataclasses.replace(fine, positions=fine.positions + np.float32([0, 0.5, 0]))
     still = np.zeros((52, 3))
     four, two, one = (
-        lowest_point(body, still) - lowest_point(dataclasses.replace(body, levels=levels), still)
+        lowest(body, still) - lowest(dataclasses.replace(body, levels=levels), still)
         for levels in ((fine, fine, sunk, high), (fine, sunk), (fine,))
     )
     assert four == two > 0.005 and one == 0  # legs are spread in the canonical pose: less than the centimetre
