@@ -101,7 +101,7 @@ def cluster_client(address: str) -> Iterator[Any]:
             yield client
         return
     try:
-        where = {"scheduler_file" if Path(address).is_file() else "address": address}
+        where: dict[str, Any] = {"scheduler_file" if Path(address).is_file() else "address": address}
         client = Client(**where, timeout="10s")
     except (OSError, ValueError, TimeoutError) as error:
         raise AssetError(f"--workers {address}: no scheduler answers: {error}") from None
