@@ -16,7 +16,7 @@ BUDGET = {
     "train": 5_950,
     "bake": 4_500,
     "player": 19_650,
-    "shaders": 1_030,
+    "shaders": 1_040,
     "synth": 2950,
     "bench": 6490,
     "selfscan": 400,
