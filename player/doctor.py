@@ -7,59 +7,50 @@ import json
 import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
 
+from avatar.baked_avatar import Avatar
 from avatar.camera import Camera, orbit_camera
 from command.errors import AssetError
 from player.gl.context import Context, Egl, EglDevice, NoContextError, _library, open_context
 
 # what lacks when a library does not load: its package on Debian and Ubuntu, Fedora, Arch; what it is for
+IN_MEMORY = "drawing in memory alone (gone from Mesa 25.1 on; optional where EGL works)"
 LIBRARIES = {
     "libEGL.so.1": (("libegl1", "libglvnd-egl", "libglvnd"), "contexts without a display"),
     "libGL.so.1": (("libgl1", "libglvnd-glx", "libglvnd"), "windows"),
-    "libOSMesa.so.8": (
-        ("libosmesa6", "mesa-libOSMesa", "osmesa"),
-        "drawing in memory alone (gone from Mesa 25.1 on; optional where EGL works)",
-    ),
+    "libOSMesa.so.8": (("libosmesa6", "mesa-libOSMesa", "osmesa"), IN_MEMORY),
 }
 DRIVERS = (("libgl1-mesa-dri", "mesa-dri-drivers", "mesa"), "Mesa's drivers, llvmpipe among them")
 INSTALL = ("sudo apt-get install", "sudo dnf install", "sudo pacman -S")
 VENDORS = ("/usr/share/glvnd/egl_vendor.d", "/etc/glvnd/egl_vendor.d")
 VENDOR_VARIABLES = ("__EGL_VENDOR_LIBRARY_FILENAMES", "__EGL_VENDOR_LIBRARY_DIRS")
 EXTRAS = {
-    "films": ("av",),
-    "window": ("glfw",),
-    "gui": ("imgui_bundle",),
-    "live": ("websockets",),
-    "cluster": ("distributed",),
-    "train": ("torch", "scipy", "skimage", "trimesh", "rtree"),
-    "bake": ("xatlas", "fast_simplification", "onnx"),
-    "bench": ("matplotlib", "flip_evaluator"),
+    "films": ("av",), "window": ("glfw",), "gui": ("imgui_bundle",), "live": ("websockets",),
+    "cluster": ("distributed",), "train": ("torch", "scipy", "skimage", "trimesh", "rtree"),
+    "bake": ("xatlas", "fast_simplification", "onnx"), "bench": ("matplotlib", "flip_evaluator"),
     "inspect": ("pyvista",),
-}
+}  # fmt: skip
 
 
 class Node(NamedTuple):
-    """A device file of a graphics card."""
+    """A device file of a graphics card, and whether it may be opened for reading and writing."""
 
     path: str
-    # may be opened for reading and writing
     usable: bool
 
 
 def findings() -> dict[str, Any]:
     """Everything `selfscan doctor` says, as data."""
-    found: dict[str, Any] = {
-        "machine": f"{platform.system()} {platform.release()}, Python {platform.python_version()}, "
-        f"{len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()} CPU cores"
-    }
-    family = distribution()
-    found["missing"] = missing = []
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    system = f"{platform.system()} {platform.release()}, Python {platform.python_version()}"
+    family, missing = distribution(), []
+    found: dict[str, Any] = {"machine": f"{system}, {cores} CPU cores", "missing": missing}
     for library, (packages, purpose) in LIBRARIES.items():
         try:
             _library(library, library.split(".so")[0] + ".so")
@@ -74,9 +65,7 @@ def findings() -> dict[str, Any]:
         devices = Egl().devices()
     except OSError as error:
         found["egl_error"] = str(error)
-    found["egl_devices"] = [str(device) for device in devices]
-    found["tried"] = []
-    found["winner"] = None
+    found |= {"egl_devices": [str(device) for device in devices], "tried": [], "winner": None}
     for kind in ("egl", "osmesa"):
         try:
             context = open_context(kind)
@@ -87,12 +76,7 @@ def findings() -> dict[str, Any]:
         found["tried"].append({"kind": kind, "works": True, "attempts": context.attempts})
         if found["winner"] is None:
             why = "first in the order EGL device, EGL surfaceless, OSMesa that works"
-            winner = {
-                "kind": kind,
-                "name": context.driver.name,
-                "renderer": context.renderer,
-                "version": version,
-            }
+            winner = {"kind": kind, "name": context.driver.name, "renderer": context.renderer, "version": version}
             found["winner"] = winner | {"software": context.software, "why": why}
         context.release()
     if found["winner"] is None and not any(m["library"] in ("libEGL.so.1", "libGL.so.1") for m in missing):
@@ -102,10 +86,8 @@ def findings() -> dict[str, Any]:
     found["display"] = os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY")
     found["container"] = Path("/.dockerenv").exists() or Path("/run/.containerenv").exists()
     software = found["winner"] is None or found["winner"]["software"]
-    found["hints"] = hints(
-        devices=devices, nodes=nodes, nvidia=found["nvidia"], vendors=found["egl_vendors"], software=software,
-        container=found["container"],
-    )  # fmt: skip
+    card = {"devices": devices, "nodes": nodes, "nvidia": found["nvidia"], "vendors": found["egl_vendors"]}
+    found["hints"] = hints(**card, software=software, container=found["container"])
     found["encoders"] = encoders() if found["packages"]["films"]["av"] else []
     return found
 
@@ -175,9 +157,8 @@ def hints(
                        '/usr/share/glvnd/egl_vendor.d/10_nvidia.json: {"file_format_version": "1.0.0", "ICD": '
                        '{"library_path": "libEGL_nvidia.so.0"}}')  # fmt: skip
     elif software and container and not nodes:
-        out.append(
-            "no graphics card is visible in this container: --device /dev/dri (Intel, AMD) or --gpus all (NVIDIA)"
-        )
+        flags = "--device /dev/dri (Intel, AMD) or --gpus all (NVIDIA)"
+        out.append(f"no graphics card is visible in this container: {flags}")
     hardware = [device for device in devices if not device.software]
     if software and hardware and not out:
         out.append(f"{hardware[0]} is there and does not draw: see why above; --gpu asks for it alone")
@@ -194,21 +175,17 @@ def encoders() -> list[str]:
 
 def report(found: dict[str, Any]) -> str:
     """The findings in a few lines."""
-    lines = [found["machine"]]
-    for vendor in found["egl_vendors"]:
-        lines.append(f"EGL vendor file {vendor['file']}: {vendor['library'] or vendor['wrong']}")
-    if not found["egl_vendors"]:
-        lines.append("EGL vendor files: none")
+    lines, vendors = [found["machine"]], found["egl_vendors"]
+    lines += [f"EGL vendor file {one['file']}: {one['library'] or one['wrong']}" for one in vendors]
+    lines += [] if vendors else ["EGL vendor files: none"]
     nodes = [node["path"] + ("" if node["usable"] else " (no permission)") for node in found["nodes"]]
     lines.append(f"device files: {', '.join(nodes) or 'none'}")
     if found["nvidia"]:
         lines.append(found["nvidia"])
     lines.append(f"EGL devices: {'; '.join(found['egl_devices']) or found.get('egl_error', 'none')}")
     for tried in found["tried"]:
-        if tried["works"]:
-            lines += [f"  {tried['kind']:7} works   {line}" for line in tried["attempts"]]
-        else:
-            lines.append(f"  {tried['kind']:7} fails   {tried['why']}")
+        word, said = ("works", tried["attempts"]) if tried["works"] else ("fails", [tried["why"]])
+        lines += [f"  {tried['kind']:7} {word}   {line}" for line in said]
     winner = found["winner"]
     if winner is None:
         lines.append("no context works: nothing can be drawn on this machine yet")
@@ -253,8 +230,7 @@ def compare(avatar_path: str | None = None, size: int = 512) -> dict[str, Any]:
     views = views_of(avatar)
     camera = orbit_camera((0, 0.0, 0), 2.6, 0.5, 0.1, (size, size))
     ways: dict[str, Callable[[], list[DrawnFrame]]] = {
-        kind: lambda kind=kind: [_off_screen(kind, avatar, view, camera) for view in views]
-        for kind in ("egl", "osmesa")
+        kind: partial(_off_screen, kind, avatar, views, camera) for kind in ("egl", "osmesa")
     }
     if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("DISPLAY"):
         ways["window"] = lambda: _in_window(avatar, views, camera, null=False)
@@ -274,17 +250,14 @@ def compare(avatar_path: str | None = None, size: int = 512) -> dict[str, Any]:
         pairs[f"{a} - {b}"] = {view: gap for view, (gap, _) in zip(views, gaps, strict=True)}
         high, band = max(gap for gap, _ in gaps), max(part for _, part in gaps)
         worst, share = max(worst, high), max(share, band)
-        lines.append(
-            f"compare: {a} ({shown[a][0].renderer}) and {b} ({shown[b][0].renderer}): at most {high}/255 apart in "
-            f"views {', '.join(views)}, outside a one-pixel silhouette band ({100 * band:.2f} % of the pixels)"
-        )
+        pair = f"{a} ({shown[a][0].renderer}) and {b} ({shown[b][0].renderer})"
+        outside = f"outside a one-pixel silhouette band ({100 * band:.2f} % of the pixels)"
+        lines.append(f"compare: {pair}: at most {high}/255 apart in views {', '.join(views)}, {outside}")
     equal = worst <= 1 and not broken and len(drawn) > 1
     what = "equal" if equal else "NOT equal" if worst > 1 else "not all could be compared"
     lines.append(f"compare: {what}")
-    return {
-        "equal": equal, "worst": worst, "band": share, "ways": drawn, "broken": broken, "pairs": pairs,
-        "text": "\n".join(lines),
-    }  # fmt: skip
+    facts = {"equal": equal, "worst": worst, "band": share, "ways": drawn, "broken": broken, "pairs": pairs}
+    return {**facts, "text": "\n".join(lines)}
 
 
 def _pose() -> tuple[np.ndarray, np.ndarray]:
@@ -294,15 +267,15 @@ def _pose() -> tuple[np.ndarray, np.ndarray]:
     return axis_angle, np.zeros(3)
 
 
-def _off_screen(kind: str, avatar: Any, view: str, camera: Camera) -> DrawnFrame:
+def _off_screen(kind: str, avatar: Avatar, views: Sequence[str], camera: Camera) -> list[DrawnFrame]:
     from player.scene.renderer import Renderer
 
     with open_context(kind) as context:
-        renderer = Renderer(context, [avatar], camera.size, view=view)
-        return DrawnFrame(renderer.draw([_pose()], camera), context.renderer)
+        renderers = [Renderer(context, [avatar], camera.size, view=view) for view in views]
+        return [DrawnFrame(renderer.draw([_pose()], camera), context.renderer) for renderer in renderers]
 
 
-def _in_window(avatar: Any, views: Sequence[str], camera: Camera, *, null: bool) -> list[DrawnFrame]:
+def _in_window(avatar: Avatar, views: Sequence[str], camera: Camera, *, null: bool) -> list[DrawnFrame]:
     import glfw
 
     from player.scene.renderer import Renderer

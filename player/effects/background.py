@@ -17,7 +17,7 @@ from command.settings import Above, AtMost, Color, FilePlace, OneOf, settings
 from player.draw.drawing import Drawing
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Image
-from player.effects.background_source import RGBA, Frames, Placing, Source, StillPicture, Video
+from player.effects.background_source import RGBA, Pictures, Placing, Source, Video, opened_folder
 from player.effects.panorama import Panorama, panorama_pass
 
 BACKGROUNDS = ("color", "image", "video", "hdr", "transparent")
@@ -72,14 +72,13 @@ class Background:
     def passes(self, draft: Draft) -> Sequence[Pass]:
         if self.kind in ("color", "transparent"):
             return (Absent("background"),)
-        # a window: planned with its first frame
+        # a file that cannot be read is said at once
+        content = self.content(draft)
+        # a window is planned with its first frame
         if draft.canvas.size is None:
-            # opened all the same: a file that cannot be read is said at once
-            self.content(draft)
             return ()
         image = draft.framebuffer("background", draft.canvas.size, depth=False, textures=True)
         draft.background = image
-        content = self.content(draft)
         if isinstance(content, Panorama):
             return (panorama_pass(draft, image, content), CopyPass("background", image.handles, image, None))
         upload = UploadPass("background: video", image.handles, image, content)
@@ -157,7 +156,7 @@ def opened_source(background: Background) -> Source:
     assert background.path is not None
     path, placing = Path(background.path), Placing(background.fit, background.color)
     if background.kind == "image":
-        return StillPicture(path, placing)
+        return Pictures([path], placing)
     if not path.exists():
         raise AssetError(f"{path}: no such file")
-    return Frames(path, placing, background.rate) if path.is_dir() else Video(path, placing)
+    return opened_folder(path, placing, background.rate) if path.is_dir() else Video(path, placing)

@@ -3,7 +3,7 @@
 Arrays are sRGB, premultiplied, row 0 on top. Nothing here touches OpenGL.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -94,39 +94,37 @@ def read_panorama(path: Path | str) -> Float32[np.ndarray, "height width 3"]:
     return image
 
 
-class StillPicture:
-    """One picture, the same at all times."""
+class Pictures:
+    """Pictures that follow one another at a rate; the last one stays, and a single one is the same at all times.
 
-    def __init__(self, path: Path, placing: Placing):
-        self.placing, self.picture = placing, _picture(path)
+    Raises:
+        AssetError: the first cannot be read.
+    """
 
-    def number(self, seconds: float) -> int:
-        return 0
-
-    def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
-        return fitted(self.picture, size, *self.placing)
-
-    def close(self) -> None:
-        pass
-
-
-class Frames:
-    """A folder of pictures, in the order of their names, at a stated rate. The last one stays."""
-
-    def __init__(self, path: Path, placing: Placing, rate: float):
-        self.placing, self.rate = placing, rate
-        self.files = sorted(f for f in path.iterdir() if f.suffix.lower() in PICTURES)
-        if not self.files:
-            raise AssetError(f"{path}: expected pictures ({', '.join(PICTURES)}), found none")
+    def __init__(self, files: Sequence[Path], placing: Placing, rate: float = 1.0):
+        self.files, self.placing, self.rate = files, placing, rate
+        # the number of the one that is in memory
+        self._held = 0, _picture(files[0])
 
     def number(self, seconds: float) -> int:
         return min(max(int(seconds * self.rate + 1e-6), 0), len(self.files) - 1)
 
     def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
-        return fitted(_picture(self.files[self.number(seconds)]), size, *self.placing)
+        number = self.number(seconds)
+        if self._held[0] != number:
+            self._held = number, _picture(self.files[number])
+        return fitted(self._held[1], size, *self.placing)
 
     def close(self) -> None:
-        pass
+        """Nothing is open."""
+
+
+def opened_folder(path: Path, placing: Placing, rate: float) -> Pictures:
+    """A folder of pictures, in the order of their names; AssetError where there are none."""
+    files = sorted(f for f in path.iterdir() if f.suffix.lower() in PICTURES)
+    if not files:
+        raise AssetError(f"{path}: expected pictures ({', '.join(PICTURES)}), found none")
+    return Pictures(files, placing, rate)
 
 
 class Video:
@@ -148,15 +146,13 @@ class Video:
 
     def _check_size(self, width: int, height: int) -> None:
         if width * height > MAX_PIXELS:
-            raise AssetError(
-                f"{self.path}: expected a film of at most {MAX_PIXELS} pixels a frame, found {width} x {height}"
-            )
+            limit = f"a film of at most {MAX_PIXELS} pixels a frame"
+            raise AssetError(f"{self.path}: expected {limit}, found {width} x {height}")
 
     def _start(self, seconds: float = 0.0) -> None:
         import av.error
 
-        tick = self.stream.time_base
-        origin = self.stream.start_time or 0
+        tick, origin = self.stream.time_base, self.stream.start_time or 0
         if not tick:
             raise AssetError(f"{self.path}: the film has no time base")
         try:
@@ -204,13 +200,14 @@ class Video:
         return self.shown.pts
 
     def pixels(self, seconds: float, size: tuple[int, int]) -> Pixels:
+        """The frame that is shown at this time, turned as the camera was held."""
         self._seek(seconds)
         assert self.shown is not None
         turned = self.shown.rotation % 180 != 0
         source = (self.shown.width, self.shown.height)
         left, top, width, height = placed(source[::-1] if turned else source, size, self.placing.fit)
-        across = (height, width) if turned else (width, height)
-        image = self.shown.reformat(width=across[0], height=across[1], format="rgba").to_ndarray()
+        across, down = (height, width) if turned else (width, height)
+        image = self.shown.reformat(width=across, height=down, format="rgba").to_ndarray()
         image = np.rot90(image, self.shown.rotation // 90 % 4)
         return laid(image, left, top, size, self.placing.color)
 
@@ -218,4 +215,4 @@ class Video:
         self.container.close()
 
 
-Source = StillPicture | Frames | Video
+Source = Pictures | Video
