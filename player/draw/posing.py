@@ -16,6 +16,7 @@ from avatar.helper_joints import HelperJoints
 from avatar.skeleton import joint_transforms, rigid_inverse, skin_transforms
 from avatar.skinning import skin_points
 from player.draw import kinematics
+from player.gl.tiles import ball_boxes
 
 
 class PosedBones(NamedTuple):
@@ -100,20 +101,9 @@ def screen_bounds(bones: PosedBones, camera: Camera) -> ScreenBounds:
     """Depths and image box that the avatar cannot leave."""
     used = np.flatnonzero(bones.radii >= 0)
     centers, radii = bones.centers[used], bones.radii[used]
-    ends = np.empty((2, len(used)))  # depth of each sphere's nearer and farther end
-    ends[0], ends[1] = -centers[:, 2] - radii, radii - centers[:, 2]
-    bounds = np.array([ends[0].min(), ends[1].max()])
-    if bounds[0] <= 0:
-        return ScreenBounds(bounds, np.array([-np.inf, -np.inf, np.inf, np.inf]))
-    # a sphere's image lies between the slopes (c -+ r) / depth taken at its nearer or farther end
-    flat = (centers[:, :2] * (1.0, -1.0)).T
-    slopes = np.stack([flat - radii, flat + radii])[:, :, None] / ends
-    low, high = slopes[0].min((1, 2)), slopes[1].max((1, 2))
-    (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
-    (left, top), (right, bottom) = low.tolist(), high.tolist()
-    slant = sorted((skew * top, skew * bottom))
-    box = [fx * left + cx + slant[0], fy * top + cy, fx * right + cx + slant[1], fy * bottom + cy]
-    return ScreenBounds(bounds, np.array(box))
+    depth = np.array([(-centers[:, 2] - radii).min(), (radii - centers[:, 2]).max()])
+    boxes = ball_boxes(centers, radii, camera)
+    return ScreenBounds(depth, np.concatenate([boxes[:, :2].min(0), boxes[:, 2:].max(0)]))
 
 
 # OpenGL looks down -z with +y up

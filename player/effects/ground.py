@@ -11,7 +11,7 @@ import numpy as np
 from command.settings import RGBA, Above, AtLeast, AtMost, Color, OneOf, settings
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
 from player.effects.ground_plane import Sheet, SquarePass, behind_parts
-from player.effects.shadow import LOWEST, ShadowSettings, shadow_passes
+from player.effects.shadow import LOWEST, shadow_passes
 
 FLOOR_COLOR = (88 / 255, 91 / 255, 99 / 255, 1.0)
 KINDS = ("plane", "checker", "shadow")
@@ -63,8 +63,7 @@ class Ground:
                 )
             )  # fmt: skip
         if self.strength > 0:
-            shadow = ShadowSettings(self.direction, self.strength, self.softness, self.height)
-            passes += shadow_passes(draft, shadow)
+            passes += shadow_passes(draft, self.direction, self.strength, self.softness, self.height)
         return passes
 
     def _paint(self, sheet: Sheet) -> dict[str, Any]:

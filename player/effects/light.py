@@ -12,7 +12,6 @@ from typing import Annotated, ClassVar
 
 import moderngl
 import numpy as np
-from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar, Level
 from avatar.camera import Camera
@@ -87,9 +86,9 @@ class Light:
         if self.by == "capture":
             return avatar.light
         if self.by == "panorama":
-            panorama, turn = self._panorama(draft)
-            key = ("light of a panorama", panorama.path, turn, gamma)
-            return draft.keep(key, lambda: fitted_light(panorama.light(), turn, gamma=gamma, most=LAMPS)).light
+            path, turn = self._panorama(draft.asked(Background))
+            key = ("light of a panorama", path, turn, gamma)
+            return draft.keep(key, lambda: fitted_light(read_panorama(path), turn, gamma=gamma, most=LAMPS)).light
         towards = np.array([self.direction, self.second_direction], np.float64)
         lamps = lamps_of(towards, np.array([self.strength, self.second_strength]))
         there = tuple(lamp for lamp in lamps if lamp.strength > 0)
@@ -97,19 +96,13 @@ class Light:
             return None
         return CaptureLight(self.ambient, there, self.highlight, gamma=gamma, frame="world")
 
-    def _panorama(self, draft: Draft) -> tuple["ReadPanorama", float]:
-        """The panorama, read when it is first needed, and how it is turned, radians.
-
-        Raises:
-            ValueError: none is named, here or as the background.
-            AssetError: it cannot be read.
-        """
-        behind, path, turn = draft.asked(Background), self.path, 0.0
-        if path is None and behind is not None and behind.kind == "hdr":
-            path, turn = behind.path, float(np.radians(behind.turn_deg))
-        if path is None:
-            raise ValueError("light by panorama: expected its path, or a background of kind hdr, found neither")
-        return draft.keep(("panorama that lights", path), lambda: ReadPanorama(path)), turn
+    def _panorama(self, behind: Background | None) -> tuple[str, float]:
+        """The panorama's file and how it is turned, radians; ValueError: none is named, here or as the background."""
+        if self.path is not None:
+            return self.path, 0.0
+        if behind is not None and behind.kind == "hdr" and behind.path is not None:
+            return behind.path, float(np.radians(behind.turn_deg))
+        raise ValueError("light by panorama: expected its path, or a background of kind hdr, found neither")
 
     def gains(self, draft: Draft) -> tuple[tuple[float, float, float], str]:
         """What avatars' colors are multiplied by at last, and why."""
@@ -120,19 +113,6 @@ class Light:
             return (1.0, 1.0, 1.0), "; nothing behind to fit to"
         gains = draft.keep(("gains", behind), lambda: background_gains(behind))
         return gains, "; fitted to what is behind: times " + " ".join(f"{gain:.2f}" for gain in gains)
-
-
-class ReadPanorama:
-    """A panorama that lights, its pixels only while they are needed."""
-
-    def __init__(self, path: str):
-        self.path = path
-        # a file that cannot be read is said at once
-        self._light: Float[np.ndarray, "height width 3"] | None = read_panorama(path)
-
-    def light(self) -> Float[np.ndarray, "height width 3"]:
-        light, self._light = self._light, None
-        return read_panorama(self.path) if light is None else light
 
 
 def background_gains(behind: Background) -> tuple[float, float, float]:

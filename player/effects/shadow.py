@@ -42,17 +42,14 @@ STILL = Decision(PassState.KEPT, "nothing has moved")
 MOVED = Decision(PassState.RUNS, "avatars moved")
 
 
-class ShadowSettings(NamedTuple):
-    """What a scene says of the shadow: where its lamp is, the share of the light that it takes, and the ground."""
+def shadow_passes(
+    draft: Draft, direction: tuple[float, float, float], strength: float, softness: float, height: float
+) -> Sequence[Pass]:
+    """The mask, and the shadow that it lays on the ground.
 
-    direction: tuple[float, float, float]  # towards the lamp, world
-    strength: float
-    softness: float  # degrees from the lamp's middle to its edge
-    height: float  # metres above the world's origin
-
-
-def shadow_passes(draft: Draft, settings: ShadowSettings) -> Sequence[Pass]:
-    """The mask, and the shadow that it lays on the ground."""
+    direction: towards the lamp, world; strength: share of the light that the shadow takes; softness: degrees from the
+    lamp's middle to its edge; height: of the ground above the world's origin, metres.
+    """
     # avatars stand apart
     side = (SOFTWARE_TEXELS if draft.canvas.software else TEXELS) * (1 if len(draft.avatars) == 1 else 2)
     size = sum(4 * (side >> i) ** 2 for i in range(side.bit_length()))
@@ -65,16 +62,16 @@ def shadow_passes(draft: Draft, settings: ShadowSettings) -> Sequence[Pass]:
         for index in range(len(draft.avatars))
     )
     softened = draft.program("shadow_cells.vert", "shadow.frag", samplers=("mask",))
-    softening = Softening(softened, draft.array(softened), _target_of(draft, soft))
-    x, y, z = _lamp_of(draft, settings.direction).tolist()
-    edge = 2 * float(np.tan(np.radians(settings.softness))) * float(np.hypot(np.hypot(x, z), y)) / y
-    lamp = ShadowLamp((-x / y, -z / y), edge, settings.height, side, draft.patches(), draft.dual)
+    softening = draft.array(softened)
+    x, y, z = _lamp_of(draft, direction).tolist()
+    edge = 2 * float(np.tan(np.radians(softness))) * float(np.hypot(np.hypot(x, z), y)) / y
+    lamp = ShadowLamp((-x / y, -z / y), edge, height, side, draft.patches(), draft.dual)
     holds = draft.keep(MaskState, MaskState)
     parts = behind_parts(draft, "shadow_cells.vert", "shadow_laid.frag", mask, soft, samplers=("mask", "soft"))
-    shadow = ShadowPass("ground: shadow", *parts, settings.strength, lamp, mask, soft, holds)
-    target = _target_of(draft, mask)
-    owned = (*(handle for one in meshes for handle in one.handles), mask, target, soft, *softening)
-    return MaskPass("ground: mask", owned, lamp, meshes, target, mask, softening, shadow, holds), shadow
+    shadow = ShadowPass("ground: shadow", *parts, strength, lamp, mask, soft, holds)
+    targets = _target_of(draft, mask), _target_of(draft, soft)
+    owned = (*(handle for one in meshes for handle in one.handles), mask, soft, *targets, softened, softening)
+    return MaskPass("ground: mask", owned, lamp, meshes, mask, targets, softened, softening, shadow, holds), shadow
 
 
 def thrown_level(draft: Draft, avatar: int) -> int:
@@ -82,14 +79,6 @@ def thrown_level(draft: Draft, avatar: int) -> int:
     levels = draft.avatars[avatar].levels
     enough = [number for number, level in enumerate(levels) if len(level.faces) >= TRIANGLES]
     return max(draft.detail[avatar], max(enough, default=0))
-
-
-class Softening(NamedTuple):
-    """What makes a shadow of the mask, in the ground's own coordinates."""
-
-    program: Handle[moderngl.Program]
-    array: Handle[moderngl.VertexArray]
-    target: Handle[moderngl.Framebuffer]
 
 
 class ShadowLamp(NamedTuple):
@@ -209,9 +198,12 @@ class MaskPass(Pass):
 
     lamp: ShadowLamp
     meshes: tuple[LooseMesh, ...]
-    target: Handle[moderngl.Framebuffer]
     mask: Handle[moderngl.Texture]
-    softening: Softening
+    # that draw on the mask, and on the shadow softened
+    targets: tuple[Handle[moderngl.Framebuffer], Handle[moderngl.Framebuffer]]
+    # what makes a shadow of the mask
+    softened: Handle[moderngl.Program]
+    softening: Handle[moderngl.VertexArray]
     shadow: ShadowPass
     holds: MaskState
 
@@ -242,12 +234,12 @@ class MaskPass(Pass):
         for one in self.meshes:
             one.warm(warming.resources)
         self._end(warming.resources.context.gl)
-        self._softened(warming.resources)
+        self._draw_soft(warming.resources)
         # nothing that a frame would keep
         self.holds.key = None
 
     def _begin(self, resources: PlanResources) -> None:
-        gl, target = resources.context.gl, resources[self.target]
+        gl, target = resources.context.gl, resources[self.targets[0]]
         target.use()
         target.clear()
         gl.enable_only(moderngl.BLEND)
@@ -263,18 +255,18 @@ class MaskPass(Pass):
         # the plane's metres to the whole of the target
         columns = np.array([[2 / across, 0, 0, 0], [0, 2 / across, 0, 0], [-1, -1, 0, 1]])
         set_uniforms(
-            resources[self.softening.program], clip_from_plane=columns, across=across, reach=here.reach(self.lamp),
+            resources[self.softened], clip_from_plane=columns, across=across, reach=here.reach(self.lamp),
             spread=here.spread(self.lamp), search=search,
         )  # fmt: skip
-        self._softened(resources)
+        self._draw_soft(resources)
 
-    def _softened(self, resources: PlanResources) -> None:
-        target = resources[self.softening.target]
+    def _draw_soft(self, resources: PlanResources) -> None:
+        target = resources[self.targets[1]]
         target.use()
         target.clear()
         resources.context.gl.enable_only(0)
         resources[self.mask].use(0)
-        resources[self.softening.array].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.lamp.cells)
+        resources[self.softening].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self.lamp.cells)
 
     def _rows(self, drawing: Drawing, here: Footprint) -> Float[np.ndarray, "3 4"]:
         """Rows across and along the mask, [-1, 1], and of height, [0, 1], of points in view space."""

@@ -129,32 +129,28 @@ class RenderCommand:
 
     def __post_init__(self):
         arguments.parse_quality(self.quality)
-        kind = film_kind(self.output)
-        if self.budget is not None and self.quality != "good":
-            raise ValueError("give --budget or --quality")
-        if self.measured and (self.part or self.workers):
-            raise ValueError("--budget and --quality 0..1 ask this machine: for several, give --view and --level")
-        if self.json and not self.explain:
-            raise ValueError("--json writes what --explain finds: give both")
-        if kind == ".png" and self.frames:
-            raise ValueError("a .png holds one frame: give --frame N, or another OUT")
-        if kind == ".png" and self.rate:
-            raise ValueError("--rate is of a film; a .png holds one frame")
-        if kind == ".png" and (self.part or self.workers):
-            raise ValueError("--part and --workers share the frames of a film; a .png holds one")
-        if self.part and self.workers:
-            raise ValueError("give --part or --workers")
-        if self.explain and self.workers:
-            raise ValueError("--explain asks the context that drew: leave --workers out")
-        if bool(self.scene) == bool(self.avatar):
-            raise ValueError("give AVATAR or --scene, one of them")
-        if self.scene and (self.motion or self.body or (self.hands, self.ground) != ("file", "auto")):
-            raise ValueError("--motion, --body, --hands and --ground are in the scene file")
+        picture, shared = film_kind(self.output) == ".png", bool(self.part or self.workers)
+        own = self.motion or self.body or (self.hands, self.ground) != ("file", "auto")
+        refusals = {
+            "give --budget or --quality": self.budget is not None and self.quality != "good",
+            "--budget and --quality 0..1 ask this machine: for several, give --view and --level":
+                self.measured and shared,
+            "--json writes what --explain finds: give both": self.json and not self.explain,
+            "a .png holds one frame: give --frame N, or another OUT": picture and self.frames,
+            "--rate is of a film; a .png holds one frame": picture and self.rate,
+            "--part and --workers share the frames of a film; a .png holds one": picture and shared,
+            "give --part or --workers": self.part and self.workers,
+            "--explain asks the context that drew: leave --workers out": self.explain and self.workers,
+            "give AVATAR or --scene, one of them": bool(self.scene) == bool(self.avatar),
+            "--motion, --body, --hands and --ground are in the scene file": self.scene and own,
+        }  # fmt: skip
+        for why, refused in refusals.items():
+            if refused:
+                raise ValueError(why)
 
 
-RENDER = Help(
-    "selfscan render", "Draw an avatar in motion: a picture, frames or a film. Needs no GPU and no display.", EXAMPLES
-)
+DRAWS = "Draw an avatar in motion: a picture, frames or a film. Needs no GPU and no display."
+RENDER = Help("selfscan render", DRAWS, EXAMPLES)
 
 
 def render_main(argv: list[str]) -> int:

@@ -61,21 +61,31 @@ class Patches:
         self, view_from_canonical: Float[np.ndarray, "bones 4 4"], camera: Camera, *, dual: bool, reach: float = 0.0
     ) -> Float[np.ndarray, "patches 4"]:
         """Left, top, right, bottom of each patch, pixels; infinite where a ball reaches behind the eye."""
-        points, radii = self.balls(view_from_canonical, dual=dual, reach=reach)
-        # x right, y down, depth
-        points = points * (1.0, -1.0, -1.0)
-        near, far = points[:, 2] - radii, points[:, 2] + radii
-        behind = near <= 1e-6
-        ends = np.stack([np.where(behind, 1.0, near), np.where(behind, 1.0, far)])[:, :, None]
-        slopes = (points[:, :2] - radii[:, None]) / ends, (points[:, :2] + radii[:, None]) / ends
-        low, high = slopes[0].min(0), slopes[1].max(0)
-        (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
-        slant = np.sort(skew * np.stack([low[:, 1], high[:, 1]]), axis=0)
-        boxes = np.stack([fx * low[:, 0] + cx + slant[0], fy * low[:, 1] + cy,
-                          fx * high[:, 0] + cx + slant[1], fy * high[:, 1] + cy], 1)  # fmt: skip
-        boxes[behind] = [-np.inf, -np.inf, np.inf, np.inf]
+        boxes = ball_boxes(*self.balls(view_from_canonical, dual=dual, reach=reach), camera)
         lower = np.minimum.reduceat(boxes[:, :2], self.first)
         return np.concatenate([lower, np.maximum.reduceat(boxes[:, 2:], self.first)], 1)
+
+
+def ball_boxes(
+    centers: Float[np.ndarray, "balls 3"], radii: Float[np.ndarray, "balls"], camera: Camera
+) -> Float[np.ndarray, "balls 4"]:
+    """Left, top, right, bottom of balls in view space, pixels; infinite where one reaches behind the eye.
+
+    A ball's image lies between the slopes (c -+ r) / depth taken at its nearer or farther end.
+    """
+    # x right, y down, depth
+    points = centers * (1.0, -1.0, -1.0)
+    near, far = points[:, 2] - radii, points[:, 2] + radii
+    behind = near <= 1e-6
+    ends = np.stack([np.where(behind, 1.0, near), np.where(behind, 1.0, far)])[:, :, None]
+    slopes = (points[:, :2] - radii[:, None]) / ends, (points[:, :2] + radii[:, None]) / ends
+    low, high = slopes[0].min(0), slopes[1].max(0)
+    (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
+    slant = np.sort(skew * np.stack([low[:, 1], high[:, 1]]), axis=0)
+    boxes = np.stack([fx * low[:, 0] + cx + slant[0], fy * low[:, 1] + cy,
+                      fx * high[:, 0] + cx + slant[1], fy * high[:, 1] + cy], 1)  # fmt: skip
+    boxes[behind] = [-np.inf, -np.inf, np.inf, np.inf]
+    return boxes
 
 
 def covered(

@@ -23,10 +23,8 @@ from player.gl.context import Context
 from player.scene.effects import PLAIN, Effects, resolve
 
 MAX_PIXELS = 1 << 27  # pixels of one image, whose sides may be anything that the device can hold
-BULGE = (
-    # dual quaternions leave the hull of the bones' spheres: by less than half of what the bones disagree
-    1.5
-)
+# dual quaternions leave the hull of the bones' spheres: by less than half of what the bones disagree
+BULGE = 1.5
 
 
 class PassOutcome(NamedTuple):
@@ -305,9 +303,8 @@ class Renderer:
         levels = [avatar.level(number) for avatar, number in zip(self.avatars, self.detail, strict=True)]
         largest = max(*(self.size or (1, 1)), *(max(level.base_color.shape) for level in levels))
         if largest > info["GL_MAX_TEXTURE_SIZE"]:
-            raise ValueError(
-                f"{largest} pixels across; {self.context.renderer} holds at most {info['GL_MAX_TEXTURE_SIZE']}"
-            )
+            limit = f"{self.context.renderer} holds at most {info['GL_MAX_TEXTURE_SIZE']}"
+            raise ValueError(f"{largest} pixels across; {limit}")
         if self.size is not None and self.size[0] * self.size[1] > MAX_PIXELS:
             raise ValueError(f"size: expected at most {MAX_PIXELS} pixels, found {self.size[0]} x {self.size[1]}")
         canvas = Canvas(self.size, self.own_image, self.context.software, self.context.gl.max_samples)
@@ -321,10 +318,9 @@ class Renderer:
                 detail = [min(max(number, one), len(who.levels) - 1) for one, who in zip(self._finest(), self.avatars)]
                 opened = {**kept, **plan.kept, **{key: one for made in self._ready for key, one in made.kept.items()}}
                 self._ready.append(resolve(self.avatars, canvas, self.effects, self.background, detail, opened))
+        handles = tuple(dict.fromkeys(chain(plan.handles, *(one.handles for one in self._ready))))
         return replace(
-            plan,
-            handles=tuple(dict.fromkeys(chain(plan.handles, *(one.handles for one in self._ready)))),
-            kept=dict(chain(*(one.kept.items() for one in self._ready), plan.kept.items())),
+            plan, handles=handles, kept=dict(chain(*(one.kept.items() for one in self._ready), plan.kept.items()))
         )
 
     def _apply(self, plan: Plan) -> None:
@@ -353,5 +349,5 @@ class Renderer:
 def _as_background(background: Background | Sequence[float | int]) -> Background:
     if isinstance(background, Background):
         return background
-    red, green, blue, alpha = background
-    return Background("color", (float(red), float(green), float(blue), float(alpha)))
+    red, green, blue, alpha = map(float, background)
+    return Background("color", (red, green, blue, alpha))
