@@ -18,8 +18,8 @@ from bench.ladder.machine import machine
 from bench.ladder.quiet import Quiet, warning
 from bench.ladder.rung_pictures import motion_frames
 from files.whole import whole_file
+from player.budget.ladder import PricedRung, best_within, frontier, scene_rungs
 from player.budget.measure import BudgetScene, price, rung_times
-from player.budget.rungs import PricedRung, best_within, frontier, scene_rungs
 from player.effects.background import Background
 from player.gl.context import Context, opened
 from player.scene.arguments import parse_size

@@ -38,6 +38,9 @@ EXTRAS = {
 }  # fmt: skip
 
 
+Findings = dict[str, Any]
+
+
 class Node(NamedTuple):
     """A device file of a graphics card, and whether it may be opened for reading and writing."""
 
@@ -45,12 +48,12 @@ class Node(NamedTuple):
     usable: bool
 
 
-def findings() -> dict[str, Any]:
+def findings() -> Findings:
     """Everything `selfscan doctor` says, as data."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     system = f"{platform.system()} {platform.release()}, Python {platform.python_version()}"
     family, missing = distribution(), []
-    found: dict[str, Any] = {"machine": f"{system}, {cores} CPU cores", "missing": missing}
+    found: Findings = {"machine": f"{system}, {cores} CPU cores", "missing": missing}
     for library, (packages, purpose) in LIBRARIES.items():
         try:
             _library(library, library.split(".so")[0] + ".so")
@@ -111,9 +114,9 @@ def vendor_files() -> list[Path]:
     return [file for folder in folders for file in sorted(Path(folder).glob("*.json"))]
 
 
-def vendor_file(path: Path) -> dict[str, Any]:
+def vendor_file(path: Path) -> Findings:
     """A vendor file, the library it names, and what is wrong with it."""
-    out: dict[str, Any] = {"file": str(path), "library": None, "wrong": None}
+    out: Findings = {"file": str(path), "library": None, "wrong": None}
     try:
         out["library"] = json.loads(path.read_text("utf-8"))["ICD"]["library_path"]
         _library(out["library"])
@@ -137,7 +140,7 @@ def nvidia_driver(file: Path = Path("/proc/driver/nvidia/version")) -> str | Non
 
 
 def hints(
-    *, devices: Sequence[EglDevice], nodes: Sequence[Node], nvidia: str | None, vendors: Sequence[Mapping[str, Any]],
+    *, devices: Sequence[EglDevice], nodes: Sequence[Node], nvidia: str | None, vendors: Sequence[Findings],
     software: bool, container: bool,
 ) -> list[str]:  # fmt: skip
     """What to do where a card is there and is not drawn with, one line each."""
@@ -173,7 +176,7 @@ def encoders() -> list[str]:
     return [encoder.name, *refused]
 
 
-def report(found: dict[str, Any]) -> str:
+def report(found: Findings) -> str:
     """The findings in a few lines."""
     lines, vendors = [found["machine"]], found["egl_vendors"]
     lines += [f"EGL vendor file {one['file']}: {one['library'] or one['wrong']}" for one in vendors]
@@ -217,7 +220,7 @@ class DrawnFrame(NamedTuple):
     renderer: str
 
 
-def compare(avatar_path: str | None = None, size: int = 512) -> dict[str, Any]:
+def compare(avatar_path: str | None = None, size: int = 512) -> Findings:
     """One frame of an avatar (the built-in body) in every view mode by every way to OpenGL: EGL, OSMesa, a window.
 
     Equal means: no channel differs by more than 1/255 outside the pixels at the silhouette. The window is a real

@@ -14,7 +14,7 @@ from command.command_line import Help, Option, parse
 from command.errors import AssetError, missing_package
 from command.interrupt import deferred_stop
 from command.settings import AtLeast, OneOf
-from player.budget.rungs import parse_budget
+from player.budget.ladder import parse_budget
 from player.effects.background import Background
 from player.effects.ground import Ground
 from player.gl.context import NoContextError

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from player.budget.rungs import HEADROOM, PricedRung, frontier, within
+from player.budget.ladder import HEADROOM, PricedRung, frontier, within
 
 SLOW, WATCHED = 12, 48
 SETTLING = 3  # frames after a change, in which what the rung needs is made

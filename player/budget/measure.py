@@ -12,9 +12,8 @@ from jaxtyping import Float
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from command.settings import settings_of
-from player.budget.ladder import Frame, frame_ms, frame_times, released
+from player.budget.ladder import Frame, PricedRung, frame_ms, frame_times, released
 from player.budget.rung import Rung
-from player.budget.rungs import PricedRung
 from player.draw.drawing import Pose
 from player.effects.background import Background
 from player.gl.context import Context
@@ -122,7 +121,7 @@ def effect_prices(
     """Milliseconds that each effect the scene calls for adds to a frame drawn as `rung` says, its view mode too: the
     median over the rounds of the difference to a frame without it. Effects of films alone add nothing here.
 
-    offered: effects that the scene does not call for yet, by name; theirs is the difference to a frame with it.
+    offered: effects that the scene does not call for yet, by name; their price is the difference to a frame with it.
     """
     names = called_for(scene.effects)
     nothing = {setting.name: setting.value_in(NOTHING) for setting in settings_of(Effects)}

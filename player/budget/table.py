@@ -17,9 +17,9 @@ from pathlib import Path
 from command.errors import AssetError
 from command.progress import progress
 from files.whole import whole_file
+from player.budget.ladder import PricedRung, at_quality, best_within, scene_rungs
 from player.budget.measure import BudgetScene, check, price
 from player.budget.rung import Rung
-from player.budget.rungs import PricedRung, at_quality, best_within, scene_rungs
 from player.gl.context import Context
 
 FORMAT = 3

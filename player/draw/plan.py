@@ -30,7 +30,9 @@ from player.gl.shader import compile_program
 from player.gl.tiles import Patches
 
 T = TypeVar("T")
-# of a vertex array: a buffer, its format, and the names of its attributes
+# what effects keep from one plan to the next, by a key of their own
+Kept = Mapping[Hashable, Any]
+# a buffer of a vertex array, its format, and the names of its attributes
 Attributes = tuple[Any, ...]
 Attachment = moderngl.Texture | moderngl.Renderbuffer
 # samples of MSAA, asked for as a number, never as the device's maximum, so that machines agree
@@ -148,7 +150,7 @@ class Plan:
     # avatars that a pass simulates from one moment to the next
     moved: frozenset[int]
     # what lives as long as an effect is asked for and is no GL object: an open film, particles
-    kept: Mapping[Hashable, Any]
+    kept: Kept
 
     @property
     def bytes(self) -> int:
@@ -180,7 +182,7 @@ class Draft:
 
     def __init__(
         self, avatars: Sequence[Avatar], canvas: Canvas, *, detail: Sequence[int], dual: bool = False,
-        effects: Iterable[Effect] = (), kept: Mapping[Hashable, Any],
+        effects: Iterable[Effect] = (), kept: Kept,
     ):  # fmt: skip
         self.avatars, self.canvas, self.detail, self.dual = tuple(avatars), canvas, tuple(detail), dual
         self.levels: tuple[Level, ...] = tuple(who.level(number) for who, number in zip(avatars, detail, strict=True))
@@ -197,7 +199,7 @@ class Draft:
         self.margin = MARGIN
         self.views: dict[int, str] = {}
         self.moved: set[int] = set()
-        self._effects: dict[type[Any], Effect] = {type(effect): effect for effect in effects}
+        self._effects: dict[type, Effect] = {type(effect): effect for effect in effects}
         self.kept: dict[Hashable, Any] = {}
         self._kept_before = kept
         self.handles: dict[AnyHandle, None] = {}
@@ -369,7 +371,7 @@ class Closable(Protocol):
     def close(self) -> None: ...
 
 
-def close_all(kept: Iterable[Any]) -> None:
+def close_all(kept: Iterable[object]) -> None:
     """Close what a plan kept and no later one does."""
     for one in kept:
         if isinstance(one, Closable):

@@ -30,6 +30,7 @@ class Fxaa:
     stage: ClassVar[Stage] = Stage.PICTURE
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
+        """The filter; avatars before it are drawn on a layer of their own."""
         size = draft.canvas.size
         # a window: planned with its first frame
         if size is None:
@@ -98,6 +99,7 @@ class Msaa:
     stage: ClassVar[Stage] = Stage.PICTURE
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
+        """The mean of the samples; avatars before it are drawn on an image that has several."""
         canvas = draft.canvas
         if canvas.max_samples < SAMPLES:
             why = f"the device has {canvas.max_samples} samples a pixel, {SAMPLES} are needed"

@@ -32,6 +32,7 @@ class Avatars:
     stage: ClassVar[Stage] = Stage.AVATARS
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
+        """For each avatar the pass in paper colors, and the one with view dependence or why there is none."""
         if draft.canvas.own_image and draft.layer.image is None:
             draft.own_image(depth=True)
         passes: list[Pass] = []

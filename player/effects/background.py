@@ -8,7 +8,7 @@ image; a window takes the copy upside down.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from command.settings import Above, AtMost, Color, FilePlace, OneOf, settings
 from player.draw.drawing import Drawing
 from player.draw.plan import Absent, Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import Image
-from player.effects.background_source import RGBA, Pictures, Placing, Source, Video, opened_folder
+from player.effects.background_source import RGBA, PictureSequence, Placing, Source, Video, opened_folder
 from player.effects.panorama import Panorama, panorama_pass
 
 BACKGROUNDS = ("color", "image", "video", "hdr", "transparent")
@@ -70,6 +70,7 @@ class Background:
     stage: ClassVar[Stage] = Stage.BACKGROUND
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
+        """What makes its pixels ready, and the copy into the picture."""
         if self.kind in ("color", "transparent"):
             return (Absent("background"),)
         # a file that cannot be read is said at once
@@ -100,7 +101,7 @@ class OpenBackground:
 
     def __init__(self, source: Source):
         self.source = source
-        self.holds: tuple[Any, int] | None = None
+        self.holds: tuple[object, int] | None = None
 
     def close(self) -> None:
         self.source.close()
@@ -122,7 +123,7 @@ class UploadPass(Pass):
         texture.write(np.ascontiguousarray(pixels).tobytes())
         self.behind.holds = self._wanted(drawing)
 
-    def _wanted(self, drawing: Drawing) -> tuple[Any, int]:
+    def _wanted(self, drawing: Drawing) -> tuple[object, int]:
         return drawing.resources[self.image.color], self.behind.source.number(drawing.inputs.seconds)
 
 
@@ -156,7 +157,7 @@ def opened_source(background: Background) -> Source:
     assert background.path is not None
     path, placing = Path(background.path), Placing(background.fit, background.color)
     if background.kind == "image":
-        return Pictures([path], placing)
+        return PictureSequence([path], placing)
     if not path.exists():
         raise AssetError(f"{path}: no such file")
     return opened_folder(path, placing, background.rate) if path.is_dir() else Video(path, placing)

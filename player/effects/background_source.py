@@ -94,8 +94,8 @@ def read_panorama(path: Path | str) -> Float32[np.ndarray, "height width 3"]:
     return image
 
 
-class Pictures:
-    """Pictures that follow one another at a rate; the last one stays, and a single one is the same at all times.
+class PictureSequence:
+    """PictureSequence that follow one another at a rate; the last one stays, and a single one is the same at all times.
 
     Raises:
         AssetError: the first cannot be read.
@@ -119,12 +119,12 @@ class Pictures:
         """Nothing is open."""
 
 
-def opened_folder(path: Path, placing: Placing, rate: float) -> Pictures:
+def opened_folder(path: Path, placing: Placing, rate: float) -> PictureSequence:
     """A folder of pictures, in the order of their names; AssetError where there are none."""
     files = sorted(f for f in path.iterdir() if f.suffix.lower() in PICTURES)
     if not files:
         raise AssetError(f"{path}: expected pictures ({', '.join(PICTURES)}), found none")
-    return Pictures(files, placing, rate)
+    return PictureSequence(files, placing, rate)
 
 
 class Video:
@@ -215,4 +215,4 @@ class Video:
         self.container.close()
 
 
-Source = Pictures | Video
+Source = PictureSequence | Video

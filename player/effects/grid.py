@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import moderngl
 import numpy as np
@@ -13,7 +13,7 @@ from player.draw.drawing import Drawing
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
 from player.draw.resources import PlanResources
 from player.effects.ground_plane import FAR, NEAR, PassBehind, Sheet, SquarePass, behind_parts, draw_behind
-from player.gl.shader import set_uniforms
+from player.gl.shader import Uniforms, set_uniforms
 
 AXES_AWAY = Decision(PassState.SKIPPED, "the origin is out of view")
 RUNS = Decision(PassState.RUNS, "asked for")
@@ -36,6 +36,7 @@ class Grid:
     ] = 1.0
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
+        """The lines, and the axes where they have a length."""
         passes: list[Pass] = [
             SquarePass(
                 "grid", *behind_parts(draft, "plane.vert", "grid.frag"), self.height, self.radius, FULL, 0.0,
@@ -46,7 +47,7 @@ class Grid:
             passes.append(AxesPass("grid: axes", *behind_parts(draft, "axes.vert", "axes.frag"), self))
         return passes
 
-    def _paint(self, sheet: Sheet) -> dict[str, Any]:
+    def _paint(self, sheet: Sheet) -> Uniforms:
         # a whole number of lines from the world's origin, so that only small numbers are rounded
         origin = -np.fmod(sheet.anchor[[0, 2]], self.spacing)
         return {"paint": self.color[:3], "spacing": self.spacing, "width": LINE, "origin": tuple(origin.tolist())}
@@ -59,6 +60,7 @@ class AxesPass(PassBehind):
     grid: Grid
 
     def decide(self, drawing: Drawing) -> Decision:
+        """Whether any of the three bars can be in the picture."""
         camera, ends = drawing.inputs.camera, self.grid.axes * np.eye(4, 3, -1) + [0, self.grid.height, 0]
         seen = ends @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
         if (seen[:, 2] <= 0).all():
@@ -70,6 +72,7 @@ class AxesPass(PassBehind):
         return AXES_AWAY if apart else RUNS
 
     def draw(self, drawing: Drawing) -> None:
+        """The bars, a few pixels wide wherever they are."""
         camera, resources = drawing.inputs.camera, drawing.resources
         program = resources[self.program]
         clip = clip_from_view(camera, NEAR, FAR) @ view_from_world(camera)

@@ -4,7 +4,7 @@ All of it is drawn before the avatars, without depth: nothing fights with soles,
 """
 
 from collections.abc import Sequence
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from command.settings import RGBA, Above, AtLeast, AtMost, Color, OneOf, setting
 from player.draw.plan import Decision, Draft, Pass, PassState, Stage
 from player.effects.ground_plane import Sheet, SquarePass, behind_parts
 from player.effects.shadow import LOWEST, shadow_passes
+from player.gl.shader import Uniforms
 
 FLOOR_COLOR = (88 / 255, 91 / 255, 99 / 255, 1.0)
 KINDS = ("plane", "checker", "shadow")
@@ -52,6 +53,7 @@ class Ground:
             raise ValueError(f"direction: expected {expected}, found {self.direction}")
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
+        """The floor, unless there is nothing but shadow, and the shadow, unless it takes no light."""
         passes: list[Pass] = []
         if self.kind != "shadow":
             # checks stay where they are in the world
@@ -66,6 +68,6 @@ class Ground:
             passes += shadow_passes(draft, self.direction, self.strength, self.softness, self.height)
         return passes
 
-    def _paint(self, sheet: Sheet) -> dict[str, Any]:
+    def _paint(self, sheet: Sheet) -> Uniforms:
         check = self.check if self.kind == "checker" else 0.0
         return {"paint": self.color[:3], "other": OTHER_CHECKS, "check": check}

@@ -6,7 +6,7 @@ scene far from the world's origin cancel in double precision before anything is 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -16,7 +16,7 @@ from avatar.camera import Camera, clip_from_view, view_from_world
 from player.draw.drawing import Drawing, Layer, Warming
 from player.draw.plan import Decision, Draft, Pass, PassState
 from player.draw.resources import AnyHandle, Handle, PlanResources
-from player.gl.shader import set_uniforms
+from player.gl.shader import Uniforms, set_uniforms
 
 Array = np.ndarray
 NEAR, FAR = 0.01, 1e5  # metres; nothing on the plane is tested for depth, so they need not be tight
@@ -89,10 +89,10 @@ class SquarePass(PassBehind):
 
     height: float  # metres
     radius: float  # metres to its edge
-    share: float  # of the radius, up to where it is as strong as it is
+    share: float  # part of the radius, up to where it is as strong as it is
     step: float  # metres, of which its middle goes a whole number; 0: as the avatars do
     # the uniforms of its program, once it is known where it lies
-    paint: Callable[[Sheet], dict[str, Any]]
+    paint: Callable[[Sheet], Uniforms]
     running: Decision
 
     def decide(self, drawing: Drawing) -> Decision:

@@ -134,7 +134,7 @@ class AvatarLight:
 
     light: CaptureLight
     vertices: Handle[moderngl.Buffer]
-    gains: tuple[float, float, float]  # of display values, at last
+    gains: tuple[float, float, float]  # display values are multiplied by them at last
     explanation: str
     # whether there is a highlight in it, or in the base color that is lit
     gleams: bool

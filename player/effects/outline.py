@@ -29,6 +29,7 @@ class Outline:
     width: Annotated[float, Above(0), AtMost(64), "of the line, pixels"] = 2.0
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
+        """One pass for all avatars, which share its color and width."""
         draft.widen(ceil(self.width))
         hulls, uses = [], [*draft.drawn_on]
         for index in range(len(draft.levels)):

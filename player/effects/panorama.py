@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import moderngl
 import numpy as np
@@ -32,7 +31,7 @@ class Panorama:
         self.size = light.shape[1], light.shape[0]
         # until the texture holds it
         self.light: Float[np.ndarray, "height width 3"] | None = light
-        self.holds: tuple[Any, ...] | None = None
+        self.holds: tuple[object, ...] | None = None
 
     def texture(self, resources: PlanResources) -> moderngl.Texture:
         """Half floats: the sun of most panoramas stays below 65504; what is brighter would become infinite."""
@@ -61,6 +60,7 @@ class PanoramaPass(Pass):
         return STILL if self.content.holds == self._wanted(drawing) else TURNED
 
     def draw(self, drawing: Drawing) -> None:
+        """The view of this camera, kept until it turns."""
         camera, resources = drawing.inputs.camera, drawing.resources
         texels_a_radian = self.content.size[0] / (2 * np.pi)
         set_uniforms(
@@ -81,7 +81,7 @@ class PanoramaPass(Pass):
         resources[self.light].use(0)
         resources[self.array].render(vertices=3)
 
-    def _wanted(self, drawing: Drawing) -> tuple[Any, ...]:
+    def _wanted(self, drawing: Drawing) -> tuple[object, ...]:
         """Equal while the camera does not turn."""
         camera = drawing.inputs.camera
         # rounding is no turn; 0 and -0 are one

@@ -46,6 +46,7 @@ class SecondaryMotion:
     gravity: Annotated[float, AtLeast(0), AtMost(100), "metres a second, squared"] = 9.81
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
+        """For each avatar what moves it, or why nothing does."""
         out: list[Pass] = []
         for index in range(len(draft.avatars)):
             name, offsets = f"{draft.tag(index)}: secondary motion", offsets_of(draft, index)
@@ -199,6 +200,7 @@ class LoosePass(Pass):
         return drawn + self.offsets.motion.ms
 
     def decide(self, drawing: Drawing) -> Decision:
+        """It shows where anything is moved far enough to be seen, of an avatar that can be."""
         motion = self.offsets.motion.found
         if not motion.shows:
             return AT_REST

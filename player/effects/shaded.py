@@ -67,6 +67,7 @@ class AvatarShading(NamedTuple):
 
     @property
     def handles(self) -> tuple[AnyHandle, ...]:
+        """What its variants read, each object once."""
         out: list[AnyHandle] = [variant.array for variant in self.variants]
         first = self.variants[0]
         if first.light is not None:
@@ -87,6 +88,7 @@ def shading_of(draft: Draft, who: int, mesh: PosedMesh, *more: Attributes, **pro
     light, contact, loose = light_of(draft, who), contact_of(draft, who), offsets_of(draft, who)
 
     def variant(touch: AvatarContact | None, moved: LooseOffsets | None) -> Variant:
+        """The program with this contact and these loose parts, or without."""
         made = draft.program(
             "avatar.vert", "avatar.frag", SKINNING=int(draft.dual), LIT=0 if light is None else light.variant,
             CONTACT=int(touch is not None), LOOSE=int(moved is not None), **program,

@@ -8,7 +8,7 @@ shadow is laid over the floor, or over any background, by one fetch a pixel.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import moderngl
 import numpy as np
@@ -119,7 +119,7 @@ class MaskState:
     """What the mask's texture holds, and where the shadow lies in the frame that is being drawn."""
 
     def __init__(self):
-        self.key: tuple[Any, ...] | None = None
+        self.key: tuple[object, ...] | None = None
         self._drawing: Drawing | None = None
         self._here: Footprint | None = None
 
@@ -278,7 +278,7 @@ class MaskPass(Pass):
                 [0, 1 / here.tall, 0, -low / here.tall]]  # fmt: skip
         return np.array(rows) @ np.linalg.inv(view_from_world(drawing.inputs.camera))
 
-    def _wanted(self, drawing: Drawing) -> tuple[Any, ...]:
+    def _wanted(self, drawing: Drawing) -> tuple[object, ...]:
         """Equal while nothing moves, whatever the camera does."""
         poses = tuple(part.tobytes() for pose in drawing.inputs.poses for part in pose)
         moved = tuple(one.loose.motion.found.version for one in self.meshes if one.loose is not None)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from command.command_line import Help, Option, parse
 from command.settings import AtLeast, AtMost, OneOf
-from player.budget.rungs import parse_budget
+from player.budget.ladder import parse_budget
 from player.effects.background import Background
 from player.film.film import film_kind
 from player.scene import arguments

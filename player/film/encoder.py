@@ -143,7 +143,7 @@ def exact_rate(rate: float) -> Fraction:
 
 
 def encode(
-    file: IO[Any] | str, kind: str, encoder: Encoder, frames: Iterable[Frame], size: tuple[int, int], rate: float,
+    file: IO[bytes] | str, kind: str, encoder: Encoder, frames: Iterable[Frame], size: tuple[int, int], rate: float,
     quality: str = "good",
 ) -> int:  # fmt: skip
     """Write frames as one closed part, a whole video file of its own, and say how many there were.
@@ -179,7 +179,7 @@ def encode(
     return number
 
 
-def join(parts: Sequence[tuple[Path, int]], file: IO[Any] | str, kind: str, rate: float) -> None:
+def join(parts: Sequence[tuple[Path, int]], file: IO[bytes] | str, kind: str, rate: float) -> None:
     """Parts of a video and their numbers of frames, joined in one file; packets are copied, not encoded again.
 
     Raises:

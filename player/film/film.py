@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import chain, islice
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from jaxtyping import UInt8
@@ -177,7 +177,7 @@ class Film:
             return Image.frombytes("RGBA", (width, height), straight(image).tobytes())
         return Image.frombytes("RGB", (width, height), image, "raw", "RGBX")
 
-    def _video(self, file: IO[Any], kind: str, first: Frame, frames: Iterable[Frame]) -> None:
+    def _video(self, file: IO[bytes], kind: str, first: Frame, frames: Iterable[Frame]) -> None:
         # only a film needs it
         from player.film.encoder import chosen_encoder, encode, padded_size
 
@@ -198,7 +198,7 @@ class Film:
             self.notes.append(line)
 
 
-def save_sequence(file: IO[Any], kind: str, pictures: Iterator[Image.Image], rate: float) -> None:
+def save_sequence(file: IO[bytes], kind: str, pictures: Iterator[Image.Image], rate: float) -> None:
     """Pictures as a .gif or .webp that runs in a loop."""
     extra = {"quality": 85, "duration": 1000 / rate} if kind == ".webp" else {"disposal": 2}
     if kind == ".gif":

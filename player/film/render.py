@@ -17,9 +17,9 @@ from avatar.baked_avatar import Avatar
 from command.errors import AssetError, missing_package
 from command.progress import Progress, plural, progress
 from files.whole import check_file, check_folder, whole_file
+from player.budget.ladder import choice_words
 from player.budget.measure import BudgetScene
 from player.budget.rung import Rung
-from player.budget.rungs import choice_words
 from player.budget.table import rung_within
 from player.draw.detail import level_for
 from player.draw.posing import Poser, screen_bounds

@@ -18,6 +18,9 @@ COMPARISON = re.compile(r"^#\s*if\s+(\w+)\s*([!=]=)\s*(\d+)$")
 NAME = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 PLACE = re.compile(r"^(?:(?:ERROR|WARNING):\s*)?(\d+)[:(](\d+)\)?", re.MULTILINE)  # 0:12(3) | 0(12) | ERROR: 0:12
 
+UniformValue = float | tuple[float, ...] | np.ndarray
+Uniforms = dict[str, UniformValue]
+
 
 class ShaderError(RuntimeError):
     """A shader that does not compile, or a variant it does not have. Says file:line."""
@@ -40,6 +43,7 @@ def assembled(
     order: list[str] = []
 
     def expand(file: str, lines: list[str]) -> None:
+        """Add a file's lines, those of its includes where they stand."""
         number = len(order)
         order.append(file)
         text = shader_source(file, generated).splitlines()
@@ -121,7 +125,7 @@ def uniform(program: moderngl.Program, name: str) -> moderngl.Uniform:
     return found
 
 
-def set_uniforms(program: moderngl.Program, **values: float | tuple[float, ...] | np.ndarray) -> None:
+def set_uniforms(program: moderngl.Program, **values: UniformValue) -> None:
     """Give uniforms their values; arrays lie as GLSL has them, matrices by columns."""
     for name, value in values.items():
         if isinstance(value, np.ndarray):

@@ -14,7 +14,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -121,7 +120,7 @@ class CameraPath:
         """
         rows = []
         for seconds, key in zip(self.seconds, self.keys, strict=True):
-            row: dict[str, Any] = {"t": float(seconds)}
+            row: dict[str, object] = {"t": float(seconds)}
             if key[9] == key[10] and not key[11:].any():
                 row |= {"eye": key[:3].tolist(), "target": key[3:6].tolist(), "up": key[6:9].tolist()}
                 row["fov_deg"] = math.degrees(2 * math.atan(0.5 / math.exp(key[10])))
@@ -175,7 +174,7 @@ def camera_of(key: Key, size: tuple[int, int]) -> Camera:
     return Camera(K, look_at(key[:3], key[3:6], key[6:9]), size)
 
 
-def _read_key(place: str, key: dict[str, Any]) -> Key:
+def _read_key(place: str, key: dict[str, object]) -> Key:
     if "camera_from_world" in key or "K" in key:
         absent = {"size", "K", "camera_from_world"} - key.keys()
         if absent:
@@ -198,14 +197,14 @@ def _read_key(place: str, key: dict[str, Any]) -> Key:
     return np.concatenate([eye, target, up, [focal, focal, 0.0, 0.0, 0.0]])
 
 
-def _number(place: str, key: dict[str, Any], name: str) -> float:
+def _number(place: str, key: dict[str, object], name: str) -> float:
     value = key.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < LARGEST:
         raise AssetError(f"{place}: {name} should be a number, is {str(value)[:60]}")
     return float(value)
 
 
-def _vector(place: str, key: dict[str, Any], name: str) -> Float[Array, "3"]:
+def _vector(place: str, key: dict[str, object], name: str) -> Float[Array, "3"]:
     value = key.get(name)
     try:
         array = np.asarray(value, np.float64)

@@ -6,12 +6,12 @@ Scene files, their schema and tables, `--effect NAME`, `--explain` and the windo
 is not asked for is in no plan and costs nothing.
 """
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
-from typing import Annotated, Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, NamedTuple
 
 from avatar.baked_avatar import Avatar
 from command.settings import OneOf, Setting, rule_of, settings, settings_of
-from player.draw.plan import Absent, Canvas, Draft, Effect, Pass, Plan, Stage, close_all
+from player.draw.plan import Absent, Canvas, Draft, Effect, Kept, Pass, Plan, Stage, close_all
 from player.effects.antialiasing import BestAntialiasing, Fxaa, Msaa
 from player.effects.avatar import VIEWS, Avatars
 from player.effects.background import Background
@@ -89,7 +89,7 @@ STUDIO = Background()
 def resolve(
     avatars: Sequence[Avatar], canvas: Canvas, effects: Effects,
     background: Background = Background("transparent"),  # noqa: B008  frozen
-    detail: int | Sequence[int] = 0, kept: Mapping[Hashable, Any] | None = None,
+    detail: int | Sequence[int] = 0, kept: Kept | None = None,
 ) -> Plan:  # fmt: skip
     """The plan for drawing `avatars` with these effects, asked from the last in a frame to the first; all at one level
     of detail or each at its own. Makes no GL object; opens the background's file, unless `kept` (of an earlier plan)

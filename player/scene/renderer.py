@@ -1,6 +1,6 @@
 """Draws posed avatars: makes the objects of a plan on a context, then executes its passes frame by frame."""
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from avatar.camera import Camera
 from command.errors import AssetError
 from player.draw.detail import DetailBySize
 from player.draw.drawing import Drawing, FrameInputs, Look, Pose, Warming
-from player.draw.plan import Canvas, Decision, Pass, Plan, close_all
+from player.draw.plan import Canvas, Decision, Kept, Pass, Plan, close_all
 from player.draw.posing import PosedBones, Poser, ScreenBounds, screen_bounds
 from player.draw.raster import clip_planes
 from player.draw.resources import PlanResources
@@ -297,7 +297,7 @@ class Renderer:
 
     # -- when the plan changes
 
-    def _resolved(self, kept: Mapping[Hashable, Any]) -> Plan:
+    def _resolved(self, kept: Kept) -> Plan:
         """The plan of what is asked for now; nothing has changed yet."""
         info = self.context.gl.info
         levels = [avatar.level(number) for avatar, number in zip(self.avatars, self.detail, strict=True)]

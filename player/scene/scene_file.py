@@ -4,7 +4,6 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 from command.errors import AssetError
 from command.settings import KeyPath, Refused, SettingsSource, record_of
@@ -83,7 +82,7 @@ def lines_of_keys(text: str) -> dict[KeyPath, int]:
     return lines
 
 
-def _keys(table: Mapping[str, Any], at: KeyPath = ()) -> Iterator[KeyPath]:
+def _keys(table: Mapping[str, object], at: KeyPath = ()) -> Iterator[KeyPath]:
     """Every key of a table, those of the tables in it too."""
     for name, value in table.items():
         yield (*at, name)

@@ -6,8 +6,8 @@ from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from command.settings import settings_of
 from player.budget.controller import BudgetController
+from player.budget.ladder import choice_words
 from player.budget.measure import BudgetScene, effect_prices
-from player.budget.rungs import choice_words
 from player.budget.table import rung_within
 from player.draw.drawing import Pose
 from player.effects.secondary_motion import is_loose

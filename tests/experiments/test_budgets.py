@@ -4,9 +4,9 @@ import numpy as np
 
 from avatar.camera import orbit_camera
 from experiments import budgets
+from player.budget.ladder import PricedRung
 from player.budget.measure import BudgetScene
 from player.budget.rung import Rung
-from player.budget.rungs import PricedRung
 from player.effects.background import Background
 from player.gl.context import open_context
 from player.scene.effects import PLAIN

@@ -12,9 +12,9 @@ from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.read import builtin_motion
 from player.budget import ladder, measure, table
+from player.budget.ladder import PricedRung, best_within, frontier, scene_rungs
 from player.budget.measure import BudgetScene, steady_p95, worth_timing
 from player.budget.rung import Rung
-from player.budget.rungs import PricedRung, best_within, frontier, scene_rungs
 from player.budget.table import cache_folder, rung_within
 from player.effects.background import Background
 from player.film.command import RenderCommand

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from player.budget.controller import PATIENCE, SETTLING, SLOW, WATCHED, BudgetController
+from player.budget.ladder import PricedRung, at_quality, frontier, parse_budget, scene_rungs, within
 from player.budget.rung import Rung
-from player.budget.rungs import PricedRung, at_quality, frontier, parse_budget, scene_rungs, within
 from player.scene.mannequin import mannequin
 
 LADDER = [
