@@ -7,6 +7,7 @@ of its largest size: no frame depends on which were drawn before it.
 """
 
 from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
 from avatar.baked_avatar import Avatar
 
@@ -14,6 +15,12 @@ from avatar.baked_avatar import Avatar
 # Measured in docs/speed.md: at a tenth, 10,000 and 2,500 triangles begin where a person is 250 and 130 pixels tall.
 DENSITY = 0.1
 MARGIN, WAIT = 1.15, 30
+
+
+class BySize(NamedTuple):
+    """A level of detail by each avatar's size on screen, none finer than this one, or these, one an avatar."""
+
+    finest: int | Sequence[int] = 0
 
 
 def level_for(avatar: Avatar, height: float, finest: int = 0) -> int:

@@ -98,12 +98,12 @@ class ShotRenderer:
         self.drawing = 0.0  # seconds spent in drawing frames of films
         self.camera_at = stage.camera_at(shot.fit, shot.start, shot.stop, shot.size)
         self.context: Context = opened(shot.context, shot.gpu) if context is None else context
+        self.context.warms = shot.stop - shot.start > 1
         try:
             with deferred_stop(patience=0) as stop:
                 self.renderer = Renderer(
                     self.context, shot.rung.prepared(stage.avatars), shot.size, effects=shot.scene.effects,
                     background=shot.scene.background, level=shot.rung.level if shot.detail is None else shot.detail,
-                    warm=shot.stop - shot.start > 1,
                 )  # fmt: skip
             stop.check()
         except ValueError as error:

@@ -113,6 +113,8 @@ class Context:
     def __init__(self, driver: Driver, kind: str, attempts: list[str], *, standalone: bool = True):
         self.driver, self.kind = driver, kind
         self.released = False
+        # whether programs draw once beforehand, so that no frame waits for a driver's compiler; one picture needs none
+        self.warms = True
         self._screen: moderngl.Framebuffer | None = None
         self._functions: dict[str, Callable[..., None]] = {}
         self._claim()

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from avatar.baked_avatar import Avatar
 from avatar.camera import Camera
 from command.errors import AssetError
-from player.draw.detail import DetailBySize
+from player.draw.detail import BySize, DetailBySize
 from player.draw.drawing import Drawing, FrameInputs, Look, Pose, Warming
 from player.draw.plan import Canvas, Decision, Kept, Pass, Plan, close_all
 from player.draw.posing import PosedBones, Poser, ScreenBounds, screen_bounds
@@ -39,10 +39,9 @@ class Renderer:
 
     size None makes no image of its own: only `draw_into` a window works, and what depends on its size is made with
     its first frame. `effects` and `background` say what is asked for; level picks a level of detail (the coarsest
-    if there are fewer), of all avatars or of each; with by_size it is the finest, and coarser ones are drawn where an
-    avatar is small (player/draw/detail.py). view_amount is u_view, 0 for the paper's colours. view is short for
-    Effects(view=view), an RGBA tuple (premultiplied, [0,1]) for a Background of one colour. warm: every program draws
-    once beforehand, so that no frame waits for a driver's compiler; one picture needs only those it draws with.
+    if there are fewer), of all avatars or of each, or the finest, where small avatars are drawn with coarser ones
+    (player/draw/detail.py). view is short for Effects(view=view), an RGBA tuple (premultiplied, [0,1]) for a Background
+    of one colour.
 
     Raises:
         ValueError: the view mode is not in an avatar, a texture or the image exceeds the device.
@@ -51,17 +50,18 @@ class Renderer:
 
     def __init__(
         self, context: Context, avatars: Sequence[Avatar], size: tuple[int, int] | None, *, effects: Effects = PLAIN,
-        background: Background | Sequence[float | int] = (0.0, 0.0, 0.0, 0.0), level: int | Sequence[int] = 0,
-        by_size: bool = False, view_amount: float = 1.0, view: str | None = None, warm: bool = True,
+        background: Background | Sequence[float | int] = (0.0, 0.0, 0.0, 0.0), level: int | Sequence[int] | BySize = 0,
+        view: str | None = None,
     ):  # fmt: skip
         self.context, self.avatars = context, tuple(avatars)
-        self.level, self._view_amount = level, view_amount
+        self.level, by_size = (level.finest, True) if isinstance(level, BySize) else (level, False)
+        # share of the view dependence that is drawn: 0 is the paper, 1 all of it
+        self.view_amount = 1.0
         # the number of each avatar's level of detail
         self.detail = self._finest()
         self._by_size = DetailBySize(self.avatars) if by_size else None
         # plans whose levels of detail are ready to be drawn at once
         self._ready: list[Plan] = []
-        self._warm = warm
         self.effects = effects if view is None else replace(effects, view=view)
         self.background = _as_background(background)
         self.size, self.own_image = size, size is not None
@@ -78,16 +78,6 @@ class Renderer:
     def target(self) -> moderngl.Framebuffer | None:
         """The renderer's own image; None when it draws into a window."""
         return self.resources[self.plan.image.framebuffer] if self.own_image and self.plan.image is not None else None
-
-    @property
-    def view_amount(self) -> float:
-        """Share of the view dependence: 0 is the paper, 1 all of it."""
-        return self._view_amount
-
-    @view_amount.setter
-    def view_amount(self, amount: float) -> None:
-        self._view_amount = amount
-        self.look = self.look._replace(view_amount=amount)
 
     @property
     def views(self) -> list[str]:
@@ -256,7 +246,8 @@ class Renderer:
         planes = clip_planes(np.array([one.depth for one, seen in zip(bounds, visible, strict=True) if seen]).ravel())
         if self._by_size is not None and only is None:
             self._follow_size(self._by_size, bounds, visible)
-        drawing = Drawing(inputs, self.resources, self.look, bones, bounds, visible, planes, reaches)
+        look = self.look._replace(view_amount=self.view_amount)
+        drawing = Drawing(inputs, self.resources, look, bones, bounds, visible, planes, reaches)
         # a filter works on what is there
         if only is None or only not in self.plan.filters:
             inputs.framebuffer.viewport = (0, 0, *camera.size)
@@ -329,10 +320,10 @@ class Renderer:
         new = self.resources.apply(plan.handles)
         close_all([one for key, one in self.plan.kept.items() if key not in plan.kept])
         self.plan = plan
-        self.look = Look(self.background.color, self._view_amount, plan.margin, plan.background, plan.frame)
+        self.look = Look(self.background.color, self.view_amount, plan.margin, plan.background, plan.frame)
         window = self.context.screen() if self.context.kind == "window" else None
         warming = Warming(self.resources, self.look, self.target or window)
-        for item in plan.passes if self._warm else ():
+        for item in plan.passes if self.context.warms else ():
             if any(handle in new for handle in item.uses if handle.kind is moderngl.VertexArray):
                 item.warm(warming)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from avatar.baked_avatar import Avatar
 from command.errors import AssetError
 from player.budget.rung import Rung
+from player.draw.detail import BySize
 from player.effects.background import Background
 from player.gl.context import Context
 from player.scene.effects import Effects
@@ -83,9 +84,8 @@ class Appearance:
 
     def _new_renderer(self, effects: Effects, background: Background, rung: Rung) -> Renderer:
         background, avatars = self._drawn_first(background), rung.prepared(self.avatars)
-        return Renderer(
-            self._context, avatars, None, effects=effects, background=background, level=rung.level, by_size=self.by_size
-        )  # fmt: skip
+        level = BySize(rung.level) if self.by_size else rung.level
+        return Renderer(self._context, avatars, None, effects=effects, background=background, level=level)
 
     def _drawn_first(self, background: Background) -> Background:
         return Background("transparent") if self._over_video else background

@@ -300,7 +300,8 @@ POSE = (np.array(BIG_POSE), np.zeros(3))
 
 
 def drawn(context, avatar, view, amount=1.0, azimuth=0.6, size=(160, 160)):
-    renderer = Renderer(context, [avatar], size, view=view, view_amount=amount)
+    renderer = Renderer(context, [avatar], size, view=view)
+    renderer.view_amount = amount
     image = renderer.draw([POSE], orbit_camera((0, 0, 0), 2.4, azimuth, 0.1, size))
     renderer.release()
     return image

@@ -7,7 +7,7 @@ import pytest
 
 from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import write_avatar
-from player.draw.detail import DENSITY, MARGIN, WAIT, DetailBySize, level_for
+from player.draw.detail import DENSITY, MARGIN, WAIT, BySize, DetailBySize, level_for
 from player.draw.mesh import VERTEX
 from player.film.render import detail_by_size
 from player.film.shot import Shot, ShotRenderer
@@ -104,7 +104,7 @@ def test_a_crowd_costs_fewer_triangles_and_looks_nearly_the_same(context, body, 
     full = Renderer(context, crowd, SIZE, view=view)
     before = full.draw(poses, CAMERA).astype(int)
     full.release()
-    drawn = Renderer(context, crowd, SIZE, view=view, by_size=True)
+    drawn = Renderer(context, crowd, SIZE, view=view, level=BySize())
     picture = drawn.draw(poses, CAMERA).astype(int)
     assert drawn.detail[0] < drawn.detail[1] <= drawn.detail[2] <= drawn.detail[3] == 2
     triangles = [sum(len(who.level(k).faces) for who, k in zip(crowd, d)) for d in ((0,) * 4, drawn.detail)]
@@ -122,7 +122,7 @@ def test_a_crowd_costs_fewer_triangles_and_looks_nearly_the_same(context, body, 
 
 def test_a_change_of_level_makes_no_mesh_texture_or_program(context, body):
     crowd = [body, body, replace(body)]
-    drawn = Renderer(context, crowd, SIZE, view="off", by_size=True)
+    drawn = Renderer(context, crowd, SIZE, view="off", level=BySize())
     try:
         drawn.draw(poses_at(0.0, 12.0, 12.0), CAMERA)
         first, made, sent = drawn.detail, context.counts.objects(), context.counts.uploaded
