@@ -57,64 +57,47 @@ class PlayCommand:
         ValueError: settings that exclude each other.
     """
 
-    avatar: Annotated[
-        tuple[str, ...], Option(positional=True, metavar="AVATAR", several=True),
-        "avatar file (.glb), or builtin, the person that travels with the program (default); several stand side by side"
-    ] = ()
-    scene: Annotated[
-        str | None, WHO, Option(metavar="FILE"), "scene file (.toml) instead of AVATAR, --motion and --live"
-    ] = None
-    motion: Annotated[
-        tuple[str, ...], WHO, Option(metavar="FILE", repeated=True),
-        "pose file, folder of frames, counting (default) or walking: one for all avatars, or once for each, in order"
-    ] = ()
+    avatar: Annotated[tuple[str, ...], Option(positional=True, metavar="AVATAR", several=True),
+        "avatar file (.glb), or builtin, the person that travels with the program (default); several stand side by "
+        "side"] = ()
+    scene: Annotated[str | None, WHO, Option(metavar="FILE"),
+        "scene file (.toml) instead of AVATAR, --motion and --live"] = None
+    motion: Annotated[tuple[str, ...], WHO, Option(metavar="FILE", repeated=True),
+        "pose file, folder of frames, counting (default) or walking: one for all avatars, or once for each, in "
+        "order"] = ()
     at: Annotated[
         tuple[tuple[float, float, float, float], ...], WHO.rare,
         Option(metavar="X,Y,Z[,DEG]", parse=parse_place, repeated=True),
         "where an avatar stands, metres, and how it is turned; once for each, in order"
     ] = ()
-    capture: Annotated[
-        str | None, WHO, Option(metavar="CAPTURE"),
-        "look through the cameras of this capture, its video behind the avatar"
-    ] = None
+    capture: Annotated[str | None, WHO, Option(metavar="CAPTURE"),
+        "look through the cameras of this capture, its video behind the avatar"] = None
     part: Annotated[str, WHO.rare, OneOf(PARTS), "which video of the capture"] = "body"
-    camera_path: Annotated[
-        str | None, CAMERA.rare, Option(metavar="FILE"), "a path of camera keys (.json) to look along"
-    ] = None
+    camera_path: Annotated[str | None, CAMERA.rare, Option(metavar="FILE"),
+        "a path of camera keys (.json) to look along"] = None
     body: Annotated[arguments.BodyOption, WHO.rare] = None
     hands: Annotated[arguments.HandsOption, WHO.rare] = "file"
     ground: Annotated[arguments.GroundOption, WHO.rare] = "auto"
-    size: Annotated[
-        tuple[int, int] | None, MACHINE.rare, AtLeast(1), Option(metavar="WxH", parse=arguments.parse_size),
-        "of the window (default: 1280x800)"
-    ] = None
+    size: Annotated[tuple[int, int] | None, MACHINE.rare, AtLeast(1), Option(metavar="WxH", parse=arguments.parse_size),
+        "of the window (default: 1280x800)"] = None
     effects: Annotated[Mapping[str, Any], LOOKS, EFFECTS, "what is asked of the effects, by field"] = field(
         default_factory=dict
     )
-    background: Annotated[
-        Background | None, LOOKS, Option(metavar="#rrggbb|FILE", parse=arguments.parse_background),
-        "colour (default #2b2d33), a picture, film or panorama (.hdr)"
-    ] = None
-    budget: Annotated[
-        float | None, TIME, Option(metavar="8ms", parse=parse_budget),
-        "view mode and level are the most exact whose frames take no longer on this machine, and follow how busy it is"
-    ] = None
-    level_by_size: Annotated[
-        bool, TIME.rare, "coarser levels of detail for avatars that are small on the screen"
-    ] = False
-    gui: Annotated[
-        bool, MACHINE.rare, Option(("--no-gui",)), "panels are hidden at first: keys and a line of text"
-    ] = True
-    platform: Annotated[
-        str, MACHINE.rare, OneOf(("auto", "null")), "null: no display, drawn by OSMesa in memory (for tests)"
-    ] = "auto"
-    script: Annotated[
-        str | None, MACHINE.rare, Option(metavar="WORDS"),
-        "words done one a frame, as 'space . click:300:200'; then the window closes"
-    ] = None
-    screenshot: Annotated[
-        str | None, MACHINE.rare, Option(metavar="FILE"), "write the last frame shown to a .png"
-    ] = None
+    background: Annotated[Background | None, LOOKS, Option(metavar="#rrggbb|FILE", parse=arguments.parse_background),
+        "colour (default #2b2d33), a picture, film or panorama (.hdr)"] = None
+    budget: Annotated[float | None, TIME, Option(metavar="8ms", parse=parse_budget),
+        "view mode and level are the most exact whose frames take no longer on this machine, and follow how "
+        "busy it is"] = None
+    level_by_size: Annotated[bool, TIME.rare,
+        "coarser levels of detail for avatars that are small on the screen"] = False
+    gui: Annotated[bool, MACHINE.rare, Option(("--no-gui",)),
+        "panels are hidden at first: keys and a line of text"] = True
+    platform: Annotated[str, MACHINE.rare, OneOf(("auto", "null")),
+        "null: no display, drawn by OSMesa in memory (for tests)"] = "auto"
+    script: Annotated[str | None, MACHINE.rare, Option(metavar="WORDS"),
+        "words done one a frame, as 'space . click:300:200'; then the window closes"] = None
+    screenshot: Annotated[str | None, MACHINE.rare, Option(metavar="FILE"),
+        "write the last frame shown to a .png"] = None
     source: Annotated[LiveCommand, "live poses"] = field(default_factory=LiveCommand)
 
     @property

@@ -39,12 +39,10 @@ class Background:
     kind: Annotated[str, OneOf(BACKGROUNDS), "what it is; image, video and hdr need a path"] = "color"
     # premultiplied sRGB
     color: Annotated[RGBA, Color(), "of kind color, and where an image or a video does not reach"] = STUDIO_COLOR
-    path: Annotated[
-        str | None, FilePlace(), "picture; film or folder of frames; panorama (Radiance .hdr, twice as wide as high)"
-    ] = None
-    fit: Annotated[
-        str, OneOf(FITS), "of image and video: cover crops, contain leaves bars of `color`, stretch distorts"
-    ] = "cover"
+    path: Annotated[str | None, FilePlace(),
+        "picture; film or folder of frames; panorama (Radiance .hdr, twice as wide as high)"] = None
+    fit: Annotated[str, OneOf(FITS),
+        "of image and video: cover crops, contain leaves bars of `color`, stretch distorts"] = "cover"
     rate: Annotated[float, Above(0), AtMost(1e4), "frames per second of a folder of frames; a film has its own"] = 30.0
     exposure: Annotated[float, "of hdr, stops: +1 is twice as bright"] = 0.0
     turn_deg: Annotated[float, "of hdr, about the vertical: at 0 a camera in front sees the middle of the panorama"] = (

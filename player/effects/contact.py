@@ -46,9 +46,8 @@ class Contact:
 
     stage: ClassVar[Stage] = Stage.GROUND
 
-    strength: Annotated[
-        float, Above(0), AtMost(1), "share of the sky's light that is lost where all of it is hidden"
-    ] = 0.8
+    strength: Annotated[float, Above(0), AtMost(1),
+        "share of the sky's light that is lost where all of it is hidden"] = 0.8
     height: Annotated[float, AtLeast(-1e4), AtMost(1e4), "of the ground above the world's origin, metres"] = 0.0
 
     def passes(self, draft: Draft) -> Sequence[Pass]:

@@ -13,12 +13,10 @@ class FootLock:
 
     stage: ClassVar[Stage] = Stage.AVATARS
 
-    speed: Annotated[
-        float, Above(0), AtMost(5), "metres a second: a toe slower than this is held, until it is twice as fast"
-    ] = 0.35
-    height: Annotated[
-        float, Above(0), AtMost(1), "metres above where toes stand: a lower one is held, until it is twice as high"
-    ] = 0.03
+    speed: Annotated[float, Above(0), AtMost(5),
+        "metres a second: a toe slower than this is held, until it is twice as fast"] = 0.35
+    height: Annotated[float, Above(0), AtMost(1),
+        "metres above where toes stand: a lower one is held, until it is twice as high"] = 0.03
     farthest: Annotated[float, AtLeast(0), AtMost(1), "metres that a toe is moved at most"] = 0.15
     release: Annotated[float, Above(0), AtMost(5), "seconds in which it comes to its place and is let go"] = 0.15
 

@@ -31,9 +31,8 @@ class Grid:
     height: Annotated[float, AtLeast(-1e4), AtMost(1e4), "above the world's origin, metres"] = 0.0
     radius: Annotated[float, Above(0), AtMost(1e4), "about the avatars, metres; it fades towards its edge"] = 8.0
     color: Annotated[RGBA, Color(opaque=True), "of the lines, opaque"] = (0.55, 0.57, 0.62, 1.0)
-    axes: Annotated[
-        float, AtLeast(0), AtMost(1e3), "length of the world's axes, metres: x red, y green, z blue; 0: none"
-    ] = 1.0
+    axes: Annotated[float, AtLeast(0), AtMost(1e3),
+        "length of the world's axes, metres: x red, y green, z blue; 0: none"] = 1.0
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
         """The lines, and the axes where they have a length."""

@@ -30,19 +30,16 @@ class Ground:
 
     stage: ClassVar[Stage] = Stage.GROUND
 
-    kind: Annotated[
-        str, OneOf(KINDS), "plane: one color; checker: checks of two; shadow: nothing but the shadow, on the background"
-    ] = "plane"
+    kind: Annotated[str, OneOf(KINDS),
+        "plane: one color; checker: checks of two; shadow: nothing but the shadow, on the background"] = "plane"
     color: Annotated[RGBA, Color(opaque=True), "of the floor, opaque"] = FLOOR_COLOR
     height: Annotated[float, AtLeast(-1e4), AtMost(1e4), "of the ground above the world's origin, metres"] = 0.0
-    radius: Annotated[
-        float, Above(0), AtMost(1e3), "of the floor about the avatars, metres; it fades into what is behind"
-    ] = 6.0
+    radius: Annotated[float, Above(0), AtMost(1e3),
+        "of the floor about the avatars, metres; it fades into what is behind"] = 6.0
     check: Annotated[float, Above(0), AtMost(100), "of checker: a check's side, metres"] = 0.5
-    direction: Annotated[
-        tuple[float, float, float],
-        "towards the lamp, world, any length; with `light` by lamps, capture or panorama its brightest lamp instead",
-    ] = (0.4, 0.85, 0.45)  # fmt: skip
+    direction: Annotated[tuple[float, float, float],
+        "towards the lamp, world, any length; with `light` by lamps, capture or panorama its "
+        "brightest lamp instead"] = (0.4, 0.85, 0.45)
     strength: Annotated[float, AtLeast(0), AtMost(1), "of the shadow; 0: none"] = 0.6
     softness: Annotated[float, AtLeast(0), AtMost(20), "size of the lamp, degrees from its middle to its edge"] = 2.0
 

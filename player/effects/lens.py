@@ -24,9 +24,8 @@ class MotionBlur:
 
     stage: ClassVar[Stage] = Stage.PICTURE
 
-    shutter: Annotated[
-        float, Above(0), AtMost(1), "share of the time between two frames in which the shutter is open"
-    ] = 0.5
+    shutter: Annotated[float, Above(0), AtMost(1),
+        "share of the time between two frames in which the shutter is open"] = 0.5
     samples: Annotated[int, AtLeast(2), AtMost(64), "moments of which a frame is the mean"] = 8
 
     def passes(self, draft: Draft) -> Sequence[Pass]:
@@ -40,9 +39,8 @@ class DepthOfField:
     stage: ClassVar[Stage] = Stage.PICTURE
 
     lens: Annotated[float, Above(0), AtMost(1), "diameter of the lens, metres: 0.025 is a 50 mm lens at f/2"] = 0.025
-    focus: Annotated[
-        float, AtLeast(0), AtMost(1e6), "metres before the lens that are sharp; 0: where the first avatar's head is"
-    ] = 0.0
+    focus: Annotated[float, AtLeast(0), AtMost(1e6),
+        "metres before the lens that are sharp; 0: where the first avatar's head is"] = 0.0
     samples: Annotated[int, AtLeast(4), AtMost(256), "places on the lens of which a frame is the mean"] = 24
 
     def passes(self, draft: Draft) -> Sequence[Pass]:

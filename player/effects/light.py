@@ -44,18 +44,13 @@ class Light:
 
     stage: ClassVar[Stage] = Stage.AVATARS
 
-    by: Annotated[
-        str, OneOf(KINDS),
+    by: Annotated[str, OneOf(KINDS),
         "capture: the light of the videos, which stays where it was; albedo: none; lamps: the numbers below; panorama: "
-        "that of `path`, or of a background of kind hdr",
-    ] = "capture"  # fmt: skip
-    path: Annotated[
-        str | None, FilePlace(), "of panorama (Radiance .hdr, twice as wide as high); none: the background"
-    ] = None
-    fit: Annotated[
-        str, OneOf(FITS),
-        "background: brightness and tint of the picture, film or panorama that is behind; none: their own",
-    ] = "none"
+        "that of `path`, or of a background of kind hdr"] = "capture"
+    path: Annotated[str | None, FilePlace(),
+        "of panorama (Radiance .hdr, twice as wide as high); none: the background"] = None
+    fit: Annotated[str, OneOf(FITS),
+        "background: brightness and tint of the picture, film or panorama that is behind; none: their own"] = "none"
     ambient: Annotated[float, AtLeast(0), AtMost(10), "of lamps: light from everywhere"] = 0.5
     direction: Annotated[tuple[float, float, float], "of lamps: towards the first, world, any length"] = FIRST_LAMP
     strength: Annotated[float, AtLeast(0), AtMost(10), "of lamps: the first"] = 0.8

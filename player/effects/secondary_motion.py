@@ -40,9 +40,8 @@ class SecondaryMotion:
 
     stage: ClassVar[Stage] = Stage.AVATARS
 
-    frequency: Annotated[
-        float, Above(0), AtMost(20), "swings a second of what hangs loosest; what is less loose swings faster"
-    ] = 1.6
+    frequency: Annotated[float, Above(0), AtMost(20),
+        "swings a second of what hangs loosest; what is less loose swings faster"] = 1.6
     gravity: Annotated[float, AtLeast(0), AtMost(100), "metres a second, squared"] = 9.81
 
     def passes(self, draft: Draft) -> Sequence[Pass]:

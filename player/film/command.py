@@ -36,84 +36,57 @@ class RenderCommand:
     """
 
     output: Annotated[str, Option(("-o", "--output"), "OUT"), "picture, film or folder to write"]
-    avatar: Annotated[
-        tuple[str, ...], Option(positional=True, metavar="AVATAR", several=True),
-        "avatar file (.glb); several stand side by side"
-    ] = ()
+    avatar: Annotated[tuple[str, ...], Option(positional=True, metavar="AVATAR", several=True),
+        "avatar file (.glb); several stand side by side"] = ()
     scene: Annotated[str | None, WHO, Option(metavar="FILE"), "scene file (.toml) instead of AVATAR, --motion"] = None
-    motion: Annotated[
-        str | None, WHO, Option(metavar="FILE"),
-        "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking (default: T-pose)"
-    ] = None
-    frame: Annotated[
-        int | None, FILM, AtLeast(0), Option(exclusive="which"),
-        "only this frame; with a turntable, the one that is shown from all sides"
-    ] = None
+    motion: Annotated[str | None, WHO, Option(metavar="FILE"),
+        "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking (default: "
+        "T-pose)"] = None
+    frame: Annotated[int | None, FILM, AtLeast(0), Option(exclusive="which"),
+        "only this frame; with a turntable, the one that is shown from all sides"] = None
     frames: Annotated[
         tuple[int | None, int | None] | None, FILM, "draw frames A to B-1",
         Option(metavar="A:B", parse=arguments.parse_frames, exclusive="which")
     ] = None
-    camera: Annotated[
-        str | None, CAMERA, Option(metavar="front|orbit|turntable|FILE"),
+    camera: Annotated[str | None, CAMERA, Option(metavar="front|orbit|turntable|FILE"),
         "fitted to the avatar (default: front); a camera or a camera path (.json); cameras.npz or the folder of a "
-        "capture, CAPTURE:head for its head video"
-    ] = None
-    seconds: Annotated[
-        float | None, CAMERA.rare, AtLeast(TURNS[0]), AtMost(TURNS[1]), Option(metavar="S"),
-        "one turn of orbit (default: the film) or turntable (6)"
-    ] = None
-    size: Annotated[
-        tuple[int, int] | None, FILM, AtLeast(1), Option(metavar="WxH", parse=arguments.parse_size),
-        "pixels (default: the camera file's, else 640x640)"
-    ] = None
+        "capture, CAPTURE:head for its head video"] = None
+    seconds: Annotated[float | None, CAMERA.rare, AtLeast(TURNS[0]), AtMost(TURNS[1]), Option(metavar="S"),
+        "one turn of orbit (default: the film) or turntable (6)"] = None
+    size: Annotated[tuple[int, int] | None, FILM, AtLeast(1), Option(metavar="WxH", parse=arguments.parse_size),
+        "pixels (default: the camera file's, else 640x640)"] = None
     background: Annotated[
         Background | None, LOOKS, Option(metavar="#rrggbb|transparent|FILE", parse=arguments.parse_background),
         "colour (default #2b2d33), nothing, a picture, film or panorama (.hdr)"
     ] = None
-    rate: Annotated[
-        float | None, FILM.rare, AtLeast(FILM_RATES[0]), AtMost(FILM_RATES[1]), Option(metavar="HZ"),
-        "frames a second of the film (default: the motion's, halved, cut to a third ... where that is above 60)"
-    ] = None
+    rate: Annotated[float | None, FILM.rare, AtLeast(FILM_RATES[0]), AtMost(FILM_RATES[1]), Option(metavar="HZ"),
+        "frames a second of the film (default: the motion's, halved, cut to a third ... where that is above 60)"] = None
     effects: Annotated[Mapping[str, Any], LOOKS, EFFECTS, "what is asked of the effects, by field"] = field(
         default_factory=dict
     )
-    quality: Annotated[
-        str, TIME, Option(metavar="draft|good|best|0..1", parse=arguments.parse_quality),
-        "draft: level 2, paper colours, jagged edges, small file; best: the avatar's own view model per pixel, "
-        "MSAA, large file; a number: view mode and mesh from the fastest (0) to the most exact (1), by what they cost "
-        "on this machine; single options go before it"
-    ] = "good"
-    budget: Annotated[
-        float | None, TIME, Option(metavar="8ms", parse=parse_budget),
+    quality: Annotated[str, TIME, Option(metavar="draft|good|best|0..1", parse=arguments.parse_quality),
+        "draft: level 2, paper colours, jagged edges, small file; best: the avatar's own view model per pixel, MSAA, "
+        "large file; a number: view mode and mesh from the fastest (0) to the most exact (1), by what they cost on "
+        "this machine; single options go before it"] = "good"
+    budget: Annotated[float | None, TIME, Option(metavar="8ms", parse=parse_budget),
         "view mode and mesh are the most exact whose frames take no longer (p95), as measured on this machine once and "
-        "kept; or 120fps"
-    ] = None
+        "kept; or 120fps"] = None
     level: Annotated[int | None, TIME.rare, AtLeast(0), AtMost(99), "level of detail, 0 the finest"] = None
-    level_by_size: Annotated[
-        bool, TIME.rare,
-        "each avatar at the coarsest level that does for its largest size in the film, none finer than --level"
-    ] = False
+    level_by_size: Annotated[bool, TIME.rare,
+        "each avatar at the coarsest level that does for its largest size in the film, none finer than --level"] = False
     body: Annotated[arguments.BodyOption, WHO.rare] = None
     hands: Annotated[arguments.HandsOption, WHO.rare] = "file"
     ground: Annotated[arguments.GroundOption, WHO.rare] = "auto"
-    encoder: Annotated[
-        str, FILM.rare, Option(metavar="auto|software|NAME"),
-        "of .mp4: auto takes the GPU's if it really encodes a frame, else x264"
-    ] = "auto"
+    encoder: Annotated[str, FILM.rare, Option(metavar="auto|software|NAME"),
+        "of .mp4: auto takes the GPU's if it really encodes a frame, else x264"] = "auto"
     resume: Annotated[bool, FILM.rare, "go on with the parts that an earlier run of this film left"] = False
-    part: Annotated[
-        tuple[int, int] | None, FILM.rare, Option(metavar="K/N", parse=arguments.parse_share),
-        "draw only the Kth of N shares of the film; --resume then joins them"
-    ] = None
-    workers: Annotated[
-        str | None, FILM.rare, Option(metavar="ADDRESS|N", parse=arguments.parse_workers),
-        "draw on a Dask cluster, or on N processes of this machine"
-    ] = None
+    part: Annotated[tuple[int, int] | None, FILM.rare, Option(metavar="K/N", parse=arguments.parse_share),
+        "draw only the Kth of N shares of the film; --resume then joins them"] = None
+    workers: Annotated[str | None, FILM.rare, Option(metavar="ADDRESS|N", parse=arguments.parse_workers),
+        "draw on a Dask cluster, or on N processes of this machine"] = None
     context: Annotated[str, MACHINE.rare, OneOf(("auto", "egl", "osmesa")), "how to reach OpenGL"] = "auto"
-    gpu: Annotated[
-        int | str | None, MACHINE.rare, Option(metavar="N|NODE", parse=arguments.parse_gpu),
-        "this GPU only, counted as CUDA counts, or its DRM node, as /dev/dri/renderD128"
-    ] = None
+    gpu: Annotated[int | str | None, MACHINE.rare, Option(metavar="N|NODE", parse=arguments.parse_gpu),
+        "this GPU only, counted as CUDA counts, or its DRM node, as /dev/dri/renderD128"] = None
     explain: Annotated[bool, TIME, "print which passes ran, why, and what each costs"] = False
     json: Annotated[str | None, TIME.rare, Option(metavar="FILE"), "write what --explain prints to a file"] = None
 

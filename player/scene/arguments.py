@@ -114,25 +114,18 @@ MACHINE = OptionGroup("the machine and the window")
 
 # options that several commands have
 AvatarOption = Annotated[str, Option(positional=True, metavar="AVATAR"), "avatar file (.glb)"]
-MotionOption = Annotated[
-    str, Option(metavar="FILE"),
-    "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking",
-]  # fmt: skip
-FramesOption = Annotated[
-    tuple[int | None, int | None] | None, Option(metavar="A:B", parse=parse_frames), "only frames A to B-1"
-]
-BodyOption = Annotated[
-    str | None, Option(metavar="MODEL"), "SMPL+H model (.npz, .pkl) that the pose file was made for"
-]
-HandsOption = Annotated[
-    str, OneOf(HANDS),
-    "the motion's hands: file as they are (flat where there are none), flat, relaxed, or mean, the mean hands of --body"
-]
-GroundOption = Annotated[
-    str, OneOf(GROUNDS),
+MotionOption = Annotated[str, Option(metavar="FILE"),
+    "pose file (.npz, .pkl, .bvh, .glb, .json ...), folder of frames, or: counting, walking"]
+FramesOption = Annotated[tuple[int | None, int | None] | None, Option(metavar="A:B", parse=parse_frames),
+    "only frames A to B-1"]
+BodyOption = Annotated[str | None, Option(metavar="MODEL"),
+    "SMPL+H model (.npz, .pkl) that the pose file was made for"]
+HandsOption = Annotated[str, OneOf(HANDS),
+    "the motion's hands: file as they are (flat where there are none), flat, relaxed, or mean, the mean hands of "
+    "--body"]
+GroundOption = Annotated[str, OneOf(GROUNDS),
     "find: the motion is moved up or down so that the soles touch the ground; keep: the file's heights; auto: keep "
-    "before a camera file or a capture, else find",
-]  # fmt: skip
+    "before a camera file or a capture, else find"]
 
 
 def add_effects(add: Callable[..., None]) -> None:

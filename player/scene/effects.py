@@ -38,22 +38,15 @@ class Makes(NamedTuple):
 class Effects:
     """How avatars are drawn."""
 
-    view: Annotated[
-        str, OneOf(("auto", *VIEWS)), "view dependence: off is the paper; auto picks by avatar and device"
-    ] = "auto"
-    skinning: Annotated[
-        str, OneOf(SKINNINGS), "linear blend, or dual quaternions, which keep volume where joints twist"
-    ] = "lbs"
-    antialiasing: Annotated[
-        str,
-        OneOf(ANTIALIASINGS),
-        Makes({"auto": BestAntialiasing, "fxaa": Fxaa, "msaa": Msaa}),
+    view: Annotated[str, OneOf(("auto", *VIEWS)),
+        "view dependence: off is the paper; auto picks by avatar and device"] = "auto"
+    skinning: Annotated[str, OneOf(SKINNINGS),
+        "linear blend, or dual quaternions, which keep volume where joints twist"] = "lbs"
+    antialiasing: Annotated[str, OneOf(ANTIALIASINGS), Makes({"auto": BestAntialiasing, "fxaa": Fxaa, "msaa": Msaa}),
         "smooth outlines: fxaa filters them in the finished picture, msaa takes 4 samples a pixel; auto is msaa on a "
-        "GPU and fxaa on a software rasteriser",
-    ] = "auto"
-    light: Annotated[
-        Light | None, "avatars lit anew, not in the colors they were filmed in: by the capture's light, none, or lamps"
-    ] = None
+        "GPU and fxaa on a software rasteriser"] = "auto"
+    light: Annotated[Light | None,
+        "avatars lit anew, not in the colors they were filmed in: by the capture's light, none, or lamps"] = None
     ground: Annotated[Ground | None, "a floor to stand on, and the shadow on it"] = None
     contact: Annotated[Contact | None, "dark where feet touch the ground and limbs come near the body"] = None
     foot_lock: Annotated[FootLock | None, "feet of motions that slide are held where they stand"] = None
@@ -63,9 +56,8 @@ class Effects:
     depth_of_field: Annotated[DepthOfField | None, "what is nearer or farther than the focus is blurred, in films"] = (
         None
     )
-    secondary_motion: Annotated[
-        SecondaryMotion | None, "hair, skirts and sleeves swing, where the avatar's file says what is loose"
-    ] = None
+    secondary_motion: Annotated[SecondaryMotion | None,
+        "hair, skirts and sleeves swing, where the avatar's file says what is loose"] = None
 
     def effects(self) -> Iterator[tuple[Setting, Stage, Effect | None]]:
         """Every field that can ask for an effect: where in a frame it draws, and what it asks for."""

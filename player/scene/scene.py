@@ -28,24 +28,17 @@ BUILTIN_AVATARS = (BUILTIN, *MANNEQUINS)
 class SceneAvatar:
     """One avatar on stage."""
 
-    path: Annotated[
-        str,
-        FilePlace(BUILTIN_AVATARS),
-        "avatar file (.glb); builtin: a person that travels with the program; mannequin, mannequin:female: a body",
-    ]
-    motion: Annotated[
-        str | None, FilePlace(BUILTIN_MOTIONS), "pose file, folder of frames, counting or walking; none: T-pose"
-    ] = None
+    path: Annotated[str, FilePlace(BUILTIN_AVATARS),
+        "avatar file (.glb); builtin: a person that travels with the program; mannequin, mannequin:female: a body"]
+    motion: Annotated[str | None, FilePlace(BUILTIN_MOTIONS),
+        "pose file, folder of frames, counting or walking; none: T-pose"] = None
     live: Annotated[str | None, "vmc:PORT, udp:PORT or ws:PORT, instead of a motion (play only)"] = None
     at: Annotated[tuple[float, float, float], "metres, added to where the motion puts it"] = (0.0, 0.0, 0.0)
     turn_deg: Annotated[float, "about the vertical through the world's origin, before `at`"] = 0.0
     hands: Annotated[str, OneOf(HANDS), "the motion's hands; mean needs `body`"] = "file"
-    ground: Annotated[
-        str,
-        OneOf(GROUNDS),
-        "find: the motion is moved so that the soles touch the ground; keep: the file's heights; "
-        "auto: keep before cameras that were measured (file, capture), else find",
-    ] = "auto"
+    ground: Annotated[str, OneOf(GROUNDS),
+        "find: the motion is moved so that the soles touch the ground; keep: the file's heights; auto: keep before "
+        "cameras that were measured (file, capture), else find"] = "auto"
     body: Annotated[str | None, FilePlace(), "SMPL+H model (.npz, .pkl) that the pose file was made for"] = None
     start: Annotated[float, AtLeast(0), AtMost(1e9), "seconds into the motion at which the scene begins"] = 0.0
 
@@ -63,21 +56,15 @@ class SceneAvatar:
 class SceneCamera:
     """One camera. Render uses the first, play switches between them."""
 
-    kind: Annotated[
-        str, OneOf(CAMERAS), "front, orbit and turntable are fitted to the avatars; the others need a path"
-    ] = "front"
-    path: Annotated[
-        str | None, FilePlace(), "of file: a camera; of path: keys of a camera path; of capture: its folder"
-    ] = None
+    kind: Annotated[str, OneOf(CAMERAS),
+        "front, orbit and turntable are fitted to the avatars; the others need a path"] = "front"
+    path: Annotated[str | None, FilePlace(),
+        "of file: a camera; of path: keys of a camera path; of capture: its folder"] = None
     name: Annotated[str | None, "what the window calls it; of capture, the part: body, head, hand_left, hand_right"] = (
         None
     )
-    seconds: Annotated[
-        float | None,
-        AtLeast(TURNS[0]),
-        AtMost(TURNS[1]),
-        "of orbit and turntable: one round; none: the length of the motion",
-    ] = None
+    seconds: Annotated[float | None, AtLeast(TURNS[0]), AtMost(TURNS[1]),
+        "of orbit and turntable: one round; none: the length of the motion"] = None
     fov_deg: Annotated[float | None, AtLeast(0.01), "of the fitted cameras: vertical field of view; none: 35"] = None
 
     def __post_init__(self):
@@ -94,24 +81,14 @@ class Scene:
     """Everything that render and play show."""
 
     avatars: Annotated[tuple[SceneAvatar, ...], Rows("avatar", 1, MOST_AVATARS), "who is on stage, one [[avatar]] each"]
-    cameras: Annotated[
-        tuple[SceneCamera, ...], Rows("camera", 0, MOST_AVATARS), "where from, one [[camera]] each; none: front"
-    ] = (SceneCamera(),)
+    cameras: Annotated[tuple[SceneCamera, ...], Rows("camera", 0, MOST_AVATARS),
+        "where from, one [[camera]] each; none: front"] = (SceneCamera(),)
     background: Annotated[Background, "what is behind them"] = STUDIO
     effects: Annotated[Effects, "how they are drawn"] = USUAL
-    size: Annotated[
-        tuple[int, int] | None,
-        AtLeast(1),
-        "width and height, pixels; none: the camera file's, else 640 x 640",
-    ] = None
-    rate: Annotated[
-        float | None,
-        AtLeast(FILM_RATES[0]),
-        AtMost(FILM_RATES[1]),
-        "frames per second; none: the first motion's",
-    ] = None
-    level_by_size: Annotated[
-        bool,
+    size: Annotated[tuple[int, int] | None, AtLeast(1),
+        "width and height, pixels; none: the camera file's, else 640 x 640"] = None
+    rate: Annotated[float | None, AtLeast(FILM_RATES[0]), AtMost(FILM_RATES[1]),
+        "frames per second; none: the first motion's"] = None
+    level_by_size: Annotated[bool,
         "avatars that are small in the picture are drawn with fewer triangles: in a film each at the coarsest level "
-        "that does for its largest size, in the window for its size now",
-    ] = False
+        "that does for its largest size, in the window for its size now"] = False
