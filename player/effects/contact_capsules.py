@@ -116,6 +116,46 @@ def openness(
     return out
 
 
+def capsule_distances(
+    points: Float[Array, "n 3"], starts: Float[Array, "capsules 3"], ends: Float[Array, "capsules 3"]
+) -> Float[Array, "n capsules"]:
+    """From each point to the line in the middle of each capsule."""
+    return np.sqrt(np.maximum(squared_distances(points, starts, ends), 0)).T
+
+
+def squared_distances(points: Array, starts: Array, ends: Array) -> Float[Array, "capsules n"]:
+    """The distances' squares, to rounding.
+
+    |p - s - t a|^2 = |p - s|^2 + t (t - 2 q) |a|^2        q = (p - s) a / |a|^2, t = q between 0 and 1
+
+    |p - s|^2 and q are linear in (p, |p|^2, 1): one product of matrices, the rest in place.
+    """
+    count = len(starts)
+    along = ends - starts
+    length2 = np.maximum(np.einsum("ki,ki->k", along, along), 1e-18)[:, None]
+    linear = np.empty((2 * count, 5))
+    linear[:count, :3] = along
+    linear[:count, 3] = 0
+    linear[:count, 4] = -np.einsum("ki,ki->k", starts, along)
+    linear[:count] /= length2
+    linear[count:, :3] = -2 * starts
+    linear[count:, 3] = 1
+    linear[count:, 4] = np.einsum("ki,ki->k", starts, starts)
+    lifted = np.empty((5, len(points)))
+    lifted[:3] = points.T
+    lifted[3] = np.einsum("ni,ni->n", points, points)
+    lifted[4] = 1
+    products = linear @ lifted
+    q, out = products[:count], products[count:]
+    share = np.minimum(np.maximum(q, 0), 1)
+    q *= -2
+    q += share
+    q *= share
+    q *= length2
+    out += q
+    return out
+
+
 def _nearest(points: Array, start: Array, end: Array) -> Float[Array, "n 3"]:
     """The point of a segment nearest to each point."""
     along = end - start

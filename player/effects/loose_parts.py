@@ -17,9 +17,8 @@ from avatar.skeleton import joint_transforms
 from avatar.skinning import dense_weights
 from player.draw.drawing import Pose
 from player.draw.posing import Poser
-from player.effects.contact_capsules import BONES, capsules_of
+from player.effects.contact_capsules import BONES, capsule_distances, capsules_of
 from player.effects.held_feet import GROWN, LEGS, leg_bones
-from player.effects.loose_capsules import capsule_distances
 
 Array = np.ndarray
 

@@ -8,8 +8,9 @@ looks as filmed.
 """
 
 import numpy as np
+from jaxtyping import Float
 
-from player.effects.loose_capsules import Apart
+from player.effects.contact_capsules import squared_distances
 from player.effects.loose_parts import DrivenPose, LooseParts, lengths_of, ways
 from player.effects.secondary_motion import SecondaryMotion
 
@@ -22,6 +23,37 @@ DAMPING = 0.3  # share of critical damping
 STIFFEST = 0.05
 # at most, of the last push out of the capsules, and metres in which they may leave a particle
 PUSHES, DEEPEST = 4, 1e-3
+
+
+class Apart:
+    """How far particles keep off capsules."""
+
+    def __init__(self, radii: Float[Array, "particles capsules"], least: float):
+        """radii: what a particle keeps off the line in the middle; deeper in than `least` it is moved."""
+        self._radii = np.ascontiguousarray(radii.T)
+        self._limits = np.where(self._radii > least, (self._radii - least) ** 2, -1.0)
+
+    def pushed(self, y: Float[Array, "particles 3"], ends: Float[Array, "2 capsules 3"]) -> Array | None:
+        """The particles, each moved out of the capsule that it is deepest in; None: none is deep in any."""
+        if not self._limits.size:
+            return None
+        within = squared_distances(y, *ends) < self._limits
+        if not within.any():
+            return None
+        which, own = np.nonzero(within)
+        start = ends[0][which]
+        along = ends[1][which] - start
+        point = y[own] - start
+        length2 = np.maximum(np.einsum("nc,nc->n", along, along), 1e-18)
+        share = np.minimum(np.maximum(np.einsum("nc,nc->n", point, along) / length2, 0), 1)
+        off = point - share[:, None] * along
+        far = np.sqrt(np.einsum("nc,nc->n", off, off))
+        deep = self._radii[which, own] - far
+        # the deepest is written last
+        order = np.argsort(deep, kind="stable")
+        out = y.copy()
+        out[own[order]] = (y[own] + (deep / np.maximum(far, 1e-9))[:, None] * off)[order]
+        return out
 
 
 class Sheets:

@@ -7,7 +7,7 @@ import pytest
 from loose_avatar import dressed
 from loose_paths import dance, gently, moved
 
-from player.effects.loose_capsules import capsule_distances
+from player.effects.contact_capsules import capsule_distances
 from player.effects.loose_motion import CALM, LONGEST, LooseMotion
 from player.effects.loose_parts import PARTICLES, LooseParts, loose_parts
 from player.effects.loose_sheets import REACH
