@@ -119,9 +119,7 @@ class Drawing:
             buffer.write(content())
         return buffer
 
-    def bind(
-        self, handle: Handle[moderngl.Buffer], block: str, content: Callable[[], bytes | np.ndarray]
-    ) -> None:
+    def bind(self, handle: Handle[moderngl.Buffer], block: str, content: Callable[[], bytes | np.ndarray]) -> None:
         """Bind a uniform block with its content of this frame."""
         self.write(handle, content).bind_to_uniform_block(BINDING[block][1])
 

@@ -9,6 +9,7 @@ of a scene that never asked for it.
 `player/effects/` holds the effects, one a file; `resolve` in `player/scene/effects.py` asks each for its passes.
 """
 
+import re
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
@@ -24,7 +25,7 @@ from avatar.baked_avatar import Avatar, Level
 from avatar.skeleton import JOINTS
 from player.draw.drawing import Drawing, FrameInputs, Layer, Pose, Warming
 from player.draw.mesh import attributes_read, draw_order
-from player.draw.resources import KINDS, AnyHandle, Handle, Image, PlanResources
+from player.draw.resources import AnyHandle, Handle, Image, PlanResources
 from player.gl.blocks import BINDING, FRAME, bind_block
 from player.gl.shader import compile_program
 from player.gl.tiles import Patches
@@ -159,7 +160,8 @@ class Plan:
 
     def objects(self) -> dict[str, int]:
         """Live GL objects by kind, when exactly this plan is made: tests hold the counts against it."""
-        return dict(Counter(KINDS[handle.kind] for handle in self.handles))
+        names = (re.sub(r"\B(?=[A-Z])", "_", handle.kind.__name__).lower() for handle in self.handles)
+        return dict(Counter(names))
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,7 @@ class PosedMesh:
     def handles(self) -> tuple[AnyHandle, ...]:
         return (self.vertices, self.faces, *(handle for _, handle in self.blocks))
 
-    def array(
-        self, draft: Draft, program: Handle[moderngl.Program], *more: Attributes
-    ) -> Handle[moderngl.VertexArray]:
+    def array(self, draft: Draft, program: Handle[moderngl.Program], *more: Attributes) -> Handle[moderngl.VertexArray]:
         """The mesh as a program reads it, with further attributes of its vertices."""
         return draft.array(program, (self.vertices, *BASE), *more, faces=self.faces)
 

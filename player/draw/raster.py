@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from avatar.camera import Camera, clip_from_view, view_from_world
 from player.gl.context import Context
-from player.gl.shader import compile_program, uniform
+from player.gl.shader import compile_program, set_uniforms
 
 # a float32 counts no further
 MAX_FACES = 1 << 24
@@ -73,26 +73,19 @@ class Rasteriser:
         view = view_from_world(camera)
         points = np.asarray(vertices_world, np.float64) @ view[:3, :3].T + view[:3, 3]
         planes = clip_planes(-points[faces.reshape(-1), 2])
-        if planes is None:
-            return Fragments(
-                np.full((height, width), -1, np.int32),
-                np.zeros((height, width, 3), np.float32),
-                np.full((height, width), np.inf, np.float32),
-            )
-
-        self.context.make_current()
-        gl = self.context.gl
-        self._use_target((width, height))
-        self._use_vertices(points.astype(np.float32)[faces])
-        assert self.vertex_array is not None and self.target is not None
-        uniform(self.program, "clip_from_view").write(clip_from_view(camera, *planes).T.astype("f4").tobytes())
-        gl.enable_only(moderngl.DEPTH_TEST | (moderngl.CULL_FACE if cull else 0))
-        gl.front_face, gl.cull_face = "ccw", "back"
-        self.target.clear()
-        self.vertex_array.render(moderngl.TRIANGLES, vertices=3 * len(faces))
-        raw = np.frombuffer(self.target.read(components=4, dtype="f4"), np.float32)
-        raw = raw.reshape(height, width, 4)[::-1]
-
+        raw = np.zeros((height, width, 4), np.float32)
+        if planes is not None:
+            self.context.make_current()
+            gl = self.context.gl
+            self._use_target((width, height))
+            self._use_vertices(points.astype(np.float32)[faces])
+            assert self.vertex_array is not None and self.target is not None
+            set_uniforms(self.program, clip_from_view=clip_from_view(camera, *planes).T)
+            gl.enable_only(moderngl.DEPTH_TEST | (moderngl.CULL_FACE if cull else 0))
+            gl.front_face, gl.cull_face = "ccw", "back"
+            self.target.clear()
+            self.vertex_array.render(moderngl.TRIANGLES, vertices=3 * len(faces))
+            raw = np.frombuffer(self.target.read(components=4, dtype="f4"), np.float32).reshape(raw.shape)[::-1]
         face = raw[..., 0].astype(np.int32) - 1
         hit = face >= 0
         barycentric = np.empty((height, width, 3), np.float32)

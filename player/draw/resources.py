@@ -15,14 +15,6 @@ from player.gl.blocks import BINDING
 from player.gl.context import Context
 
 T = TypeVar("T")
-KINDS = {
-    moderngl.Buffer: "buffer",
-    moderngl.Texture: "texture",
-    moderngl.Renderbuffer: "renderbuffer",
-    moderngl.Framebuffer: "framebuffer",
-    moderngl.Program: "program",
-    moderngl.VertexArray: "vertex_array",
-}
 
 
 @dataclass(frozen=True)

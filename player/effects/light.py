@@ -140,12 +140,6 @@ class AvatarLight:
         return 1 if not self.gleams else 2 if self.light.gamma == 1 else 3
 
     @property
-    def note(self) -> str:
-        """For people: the end of a pass's reason."""
-        lamps = plural(len(self.light.lamps), "lamp")
-        return f", lit by ambient {self.light.ambient:.2f} and {lamps}{self.explanation}"
-
-    @property
     def buffer(self) -> Attributes:
         """What a vertex array gains."""
         return (self.vertices, *ATTRIBUTES)
@@ -188,7 +182,8 @@ def light_of(draft: Draft, avatar: int) -> AvatarLight | None:
 def light_note(draft: Draft, avatar: int, light: AvatarLight | None) -> str:
     """For people: the end of a pass's reason."""
     if light is not None:
-        return light.note
+        lamps = plural(len(light.light.lamps), "lamp")
+        return f", lit by ambient {light.light.ambient:.2f} and {lamps}{light.explanation}"
     asked = draft.asked(Light) is not None and draft.avatars[avatar].light is None
     return ", not lit anew: its file has no light" if asked else ""
 

@@ -68,18 +68,11 @@ class AvatarShading(NamedTuple):
     @property
     def handles(self) -> tuple[AnyHandle, ...]:
         """What its variants read, each object once."""
-        out: list[AnyHandle] = [variant.array for variant in self.variants]
-        first = self.variants[0]
-        if first.light is not None:
-            out.append(first.light.vertices)
-        if first.contact is not None:
-            out += [first.contact.block, first.contact.vertices, first.contact.normals]
-        if first.loose is not None:
-            out += first.loose.handles
-        # a program of its own, where several avatars do not share it
-        if len(self.variants) > 1 or first.light is not None:
-            out += [variant.program for variant in self.variants]
-        return tuple(out)
+        light, contact, loose = self.variants[0][2:]
+        out: list[AnyHandle] = [handle for variant in self.variants for handle in variant[:2]]
+        out += [] if light is None else [light.vertices]
+        out += [] if contact is None else [contact.block, contact.vertices, contact.normals]
+        return (*out, *(() if loose is None else loose.handles))
 
 
 def shading_of(draft: Draft, who: int, mesh: PosedMesh, *more: Attributes, **program: Any) -> AvatarShading:
