@@ -74,7 +74,7 @@ def export_main(argv: list[str]) -> int:
     avatar = opened_avatar(options.avatar)
     ground = ground_for(options.ground, ())
     motion = motion_for(avatar, options.motion, body=options.body, hands=options.hands, ground=ground)
-    start, stop = frame_range(motion, None, options.frames, single=False)
+    start, stop = frame_range(motion.name, motion.frames, options.frames)
     fitted = replace(motion, frames=stop - start, block=lambda a, b: motion.block(start + a, start + b))
     try:
         if kind == ".bvh":

@@ -1,10 +1,10 @@
 """`selfscan play`: avatars in a window, moved by files or by live poses."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from player.gl.context import NoContextError
 from player.live.command import LiveCommand
 from player.scene import arguments
 from player.scene.address import Address, parse_address
-from player.scene.arguments import CAMERA, EFFECTS, LOOKS, MACHINE, TIME, WHO
+from player.scene.arguments import CAMERA, LOOKS, MACHINE, TIME, WHO
 from player.scene.effects import Effects
 from player.scene.motions import beside
 from player.scene.scene import BUILTIN, Scene, SceneAvatar, SceneCamera
@@ -80,9 +80,7 @@ class PlayCommand:
     ground: Annotated[arguments.GroundOption, WHO.rare] = "auto"
     size: Annotated[tuple[int, int] | None, MACHINE.rare, AtLeast(1), Option(metavar="WxH", parse=arguments.parse_size),
         "of the window (default: 1280x800)"] = None
-    effects: Annotated[Mapping[str, Any], LOOKS, EFFECTS, "what is asked of the effects, by field"] = field(
-        default_factory=dict
-    )
+    effects: arguments.EffectsOption = field(default_factory=dict)
     background: Annotated[Background | None, LOOKS, Option(metavar="#rrggbb|FILE", parse=arguments.parse_background),
         "colour (default #2b2d33), a picture, film or panorama (.hdr)"] = None
     budget: Annotated[float | None, TIME, Option(metavar="8ms", parse=parse_budget),
@@ -153,7 +151,8 @@ def scene_of(command: PlayCommand) -> Scene:
         cameras.insert(0, SceneCamera("path", command.camera_path))
     if command.capture:
         cameras.insert(0, SceneCamera("capture", command.capture, command.part))
-    return arguments.with_options(replace(scene, cameras=tuple(cameras)), command)
+    scene, effects = replace(scene, cameras=tuple(cameras)), arguments.with_effects(scene.effects, command.effects)
+    return arguments.with_options(scene, effects, command.size, command.background, command.level_by_size)
 
 
 def _avatars(command: PlayCommand) -> tuple[SceneAvatar, ...]:

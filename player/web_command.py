@@ -60,7 +60,7 @@ def web_main(argv: list[str]) -> int:
     avatar = opened_avatar(command.avatar, None if command.levels == "all" else int(command.levels))
     ground = ground_for(command.ground, ())
     motion = motion_for(avatar, command.motion, body=command.body, hands=command.hands, ground=ground)
-    start, stop = frame_range(motion, None, command.frames, single=False)
+    start, stop = frame_range(motion.name, motion.frames, command.frames)
     title = command.title or PEOPLE.get(avatar.name, avatar.name)
     written = write_page(command.output, avatar, motion, start, stop, title)
     for note in motion.notes:

@@ -1,8 +1,7 @@
 """`selfscan render`: avatars and a motion become a picture, frames or a film."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated
 
 from command.command_line import Help, Option, parse
 from command.settings import AtLeast, AtMost, OneOf
@@ -10,7 +9,7 @@ from player.budget.ladder import parse_budget
 from player.effects.background import Background
 from player.film.film import film_kind
 from player.scene import arguments
-from player.scene.arguments import CAMERA, EFFECTS, FILM, LOOKS, MACHINE, QUALITIES, TIME, WHO
+from player.scene.arguments import CAMERA, FILM, LOOKS, MACHINE, QUALITIES, TIME, WHO
 from player.scene.scene import FILM_RATES, TURNS
 
 EXAMPLES = """examples
@@ -61,9 +60,7 @@ class RenderCommand:
     ] = None
     rate: Annotated[float | None, FILM.rare, AtLeast(FILM_RATES[0]), AtMost(FILM_RATES[1]), Option(metavar="HZ"),
         "frames a second of the film (default: the motion's, halved, cut to a third ... where that is above 60)"] = None
-    effects: Annotated[Mapping[str, Any], LOOKS, EFFECTS, "what is asked of the effects, by field"] = field(
-        default_factory=dict
-    )
+    effects: arguments.EffectsOption = field(default_factory=dict)
     quality: Annotated[str, TIME, Option(metavar="draft|good|best|0..1", parse=arguments.parse_quality),
         "draft: level 2, paper colours, jagged edges, small file; best: the avatar's own view model per pixel, MSAA, "
         "large file; a number: view mode and mesh from the fastest (0) to the most exact (1), by what they cost on "

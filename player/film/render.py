@@ -29,7 +29,7 @@ from player.film.parts import LENGTH, Parts
 from player.film.shot import FULL, Shot, ShotRenderer, with_whole_paths
 from player.film.stage import Fit, Stage, camera_from_option
 from player.gl.context import Context, opened
-from player.scene.arguments import with_options
+from player.scene.arguments import with_effects, with_options
 from player.scene.effects import Effects
 from player.scene.framing import evenly
 from player.scene.motions import beside, frame_range
@@ -77,10 +77,10 @@ def render_stage(command: RenderCommand, stage: Stage, context: Context | None) 
     stage.scene = replace(stage.scene, effects=effects_for(command.quality, stage.scene.effects, stage.avatars))
     kind, frame = film_kind(command.output), command.frame
     if frame is not None and stage.camera.kind == "turntable" and stage.still is None:
-        frame_range(stage, frame, None, single=True)
+        frame_range(stage.name, stage.frames, None, frame)
         stage.hold(frame)
         frame = None
-    start, stop = frame_range(stage, frame, command.frames, single=kind == ".png")
+    start, stop = frame_range(stage.name, stage.frames, command.frames, frame, kind == ".png")
     if kind == ".png":
         if stage.frames > 1:
             other = "" if frame is not None else "; --frame N draws another"
@@ -190,7 +190,8 @@ def scene_of(command: RenderCommand) -> Scene:
     if command.seconds is not None:
         camera = replace((scene.cameras or (SceneCamera(),))[0], seconds=command.seconds)
         scene = replace(scene, cameras=(camera,))
-    return with_options(scene, command)
+    effects = with_effects(scene.effects, command.effects)
+    return with_options(scene, effects, command.size, command.background, command.level_by_size)
 
 
 def effects_for(quality: str, effects: Effects, avatars: Sequence[Avatar]) -> Effects:

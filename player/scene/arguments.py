@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 from avatar.motion.hands import HANDS
 from command.command_line import Option, OptionGroup, Several
@@ -159,25 +159,15 @@ def with_effects(effects: Effects, asked: Mapping[str, Any]) -> Effects:
     return replace(effects, **{name: value for name, value in asked.items() if name not in set_up})
 
 
-class SceneOptions(Protocol):
-    """What commands that draw a scene say over it; a None is left to the scene."""
-
-    @property
-    def effects(self) -> Mapping[str, Any]: ...
-    @property
-    def size(self) -> tuple[int, int] | None: ...
-    @property
-    def background(self) -> Background | None: ...
-    @property
-    def level_by_size(self) -> bool: ...
+def with_options(
+    scene: Scene, effects: Effects, size: tuple[int, int] | None, background: Background | None, level_by_size: bool
+) -> Scene:
+    """The scene with what a command says over it; a None is left to the scene."""
+    by_size = scene.level_by_size or level_by_size
+    background, size = background or scene.background, size or scene.size
+    return replace(scene, effects=effects, size=size, background=background, level_by_size=by_size)
 
 
-def with_options(scene: Scene, given: SceneOptions) -> Scene:
-    """The scene with what a command says over it."""
-    return replace(
-        scene, effects=with_effects(scene.effects, given.effects), size=given.size or scene.size,
-        background=given.background or scene.background, level_by_size=scene.level_by_size or given.level_by_size,
-    )  # fmt: skip
-
-
-EFFECTS = Several(add_effects, asked_effects)
+EffectsOption = Annotated[
+    Mapping[str, Any], LOOKS, Several(add_effects, asked_effects), "what is asked of the effects, by field"
+]

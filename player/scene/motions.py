@@ -1,7 +1,6 @@
 """The motion of each avatar on screen: opened for its skeleton, fitted to its legs, its ground found."""
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -59,27 +58,17 @@ def standing(height: float, *notes: str) -> Motion:
     return Motion("T-pose", 1, 30.0, notes, block)
 
 
-@runtime_checkable
-class Framed(Protocol):
-    """What has frames to choose from: a motion, a stage."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def frames(self) -> int: ...
-
-
 def frame_range(
-    motion: Framed, frame: int | None, frames: tuple[int | None, int | None] | None, *, single: bool
+    name: str, count: int, frames: tuple[int | None, int | None] | None, frame: int | None = None, single: bool = False
 ) -> tuple[int, int]:
-    """First frame and end, checked against the motion."""
+    """First frame and end, checked against a motion or a stage of so many frames."""
     if frame is None and frames is None:
-        return (0, 1) if single else (0, motion.frames)
+        return (0, 1) if single else (0, count)
     start, stop = (frame, frame + 1) if frame is not None else frames or (None, None)
-    start, stop = start or 0, motion.frames if stop is None else stop
-    if stop > motion.frames or start >= stop:
+    start, stop = start or 0, count if stop is None else stop
+    if stop > count or start >= stop:
         asked = f"frame {start}" if stop == start + 1 else f"frames {start}:{stop}"
-        raise AssetError(f"{motion.name}: {asked} asked for, it has {plural(motion.frames, 'frame')}, the first is 0")
+        raise AssetError(f"{name}: {asked} asked for, it has {plural(count, 'frame')}, the first is 0")
     return start, stop
 
 

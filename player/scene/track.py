@@ -6,14 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from avatar import rotation
 from avatar.motion.clip import Clip
-from avatar.rotation import (
-    axis_angle_from_matrix,
-    axis_angle_from_quaternion,
-    matrix_from_axis_angle,
-    quaternion_from_axis_angle,
-    slerp,
-)
 from player.draw.drawing import FASTEST, TURNED, Pose
 from player.effects.foot_lock import FootLock
 from player.scene.motions import BLOCK
@@ -71,15 +65,16 @@ class Track:
             return self.placed(self._own(here))
         part = at - low
         (before, root_before), (after, root_after) = self._own(low), self._own(low + 1)
-        q = slerp(quaternion_from_axis_angle(before), quaternion_from_axis_angle(after), np.full(52, part))
-        return self.placed((axis_angle_from_quaternion(q), root_before + part * (root_after - root_before)))
+        q_before, q_after = (rotation.quaternion_from_axis_angle(one) for one in (before, after))
+        q = rotation.slerp(q_before, q_after, np.full(52, part))
+        return self.placed((rotation.axis_angle_from_quaternion(q), root_before + part * (root_after - root_before)))
 
     def _jumps(self, frame: int) -> bool:
         """Whether the motion jumps between this frame and the next."""
         (before, root_before), (after, root_after) = self._own(frame), self._own(frame + 1)
         if np.linalg.norm(root_after - root_before) * self.rate > FASTEST:
             return True
-        q_before, q_after = quaternion_from_axis_angle(before[0]), quaternion_from_axis_angle(after[0])
+        q_before, q_after = (rotation.quaternion_from_axis_angle(one[0]) for one in (before, after))
         return bool(2 * np.arccos(min(abs(float(q_before @ q_after)), 1.0)) > TURNED)
 
     def _own(self, frame: int) -> Pose:
@@ -110,8 +105,8 @@ class Track:
         """A pose turned about the world's y axis, then moved."""
         axis_angle, root = pose
         if self.turn:
-            turned = matrix_from_axis_angle(np.array([0.0, self.turn, 0.0]))
+            turned = rotation.matrix_from_axis_angle(np.array([0.0, self.turn, 0.0]))
             axis_angle = axis_angle.copy()
-            axis_angle[0] = axis_angle_from_matrix(turned @ matrix_from_axis_angle(axis_angle[0]))
+            axis_angle[0] = rotation.axis_angle_from_matrix(turned @ rotation.matrix_from_axis_angle(axis_angle[0]))
             root = turned @ root
         return axis_angle, root + self.at
