@@ -73,17 +73,18 @@ def ball_boxes(
 
     A ball's image lies between the slopes (c -+ r) / depth taken at its nearer or farther end.
     """
-    # x right, y down, depth
-    points = centers * (1.0, -1.0, -1.0)
-    near, far = points[:, 2] - radii, points[:, 2] + radii
-    behind = near <= 1e-6
-    ends = np.stack([np.where(behind, 1.0, near), np.where(behind, 1.0, far)])[:, :, None]
-    slopes = (points[:, :2] - radii[:, None]) / ends, (points[:, :2] + radii[:, None]) / ends
-    low, high = slopes[0].min(0), slopes[1].max(0)
+    # x right and y down, then depth at the nearer and the farther end
+    flat, ends = centers[:, :2].T * [[1.0], [-1.0]], np.empty((2, len(radii)))
+    ends[0], ends[1] = -centers[:, 2] - radii, radii - centers[:, 2]
+    behind = ends[0] <= 1e-6
+    if behind.any():
+        ends[:, behind] = 1.0
+    low, high = ((flat - radii)[:, None] / ends).min(1), ((flat + radii)[:, None] / ends).max(1)
     (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
-    slant = np.sort(skew * np.stack([low[:, 1], high[:, 1]]), axis=0)
-    boxes = np.stack([fx * low[:, 0] + cx + slant[0], fy * low[:, 1] + cy,
-                      fx * high[:, 0] + cx + slant[1], fy * high[:, 1] + cy], 1)  # fmt: skip
+    slant = np.sort(skew * np.stack([low[1], high[1]]), axis=0) if skew else (0.0, 0.0)
+    boxes = np.empty((len(radii), 4))
+    boxes[:, 0], boxes[:, 1] = fx * low[0] + cx + slant[0], fy * low[1] + cy
+    boxes[:, 2], boxes[:, 3] = fx * high[0] + cx + slant[1], fy * high[1] + cy
     boxes[behind] = [-np.inf, -np.inf, np.inf, np.inf]
     return boxes
 
