@@ -15,6 +15,7 @@ is held as one in metres.
 """
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -52,14 +53,6 @@ class Steps(NamedTuple):
     last: Float[Array, "steps 3"]
 
 
-class Reach(NamedTuple):
-    """Where one ankle should be, and how far from its hip it can be, metres."""
-
-    target: Float[Array, "frames 3"]
-    shortest: Float[Array, "frames 1"]
-    longest: Float[Array, "frames 1"]
-
-
 class Held(NamedTuple):
     """Consecutive poses; where `changed` is false, they are the motion's own."""
 
@@ -79,18 +72,15 @@ class HeldFeet:
         self._bones = [leg_bones(self._joints, leg) for leg in LEGS]
         # metres of this body in one of a grown person's
         self.unit = float(np.mean([sum(bones) for bones in self._bones])) / GROWN
-        self._steps: list[Steps] | None = None
         # by their first frame
         self._solved: list[tuple[int, Held]] = []
 
-    @property
+    @cached_property
     def steps(self) -> list[Steps]:
         """Of the left and the right foot."""
-        if self._steps is None:
-            toes = self._toes()
-            ground = float(np.percentile(toes[..., 1], STANDING))
-            self._steps = [found_steps(toe, ground, self._rate, self._lock, self.unit) for toe in toes]
-        return self._steps
+        toes = self._toes()
+        ground = float(np.percentile(toes[..., 1], STANDING))
+        return [found_steps(toe, ground, self._rate, self._lock, self.unit) for toe in toes]
 
     def pose(self, frame: int, first: int, block: Clip) -> Pose:
         """The pose of a frame with its feet held; the very pose where neither is. block: the motion from frame `first`,
@@ -111,34 +101,31 @@ class HeldFeet:
         """Consecutive poses from frame `start` on, with their feet held."""
         world = joint_transforms(axis_angle, self._joints, root)[..., :3, 3]
         release = self._rate * self._lock.release
-        moved = np.array(
-            [
-                [offset(steps, start + i, places[toe], release) for i, places in enumerate(world)]
-                for steps, toe in zip(self.steps, TOES, strict=True)
-            ]
-        )
-        drop, ways = np.zeros((len(world), 1)), list[Reach]()
+        moved = np.array([[offset(steps, start + i, places[toe], release) for i, places in enumerate(world)]
+                          for steps, toe in zip(self.steps, TOES, strict=True)])  # fmt: skip
+        # where each ankle should be, and how near to its hip and far from it it can be, metres
+        drop, ways = np.zeros((len(world), 1)), list[tuple[Array, Array, Array]]()
         for leg, (a, b), by in zip(LEGS, self._bones, moved, strict=True):
             hip, ankle = world[:, LIMBS[leg].first], world[:, LIMBS[leg].end]
             before = np.linalg.norm(ankle - hip, axis=-1, keepdims=True)
             # at most what the leg is long, at least what the knee bends to: unless the motion itself goes on
             longest = np.maximum(STRETCHED * (a + b), before)
             shortest = np.minimum(np.sqrt(a * a + b * b + 2 * a * b * np.cos(MOST_BENT)), before)
-            ways.append(Reach(ankle + by, shortest, longest))
-            u = hip - ways[-1].target
+            ways.append((ankle + by, shortest, longest))
+            u = hip - (ankle + by)
             below = longest**2 - u[:, :1] ** 2 - u[:, 2:] ** 2
             drop = np.maximum(drop, u[:, 1:2] - np.sqrt(np.maximum(below, 0.0)))
         changed = np.any(moved, axis=2).any(axis=0)
         drop = np.minimum(drop, self._lock.farthest * self.unit) * changed[:, None] * [0.0, 1.0, 0.0]
         axis_angle, root = axis_angle.astype(np.float64), root - drop
-        for leg, way, by in zip(LEGS, ways, moved, strict=True):
+        for leg, (target, shortest, longest), by in zip(LEGS, ways, moved, strict=True):
             rows = np.flatnonzero(drop.any(axis=1) | by.any(axis=1))
             if not len(rows):
                 continue
             hip = (world[:, LIMBS[leg].first] - drop)[rows]
-            away = way.target[rows] - hip
+            away = target[rows] - hip
             length = np.linalg.norm(away, axis=-1, keepdims=True)
-            reached = np.clip(length, way.shortest[rows], way.longest[rows]) / np.maximum(length, 1e-12)
+            reached = np.clip(length, shortest[rows], longest[rows]) / np.maximum(length, 1e-12)
             axis_angle[rows] = reach_for(axis_angle[rows], root[rows], self._joints, leg, hip + away * reached)
         return Held(changed, axis_angle, root)
 

@@ -223,7 +223,7 @@ class MaskPass(Pass):
         self._begin(resources)
         for one in self.meshes:
             one.draw(drawing)
-        self._end(drawing.gl)
+        drawing.gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
         resources[self.mask].build_mipmaps()
         self._soften(resources, here)
         drawing.inputs.framebuffer.use()
@@ -233,7 +233,7 @@ class MaskPass(Pass):
         self._begin(warming.resources)
         for one in self.meshes:
             one.warm(warming.resources)
-        self._end(warming.resources.context.gl)
+        warming.resources.context.gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
         self._draw_soft(warming.resources)
         # nothing that a frame would keep
         self.holds.key = None
@@ -246,9 +246,6 @@ class MaskPass(Pass):
         # the lowest that is in the way, whatever the order of triangles
         gl.blend_func = (moderngl.ONE, moderngl.ONE)
         gl.blend_equation = moderngl.MAX, moderngl.MAX
-
-    def _end(self, gl: moderngl.Context) -> None:
-        gl.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
 
     def _soften(self, resources: PlanResources, here: Footprint) -> None:
         across, search = self.lamp.side * here.texel, max(float(np.log2(SEARCHED / here.texel)), 0.0)

@@ -80,10 +80,8 @@ class Parts:
             if resume:
                 differing = sorted(key for key in {*held, *self._film()} if held.get(key) != self._film().get(key))
                 if differing:
-                    raise AssetError(
-                        f"{self.folder}: holds parts of another film ({', '.join(differing)} differ); "
-                        f"remove it or leave --resume out"
-                    )
+                    other = f"parts of another film ({', '.join(differing)} differ)"
+                    raise AssetError(f"{self.folder}: holds {other}; remove it or leave --resume out")
                 return
             self.discard()
         check_folder(self.folder)

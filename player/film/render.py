@@ -108,10 +108,8 @@ def buy_rung(command: RenderCommand, stage: Stage, context: Context, fit: Fit | 
     first frame to its last."""
     size, scene = stage.size(), stage.scene
     camera_at = stage.camera_at(fit, start, stop, size)
-    frames = []
-    for frame in np.unique(np.linspace(start, stop - 1, BUDGET_FRAMES).round().astype(int)).tolist():
-        poses = stage.poses(frame)
-        frames.append((poses, camera_at(frame, poses[0][1])))
+    timed = np.unique(np.linspace(start, stop - 1, BUDGET_FRAMES).round().astype(int)).tolist()
+    frames = [(poses := stage.poses(frame), camera_at(frame, poses[0][1])) for frame in timed]
     drawn = BudgetScene(stage.avatars, frames, size, scene.effects, scene.background, reads_back=True)
     try:
         priced, chosen = rung_within(
@@ -157,8 +155,8 @@ def at_rate(command: RenderCommand, stage: Stage, start: int, stop: int) -> tupl
         return start, stop
     stage.film_at(rate)
     if command.rate is None:
-        said = f"{stage.name}: {before:g} frames a second, filmed at {rate:g} (--rate {before:g} takes all)"
-        stage.notes.append(said)
+        filmed = f"filmed at {rate:g} (--rate {before:g} takes all)"
+        stage.notes.append(f"{stage.name}: {before:g} frames a second, {filmed}")
     if stage.still is not None:
         return 0, stage.frames
     first, last = (min(math.ceil(frame * rate / before - 1e-6), stage.frames) for frame in (start, stop))

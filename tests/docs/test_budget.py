@@ -15,7 +15,7 @@ BUDGET = {
     "capture": 12_140,
     "train": 5_950,
     "bake": 4_500,
-    "player": 19_430,
+    "player": 19_410,
     "shaders": 1_040,
     "synth": 2950,
     "bench": 6490,
