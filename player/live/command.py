@@ -26,9 +26,7 @@ from player.live.inbox import LONGEST_DELAY
 from player.live.one_euro import LEAST
 from player.live.vmc import VmcEncoder
 from player.scene.address import Address, parse_address
-from player.scene.arguments import (
-    LIVE,
-)
+from player.scene.arguments import LIVE
 
 BLOCK = 256  # frames read at once
 FASTEST = 1000.0  # frames a second
@@ -72,21 +70,33 @@ class LiveCommand:
     """The live poses of `selfscan play`."""
 
     live: Annotated[
-        Address | None, LIVE, Option(metavar="vmc:PORT|udp:PORT|ws:PORT", parse=source),
+        Address | None,
+        LIVE,
+        Option(metavar="vmc:PORT|udp:PORT|ws:PORT", parse=source),
         "pose by what arrives: VMC (usual port 39539), or our JSON over UDP or WebSocket; this machine only, unless "
-        "HOST:PORT names another interface (0.0.0.0: all)"
+        "HOST:PORT names another interface (0.0.0.0: all)",
     ] = None
     smooth: Annotated[
-        float | None, LIVE.rare, AtLeast(0.01), AtMost(1000), Option(metavar="HZ", const=LEAST),
-        f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})"
+        float | None,
+        LIVE.rare,
+        AtLeast(0.01),
+        AtMost(1000),
+        Option(metavar="HZ", const=LEAST),
+        f"One-Euro smoothing; cut-off at rest, lower is steadier (default {LEAST:g})",
     ] = None
     buffer: Annotated[
-        float | None, LIVE.rare, Option(metavar="MS", parse=milliseconds),
-        "show poses MS late, evenly, instead of the newest as it comes"
+        float | None,
+        LIVE.rare,
+        Option(metavar="MS", parse=milliseconds),
+        "show poses MS late, evenly, instead of the newest as it comes",
     ] = None
     calibrate: Annotated[
-        float | None, LIVE.rare, AtLeast(0), AtMost(3600), Option(metavar="S"),
-        "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)"
+        float | None,
+        LIVE.rare,
+        AtLeast(0),
+        AtMost(3600),
+        Option(metavar="S"),
+        "S seconds after the first pose, take the pose of then for the T-pose (key t does it too)",
     ] = None
     record: Annotated[
         str | None, LIVE.rare, Option(metavar="FILE.npz"), "write what came as an AMASS pose file at the end"
@@ -102,8 +112,9 @@ class StreamCommand:
 
     motion: Annotated[str, Option(positional=True, metavar="MOTION"), "pose file (.npz, .bvh), or: counting, walking"]
     to: Annotated[
-        Address, Option(metavar="vmc:HOST:PORT|udp:HOST:PORT", parse=target),
-        "VMC or our JSON; HOST may be left out: this machine"
+        Address,
+        Option(metavar="vmc:HOST:PORT|udp:HOST:PORT", parse=target),
+        "VMC or our JSON; HOST may be left out: this machine",
     ]
     rate: Annotated[
         float | None, AtLeast(0.1), AtMost(FASTEST), Option(metavar="R"), "poses a second (default: the motion's)"
@@ -173,12 +184,7 @@ def encoder(kind: str, body: Body, wall: Callable[[], float] = time.time) -> Enc
 
     def encode(number: int, _seconds: float, pose: LivePose) -> bytes:
         return json_pose.build_pose(
-            pose.axis_angle,
-            pose.root,
-            time=wall(),
-            sequence=number,
-            sender="selfscan",
-            pelvis_height=height,
+            pose.axis_angle, pose.root, time=wall(), sequence=number, sender="selfscan", pelvis_height=height
         )
 
     return encode

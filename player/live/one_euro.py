@@ -49,10 +49,7 @@ class OneEuro:
             a = share(SPEED_CUTOFF, dt)
             turn = axis_angle_from_quaternion(quaternion_product(q, quaternion_inverse(self.raw[0]))) / dt
             move = (root - self.raw[1]) / dt
-            self.speed = (
-                self.speed[0] + a * (turn - self.speed[0]),
-                self.speed[1] + a * (move - self.speed[1]),
-            )
+            self.speed = (self.speed[0] + a * (turn - self.speed[0]), self.speed[1] + a * (move - self.speed[1]))
             turning = share(self.least + TURN_GAIN * np.linalg.norm(self.speed[0], axis=-1), dt)
             moving = share(self.least + MOVE_GAIN * np.linalg.norm(self.speed[1]), dt)
             last_q, last_root = self.smooth

@@ -107,9 +107,7 @@ class Take:
             write_amass(self.path, motion)
         except BaseException as error:
             self.close()
-            kept = (
-                f"{plural(self.frames, 'frame')} kept in {self.recording}; recording to {self.path} again saves them"
-            )
+            kept = f"{plural(self.frames, 'frame')} kept in {self.recording}; recording to {self.path} again saves them"
             raise AssetError(f"{error}; {kept}" if isinstance(error, AssetError) else kept) from None
         self.close()
         self.recording.unlink(missing_ok=True)

@@ -199,8 +199,7 @@ class Library:
     def names(self) -> list[str]:
         """The built-in poses, then the user's in alphabetical order; broken files are found when they are read."""
         own = sorted(
-            (p.stem for p in self.folder.glob("*.npz") if not p.name.startswith(".") and p.is_file()),
-            key=str.casefold,
+            (p.stem for p in self.folder.glob("*.npz") if not p.name.startswith(".") and p.is_file()), key=str.casefold
         )
         return [*BUILTIN, *(name for name in own if name not in BUILTIN)]
 

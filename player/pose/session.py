@@ -155,13 +155,7 @@ class PoseSession:
         self.put(f"{side} fingers", pose, drag=drag)
 
     def turn(
-        self,
-        start: Pose,
-        joint: int,
-        axis: Float[Array, "3"],
-        angle: float | int,
-        *,
-        drag: object | None = None,
+        self, start: Pose, joint: int, axis: Float[Array, "3"], angle: float | int, *, drag: object | None = None
     ) -> None:
         """The gizmo: one joint turned about a world axis, from the pose in which the ring was seized."""
         pose = turned(start, self.joints, joint, axis, angle)
@@ -179,13 +173,7 @@ class PoseSession:
     ) -> None:
         """A hand or foot to a place in the world, from the pose in which the drag began."""
         pose = reach_for(
-            start.axis_angle,
-            start.root,
-            self.joints,
-            limb,
-            target,
-            pole=pole,
-            end="follow" if follow else "world",
+            start.axis_angle, start.root, self.joints, limb, target, pole=pole, end="follow" if follow else "world"
         )
         held = self.pinned.pop(limb, None)
         self.put(limb.replace("_", " "), pose, start.root, drag=drag)

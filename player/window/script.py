@@ -101,10 +101,7 @@ def _aim(window: "Window", name: str) -> None:
 def _drag(numbers: Sequence[float]) -> list[Step]:
     x0, y0, x1, y1 = numbers[:4]
     button = int(numbers[4]) if len(numbers) > 4 else 0
-    out: list[Step] = [
-        lambda window: window.on_pointer(x0, y0),
-        lambda window: window.on_button(button, True),
-    ]
+    out: list[Step] = [lambda window: window.on_pointer(x0, y0), lambda window: window.on_button(button, True)]
     for k in range(1, DRAG_FRAMES + 1):
         part = k / DRAG_FRAMES
         out.append(lambda window, part=part: window.on_pointer(x0 + part * (x1 - x0), y0 + part * (y1 - y0)))

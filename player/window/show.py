@@ -21,10 +21,7 @@ from player.scene.opened import notes_of, opened_camera, opened_tracks
 from player.scene.scene import Scene, SceneCamera
 from player.window.playback import Playback
 
-KINDS = {
-    "front": "orbit",
-    "orbit": "turntable",
-}  # what a scene's camera is in the window, where it has another name
+KINDS = {"front": "orbit", "orbit": "turntable"}  # what a scene's camera is in the window, where it has another name
 
 
 @dataclass

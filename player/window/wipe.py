@@ -48,11 +48,7 @@ class Wipe:
         self.move((x - left) / width)
 
     def draw(
-        self,
-        frame: int,
-        area: tuple[int, int, int, int],
-        size: tuple[int, int],
-        around: tuple[float, float, float],
+        self, frame: int, area: tuple[int, int, int, int], size: tuple[int, int], around: tuple[float, float, float]
     ) -> None:
         """Draw into the framebuffer in use, after the avatars were drawn on nothing (alpha 0); `around` is the
         colour beside the video, where its camera saw nothing and the avatar is hidden too."""

@@ -40,11 +40,7 @@ def test_joints_are_picked_where_they_are_seen(avatar, pose):
     """In the middle of forearm, shin and head the bone is the one that moves them."""
     joints = avatar.joint_positions.astype(float)
     places = joint_transforms(pose[0], joints, pose[1])[:, :3, 3]
-    for joint, end in (
-        ("left_elbow", "left_wrist"),
-        ("right_knee", "right_ankle"),
-        ("right_elbow", "right_wrist"),
-    ):
+    for joint, end in (("left_elbow", "left_wrist"), ("right_knee", "right_ankle"), ("right_elbow", "right_wrist")):
         a, b = JOINTS.index(joint), JOINTS.index(end)
         middle = 0.5 * (places[a] + places[b])
         camera = Camera(pinhole(SIZE, 0.6), look_at(middle + [0.3, 0.2, 1.5], middle), SIZE)

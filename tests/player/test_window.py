@@ -230,17 +230,7 @@ def test_the_list_of_keys_is_shown_in_windows_of_every_size(avatar_path, tmp_pat
 def test_an_unknown_word_in_a_script_is_refused(avatar_path):
     with pytest.raises(AssetError, match="'fly' is no key"):
         play_main([avatar_path, "--platform", "null", "--script", "space fly"])
-    words = [
-        "turn:1:-2",
-        "near:-1",
-        "size:3:4",
-        "wait",
-        "q",
-        "click:3:4",
-        "drag:1:2:3:4",
-        "scrub:1.5",
-        "type:a_b",
-    ]
+    words = ["turn:1:-2", "near:-1", "size:3:4", "wait", "q", "click:3:4", "drag:1:2:3:4", "scrub:1.5", "type:a_b"]
     assert len(steps(words)) == 5 + 3 + 7 + 1 + 3
     for wrong in ("turn:x:1", "click:1", "scrub:", "drag:1:2:3", "type:", "down:fly", "press:"):
         with pytest.raises(ValueError, match="is no key"):

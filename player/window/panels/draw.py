@@ -65,12 +65,7 @@ class DrawLists:
                 self._upload(commands)
                 for command in commands.cmd_buffer:
                     x0, y0, x1, y1 = command.clip_rect
-                    box = [
-                        (x0 - left) * scale[0],
-                        (y0 - top) * scale[1],
-                        (x1 - left) * scale[0],
-                        (y1 - top) * scale[1],
-                    ]
+                    box = [(x0 - left) * scale[0], (y0 - top) * scale[1], (x1 - left) * scale[0], (y1 - top) * scale[1]]
                     x0, y0, x1, y1 = (int(v) for v in np.clip(np.round(box), 0, [*size, *size]))
                     if x1 <= x0 or y1 <= y0 or not command.elem_count:
                         continue

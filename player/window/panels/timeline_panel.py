@@ -2,17 +2,7 @@
 
 from imgui_bundle import imgui
 
-from player.window.actions import (
-    FIRST_FRAME,
-    HELP,
-    LAST_FRAME,
-    PLAY,
-    RANGE_A,
-    RANGE_B,
-    RANGE_OFF,
-    STEP_BACK,
-    STEP_ON,
-)
+from player.window.actions import FIRST_FRAME, HELP, LAST_FRAME, PLAY, RANGE_A, RANGE_B, RANGE_OFF, STEP_BACK, STEP_ON
 from player.window.panels.widgets import Widgets
 from player.window.parts import WindowParts
 from player.window.timeline import LOOPS, SPEEDS

@@ -71,15 +71,7 @@ def test_a_frame_in_two_datagrams_is_one_frame(tmp_path):
             for name, turn in half:
                 turn *= n / 10
                 bone = build_message(
-                    "/VMC/Ext/Bone/Pos",
-                    name,
-                    0.0,
-                    0.0,
-                    0.0,
-                    float(np.sin(turn)),
-                    0.0,
-                    0.0,
-                    float(np.cos(turn)),
+                    "/VMC/Ext/Bone/Pos", name, 0.0, 0.0, 0.0, float(np.sin(turn)), 0.0, 0.0, float(np.cos(turn))
                 )
                 inbox.feed(build_bundle([bone]), n / 30)
         assert inbox.counters.frames == 10
@@ -104,12 +96,7 @@ def test_reordered_repeated_and_backward_clocks_keep_the_time_running(kind, dela
     assert (inbox.counters.late, inbox.counters.duplicate) == (1, 1)
     assert abs(shown(inbox, 10.0) - 0.05) < 1e-6
     times = [inbox.newest.time]
-    for n, seconds in [
-        (6, -50.0),
-        (7, -50 + 1 / 60),
-        (8, 1e6),
-        (9, 1e6 + 1 / 60),
-    ]:  # the clock is set back, and ahead
+    for n, seconds in [(6, -50.0), (7, -50 + 1 / 60), (8, 1e6), (9, 1e6 + 1 / 60)]:  # the clock is set back, and ahead
         feed(n, seconds, n / 60)
         times.append(inbox.newest.time)
     assert inbox.counters.late == 1 and np.all(np.diff(times) >= 0) and abs(times[-1] - 9 / 60) < 0.02

@@ -328,17 +328,7 @@ class Sender(threading.Thread):
 
 
 def play_live(avatar_path, source, path, script, *more):
-    arguments = [
-        avatar_path,
-        "--live",
-        str(source),
-        "--platform",
-        "null",
-        "--size",
-        "160x200",
-        "--script",
-        script,
-    ]
+    arguments = [avatar_path, "--live", str(source), "--platform", "null", "--size", "160x200", "--script", script]
     assert play_main([*arguments, "--screenshot", str(path), *more]) == 0
     with Image.open(path) as image:
         return np.asarray(image).astype(int)[:170]  # without the line of text

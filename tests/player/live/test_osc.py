@@ -7,15 +7,7 @@ from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message import OscMessage
 from pythonosc.osc_message_builder import OscMessageBuilder
 
-from player.live.osc import (
-    LARGEST,
-    MOST_MESSAGES,
-    Message,
-    OscError,
-    build_bundle,
-    build_message,
-    parse_packet,
-)
+from player.live.osc import LARGEST, MOST_MESSAGES, Message, OscError, build_bundle, build_message, parse_packet
 
 
 def theirs(address, *arguments):

@@ -107,11 +107,7 @@ def test_a_bone_with_impossible_numbers_is_counted_and_the_rest_used(numbers):
 def test_datagrams_of_one_frame_belong_together_and_a_repeated_bone_begins_the_next():
     decoder, counters = VmcDecoder(), Counters()
     first = build_bundle(
-        [
-            build_message("/VMC/Ext/T", 1.0),
-            build_message("/VMC/Ext/Root/Pos", "root", *[0.0] * 6, 1.0),
-            bone("Hips"),
-        ]
+        [build_message("/VMC/Ext/T", 1.0), build_message("/VMC/Ext/Root/Pos", "root", *[0.0] * 6, 1.0), bone("Hips")]
     )
     begins = [decoder.decode(first, counters), decoder.decode(build_bundle([bone("Head")]), counters)]
     second = build_bundle([build_message("/VMC/Ext/T", 1.5), bone("Hips", position=(0, 1, 0))])

@@ -93,22 +93,7 @@ def test_a_kept_pose_comes_back_to_the_last_bit_and_plays(tmp_path):
 def test_what_cannot_be_kept_is_refused_and_what_was_there_stays(tmp_path):
     library = Library(tmp_path)
     pose = Pose(np.zeros((52, 3)), np.zeros(3))
-    for name in (
-        "",
-        "  ",
-        "a/b",
-        "..",
-        "a\\b",
-        "x\n",
-        "T-pose",
-        "t-POSE",
-        ".x",
-        "x.",
-        " x",
-        "a" * 81,
-        'q"',
-        "a:b",
-    ):
+    for name in ("", "  ", "a/b", "..", "a\\b", "x\n", "T-pose", "t-POSE", ".x", "x.", " x", "a" * 81, 'q"', "a:b"):
         with pytest.raises(ValueError, match="pose"):
             library.write(name, pose)
     assert not list(tmp_path.iterdir())
