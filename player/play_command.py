@@ -219,11 +219,6 @@ def _addresses(scene: Scene, command: PlayCommand) -> list[tuple[Address, list[i
 
 
 def _listening(address: Address, command: PlayCommand, avatars: Sequence[Avatar]):
-    from player.live.session import LiveOptions, live_session
+    from player.live.session import live_session
 
-    live = command.source
-    asked = LiveOptions(
-        address, smooth=live.smooth, buffer=live.buffer, record=live.record, latency=live.latency,
-        calibrate_after=live.calibrate,
-    )  # fmt: skip
-    return live_session(asked, avatars)
+    return live_session(address, command.source, avatars)

@@ -13,15 +13,14 @@ import numpy as np
 
 from avatar.body import Body, builtin_body, read_body
 from avatar.hull import body_hull
-from avatar.motion.clip import Clip, Motion, builtin_skeleton, fitted
+from avatar.motion.clip import Motion, builtin_skeleton, fitted
 from avatar.motion.ground import on_ground
 from avatar.motion.read import read_motion
-from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 from command.command_line import Help, Option, number, parse
 from command.errors import AssetError
 from command.settings import AtLeast, AtMost
 from player.live import json_pose
-from player.live.frame import LivePose
+from player.live.frame import LivePose, between
 from player.live.inbox import LONGEST_DELAY
 from player.live.one_euro import LEAST
 from player.live.vmc import VmcEncoder
@@ -202,17 +201,10 @@ def timed_poses(motion: Motion, rate: float | int, *, loop: bool) -> Iterator[tu
         if block is None or not first <= frame < first + len(block.root) - 1:
             first = frame
             block = motion.read(first, min(first + BLOCK, motion.frames))
-        yield index / rate, between(block, frame - first, at - frame)
-
-
-def between(clip: Clip, frame: int, part: float | int) -> LivePose:
-    """The pose at a part of the way from a frame to the next."""
-    a = LivePose(clip.axis_angle[frame], clip.root[frame])
-    if part < 1e-6 or frame + 1 == len(clip.root):
-        return a
-    q = quaternion_from_axis_angle(clip.axis_angle[frame : frame + 2])
-    joints = axis_angle_from_quaternion(slerp(q[0], q[1], part))
-    return LivePose(joints, a.root + part * (clip.root[frame + 1] - a.root))
+        near, part = LivePose(block.axis_angle[frame - first], block.root[frame - first]), at - frame
+        if part >= 1e-6:
+            near = between(near, LivePose(block.axis_angle[frame + 1 - first], block.root[frame + 1 - first]), part)
+        yield index / rate, near
 
 
 def send(

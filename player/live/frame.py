@@ -6,12 +6,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
+
 
 class LivePose(NamedTuple):
     """A pose in our world, of the sender's body."""
 
     axis_angle: Float[np.ndarray, "52 3"]
     root: Float[np.ndarray, "3"]  # pelvis joint, metres
+
+
+def between(a: LivePose, b: LivePose, part: float) -> LivePose:
+    """A share `part` of the way from one pose to another: joints on the shorter arc, the root straight."""
+    joints = slerp(quaternion_from_axis_angle(a.axis_angle), quaternion_from_axis_angle(b.axis_angle), part)
+    return LivePose(axis_angle_from_quaternion(joints), a.root + part * (b.root - a.root))
 
 
 class LiveFrame(NamedTuple):

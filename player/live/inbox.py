@@ -16,9 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from avatar.rotation import axis_angle_from_quaternion, quaternion_from_axis_angle, slerp
 from player.live.calibration import calibrated, identity_calibration, pose_from_rig
-from player.live.frame import Counters, LiveFrame, LivePose
+from player.live.frame import Counters, LiveFrame, LivePose, between
 from player.live.json_pose import LARGEST as LARGEST_JSON
 from player.live.json_pose import JsonDecoder, JsonPose
 from player.live.osc import LARGEST as LARGEST_OSC
@@ -204,7 +203,7 @@ class Inbox:
             return after, self.pose(after)
         if at <= before.time:
             return before, self.pose(before)
-        return after, blended(self.pose(before), self.pose(after), (at - before.time) / (after.time - before.time))
+        return after, between(self.pose(before), self.pose(after), (at - before.time) / (after.time - before.time))
 
     def facts(self, now: float | int) -> SourceStatus:
         with self.lock:
@@ -214,9 +213,3 @@ class Inbox:
             rate = (len(times) - 1) / span if span > 0 and age is not None and age < SILENT else 0.0
             tracking = self.vmc is None or self.vmc.tracking
             return SourceStatus(self.counters.frames, rate, age, Counters(**vars(self.counters)), tracking)
-
-
-def blended(a: LivePose, b: LivePose, part: float) -> LivePose:
-    """Between two poses: joints on the shorter arc, the root straight."""
-    joints = slerp(quaternion_from_axis_angle(a.axis_angle), quaternion_from_axis_angle(b.axis_angle), part)
-    return LivePose(axis_angle_from_quaternion(joints), a.root + part * (b.root - a.root))

@@ -19,6 +19,7 @@ HEADER = (
     "frame,sent_s,received_s,applied_s,drawn_s,sent_clock,sent_to_received_ms,received_to_applied_ms,"
     "applied_to_drawn_ms,received_to_drawn_ms\n"
 )
+SPANS = ("sent to received", "received to applied", "received to drawn")
 KEPT = 2048  # frames, for the percentiles
 UNIX = 1e9  # seconds; a larger time is Unix time
 # seconds; Unix clocks of two machines that differ by more are not compared
@@ -89,9 +90,8 @@ class Latency:
 
     def summary(self) -> list[str]:
         """One line a span, for printing at the end."""
-        names = ("sent to received", "received to applied", "received to drawn")
         lines = []
-        for name, values in zip(names, np.array(self.spans).reshape(-1, 3).T, strict=True):
+        for name, values in zip(SPANS, np.array(self.spans).reshape(-1, 3).T, strict=True):
             values = 1000 * values[np.isfinite(values)]
             if len(values):
                 p50, p95, p99 = np.percentile(values, [50, 95, 99])

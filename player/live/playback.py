@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 
 from avatar.baked_avatar import Avatar
-from avatar.motion.clip import Motion
 from player.live.frame import LivePose
 from player.live.inbox import SILENT, Inbox
 from player.live.latency import Latency
@@ -41,7 +40,7 @@ class LivePlayback:
         clock: Callable[[], float] = time.monotonic,
     ):
         self.inbox, self.address, self.clock = inbox, address, clock
-        self.motion, self.frame, self.playing = Motion(str(address), 1, 30.0, (), standing), 0, True
+        self.playing = True
         self.heights = [pelvis_height(avatar) for avatar in avatars]
         self.legs = [leg_length(joint_offsets(avatar.joint_positions.astype(np.float64))) for avatar in avatars]
         self.filter = OneEuro(smooth) if smooth is not None else None
@@ -60,9 +59,6 @@ class LivePlayback:
             if self.countdown <= 0:
                 self.countdown = None
                 self.calibrate()
-
-    def seek(self, frame: int) -> None:
-        """Live poses cannot be rewound: does nothing."""
 
     def ask_for_t_pose(self, seconds: float | int = 3.0) -> None:
         """Start the countdown to the calibration; pressed again, stop it."""
@@ -145,8 +141,3 @@ class LivePlayback:
         facts = self.inbox.facts(self.clock())
         named = {name: n for name, n in vars(facts.counters).items() if n or name in ("received", "frames")}
         return [f"live: {', '.join(f'{name} {n}' for name, n in named.items())}", *self.latency.summary()]
-
-
-def standing(start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frames of T-pose."""
-    return np.zeros((stop - start, 52, 3)), np.zeros((stop - start, 3))

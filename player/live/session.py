@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 
 from avatar.baked_avatar import Avatar
 from command.interrupt import deferred_stop
+from player.live.command import LiveCommand
 from player.live.inbox import Inbox
 from player.live.latency import Latency
 from player.live.playback import LivePlayback
@@ -14,18 +14,8 @@ from player.live.take import Take
 from player.scene.address import Address
 
 
-@dataclass(frozen=True)
-class LiveOptions:
-    address: Address
-    smooth: float | None = None  # cut-off at rest, Hz
-    buffer: float | None = None  # seconds; None: the newest pose
-    record: str | None = None  # AMASS file
-    latency: str | None = None  # CSV file
-    calibrate_after: float | None = None  # seconds from the first pose
-
-
 @contextmanager
-def live_session(options: LiveOptions, avatars: Sequence[Avatar]) -> Iterator[LivePlayback]:
+def live_session(address: Address, options: LiveCommand, avatars: Sequence[Avatar]) -> Iterator[LivePlayback]:
     """Listen, and give the playback. However the block ends, the take and the stamps are written, and all is printed.
 
     Raises:
@@ -38,14 +28,14 @@ def live_session(options: LiveOptions, avatars: Sequence[Avatar]) -> Iterator[Li
         if options.record:
             take = Take(options.record)
             ending.callback(_write_take, take)
-        inbox = Inbox(options.address.kind, delay=options.buffer, take=take)
+        inbox = Inbox(address.kind, delay=options.buffer, take=take)
         latency = Latency(options.latency)
         ending.callback(_write_latency, latency, options)
-        listener = listen(options.address, inbox)
+        listener = listen(address, inbox)
         ending.callback(listener.close)
         playback = LivePlayback(
             inbox, listener.address, avatars, smooth=options.smooth, latency=latency,
-            calibrate_after=options.calibrate_after,
+            calibrate_after=options.calibrate,
         )  # fmt: skip
         if take is not None:
             take.sender_height = playback.sender_height
@@ -61,7 +51,7 @@ def _print_summary(playback: LivePlayback) -> None:
         print(line)
 
 
-def _write_latency(latency: Latency, options: LiveOptions) -> None:
+def _write_latency(latency: Latency, options: LiveCommand) -> None:
     latency.close()
     if options.latency:
         print(f"{options.latency} written")

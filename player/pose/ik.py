@@ -129,14 +129,6 @@ def reach_for(
     return out
 
 
-def reach_distance(joints: Float[Array, "52 3"], limb: str) -> tuple[float, float]:
-    """Shortest and longest distance from first to end joint, metres."""
-    first, middle, last, _ = LIMBS[limb]
-    a = float(np.linalg.norm(joints[middle] - joints[first]))
-    b = float(np.linalg.norm(joints[last] - joints[middle]))
-    return abs(a - b), a + b
-
-
 def _hinge_side(
     present: Float[Array, "*poses 3"], straight: Float[Array, "*poses 3"], line: Float[Array, "*poses 3"],
     bend: Float[Array, "*poses 1"],

@@ -51,12 +51,6 @@ def without_key(keys: Keys, frame: int) -> Keys:
     return tuple(key for key in keys if key[0] != frame)
 
 
-def moved_key(keys: Keys, frame: int, to: int) -> Keys:
-    """The key of one frame at another; a key that was there goes. No key at `frame`: unchanged."""
-    found = dict(keys).get(frame)
-    return keys if found is None else with_key(without_key(keys, frame), to, found)
-
-
 def minimum_jerk(t: Float[Array, "*b"] | float) -> Float[Array, "*b"] | float:
     """Minimum-jerk ease from 0 to 1 (Flash and Hogan 1985): 10 t^3 - 15 t^4 + 6 t^5."""
     t = np.clip(t, 0, 1)

@@ -41,134 +41,50 @@ BUILTIN: dict[str, tuple[Angles, str, str]] = {
     "T-pose": ({}, "flat", "flat"),
     "A-pose": (_both("shoulder", **{"raise": -45}), "relaxed", "relaxed"),
     "standing": (STANDING, "relaxed", "relaxed"),
-    "hands on hips": (
-        STANDING
-        | _both("shoulder", **{"raise": -46, "forwards": -34, "rotation inwards": 48})
-        | _both("elbow", flexion=104, palm_down=20)
-        | _both("wrist", flexion=-25, palm_down=10),
-        "relaxed",
-        "relaxed",
-    ),
-    "waving": (
-        STANDING
-        | _one("right_shoulder", **{"raise": -8, "forwards": 22, "rotation inwards": -75})
-        | _one("right_elbow", flexion=105, palm_down=35)
-        | _one("right_wrist", palm_down=30)
-        | _one("head", bend_to_the_left=-6),
-        "relaxed",
-        "open",
-    ),
-    "pointing": (
-        STANDING
-        | _one("right_shoulder", **{"raise": -8, "forwards": 82, "rotation inwards": 20})
-        | _one("right_elbow", flexion=6)
-        | _one("spine3", turn_to_the_left=8),
-        "relaxed",
-        "point",
-    ),
-    "thumbs up": (
-        STANDING
-        | _one("right_shoulder", **{"raise": -62, "forwards": 30, "rotation inwards": -60})
-        | _one("right_elbow", flexion=88, palm_down=-10),
-        "relaxed",
-        "thumbs up",
-    ),
-    "victory": (
-        STANDING
-        | _both("collar", **{"raise": 15})
-        | _both("shoulder", **{"raise": 42, "forwards": 8})
-        | _both("elbow", flexion=12)
-        | _one("neck", bend_forward=-12),
-        "peace",
-        "peace",
-    ),
-    "thinking": (
-        STANDING
-        | _one("right_shoulder", **{"raise": -58, "forwards": 48, "rotation inwards": 10})
+    "hands on hips": (STANDING | _both("shoulder", **{"raise": -46, "forwards": -34, "rotation inwards": 48})
+        | _both("elbow", flexion=104, palm_down=20) | _both("wrist", flexion=-25, palm_down=10),
+        "relaxed", "relaxed"),
+    "waving": (STANDING | _one("right_shoulder", **{"raise": -8, "forwards": 22, "rotation inwards": -75})
+        | _one("right_elbow", flexion=105, palm_down=35) | _one("right_wrist", palm_down=30)
+        | _one("head", bend_to_the_left=-6), "relaxed", "open"),
+    "pointing": (STANDING | _one("right_shoulder", **{"raise": -8, "forwards": 82, "rotation inwards": 20})
+        | _one("right_elbow", flexion=6) | _one("spine3", turn_to_the_left=8), "relaxed", "point"),
+    "thumbs up": (STANDING | _one("right_shoulder", **{"raise": -62, "forwards": 30, "rotation inwards": -60})
+        | _one("right_elbow", flexion=88, palm_down=-10), "relaxed", "thumbs up"),
+    "victory": (STANDING | _both("collar", **{"raise": 15}) | _both("shoulder", **{"raise": 42, "forwards": 8})
+        | _both("elbow", flexion=12) | _one("neck", bend_forward=-12), "peace", "peace"),
+    "thinking": (STANDING | _one("right_shoulder", **{"raise": -58, "forwards": 48, "rotation inwards": 10})
         | _one("right_elbow", flexion=140, palm_down=10)
         | _one("left_shoulder", **{"raise": -62, "forwards": 30, "rotation inwards": 45})
-        | _one("left_elbow", flexion=80)
-        | _one("head", bend_forward=12, turn_to_the_left=-10),
-        "relaxed",
-        "fist",
-    ),
-    "bowing": (
-        STANDING
-        | _both("hip", flexion=32, abduction=2)
-        | _one("spine1", bend_forward=16)
-        | _one("spine2", bend_forward=10)
-        | _one("neck", bend_forward=14)
-        | _one("pelvis", bend_forward=30),
-        "relaxed",
-        "relaxed",
-    ),
-    "walking": (
-        ARMS_DOWN
-        | _one("left_hip", flexion=24)
-        | _one("left_knee", flexion=6)
-        | _one("left_ankle", toes_up=6)
-        | _one("right_hip", flexion=-16)
-        | _one("right_knee", flexion=22)
-        | _one("right_ankle", toes_up=-12)
-        | _one("right_foot", toes_up=30)
-        | _one("spine3", turn_to_the_left=6)
+        | _one("left_elbow", flexion=80) | _one("head", bend_forward=12, turn_to_the_left=-10), "relaxed", "fist"),
+    "bowing": (STANDING | _both("hip", flexion=32, abduction=2) | _one("spine1", bend_forward=16)
+        | _one("spine2", bend_forward=10) | _one("neck", bend_forward=14) | _one("pelvis", bend_forward=30),
+        "relaxed", "relaxed"),
+    "walking": (ARMS_DOWN | _one("left_hip", flexion=24) | _one("left_knee", flexion=6)
+        | _one("left_ankle", toes_up=6) | _one("right_hip", flexion=-16) | _one("right_knee", flexion=22)
+        | _one("right_ankle", toes_up=-12) | _one("right_foot", toes_up=30) | _one("spine3", turn_to_the_left=6)
         | _one("left_shoulder", **{"raise": -68, "forwards": -22})
-        | _one("right_shoulder", **{"raise": -62, "forwards": 34})
-        | _one("right_elbow", flexion=28),
-        "relaxed",
-        "relaxed",
-    ),
-    "running": (
-        _one("pelvis", bend_forward=12)
-        | _one("left_hip", flexion=70)
-        | _one("left_knee", flexion=95)
-        | _one("right_hip", flexion=-14)
-        | _one("right_knee", flexion=26)
-        | _one("right_ankle", toes_up=-28)
-        | _one("right_foot", toes_up=40)
-        | _one("spine3", turn_to_the_left=12)
-        | _one("left_shoulder", **{"raise": -62, "forwards": -40})
-        | _one("left_elbow", flexion=85)
-        | _one("right_shoulder", **{"raise": -55, "forwards": 48})
-        | _one("right_elbow", flexion=95)
-        | _one("neck", bend_forward=-8),
-        "fist",
-        "fist",
-    ),
-    "sitting": (
-        _both("hip", flexion=88, abduction=6)
-        | _both("knee", flexion=88)
+        | _one("right_shoulder", **{"raise": -62, "forwards": 34}) | _one("right_elbow", flexion=28),
+        "relaxed", "relaxed"),
+    "running": (_one("pelvis", bend_forward=12) | _one("left_hip", flexion=70) | _one("left_knee", flexion=95)
+        | _one("right_hip", flexion=-14) | _one("right_knee", flexion=26) | _one("right_ankle", toes_up=-28)
+        | _one("right_foot", toes_up=40) | _one("spine3", turn_to_the_left=12)
+        | _one("left_shoulder", **{"raise": -62, "forwards": -40}) | _one("left_elbow", flexion=85)
+        | _one("right_shoulder", **{"raise": -55, "forwards": 48}) | _one("right_elbow", flexion=95)
+        | _one("neck", bend_forward=-8), "fist", "fist"),
+    "sitting": (_both("hip", flexion=88, abduction=6) | _both("knee", flexion=88)
         | _both("shoulder", **{"raise": -66, "forwards": 30, "rotation inwards": 25})
-        | _both("elbow", flexion=42, palm_down=10)
-        | _both("wrist", flexion=-8),
-        "relaxed",
-        "relaxed",
-    ),
-    "squatting": (
-        _one("pelvis", bend_forward=25)
-        | _both("hip", flexion=112, abduction=16, rotation_outwards=14)
-        | _both("knee", flexion=116)
-        | _both("ankle", toes_up=27)
-        | _both("shoulder", **{"raise": -12, "forwards": 74})
-        | _both("elbow", flexion=10)
-        | _one("neck", bend_forward=-14),
-        "flat",
-        "flat",
-    ),
-    "kneeling": (
-        STANDING
-        | _one("left_hip", flexion=88, abduction=4)
-        | _one("left_knee", flexion=88)
-        | _one("right_hip", flexion=0)
-        | _one("right_knee", flexion=92)
-        | _one("right_ankle", toes_up=10)
+        | _both("elbow", flexion=42, palm_down=10) | _both("wrist", flexion=-8), "relaxed", "relaxed"),
+    "squatting": (_one("pelvis", bend_forward=25) | _both("hip", flexion=112, abduction=16, rotation_outwards=14)
+        | _both("knee", flexion=116) | _both("ankle", toes_up=27)
+        | _both("shoulder", **{"raise": -12, "forwards": 74}) | _both("elbow", flexion=10)
+        | _one("neck", bend_forward=-14), "flat", "flat"),
+    "kneeling": (STANDING | _one("left_hip", flexion=88, abduction=4) | _one("left_knee", flexion=88)
+        | _one("right_hip", flexion=0) | _one("right_knee", flexion=92) | _one("right_ankle", toes_up=10)
         | _one("right_foot", toes_up=60)
         | _one("left_shoulder", **{"raise": -66, "forwards": 30, "rotation inwards": 25})
-        | _one("left_elbow", flexion=40),
-        "relaxed",
-        "relaxed",
-    ),
-}
+        | _one("left_elbow", flexion=40), "relaxed", "relaxed"),
+}  # fmt: skip
 
 
 def builtin_pose(name: str) -> Float[Array, "52 3"]:

@@ -21,7 +21,7 @@ from player.pose import pose_file
 from player.pose.fingers import HandShape, Side, with_curl, with_hand, with_spread
 from player.pose.history import History, PoseState
 from player.pose.ik import LIMBS, reach_for
-from player.pose.keyframes import Easing, Keys, Pose, clip_of, moved_key, pose_at, with_key, without_key
+from player.pose.keyframes import Easing, Keys, Pose, clip_of, pose_at, with_key, without_key
 from player.pose.mirror import PARTNER, mirrored_in_place, onto_other_side
 
 Array = np.ndarray
@@ -265,11 +265,6 @@ class PoseSession:
         keys = without_key(self.keys, self.frame if frame is None else frame)
         if len(keys) != len(self.keys):
             self.history.change("delete key", replace(self.state, keys=keys))
-
-    def move_key(self, frame: int, to: int) -> None:
-        keys = moved_key(self.keys, frame, max(to, 0))
-        if keys is not self.keys and frame != to:
-            self.history.change("move key", replace(self.state, keys=keys))
 
     def ease(self, easing: Easing) -> None:
         if easing != self.state.easing:

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from avatar.gltf.avatar_file import write_avatar
+from command.command_line import parse
 from player.gl.context import NoContextError, open_context
+from player.play_command import PLAY, PlayCommand, scene_of
 from player.scene.mannequin import mannequin
+from player.scene.opened import opened_avatars
 from player.scene.renderer import Renderer
 
 
@@ -63,3 +66,28 @@ def avatar_path(avatar, tmp_path_factory):
     path = tmp_path_factory.mktemp("avatar") / "someone.glb"
     write_avatar(path, avatar)
     return str(path)
+
+
+@pytest.fixture
+def open_window(osmesa, avatar_path, tmp_path, monkeypatch):
+    """Opens windows with panels, without a display, from arguments of `selfscan play`; all files are the test's own."""
+    pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
+    from player.window.show import opened_show
+    from player.window.window import Window
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    windows = []
+
+    def opened(*more, size=(900, 640), live=(), script=""):
+        arguments = [avatar_path, *more, *(("--live", "udp:1") if live else ())]
+        scene = scene_of(parse(PlayCommand, arguments, PLAY))
+        windows.append(Window(opened_show(scene, opened_avatars(scene), live), size=size, null=True))
+        windows[-1].run(script.split(), keep=True)
+        return windows[-1]
+
+    yield opened
+    for window in reversed(windows):
+        assert len(windows) > 1 or window.screen.context.gl.error == "GL_NO_ERROR"
+        window.close()
+        assert window.screen.context.released

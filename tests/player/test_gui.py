@@ -12,40 +12,26 @@ pytest.importorskip("imgui_bundle", reason="the extra gui is not installed")
 import glfw  # before imgui_bundle
 from imgui_bundle import imgui
 
-from command.command_line import parse
 from player.effects.background import Background
 from player.effects.lens import MotionBlur
 from player.effects.light import Light
 from player.effects.outline import Outline
-from player.play_command import PLAY, PlayCommand, scene_of
+from player.live.inbox import Inbox
+from player.live.json_pose import build_pose
+from player.live.playback import LivePlayback
+from player.scene.address import Address
 from player.scene.effects import PLAIN, Effects
-from player.scene.opened import opened_avatars
 from player.window.budgeted import NO_LIGHT, NOT_LOOSE, without_effect
 from player.window.panels.draw import DrawLists
-from player.window.show import opened_show
-from player.window.window import Window
+from tests.window_script import run
 
 SIZE = (900, 640)
 
 
 @pytest.fixture
-def window(osmesa, avatar_path, tmp_path, monkeypatch):
+def window(open_window):
     """A window with panels, paused at its first frame."""
-    monkeypatch.chdir(tmp_path)
-    scene = scene_of(parse(PlayCommand, [avatar_path], PLAY))
-    window = Window(opened_show(scene, opened_avatars(scene)), size=SIZE, null=True)
-    try:
-        run(window, "space home wait")
-        yield window
-        assert window.screen.context.gl.error == "GL_NO_ERROR"
-    finally:
-        window.close()
-    assert window.screen.context.released
-
-
-def run(window, script):
-    window.run(script.split(), keep=True)
-    return window.parts.state.last.image[..., :3].astype(int)
+    return open_window(script="space home wait")
 
 
 def picture(window, image):
@@ -324,89 +310,60 @@ def test_thousands_of_triangles_make_the_buffers_grow(context, imgui_context):
 # -- screens of high density, live poses
 
 
-def opened(avatar_path, size, live=()):
-    scene = scene_of(parse(PlayCommand, [avatar_path, *(("--live", "udp:1") if live else ())], PLAY))
-    return Window(opened_show(scene, opened_avatars(scene), live), size=size, null=True)
-
-
 @pytest.mark.parametrize("system", ["units", "pixels"])
-def test_on_a_screen_of_double_density_everything_is_twice_as_large_in_pixels(
-    osmesa, avatar_path, system, monkeypatch, tmp_path
-):
+def test_on_a_screen_of_double_density_everything_is_twice_as_large_in_pixels(open_window, system, monkeypatch):
     """macOS counts windows in units of two pixels; X11 and Windows in pixels, and say that text is twice as large."""
-    monkeypatch.chdir(tmp_path)
     real = glfw.get_window_size
     monkeypatch.setattr(glfw, "get_window_content_scale", lambda handle: (2.0, 2.0))
     if system == "units":
         monkeypatch.setattr(glfw, "get_window_size", lambda handle: tuple(n // 2 for n in real(handle)))
-    window = opened(avatar_path, (2 * SIZE[0], 2 * SIZE[1]))
-    try:
-        image = run(window, "space home wait")
-        area, marks = window.parts.state.layout.area, dict(window.panels.places)
-        monkeypatch.undo()
-        plain = opened(avatar_path, SIZE)
-        try:
-            small = run(plain, "space home wait")
-            assert np.abs(np.array(area) - 2 * np.array(plain.parts.state.layout.area)).max() <= 1
-            left, _, width, height = plain.parts.state.layout.area
-            for name, (x, y) in plain.panels.places.items():
-                factor = 1 if system == "units" else 2
-                a, b = marks[name]
-                assert abs(a / factor - x) < 4 and abs(b / factor - y) < 8, name
-        finally:
-            plain.close()
-        half = image.reshape(SIZE[1], 2, SIZE[0], 2, 3).mean((1, 3))
-        other = np.abs(half - small)[40:height, left:].max(-1)
-        assert (other > 40).mean() < 0.02  # the avatar is at the same place of the screen
-    finally:
-        window.close()
+    window = open_window(size=(2 * SIZE[0], 2 * SIZE[1]))
+    image = run(window, "space home wait")
+    area, marks = window.parts.state.layout.area, dict(window.panels.places)
+    monkeypatch.undo()
+    plain = open_window()
+    small = run(plain, "space home wait")
+    assert np.abs(np.array(area) - 2 * np.array(plain.parts.state.layout.area)).max() <= 1
+    left, _, width, height = plain.parts.state.layout.area
+    for name, (x, y) in plain.panels.places.items():
+        factor = 1 if system == "units" else 2
+        a, b = marks[name]
+        assert abs(a / factor - x) < 4 and abs(b / factor - y) < 8, name
+    half = image.reshape(SIZE[1], 2, SIZE[0], 2, 3).mean((1, 3))
+    # the avatar is at the same place of the screen
+    assert (np.abs(half - small)[40:height, left:].max(-1) > 40).mean() < 0.02
 
 
-def test_a_click_on_a_dense_screen_picks_what_is_under_it(osmesa, avatar_path, monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    real = glfw.get_window_size
-    window = opened(avatar_path, SIZE)
-    try:
-        image = picture(window, run(window, "space home g wait"))
-        rows, columns = (image != image[0, 0]).any(-1).nonzero()
-        x, y = columns[rows < rows.min() + 20].mean(), rows.min() + 20
-        monkeypatch.setattr(glfw, "get_window_size", lambda handle: tuple(n // 2 for n in real(handle)))
-        run(window, f"click:{x / 2}:{y / 2} wait")
-        assert window.parts.state.selection.name == "someone: head"
-    finally:
-        window.close()
+def test_a_click_on_a_dense_screen_picks_what_is_under_it(open_window, monkeypatch):
+    real, window = glfw.get_window_size, open_window()
+    image = picture(window, run(window, "space home g wait"))
+    rows, columns = (image != image[0, 0]).any(-1).nonzero()
+    x, y = columns[rows < rows.min() + 20].mean(), rows.min() + 20
+    monkeypatch.setattr(glfw, "get_window_size", lambda handle: tuple(n // 2 for n in real(handle)))
+    run(window, f"click:{x / 2}:{y / 2} wait")
+    assert window.parts.state.selection.name == "someone: head"
 
 
-def test_the_live_panel_tells_rate_loss_and_latency(osmesa, avatar, avatar_path, monkeypatch, tmp_path):
-    from player.live.inbox import Inbox
-    from player.live.json_pose import build_pose
-    from player.live.playback import LivePlayback
-    from player.scene.address import Address
-
-    monkeypatch.chdir(tmp_path)
+def test_the_live_panel_tells_rate_loss_and_latency(open_window, avatar):
     now, inbox = [100.0], Inbox("udp")
     live = LivePlayback(inbox, Address("udp", "127.0.0.1", 1), [avatar], clock=lambda: now[0])
-    window = opened(avatar_path, SIZE, [(live, [0])])
-    try:
-        waiting = run(window, "wait wait")
-        assert "T-pose" in window.panels.places and "scrub" not in window.panels.places
-        bent = np.zeros((52, 3))
-        bent[16, 2] = -1.2
-        for n in range(10):
-            inbox.feed(build_pose(bent, np.array([0, 0.9, 0]), time=n / 60, sequence=2 * n), 100 + n / 60)
-            now[0] = 100.01 + n / 60
-            posed = run(window, "wait")
-        assert (picture(window, posed) != picture(window, waiting)).any(-1).mean() > 0.01
-        left = window.parts.state.layout.area[0]
-        x, y = window.panels.places["T-pose"]
-        table = posed[int(y) - 110 : int(y) - 10, 5 : left - 5]
-        assert len(np.unique(table.reshape(-1, 3), axis=0)) > 20  # letters of the latency table
-        run(window, "press:T-pose")
-        assert live.countdown is not None
-        run(window, "press:play wait")
-        assert not live.playing
-    finally:
-        window.close()
+    window = open_window(live=[(live, [0])])
+    waiting = run(window, "wait wait")
+    assert "T-pose" in window.panels.places and "scrub" not in window.panels.places
+    bent = np.zeros((52, 3))
+    bent[16, 2] = -1.2
+    for n in range(10):
+        inbox.feed(build_pose(bent, np.array([0, 0.9, 0]), time=n / 60, sequence=2 * n), 100 + n / 60)
+        now[0] = 100.01 + n / 60
+        posed = run(window, "wait")
+    assert (picture(window, posed) != picture(window, waiting)).any(-1).mean() > 0.01
+    left, y = window.parts.state.layout.area[0], int(window.panels.places["T-pose"][1])
+    # letters of the latency table
+    assert len(np.unique(posed[y - 110 : y - 10, 5 : left - 5].reshape(-1, 3), axis=0)) > 20
+    run(window, "press:T-pose")
+    assert live.countdown is not None
+    run(window, "press:play wait")
+    assert not live.playing
 
 
 def test_an_effect_that_an_avatar_has_nothing_for_says_why(avatar):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from avatar.body import builtin_body
 from avatar.limits import clamped, joint_angles, posed
 from avatar.skeleton import JOINTS, joint_transforms
-from player.pose.ik import LIMBS, reach_distance, reach_for
+from player.pose.ik import LIMBS, reach_for
 
 SOME = settings(max_examples=15, deadline=None, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
@@ -20,6 +20,13 @@ def start_pose(seed, scale=0.5):
     rng = np.random.default_rng(seed)
     pose = clamped(rng.normal(size=(52, 3)) * scale)
     return pose, rng.normal(size=3), BODIES[seed % 2], rng
+
+
+def reach_distance(joints, limb):
+    """Shortest and longest distance from first to end joint, metres."""
+    first, middle, last, _ = LIMBS[limb]
+    a, b = np.linalg.norm(joints[middle] - joints[first]), np.linalg.norm(joints[last] - joints[middle])
+    return abs(a - b), a + b
 
 
 def places(pose, root, joints):

@@ -12,17 +12,13 @@ from avatar.limits import joint_angles, within
 from avatar.motion.read import read_motion
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms
-from command.command_line import parse
-from player.play_command import PLAY, PlayCommand, scene_of
 from player.pose.fingers import PRESETS, hand_shape
 from player.pose.ik import LIMBS
 from player.pose.mirror import mirrored_in_place
 from player.scene.framing import pelvis_height
 from player.scene.motions import motion_for
-from player.scene.opened import opened_avatars
 from player.window.pose_tool import HANDLES
-from player.window.show import opened_show
-from player.window.window import Window
+from tests.window_script import run
 
 J = {name: k for k, name in enumerate(JOINTS)}
 SIZE = (900, 640)
@@ -32,30 +28,14 @@ CTRL_Z, CTRL_Y = "down:ctrl z up:ctrl", "down:ctrl down:shift z up:shift up:ctrl
 
 
 @pytest.fixture
-def opened(osmesa, avatar_path, tmp_path, monkeypatch):
+def opened(open_window):
     """Opens a window in which the first frame of "counting" is being posed."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    windows = []
 
-    def open_(*more):
-        scene = scene_of(parse(PlayCommand, [avatar_path, *more], PLAY))
-        window = Window(opened_show(scene, opened_avatars(scene)), size=SIZE, null=True)
-        windows.append(window)
-        run(window, "space home p wait")
-        edit = window.parts.posing.edit
-        return window, edit, edit.session
+    def posed(*more):
+        window = open_window(*more, script="space home p wait")
+        return window, window.parts.posing.edit, window.parts.posing.edit.session
 
-    yield open_
-    for window in windows:
-        assert window.screen.context.gl.error == "GL_NO_ERROR"
-        window.close()
-        assert window.screen.context.released
-
-
-def run(window, script):
-    window.run(script.split(), keep=True)
-    return window.parts.state.last.image[..., :3].astype(int)
+    return posed
 
 
 def at(window, world):

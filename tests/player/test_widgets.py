@@ -14,14 +14,10 @@ import glfw  # noqa: F401  before imgui_bundle
 import avatar
 import player.window
 import player.window.panels
-from command.command_line import parse
-from player.play_command import PLAY, PlayCommand, scene_of
-from player.scene.opened import opened_avatars
 from player.window.actions import GROUPS
 from player.window.panels import widgets
 from player.window.panels.widgets import Widgets, elided
-from player.window.show import opened_show
-from player.window.window import Window
+from tests.window_script import run
 
 FOLDER = Path(player.window.panels.__file__).parent
 # what only shows something, or frames what is shown
@@ -74,26 +70,9 @@ def test_the_window_and_the_panels_are_in_no_circle_and_no_object_has_thirty_att
 
 
 @pytest.fixture
-def opened(osmesa, avatar_path, tmp_path, monkeypatch):
+def opened(open_window):
     """Opens windows with panels, paused at the first frame."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    windows = []
-
-    def open_(*more, size=(1280, 800)):
-        scene = scene_of(parse(PlayCommand, [avatar_path, *more], PLAY))
-        windows.append(Window(opened_show(scene, opened_avatars(scene)), size=size, null=True))
-        run(windows[-1], "space home wait")
-        return windows[-1]
-
-    yield open_
-    for window in windows:
-        window.close()
-
-
-def run(window, script):
-    window.run(script.split(), keep=True)
-    return window.parts.state.last.image[..., :3].astype(int)
+    return lambda *more: open_window(*more, size=(1280, 800), script="space home wait")
 
 
 def test_every_widget_has_a_tooltip_of_its_own_and_it_is_shown(opened):

@@ -26,13 +26,6 @@ from player.window.script import NUMBERS, steps
 from player.window.window import Window
 
 
-@pytest.fixture(scope="module")
-def avatar_path(avatar, tmp_path_factory):
-    path = tmp_path_factory.mktemp("avatar") / "a.glb"
-    write_avatar(path, avatar)
-    return str(path)
-
-
 def pixels(path):
     with Image.open(path) as image:
         return np.asarray(image).astype(int)
@@ -129,7 +122,7 @@ def test_a_click_picks_and_its_joint_is_named(avatar_path, tmp_path, monkeypatch
 
     monkeypatch.setattr(hud_panel, "status", status)
     screenshot(avatar_path, tmp_path / "a.png", "space home click:92:33 wait drag:80:60:90:60 wait click:3:3 wait")
-    words = [re.search(r"a: (\w+)", text) for text in seen]
+    words = [re.search(r"someone: (\w+)", text) for text in seen]
     named = [match[1] for match in words if match]
     assert set(named) == {"head"} and len(named) >= 6 and words[-1] is None
 

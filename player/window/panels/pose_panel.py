@@ -11,18 +11,7 @@ from player.pose.fingers import CURL_RANGE, PRESETS, SPREAD_RANGE, Side, finger_
 from player.pose.ik import LIMBS
 from player.pose.library import BUILTIN
 from player.pose.mirror import PARTNER, hand_joints, limb_of
-from player.window.actions import (
-    COPY_LIMB,
-    COPY_POSE,
-    DELETE_KEY,
-    MIRROR,
-    PASTE,
-    PASTE_MIRRORED,
-    REDO,
-    SET_KEY,
-    TO_GROUND,
-    UNDO,
-)
+from player.window import actions
 from player.window.panels.widgets import Widgets
 from player.window.parts import WindowParts
 from player.window.posing import PoseEdit
@@ -79,14 +68,14 @@ class PosePanels:
     def _pose(self, edit: PoseEdit) -> None:
         """Undo and redo, the file, limits, axes; what is done to the whole pose."""
         ui, parts, session = self.ui, self.parts, edit.session
-        ui.action("Undo", UNDO, parts)
-        ui.action("Redo", REDO, parts, beside=True)
-        ui.action("Mirror", MIRROR, parts, beside=True)
-        ui.action("To ground", TO_GROUND, parts, name="ground", beside=True)
-        ui.action("Copy pose", COPY_POSE, parts, name="copy whole")
+        ui.action("Undo", actions.UNDO, parts)
+        ui.action("Redo", actions.REDO, parts, beside=True)
+        ui.action("Mirror", actions.MIRROR, parts, beside=True)
+        ui.action("To ground", actions.TO_GROUND, parts, name="ground", beside=True)
+        ui.action("Copy pose", actions.COPY_POSE, parts, name="copy whole")
         if session.copied is not None:
-            ui.action("Paste", PASTE, parts, beside=True)
-            ui.action("Paste mirrored", PASTE_MIRRORED, parts, name="paste mirrored", beside=True)
+            ui.action("Paste", actions.PASTE, parts, beside=True)
+            ui.action("Paste mirrored", actions.PASTE_MIRRORED, parts, name="paste mirrored", beside=True)
         tip = "Keep joints within the range of healthy adults."
         session.limited = ui.checkbox("limits", session.limited, tip)
         tip = "On: the rings turn about x, y and z of the world. Off: about the bone's own axes."
@@ -132,7 +121,7 @@ class PosePanels:
         if joint:
             self._button(edit, "Reset limb", "The joint's whole limb as in the T-pose.",
                          lambda: session.reset(limb_of(joint)))  # fmt: skip
-            ui.action("Copy limb", COPY_LIMB, parts, beside=True)
+            ui.action("Copy limb", actions.COPY_LIMB, parts, beside=True)
         if PARTNER[joint] != joint:
             self._button(edit, "Other side too", "The other side's limb does the same, mirrored.",
                          lambda: session.to_other_side(limb_of(joint)), name="other side", beside=True)  # fmt: skip
@@ -193,9 +182,9 @@ class PosePanels:
     def _keyframes(self, edit: PoseEdit) -> None:
         """Keyframes: the present pose at the frame that the timeline shows."""
         ui, parts, session, line = self.ui, self.parts, edit.session, self.parts.state.timeline
-        ui.action("Set keyframe", SET_KEY, parts, name="key")
+        ui.action("Set keyframe", actions.SET_KEY, parts, name="key")
         if session.frame in dict(session.keys):
-            ui.action("Delete keyframe", DELETE_KEY, parts, name="delete key", beside=True)
+            ui.action("Delete keyframe", actions.DELETE_KEY, parts, name="delete key", beside=True)
         smooth = ui.checkbox("smooth", session.state.easing == "smooth", "Start and stop softly at each keyframe.")
         session.ease("smooth" if smooth else "linear")
         tip = "Every change of the pose becomes a keyframe at once."

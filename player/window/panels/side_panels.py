@@ -6,19 +6,10 @@ import numpy as np
 from imgui_bundle import imgui
 
 from command.progress import plural
+from player.live.latency import SPANS
 from player.live.playback import LivePlayback
 from player.scene.cameras import NAMES
-from player.window.actions import (
-    ADD_CAMERA_KEY,
-    FILM,
-    FIRST_PERSON,
-    FOLLOW,
-    POSE,
-    RESET_CAMERA,
-    SAVE_CAMERA_PATH,
-    SCREENSHOT,
-    T_POSE,
-)
+from player.window import actions
 from player.window.panels.effects_panel import effects_panel
 from player.window.panels.widgets import Widgets, tip_of
 from player.window.parts import WindowParts
@@ -26,8 +17,6 @@ from player.window.playback import Playback
 from player.window.state import joint_name
 from player.window.viewpoint import Viewpoint
 from player.window.wipe import Wipe
-
-SPANS = ("sent to received", "received to applied", "received to drawn")
 
 
 def avatars_panel(ui: Widgets, parts: WindowParts) -> None:
@@ -50,7 +39,7 @@ def avatars_panel(ui: Widgets, parts: WindowParts) -> None:
         tip = "The second of its motion at which this avatar begins."
         start = ui.slider("start, s", track.start, (0.0, track.frames / track.rate), tip, name="start at", form="%.2f")
         track.start = track.start if start is None else start
-    ui.action("Pose by hand" if posing.edit is None else "Stop posing", POSE, parts, name="pose")
+    ui.action("Pose by hand" if posing.edit is None else "Stop posing", actions.POSE, parts, name="pose")
     joint = selection.joint
     imgui.text_disabled(f"joint: {joint_name(joint)}" if joint is not None else "click the avatar to pick a joint")
 
@@ -62,7 +51,7 @@ def live_panel(ui: Widgets, playback: Playback) -> None:
         _source(live)
         asked = live.countdown is not None
         text = f"T-pose in {live.countdown:.0f} s" if asked else "Take the T-pose in 3 s"
-        if ui.button(text, tip_of(T_POSE), name="T-pose"):
+        if ui.button(text, tip_of(actions.T_POSE), name="T-pose"):
             live.ask_for_t_pose()
         imgui.pop_id()
 
@@ -102,17 +91,19 @@ def camera_panel(ui: Widgets, parts: WindowParts) -> None:
     if chosen is not None:
         viewpoint.choose(kinds[chosen])
     if cameras.kind in ("orbit", "turntable"):
-        ui.action("Reset", RESET_CAMERA, parts, name="reset camera")
+        ui.action("Reset", actions.RESET_CAMERA, parts, name="reset camera")
         viewpoint.follow = ui.checkbox(
-            "follow the avatar", viewpoint.follow, tip_of(FOLLOW), name="follow", beside=True
+            "follow the avatar", viewpoint.follow, tip_of(actions.FOLLOW), name="follow", beside=True
         )
     elif cameras.kind == "walk":
-        imgui.text_disabled("\n".join(f"{action.shown_keys[0]}  {action.means}" for action in FIRST_PERSON.actions))
+        imgui.text_disabled(
+            "\n".join(f"{action.shown_keys[0]}  {action.means}" for action in actions.FIRST_PERSON.actions)
+        )
     if parts.wipe is not None and viewpoint.shows_video:
         _wipe(ui, parts.wipe, viewpoint)
-    ui.action("Add camera key", ADD_CAMERA_KEY, parts, name="add key")
+    ui.action("Add camera key", actions.ADD_CAMERA_KEY, parts, name="add key")
     if cameras.keys:
-        ui.action("Save path", SAVE_CAMERA_PATH, parts, beside=True)
+        ui.action("Save path", actions.SAVE_CAMERA_PATH, parts, beside=True)
         if ui.button("Clear", "Forget the recorded keys.", name="clear keys", beside=True):
             cameras.clear_keys()
     if cameras.keys:
@@ -134,8 +125,8 @@ def view_panel(ui: Widgets, parts: WindowParts) -> None:
     look = parts.look
     # above the effects, of which there are more than a small window shows
     film = parts.recorder.film
-    ui.action("Screenshot", SCREENSHOT, parts)
-    ui.action("Stop film" if film else "Film", FILM, parts, name="film", beside=True)
+    ui.action("Screenshot", actions.SCREENSHOT, parts)
+    ui.action("Stop film" if film else "Film", actions.FILM, parts, name="film", beside=True)
     tip = "Milliseconds that each effect adds to a frame now, beside it; timing them takes a moment."
     if ui.button("Prices", tip, name="prices", beside=True):
         parts.prices.ask()

@@ -2,7 +2,7 @@
 
 from imgui_bundle import imgui
 
-from player.window.actions import FIRST_FRAME, HELP, LAST_FRAME, PLAY, RANGE_A, RANGE_B, RANGE_OFF, STEP_BACK, STEP_ON
+from player.window import actions
 from player.window.panels.widgets import Widgets
 from player.window.parts import WindowParts
 from player.window.timeline import LOOPS, SPEEDS
@@ -14,11 +14,11 @@ RANGE = imgui.IM_COL32(255, 204, 51, 60)
 def timeline_panel(ui: Widgets, parts: WindowParts) -> None:
     """One row of buttons and one long slider."""
     line, letter = parts.state.timeline, imgui.get_font_size()
-    ui.action("|<", FIRST_FRAME, parts, name="start")
-    ui.action("<", STEP_BACK, parts, name="back", beside=True)
-    ui.action("Pause" if line.playing else "Play", PLAY, parts, name="play", beside=True, width=4.2 * letter)
-    ui.action(">", STEP_ON, parts, name="on", beside=True)
-    ui.action(">|", LAST_FRAME, parts, name="end", beside=True)
+    ui.action("|<", actions.FIRST_FRAME, parts, name="start")
+    ui.action("<", actions.STEP_BACK, parts, name="back", beside=True)
+    ui.action("Pause" if line.playing else "Play", actions.PLAY, parts, name="play", beside=True, width=4.2 * letter)
+    ui.action(">", actions.STEP_ON, parts, name="on", beside=True)
+    ui.action(">|", actions.LAST_FRAME, parts, name="end", beside=True)
     imgui.same_line()
     speeds = sorted({*SPEEDS, line.speed})
     chosen = ui.choice("##speed", speeds.index(line.speed), [f"x {speed:g}" for speed in speeds],
@@ -29,9 +29,9 @@ def timeline_panel(ui: Widgets, parts: WindowParts) -> None:
                        width=7.0 * letter)  # fmt: skip
     if chosen is not None:
         line.loop, line.backwards = LOOPS[chosen], False
-    for name, action in (("A", RANGE_A), ("B", RANGE_B), ("A-B off", RANGE_OFF)):
+    for name, action in (("A", actions.RANGE_A), ("B", actions.RANGE_B), ("A-B off", actions.RANGE_OFF)):
         ui.action(name, action, parts, name=name, beside=True)
-    ui.action("Keys", HELP, parts, name="keys", beside=True)
+    ui.action("Keys", actions.HELP, parts, name="keys", beside=True)
     imgui.same_line()
     if line.frames == 1 and parts.posing.edit is None:
         imgui.text("live" if parts.state.playback.live else "one pose")

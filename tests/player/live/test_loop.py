@@ -15,7 +15,6 @@ import pytest
 from PIL import Image
 
 from avatar.body import builtin_body
-from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.amass import read_amass, write_amass
 from avatar.motion.clip import Clip
 from avatar.motion.read import builtin_motion, read_motion
@@ -291,13 +290,6 @@ def test_addresses_are_of_this_machine_unless_a_host_is_named():
 
 
 # The window -----------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def avatar_path(avatar, tmp_path_factory):
-    path = tmp_path_factory.mktemp("avatar") / "a.glb"
-    write_avatar(path, avatar)
-    return str(path)
 
 
 class Sender(threading.Thread):
