@@ -42,7 +42,7 @@ def live_session(address: Address, options: LiveCommand, avatars: Sequence[Avata
         ending.callback(_print_summary, playback)
         ending.callback(inbox.finish)
         print(f"live: {listener.address}", end="")
-        print(" (this machine only)" if options.address.local else ": anyone who reaches this port poses it")
+        print(" (this machine only)" if address.local else ": anyone who reaches this port poses it")
         yield playback
 
 
