@@ -15,12 +15,12 @@ BUDGET = {
     "capture": 12_140,
     "train": 5_950,
     "bake": 4_500,
-    "player": 19_410,
+    "player": 19_220,
     "shaders": 1_040,
     "synth": 2950,
     "bench": 6490,
     "selfscan": 400,
-    "tests": 38_190,
+    "tests": 38_070,
 }
 
 
