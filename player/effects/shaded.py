@@ -110,7 +110,7 @@ class AvatarPass(Pass):
     running: Decision
     # the pass that draws the avatar instead, where it can show; None: it is that pass, or there is none
     instead: "AvatarPass | None" = None
-    min_height: float = 0.0  # pixels
+    min_height: int = 0  # pixels
 
     def decide(self, drawing: Drawing) -> Decision:
         if not drawing.visible[self.mesh.avatar]:

@@ -18,7 +18,7 @@ COMPARISON = re.compile(r"^#\s*if\s+(\w+)\s*([!=]=)\s*(\d+)$")
 NAME = re.compile(r"\b[A-Z][A-Z0-9_]+\b")
 PLACE = re.compile(r"^(?:(?:ERROR|WARNING):\s*)?(\d+)[:(](\d+)\)?", re.MULTILINE)  # 0:12(3) | 0(12) | ERROR: 0:12
 
-UniformValue = float | tuple[float, ...] | np.ndarray
+UniformValue = float | int | tuple[float | int, ...] | np.ndarray | np.generic
 Uniforms = dict[str, UniformValue]
 
 
