@@ -148,6 +148,7 @@ def joined_cloud(clouds: list[SurfaceCloud]) -> SurfaceCloud:
     return SurfaceCloud(
         points, join([cloud.normals for cloud in clouds]), skin, join([cloud.part for cloud in clouds]),
         KDTree(points), min(cloud.spacing for cloud in clouds), join([cloud.gap for cloud in clouds]),
+        join([cloud.area for cloud in clouds]),
     )  # fmt: skip
 
 

@@ -34,6 +34,8 @@ KNOWN = 0.001
 CURL, MEAN_FINGER, OWN_FINGER = 10.0, (20.0, 7.0, 4.0), (5.0, 2.0, 1.0)
 MEAN_WRIST, OWN_WRIST = (15.0, 10.0, 5.0), (12.0, 8.0, 4.0)
 WEIGHTS = (0.05, 0.05)
+# metres: a bare hand stands off the body's no farther; outlines that disagree would blow up fingers
+BARE = 0.004
 
 
 def hand_names(side: str) -> tuple[str, ...]:
@@ -83,4 +85,5 @@ def fit_hand(person: Person, g: Array, footage: Footage, side: str, report: Repo
     estimate, priors = fit_keypoints(person, g, footage, side)
     report("keypoints")
     priors = replace(priors, g=estimate.g, g_sigma=np.where(person.fingers, KNOWN, priors.g_sigma))
-    return fit_dressed(estimate, footage, priors, hand_vertices(person, (side,)), WEIGHTS, CUTS[-1], report)
+    own = hand_vertices(person, (side,))
+    return fit_dressed(estimate, footage, priors, own, WEIGHTS, CUTS[-1], report, np.where(own, BARE, 0.0))

@@ -22,6 +22,8 @@ TRUNK, LIMBS, SCALP = 0.10, 0.03, 0.015
 # metres, on the male body, above the pelvis and before it: the scalp lies over the brows, or behind the ears above
 # the nape
 HAIRLINE, BEHIND, NAPE = 0.705, -0.005, 0.575
+# metres over which the scalp's rises from nothing at its edge
+RISE = 0.03
 TRUNK_JOINTS = [JOINTS.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")]
 HEAD, NECK = JOINTS.index("head"), JOINTS.index("neck")
 
@@ -44,5 +46,6 @@ def scalp_standoff() -> Float[Array, "vertices"]:
     """The same of the head's video: the scalp alone."""
     body = builtin_body("male")
     x, head = body.vertices, dense_weights(body.skin)[:, HEAD] > 0.5
-    scalp = (x[:, 1] > HAIRLINE) | ((x[:, 2] < BEHIND) & (x[:, 1] > NAPE))
-    return np.where(head & scalp, SCALP, 0.0)
+    over = x[:, 1] - HAIRLINE
+    behind = np.minimum(BEHIND - x[:, 2], x[:, 1] - NAPE)
+    return np.where(head, SCALP * np.clip(np.maximum(over, behind) / RISE, 0, 1), 0.0)

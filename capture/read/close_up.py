@@ -21,8 +21,9 @@ from geometry.rasterise import rasterise
 
 Array = np.ndarray
 
-# metres of neck or forearm that belong to a part, and beside its outline that may be it
-REACH, BESIDE = 0.07, 0.02
+# metres of forearm that belong to a hand, and beside a part's outline that may be it; hair stands off a head farther,
+# as far as it lies over the chin: what hangs lower is the body's video's, and so is the neck, from which the head turns
+FOREARM, BESIDE, HAIR = 0.07, 0.02, 0.12
 # a mixture (capture/folder.py, MIXED) that counts as no person
 UNKNOWN = 120
 
@@ -34,7 +35,8 @@ class PartMasks:
         self.template, self.part = template, part
         members = template.part == PARTS.index(part)
         away = KDTree(template.vertices[members]).query(template.vertices)[0]
-        self.faces = template.faces[(away[template.faces] < REACH).all(1)]
+        reach = 0.0 if part == "head" else FOREARM
+        self.faces = template.faces[(away[template.faces] <= reach).all(1)]
         places = np.array([point for point, _ in landmarks.values()])
         rest = template.vertices[[vertex for _, vertex in landmarks.values()]]
         self.head_from_rest = similarity_from_landmarks(rest, places).transform
@@ -52,7 +54,11 @@ class PartMasks:
         if not (drawn.face >= 0).any():
             return np.where(mask > 0, UNKNOWN, 0).astype(np.uint8)
         depth = float(np.median(drawn.depth[drawn.face >= 0]))
-        near = _grown(drawn.face >= 0, BESIDE * self.unit * small.K[0, 0] / depth)
+        metre = self.unit * small.K[0, 0] / depth
+        near = _grown(drawn.face >= 0, BESIDE * metre)
+        if self.part == "head":
+            chin = int(np.flatnonzero((drawn.face >= 0).any(1))[-1])
+            near[:chin] |= _grown(drawn.face >= 0, HAIR * metre)[:chin]
         rows, columns = (np.minimum(np.arange(n) // step, m - 1) for n, m in zip(mask.shape, near.shape))
         return np.where(near[rows][:, columns] | (mask == 0), mask, UNKNOWN).astype(np.uint8)
 

@@ -29,7 +29,7 @@ from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import SkinWeights, dense_weights, skin_points, strongest_four, unskin_points
 from capture.folder import CaptureSubject, PartVideo
 from capture.template.grid import DistanceGrid, distance_grid
-from capture.template.hull import SEEN_BY, MaskView, background_share
+from capture.template.hull import SEEN_BY, MaskView, background_share, sure_background
 from capture.template.surface import SurfaceCloud, surface_cloud, visible_faces
 from geometry.cells import distance_to
 from geometry.isosurface import zero_set_mesh
@@ -115,9 +115,9 @@ def held_pose(body: PartVideo, subject: CaptureSubject) -> tuple[Float[Array, "5
     pose[0] = 0
     pelvis = skin_transforms(pose, subject.joints, np.zeros(3))[0]
     views = []
-    for mask, camera, axis_angle, root in zip(body.masks, body.cameras, body.axis_angle, body.root):
+    for beside, camera, axis_angle, root in zip(sure_background(body), body.cameras, body.axis_angle, body.root):
         world_from_pose = skin_transforms(axis_angle, subject.joints, root)[0] @ np.linalg.inv(pelvis)
-        views.append(MaskView(mask, replace(camera, camera_from_world=camera.camera_from_world @ world_from_pose)))
+        views.append(MaskView(beside, replace(camera, camera_from_world=camera.camera_from_world @ world_from_pose)))
     return pose, views
 
 

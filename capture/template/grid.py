@@ -8,10 +8,14 @@ from scipy import ndimage
 
 from capture.folder import CaptureSubject
 from capture.template.surface import SurfaceCloud, air_beyond
-from geometry.cells import connected_to, distance_to
+from geometry.cells import distance_to
 from geometry.sample import lattice_samples
+from geometry.winding import winding_grid
 
 Array = np.ndarray
+
+# winding numbers of what is surely out of the person and surely in it
+OUTSIDE, INSIDE = 0.25, 0.75
 
 
 class DistanceGrid(NamedTuple):
@@ -39,10 +43,11 @@ def distance_grid(
 ) -> DistanceGrid:
     """Signed distance of the cloud on a grid over a box; `closed` fills the cavities of the head.
 
-    Deeper than three cells the sign comes from a flood fill, so that one bad normal cannot open a hole there.
+    The sign is that of the winding number where that is clear, near the surface that of the nearest sample: neither
+    one bad normal nor a cut through a sheet opens a hole.
     """
     axes = [np.arange(low[i], high[i] + cell, cell) for i in range(3)]
-    shape = tuple(len(axis) for axis in axes)
+    shape = (len(axes[0]), len(axes[1]), len(axes[2]))
     # exact within four cells of a sample; farther out the distance between cells is near enough
     occupied = np.zeros(shape, bool)
     index = np.round((cloud.points - low) / cell).astype(int)
@@ -51,13 +56,10 @@ def distance_grid(
     distance = distance_to(occupied) * cell
     near = np.argwhere(distance < 4 * cell)
     exact, _ = cloud.distance(np.stack([axes[i][near[:, i]] for i in range(3)], 1))
-    # air is what the border reaches through cells clearly off the surface and not known to lie under it
-    blocked = np.zeros(shape, bool)
-    blocked[tuple(near.T)] = exact < 0.87 * cell
-    air = connected_to(np.pad(~blocked, 1, constant_values=True), (0, 0, 0))[1:-1, 1:-1, 1:-1]
-    distance = np.where(air, distance, -distance)
-    deep = np.abs(exact) > 3 * cell
-    exact = np.where(deep & ~air[tuple(near.T)], -np.abs(exact), exact)
+    winding = winding_grid(cloud.points, cloud.normals * cloud.area[:, None], low, shape, cell)
+    distance = np.where(winding > 0.5, -distance, distance)
+    wound = winding[tuple(near.T)]
+    exact = np.where(wound < OUTSIDE, np.abs(exact), np.where(wound > INSIDE, -np.abs(exact), exact))
     distance[tuple(near.T)] = exact
     if closed is not None:
         distance = close_cavities(distance, axes, cell, closed)

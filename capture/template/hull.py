@@ -47,29 +47,36 @@ LEAST = 1e-4
 
 
 class MaskView(NamedTuple):
-    """A mask and the camera that took it, moved to where the head rests in the canonical frame."""
+    """Where a picture shows background, and the camera that took it, moved to where the head rests canonically."""
 
-    mask: Bool[Array, "height width"]
+    beside: Bool[Array, "height width"]  # surely background: a pixel that is not to be believed proves no air
     camera: Camera  # its camera_from_world takes canonical metres
+
+
+def sure_background(video: PartVideo) -> list[Bool[Array, "height width"]]:
+    """Frame by frame the pixels that surely show no person."""
+    unsure = np.zeros_like(video.masks) if video.unsure is None else video.unsure
+    return [~mask & ~own for mask, own in zip(video.masks, unsure)]
 
 
 def head_views(video: PartVideo, canonical_from_head: Float[Array, "4 4"]) -> list[MaskView]:
     """The head video's views; its camera frames differ from the canonical one by a similarity (Eq. 6)."""
     head_from_canonical = np.linalg.inv(canonical_from_head)
-    return [_moved(mask, camera, head_from_canonical) for mask, camera in zip(video.masks, video.cameras)]
+    return [
+        MaskView(beside, moved_camera(camera, head_from_canonical))
+        for beside, camera in zip(sure_background(video), video.cameras)
+    ]
 
 
 def body_views(video: PartVideo, subject: CaptureSubject) -> list[MaskView]:
     """The body video's views as the head sees them: what hangs from the head moves with its bone."""
     assert video.axis_angle is not None and video.root is not None
-    views = []
-    for mask, camera, axis_angle, root in zip(video.masks, video.cameras, video.axis_angle, video.root):
-        views.append(_moved(mask, camera, skin_transforms(axis_angle, subject.joints, root)[HEAD]))
-    return views
-
-
-def _moved(mask: Array, camera: Camera, frame_from_canonical: Array) -> MaskView:
-    return MaskView(mask, moved_camera(camera, frame_from_canonical))
+    return [
+        MaskView(beside, moved_camera(camera, skin_transforms(axis_angle, subject.joints, root)[HEAD]))
+        for beside, camera, axis_angle, root in zip(
+            sure_background(video), video.cameras, video.axis_angle, video.root, strict=True
+        )
+    ]
 
 
 def moved_camera(camera: Camera, frame_from_canonical: Float[Array, "4 4"]) -> Camera:
@@ -90,11 +97,11 @@ def background_share(
     against, seen = np.zeros(len(points)), np.zeros(len(points), int)
     for view in views:
         pixels, depth = project(view.camera, points)
-        height, width = view.mask.shape
+        height, width = view.beside.shape
         column, row = np.floor(np.nan_to_num(pixels, nan=-1.0)).clip(-1, 1 << 20).astype(int).T
         holds = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
         seen += holds
-        against[holds] += ~view.mask[row[holds], column[holds]]
+        against[holds] += view.beside[row[holds], column[holds]]
     return against / np.maximum(seen, 1), seen
 
 

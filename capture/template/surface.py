@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from avatar.skinning import SkinWeights, dense_weights, strongest_four
 from capture.folder import CaptureSubject
 from geometry.cells import connected_to, nearest_marked
-from geometry.mesh import face_normals, vertex_normals
+from geometry.mesh import face_areas, face_normals, vertex_normals
 from geometry.sample import lattice_samples
 
 Array = np.ndarray
@@ -31,6 +31,7 @@ class SurfaceCloud:
     tree: KDTree
     spacing: float  # metres, of the finest part
     gap: Float[Array, "samples"]  # metres, of each sample's own face
+    area: Float[Array, "samples"]  # square metres that each stands for
 
     def distance(self, points: Float[Array, "n 3"]) -> tuple[Float[Array, "n"], Int[Array, "n"]]:
         """Signed distance to the samples, and the nearest sample. Right near the surface, see `signed`."""
@@ -121,7 +122,8 @@ def surface_cloud(
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     points = blend(subject.vertices)
     skin = blend_skin(subject.skin, corners, barycentric)
-    return SurfaceCloud(points, normals, skin, part[face], KDTree(points), fine, gap[face])
+    area = (face_areas(subject.vertices, faces) / np.maximum(np.bincount(face, minlength=len(faces)), 1))[face]
+    return SurfaceCloud(points, normals, skin, part[face], KDTree(points), fine, gap[face], area)
 
 
 def blend_skin(skin: SkinWeights, corners: Int[Array, "s 3"], barycentric: Float[Array, "s 3"]) -> SkinWeights:

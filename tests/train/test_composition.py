@@ -36,7 +36,8 @@ def _sphere_cloud() -> SurfaceCloud:
     d = np.random.default_rng(0).normal(size=(60000, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     skin = SkinWeights(np.zeros((len(d), 4), int), np.tile(np.float32([1, 0, 0, 0]), (len(d), 1)))
-    return SurfaceCloud(0.1 * d, d, skin, np.zeros(len(d), int), KDTree(0.1 * d), 0.003, np.full(len(d), 0.003))
+    gap, area = np.full(len(d), 0.003), np.full(len(d), 0.04 * np.pi / len(d))
+    return SurfaceCloud(0.1 * d, d, skin, np.zeros(len(d), int), KDTree(0.1 * d), 0.003, gap, area)
 
 
 def test_template_grid_of_a_sphere_is_its_distance():
