@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from avatar.camera import Camera, project
 from avatar.skeleton import BIG_POSE, JOINTS, PARTS, skin_transforms
-from avatar.skinning import SkinWeights
+from avatar.skinning import SkinWeights, skin_points
 from capture.folder import Capture, CaptureSubject, PartVideo
 from capture.template.grid import DistanceGrid, distance_grid
 from capture.template.hollows import ColorView, carve_hollows, color_views
@@ -44,6 +44,9 @@ FARTHEST = 0.12  # metres: no hair stands farther off
 STANDS_OFF = 0.015
 # cubic metres, a tenth of a litre: less standing off is an ear, a collar, a hull's hollow
 LEAST = 1e-4
+# cells by which hair may hang farther out, sideways, than it stands off the head: what lies beyond is a shoulder that is
+# not where the template has it
+SPREAD = 8
 
 
 class MaskView(NamedTuple):
@@ -146,6 +149,7 @@ def carve(
     hull = distance_to(~held) * cell > ERODED
     standing = hull & (distance > STANDS_OFF)
     standing = np.asarray(ndimage.binary_opening(standing, ndimage.generate_binary_structure(3, 1)), bool)
+    standing &= hanging(standing, axes[1] > neck)
     label = np.empty(standing.shape, np.int32)
     ndimage.label(standing, output=label)
     for piece in range(1, int(label.max()) + 1):
@@ -160,6 +164,14 @@ def carve(
     return Hair(ndimage.gaussian_filter(solid.astype(np.float64), 0.8), low, cell)
 
 
+def hanging(standing: Bool[Array, "x y z"], above: Bool[Array, "y"]) -> Bool[Array, "x y z"]:
+    """The cells that hang under what stands off the head, seen from above, or SPREAD beside it; `above` are the levels
+    of the head."""
+    roots = standing[:, above].any(1)
+    under = distance_to(roots) <= SPREAD if roots.any() else roots
+    return under[:, None] | above[:, None]
+
+
 def with_hair(
     subject: CaptureSubject, capture: Capture, canonical_from_head: Float[Array, "4 4"], *, hollows: bool, layers: bool
 ) -> CaptureSubject:
@@ -172,9 +184,11 @@ def with_hair(
     head = subject.vertices[subject.part == PARTS.index("head")]
     around = np.array(AROUND)
     low, high = head.min(0) - around, head.max(0) + [around[0], 0.06, around[2]]
-    template = closed_grid(subject, low, high, neck)
+    body = capture.videos["body"]
+    held = under_held_head(subject, body)
+    template = closed_grid(held, low, high, neck)
     views = head_views(capture.videos["head"], canonical_from_head)
-    views += body_views(capture.videos["body"], subject)
+    views += body_views(body, subject)
     pictures = None
     if hollows:
         video, head_from_canonical = capture.videos["head"], np.linalg.inv(canonical_from_head)
@@ -188,9 +202,17 @@ def with_hair(
     # what of the hair lies under the skin is no surface, and what of the skin lies under the hair neither
     under = template.at(vertices[faces].mean(1))
     faces = faces[under > -0.003]
-    covered = hair.at(subject.vertices[subject.faces].mean(1)) > 0.75
+    covered = hair.at(held.vertices[subject.faces].mean(1)) > 0.75
     out = joined(subject, subject.faces[~covered], vertices, faces, neck)
     return replace(out, under_hair=subject.faces[covered]) if layers else out
+
+
+def under_held_head(subject: CaptureSubject, body: PartVideo) -> CaptureSubject:
+    """The subject as the body's video holds it on average, its head where it rests canonically: the trunk bends, and
+    hair lies on shoulders where they are."""
+    assert body.axis_angle is not None
+    B = skin_transforms(body.axis_angle.mean(0), subject.joints, np.zeros(3))
+    return replace(subject, vertices=skin_points(subject.vertices, subject.skin, np.linalg.inv(B[HEAD]) @ B))
 
 
 def hair_mesh(hair: Hair) -> TriangleMesh:

@@ -10,7 +10,9 @@ from scipy.spatial import KDTree
 
 from avatar.skeleton import PARTS
 from capture.folder import CaptureSubject
-from capture.template.surface import SurfaceCloud, air_beyond, surface_cloud, visible_faces
+from capture.template.grid import DistanceGrid, distance_grid
+from capture.template.surface import air_beyond, surface_cloud, visible_faces
+from geometry.cells import nearest_marked
 from geometry.mesh import vertex_normals
 from geometry.sample import lattice_samples
 
@@ -20,10 +22,8 @@ PointFunction = Callable[[Float[np.ndarray, "n 3"]], np.ndarray]
 INSIDE = np.array([0.02, 0.015, 0.004, 0.004])
 # metres, under hair: a hull (capture/template/hull.py) spans hollows; the head's band ends at 2 cm
 HAIR_INSIDE = 0.025
-
-
-# metres between samples of the template at cloth
-SPACING = 0.004
+# metres between samples of the template at cloth, and between the nodes of its distance
+SPACING, CELL = 0.004, 0.006
 # metres: where what is seen is nearer than what cloth hides by less than this, less than cloth is thick, both count
 BLEND = 0.008
 
@@ -42,38 +42,35 @@ def template_behind_cloth(distance: PointFunction, subject: CaptureSubject) -> P
     low, high = (edge(subject.vertices[subject.faces[hidden]].reshape(-1, 3), 0) for edge in (np.min, np.max))
     low, high = low - 0.02, high + 0.02
     corners = subject.vertices[subject.faces]
-    near = visible_faces(subject) & ((corners > low - 0.05) & (corners < high + 0.05)).all((1, 2))
-    body = PARTS.index("body")
-    whole = surface_cloud(subject, body, near, SPACING, SPACING)
-    behind, seen = (surface_cloud(subject, body, near & one, SPACING, SPACING).tree for one in (hidden, ~hidden))
+    visible = visible_faces(subject)
+    near = visible & ((corners > low - 0.05) & (corners < high + 0.05)).all((1, 2))
+    cloud = lambda chosen: surface_cloud(subject, PARTS.index("body"), chosen, SPACING, SPACING)
+    template = distance_grid(cloud(visible), low, high, CELL)
+    further = seen_further(template, cloud(near & hidden).tree, cloud(near & ~hidden).tree)
 
     def replaced(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         """Signed distance at canonical points, metres; behind cloth it fades into the template's."""
         value = distance(points)
         inside = np.flatnonzero(((points > low) & (points < high)).all(1))
-        further = seen.query(points[inside])[0] - behind.query(points[inside])[0]
-        share = np.clip(1 + further / BLEND, 0, 1)
+        share = np.clip(1 + further.at(points[inside]) / BLEND, 0, 1)
         inside, share = inside[share > 0], share[share > 0]
         if len(inside):
-            value[inside] += share * (agreed_distance(whole, points[inside]) - value[inside])
+            value[inside] += share * (template.at(points[inside]) - value[inside])
         return value
 
     return replaced
 
 
-def agreed_distance(
-    cloud: SurfaceCloud, points: Float[np.ndarray, "n 3"], neighbours: int = 48
-) -> Float[np.ndarray, "n"]:
-    """Signed distance to the samples of a surface with edges: off the surface, what one of the nearest samples has
-    clearly before it is outside, whatever the plane of the nearest one says beyond the edge of its sheet. Neighbours
-    are so many that they reach round the edge of a sheet: from 5 cm off a hem, 12 are all of its outside."""
-    value, _ = cloud.distance(points)
-    doubtful = np.flatnonzero((value < 0) & (np.abs(value) > 1.5 * cloud.spacing))
-    away, row = cloud.tree.query(points[doubtful], k=neighbours)
-    along = ((points[doubtful][:, None] - cloud.points[row]) * cloud.normals[row]).sum(2)
-    outside = (along > 0.2 * away).any(1)
-    value[doubtful[outside]] *= -1
-    return value
+def seen_further(template: DistanceGrid, behind: KDTree, seen: KDTree) -> DistanceGrid:
+    """How much farther off than what cloth hides lies what is seen, at the nodes of the template's grid, metres; as far
+    as it matters."""
+    reach = 3 * template.cell
+    near = np.abs(template.values) < reach
+    places = template.low + template.cell * np.argwhere(near)
+    away = lambda tree: np.minimum(tree.query(places, distance_upper_bound=reach + BLEND, workers=-1)[0], reach + BLEND)
+    further = np.zeros(near.shape, np.float32)
+    further[near] = away(seen) - away(behind)
+    return template._replace(values=further[nearest_marked(near)])
 
 
 def outer_air(
