@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 from jaxtyping import Float, Float32
-from scipy import fft, ndimage
+from scipy import fft
 
 Array = np.ndarray
 
@@ -65,9 +65,7 @@ def _convolved(
     cubed = (ways[0] ** 2 + ways[1] ** 2 + ways[2] ** 2) ** np.float32(1.5)
     # a node says nothing of its own samples
     field = np.divide(np.float32(-1 / (4 * np.pi)), cubed, out=np.zeros_like(cubed), where=cubed > 0)
-    spectrum = sum(
-        fft.rfftn(spread[axis], size, workers=-1) * fft.rfftn(field * way, size, workers=-1)
-        for axis, way in enumerate(ways)
-    )
-    winding = fft.irfftn(spectrum, size, workers=-1)
-    return np.asarray(winding[tuple(slice(int(s) - 1, int(n)) for s, n in zip(source, total))], np.float32)
+    transform = lambda grid: np.asarray(fft.rfftn(grid, size, workers=-1))
+    spectrum = np.sum([transform(spread[axis]) * transform(field * way) for axis, way in enumerate(ways)], axis=0)
+    winding = np.asarray(fft.irfftn(spectrum, size, workers=-1), np.float32)
+    return winding[tuple(slice(int(s) - 1, int(n)) for s, n in zip(source, total))]

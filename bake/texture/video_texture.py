@@ -54,8 +54,8 @@ FINEST_PIXEL = 1.3
 # lambda of a texel as wide as a pixel and its growth with the texel's share of a pixel: many small texels under one
 # pixel divide what it shows. mu over lambda.
 STAY, STAY_POWER, SMOOTH = 0.06, 1.5, 4.0
-# mu over lambda where color follows the eye or poses were estimated: frames then disagree, and the grids of their pixels
-# would show as ribs
+# mu over lambda where color follows the eye or poses were estimated: frames then disagree, and the grids of their
+# pixels would show as ribs
 SMOOTH_UNSURE = 16.0
 # weight of a point on a chart edge looking the same from both sides
 AGREE = 1.0

@@ -44,8 +44,8 @@ FARTHEST = 0.12  # metres: no hair stands farther off
 STANDS_OFF = 0.015
 # cubic metres, a tenth of a litre: less standing off is an ear, a collar, a hull's hollow
 LEAST = 1e-4
-# cells by which hair may hang farther out, sideways, than it stands off the head: what lies beyond is a shoulder that is
-# not where the template has it
+# cells by which hair may hang farther out, sideways, than it stands off the head: what lies beyond is a shoulder that
+# is not where the template has it
 SPREAD = 8
 
 
@@ -167,8 +167,8 @@ def carve(
 def hanging(standing: Bool[Array, "x y z"], above: Bool[Array, "y"]) -> Bool[Array, "x y z"]:
     """The cells that hang under what stands off the head, seen from above, or SPREAD beside it; `above` are the levels
     of the head."""
-    roots = standing[:, above].any(1)
-    under = distance_to(roots) <= SPREAD if roots.any() else roots
+    roots = np.asarray(standing[:, above].any(1))
+    under = np.asarray(distance_to(roots) <= SPREAD) & roots.any()
     return under[:, None] | above[:, None]
 
 
@@ -186,7 +186,8 @@ def with_hair(
     low, high = head.min(0) - around, head.max(0) + [around[0], 0.06, around[2]]
     body = capture.videos["body"]
     held = under_held_head(subject, body)
-    template = closed_grid(held, low, high, neck)
+    cloud = surface_cloud(held, PARTS.index("head"), visible_faces(subject), 0.004, 0.008)
+    template = distance_grid(cloud, low, high, CELL, (held, neck))
     views = head_views(capture.videos["head"], canonical_from_head)
     views += body_views(body, subject)
     pictures = None
@@ -220,22 +221,6 @@ def hair_mesh(hair: Hair) -> TriangleMesh:
     density = np.pad(hair.share, 1)
     axes = [low + hair.cell * (np.arange(count) - 1) for low, count in zip(hair.low, density.shape)]
     return zero_set_mesh(0.5 - density, axes)
-
-
-def closed_grid(subject: CaptureSubject, low: Float[Array, "3"], high: Float[Array, "3"], neck: float) -> DistanceGrid:
-    """The template's distance round the head, negative in its cavities and in the body that the box cuts open.
-
-    The flood fill of `distance_grid` closes mouth and eye sockets; under the neck, where it leaks in through the
-    cut, the side of the nearest sample decides.
-    """
-    cloud = surface_cloud(subject, PARTS.index("head"), visible_faces(subject), 0.004, 0.008)
-    grid = distance_grid(cloud, low, high, CELL, (subject, neck))
-    values = grid.values.copy()
-    leaked = np.argwhere((values > 0) & (low[1] + CELL * np.arange(values.shape[1]) < neck)[:, None])
-    nearest = cloud.distance(low + CELL * leaked)[0]
-    under = leaked[nearest < 0]
-    values[tuple(under.T)] = nearest[nearest < 0]
-    return DistanceGrid(values, grid.low, CELL)
 
 
 def joined(

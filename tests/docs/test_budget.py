@@ -11,8 +11,8 @@ BUDGET = {
     "files": 1_420,
     "command": 1_130,
     "avatar": 8_650,
-    "geometry": 1700,
-    "capture": 12_140,
+    "geometry": 1_770,
+    "capture": 12_150,
     "train": 5_950,
     "bake": 4_500,
     "player": 19_220,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2950,
     "bench": 6490,
     "selfscan": 400,
-    "tests": 38_070,
+    "tests": 38_120,
 }
 
 
