@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Integer
+from jaxtyping import Bool, Float, Integer
 from scipy.spatial import KDTree
 
 from avatar.gltf.avatar_file import Avatar, write_avatar
@@ -135,7 +135,8 @@ def bake_run(
         change = view_change(field, levels[0].charted, distilled)
         levels, facts["videos"] = with_video_textures(levels, baked.places, joints, videos, clock.report, change)
         avatar = replace(avatar, levels=tuple(level.level for level in levels))
-        unseen = unseen_places(origin.vertices, origin.faces, run.surface.skin, run.surface.view_count)
+        sight = in_sight(run.subject, origin)
+        unseen = unseen_places(origin.vertices, origin.faces, run.surface.skin, run.surface.view_count, sight)
         facts["unseen"] = [place.line() for place in unseen]
         for line in facts["unseen"]:
             clock.report(f"  {line}")
@@ -171,6 +172,14 @@ def extracted(
         f"{extraction.islands} islands dropped)"
     )
     return layers, extraction
+
+
+def in_sight(subject: CaptureSubject, surface: SourceSurface) -> Bool[np.ndarray, "faces"] | None:
+    """Faces of a surface that loose clothes do not hide; None: all, there are none."""
+    if subject.behind_cloth is None:
+        return None
+    nearest = KDTree(subject.vertices).query(surface.vertices, workers=-1)[1]
+    return ~subject.behind_cloth[nearest][surface.faces].all(1)
 
 
 def written(avatar: Avatar, out: Path, facts: Facts, options: BakeOptions, clock: "_Clock") -> Avatar:

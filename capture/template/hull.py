@@ -21,7 +21,7 @@ from avatar.skinning import SkinWeights, skin_points
 from capture.folder import Capture, CaptureSubject, PartVideo
 from capture.template.grid import DistanceGrid, distance_grid
 from capture.template.hollows import ColorView, carve_hollows, color_views
-from capture.template.surface import neck_height, surface_cloud, visible_faces
+from capture.template.surface import surface_cloud, visible_faces
 from geometry.cells import distance_to
 from geometry.isosurface import zero_set_mesh
 from geometry.mesh import TriangleMesh
@@ -32,9 +32,6 @@ HEAD = JOINTS.index("head")
 CELL = 0.006  # metres, of the carved grid
 # metres beyond the head that hair may hang, x, y (down), z
 AROUND = (0.10, 0.25, 0.10)
-# a cell is empty when more of the views that see it show background there; where poses were estimated from the videos,
-# outlines are a centimetre off and a tenth of the views contradicts half of long hair
-AGAINST, AGAINST_ESTIMATED = 0.1, 0.2
 # views at least; what fewer see is taken for empty
 SEEN_BY = 8
 # metres: the hull lies outside the hair, and masks are a pixel or two off
@@ -44,9 +41,14 @@ FARTHEST = 0.12  # metres: no hair stands farther off
 STANDS_OFF = 0.015
 # cubic metres, a tenth of a litre: less standing off is an ear, a collar, a hull's hollow
 LEAST = 1e-4
-# cells by which hair may hang farther out, sideways, than it stands off the head: what lies beyond is a shoulder that
-# is not where the template has it
-SPREAD = 8
+# share of a head's height over its lowest skin where the brow is: all that stands off above it is hair
+BROW = 0.65
+# metres: half of a face's width, and how far under the head's lowest skin its throat goes; no hair hangs before either
+FACE, THROAT = 0.06, 0.06
+# levels under the neck over which hair hangs one cell farther out
+STEEP = 3
+# metres beside what stands off, over which its edge sinks to the skin
+BESIDE = 0.045
 
 
 class MaskView(NamedTuple):
@@ -108,6 +110,35 @@ def background_share(
     return against / np.maximum(seen, 1), seen
 
 
+class Trust(NamedTuple):
+    """How far masks and template are believed."""
+
+    against: float  # a cell is empty when more of the views that see it show background there
+    trunk: float  # metres: farther than this off the trunk is hair
+
+
+GIVEN = Trust(0.1, STANDS_OFF)
+# poses from the videos: outlines are a centimetre off, shoulders two; a tenth of the views contradicts half of the hair
+ESTIMATED = Trust(0.2, 0.025)
+
+
+class Scalp(NamedTuple):
+    """Where hair grows, canonical metres."""
+
+    neck: float  # height of the head's lowest skin
+    brow: float  # height
+    middle: tuple[float, float]  # of the skull, x and z
+
+
+def scalp_of(head: Float[Array, "n 3"]) -> Scalp:
+    """The scalp of a head's skin."""
+    neck, top = head[:, 1].min(), head[:, 1].max()
+    brow = neck + BROW * (top - neck)
+    skull = head[head[:, 1] > brow]
+    x, _, z = 0.5 * (skull.min(0) + skull.max(0))
+    return Scalp(float(neck), float(brow), (float(x), float(z)))
+
+
 class Hair(NamedTuple):
     """A closed volume of hair on a grid of the canonical frame: 1 inside, 0 outside, smooth between."""
 
@@ -129,13 +160,13 @@ class Pictures(NamedTuple):
 
 
 def carve(
-    views: Sequence[MaskView], template: DistanceGrid, neck: float, pictures: Pictures | None = None,
-    against: float = AGAINST,
+    views: Sequence[MaskView], template: DistanceGrid, scalp: Scalp, pictures: Pictures | None = None,
+    trust: Trust = GIVEN,
 ) -> Hair | None:  # fmt: skip
     """What the views hold round the template, where it stands off far enough to be hair; None: nothing.
 
-    A piece counts when some of it is above the `neck`. The hair lies on the template's grid. With `pictures` hollows
-    that are full in every mask are carved by color. `against`: share of views at most that may show background in it.
+    A piece counts when some of it is above the neck. The hair lies on the template's grid. With `pictures` hollows
+    that are full in every mask are carved by color.
     """
     distance, cell = template.values.astype(np.float64), template.cell
     low = template.low.astype(np.float64)
@@ -143,33 +174,41 @@ def carve(
     held = distance < 0
     asked = np.argwhere(~held & (distance < FARTHEST))
     share, seen = background_share(low + cell * asked, views)
-    held[tuple(asked.T)] = (share <= against) & (seen >= SEEN_BY)
+    held[tuple(asked.T)] = (share <= trust.against) & (seen >= SEEN_BY)
     if pictures is not None:
         held &= ~carve_hollows(held, held & (distance > cell), low, cell, *pictures)
     hull = distance_to(~held) * cell > ERODED
-    standing = hull & (distance > STANDS_OFF)
+    least = np.where(axes[1] > scalp.neck, STANDS_OFF, trust.trunk)
+    standing = hull & (distance > least[:, None])
     standing = np.asarray(ndimage.binary_opening(standing, ndimage.generate_binary_structure(3, 1)), bool)
-    standing &= hanging(standing, axes[1] > neck)
+    standing &= hanging(hull & (distance > -2 * cell), axes, scalp)
     label = np.empty(standing.shape, np.int32)
     ndimage.label(standing, output=label)
     for piece in range(1, int(label.max()) + 1):
         own = label == piece
-        if own.sum() * cell**3 < LEAST or not own[:, axes[1] > neck].any():
+        if own.sum() * cell**3 < LEAST or not own[:, axes[1] > scalp.neck].any():
             standing &= ~own
     if not standing.any():
         return None
-    # down to the template under and beside what stands off, so that no gap is left between hair and skin
-    beside = distance_to(standing) * cell < 2 * STANDS_OFF
-    solid = hull & beside & (distance > -2 * cell) | standing
+    # down to the template under and beside what stands off, so that neither gap nor step is left between hair and skin
+    edge = least[:, None] * (1 - distance_to(standing) * cell / BESIDE)
+    solid = hull & (distance > -2 * cell) & (distance < edge) | standing
     return Hair(ndimage.gaussian_filter(solid.astype(np.float64), 0.8), low, cell)
 
 
-def hanging(standing: Bool[Array, "x y z"], above: Bool[Array, "y"]) -> Bool[Array, "x y z"]:
-    """The cells that hang under what stands off the head, seen from above, or SPREAD beside it; `above` are the levels
-    of the head."""
-    roots = np.asarray(standing[:, above].any(1))
-    under = np.asarray(distance_to(roots) <= SPREAD) & roots.any()
-    return under[:, None] | above[:, None]
+def hanging(outer: Bool[Array, "x y z"], axes: Sequence[Array], scalp: Scalp) -> Bool[Array, "x y z"]:
+    """Of the `outer` cells of a person those that hair may be: above the neck all but before the face, below it what is
+    reached from there downwards. What else stands off is a collar, or a shoulder that is not where the template has it.
+    """
+    x, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
+    face = (np.abs(x - scalp.middle[0]) < FACE) & (z > scalp.middle[1]) & (y > scalp.neck - THROAT) & (y < scalp.brow)
+    free = outer & ~face
+    for level in range(len(axes[1]) - 2, -1, -1):
+        if axes[1][level] < scalp.neck:
+            over = free[:, level + 1]
+            wider = np.asarray(ndimage.binary_dilation(over), bool) if level % STEEP == 0 else over
+            free[:, level] &= wider
+    return free
 
 
 def with_hair(
@@ -180,14 +219,14 @@ def with_hair(
     Template faces inside the hair are dropped, with `layers` into `under_hair`; vertices keep their numbers. Hair
     vertices move with the head; above the neck they belong to the head part, below it to the body.
     """
-    neck = neck_height(subject)
-    head = subject.vertices[subject.part == PARTS.index("head")]
+    head = subject.vertices[(subject.part == PARTS.index("head")) & ~subject.hair]
+    scalp = scalp_of(head)
     around = np.array(AROUND)
     low, high = head.min(0) - around, head.max(0) + [around[0], 0.06, around[2]]
     body = capture.videos["body"]
     held = under_held_head(subject, body)
     cloud = surface_cloud(held, PARTS.index("head"), visible_faces(subject), 0.004, 0.008)
-    template = distance_grid(cloud, low, high, CELL, (held, neck))
+    template = distance_grid(cloud, low, high, CELL, (held, scalp.neck))
     views = head_views(capture.videos["head"], canonical_from_head)
     views += body_views(body, subject)
     pictures = None
@@ -196,7 +235,7 @@ def with_hair(
         cameras = [moved_camera(camera, head_from_canonical) for camera in video.cameras]
         pictures = Pictures(subject, color_views(video.images, video.masks, cameras))
     estimated = capture.facts.get("input") == "from_pixels"
-    hair = carve(views, template, neck, pictures, AGAINST_ESTIMATED if estimated else AGAINST)
+    hair = carve(views, template, scalp, pictures, ESTIMATED if estimated else GIVEN)
     if hair is None:
         return subject
     vertices, faces = hair_mesh(hair)
@@ -204,7 +243,7 @@ def with_hair(
     under = template.at(vertices[faces].mean(1))
     faces = faces[under > -0.003]
     covered = hair.at(held.vertices[subject.faces].mean(1)) > 0.75
-    out = joined(subject, subject.faces[~covered], vertices, faces, neck)
+    out = joined(subject, subject.faces[~covered], vertices, faces, scalp.neck)
     return replace(out, under_hair=subject.faces[covered]) if layers else out
 
 

@@ -6,11 +6,13 @@ from scipy import ndimage
 
 from avatar.camera import orbit_camera, pixel_rays
 from capture.template.grid import DistanceGrid
-from capture.template.hull import STANDS_OFF, MaskView, background_share, carve, hair_mesh
+from capture.template.hull import STANDS_OFF, MaskView, Scalp, background_share, carve, hair_mesh
 
 RADIUS = 0.1  # metres, of the head, at the origin
 HAIR = np.array([[-0.08, -0.16, -0.16], [0.08, 0.02, -0.03]])  # a block, behind and below
 LOW, HIGH, CELL = np.array([-0.2, -0.25, -0.25]), np.array([0.2, 0.15, 0.2]), 0.006
+
+SCALP = Scalp(neck=-0.05, brow=0.05, middle=(0.0, 0.0))
 
 
 def ball() -> DistanceGrid:
@@ -43,7 +45,7 @@ def grown(view: MaskView, pixels: int) -> MaskView:
 def standing(views: list[MaskView]) -> np.ndarray | None:
     """The cells of the hair carved, farther off the ball than what counts as hair."""
     template = ball()
-    hair = carve(views, template, neck=-0.05)
+    hair = carve(views, template, SCALP)
     return None if hair is None else (hair.share > 0.5) & (template.values > STANDS_OFF)
 
 
@@ -104,7 +106,7 @@ def test_background_share_counts_only_pictures_that_hold_the_point():
 
 
 def test_the_mesh_of_hair_is_closed_faces_outwards_and_holds_its_volume():
-    hair = carve(filmed(hair=True), ball(), neck=-0.05)
+    hair = carve(filmed(hair=True), ball(), SCALP)
     assert hair is not None
     vertices, faces = hair_mesh(hair)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
