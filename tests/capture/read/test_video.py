@@ -81,6 +81,10 @@ def test_the_rest_of_the_person_is_unknown_in_a_close_up(part):
     x, y = np.floor(pixels).astype(int).T
     inside = (x >= 20) & (x < 120) & (y >= 0) & (y < 90)
     assert inside.sum() > 100 and (found[y[inside], x[inside]] == 255).all()
+    if part == "head":
+        # 3 cm under the chin is the neck, which turns with the body
+        below = found[int(pixels[:, 1].max() + 0.03 * camera.K[1, 1] / 0.6), 20:]
+        assert (below == UNKNOWN).all()
     # a corner is far from it
     assert found[0, 119] == UNKNOWN and 0.1 < (found[:, 20:] == UNKNOWN).mean() < 0.95
 

@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from avatar.camera import orbit_camera, pixel_rays
 from capture.template.grid import DistanceGrid
-from capture.template.hull import STANDS_OFF, MaskView, Scalp, background_share, carve, hair_mesh
+from capture.template.hull import STANDS_OFF, MaskView, Scalp, background_share, carve, hair_mesh, hanging
 
 RADIUS = 0.1  # metres, of the head, at the origin
 HAIR = np.array([[-0.08, -0.16, -0.16], [0.08, 0.02, -0.03]])  # a block, behind and below
@@ -95,6 +95,18 @@ def test_one_bad_mask_in_thirty_changes_little():
     found, exact = standing(views), standing(filmed(hair=True))
     assert found is not None and exact is not None
     assert (found ^ exact).sum() <= 0.1 * exact.sum()
+
+
+def test_hair_under_the_neck_hangs_from_what_is_above_it_and_never_before_the_face():
+    axes = [np.arange(LOW[i], HIGH[i], CELL) for i in range(3)]
+    x, y, z = np.meshgrid(*axes, indexing="ij")
+    plait = (np.abs(x) < 0.02) & (z < -0.08)
+    free = hanging(plait | (y < SCALP.neck), axes, SCALP)
+    under = free[:, np.searchsorted(axes[1], SCALP.neck) - 9]
+    assert 0.02 + 2 * CELL <= np.abs(x[:, 0][under]).max() <= 0.02 + 4 * CELL
+    everything = hanging(np.ones(x.shape, bool), axes, SCALP)
+    assert not everything[(np.abs(x) < 0.05) & (z > 0.01) & (y < SCALP.brow - 0.01) & (y > SCALP.neck)].any()
+    assert everything[y > SCALP.brow].all() and everything[(z < -0.01) & (y > SCALP.neck)].all()
 
 
 def test_background_share_counts_only_pictures_that_hold_the_point():
