@@ -182,10 +182,7 @@ def test_a_lie_about_the_large_network_is_named(path, high, place, value, match)
 def test_feature_images_of_two_sizes_are_refused(path, high):
     document, binary = split_glb(high)
     levels = document["extensions"]["SELFSCAN_avatar"]["levels"]
-    levels[0]["featureImage2"], levels[1]["featureImage2"] = (
-        levels[1]["featureImage2"],
-        levels[0]["featureImage2"],
-    )
+    levels[0]["featureImage2"], levels[1]["featureImage2"] = (levels[1]["featureImage2"], levels[0]["featureImage2"])
     refused(path, join_glb(document, binary), r"images\[5\] should be of the size of images\[1\]", memory=False)
 
 
@@ -256,16 +253,7 @@ def test_an_image_that_lies_is_refused_before_it_costs(path, whole, image, match
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "",
-        "[]",
-        "nul",
-        "[" * 100_000,
-        '{"a":' * 100_000,
-        "[" + "0," * 3_000_000 + "0]",
-        '{"asset":NaN}',
-        "9" * 5000,
-    ],
+    ["", "[]", "nul", "[" * 100_000, '{"a":' * 100_000, "[" + "0," * 3_000_000 + "0]", '{"asset":NaN}', "9" * 5000],
 )
 def test_json_that_is_no_gltf_is_refused(path, text):
     refused(path, join_glb(text, b"\0\0\0\0"), "JSON|asset.version")

@@ -62,8 +62,7 @@ def test_t_pose_calibration_recovers_any_rig(turn, within):
 
 @pytest.mark.parametrize("kind", ["vmc", "udp"])
 @pytest.mark.parametrize(
-    "clock",
-    ["steady", "backwards", "30 days on", "stall of 10 s", "set ahead", "frozen", "reordered", "twice"],
+    "clock", ["steady", "backwards", "30 days on", "stall of 10 s", "set ahead", "frozen", "reordered", "twice"]
 )
 def test_the_last_pose_is_shown_whatever_the_sender_clock_does(kind, clock, within):
     encode_at = [0.0]
@@ -88,10 +87,7 @@ def test_the_last_pose_is_shown_whatever_the_sender_clock_does(kind, clock, with
         packets.append((encode(n, seconds, LivePose(axis_angle, np.array([0, 0.9, 0.0]))), received))
     if clock == "reordered":
         for n in range(1, 98, 4):
-            packets[n], packets[n + 1] = (
-                (packets[n + 1][0], packets[n][1]),
-                (packets[n][0], packets[n + 1][1]),
-            )
+            packets[n], packets[n + 1] = ((packets[n + 1][0], packets[n][1]), (packets[n][0], packets[n + 1][1]))
     if clock == "twice":
         packets = [packet for packet in packets for _ in range(2)]
     for data, received in packets:

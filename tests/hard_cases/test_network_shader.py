@@ -23,10 +23,7 @@ from player.scene.renderer import Renderer
 
 A = 0.6
 LEVEL = 1 / 255
-RESIDUAL = {
-    4: "vec4(view_residual(features, tangent), 0.0)",
-    8: "vec4(view_residual(features, more, tangent), 0.0)",
-}
+RESIDUAL = {4: "vec4(view_residual(features, tangent), 0.0)", 8: "vec4(view_residual(features, more, tangent), 0.0)"}
 NETWORK = {4: "view_network.glsl", 8: "view_network_high.glsl"}
 LINEAR = {4: "view_linear.glsl", 8: "view_linear_high.glsl"}
 SIZES = [4, 8]  # features: the network of 8 has a second hidden layer
@@ -106,10 +103,7 @@ def test_network_in_glsl_equals_onnx_runtime(context, within, tmp_path, scale1, 
     out = glsl(context, net, features, tangent, stage)
     assert np.isfinite(out).all()
     # where float32 itself cannot tell the sign of y (huge weights, cancelled) both are equally right
-    exact, runtime = (
-        reference(net, features, tangent),
-        onnx_runtime(net, features, tangent, tmp_path / "n.onnx"),
-    )
+    exact, runtime = (reference(net, features, tangent), onnx_runtime(net, features, tangent, tmp_path / "n.onnx"))
     known = np.abs(runtime - exact) < LEVEL / 4
     assert known.mean() > 0.99
     within((out - runtime)[known], LEVEL)
@@ -230,8 +224,7 @@ def test_the_cone_holds_for_every_direction(context, within):
     within(np.maximum(np.linalg.norm(out, axis=1) - 1, 0), 1e-6)
     within(out[:1000], 1e-6)  # along d̄ or against it there is no tangent
     within(
-        out - cone_reference(values["d"], values["mean"], np.hstack([values["q0"], values["q1"]]), values["seen"]),
-        2e-5,
+        out - cone_reference(values["d"], values["mean"], np.hstack([values["q0"], values["q1"]]), values["seen"]), 2e-5
     )
 
 
@@ -248,13 +241,7 @@ def test_a_million_directions_through_the_cone_stay_within_A_of_the_base(context
     axes[::9] = 0
     q = axes[:, [0, 0, 0, 1, 1, 2]] * axes[:, [0, 1, 2, 1, 2, 2]]
     features = rng.integers(0, 256, (count, size)) / 255
-    values = {
-        **split(features, d),
-        "mean": mean,
-        "q0": q[:, :3],
-        "q1": q[:, 3:],
-        "seen": rng.uniform(size=count),
-    }
+    values = {**split(features, d), "mean": mean, "q0": q[:, :3], "q1": q[:, 3:], "seen": rng.uniform(size=count)}
     values["d"] = values.pop("tangent")
     values = {name: value.astype(np.float32) for name, value in values.items()}
     frame = np.zeros((), FRAME)

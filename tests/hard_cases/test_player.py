@@ -192,10 +192,7 @@ def test_a_window_minimised_to_nothing_comes_back(tmp_path):
     except NoContextError as error:
         pytest.skip(str(error))  # glfw's null platform draws with it
     pictures = []
-    for script in (
-        "space home wait",
-        "space home size:0:0 wait size:7:0 wait size:0:5 wait size:96:160 wait wait",
-    ):
+    for script in ("space home wait", "space home size:0:0 wait size:7:0 wait size:0:5 wait size:96:160 wait wait"):
         out = tmp_path / "a.png"
         arguments = ["mannequin", "--motion", "walking", "--size", "96x160", "--view", "off", "--no-gui"]
         assert play_main([*arguments, "--platform", "null", "--script", script, "--screenshot", str(out)]) == 0

@@ -13,11 +13,7 @@ from avatar.rotation import (
     quaternion_from_axis_angle,
     slerp,
 )
-from avatar.skinning import (
-    blend_dual_quaternions,
-    dual_quaternion_from_transform,
-    transform_from_dual_quaternion,
-)
+from avatar.skinning import blend_dual_quaternions, dual_quaternion_from_transform, transform_from_dual_quaternion
 
 AXES = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, -2, 3], [1e-3, 1, -1e-3], [-1, -1, -1], [1, 1, 0]])
 AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)

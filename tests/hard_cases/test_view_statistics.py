@@ -129,11 +129,7 @@ def test_thin_and_contradictory_statistics_give_a_usable_cone(case, within):
     tangent = clamped_tangent(d, ViewCone(*(np.repeat(part[1:2], 2000, 0) for part in cone)))
     assert (np.linalg.norm(tangent, axis=1) <= cone.seen[1]).all()
     if case == "all from one place":  # the cone keeps its least width, 3 degrees of spread
-        within(
-            np.maximum(np.degrees(np.arcsin(np.linalg.norm(tangent, axis=1))) - 1.6 * 3.01, 0),
-            1e-9,
-            "degrees",
-        )
+        within(np.maximum(np.degrees(np.arcsin(np.linalg.norm(tangent, axis=1))) - 1.6 * 3.01, 0), 1e-9, "degrees")
 
 
 def six_of(*axes):

@@ -8,14 +8,7 @@ import pytest
 import torch
 
 from train.field import unit_normals
-from train.loss import (
-    color_loss,
-    color_norm_loss,
-    displacement_loss,
-    eikonal_loss,
-    mask_logit_loss,
-    mask_loss,
-)
+from train.loss import color_loss, color_norm_loss, displacement_loss, eikonal_loss, mask_logit_loss, mask_loss
 from train.render import (
     LOGISTIC_PER_BETA,
     Weights,

@@ -64,12 +64,7 @@ def test_a_straight_run_at_even_pace_stays_straight_and_even():
 def test_camera_files_are_keys_and_any_size_shows_the_same_height(tmp_path):
     K = np.array([[900.0, 1.5, 300], [0, 880, 260], [0, 0, 1]])
     held = Camera(K, look_at((1, 2, 3), (0, 1, 0), (0.3, 1, 0)), (640, 480))
-    key = {
-        "t": 2.0,
-        "size": [640, 480],
-        "K": K.tolist(),
-        "camera_from_world": held.camera_from_world.tolist(),
-    }
+    key = {"t": 2.0, "size": [640, 480], "K": K.tolist(), "camera_from_world": held.camera_from_world.tolist()}
     path = CameraPath.read(written(tmp_path, [KEYS[0], key]))
     same = path.camera(2.0, (640, 480))
     assert np.abs(same.K - K).max() < 1e-9
@@ -95,10 +90,7 @@ def test_what_is_written_is_read_again(path, tmp_path):
 
 
 def test_eye_and_target_that_meet_on_the_way_keep_a_direction(tmp_path):
-    keys = [
-        {"t": 0, "eye": [0, 1, 1], "target": [0, 1, 0]},
-        {"t": 1, "eye": [0, 1, -1], "target": [0, 1, 0]},
-    ]
+    keys = [{"t": 0, "eye": [0, 1, 1], "target": [0, 1, 0]}, {"t": 1, "eye": [0, 1, -1], "target": [0, 1, 0]}]
     path = CameraPath.read(written(tmp_path, keys))
     for time in np.linspace(0, 1, 101):
         assert np.isfinite(path.camera(time, SIZE).camera_from_world).all()

@@ -48,17 +48,7 @@ def test_the_same_frame_is_drawn_again_to_the_byte(avatar_path, tmp_path):
 
 def test_a_range_of_frames_goes_to_a_folder_and_explain_to_json(avatar_path, tmp_path, capsys):
     out, explained = tmp_path / "frames", tmp_path / "explain.json"
-    arguments = [
-        avatar_path,
-        "--motion",
-        "walking",
-        "--frames",
-        "3:6",
-        "--size",
-        "48x64",
-        "--camera",
-        "orbit",
-    ]
+    arguments = [avatar_path, "--motion", "walking", "--frames", "3:6", "--size", "48x64", "--camera", "orbit"]
     render_main([*arguments, "--view", "linear", "--explain", "--json", str(explained), "-o", str(out)])
     assert len(list(out.glob("*.png"))) == 3
     passes = json.loads(explained.read_text())["passes"]

@@ -97,15 +97,7 @@ def cards(monkeypatch):
 
 @pytest.mark.parametrize(
     ("gpu", "index"),
-    [
-        (0, 1),
-        (1, 0),
-        (2, 2),
-        (3, 3),
-        ("/dev/dri/card1", 1),
-        ("/dev/dri/renderD131", 0),
-        ("/dev/dri/renderD128", 2),
-    ],
+    [(0, 1), (1, 0), (2, 2), (3, 3), ("/dev/dri/card1", 1), ("/dev/dri/renderD131", 0), ("/dev/dri/renderD128", 2)],
 )
 def test_a_gpu_is_found_by_cuda_ordinal_position_or_device_file(cards, gpu, index):
     context = open_context("egl", gpu)
@@ -207,14 +199,7 @@ GPU = EglDevice(0, 1, None, 0, False)
 SOFTWARE = EglDevice(1, 2, None, None, True)
 MESA = {"file": "50_mesa.json", "library": "libEGL_mesa.so.0", "wrong": None}
 NVIDIA = {"file": "10_nvidia.json", "library": "libEGL_nvidia.so.0", "wrong": None}
-FACTS = {
-    "devices": [SOFTWARE],
-    "nodes": [],
-    "nvidia": None,
-    "vendors": [MESA],
-    "software": True,
-    "container": False,
-}
+FACTS = {"devices": [SOFTWARE], "nodes": [], "nvidia": None, "vendors": [MESA], "software": True, "container": False}
 
 
 @pytest.mark.parametrize(
@@ -229,10 +214,7 @@ FACTS = {
         ({"nodes": [Node("/dev/dri/renderD128", False)]}, ["usermod -aG render"]),
         ({"nodes": [Node("/dev/dri/renderD128", False)], "container": True}, ["--group-add render"]),
         ({"nodes": [Node("/dev/dri/renderD128", True)], "container": True}, []),
-        (
-            {"vendors": [{**NVIDIA, "wrong": "cannot open"}]},
-            ["10_nvidia.json: its driver does not load: cannot open"],
-        ),
+        ({"vendors": [{**NVIDIA, "wrong": "cannot open"}]}, ["10_nvidia.json: its driver does not load: cannot open"]),
         ({"devices": [GPU, SOFTWARE]}, ["is there and does not draw"]),
     ],
 )

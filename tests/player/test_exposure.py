@@ -78,10 +78,7 @@ def test_what_is_in_focus_stays_sharp_and_the_rest_spreads(shot_of):
 
 @pytest.mark.parametrize(
     ("effects", "why"),
-    [
-        (replace(OFF, motion_blur=MotionBlur()), STILL),
-        (replace(OFF, depth_of_field=DepthOfField(1e-4)), SHARP),
-    ],
+    [(replace(OFF, motion_blur=MotionBlur()), STILL), (replace(OFF, depth_of_field=DepthOfField(1e-4)), SHARP)],
 )
 def test_what_cannot_show_is_the_frame_and_its_calls(shot_of, effects, why):
     images, calls = [], []

@@ -104,10 +104,7 @@ def test_an_error_of_the_encoder_reaches_the_drawing_side(tmp_path):
 
 
 def test_a_size_the_encoder_refuses_is_one_line(tmp_path):
-    with (
-        pytest.raises(AssetError, match=r"a\.mp4: cannot be written as \.mp4"),
-        Film(tmp_path / "a.mp4", 30.0) as film,
-    ):
+    with pytest.raises(AssetError, match=r"a\.mp4: cannot be written as \.mp4"), Film(tmp_path / "a.mp4", 30.0) as film:
         for _ in range(20):
             film.add(np.zeros((2, 40_000, 4), np.uint8))
     assert list(tmp_path.iterdir()) == []

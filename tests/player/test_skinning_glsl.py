@@ -122,11 +122,7 @@ def test_a_twisted_limb_keeps_its_radius_with_dual_quaternions_only(context, ang
     transforms[1, :3, :3] = matrix_from_axis_angle(np.radians([angle, 0, 0]))
     around = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     tube = np.stack([np.full(64, 0.1), 0.05 * np.cos(around), 0.05 * np.sin(around)], 1)
-    values = {
-        "point": tube,
-        "joints": np.tile([0, 1, 0, 0], (64, 1)),
-        "weights": np.tile([0.5, 0.5, 0, 0], (64, 1)),
-    }
+    values = {"point": tube, "joints": np.tile([0, 1, 0, 0], (64, 1)), "weights": np.tile([0.5, 0.5, 0, 0], (64, 1))}
     radii = []
     for include, upload_one in (("skinning_dual.glsl", upload_dual), ("skinning.glsl", upload)):
         buffers = upload_one(context, transforms)

@@ -99,18 +99,7 @@ def test_a_motion_that_ends_stays_at_its_last_frame_while_another_goes_on(tiny):
 def test_levels_and_qualities_choose_what_is_drawn(tiny, tmp_path):
     def passes(*more):
         out = tmp_path / "passes.json"
-        arguments = [
-            tiny,
-            "--motion",
-            "walking",
-            "--frame",
-            "3",
-            "--size",
-            "40x48",
-            "--explain",
-            "--json",
-            str(out),
-        ]
+        arguments = [tiny, "--motion", "walking", "--frame", "3", "--size", "40x48", "--explain", "--json", str(out)]
         render_main([*arguments, *more, "-o", str(tmp_path / "a.png")])
         return {row["name"]: row for row in json.loads(out.read_text())["passes"]}
 

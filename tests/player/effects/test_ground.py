@@ -159,8 +159,6 @@ def test_the_mask_is_kept_while_nothing_moves_whatever_the_camera_does(context, 
     assert np.array_equal(kept, fresh.draw([standing], CAMERA))
 
 
-
-
 @pytest.mark.parametrize("kind", ["plane", "checker", "shadow"])
 @pytest.mark.parametrize("antialiasing", ["fxaa", "msaa"])
 def test_antialiasing_leaves_the_ground_as_it_is_and_a_window_shows_the_same(

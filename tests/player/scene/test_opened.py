@@ -12,10 +12,7 @@ from player.window.show import opened_show
 def test_films_and_the_window_open_a_scene_alike(tmp_path):
     write_camera(tmp_path / "camera.json", orbit_camera((0, 1, 0), 3.0, 0.2, 0.0, (50, 70)))
     scene = Scene(
-        (
-            SceneAvatar("mannequin", "walking", at=(0.5, 0.0, -1.0), turn_deg=30.0, start=0.5),
-            SceneAvatar("mannequin"),
-        ),
+        (SceneAvatar("mannequin", "walking", at=(0.5, 0.0, -1.0), turn_deg=30.0, start=0.5), SceneAvatar("mannequin")),
         cameras=(SceneCamera("file", str(tmp_path / "camera.json")),),
         rate=25.0,
     )
