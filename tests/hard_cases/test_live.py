@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from angles import angles_between
 
 from avatar.body import builtin_body
 from avatar.motion.amass import read_amass
@@ -19,12 +20,6 @@ from player.live.take import Take
 from player.live.vmc import VmcRig
 
 
-def angles(a, b):
-    """Radians between rotations given as axis-angle."""
-    relative = quaternion_product(quaternion_inverse(quaternion_from_axis_angle(a)), quaternion_from_axis_angle(b))
-    return 2 * np.arctan2(np.linalg.norm(relative[..., :3], axis=-1), np.abs(relative[..., 3]))
-
-
 @pytest.mark.parametrize("kind", ["vmc", "udp"])
 @pytest.mark.parametrize("motion", ["counting", "walking"])
 def test_a_motion_sent_out_comes_back_as_the_same_file(kind, motion, tmp_path, within):
@@ -40,7 +35,8 @@ def test_a_motion_sent_out_comes_back_as_the_same_file(kind, motion, tmp_path, w
     take.finish()
     found, sent = read_amass(tmp_path / "take.npz").read(), source.read()
     assert found.axis_angle.shape == sent.axis_angle.shape and found.rate == sent.rate
-    within(angles(found.axis_angle, sent.axis_angle), 1e-4, "rad")
+    within(angles_between(found.axis_angle, sent.axis_angle), 1e-4, "rad")
+    within(found.root - sent.root, 1e-5, "m")
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-8, 1.0, np.pi - 1e-6, np.pi])
@@ -56,25 +52,33 @@ def test_t_pose_calibration_recovers_any_rig(turn, within):
         local = quaternion_product(quaternion_inverse(W), quaternion_from_axis_angle(pose))
         return VmcRig(quaternion_product(local, rest), zero, identity, zero, None)
 
-    found = pose_from_rig(raw(axis_angle), calibrated(raw(np.zeros((52, 3)))))
-    within(angles(found.axis_angle, axis_angle), 1e-12, "rad")
+    posed, t_pose = raw(axis_angle), raw(np.zeros((52, 3)))
+    for rig, expected in ((posed, axis_angle), (t_pose, 0 * axis_angle)):
+        found = pose_from_rig(rig, calibrated(t_pose)).axis_angle
+        within(angles_between(found, expected), 1e-12, "rad")
+    # such a rig is one whose bones turn in the world as ours do, each from its own rest
+    theirs, ours = posed.rotations.copy(), quaternion_from_axis_angle(axis_angle)
+    for joint in range(1, 52):
+        for world in (theirs, ours):
+            world[joint] = quaternion_product(world[PARENTS[joint]], world[joint])
+    assert np.abs((theirs * quaternion_product(ours, rest)).sum(-1)).min() > 1 - 1e-10
 
 
 @pytest.mark.parametrize("kind", ["vmc", "udp"])
+@pytest.mark.parametrize("delay", [None, 0.05])
 @pytest.mark.parametrize(
     "clock", ["steady", "backwards", "30 days on", "stall of 10 s", "set ahead", "frozen", "reordered", "twice"]
 )
-def test_the_last_pose_is_shown_whatever_the_sender_clock_does(kind, clock, within):
+def test_the_last_pose_is_shown_whatever_the_sender_clock_does(kind, delay, clock, within):
     encode_at = [0.0]
     encode = encoder(kind, builtin_body("male"), lambda: encode_at[0])
-    inbox = Inbox(kind, delay=0.05)
-    packets = []
+    inbox, packets, times = Inbox(kind, delay=delay), [], []
     for n in range(100):
         seconds, received = n / 60, 1000 + n / 60
         if clock == "backwards" and n >= 50:
             seconds -= 5000
         elif clock == "30 days on":
-            seconds += 30 * 86400
+            seconds, received = seconds + 30 * 86400, received + 30 * 86400
         elif clock == "stall of 10 s" and n >= 50:
             seconds, received = seconds + 10, received + 10
         elif clock == "set ahead" and n >= 50:
@@ -92,8 +96,12 @@ def test_the_last_pose_is_shown_whatever_the_sender_clock_does(kind, clock, with
         packets = [packet for packet in packets for _ in range(2)]
     for data, received in packets:
         inbox.feed(data, received)
+        times.append(inbox.newest.time)
         found = inbox.sample(received)
         assert found is not None and np.isfinite(found[1].axis_angle).all()
+    steps = np.diff(times)
+    assert (steps >= 0).all() and (clock == "frozen" or abs(times[-1] - packets[-1][1]) < 0.02)
+    assert clock not in ("steady", "30 days on") or np.allclose(steps, 1 / 60, atol=1e-6)
     late = 25 if clock == "reordered" else 0
     assert inbox.counters.late == late and inbox.counters.lost == inbox.counters.malformed == 0
     assert inbox.counters.duplicate == (100 if clock == "twice" else 0)
@@ -102,28 +110,17 @@ def test_the_last_pose_is_shown_whatever_the_sender_clock_does(kind, clock, with
     within(found[1].axis_angle[16, 2] - 0.99, 1e-6, "rad")
 
 
-def test_nonsense_at_ten_kilohertz_leaves_the_last_good_pose(within):
-    rng = np.random.default_rng(0)
-    for kind in ("vmc", "udp"):
-        inbox = Inbox(kind)
-        axis_angle = np.full((52, 3), 0.1)
-        inbox.feed(encoder(kind, builtin_body("male"))(0, 0.0, LivePose(axis_angle, np.zeros(3))), 0.0)
-        for n in range(10_000):
-            inbox.feed(rng.bytes(rng.integers(0, 100)), 1e-4 * n)
-        assert inbox.counters.received == 10_001 and inbox.counters.malformed == 10_000
-        found = inbox.sample(1.0)
-        assert found is not None
-        within(found[1].axis_angle - axis_angle, 1e-6, "rad")
-
-
-def test_good_poses_come_through_ten_thousand_spoilt_packets_a_second(within):
-    """A second of 240 Hz VMC of 55 bones among cut, lying, noisy and oversized packets: every pose arrives, every
-    other packet is counted."""
-    rng, encode, inbox = np.random.default_rng(0), encoder("vmc", builtin_body("male")), Inbox("vmc")
+@pytest.mark.parametrize("kind", ["vmc", "udp"])
+@pytest.mark.parametrize("delay", [None, 0.0])
+def test_good_poses_come_through_ten_thousand_spoilt_packets_a_second(kind, delay, within):
+    """A second of poses at 240 Hz, of 55 bones as VMC, among cut, lying, noisy and oversized packets: every pose
+    arrives, every other packet is counted."""
+    rng, encode, inbox = np.random.default_rng(0), encoder(kind, builtin_body("male")), Inbox(kind, delay=delay)
     axis_angle, oversized, thrown = np.full((52, 3), 0.1), 0, 0
     for n in range(240):
         axis_angle = np.full((52, 3), 0.1 + 1e-3 * n)
-        good = bundle_of_55(encode(n, n / 240, LivePose(axis_angle, np.zeros(3))))
+        good = encode(n, n / 240, LivePose(axis_angle, np.zeros(3)))
+        good = bundle_of_55(good) if kind == "vmc" else good
         inbox.feed(good, n / 240)
         for k in range(42):
             large = k == 41
@@ -134,7 +131,9 @@ def test_good_poses_come_through_ten_thousand_spoilt_packets_a_second(within):
         within(found[1].axis_angle - axis_angle, 1e-6, "rad")
     count = inbox.counters
     assert thrown >= 10_000 and count.received == 240 + thrown
-    assert (count.frames, count.oversized, count.malformed) == (240, oversized, thrown - oversized)
+    # a spoilt number in the text of a pose may leave one that came before
+    again = count.late + count.duplicate if kind == "udp" else 0
+    assert (count.frames, count.oversized, count.malformed + again) == (240, oversized, thrown - oversized)
 
 
 @pytest.mark.parametrize("dt", [-1.0, 0.0, 1e-9, 1e-6, 1 / 240, 1 / 24, 10.0, 30 * 86400.0])
@@ -143,4 +142,4 @@ def test_one_euro_leaves_a_constant_pose_constant(dt, within):
     smooth = OneEuro()
     for _ in range(200):
         found = smooth(pose, dt)
-    within(np.append(angles(found.axis_angle, pose.axis_angle), found.root - pose.root), 1e-12, "")
+    within(np.append(angles_between(found.axis_angle, pose.axis_angle), found.root - pose.root), 1e-12, "")
