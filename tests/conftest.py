@@ -112,7 +112,36 @@ def context():
     context = open_context()
     yield context
     assert context.gl.error == "GL_NO_ERROR"
+    assert context.counts.objects() == {}, "a test left objects behind"
     context.release()
+
+
+@pytest.fixture
+def render(context):
+    """Makes renderers and frees them after the test, also when it fails."""
+    from player.scene.renderer import Renderer
+
+    made = []
+
+    def make(avatars, size, **options):
+        avatars = avatars if isinstance(avatars, list) else [avatars]
+        made.append(Renderer(context, avatars, size, **options))
+        return made[-1]
+
+    yield make
+    for renderer in made:
+        renderer.release()
+
+
+@pytest.fixture(scope="session")
+def osmesa():
+    """Skips where the distribution's Mesa has no OSMesa (25.1 and later), with which glfw's null platform draws."""
+    from player.gl.context import NoContextError, open_context
+
+    try:
+        open_context("osmesa").release()
+    except NoContextError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +152,23 @@ def rasteriser(context):
     rasteriser = Rasteriser(context)
     yield rasteriser
     rasteriser.release()
+
+
+@pytest.fixture(scope="session")
+def backgrounds(tmp_path_factory):
+    """A background of each kind: a warm dark picture, a film of a dark and a bright frame, an evening sky."""
+    from PIL import Image
+    from radiance_writer import radiance_bytes, sky
+
+    from player.effects.background import BACKGROUNDS, Background
+
+    folder = tmp_path_factory.mktemp("backgrounds")
+    (folder / "film").mkdir()
+    for name, color in (("film/0.png", (40, 40, 40)), ("film/1.png", (200, 200, 200)), ("warm.png", (120, 70, 40))):
+        Image.fromarray(np.full((8, 12, 3), color, np.uint8)).save(folder / name)
+    (folder / "sky.hdr").write_bytes(radiance_bytes(sky(64)))
+    paths = {"image": "warm.png", "video": "film", "hdr": "sky.hdr"}
+    return {kind: Background(kind, path=str(folder / paths[kind]) if kind in paths else None) for kind in BACKGROUNDS}
 
 
 @pytest.fixture

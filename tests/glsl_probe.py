@@ -3,16 +3,17 @@
 import moderngl
 import numpy as np
 
+from player.gl.blocks import BINDING
 from player.gl.shader import compile_program
 
 WIDTH = 256
 TYPES = {1: "float", 2: "vec2", 3: "vec3", 4: "vec4"}
 
 
-def probe(context, includes, expression, inputs, generated=None, uniforms=None, ints=(), stage="fragment"):
+def probe(context, includes, expression, inputs, generated=None, blocks=None, ints=(), stage="fragment"):
     """`expression` (a vec4) for each row of `inputs` {name: (N,) or (N, 2..4) float32}; names in `ints` are uvec4.
 
-    includes are put before it; buffers for uniform blocks must be bound already.
+    includes are put before it; `blocks` are the contents of uniform blocks by name.
     """
     context.make_current()
     gl = context.gl
@@ -41,10 +42,12 @@ def probe(context, includes, expression, inputs, generated=None, uniforms=None, 
         fragment = f"{block}{include}\n{ins}\nout vec4 value;\nvoid main() {{ {names}\n value = {expression}; }}"
     sources = {"probe.vert": "#version 330\n" + vertex, "probe.frag": "#version 330\n" + fragment}
     program = compile_program(gl, "probe.vert", "probe.frag", {}, {**(generated or {}), **sources})
-    for name, binding in (("Frame", 0), ("Bones", 1), ("Turns", 2), ("Duals", 3), ("Capsules", 4), ("Loose", 5)):
-        if name in program:
-            program[name].binding = binding
     buffers, content = [], []
+    for name, values in (blocks or {}).items():
+        buffers.append(gl.buffer(np.ascontiguousarray(values).tobytes()))
+        buffers[-1].bind_to_uniform_block(BINDING[name][1])
+        if name in program:
+            program[name].binding = BINDING[name][1]
     for name, value in inputs.items():
         if name not in program:
             continue

@@ -28,6 +28,13 @@ def gently(seconds: float) -> tuple[np.ndarray, np.ndarray]:
     return 0.3 * axis_angle, root
 
 
+def danced(renderer, seconds=0.7):
+    """The renderer told of a dance; its last pose."""
+    for frame in range(int(60 * seconds) + 1):
+        renderer.move([dance(frame / 60)], frame / 60)
+    return dance(int(60 * seconds) / 60)
+
+
 def moved(parts, rate, seconds, pose_at, settings=SETTINGS):
     """The motion after so many seconds, and the offsets 30 times a second."""
     motion, offsets = LooseMotion(parts, settings), []

@@ -256,6 +256,9 @@ def test_any_value_may_be_of_a_wrong_type(tmp_path, kind):
     kind, rng = FORMATS[kind], random.Random(3)
     whole, refused = kind.whole(tmp_path), 0
     assert kind.split is not None and kind.join is not None
+    _, *rest = kind.split(whole)
+    for root in WRONG:
+        assert hostile(kind, tmp_path / kind.name, kind.join(root, *rest))
     tries = 60 if kind.read is checked else 200
     for _ in range(tries):
         document, *rest = kind.split(whole)

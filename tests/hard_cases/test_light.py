@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 from painted_capture import write_capture
+from turning_ball import turning_ball
 from turning_capture import with_video
 
 from avatar.light import LAMPS, STRONGEST, CaptureLight, Lamp, lamps_of
-from avatar.rotation import matrix_from_axis_angle
 from avatar.similarity import similarity_from_landmarks
 from avatar.skeleton import PARTS
 from capture.folder import Capture, read_capture
@@ -19,32 +19,11 @@ from train.compose import consistent_placement
 from train.light import seen_light, seen_tensors, video_light
 
 SIDE = (0.45, -0.65, -0.6)
-TOWARDS_EYE = np.array([0.0, 0.0, -1.0])
 
 
 def lit(ambient: float, *lamps: tuple[tuple[float, float, float], float], gloss: float = 0.0) -> CaptureLight:
     directions, strengths = np.array([d for d, _ in lamps]), np.array([s for _, s in lamps])
     return CaptureLight(ambient, lamps_of(directions, strengths), gloss)
-
-
-def turning_ball(light: CaptureLight, *, noise: float = 0.005, triangles: int = 200, frames: int = 9) -> LitPixels:
-    """A ball of as many colours that each video shows turning and nodding."""
-    rng = np.random.default_rng(3)
-    normals = rng.standard_normal((triangles, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    albedo = rng.uniform(0.2, 0.7, (triangles, 3))
-    pieces = []
-    for index in range(len(PARTS)):
-        for frame in range(frames):
-            turn = 2 * np.pi * (frame + index / 4) / frames
-            R = matrix_from_axis_angle(np.array([0.3 * np.sin(2 * turn), 0, 0]))
-            n = normals @ (R @ matrix_from_axis_angle(np.array([0, turn, 0]))).T
-            face = np.flatnonzero(n @ TOWARDS_EYE > 0.25)
-            n, eye = n[face], np.tile(TOWARDS_EYE, (len(face), 1))
-            color = light.shown(albedo[face], light.shading(n), light.highlight(n, eye))
-            color = np.clip(color + noise * rng.standard_normal(color.shape), 0, 1)
-            pieces.append(LitPixels(np.full(len(face), index), face, color, n, eye))
-    return LitPixels(*(np.concatenate(values) for values in zip(*pieces, strict=True)))
 
 
 @pytest.fixture(scope="module")
@@ -68,12 +47,31 @@ def degrees_off(light: CaptureLight, direction: tuple[float, float, float]) -> f
     return float(np.degrees(np.arccos(np.clip(light.directions @ towards, -1, 1))).min())
 
 
-@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (0.6, 0.0, -0.8)])
-def test_a_wall_of_a_person_tells_no_light(ball, normal):
-    """All normals alike: each triangle has one shading."""
-    wall = ball._replace(normal=np.tile(normal, (len(ball.face), 1)))
-    fit = fit_light(wall)
-    check(fit, wall)
+def with_normals(*normal: float):
+    return lambda ball: ball._replace(normal=np.tile(normal, (len(ball.face), 1)))
+
+
+def with_colors(color):
+    return lambda ball: ball._replace(color=color(ball.color.shape))
+
+
+NO_LIGHT = {
+    # all normals alike: each triangle has one shading
+    "a wall of a person": with_normals(0.0, 0.0, -1.0),
+    "a wall aslant": with_normals(0.6, 0.0, -0.8),
+    "black": with_colors(np.zeros),
+    "white": with_colors(np.ones),
+    "noise": with_colors(np.random.default_rng(0).random),
+    # an albedo of its own explains each pixel, under any light
+    "triangles that are seen once": lambda ball: ball._replace(face=np.arange(len(ball.face))),
+}
+
+
+@pytest.mark.parametrize("case", NO_LIGHT)
+def test_pixels_that_tell_no_light_give_none(ball, case):
+    pixels = NO_LIGHT[case](ball)
+    fit = fit_light(pixels)
+    check(fit, pixels)
     assert fit.lights == {}
 
 
@@ -85,29 +83,6 @@ def test_one_video_alone_tells_the_light_of_all(part, within):
     check(fit, one)
     assert set(fit.lights) == set(PARTS)
     within(degrees_off(fit.lights[part], SIDE), 1.0, "degrees")
-
-
-@pytest.mark.parametrize("color", [0.0, 1.0])
-def test_pictures_of_one_color_tell_no_light(ball, color):
-    plain = ball._replace(color=np.full(ball.color.shape, color))
-    fit = fit_light(plain)
-    check(fit, plain)
-    assert fit.lights == {}
-
-
-def test_triangles_that_are_seen_once_tell_no_light(ball):
-    """An albedo of its own explains each pixel, under any light."""
-    once = ball._replace(face=np.arange(len(ball.face)))
-    fit = fit_light(once)
-    check(fit, once)
-    assert fit.lights == {}
-
-
-def test_pictures_of_noise_tell_no_light(ball):
-    noise = ball._replace(color=np.random.default_rng(0).uniform(0, 1, ball.color.shape))
-    fit = fit_light(noise)
-    check(fit, noise)
-    assert fit.lights == {}
 
 
 @pytest.mark.parametrize("albedo", [0.0, 1.0])

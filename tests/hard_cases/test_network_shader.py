@@ -14,10 +14,10 @@ from glsl_probe import probe
 from avatar.baked_avatar import NETWORK_ARRAYS, ViewNetwork
 from avatar.camera import orbit_camera
 from avatar.skeleton import BIG_POSE
+from bake.cone import ViewCone, clamped_tangent
 from bake.network import write_onnx
 from player.gl.blocks import FRAME
 from player.gl.constants import linear_constants, literal, network_constants
-from player.gl.context import open_context
 from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer
 
@@ -26,15 +26,10 @@ LEVEL = 1 / 255
 RESIDUAL = {4: "vec4(view_residual(features, tangent), 0.0)", 8: "vec4(view_residual(features, more, tangent), 0.0)"}
 NETWORK = {4: "view_network.glsl", 8: "view_network_high.glsl"}
 LINEAR = {4: "view_linear.glsl", 8: "view_linear_high.glsl"}
+# constants of a frame in which the view counts in full
+IN_FULL = np.zeros((), FRAME)
+IN_FULL["view_amount"] = 1
 SIZES = [4, 8]  # features: the network of 8 has a second hidden layer
-
-
-@pytest.fixture(scope="module")
-def context():
-    context = open_context()
-    yield context
-    assert context.gl.error == "GL_NO_ERROR"
-    context.release()
 
 
 def network(scale1=1.0, scale2=1.0, seed=0, features=4):
@@ -188,44 +183,29 @@ def _set_comma_locale(tmp_path) -> bool:
         del os.environ["LOCPATH"]
 
 
-def cone_reference(d, mean, q, seen):
-    d, mean, q = d.astype(float), mean.astype(float), q.astype(float)
-    Q = q[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    t = d - (d * mean).sum(1, keepdims=True) * mean
-    spread = np.einsum("ni,nij,nj->n", t, Q, t)
-    return seen[:, None] * t / np.sqrt(1 + np.maximum(spread, 0))[:, None]
-
-
 def test_the_cone_holds_for_every_direction(context, within):
     """d = d̄, d = -d̄, d orthogonal, axes of zero length, enormous or of rank one; |t'| <= |t| <= 1; never NaN."""
     rng = np.random.default_rng(5)
     count = 4000
-    mean = rng.normal(size=(count, 3))
-    mean /= np.linalg.norm(mean, axis=1, keepdims=True)
-    d = rng.normal(size=(count, 3))
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    mean, d = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, count, 3)))
     d[:500], d[500:1000] = mean[:500], -mean[500:1000]
     side = np.cross(mean[1000:1500], d[1000:1500])
     d[1000:1500] = side / np.linalg.norm(side, axis=1, keepdims=True)
     axes = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-12, 3, (count, 1))
     axes[::7] = 0
-    q = np.stack([axes[:, i] * axes[:, j] for i, j in [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]], 1)
+    q = axes[:, [0, 0, 0, 1, 1, 2]] * axes[:, [0, 1, 2, 1, 2, 2]]
     seen = rng.uniform(size=count)
     seen[::11] = 0
-    frame = np.zeros((), FRAME)
-    frame["view_amount"] = 1
-    buffer = context.gl.buffer(frame.tobytes())
-    buffer.bind_to_uniform_block(0)
     values = {"d": d, "mean": mean, "q0": q[:, :3], "q1": q[:, 3:], "seen": seen}
     values = {name: value.astype(np.float32) for name, value in values.items()}
-    out = probe(context, ["view_cone.glsl"], "vec4(cone_tangent(d, mean, q0, q1, seen), 0.0)", values)[:, :3]
-    buffer.release()
+    call = "vec4(cone_tangent(d, mean, q0, q1, seen), 0.0)"
+    out = probe(context, ["view_cone.glsl"], call, values, blocks={"Frame": IN_FULL})[:, :3]
     assert np.isfinite(out).all() and (out[values["seen"] == 0] == 0).all()
     within(np.maximum(np.linalg.norm(out, axis=1) - 1, 0), 1e-6)
     within(out[:1000], 1e-6)  # along d̄ or against it there is no tangent
-    within(
-        out - cone_reference(values["d"], values["mean"], np.hstack([values["q0"], values["q1"]]), values["seen"]), 2e-5
-    )
+    q, (d, mean, seen) = np.hstack([values["q0"], values["q1"]]), (values[name] for name in ("d", "mean", "seen"))
+    cone = ViewCone(mean.astype(float), q.astype(float), seen.astype(float))
+    within(out - clamped_tangent(d.astype(float), cone), 2e-5)
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -244,14 +224,9 @@ def test_a_million_directions_through_the_cone_stay_within_A_of_the_base(context
     values = {**split(features, d), "mean": mean, "q0": q[:, :3], "q1": q[:, 3:], "seen": rng.uniform(size=count)}
     values["d"] = values.pop("tangent")
     values = {name: value.astype(np.float32) for name, value in values.items()}
-    frame = np.zeros((), FRAME)
-    frame["view_amount"] = 1
-    buffer = context.gl.buffer(frame.tobytes())
-    buffer.bind_to_uniform_block(0)
     tangent = "cone_tangent(d, mean, q0, q1, seen)"
     call = RESIDUAL[size].replace("tangent", tangent).replace("0.0)", f"length({tangent}))")
-    out = probe(context, ["view_cone.glsl", NETWORK[size]], call, values, generated)
-    buffer.release()
+    out = probe(context, ["view_cone.glsl", NETWORK[size]], call, values, generated, {"Frame": IN_FULL})
     assert np.isfinite(out).all() and out[:, 3].max() <= 1 + 1e-6
     within(np.maximum(np.abs(out[:, :3]) - A * out[:, 3:], 0), 1e-6)
     within(out[:2000, :3], 1e-6)

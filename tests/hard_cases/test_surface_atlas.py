@@ -5,12 +5,13 @@ import time
 import numpy as np
 import pytest
 from capsules import ball_mesh, sphere
+from charted_ball import charted_ball
 
 from avatar.texture import mipmaps, sample_texture
 from bake.atlas import unwrap
 from bake.skin import transferred_weights
-from bake.texture.seams import chart_edges, seam_steps, solve_seams
-from bake.texture.texels import barycentric, bytes_from_unit, rasterise_charts, spread
+from bake.texture.seams import seam_steps, solve_seams
+from bake.texture.texels import bytes_from_unit, rasterise_charts, spread
 from command.errors import AssetError
 from geometry.closest import match_surface
 from geometry.decimate import balanced, decimate
@@ -19,32 +20,24 @@ from geometry.mesh import TriangleMesh, compact
 from geometry.repair import find_faults, repair
 
 BOX = np.array([[-0.12, -0.12, -0.12], [0.12, 0.12, 0.12]])
-COARSE = np.zeros(2, bool)
 
 
 def found(distance, normal=None, box=BOX, step=0.01):
     return extract(distance, normal or sphere(0.1)[1], box, np.zeros(len(box), bool), coarse_step=step, fine_step=step)
 
 
-def test_field_without_a_zero_crossing():
-    with pytest.raises(AssetError, match="positive everywhere"):
-        found(lambda p: np.full(len(p), 0.05))
+FIELDS = {
+    "positive everywhere": lambda p: np.full(len(p), 0.05),
+    "negative everywhere": lambda p: np.full(len(p), -0.05),
+    "should be positive 3 cm outside": sphere(0.2)[0],
+    "should be finite": lambda p: np.where(p[:, 0] > 0.05, np.nan, sphere(0.1)[0](p)),
+}
 
 
-def test_field_that_is_inside_everywhere():
-    with pytest.raises(AssetError, match="negative everywhere"):
-        found(lambda p: np.full(len(p), -0.05))
-
-
-def test_field_that_leaves_its_box():
-    with pytest.raises(AssetError, match="should be positive 3 cm outside"):
-        found(sphere(0.2)[0])
-
-
-def test_field_that_is_not_finite():
-    ball = sphere(0.1)[0]
-    with pytest.raises(AssetError, match="should be finite"):
-        found(lambda p: np.where(p[:, 0] > 0.05, np.nan, ball(p)))
+@pytest.mark.parametrize("reason", FIELDS)
+def test_a_field_that_bounds_nothing_in_its_box_is_refused(reason):
+    with pytest.raises(AssetError, match=reason):
+        found(FIELDS[reason])
 
 
 def test_islands_and_inner_sheets_are_dropped(within):
@@ -215,19 +208,13 @@ def test_chart_thinner_than_a_texel_shows_its_own_color(thickness, within):
 
 @pytest.mark.parametrize("level, size, padding", [(0, 512, 8), (1, 512, 4)])
 def test_both_sides_of_chart_edges_agree_at_every_mip_used(level, size, padding, within):
-    """Bars of the issue: median step 1, 99 of 100 within 4 of 255, in all mips that the player makes."""
-    mesh = decimate(ball_mesh(step=0.006), 800)
-    part = (mesh.vertices[mesh.faces].mean(1)[:, 1] > 0.03).astype(int)  # one part 2.5 times as dense
-    chart = unwrap(mesh.vertices, mesh.faces, part, np.array([1.0, 2.5]), size=size, padding=padding)
-    texels = rasterise_charts(chart.uv, chart.faces, size)
-    weight = barycentric(chart.uv, chart.faces, texels, np.zeros(2))
-    points = (weight[:, :, None] * mesh.vertices[chart.source][chart.faces[texels.face]]).sum(1)
-    image = spread(0.5 + 0.3 * np.sin(points * [70.0, 50.0, 60.0]), texels)
-    edges = chart_edges(chart.uv, chart.faces, chart.source)
+    """Median step 1, 99 of 100 within 4 of 255, in all mips that the player makes."""
+    ball = charted_ball(size, padding, above=0.03)
+    image = spread(0.5 + 0.3 * np.sin(ball.points * [70.0, 50.0, 60.0]), ball.texels)
     levels = padding.bit_length()
-    closed = bytes_from_unit(solve_seams(image, texels, chart.uv, edges, levels))
+    closed = bytes_from_unit(solve_seams(image, ball.texels, ball.chart.uv, ball.edges, levels))
     for mip in mipmaps(closed, levels):
-        steps = seam_steps(chart.uv, edges, mip)
+        steps = seam_steps(ball.chart.uv, ball.edges, mip)
         within(np.median(steps), 1.0, "of 255, median")
         within(np.quantile(steps, 0.99), 4.0, "of 255, p99")
 
@@ -235,10 +222,7 @@ def test_both_sides_of_chart_edges_agree_at_every_mip_used(level, size, padding,
 @pytest.fixture(scope="module")
 def unwrapped_ball():
     """A ball in charts of an atlas of 512 texels with gutters of 8."""
-    mesh = decimate(ball_mesh(step=0.006), 800)
-    chart = unwrap(mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), np.ones(1), size=512, padding=8)
-    texels = rasterise_charts(chart.uv, chart.faces, 512)
-    return mesh, chart, texels, chart_edges(chart.uv, chart.faces, chart.source)
+    return charted_ball(512, 8)
 
 
 @pytest.mark.parametrize("pattern", ["stripes", "checkerboard", "one texel in 64"])
@@ -247,14 +231,13 @@ def test_closing_chart_edges_never_leaves_the_colors_of_the_two_sides(pattern, w
     """The hardest contrast, of one texel, in two pairs of colors on two halves of a ball: in every mip each channel of
     every texel stays within what its half shows."""
     size, levels = 512, 4
-    mesh, chart, texels, edges = unwrapped_ball
-    points = mesh.vertices[chart.source][chart.faces]
-    upper = points.mean(1)[texels.face, 1] > 0
-    weight = barycentric(chart.uv, chart.faces, texels, np.zeros(2))
+    chart, texels, edges, corners, points = unwrapped_ball
+    height = corners.mean(1)[texels.face, 1]
+    upper = height > 0
     cells = np.stack([texels.index % size, texels.index // size], 1)
     if where == "surface":
         # a texel is about .8 mm there
-        cells = np.floor((weight[:, :, None] * points[texels.face]).sum(1)[:, :2] / 0.0008).astype(int)
+        cells = np.floor(points[:, :2] / 0.0008).astype(int)
     on = {
         "stripes": cells[:, 0] % 2,
         "checkerboard": cells.sum(1) % 2,
@@ -265,9 +248,8 @@ def test_closing_chart_edges_never_leaves_the_colors_of_the_two_sides(pattern, w
     closed = solve_seams(image, texels, chart.uv, edges, levels)
     within(np.maximum(image.min((0, 1)) - closed, closed - image.max((0, 1))).max(), 1e-7, "beyond both")
     # away from the border of the halves only one pair of colors is there to be taken
-    centre = np.abs(points.mean(1)[texels.face, 1])
     for half, pair in enumerate(pairs):
-        own = texels.index[(upper == half) & (centre > 0.04)]
+        own = texels.index[(upper == half) & (np.abs(height) > 0.04)]
         shown = closed.reshape(-1, 3)[own]
         within(np.maximum(pair.min(0) - shown, shown - pair.max(0)).max(), 0.5 / 255, "beyond its half")
     low, high = 255 * image.min((0, 1)), 255 * image.max((0, 1))

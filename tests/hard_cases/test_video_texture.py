@@ -5,23 +5,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from capsules import ball_mesh
+from charted_ball import charted_ball
 from scipy.sparse import coo_matrix, csr_matrix, identity
 
 from avatar.camera import orbit_camera
 from avatar.light import CaptureLight, Lamp
 from avatar.skeleton import PARTS
 from avatar.texture import mipmaps
-from bake.atlas import unwrap
 from bake.level import BakedLevel, level_of_file
 from bake.run_capture import RunVideos
 from bake.texture.pixel_reads import atlas_mesh
-from bake.texture.seams import chart_edges, edge_reads, solve_seams
-from bake.texture.texels import TexelMap, barycentric, bytes_from_unit, rasterise_charts, spread
+from bake.texture.seams import edge_reads, solve_seams
+from bake.texture.texels import TexelMap, bytes_from_unit, spread
 from bake.texture.texture_solve import Equations, Prior, neighbour_pairs, solve_change
 from bake.texture.video_texture import solve_texture
 from capture.folder import PartVideo
-from geometry.decimate import decimate
 from player.scene.mannequin import mannequin
 
 STAY, MIX = 0.06, 0.24
@@ -154,12 +152,7 @@ def test_frames_of_two_colors_give_texels_between_them(grey, within):
 def test_contrasts_of_one_texel_across_chart_edges_stay_within_what_was_seen(pattern, within):
     """Every texel of a ball is told its own color, edges that they agree, then mips are closed: nowhere beyond."""
     size, levels = 256, 4
-    mesh = decimate(ball_mesh(step=0.008), 600)
-    chart = unwrap(mesh.vertices, mesh.faces, np.zeros(len(mesh.faces), int), np.ones(1), size=size, padding=8)
-    texels = rasterise_charts(chart.uv, chart.faces, size)
-    edges = chart_edges(chart.uv, chart.faces, chart.source)
-    weight = barycentric(chart.uv, chart.faces, texels, np.zeros(2))
-    points = (weight[:, :, None] * mesh.vertices[chart.source][chart.faces[texels.face]]).sum(1)
+    chart, texels, edges, _, points = charted_ball(size, 8, faces=600, step=0.008)
     cells = np.floor(points / 0.0016).astype(int)
     on = (cells[:, 0] if pattern == "stripes" else cells.sum(1)) % 2
     low, high = np.array([0.2, 0.35, 0.3]), np.array([0.8, 0.4, 0.7])

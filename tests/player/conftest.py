@@ -1,52 +1,26 @@
-"""A context for the tests of a file, and the built-in body as an avatar."""
+"""The built-in body as an avatar, and renderers and windows that are freed after each test."""
 
 import numpy as np
 import pytest
+from loose_avatar import dressed
+from tiny_avatar import tiny_avatar
 
 from avatar.gltf.avatar_file import write_avatar
 from command.command_line import parse
-from player.gl.context import NoContextError, open_context
 from player.play_command import PLAY, PlayCommand, scene_of
 from player.scene.mannequin import mannequin
 from player.scene.opened import opened_avatars
-from player.scene.renderer import Renderer
-
-
-@pytest.fixture(scope="module")
-def context():
-    context = open_context()
-    yield context
-    assert context.gl.error == "GL_NO_ERROR"
-    assert context.counts.objects() == {}, "a test left objects behind"
-    context.release()
-
-
-@pytest.fixture
-def render(context):
-    """Makes renderers and frees them after the test, also when it fails."""
-    made = []
-
-    def make(avatar, size, **options):
-        made.append(Renderer(context, [avatar], size, **options))
-        return made[-1]
-
-    yield make
-    for renderer in made:
-        renderer.release()
-
-
-@pytest.fixture(scope="session")
-def osmesa():
-    """Skips where the distribution's Mesa has no OSMesa (25.1 and later)."""
-    try:
-        open_context("osmesa").release()
-    except NoContextError as error:
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session")
 def avatar():
     return mannequin()
+
+
+@pytest.fixture(scope="session")
+def dressed_avatar():
+    """In a skirt and with long hair."""
+    return dressed()
 
 
 @pytest.fixture(scope="session")
@@ -60,7 +34,15 @@ def pose():
     return axis_angle, np.array([0.1, 0.05, -0.2])
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
+def tiny_path(tmp_path_factory):
+    """The avatar of tests/tiny_avatar.py as a file."""
+    path = tmp_path_factory.mktemp("avatar") / "tiny.glb"
+    write_avatar(path, tiny_avatar())
+    return str(path)
+
+
+@pytest.fixture(scope="session")
 def avatar_path(avatar, tmp_path_factory):
     """The avatar as a file."""
     path = tmp_path_factory.mktemp("avatar") / "someone.glb"

@@ -6,31 +6,27 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from avatar.camera import orbit_camera
+from avatar.camera import orbit_camera, project
 from avatar.skeleton import BIG_POSE, skin_transforms
 from avatar.skinning import skin_points, skin_points_dual_quaternion
-from player.draw.posing import Poser
-from player.draw.raster import Rasteriser
+from player.draw.posing import Poser, posed_vertices, screen_bounds
 from player.effects import antialiasing as fxaa_pass
 from player.effects.background import Background
+from player.effects.outline import Outline
 from player.gl.tiles import TILE, Patches, covered, rectangles
 from player.scene.effects import Effects
-from player.scene.renderer import Renderer
 
 SIZE = (180, 200)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.6, 0.5, 0.1, SIZE)
 
 
 @pytest.fixture
-def picture(context, avatar, pose):
+def picture(render, avatar, pose):
     """Draws one frame of the mannequin."""
 
     def draw(antialiasing, background=(0.0, 0.0, 0.0, 0.0), size=SIZE, who=avatar):
         effects = Effects("off", antialiasing=antialiasing)
-        renderer = Renderer(context, [who], size, effects=effects, background=background)
-        image = renderer.draw([pose], CAMERA)
-        renderer.release()
-        return image
+        return render(who, size, effects=effects, background=background).draw([pose], CAMERA)
 
     return draw
 
@@ -72,15 +68,10 @@ def steps_in_depth(depth):
     return (five > 0).any(0) & ((five == 0).any(0) | (bend > 4 * pixel * here))
 
 
-def test_fxaa_is_its_reference_where_surfaces_end_and_nothing_elsewhere(context, picture, avatar, pose):
+def test_fxaa_is_its_reference_where_surfaces_end_and_nothing_elsewhere(rasteriser, picture, avatar, pose):
     plain, smooth = picture("none"), picture("fxaa")
     level = avatar.levels[0]
-    skin = level.skin
-    transforms = skin_transforms(pose[0], avatar.joint_positions, pose[1], rest=BIG_POSE)
-    rasteriser = Rasteriser(context)
-    posed = skin_points(level.positions.astype(float), skin, transforms)
-    depth = rasteriser.draw(posed, level.faces.astype(int), CAMERA, cull=True)
-    rasteriser.release()
+    depth = rasteriser.draw(posed_vertices(avatar, level, pose), level.faces.astype(int), CAMERA, cull=True)
     edges = steps_in_depth(np.where(depth.face >= 0, depth.depth, 0))
     expected = np.where(edges[..., None], np.round(255 * fxaa(plain / 255)), plain)
     away = np.abs(smooth - expected).max(-1)
@@ -91,28 +82,24 @@ def test_fxaa_is_its_reference_where_surfaces_end_and_nothing_elsewhere(context,
 
 @pytest.mark.parametrize("skinning", ["lbs", "dual_quaternion"])
 @pytest.mark.parametrize("size", [SIZE, (181, 67)])
-def test_fxaa_on_tiles_is_fxaa_on_the_whole_picture(context, avatar, pose, monkeypatch, skinning, size):
-    renderer = Renderer(context, [avatar], size, effects=Effects("off", skinning, "fxaa"))
+@pytest.mark.parametrize("outline", [None, Outline(width=17.0)])
+def test_fxaa_on_tiles_is_fxaa_on_the_whole_picture(render, avatar, pose, monkeypatch, skinning, size, outline):
+    renderer = render(avatar, size, effects=Effects("off", skinning, "fxaa", outline=outline))
     tiles = renderer.draw([pose], CAMERA)
     monkeypatch.setattr(fxaa_pass, "covered", lambda boxes, size, margin: np.full_like(covered(boxes, size, 0), True))
     assert np.array_equal(tiles, renderer.draw([pose], CAMERA))
-    renderer.release()
+    assert ((tiles[..., 3] > 0) & (tiles[..., 3] < 255)).sum() > 100
 
 
 @pytest.mark.parametrize("antialiasing", ["fxaa", "msaa"])
-def test_edges_get_between_values_and_stay_premultiplied(picture, avatar, antialiasing):
-    white = replace(avatar.levels[0], base_color=np.full((4, 4, 3), 255, np.uint8))
-    image = picture(antialiasing, who=replace(avatar, levels=(white,))).astype(int)
+@pytest.mark.parametrize("level", [0, 255])
+def test_edges_get_between_values_and_stay_premultiplied(picture, avatar, antialiasing, level):
+    plain = replace(avatar.levels[0], base_color=np.full((4, 4, 3), level, np.uint8))
+    image = picture(antialiasing, who=replace(avatar, levels=(plain,))).astype(int)
     alpha = image[..., 3]
     assert ((alpha > 0) & (alpha < 255)).sum() > 300
     assert set(np.unique(picture("none")[..., 3])) == {0, 255}
-    assert np.abs(image[..., :3] - alpha[..., None]).max() <= 1, "white, premultiplied, is its alpha: no fringe"
-
-
-def test_a_black_avatar_on_nothing_has_smooth_edges_too(picture, avatar):
-    black = replace(avatar.levels[0], base_color=np.zeros((4, 4, 3), np.uint8))
-    alpha = picture("fxaa", who=replace(avatar, levels=(black,)))[..., 3]
-    assert ((alpha > 0) & (alpha < 255)).sum() > 300
+    assert np.abs(image[..., :3] - alpha[..., None] * (level > 0)).max() <= 1, "white is its alpha: no fringe"
 
 
 def test_msaa_is_the_mean_of_four_samples(picture, avatar):
@@ -140,7 +127,7 @@ def test_a_busy_background_is_not_touched_where_nobody_is(picture, tmp_path, ant
 
 
 @pytest.mark.parametrize("dual", [False, True])
-def test_patches_hold_every_vertex_in_any_pose(avatar, dual):
+def test_patches_and_bounds_hold_every_vertex_in_any_pose(avatar, dual):
     level = avatar.levels[0]
     patches = Patches(level)
     rng = np.random.default_rng(2)
@@ -152,14 +139,15 @@ def test_patches_hold_every_vertex_in_any_pose(avatar, dual):
         tiles = covered(patches.boxes(bones.view_from_canonical, CAMERA, dual=dual), SIZE, 0)
         transforms = skin_transforms(axis_angle, avatar.joint_positions, root, rest=BIG_POSE)
         points = posed(level.positions.astype(float), skin, transforms)
-        local = points @ CAMERA.camera_from_world[:3, :3].T + CAMERA.camera_from_world[:3, 3]
-        pixels = local @ CAMERA.K.T
-        pixels = pixels[:, :2] / pixels[:, 2:]
-        inside = ((pixels >= 0) & (pixels < SIZE)).all(1) & (local[:, 2] > 0)
+        pixels, depth = project(CAMERA, points)
+        inside = ((pixels >= 0) & (pixels < SIZE)).all(1) & (depth > 0)
         cells = (pixels[inside] / TILE).astype(int)
         assert tiles[cells[:, 1], cells[:, 0]].all()
         if reach == 0.0 and not dual:
             assert tiles.mean() < 0.75, "far from the whole picture"
+        bounds = screen_bounds(bones, CAMERA)
+        assert bounds.depth[0] <= depth.min() and depth.max() <= bounds.depth[1]
+        assert (pixels >= bounds.box[:2]).all() and (pixels <= bounds.box[2:]).all()
 
 
 def test_tiles_become_rectangles_that_hold_each_pixel_once():

@@ -12,10 +12,7 @@ from player.draw.mesh import VERTEX
 from player.film.render import detail_by_size
 from player.film.shot import Shot, ShotRenderer
 from player.film.stage import Stage
-from player.gl.context import open_context
 from player.play_command import PlayCommand, scene_of
-from player.scene.mannequin import mannequin
-from player.scene.renderer import Renderer
 from player.scene.scene import Scene, SceneAvatar
 from selfscan.__main__ import main
 
@@ -35,18 +32,10 @@ def clustered(level, cell):
 
 
 @pytest.fixture(scope="module")
-def body():
+def body(avatar):
     """Of 27,000, a third of that, and 1,400 triangles."""
-    made = mannequin()
-    fine = made.levels[0]
-    return replace(made, levels=(fine, clustered(fine, 0.02), clustered(fine, 0.06)))
-
-
-@pytest.fixture(scope="module")
-def context():
-    made = open_context()
-    yield made
-    made.release()
+    fine = avatar.levels[0]
+    return replace(avatar, levels=(fine, clustered(fine, 0.02), clustered(fine, 0.06)))
 
 
 def poses_at(*depths):
@@ -97,14 +86,12 @@ def test_finer_at_once_coarser_after_a_while_and_out_of_sight_at_once(body):
 
 
 @pytest.mark.parametrize("view", ["off", "network"])
-def test_a_crowd_costs_fewer_triangles_and_looks_nearly_the_same(context, body, view):
+def test_a_crowd_costs_fewer_triangles_and_looks_nearly_the_same(render, body, view):
     other = replace(body)
     crowd = [body, body, other, body]
     poses = poses_at(0.0, 5.0, 12.0, 40.0)
-    full = Renderer(context, crowd, SIZE, view=view)
-    before = full.draw(poses, CAMERA).astype(int)
-    full.release()
-    drawn = Renderer(context, crowd, SIZE, view=view, level=BySize())
+    before = render(crowd, SIZE, view=view).draw(poses, CAMERA).astype(int)
+    drawn = render(crowd, SIZE, view=view, level=BySize())
     picture = drawn.draw(poses, CAMERA).astype(int)
     assert drawn.detail[0] < drawn.detail[1] <= drawn.detail[2] <= drawn.detail[3] == 2
     triangles = [sum(len(who.level(k).faces) for who, k in zip(crowd, d)) for d in ((0,) * 4, drawn.detail)]
@@ -114,27 +101,20 @@ def test_a_crowd_costs_fewer_triangles_and_looks_nearly_the_same(context, body, 
         change = np.abs(picture - before)[..., :3].max(-1)
         covered = before[..., 3] > 0
         assert change.any() and change[covered].mean() < 2.0 and np.percentile(change[covered], 95) < 12
-    again = Renderer(context, crowd, SIZE, view=view, level=drawn.detail)
+    again = render(crowd, SIZE, view=view, level=drawn.detail)
     assert np.array_equal(again.draw(poses, CAMERA), picture)
-    again.release()
-    drawn.release()
 
 
-def test_a_change_of_level_makes_no_mesh_texture_or_program(context, body):
-    crowd = [body, body, replace(body)]
-    drawn = Renderer(context, crowd, SIZE, view="off", level=BySize())
-    try:
-        drawn.draw(poses_at(0.0, 12.0, 12.0), CAMERA)
-        first, made, sent = drawn.detail, context.counts.objects(), context.counts.uploaded
-        drawn.draw(poses_at(12.0, 0.0, 0.0), CAMERA)
-        sent = context.counts.uploaded - sent
-        assert drawn.detail != first and drawn.detail[1:] == (0, 0)
-        kinds = ("program", "buffer", "vertex_array")
-        assert all(context.counts.objects()[kind] == made[kind] for kind in kinds)
-        # bones alone: less than a tenth of the coarsest mesh and of all textures
-        assert sent < min(VERTEX.itemsize * len(body.levels[2].positions), body.levels[0].base_color.nbytes)
-    finally:
-        drawn.release()
+def test_a_change_of_level_makes_no_mesh_texture_or_program(context, render, body):
+    drawn = render([body, body, replace(body)], SIZE, view="off", level=BySize())
+    drawn.draw(poses_at(0.0, 12.0, 12.0), CAMERA)
+    first, made, sent = drawn.detail, context.counts.objects(), context.counts.uploaded
+    drawn.draw(poses_at(12.0, 0.0, 0.0), CAMERA)
+    sent = context.counts.uploaded - sent
+    assert drawn.detail != first and drawn.detail[1:] == (0, 0)
+    assert all(context.counts.objects()[kind] == made[kind] for kind in ("program", "buffer", "vertex_array"))
+    # bones alone: less than a tenth of the coarsest mesh and of all textures
+    assert sent < min(VERTEX.itemsize * len(body.levels[2].positions), body.levels[0].base_color.nbytes)
 
 
 def test_a_film_keeps_one_level_and_any_share_of_it_shows_the_same(tmp_path, body, capsys):
@@ -160,10 +140,8 @@ def test_a_film_keeps_one_level_and_any_share_of_it_shows_the_same(tmp_path, bod
     shot = Shot(scene, 0, 12, (64, 64), stage.rate, fit, detail=detail_by_size(stage, fit, 0, 12, 0))
     assert shot.detail == (2,) and shot.identity() != replace(shot, detail=None).identity()
     whole, share = ShotRenderer(shot, stage), ShotRenderer(shot)
-    try:
-        pictures = [whole.draw(frame).copy() for frame in range(4)]
-        assert np.array_equal(share.draw(3), pictures[3])
-        assert whole.renderer.detail == share.renderer.detail == (2,)
-    finally:
-        whole.release()
-        share.release()
+    pictures = [whole.draw(frame).copy() for frame in range(4)]
+    assert np.array_equal(share.draw(3), pictures[3])
+    assert whole.renderer.detail == share.renderer.detail == (2,)
+    whole.release()
+    share.release()

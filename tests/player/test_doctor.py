@@ -13,7 +13,6 @@ import player.gl.context as contexts
 from command.errors import AssetError
 from player.doctor import Node, device_nodes, difference, distribution, hints, nvidia_driver, vendor_file
 from player.doctor_command import doctor_main
-from player.film.command import render_main
 from player.gl.context import EglDevice, NoContextError, open_context
 
 # (CUDA ordinal, DRM node, render node, maker, software): EGL counts as it likes, CUDA otherwise, as on real machines
@@ -124,13 +123,6 @@ def test_without_a_wish_cards_come_before_the_software_device(cards):
     assert cards == [0x1000]
 
 
-@pytest.mark.parametrize("text", ["-1", "first", "card0", "1.5"])
-def test_gpu_takes_a_number_or_a_device_file(text, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        render_main(["a.glb", "--gpu", text, "-o", "a.png"])
-    assert stopped.value.code == 2 and "/dev/dri/renderD128" in capsys.readouterr().err
-
-
 def test_doctor_lists_devices_with_their_names(cards, tmp_path, capsys):
     assert doctor_main(["--json", str(tmp_path / "d.json")]) == 0
     said = capsys.readouterr().out
@@ -150,15 +142,6 @@ def test_doctor_lists_devices_with_their_names(cards, tmp_path, capsys):
 def paper_only(monkeypatch):
     """One view mode: all of them are compared in tests/hard_cases."""
     monkeypatch.setattr("player.budget.ladder.views_of", lambda _avatar: ["off"])
-
-
-def test_compare_draws_three_ways_and_says_so(osmesa, paper_only, tmp_path, capsys):
-    assert doctor_main(["--compare", "--json", str(tmp_path / "d.json")]) == 0
-    compared = json.loads((tmp_path / "d.json").read_text())["compare"]
-    assert {"egl", "osmesa", "window on the null platform"} <= set(compared["ways"])
-    assert all(set(pair) == {"off"} and max(pair.values()) <= 1 for pair in compared["pairs"].values())
-    assert 0 < compared["band"] < 0.1
-    assert "compare: equal" in capsys.readouterr().out
 
 
 def test_compare_notices_a_way_that_draws_otherwise_or_not_at_all(osmesa, paper_only, monkeypatch):

@@ -6,12 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from loose_avatar import dressed
-from loose_paths import dance
+from loose_paths import dance, danced
 
 from avatar.camera import Camera, orbit_camera
+from avatar.gltf.avatar_file import write_avatar
 from command.settings import settings_of
-from player.effects import contact, grid, ground_plane, outline, secondary_motion, shadow
+from player.effects import contact, grid, ground_plane, outline, secondary_motion, shaded, shadow
+from player.effects.background import Background
 from player.effects.contact import Contact
 from player.effects.foot_lock import FootLock
 from player.effects.grid import Grid
@@ -20,7 +21,13 @@ from player.effects.lens import DepthOfField, MotionBlur
 from player.effects.light import Light
 from player.effects.outline import Outline
 from player.effects.secondary_motion import SecondaryMotion
+from player.film import parts
+from player.film import render as filming
+from player.film.command import render_main
+from player.film.shot import Shot, ShotRenderer
+from player.film.stage import Stage
 from player.scene.effects import PLAIN, Effects
+from player.scene.scene import Scene, SceneAvatar
 
 SIZE = (150, 170)
 OFF = replace(PLAIN, view="off")
@@ -70,33 +77,22 @@ UNSEEN = {
     "contact small": Unseen(Contact(), FAR, {"contact: avatar on the ground": contact.SMALL}),
     "grid hidden": Unseen(Grid(), UP, {"grid": ground_plane.AWAY, "grid: axes": grid.AXES_AWAY}),
     "outline hidden": Unseen(Outline(), AWAY, {"outline": outline.OUT_OF_VIEW}),
+    "view small": Unseen("network", FAR, {"avatar: view network": shaded.TOO_SMALL}),
     "swing hidden": Unseen(SecondaryMotion(), AWAY, {SWINGS: secondary_motion.OUT_OF_VIEW}, EVERYTHING),
     "swing small": Unseen(SecondaryMotion(), FAR, {SWINGS: secondary_motion.SMALL}, EVERYTHING),
     "swing still": Unseen(SecondaryMotion(), CAMERA, {SWINGS: secondary_motion.AT_REST}, EVERYTHING, rests=True),
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def dressed_avatar():
-    return dressed()
-
-
-def danced(renderer):
-    """The renderer told of 0.7 seconds of a dance; its last pose."""
-    for frame in range(43):
-        renderer.move([dance(frame / 60)], frame / 60)
-    return dance(0.7)
-
-
 def field_of(wish) -> str:
-    return next(setting.name for setting in settings_of(Effects) if setting.table is type(wish))
+    return next((setting.name for setting in settings_of(Effects) if setting.table is type(wish)), "view")
 
 
 def test_every_effect_has_its_rows_here():
     every = {setting.name for setting in settings_of(Effects) if setting.table is not None}
     assert {field_of(wish) for wish, _ in ADDS.values()} == every
     # light has tests of its own, of what changes nothing
-    assert {field_of(case.wish) for case in UNSEEN.values()} == every - {*OF_FILMS, "light"}
+    assert {field_of(case.wish) for case in UNSEEN.values()} == (every | {"view"}) - {*OF_FILMS, "light"}
 
 
 @pytest.mark.parametrize("bare", [OFF, Effects("network", "dual_quaternion", "fxaa")], ids=["bare", "network"])
@@ -137,3 +133,76 @@ def test_where_it_cannot_show_it_is_the_frame_that_never_asked(context, render, 
     assert {name: rows[name] for name in case.rows} == case.rows
     assert np.array_equal(*images)
     assert calls[0] == calls[1], "draws, copies, clears, uniforms and reads"
+
+
+@pytest.mark.parametrize("name", [*ADDS, "view"])
+def test_ten_kilometres_away_it_is_the_same_picture(render, dressed_avatar, name):
+    wish = {"view": "vertex"} if name == "view" else {field_of(ADDS[name][0]): ADDS[name][0]}
+    shift = np.array([10_240.0, 0.0, -2048.0])
+    moved = CAMERA.camera_from_world.copy()
+    moved[:3, 3] -= moved[:3, :3] @ shift
+    renderer = render(dressed_avatar, SIZE, effects=replace(OFF, **wish), background=WHITE)
+    axis_angle, root = dance(0.7)
+    here = renderer.draw([(axis_angle, root)], CAMERA).astype(int)
+    there = renderer.draw([(axis_angle, root + shift)], Camera(CAMERA.K, moved, SIZE))
+    change = np.abs(here - there).max(-1)
+    print(name, (change > 1).sum(), (change > 2).sum(), change.max(), np.quantile(np.abs(here - there), 0.999))
+    assert (change > 1).sum() <= 3
+
+
+REFUSED = [
+    (MotionBlur, {"shutter": 0.0}, "shutter"),
+    (MotionBlur, {"shutter": 1.5}, "shutter"),
+    (MotionBlur, {"samples": 1}, "samples"),
+    (SecondaryMotion, {"frequency": 0.0}, "frequency"),
+    (SecondaryMotion, {"frequency": 21.0}, "frequency"),
+    (SecondaryMotion, {"gravity": -1.0}, "gravity"),
+    (FootLock, {"speed": 0.0}, "speed"),
+    (FootLock, {"height": -1.0}, "height"),
+    (FootLock, {"release": 0.0}, "release"),
+    (FootLock, {"farthest": -0.1}, "farthest"),
+    (Ground, {"kind": "lawn"}, "kind: expected one of plane, checker, shadow"),
+    (Ground, {"direction": (1.0, 0.1, 0.0)}, "expected a lamp 15 degrees or more above the horizon"),
+    (Ground, {"direction": (0.0, 0.0, 0.0)}, "expected a lamp 15 degrees"),
+    (Ground, {"color": (0.2, 0.2, 0.2, 0.5)}, "color: expected an opaque color"),
+    (Ground, {"radius": 0.0}, "radius: expected more than 0"),
+    (Light, {"by": "sun"}, "by"),
+    (Light, {"by": "lamps", "direction": (0.0, 0.0, 0.0)}, "direction: expected a direction"),
+    (Light, {"by": "lamps", "ambient": 0.0, "strength": 0.0}, "ambient: expected some light"),
+    (Light, {"by": "lamps", "path": "sky.hdr"}, "path: of panorama, not of lamps"),
+    (Background, {"kind": "image"}, "background image needs a path"),
+    (Background, {"kind": "color", "path": "x"}, "background color takes no path"),
+]
+
+
+@pytest.mark.parametrize(("effect", "settings", "message"), REFUSED)
+def test_settings_that_cannot_be_are_refused(effect, settings, message):
+    with pytest.raises(ValueError, match=message):
+        effect(**settings)
+
+
+def test_a_frame_follows_from_its_number_and_shares_of_a_film_are_the_film(tmp_path, monkeypatch, dressed_avatar):
+    for module in (parts, filming):
+        monkeypatch.setattr(module, "LENGTH", 2)
+    path = str(tmp_path / "dressed.glb")
+    write_avatar(path, dressed_avatar)
+    # a lens takes time, and remembers nothing
+    names = {field_of(wish) for wish, _ in ADDS.values()} - {"depth_of_field"}
+    every = [word for name in sorted(names) for word in ("--effect", name)]
+    base = [path, "--motion", "walking", "--frames", "20:24", "--size", "60x60", "--camera", "orbit", *every]
+    render_main([*base, "-o", str(tmp_path / "whole")])
+    for share in ("2/2", "1/2"):
+        render_main([*base, "--part", share, "-o", str(tmp_path / "shared")])
+    files = sorted((tmp_path / "whole").glob("*.png"))
+    assert len(files) == 4
+    for file in files:
+        assert file.read_bytes() == (tmp_path / "shared" / file.name).read_bytes()
+    # backwards, and with a shutter: the simulation goes on frame by frame, whatever is drawn of each
+    for blur in (None, MotionBlur(samples=2)):
+        effects = replace(OFF, secondary_motion=SecondaryMotion(), motion_blur=blur)
+        shot = Shot(Scene((SceneAvatar(path, "walking"),), effects=effects), 0, 40, (60, 60), 30.0, None)
+        drawn = ShotRenderer(replace(shot, fit=Stage(shot.scene, 1).fit(0, 40)))
+        forwards = [drawn.draw(frame).copy() for frame in (24, 25, 30)]
+        backwards = [drawn.draw(frame).copy() for frame in (30, 25, 24)][::-1]
+        drawn.release()
+        assert np.array_equal(forwards, backwards)

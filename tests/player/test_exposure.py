@@ -4,15 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiny_avatar import tiny_avatar
 
 from avatar.camera import orbit_camera
-from avatar.gltf.avatar_file import write_avatar
 from avatar.motion.clip import Clip
 from player.effects.ground import Ground
 from player.effects.lens import SHARP, STILL, DepthOfField, MotionBlur
-from player.film import exposure, parts, render
-from player.film.command import render_main
+from player.film import exposure
 from player.film.exposure import exposures, lens_point, through
 from player.film.shot import Shot, ShotRenderer
 from player.film.stage import Stage
@@ -97,15 +94,6 @@ def test_what_cannot_show_is_the_frame_and_its_calls(shot_of, effects, why):
     assert np.array_equal(*images) and calls[0] == calls[1]
 
 
-def test_it_owns_nothing(shot_of):
-    both = replace(OFF, motion_blur=MotionBlur(), depth_of_field=DepthOfField())
-    plain, asked = shot_of(OFF), shot_of(both)
-    assert plain.context.counts.objects() == asked.context.counts.objects() == asked.renderer.plan.objects()
-    made = asked.context.counts.calls["create"]
-    asked.draw(40)
-    assert asked.context.counts.calls["create"] == made
-
-
 def test_moments_and_places_on_the_lens_each_come_once(shot_of):
     both = replace(OFF, motion_blur=MotionBlur(0.5, 8), depth_of_field=DepthOfField(0.3, 0.0, 24))
     drawn, seen = shot_of(both), []
@@ -162,29 +150,8 @@ def test_a_window_draws_each_moment_once(context, render, avatar, pose):
     assert set(why.values()) == {"for films: a window draws each moment once"} and len(why) == 2
 
 
-def test_shares_of_a_blurred_film_are_the_film(tmp_path, monkeypatch):
-    for module in (parts, render):
-        monkeypatch.setattr(module, "LENGTH", 4)
-    write_avatar(tmp_path / "tiny.glb", tiny_avatar())
-    base = [str(tmp_path / "tiny.glb"), "--motion", "walking", "--frames", "2:10", "--size", "40x40",
-            "--camera", "orbit", "--effect", "motion_blur", "--effect", "foot_lock", "--effect", "ground"]  # fmt: skip
-    render_main([*base, "-o", str(tmp_path / "whole")])
-    for share in ("2/2", "1/2"):
-        render_main([*base, "--part", share, "-o", str(tmp_path / "shared")])
-    names = sorted(path.name for path in (tmp_path / "whole").glob("*.png"))
-    assert len(names) == 8
-    for name in names:
-        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "shared" / name).read_bytes()
-
-
 def test_a_floor_is_always_out_of_focus_somewhere(shot_of):
     wish = replace(OFF, depth_of_field=DepthOfField(1e-3, samples=4), ground=Ground("checker"))
     drawn = shot_of(wish, motion=None)
     drawn.draw(0)
     assert drawn.renderer.last.exposures == 4
-
-
-@pytest.mark.parametrize("settings", [{"shutter": 0.0}, {"shutter": 1.5}, {"samples": 1}])
-def test_settings_out_of_range_are_refused(settings):
-    with pytest.raises(ValueError, match=next(iter(settings))):
-        MotionBlur(**settings)

@@ -30,6 +30,11 @@ def sliding(avatar) -> Clip:
     return replace(clip, root=clip.root + drift)
 
 
+@pytest.fixture(scope="module")
+def joints(avatar):
+    return avatar.joint_positions.astype(float)
+
+
 def held_on(clip: Clip, joints, lock: FootLock = LOCK) -> HeldFeet:
     def stretch(start, stop):
         return replace(clip, axis_angle=clip.axis_angle[start:stop], root=clip.root[start:stop])
@@ -50,8 +55,7 @@ def places(poses, joints):
     return joint_transforms(axis_angle, joints, root)
 
 
-def test_toes_slide_no_further_than_2_mm_while_they_are_held_and_knees_bend_within_limits(avatar, sliding):
-    joints = avatar.joint_positions.astype(float)
+def test_toes_slide_no_further_than_2_mm_while_they_are_held_and_knees_bend_within_limits(joints, sliding):
     feet, raw = held_on(sliding, joints), poses_of(sliding)
     held = held_poses(feet, sliding)
     before, after = places(raw, joints)[..., :3, 3], places(held, joints)
@@ -77,9 +81,8 @@ def test_toes_slide_no_further_than_2_mm_while_they_are_held_and_knees_bend_with
         assert (np.cross(thigh, shin)[bend > 0.2, 0] > 0).all(), "no knee bends backwards"
 
 
-def test_nothing_jumps_when_a_foot_is_taken_and_let_go(avatar, sliding):
+def test_nothing_jumps_when_a_foot_is_taken_and_let_go(joints, sliding):
     """Steps between frames grow by little: the release takes time, also of the pelvis."""
-    joints = avatar.joint_positions.astype(float)
     feet, raw = held_on(sliding, joints), poses_of(sliding)
     held = held_poses(feet, sliding)
     before, after = (np.diff(places(some, joints)[..., :3, 3], 2, axis=0) for some in (raw, held))
@@ -89,8 +92,7 @@ def test_nothing_jumps_when_a_foot_is_taken_and_let_go(avatar, sliding):
         assert smooth.max() < rough.max() + 0.012
 
 
-def test_a_rig_of_a_hundredth_is_held_as_the_whole_one(avatar, sliding):
-    joints = avatar.joint_positions.astype(float)
+def test_a_rig_of_a_hundredth_is_held_as_the_whole_one(joints, sliding):
     small = replace(sliding, root=0.01 * sliding.root)
     whole, tiny = held_on(sliding, joints), held_on(small, 0.01 * joints)
     assert [len(steps.start) for steps in whole.steps] == [len(steps.start) for steps in tiny.steps]
@@ -104,9 +106,8 @@ def test_a_rig_of_a_hundredth_is_held_as_the_whole_one(avatar, sliding):
         )
 
 
-def test_the_pelvis_gives_way_where_a_leg_is_too_short(avatar):
+def test_the_pelvis_gives_way_where_a_leg_is_too_short(joints):
     """Standing straight, one foot is held where it was while the body drifts away."""
-    joints = avatar.joint_positions.astype(float)
     height = -places([(np.zeros((52, 3)), np.zeros(3))], joints)[0, TOES[0], 1, 3]
     root = np.tile([0.0, height, 0.0], (60, 1))
     root[:, 0] = np.linspace(0, 0.28, 60)
@@ -131,8 +132,7 @@ def test_hysteresis_keeps_a_toe_that_trembles_about_the_threshold():
     assert len(found_steps(high, 0.0, rate, LOCK, 1.0).start) == 0, "slow, and high: it is no step"
 
 
-def test_where_no_foot_is_held_it_is_the_very_pose(avatar, sliding):
-    joints = avatar.joint_positions.astype(float)
+def test_where_no_foot_is_held_it_is_the_very_pose(joints, sliding):
     up = replace(sliding, root=sliding.root + np.linspace(0, 30, len(sliding.root))[:, None] * [0, 1, 0])
     feet = held_on(up, joints, replace(LOCK, release=0.05))
     (axis_angle, root), last = feet.pose(len(up.root) - 1, 0, up), len(up.root) - 1
@@ -161,8 +161,7 @@ def test_off_is_bit_identical_and_shares_of_a_film_are_the_film():
     assert identities[0] != identities[1], "parts of the one are no parts of the other"
 
 
-def test_a_motion_of_one_frame_and_one_that_never_stands_are_left_alone(avatar):
-    joints = avatar.joint_positions.astype(float)
+def test_a_motion_of_one_frame_and_one_that_never_stands_are_left_alone(joints):
     clip = Clip(np.zeros((1, 52, 3)), np.zeros((1, 3)), 30.0)
     track = Track(lambda start, stop: clip, 1, 30.0, joints=joints, foot_lock=LOCK)
     assert np.array_equal(track.pose(0.0)[1], clip.root[0])
@@ -171,8 +170,8 @@ def test_a_motion_of_one_frame_and_one_that_never_stands_are_left_alone(avatar):
     assert not feet.held(0, flying.axis_angle, flying.root).changed.any()
 
 
-def test_neighbours_are_solved_at_once_as_each_alone(avatar, sliding, monkeypatch):
-    feet, calls = held_on(sliding, avatar.joint_positions.astype(float)), []
+def test_neighbours_are_solved_at_once_as_each_alone(joints, sliding, monkeypatch):
+    feet, calls = held_on(sliding, joints), []
     frames = len(sliding.root)
     alone = [feet.held(k, sliding.axis_angle[k : k + 1], sliding.root[k : k + 1]) for k in range(frames)]
     monkeypatch.setattr("player.effects.held_feet.reach_for", lambda *given: calls.append(1) or reach_for(*given))
@@ -181,9 +180,3 @@ def test_neighbours_are_solved_at_once_as_each_alone(avatar, sliding, monkeypatc
     for one, (axis_angle, root) in zip(alone, together, strict=True):
         np.testing.assert_allclose(axis_angle, one.axis_angle[0], rtol=0, atol=1e-12)
         np.testing.assert_allclose(root, one.root[0], rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("settings", [{"speed": 0.0}, {"height": -1.0}, {"release": 0.0}, {"farthest": -0.1}])
-def test_settings_out_of_range_are_refused(settings):
-    with pytest.raises(ValueError, match=next(iter(settings))):
-        FootLock(**settings)

@@ -29,6 +29,14 @@ def reach_distance(joints, limb):
     return abs(a - b), a + b
 
 
+def aimed(seed, limb):
+    """A pose, where the limb begins, how near and far it reaches, and a direction."""
+    pose, root, joints, rng = start_pose(seed)
+    direction = rng.normal(size=3)
+    direction /= np.linalg.norm(direction)
+    return pose, root, joints, places(pose, root, joints)[LIMBS[limb].first], reach_distance(joints, limb), direction
+
+
 def places(pose, root, joints):
     return joint_transforms(pose, joints, root)[:, :3, 3]
 
@@ -36,11 +44,7 @@ def places(pose, root, joints):
 @SOME
 @given(seeds, limbs, st.sampled_from(["world", "follow"]), st.floats(0, 1))
 def test_the_end_is_at_every_target_within_reach(seed, limb, end, share):
-    pose, root, joints, rng = start_pose(seed)
-    nearest, farthest = reach_distance(joints, limb)
-    first = places(pose, root, joints)[LIMBS[limb].first]
-    direction = rng.normal(size=3)
-    direction /= np.linalg.norm(direction)
+    pose, root, joints, first, (nearest, farthest), direction = aimed(seed, limb)
     target = first + direction * (nearest + share * (farthest - nearest))
     out = reach_for(pose, root, joints, limb, target, end=end)
     assert np.linalg.norm(places(out, root, joints)[LIMBS[limb].end] - target) < 1e-9
@@ -57,11 +61,7 @@ def test_the_end_is_at_every_target_within_reach(seed, limb, end, share):
 @SOME
 @given(seeds, limbs, st.floats(1.0, 50.0))
 def test_out_of_reach_the_end_is_as_near_as_the_limb_gets(seed, limb, beyond):
-    pose, root, joints, rng = start_pose(seed)
-    nearest, farthest = reach_distance(joints, limb)
-    first = places(pose, root, joints)[LIMBS[limb].first]
-    direction = rng.normal(size=3)
-    direction /= np.linalg.norm(direction)
+    pose, root, joints, first, (nearest, farthest), direction = aimed(seed, limb)
     for distance, kept in ((farthest * beyond, farthest), (nearest * 0.5, nearest)):
         target = first + direction * distance
         end = places(reach_for(pose, root, joints, limb, target), root, joints)[LIMBS[limb].end]
@@ -147,12 +147,8 @@ def test_a_limb_of_equal_bones_folds_onto_its_root():
 @SOME
 @given(seeds, limbs, st.floats(-np.pi, np.pi))
 def test_the_pole_says_where_elbow_and_knee_point(seed, limb, turn):
-    pose, root, joints, rng = start_pose(seed)
-    chain = LIMBS[limb]
-    first = places(pose, root, joints)[chain.first]
-    direction = rng.normal(size=3)
-    direction /= np.linalg.norm(direction)
-    target = first + 0.7 * reach_distance(joints, limb)[1] * direction
+    pose, root, joints, first, (_, farthest), direction = aimed(seed, limb)
+    chain, target = LIMBS[limb], first + 0.7 * farthest * direction
     across = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     across /= np.linalg.norm(across)
     pole = np.cos(turn) * across + np.sin(turn) * np.cross(direction, across)

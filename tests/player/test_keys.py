@@ -12,7 +12,6 @@ from player.window.actions import GROUPS, Action
 from player.window.help import DOCS, TABLES, command_line_help, rows, with_table
 from player.window.keyboard import KEYS
 from player.window.panels.hud_panel import in_columns
-from player.window.panels.widgets import shortened
 
 ACTIONS = [action for group in GROUPS for action in group.actions]
 
@@ -79,13 +78,3 @@ def test_columns_keep_groups_whole_and_in_order():
     assert [[title for title, _ in column] for column in in_columns(blocks, 2)] == [["a"], ["b", "c"]]
     assert [[title for title, _ in column] for column in in_columns(blocks, 1)] == [["a", "b", "c"]]
     assert len(in_columns(blocks, 9)) == 3
-
-
-def test_what_is_too_long_loses_its_middle():
-    assert shortened("abcdef", lambda cut: True) == "abcdef"
-    cut = shortened("/home/someone/very/long/name.npz", lambda cut: len(cut) <= 15)
-    assert len(cut) == 15 and cut.startswith("/hom") and cut.endswith("name.npz") and "..." in cut
-
-
-def test_groups_are_shown_when_their_keys_hold():
-    assert [group.title for group in GROUPS][-2:] == ["First person", "Posing by hand"]

@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from loose_avatar import dressed
-from loose_paths import dance, gently, moved
+from loose_paths import dance, moved
 
 from player.effects.contact_capsules import capsule_distances
-from player.effects.loose_motion import CALM, LONGEST, LooseMotion
+from player.effects.loose_motion import CALM, LooseMotion
 from player.effects.loose_parts import PARTICLES, LooseParts, loose_parts
-from player.effects.loose_sheets import REACH
 from player.effects.secondary_motion import SecondaryMotion
 
 SETTINGS = SecondaryMotion()
@@ -23,12 +22,6 @@ def parts():
     return loose_parts(avatar, avatar.levels[0])
 
 
-def turned(pose, angle):
-    axis_angle = pose[0].copy()
-    axis_angle[0, 1] += angle
-    return axis_angle, pose[1]
-
-
 def test_there_are_few_particles_and_vertices_follow_those_near_them(parts):
     level = dressed().levels[0]
     assert 100 < len(parts.places) <= PARTICLES
@@ -39,79 +32,6 @@ def test_there_are_few_particles_and_vertices_follow_those_near_them(parts):
     for particle, row in enumerate(parts.neighbours):
         for other in row[parts.pull[particle] > 0]:
             assert particle in parts.neighbours[other], "neighbours are so both ways"
-
-
-@pytest.mark.parametrize("pose_at", [gently, dance], ids=["gently", "wildly"])
-def test_paths_do_not_depend_on_how_often_frames_are_drawn(parts, pose_at):
-    often = moved(parts, 240, 4, pose_at)[1]
-    for rate in (30, 60):
-        seldom = moved(parts, rate, 4, pose_at)[1]
-        assert np.abs(seldom - often).max() <= 0.02 * np.abs(often).max()
-    # those that do not divide the rate of substeps neither
-    odd = LooseMotion(parts, SETTINGS)
-    for frame in range(4 * 50 + 1):
-        odd.move(pose_at(frame / 50), frame / 50)
-    assert np.abs(odd.offsets - often[-1]).max() <= 0.02 * np.abs(often).max()
-
-
-CASES = {
-    "teleport": lambda t, pose: (pose[0], pose[1] + (t >= 1) * np.array([100.0, 0, 50])),
-    "turn of 180 degrees in a frame": lambda t, pose: turned(pose, np.pi * (t >= 1)),
-    "ten kilometres away": lambda t, pose: (pose[0], pose[1] + [1e4, 0, 1e4]),
-    "arms thrown up in a frame": lambda t, pose: (pose[0] + (t >= 1) * np.eye(52)[16][:, None] * [0, 0, 2.0], pose[1]),
-}
-
-
-@pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("settings", [SETTINGS, replace(SETTINGS, gravity=0.0)], ids=["gravity", "none"])
-def test_whatever_the_body_does_it_comes_to_rest_within_three_seconds(parts, name, settings):
-    stop = gently(1.5)
-    motion = LooseMotion(parts, settings)
-    for frame in range(int(4.5 * 60) + 1):
-        t = frame / 60
-        motion.move(CASES[name](t, gently(t) if t < 1.5 else stop), t)
-        assert np.isfinite(motion.offsets).all() and motion.reach <= REACH + 0.05
-    assert motion.asleep
-
-
-@pytest.mark.parametrize("dt", [0.0, 1e-6, LONGEST, 10.0, -3.0])
-def test_frames_of_any_length_are_endured(parts, dt):
-    motion, t = LooseMotion(parts, SETTINGS), 0.0
-    for frame in range(60):
-        t += 1 / 60
-        motion.move(dance(frame / 60), t)
-    before = motion.offsets
-    for frame in range(60, 70):
-        t += dt
-        motion.move(dance(frame / 60), t)
-        assert np.isfinite(motion.offsets).all() and motion.reach <= REACH + 0.05
-    if dt in (10.0, -3.0):
-        # begun anew: as skinned, but for the capsules
-        assert motion.reach < 0.05 < np.abs(before).max()
-    last = dance(69 / 60)
-    for _ in range(180):
-        t += 1 / 60
-        motion.move(last, t)
-    assert motion.asleep
-
-
-def test_ten_kilometres_away_it_moves_as_at_home(parts):
-    here = moved(parts, 60, 2, dance)[1]
-    far = moved(parts, 60, 2, lambda t: (dance(t)[0], dance(t)[1] + [1e4, 0, -1e4]))[1]
-    assert np.abs(here - far).max() < 1e-6
-
-
-def test_a_rig_of_another_size_moves_as_a_grown_one():
-    """At .01 of its size, with a root that moves so much less."""
-    runs = []
-    for scale in (1.0, 0.01):
-        avatar = dressed(scale=scale)
-        found = loose_parts(avatar, avatar.levels[0])
-        run = moved(found, 60, 2, lambda t, scale=scale: (gently(t)[0], scale * gently(t)[1]))[1]
-        assert np.isfinite(run).all()
-        # rounding chooses other vertices as particles: on average they swing alike
-        runs.append(np.linalg.norm(run / scale, axis=2).mean(1))
-    assert np.abs(runs[0] - runs[1]).max() < 0.03 * runs[0].max()
 
 
 @pytest.mark.slow

@@ -9,13 +9,12 @@ from pathlib import Path
 import av
 import numpy as np
 import pytest
+from pictures import pictures_in, pixels
 from PIL import Image
-from tiny_avatar import tiny_avatar
 
 import player.film.parts
 import player.film.render
 from avatar.camera import orbit_camera, write_camera
-from avatar.gltf.avatar_file import write_avatar
 from command.errors import AssetError
 from player.film.command import render_main
 from player.film.film import join_pieces
@@ -35,10 +34,8 @@ def short_parts():
 
 
 @pytest.fixture(scope="module")
-def arguments(tmp_path_factory):
-    path = tmp_path_factory.mktemp("avatar") / "tiny.glb"
-    write_avatar(path, tiny_avatar())
-    return [str(path), "--motion", "walking", "--frames", "5:55", "--size", "49x48", "--camera", "orbit",
+def arguments(tiny_path):
+    return [tiny_path, "--motion", "walking", "--frames", "5:55", "--size", "49x48", "--camera", "orbit",
             "--encoder", "software"]  # fmt: skip
 
 
@@ -164,8 +161,7 @@ def test_transparent_films_are_joined_with_their_alpha(arguments, tmp_path, name
     assert len(frames) == FRAMES
     for number in (0, 16, 49):  # one in each part
         alpha = frames[number].to_ndarray(format="rgba")[:48, :49, 3].astype(int)
-        with Image.open(tmp_path / "frames" / f"{number:06d}.png") as image:
-            expected = np.asarray(image)[..., 3].astype(int)
+        expected = pixels(tmp_path / "frames" / f"{number:06d}.png")[..., 3]
         assert expected.min() == 0 and expected.max() == 255
         assert np.abs(alpha - expected).mean() < 4
 
@@ -238,10 +234,7 @@ def test_every_frame_is_in_one_part_and_in_one_share(start, stop):
 def test_a_turntable_and_a_camera_path_are_films(arguments, tmp_path):
     base = [arguments[0], "--motion", "walking", "--size", "33x48"]
     render_main([*base, "--frame", "7", "--camera", "turntable", "--seconds", "0.5", "-o", str(tmp_path / "turn")])
-    pictures = []
-    for file in sorted((tmp_path / "turn").glob("*.png")):
-        with Image.open(file) as image:
-            pictures.append(np.asarray(image).astype(int))
+    pictures = pictures_in(tmp_path / "turn")
     assert len(pictures) == 15  # half a second at the motion's 30
     around = [np.abs(a - b).mean() for a, b in zip(pictures, [*pictures[1:], pictures[0]], strict=True)]
     assert min(around) > 0 and around[-1] < 2 * np.median(around)  # turns, and the end meets the start

@@ -7,21 +7,17 @@ from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, orbit_camera, pinhole, project
 from avatar.skeleton import JOINTS, joint_transforms
 from player.draw.posing import posed_vertices
-from player.draw.raster import Rasteriser
-from player.scene.mannequin import mannequin
 from player.window.pick import pick
 from player.window.pose_tool import on_plane_through, picked_joint
 
 SIZE = (60, 80)
 
 
-def test_the_triangle_picked_is_the_triangle_drawn(context, avatar, pose):
+def test_the_triangle_picked_is_the_triangle_drawn(rasteriser, avatar, pose):
     camera = orbit_camera((0.1, 0, -0.2), 3.0, 0.4, 0.2, SIZE)
     level = avatar.levels[0]
-    rasteriser = Rasteriser(context)
     vertices = posed_vertices(avatar, level, pose)
     drawn = rasteriser.draw(vertices, level.faces.astype(np.int64), camera, cull=True)
-    rasteriser.release()
     hits = 0
     for row in range(2, SIZE[1], 9):
         for column in range(1, SIZE[0], 7):
@@ -48,8 +44,7 @@ def test_joints_are_picked_where_they_are_seen(avatar, pose):
         assert found is not None and found.joint == a, joint
 
 
-def test_the_nearer_of_two_avatars_is_picked_and_a_ray_beside_them_meets_nothing():
-    avatar = mannequin()
+def test_the_nearer_of_two_avatars_is_picked_and_a_ray_beside_them_meets_nothing(avatar):
     still = np.zeros((52, 3))
     poses = [(still, np.array([0.0, 0, 0])), (still, np.array([0.0, 0, 1.0]))]
     camera = orbit_camera((0, 0, 0), 4.0, 0.0, 0.0, SIZE)

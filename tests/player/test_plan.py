@@ -19,27 +19,12 @@ from player.effects.avatar import VIEWS
 from player.effects.background import BACKGROUNDS, Background
 from player.gl.context import open_context
 from player.scene.effects import ANTIALIASINGS, PLAIN, SKINNINGS, Effects, resolve
-from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer
 
 SIZE = (96, 80)
 CAMERA = orbit_camera((0.1, 0, -0.2), 2.9, 0.5, 0.1, SIZE)
 AWAY = orbit_camera((0, 0, 10), 2.0, np.pi, 0, SIZE)  # looks at nothing
 EVERYTHING = Effects("network", "dual_quaternion", "fxaa")
-
-
-@pytest.fixture(scope="module")
-def backgrounds(tmp_path_factory):
-    """One of each kind."""
-    from PIL import Image
-
-    folder = tmp_path_factory.mktemp("backgrounds")
-    (folder / "film").mkdir()
-    for name, level in (("film/0.png", 40), ("film/1.png", 200), ("picture.png", 90)):
-        Image.fromarray(np.full((8, 12, 3), level, np.uint8)).save(folder / name)
-    (folder / "sky.hdr").write_bytes(radiance_bytes(sky(64)))
-    paths = {"image": "picture.png", "video": "film", "hdr": "sky.hdr"}
-    return {kind: Background(kind, path=str(folder / paths[kind]) if kind in paths else None) for kind in BACKGROUNDS}
 
 
 def subsets(count=16, seed=5):
@@ -106,6 +91,7 @@ def test_an_effect_that_cannot_show_is_the_frame_that_never_asked(
         calls.append(context.counts.calls - before)
     assert np.array_equal(*frames)
     assert calls[0] == calls[1], "draws, copies, clears, uniforms and reads"
+    assert kind != "color" or calls[0]["draw"] == 0
     states = {row["name"]: (row["state"], row["why"]) for row in asked.explain(1)}
     assert states[f"antialiasing: {antialiasing}"] == ("skipped", "no avatar in view")
     assert states["avatar: paper"] == ("skipped", "out of view")
@@ -204,11 +190,10 @@ def test_effects_and_background_change_in_place(context, render, avatar, pose, b
     assert context.counts.objects() == before
 
 
-def test_the_level_of_detail_changes_in_place(render, pose, context):
-    who = mannequin()
-    fine = who.levels[0]
+def test_the_level_of_detail_changes_in_place(render, pose, context, avatar):
+    fine = avatar.levels[0]
     coarse = replace(fine, faces=fine.faces[::-1].copy(), base_color=fine.base_color[::2, ::2].copy())
-    who = replace(who, levels=(fine, coarse))
+    who = replace(avatar, levels=(fine, coarse))
     renderer = render(who, SIZE, effects=EVERYTHING)
     renderer.draw([pose], CAMERA)
     renderer.change(level=1)
@@ -229,7 +214,7 @@ def test_a_window_of_changing_size_shows_the_same_picture(context, render, avata
     for size in ((60, 50), SIZE):
         color, depth = context.gl.renderbuffer(size), context.gl.depth_renderbuffer(size)
         framebuffer = context.gl.framebuffer([color], depth)
-        window.draw_into(framebuffer, [pose], CAMERA.resized(size))
+        window.draw_into(framebuffer, [pose], CAMERA)  # fitted to the framebuffer
         plan_is_what_lives(context, window, framebuffer=1, renderbuffer=2)
         raw = np.frombuffer(framebuffer.read(components=4, alignment=1), np.uint8).reshape(*size[::-1], 4)[::-1]
         for thing in (framebuffer, color, depth):

@@ -3,14 +3,7 @@ import pytest
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, orbit_camera, project
-from player.draw.raster import Rasteriser, clip_planes
-
-
-@pytest.fixture(scope="module")
-def rasteriser(context):
-    rasteriser = Rasteriser(context)
-    yield rasteriser
-    rasteriser.release()
+from player.draw.raster import clip_planes
 
 
 @pytest.fixture(scope="module")

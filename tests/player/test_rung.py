@@ -7,20 +7,10 @@ import pytest
 
 from avatar.camera import orbit_camera
 from player.budget.rung import Rung, rung_of, strongest_joints, with_strongest_joints
-from player.gl.context import open_context
 from player.scene.effects import PLAIN
-from player.scene.mannequin import mannequin
-from player.scene.renderer import Renderer
 
 SIZE = (160, 160)
 CAMERA = orbit_camera(np.zeros(3), 2.4, 0.3, 0.1, SIZE)
-
-
-@pytest.fixture(scope="module")
-def context():
-    made = open_context()
-    yield made
-    made.release()
 
 
 @pytest.fixture(scope="module")
@@ -38,47 +28,41 @@ def test_the_strongest_joints_are_kept_and_sum_to_one():
     assert strongest_joints(joints, weights, 1)[1].tolist() == [[255, 0, 0, 0], [255, 0, 0, 0]]
 
 
-def test_an_avatar_that_follows_no_more_is_left_as_it_is():
-    body = mannequin()
-    assert with_strongest_joints(body, 4) is body
-    weaker = with_strongest_joints(body, 2)
+def test_an_avatar_that_follows_no_more_is_left_as_it_is(avatar):
+    assert with_strongest_joints(avatar, 4) is avatar
+    weaker = with_strongest_joints(avatar, 2)
     assert [level.influences for level in weaker.levels] == [2]
     assert with_strongest_joints(weaker, 2) is weaker
-    assert Rung("all", "off").prepared([body, body])[1] is body
-    first, second = Rung("fewer", "off", joints=1, halvings=1).prepared([body, body])
-    assert first is second and first is not body
+    assert Rung("all", "off").prepared([avatar, avatar])[1] is avatar
+    first, second = Rung("fewer", "off", joints=1, halvings=1).prepared([avatar, avatar])
+    assert first is second and first is not avatar
 
 
 @pytest.mark.parametrize("skinning", ["lbs", "dual_quaternion"])
 @pytest.mark.parametrize("joints", [1, 2])
-def test_shaders_that_read_fewer_joints_draw_what_those_that_read_four_do(context, pose, joints, skinning):
-    body = mannequin()
-    weaker = with_strongest_joints(body, joints)
+def test_shaders_that_read_fewer_joints_draw_what_those_that_read_four_do(render, pose, joints, skinning, avatar):
+    weaker = with_strongest_joints(avatar, joints)
     far = (pose[0], np.array([0.0, 0.0, 50.0]))
     pictures = []
-    for avatars in ([weaker], [weaker, body]):
+    for avatars in ([weaker], [weaker, avatar]):
         # beside one that follows four, programs read four; behind the eye it is not seen
-        drawn = Renderer(context, avatars, SIZE, effects=replace(PLAIN, view="network", skinning=skinning))
+        drawn = render(avatars, SIZE, effects=replace(PLAIN, view="network", skinning=skinning))
         pictures.append(drawn.draw([pose, far][: len(avatars)], CAMERA))
-        drawn.release()
     # compilers round sums of two and of four in their own ways
     fewer, four = (picture.astype(np.float32) for picture in pictures)
     assert np.abs(fewer - four).mean() < 0.02
-    whole = Renderer(context, [body], SIZE, view="network")
+    whole = render(avatar, SIZE, view="network")
     assert np.abs(whole.draw([pose], CAMERA) - fewer).mean() > 0.1
-    whole.release()
 
 
-def test_each_number_of_a_rung_costs_picture_and_some_cost_memory(context, pose):
-    body = mannequin()
-    best = rung_of(body, "off")
+def test_each_number_of_a_rung_costs_picture_and_some_cost_memory(context, pose, avatar):
+    best = rung_of(avatar, "off")
 
     def drawn(rung):
-        renderer = rung.renderer(context, [body], SIZE)
-        try:
-            return renderer.draw([pose], CAMERA).astype(np.float32), renderer.plan.bytes, renderer.size
-        finally:
-            renderer.release()
+        renderer = rung.renderer(context, [avatar], SIZE)
+        picture = renderer.draw([pose], CAMERA).astype(np.float32)
+        renderer.release()
+        return picture, renderer.plan.bytes, renderer.size
 
     picture, size, pixels = drawn(best)
     assert pixels == SIZE
@@ -86,6 +70,6 @@ def test_each_number_of_a_rung_costs_picture_and_some_cost_memory(context, pose)
     assert 0 < two < one
     smaller = drawn(replace(best, halvings=2))
     # three quarters, then fifteen sixteenths of its texels are gone
-    texels = 4 * np.prod(body.levels[0].base_color.shape[:2])
+    texels = 4 * np.prod(avatar.levels[0].base_color.shape[:2])
     assert size - smaller[1] > 0.9 * texels and not np.array_equal(smaller[0], picture)
     assert drawn(replace(best, share=0.25))[2] == (40, 40)

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from pictures import pixels
 
 from command.errors import AssetError
 from command.settings import settings_of
 from experiments.scene_docs import DOCS, scene_schema, with_tables
 from player.effects.background import Background
+from player.effects.outline import Outline
 from player.film.command import render_main
 from player.scene.effects import STUDIO, Effects
 from player.scene.scene import Scene, SceneAvatar, SceneCamera
@@ -19,6 +20,7 @@ from player.scene.scene_file import lines_of_keys, read_scene
 
 FULL = '''\
 size = [640, 480]
+level_by_size = true
 rate = 24   # a comment = with [[avatar]] in it
 [[avatar]]
 path = "mannequin"
@@ -46,6 +48,8 @@ exposure = -1
 [effects]
 view = "off"
 antialiasing = "fxaa"
+[effects.outline]
+width = 3
 '''
 
 
@@ -71,8 +75,9 @@ def test_every_key_arrives(scene_file):
         ),
         cameras=(SceneCamera("turntable", seconds=8.0), SceneCamera("front", fov_deg=40.0)),
         background=Background("hdr", STUDIO.color, str(path.parent / "sky.hdr"), exposure=-1.0),
-        effects=Effects("off", "lbs", "fxaa"),
+        effects=Effects("off", "lbs", "fxaa", outline=Outline(width=3.0)),
         size=(640, 480),
+        level_by_size=True,
         rate=24.0,
     )
 
@@ -81,15 +86,6 @@ def test_a_bare_scene_is_one_avatar_before_the_plain_wall(scene_file):
     scene = read_scene(scene_file('[[avatar]]\npath = "mannequin"\n'))
     assert scene == Scene((SceneAvatar("mannequin"),))
     assert scene.cameras == (SceneCamera("front"),) and scene.background == STUDIO and scene.effects == Effects()
-
-
-def test_levels_by_size_are_a_key_of_the_scene(scene_file):
-    bare = '[[avatar]]\npath = "mannequin"\n'
-    assert read_scene(scene_file("level_by_size = true\n" + bare)).level_by_size
-    assert not read_scene(scene_file("level_by_size = false\n" + bare)).level_by_size
-    with pytest.raises(AssetError, match=r"toml:1: level_by_size: expected true or false, found the number 1"):
-        read_scene(scene_file("level_by_size = 1\n" + bare))
-    assert scene_schema()["properties"]["level_by_size"]["type"] == "boolean"
 
 
 def test_colours_are_premultiplied(scene_file):
@@ -102,38 +98,42 @@ MISTAKES = [  # (what stands in FULL, what stands there instead, line, the compl
     (
         '"turn_deg" = 30',
         '"turndeg" = 30',
-        10,
+        11,
         r"avatar 1\.turndeg: unknown key in \[\[avatar\]\]; did you mean turn_deg\?",
     ),
-    ("[effects]", "[efects]", 26, r"efects: unknown key in a scene; did you mean effects\?"),
-    ("exposure", "qqq", 25, r"background\.qqq: unknown key in \[background\]; \[background\] has kind, color, path"),
-    ("seconds = 8", 'seconds = "8"', 18, r"camera 1\.seconds: expected a number, found the string '8'"),
-    ("start = 1", "start = true", 13, r"avatar 2\.start: expected a number, found true"),
-    ("start = 1", "start = -1", 13, r"avatar 2\.start: expected at least 0, found -1"),
-    ("rate = 24", "rate = 0", 2, r"rate: expected at least 0.01, found 0"),
-    ("rate = 24", "rate = inf", 2, r"rate: expected a finite number, found inf"),
-    ("rate = 24", "rate = ", 2, r"Invalid value, column 11"),
+    ("[effects]", "[efects]", 27, r"efects: unknown key in a scene; did you mean effects\?"),
+    ("exposure", "qqq", 26, r"background\.qqq: unknown key in \[background\]; \[background\] has kind, color, path"),
+    ("seconds = 8", 'seconds = "8"', 19, r"camera 1\.seconds: expected a number, found the string '8'"),
+    ("start = 1", "start = true", 14, r"avatar 2\.start: expected a number, found true"),
+    ("start = 1", "start = -1", 14, r"avatar 2\.start: expected at least 0, found -1"),
+    ("rate = 24", "rate = 0", 3, r"rate: expected at least 0.01, found 0"),
+    ("rate = 24", "rate = inf", 3, r"rate: expected a finite number, found inf"),
+    ("rate = 24", "rate = ", 3, r"Invalid value, column 11"),
     ("[640, 480]", "[640]", 1, r"size: expected 2 whole numbers in brackets, found 1 of them"),
     ("[640, 480]", "[640, 480.5]", 1, r"size: expected a whole number, found the number 480\.5"),
     ("[640, 480]", '"640x480"', 1, r"size: expected 2 whole numbers in brackets, found the string '640x480'"),
-    ("  -1]", "  nan]", 6, r"avatar 1\.at: expected a finite number"),
-    ('"walking"', '"wlking"', 5, r"avatar 1\.motion: no such file: .*wlking \(and it is none of counting, walking\)"),
-    ('"sky.hdr"', '"sky.exr"', 24, r"background\.path: no such file: .*sky\.exr"),
-    ('path = "sky.hdr"\n', "", 22, r"background: background hdr needs a path"),
-    ('kind = "hdr"', 'kind = "sky"', 23, r"background\.kind: expected one of color, image, video, hdr, transparent"),
+    ("  -1]", "  nan]", 7, r"avatar 1\.at: expected a finite number"),
+    ('"walking"', '"wlking"', 6, r"avatar 1\.motion: no such file: .*wlking \(and it is none of counting, walking\)"),
+    ('"sky.hdr"', '"sky.exr"', 25, r"background\.path: no such file: .*sky\.exr"),
+    ('path = "sky.hdr"\n', "", 23, r"background: background hdr needs a path"),
+    ('kind = "hdr"', 'kind = "sky"', 24, r"background\.kind: expected one of color, image, video, hdr, transparent"),
     (
         'kind = "hdr"',
         'kind = "transparent"\ncolor = "#000000"',
-        24,
+        25,
         r"background\.color: a transparent background takes no color",
     ),
-    ("exposure = -1", 'color = "red"', 25, r"background\.color: expected #rrggbb or #rrggbbaa, found the string 'red'"),
-    ("vmc:0.0.0.0:39539", "osc:1", 14, r"avatar 2\.live: expected vmc:PORT or udp:PORT or ws:PORT, found 'osc:1'"),
-    ("start = 1", 'motion = "walking"', 13, r"avatar 2\.motion: motion and live: expected one of them, found both"),
-    ('path = """mannequin:female"""\n', "", 11, r"avatar 2: \[\[avatar\]\] needs the key path: avatar file"),
-    ('kind = "front"', 'kind = "file"', 19, r"camera 2: camera file needs a path"),
-    ("fov_deg = 40", "fov_deg = 180", 21, r"camera 2\.fov_deg: expected less than 180, found 180"),
-    ("fxaa", "smaa", 28, r"effects\.antialiasing: expected one of auto, none, fxaa, msaa, found 'smaa'"),
+    ("exposure = -1", 'color = "red"', 26, r"background\.color: expected #rrggbb or #rrggbbaa, found the string 'red'"),
+    ("vmc:0.0.0.0:39539", "osc:1", 15, r"avatar 2\.live: expected vmc:PORT or udp:PORT or ws:PORT, found 'osc:1'"),
+    ("start = 1", 'motion = "walking"', 14, r"avatar 2\.motion: motion and live: expected one of them, found both"),
+    ('path = """mannequin:female"""\n', "", 12, r"avatar 2: \[\[avatar\]\] needs the key path: avatar file"),
+    ('kind = "front"', 'kind = "file"', 20, r"camera 2: camera file needs a path"),
+    ("fov_deg = 40", "fov_deg = 180", 22, r"camera 2\.fov_deg: expected less than 180, found 180"),
+    ("width = 3", "width = 0", 31, r"effects\.outline\.width: expected more than 0, found 0"),
+    ("width = 3", 'color = "#ff000080"', 31, r"effects\.outline\.color: expected an opaque color"),
+    ("width = 3", "with = 2", 31, r"effects\.outline\.with: unknown key in \[effects\.outline\]; did you mean width\?"),
+    ("= true", "= 1", 2, r"level_by_size: expected true or false, found the number 1"),
+    ("fxaa", "smaa", 29, r"effects\.antialiasing: expected one of auto, none, fxaa, msaa, found 'smaa'"),
 ]
 
 
@@ -150,6 +150,8 @@ def test_tables_of_the_wrong_kind_and_empty_scenes(scene_file):
         read_scene(scene_file('[camera]\n[[avatar]]\npath = "mannequin"'))
     with pytest.raises(AssetError, match=r"toml:1: effects: expected a table, \[effects\], found the number 3"):
         read_scene(scene_file('effects = 3\n[[avatar]]\npath = "mannequin"'))
+    with pytest.raises(AssetError, match=r"toml:1: effects\.outline: expected a table, \[effects\.outline\], found"):
+        read_scene(scene_file('effects.outline = 3\n[[avatar]]\npath = "mannequin"\n'))
     with pytest.raises(AssetError, match=r"expected at least one \[\[avatar\]\], found none"):
         read_scene(scene_file("\n"))
     with pytest.raises(AssetError, match=r"absent\.toml: no such file; expected a scene"):
@@ -203,9 +205,9 @@ def test_examples_can_be_filmed(tmp_path, name):
     out = tmp_path / "frame.png"
     scene = DOCS / "scenes" / f"{name}.toml"
     assert render_main(["--scene", str(scene), "--frame", "3", "--size", "72x64", "-o", str(out)]) == 0
-    pixels = np.asarray(Image.open(out)).astype(int)
-    assert pixels.shape == (64, 72, 4 if name == "cutout" else 3)
-    assert len(np.unique(pixels.reshape(-1, pixels.shape[2]), axis=0)) > 100
+    image = pixels(out)
+    assert image.shape == (64, 72, 4 if name == "cutout" else 3)
+    assert len(np.unique(image.reshape(-1, image.shape[2]), axis=0)) > 100
 
 
 def test_schema_and_tables_in_docs_are_those_of_the_dataclasses():

@@ -4,11 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from PIL import Image
+from pictures import pictures_in
 from tiny_avatar import tiny_avatar
 
 from avatar.camera import orbit_camera, project, write_camera, write_cameras
-from avatar.gltf.avatar_file import write_avatar
 from command.errors import AssetError
 from player.film.command import RenderCommand, render_main
 from player.film.parts import Parts
@@ -18,32 +17,17 @@ from player.film.stage import Stage, camera_from_option
 from player.scene.scene import Scene, SceneAvatar, SceneCamera
 
 
-@pytest.fixture(scope="module")
-def tiny(tmp_path_factory):
-    path = tmp_path_factory.mktemp("avatar") / "tiny.glb"
-    write_avatar(path, tiny_avatar())
-    return str(path)
-
-
-def frames(folder):
-    out = []
-    for file in sorted(folder.glob("*.png")):
-        with Image.open(file) as image:
-            out.append(np.asarray(image).astype(int))
-    return out
-
-
-def test_cameras_of_a_capture_are_taken_frame_by_frame_and_the_last_one_stays(tiny, tmp_path):
+def test_cameras_of_a_capture_are_taken_frame_by_frame_and_the_last_one_stays(tiny_path, tmp_path):
     cameras = [orbit_camera((0, 0.9, 0), 3.0, 0.5 * k, 0.1, (40, 48)) for k in range(3)]
     write_cameras(tmp_path / "cameras.npz", cameras)
-    base = [tiny, "--motion", "walking", "--frames", "0:5"]
+    base = [tiny_path, "--motion", "walking", "--frames", "0:5"]
     render_main([*base, "--camera", str(tmp_path / "cameras.npz"), "-o", str(tmp_path / "all")])
-    taken = frames(tmp_path / "all")
+    taken = pictures_in(tmp_path / "all")
     assert len(taken) == 5 and taken[0].shape == (48, 40, 3)  # the cameras' size
     for k in range(3):
         write_camera(tmp_path / "one.json", cameras[k])
         render_main([*base, "--camera", str(tmp_path / "one.json"), "-o", str(tmp_path / f"{k}")])
-        alone = frames(tmp_path / f"{k}")
+        alone = pictures_in(tmp_path / f"{k}")
         assert np.array_equal(taken[k], alone[k])
     assert np.array_equal(taken[4], alone[4]) and not np.array_equal(taken[0], alone[0])
 
@@ -67,10 +51,10 @@ def test_what_camera_means_is_seen_from_the_name_and_the_file(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["front", "orbit", "turntable"])
-def test_fitted_cameras_see_all_avatars_in_their_places_all_the_time(tiny, kind):
+def test_fitted_cameras_see_all_avatars_in_their_places_all_the_time(tiny_path, kind):
     actors = (
-        SceneAvatar(tiny, "walking", at=(-0.8, 0.0, 0.3), turn_deg=40.0),
-        SceneAvatar(tiny, "counting", at=(0.9, 0.0, 0.0), start=1.0),
+        SceneAvatar(tiny_path, "walking", at=(-0.8, 0.0, 0.3), turn_deg=40.0),
+        SceneAvatar(tiny_path, "counting", at=(0.9, 0.0, 0.0), start=1.0),
     )
     stage = Stage(Scene(actors, cameras=(SceneCamera(kind, seconds=None if kind == "front" else 1.0),)))
     camera_at = stage.camera_at(stage.fit(0, 45), 0, 45, (300, 200))
@@ -86,20 +70,21 @@ def test_fitted_cameras_see_all_avatars_in_their_places_all_the_time(tiny, kind)
         assert np.abs(camera_at(15, np.zeros(3)).camera_from_world - first).max() > 1
 
 
-def test_a_motion_that_ends_stays_at_its_last_frame_while_another_goes_on(tiny):
-    scene = Scene((SceneAvatar(tiny, "walking"), SceneAvatar(tiny, "counting")))
-    stage = Stage(scene)
-    lengths = [track.frames for track in stage.tracks]
-    assert stage.frames == max(lengths) > min(lengths)
-    short = int(np.argmin(lengths))
-    last, later = stage.poses(min(lengths) - 1)[short], stage.poses(stage.frames - 1)[short]
-    assert np.array_equal(last[0], later[0]) and np.array_equal(last[1], later[1])
-
-
-def test_levels_and_qualities_choose_what_is_drawn(tiny, tmp_path):
+def test_levels_and_qualities_choose_what_is_drawn(tiny_path, tmp_path):
     def passes(*more):
         out = tmp_path / "passes.json"
-        arguments = [tiny, "--motion", "walking", "--frame", "3", "--size", "40x48", "--explain", "--json", str(out)]
+        arguments = [
+            tiny_path,
+            "--motion",
+            "walking",
+            "--frame",
+            "3",
+            "--size",
+            "40x48",
+            "--explain",
+            "--json",
+            str(out),
+        ]
         render_main([*arguments, *more, "-o", str(tmp_path / "a.png")])
         return {row["name"]: row for row in json.loads(out.read_text())["passes"]}
 
@@ -124,12 +109,12 @@ def test_a_draft_is_not_drawn_in_the_coarsest_of_four_levels():
     assert level_of(RenderCommand("a.mp4", ("me.glb",))) == 0
 
 
-def test_an_order_names_all_its_files_and_changes_with_each(tiny, tmp_path):
+def test_an_order_names_all_its_files_and_changes_with_each(tiny_path, tmp_path):
     camera = tmp_path / "camera.json"
     write_camera(camera, orbit_camera((0, 0.9, 0), 3.0, 0.5, 0.1, (40, 48)))
-    scene = Scene((SceneAvatar(tiny, "walking"),), cameras=(SceneCamera("file", str(camera)),))
+    scene = Scene((SceneAvatar(tiny_path, "walking"),), cameras=(SceneCamera("file", str(camera)),))
     shot = Shot(scene, 0, 10, (40, 48), 30.0, None, encoder="libx264")
-    assert shot.files() == sorted([tiny, str(camera)])
+    assert shot.files() == sorted([tiny_path, str(camera)])
     before = Parts(tmp_path / "a.mp4", 0, 10, shot.identity())
     before.begin(resume=False)
     write_camera(camera, orbit_camera((0, 0.9, 0), 3.0, 0.6, 0.1, (40, 48)))
@@ -150,29 +135,18 @@ def test_scenes_that_make_no_film_are_refused(scene, message):
         Stage(scene)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [["--part", "3/2"], ["--part", "0/2"], ["--part", "x"], ["--seconds", "0"], ["--part", "1/2", "--workers", "2"],
-     ["--workers", "2", "--explain"], ["--quality", "superb"], ["--level", "-1"], ["--scene", "a.toml"]],
-)  # fmt: skip
-def test_wrong_usage_of_film_options_exits_2(tiny, arguments, tmp_path):
-    with pytest.raises(SystemExit) as stopped:
-        render_main([tiny, *arguments, "-o", str(tmp_path / "a.mp4")])
-    assert stopped.value.code == 2
-
-
-def test_a_body_stands_where_it_stands_whatever_levels_are_read(tiny):
+def test_a_body_stands_where_it_stands_whatever_levels_are_read(tiny_path):
     """A picture reads one level, the window all: both put the root at the same height."""
-    scene = Scene(avatars=(SceneAvatar(tiny, motion="walking"),))
+    scene = Scene(avatars=(SceneAvatar(tiny_path, motion="walking"),))
     (all_of,), (one,) = (Stage(scene, levels).poses(7) for levels in (None, 1))
     assert np.array_equal(all_of[0], one[0]) and np.array_equal(all_of[1], one[1])
 
 
-def test_what_was_assumed_about_several_motions_says_of_which_avatar(tiny, tmp_path):
+def test_what_was_assumed_about_several_motions_says_of_which_avatar(tiny_path, tmp_path):
     pose = np.zeros((4, 156))
     pose[:, 0] = np.pi / 2
     np.savez(tmp_path / "in.npz", poses=pose, trans=np.tile([0, 0, 0.9], (4, 1)), mocap_framerate=30.0)
-    one, two = SceneAvatar(tiny, motion=str(tmp_path / "in.npz")), SceneAvatar("mannequin", motion="counting")
+    one, two = SceneAvatar(tiny_path, motion=str(tmp_path / "in.npz")), SceneAvatar("mannequin", motion="counting")
     both, alone = Stage(Scene((one, two))), Stage(Scene((one,)))
     assert both.name == "the scene" and alone.name.endswith("in.npz")
     assert sum(note.startswith("hands: as stored") for note in both.notes) == 1

@@ -56,14 +56,6 @@ def test_a_texture_and_its_mipmaps_are_counted(context):
     assert context.counts.live_bytes == before
 
 
-def test_a_second_texture_makes_no_more_functions_of_the_driver(context):
-    image = np.zeros((4, 4, 3), np.uint8)
-    image_texture(context, image).release()
-    before = len(context.counts._thunks)
-    image_texture(context, image).release()
-    assert len(context.counts._thunks) == before
-
-
 def test_one_texel_will_do_only_where_asked_and_on_a_software_rasteriser(context):
     image = np.zeros((4, 4, 4), np.uint8)
     fine, coarse = (image_texture(context, image, coarse=coarse) for coarse in (False, True))

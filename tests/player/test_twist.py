@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from limb_sections import posed, turned
 
-from avatar.camera import orbit_camera
+from avatar.camera import orbit_camera, project
 from avatar.skeleton import BIG_POSE
 from bake.bend import with_room
 from bake.twist import with_twist
+from player.draw.posing import Poser, screen_bounds
 from player.effects.contact import Contact
 from player.effects.ground import Ground
 from player.effects.outline import Outline
-from player.gl.context import open_context
 from player.gl.tiles import Patches
 from player.scene.effects import PLAIN
 from player.scene.mannequin import mannequin
@@ -23,14 +23,6 @@ from player.web.packing import packed_avatar
 ORIGIN = np.zeros(3)
 BARE = replace(PLAIN, view="off")
 CAMERA = orbit_camera((0.35, 0.3, 0.0), 1.2, 0.3, 0.2, (200, 200))
-
-
-@pytest.fixture(scope="module")
-def context():
-    context = open_context()
-    yield context
-    assert context.counts.objects() == {}
-    context.release()
 
 
 @pytest.fixture(scope="module")
@@ -67,13 +59,14 @@ def test_a_twisted_arm_is_drawn_as_the_reference_bends_it(context, avatar, degre
     assert (np.abs(drawn - plain).max(-1) > 2).mean() > 1e-2
 
 
-def test_avatars_with_and_without_twist_joints_stand_in_one_scene(context, avatar):
-    """Programs count the bones of the one that has most; the other is drawn as alone."""
+@pytest.mark.parametrize("copy", [False, True])
+def test_avatars_with_and_without_twist_joints_stand_in_one_scene(context, avatar, copy):
+    """Programs count the bones of the one that has most; the other, or a copy, is drawn as alone."""
+    second = avatar if copy else mannequin("female")
     pose, _ = turned(avatar, "left", 150.0)
-    away = np.array([0.0, 0.0, -0.8])
-    together = picture(context, [avatar, mannequin("female")], [(pose, ORIGIN), (np.array(BIG_POSE), away)])
-    alone = picture(context, [avatar], [(pose, ORIGIN)])
-    other = picture(context, [mannequin("female")], [(np.array(BIG_POSE), away)])
+    here, away = (pose, ORIGIN), (pose if copy else np.array(BIG_POSE), np.array([0.0, 0.0, -0.8]))
+    together = picture(context, [avatar, second], [here, away])
+    alone, other = picture(context, [avatar], [here]), picture(context, [second], [away])
     front, behind = alone[..., 3] > 0, (alone[..., 3] == 0) & (other[..., 3] > 0)
     np.testing.assert_array_equal(together[front], alone[front])
     np.testing.assert_array_equal(together[behind], other[behind])
@@ -94,31 +87,17 @@ def test_effects_take_twist_joints_as_they_take_others(context, avatar, skinning
 
 @pytest.mark.parametrize("dual", [False, True])
 def test_the_balls_that_hold_the_surface_hold_a_twisted_arm(avatar, dual):
-    from player.draw.posing import Poser, screen_bounds
-
     pose, _ = turned(avatar, "left", 179.0)
     bones = Poser(avatar, avatar.levels[0]).posed(pose, ORIGIN, CAMERA)
     boxes = Patches(avatar.levels[0]).boxes(bones.view_from_canonical, CAMERA, dual=dual)
-    points = posed(avatar, pose, "twist") @ CAMERA.camera_from_world[:3, :3].T + CAMERA.camera_from_world[:3, 3]
-    pixels = (points @ CAMERA.K.T)[:, :2] / points[:, 2:]
+    pixels, _ = project(CAMERA, posed(avatar, pose, "twist"))
     inside = ((pixels[:, None] >= boxes[None, :, :2] - 1e-6) & (pixels[:, None] <= boxes[None, :, 2:] + 1e-6)).all(-1)
     assert inside.any(1).all()
-    left, top, right, bottom = screen_bounds(bones, CAMERA).box
-    assert left <= pixels[:, 0].min() and pixels[:, 0].max() <= right
-    assert top <= pixels[:, 1].min() and pixels[:, 1].max() <= bottom
+    box = screen_bounds(bones, CAMERA).box
+    assert (pixels >= box[:2]).all() and (pixels <= box[2:]).all()
 
 
 def test_a_page_holds_the_skin_of_the_52_joints(avatar):
     plain = mannequin()
     plain = replace(plain, levels=tuple(map(with_room, plain.levels)))
     assert packed_avatar(avatar).blobs == packed_avatar(plain).blobs
-
-
-def test_copies_of_an_avatar_with_twist_joints_are_drawn_as_alone(context, avatar):
-    pose, _ = turned(avatar, "left", 150.0)
-    away = np.array([0.0, 0.0, -0.8])
-    together = picture(context, [avatar, avatar], [(pose, ORIGIN), (pose, away)])
-    alone, other = (picture(context, [avatar], [(pose, at)]) for at in (ORIGIN, away))
-    behind = (alone[..., 3] == 0) & (other[..., 3] > 0)
-    np.testing.assert_array_equal(together[alone[..., 3] > 0], alone[alone[..., 3] > 0])
-    np.testing.assert_array_equal(together[behind], other[behind])

@@ -20,8 +20,6 @@ from player.window.panels.widgets import Widgets, elided
 from tests.window_script import run
 
 FOLDER = Path(player.window.panels.__file__).parent
-# what only shows something, or frames what is shown
-PASSIVE = {"text", "text_disabled", "text_wrapped", "text_colored", "text_unformatted"}
 INTERACTIVE = (
     "button", "small_button", "checkbox", "combo", "begin_combo", "selectable", "collapsing_header", "tree_node",
     "slider_float", "slider_int", "drag_float", "drag_float3", "input_text", "input_text_with_hint", "input_float",
@@ -50,15 +48,7 @@ def test_panels_reach_interactive_widgets_only_where_a_tooltip_is_asked_for():
             assert needed & {"tip", "action"}, name
 
 
-def test_the_window_and_the_panels_are_in_no_circle_and_no_object_has_thirty_attributes(opened):
-    """player/window/panels imports player/window; the other way round only the window itself imports all panels."""
-    for file in Path(player.window.__file__).parent.glob("*.py"):
-        if file.name == "window.py":
-            continue
-        for node in ast.walk(ast.parse(file.read_text("utf-8"))):
-            modules = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            modules += [name.name for name in node.names] if isinstance(node, ast.Import) else []
-            assert not any(module.startswith("player.window.panels") for module in modules), file.name
+def test_no_object_of_the_window_has_thirty_attributes(opened):
     window = opened()
     parts = window.parts
     run(window, "p wait")
@@ -133,5 +123,6 @@ def test_paths_lose_their_folders_first_then_the_middle_of_their_name(monkeypatc
     assert elided(path, 99.0) == path
     assert elided(path, 25.0) == ".../walking/slowly.bvh"
     assert elided(path, 14.0) == ".../slowly.bvh"
-    assert elided(path, 9.0) == "sl...bvh" or elided(path, 9.0).endswith(".bvh")
+    cut = elided(path, 9.0)
+    assert len(cut) == 9 and cut.startswith("sl") and cut.endswith(".bvh") and "..." in cut
     assert elided("counting", 20.0) == "counting"

@@ -1,46 +1,17 @@
 """Light told from pixels of spheres that turn before a camera: each triangle is seen in many directions."""
 
+from functools import partial
+
 import numpy as np
 import pytest
+from turning_ball import turning_ball
 
 from avatar.light import CaptureLight, Lamp, lamps_of
-from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import PARTS
 from capture.light.fit import fit_light
-from capture.light.pixels import LitPixels
 
 SIDE = lamps_of(np.array([[0.45, -0.65, -0.6]]), np.array([0.55]))
-TOWARDS_EYE = np.array([0.0, 0.0, -1.0])
-
-
-def seen(
-    lights: dict[str, CaptureLight], *, noise: float = 0.01, sheen: float = 0.0, triangles: int = 400, frames: int = 12
-) -> LitPixels:
-    """A ball of `triangles` colours that every video shows turning about the camera's y, and nodding."""
-    rng = np.random.default_rng(3)
-    normals = rng.standard_normal((triangles, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    albedo = rng.uniform(0.2, 0.7, (triangles, 3))
-    pieces = []
-    for index, part in enumerate(PARTS):
-        for frame in range(frames):
-            turn = 2 * np.pi * (frame + index / 4) / frames
-            R = matrix_from_axis_angle(np.array([0.3 * np.sin(2 * turn), 0, 0]))
-            n = normals @ (R @ matrix_from_axis_angle(np.array([0, turn, 0]))).T
-            face = np.flatnonzero(n @ TOWARDS_EYE > 0.25)
-            n, eye = n[face], np.tile(TOWARDS_EYE, (len(face), 1))
-            color = lights[part].shown(albedo[face], lights[part].shading(n), lights[part].highlight(n, eye))
-            facing = n @ TOWARDS_EYE
-            color += sheen * (0.3 * facing**24 + 0.35 * (1 - facing) ** 3)[:, None]
-            color = np.clip(color + noise * rng.standard_normal(color.shape), 0, 1)
-            # a tenth are of something else
-            color[::10] = rng.uniform(0, 1, color[::10].shape)
-            pieces.append(LitPixels(np.full(len(face), index), face, color, n, eye))
-    return LitPixels(*(np.concatenate(values) for values in zip(*pieces, strict=True)))
-
-
-def shared(light: CaptureLight) -> dict[str, CaptureLight]:
-    return dict.fromkeys(PARTS, light)
+seen = partial(turning_ball, noise=0.01, odd=True, triangles=400, frames=12)
 
 
 def degrees_between(a: Lamp, b: Lamp) -> float:
@@ -48,7 +19,7 @@ def degrees_between(a: Lamp, b: Lamp) -> float:
 
 
 def test_ambient_lamp_and_highlight_are_found_and_the_mean_shading_is_one():
-    pixels = seen(shared(CaptureLight(0.45, SIDE, gloss=0.1)))
+    pixels = seen(CaptureLight(0.45, SIDE, gloss=0.1))
     found = fit_light(pixels)
     light = found.lights["body"]
     assert found.shared
@@ -64,21 +35,21 @@ def test_ambient_lamp_and_highlight_are_found_and_the_mean_shading_is_one():
 @pytest.mark.parametrize("ambient", [1.0, 0.99])
 def test_even_light_is_no_light(ambient):
     lamp = lamps_of(np.array([SIDE[0].direction]), np.array([1 - ambient]))
-    found = fit_light(seen(shared(CaptureLight(ambient, lamp))))
+    found = fit_light(seen(CaptureLight(ambient, lamp)))
     assert found.lights == {}
     assert found.residual == found.residual_without
 
 
 def test_a_sheen_that_follows_the_eye_is_no_lamp():
-    assert fit_light(seen(shared(CaptureLight(1.0)), sheen=0.5)).lights == {}
-    light = fit_light(seen(shared(CaptureLight(0.45, SIDE)), sheen=0.5)).lights["body"]
+    assert fit_light(seen(CaptureLight(1.0), sheen=0.5)).lights == {}
+    light = fit_light(seen(CaptureLight(0.45, SIDE), sheen=0.5)).lights["body"]
     assert len(light.lamps) == 1
     assert degrees_between(light.lamps[0], SIDE[0]) < 1.5
     assert light.ambient / light.lamps[0].strength == pytest.approx(0.45 / 0.55, abs=0.04)
 
 
 def test_a_soft_light_is_a_light():
-    found = fit_light(seen(shared(CaptureLight(0.75, lamps_of(np.array([SIDE[0].direction]), np.array([0.25]))))))
+    found = fit_light(seen(CaptureLight(0.75, lamps_of(np.array([SIDE[0].direction]), np.array([0.25])))))
     light = found.lights["body"]
     assert degrees_between(light.lamps[0], SIDE[0]) < 1.5
     assert light.ambient / light.lamps[0].strength == pytest.approx(3, abs=0.15)
@@ -87,7 +58,7 @@ def test_a_soft_light_is_a_light():
 @pytest.mark.slow
 def test_a_second_lamp_is_found_where_it_explains_more():
     lamps = lamps_of(np.array([[0.8, -0.2, -0.6], [-0.7, -0.7, -0.2]]), np.array([0.5, 0.4]))
-    light = fit_light(seen(shared(CaptureLight(0.3, lamps)))).lights["body"]
+    light = fit_light(seen(CaptureLight(0.3, lamps))).lights["body"]
     assert len(light.lamps) == 2
     nearest = [min(degrees_between(lamp, other) for other in light.lamps) for lamp in lamps]
     assert max(nearest) < 3
@@ -95,7 +66,7 @@ def test_a_second_lamp_is_found_where_it_explains_more():
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
 def test_the_space_in_which_light_multiplies_is_found(gamma):
-    light = fit_light(seen(shared(CaptureLight(0.1, SIDE, gamma=gamma)), noise=0.004)).lights["body"]
+    light = fit_light(seen(CaptureLight(0.1, SIDE, gamma=gamma), noise=0.004)).lights["body"]
     assert light.gamma == gamma
     assert light.ambient / light.lamps[0].strength == pytest.approx(0.1 / 0.55, abs=0.03)
 

@@ -6,7 +6,6 @@ import pytest
 from player.budget.controller import PATIENCE, SETTLING, SLOW, WATCHED, BudgetController
 from player.budget.ladder import PricedRung, at_quality, frontier, parse_budget, scene_rungs, within
 from player.budget.rung import Rung
-from player.scene.mannequin import mannequin
 
 LADDER = [
     PricedRung(Rung(name, "off", k), ms, 1.1 * ms, error)
@@ -117,15 +116,14 @@ def test_what_is_no_budget_is_refused(text):
         parse_budget(text)
 
 
-def test_rungs_of_a_scene_are_what_all_its_avatars_hold():
-    body = mannequin()
-    names = [rung.name for rung in scene_rungs([body])]
+def test_rungs_of_a_scene_are_what_all_its_avatars_hold(avatar):
+    names = [rung.name for rung in scene_rungs([avatar])]
     assert names[:4] == ["network per pixel, 27k", "linear, 27k", "per vertex, 27k", "paper mode, 27k"]
     cheaper = ["texture 256", "texture 128", "texture 64", "2 joints", "1 joint"]
     assert names[4:] == [f"{view}, 27k, {one}" for view in ("network per pixel", "paper mode") for one in cheaper]
-    assert {rung.view for rung in scene_rungs([body], view="linear")} == {"linear"}
-    assert {rung.level for rung in scene_rungs([body], view="off", level=0)} == {0}
+    assert {rung.view for rung in scene_rungs([avatar], view="linear")} == {"linear"}
+    assert {rung.level for rung in scene_rungs([avatar], view="off", level=0)} == {0}
     import dataclasses
 
-    plain = dataclasses.replace(body, network=None, linear=None, default_view="off")
-    assert {rung.view for rung in scene_rungs([body, plain])} == {"off"}
+    plain = dataclasses.replace(avatar, network=None, linear=None, default_view="off")
+    assert {rung.view for rung in scene_rungs([avatar, plain])} == {"off"}

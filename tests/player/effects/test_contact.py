@@ -61,11 +61,9 @@ def test_the_shader_says_what_numpy_says(context, avatar, crouching, within):
     block["capsule_start"][:15, :3], block["capsule_start"][:15, 3] = starts, capsules.radii
     block["capsule_along"][:15, :3] = ends - starts
     block["capsule_along"][:15, 3] = 1 / ((ends - starts) ** 2).sum(1)
-    buffer = context.gl.buffer(block.tobytes())
-    buffer.bind_to_uniform_block(4)
     values = {"p": points, "n": normals, "spared": spared[:, None].astype(np.int64)}
-    out = probe(context, ["contact.glsl"], "vec4(open_sky(p, n, spared.x, 1.0, 0, 16))", values, ints=("spared",))[:, 0]
-    buffer.release()
+    call = "vec4(open_sky(p, n, spared.x, 1.0, 0, 16))"
+    out = probe(context, ["contact.glsl"], call, values, blocks={"Capsules": block}, ints=("spared",))[:, 0]
     expected = openness(points, normals, starts, ends, capsules.radii, spared)
     within(np.abs(out - expected).max(), 2e-5)
     assert expected.min() < 0.6

@@ -5,16 +5,13 @@ from dataclasses import replace
 import moderngl
 import numpy as np
 import pytest
-from PIL import Image
-from radiance_writer import radiance_bytes, sky
 
 from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.light import CaptureLight, lamps_of
 from avatar.skeleton import skin_transforms
-from avatar.skinning import blended_rotations, skin_points
-from player.draw.raster import Rasteriser
-from player.effects.background import Background
+from avatar.skinning import blended_rotations
+from player.draw.posing import posed_vertices
 from player.effects.background_source import read_panorama
 from player.effects.light import Light, background_gains
 from player.effects.panorama_light import fitted_light
@@ -36,18 +33,14 @@ def lit_avatar(avatar, gamma: float = 1.0, gloss: float = 0.1):
     return replace(avatar, levels=(replace(level, light=seen),), light=light)
 
 
-def expected(context, avatar, pose, base, light):
+def expected(rasteriser, avatar, pose, base, light):
     """The picture by NumPy, where a pixel shows one triangle in the middle of others."""
     level = avatar.levels[0]
     axis_angle, root = pose
     transforms = skin_transforms(axis_angle, avatar.joint_positions, root, rest=avatar.canonical_pose)
-    posed = skin_points(level.positions, level.skin, transforms)
+    posed = posed_vertices(avatar, level, pose)
     normals = np.einsum("vij,vj->vi", blended_rotations(level.skin, transforms), level.normals)
-    raster = Rasteriser(context)
-    try:
-        drawn = raster.draw(posed, level.faces.astype(np.int64), CAMERA)
-    finally:
-        raster.release()
+    drawn = rasteriser.draw(posed, level.faces.astype(np.int64), CAMERA)
     hit = drawn.face >= 0
     corners, weight = level.faces[drawn.face[hit]], drawn.barycentric[hit].astype(np.float64)
     of = lambda values: (weight[:, :, None] * values[corners]).sum(1)
@@ -66,9 +59,9 @@ def expected(context, avatar, pose, base, light):
     return hit, 255 * by_vertex, 255 * by_pixel
 
 
-def assert_lit(context, avatar, pose, base, shown, light):
+def assert_lit(rasteriser, avatar, pose, base, shown, light):
     """As NumPy has it at the vertices; on the whole as it has it in each pixel."""
-    hit, by_vertex, by_pixel = expected(context, avatar, pose, base[..., :3].astype(np.float64), light)
+    hit, by_vertex, by_pixel = expected(rasteriser, avatar, pose, base[..., :3].astype(np.float64), light)
     off = np.abs(shown[..., :3][hit] - by_vertex).max(1)
     assert np.quantile(off, 0.9) <= 0.6
     assert np.abs(shown[..., :3][hit] - by_pixel).max(1).mean() < 1.2
@@ -76,7 +69,7 @@ def assert_lit(context, avatar, pose, base, shown, light):
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
 @pytest.mark.parametrize("skinning", ["lbs", "dual_quaternion"])
-def test_the_captures_light_is_what_numpy_says_and_stays_where_it_was(render, context, avatar, pose, gamma, skinning):
+def test_the_captures_light_is_what_numpy_says_and_stays(render, rasteriser, avatar, pose, gamma, skinning):
     filmed = lit_avatar(avatar, gamma)
     effects = replace(OFF, skinning=skinning)
     base = render(filmed, SIZE, effects=effects).draw([pose], CAMERA)
@@ -85,26 +78,26 @@ def test_the_captures_light_is_what_numpy_says_and_stays_where_it_was(render, co
         # its surface lies elsewhere; that it is lit is enough
         assert np.abs(shown[..., :3].astype(int) - base[..., :3]).max() > 30
         return
-    assert_lit(context, filmed, pose, base, shown, filmed.light)
+    assert_lit(rasteriser, filmed, pose, base, shown, filmed.light)
 
 
 @pytest.mark.parametrize("gamma", [1.0, 2.2])
-def test_light_without_a_highlight_is_one_factor_of_each_vertex(render, context, avatar, pose, gamma):
+def test_light_without_a_highlight_is_one_factor_of_each_vertex(render, rasteriser, avatar, pose, gamma):
     filmed = lit_avatar(avatar, gamma, gloss=0.0)
     matt = filmed.levels[0].light * np.float32([1, 0])
     filmed = replace(filmed, levels=(replace(filmed.levels[0], light=matt),))
     base = render(filmed, SIZE, effects=OFF).draw([pose], CAMERA)
     asked = render(filmed, SIZE, effects=replace(OFF, light=Light()))
-    assert_lit(context, filmed, pose, base, asked.draw([pose], CAMERA), filmed.light)
+    assert_lit(rasteriser, filmed, pose, base, asked.draw([pose], CAMERA), filmed.light)
     programs = [handle for handle in asked.plan.handles if handle.kind is moderngl.Program]
     assert any(("LIT", 1) in program.depends_on for program in programs)
 
 
-def test_without_light_albedo_is_shown(render, context, avatar, pose):
+def test_without_light_albedo_is_shown(render, rasteriser, avatar, pose):
     filmed = lit_avatar(avatar)
     base = render(filmed, SIZE, effects=OFF).draw([pose], CAMERA)
     shown = render(filmed, SIZE, effects=replace(OFF, light=Light(by="albedo"))).draw([pose], CAMERA)
-    assert_lit(context, filmed, pose, base, shown, CaptureLight(1.0))
+    assert_lit(rasteriser, filmed, pose, base, shown, CaptureLight(1.0))
 
 
 def test_lamps_that_a_scene_names_light_an_avatar_whose_file_tells_no_light(render, avatar, pose):
@@ -151,32 +144,13 @@ def test_the_file_gives_the_light_back(tmp_path, avatar):
         write_avatar(tmp_path / "half.glb", replace(filmed, light=None))
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"by": "sun"}, "by"),
-        ({"by": "lamps", "direction": (0.0, 0.0, 0.0)}, "direction: expected a direction"),
-        ({"by": "lamps", "ambient": 0.0, "strength": 0.0}, "ambient: expected some light"),
-    ],
-)
-def test_what_lights_nothing_is_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
-        Light(**settings)
-
-
 # -- panoramas, and what is behind
 
 
-@pytest.fixture(scope="module")
-def behind(tmp_path_factory):
-    """A panorama, and a warm dark picture."""
-    folder = tmp_path_factory.mktemp("behind")
-    (folder / "sky.hdr").write_bytes(radiance_bytes(sky(64)))
-    Image.fromarray(np.full((8, 12, 3), (120, 70, 40), np.uint8)).save(folder / "warm.png")
-    return {
-        "hdr": Background("hdr", path=str(folder / "sky.hdr"), turn_deg=40.0),
-        "image": Background("image", path=str(folder / "warm.png")),
-    }
+@pytest.fixture(scope="session")
+def behind(backgrounds):
+    """A panorama that is turned, and a warm dark picture."""
+    return backgrounds | {"hdr": replace(backgrounds["hdr"], turn_deg=40.0)}
 
 
 def test_a_panorama_lights_avatars_as_its_lamps_would(render, avatar, pose, behind):
@@ -196,8 +170,6 @@ def test_a_panorama_lights_avatars_as_its_lamps_would(render, avatar, pose, behi
 def test_a_panorama_that_is_nowhere_is_said(render, avatar, behind):
     with pytest.raises(ValueError, match="light by panorama: expected its path, or a background of kind hdr"):
         render(avatar, SIZE, effects=replace(OFF, light=Light("panorama")), background=behind["image"])
-    with pytest.raises(ValueError, match="path: of panorama, not of lamps"):
-        Light("lamps", path=behind["hdr"].path)
 
 
 @pytest.mark.parametrize("kind", ["image", "hdr"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from glsl_probe import probe
 from loose_avatar import dressed
-from loose_paths import dance
+from loose_paths import dance, danced
 
 from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import read_avatar, write_avatar
@@ -15,34 +15,16 @@ from avatar.skeleton import skin_transforms
 from avatar.skinning import skin_points
 from player.effects.contact import Contact
 from player.effects.ground import Ground
-from player.effects.lens import MotionBlur
 from player.effects.outline import Outline
 from player.effects.secondary_motion import SecondaryMotion
-from player.film import parts
-from player.film import render as filming
 from player.film.command import render_main
-from player.film.shot import Shot, ShotRenderer
-from player.gl.blocks import BINDING, LOOSE
+from player.gl.blocks import LOOSE
 from player.scene.effects import PLAIN
-from player.scene.renderer import Renderer
-from player.scene.scene import Scene, SceneAvatar
 
 SIZE = (150, 170)
 CAMERA = orbit_camera((0, 1.0, 0), 3.0, 0.6, 0.1, SIZE)
 MOVING = replace(PLAIN, view="off", secondary_motion=SecondaryMotion())
 STILL = replace(PLAIN, view="off")
-
-
-@pytest.fixture(scope="module")
-def dressed_avatar():
-    return dressed()
-
-
-def danced(renderer, seconds=0.7):
-    """The renderer told of a dance; its last pose."""
-    for frame in range(int(60 * seconds) + 1):
-        renderer.move([dance(frame / 60)], frame / 60)
-    return dance(int(60 * seconds) / 60)
 
 
 def decision(renderer):
@@ -75,12 +57,9 @@ def test_the_shader_adds_what_the_vertex_follows(context):
     rng = np.random.default_rng(3)
     block = np.zeros((), LOOSE)
     block["loose_offset"][:, :3] = rng.normal(size=(300, 3))
-    buffer = context.gl.buffer(block.tobytes())
-    buffer.bind_to_uniform_block(BINDING["Loose"][1])
     near, follows = rng.integers(0, 300, (200, 4)), rng.random((200, 4)).astype(np.float32)
-    values = {"near": near, "follows": follows}
-    out = probe(context, ["loose.glsl"], "vec4(loosened(near, follows), 0.0)", values, ints=("near",), stage="vertex")
-    buffer.release()
+    values, call = {"near": near, "follows": follows}, "vec4(loosened(near, follows), 0.0)"
+    out = probe(context, ["loose.glsl"], call, values, blocks={"Loose": block}, ints=("near",), stage="vertex")
     expected = np.einsum("vk,vkc->vc", follows, block["loose_offset"][near][..., :3])
     assert np.abs(out[:, :3] - expected).max() < 1e-5
 
@@ -130,45 +109,6 @@ def test_a_pose_that_is_no_pose_is_refused(render, dressed_avatar):
         renderer.move([], 0.0)
 
 
-@pytest.mark.parametrize("settings", [{"frequency": 0.0}, {"frequency": 21.0}, {"gravity": -1.0}])
-def test_settings_out_of_range_are_refused(settings):
-    with pytest.raises(ValueError, match=next(iter(settings))):
-        SecondaryMotion(**settings)
-
-
-def test_a_frame_follows_from_its_number_and_shares_of_a_film_are_the_film(
-    tmp_path, monkeypatch, dressed_avatar, context
-):
-    for module in (parts, filming):
-        monkeypatch.setattr(module, "LENGTH", 4)
-    path = tmp_path / "dressed.glb"
-    write_avatar(path, dressed_avatar)
-    base = [str(path), "--motion", "walking", "--frames", "20:28", "--size", "60x60", "--camera", "front",
-            "--effect", "secondary_motion", "--effect", "ground"]  # fmt: skip
-    render_main([*base, "-o", str(tmp_path / "whole")])
-    for share in ("2/2", "1/2"):
-        render_main([*base, "--part", share, "-o", str(tmp_path / "shared")])
-    names = sorted(file.name for file in (tmp_path / "whole").glob("*.png"))
-    assert len(names) == 8
-    for name in names:
-        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "shared" / name).read_bytes()
-    # backwards, and with a shutter: the simulation goes on frame by frame, whatever is drawn of each
-    for effects in (MOVING, replace(MOVING, motion_blur=MotionBlur(samples=2))):
-        shot = Shot(Scene((SceneAvatar(str(path), "walking"),), effects=effects), 0, 40, (60, 60), 30.0, None)
-        shot = replace(shot, scene=replace(shot.scene))
-        drawn = ShotRenderer(replace(shot, fit=_stage_fit(shot)), context=None)
-        forwards = [drawn.draw(frame).copy() for frame in (24, 25, 30)]
-        backwards = [drawn.draw(frame).copy() for frame in (30, 25, 24)][::-1]
-        drawn.release()
-        assert np.array_equal(forwards, backwards)
-
-
-def _stage_fit(shot):
-    from player.film.stage import Stage
-
-    return Stage(shot.scene, 1).fit(shot.start, shot.stop)
-
-
 def test_explain_tells_how_many_particles_and_what_they_cost(tmp_path, dressed_avatar, capsys):
     path = tmp_path / "dressed.glb"
     write_avatar(path, dressed_avatar)
@@ -197,15 +137,14 @@ def test_a_file_tells_what_is_loose(tmp_path, dressed_avatar):
     assert read_avatar(path).levels[0].loose is None
 
 
-def test_copies_of_an_avatar_swing_each_in_its_own_way(context, render, dressed_avatar):
+def test_copies_of_an_avatar_swing_each_in_its_own_way(render, dressed_avatar):
     renderer = render(dressed_avatar, SIZE, effects=MOVING)
     pose = danced(renderer)
     alone = renderer.draw([pose], CAMERA)
-    two = Renderer(context, [dressed_avatar, dressed_avatar], SIZE, effects=MOVING)
+    two = render([dressed_avatar, dressed_avatar], SIZE, effects=MOVING)
     still = (np.zeros((52, 3)), np.array([50.0, 0.95, 0]))
     for frame in range(43):
         two.move([dance(frame / 60), still], frame / 60)
     image = two.draw([pose, still], CAMERA)
     loose = [item.offsets.motion.found.reach for item in two.plan.passes if "secondary motion" in item.name]
-    two.release()
     assert np.array_equal(image, alone) and loose[0] > 0.05 > loose[1]

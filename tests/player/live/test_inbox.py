@@ -96,7 +96,8 @@ def test_memory_does_not_grow():
 
 def test_flipped_bytes_never_crash_and_every_pose_shown_is_finite():
     rng = np.random.default_rng(1)
-    for kind, whole in (("vmc", bundle(0.5, 1.0)), ("udp", message(0.5, 1.0, 1))):
+    short = build_bundle([build_message("/VMC/Ext/Bone/Pos", "Hips", *[0.1] * 7), build_message("/a", 1, True)])
+    for kind, whole in (("vmc", bundle(0.5, 1.0)), ("vmc", short), ("udp", message(0.5, 1.0, 1))):
         inbox = Inbox(kind, delay=0.0)
         for n in range(3000):
             broken = bytearray(whole)

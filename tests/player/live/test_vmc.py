@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from avatar.rotation import (
-    matrix_from_axis_angle,
-)
+from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS
 from player.live.calibration import identity_calibration, pose_from_rig
 from player.live.frame import Counters

@@ -12,7 +12,6 @@ from command.errors import AssetError
 from player.draw.posing import grounded
 from player.pose.keyframes import Pose
 from player.pose.library import BUILTIN, Library, builtin_pose, check_name, user_folder
-from player.scene.mannequin import mannequin
 
 ROOT = np.array([0.5, 0.0, -1.0])
 
@@ -22,33 +21,28 @@ def lowest(avatar, axis_angle):
     return -grounded(avatar, axis_angle, np.zeros(3))[1]
 
 
-@pytest.fixture(scope="module")
-def body():
-    return mannequin()
-
-
 @pytest.mark.parametrize("name", BUILTIN)
-def test_built_in_poses_are_inside_the_limits_and_on_the_ground(name, body):
-    pose = Library("/nowhere").read(name, root=ROOT, ground=lambda pose, root: grounded(body, pose, root))
+def test_built_in_poses_are_inside_the_limits_and_on_the_ground(name, avatar):
+    pose = Library("/nowhere").read(name, root=ROOT, ground=lambda pose, root: grounded(avatar, pose, root))
     assert within(pose.axis_angle).all()
-    assert pose.root[1] + lowest(body, pose.axis_angle) == pytest.approx(0, abs=1e-9)
+    assert pose.root[1] + lowest(avatar, pose.axis_angle) == pytest.approx(0, abs=1e-9)
     assert np.array_equal(pose.root[[0, 2]], ROOT[[0, 2]])
 
 
-def test_the_ground_is_that_of_the_third_level_where_coarser_ones_follow(body):
-    fine = body.levels[0]
+def test_the_ground_is_that_of_the_third_level_where_coarser_ones_follow(avatar):
+    fine = avatar.levels[0]
     sunk = dataclasses.replace(fine, positions=fine.positions - np.float32([0, 0.01, 0]))
     high = dataclasses.replace(fine, positions=fine.positions + np.float32([0, 0.5, 0]))
     still = np.zeros((52, 3))
     four, two, one = (
-        lowest(body, still) - lowest(dataclasses.replace(body, levels=levels), still)
+        lowest(avatar, still) - lowest(dataclasses.replace(avatar, levels=levels), still)
         for levels in ((fine, fine, sunk, high), (fine, sunk), (fine,))
     )
     assert four == two > 0.005 and one == 0  # legs are spread in the canonical pose: less than the centimetre
 
 
-def test_built_in_poses_look_like_their_names(body):
-    joints = body.joint_positions.astype(float)
+def test_built_in_poses_look_like_their_names(avatar):
+    joints = avatar.joint_positions.astype(float)
 
     def at(name):
         places = joint_transforms(builtin_pose(name), joints)[:, :3, 3]
