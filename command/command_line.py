@@ -193,13 +193,8 @@ def _shown(setting: Setting) -> str:
 def _keywords(setting: Setting, option: Option) -> dict[str, Any]:
     """Keyword arguments of argparse's add_argument for a field."""
     if setting.type is bool:
-        off = setting.default is True
-        return {
-            "dest": setting.name,
-            "action": "store_false" if off else "store_true",
-            "default": setting.default,
-            "help": setting.means,
-        }
+        action = "store_false" if setting.default is True else "store_true"
+        return {"dest": setting.name, "action": action, "default": setting.default, "help": setting.means}
     one = rule_of(setting, OneOf)
     choices = one.values if one else get_args(setting.type) if get_origin(setting.type) is Literal else None
     keywords: dict[str, Any] = {"help": _help(setting), "type": option.parse or _reader(setting.type)}
@@ -266,13 +261,11 @@ def _short(text: str) -> str:
 
 
 _METAVARS = {int: "N", float: "X", Path: "PATH"}
+_READERS: dict[object, Callable[[str], object]] = {int: integer, float: number, Path: Path, str: str}
 
 
 def _reader(kind: object) -> Callable[[str], object]:
     """How text becomes a value of a type; of a tuple, of each of its members."""
     if get_origin(kind) is tuple:
         kind = get_args(kind)[0]
-    if get_origin(kind) is Literal:
-        return str
-    readers: dict[object, Callable[[str], object]] = {int: integer, float: number, Path: Path, str: str}
-    return readers[kind]
+    return str if get_origin(kind) is Literal else _READERS[kind]

@@ -4,7 +4,7 @@ import heapq
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from io import TextIOBase
 from typing import NamedTuple, TextIO, TypeVar
@@ -37,23 +37,13 @@ class Progress:
     """Reports how far a count has come, with the time left and a note such as a loss.
 
     On a terminal one line is redrawn; elsewhere a line is printed when work begins to take long and about
-    every ten seconds after that. The time left counts each step by its share of `costs`, else all alike.
+    every ten seconds after that.
     """
 
-    def __init__(
-        self, label: str, total: int, stream: TextIO | TextIOBase | None = None, costs: Sequence[float] | None = None
-    ):
-        self.label, self.total, self.costs = label, total, costs
+    def __init__(self, label: str, total: int, stream: TextIO | TextIOBase | None = None):
+        self.label, self.total = label, total
         self.display = _Display(stream)
         self.began = self.shown = time.monotonic()
-
-    def share(self, done: float | int) -> float:
-        """The share of the work that so many steps are, in [0, 1]: by what they cost, where that is known."""
-        if self.costs is None:
-            return min(done / max(self.total, 1), 1.0)
-        whole = int(done)
-        begun = (done - whole) * sum(self.costs[whole : whole + 1])
-        return min((sum(self.costs[:whole]) + begun) / sum(self.costs), 1.0)
 
     def update(self, done: float | int, note: str = "") -> None:
         """So many steps are done; a part of one is a fraction."""
@@ -64,12 +54,11 @@ class Progress:
             return
         self.shown = now
         spent = now - self.began
-        share = self.share(done)
+        share = min(done / max(self.total, 1), 1.0)
         left = duration(spent / share - spent) if share > 0 else "?"
         text = f"{self.label} {int(done)}/{self.total}  {duration(spent)}, {left} left  {note}".rstrip()
         if live:
-            filled = int(24 * share)
-            text = f"\r\x1b[K[{'#' * filled}{'.' * (24 - filled)}] {text}"
+            text = f"\r\x1b[K{_bar(share, 24)} {text}"
         self.display.write(text if live and not last else text + "\n")
 
 
@@ -259,9 +248,9 @@ def _left_text(seconds: float | int | None) -> str:
     return "time left not known yet" if seconds is None else f"{clock_time(seconds)} left"
 
 
-def _bar(share: float) -> str:
-    filled = int(16 * share)
-    return f"[{'#' * filled}{'.' * (16 - filled)}]"
+def _bar(share: float, width: int = 16) -> str:
+    filled = int(width * share)
+    return f"[{'#' * filled}{'.' * (width - filled)}]"
 
 
 class Reporter(NamedTuple):

@@ -10,7 +10,7 @@ import warnings
 import weakref
 import zipfile
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -51,23 +51,13 @@ class NpzFile:
         self.path, self.what = Path(path), f"{what} (.npz)"
         self.file = _Bounded(open_input(path, self.what, most=MAX_ARCHIVE_BYTES).detach())
         # a motion keeps its file open while it is played
-        weakref.finalize(self, self.file.close)
-        try:
-            with _readable(f"{path}: expected {self.what}, found"):
-                self.archive: Any = zipfile.ZipFile(self.file)
-        except AssetError:
-            self.close()
-            raise
+        weakref.finalize(self, self.close)
+        with _readable(f"{path}: expected {self.what}, found"):
+            self.archive: Any = zipfile.ZipFile(self.file)
         self.names = frozenset(n.removesuffix(".npy") for n in self.archive.namelist() if n.endswith(".npy"))
 
     def close(self) -> None:
         self.file.close()
-
-    def __enter__(self) -> "NpzFile":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def member(self, name: str) -> "NpzMember":
         """An array of the file, its header read.
@@ -97,15 +87,7 @@ class NpzMember:
                 raise ValueError(f"compression method {info.compress_type}")
             self.header = _npy_header(file)
         self.shape, self.dtype = self.header.shape, self.header.dtype
-        if self.dtype.kind not in KINDS:
-            raise AssetError(
-                f"{npz.path}: {name} should hold numbers or text, holds {self.dtype} (pickles are not read)"
-            )
-        found = info.file_size - self.header.length
-        if self.header.bytes != found:
-            raise AssetError(
-                f"{npz.path}: {name} {self.shape} should take {self.header.bytes} bytes, the archive has {found}"
-            )
+        self.header.check(info.file_size, f"{npz.path}: {name}")
         # numbers of a row
         self.row = prod(self.shape[1:])
         # place of the first in the file; None: it has to be unpacked from its start
@@ -166,7 +148,7 @@ def read_npz(
         AssetError: the file is absent, not an .npz, cut short, lacks a required array, or the arrays take more
             than `most` bytes together.
     """
-    with NpzFile(path, what) as npz:
+    with closing(NpzFile(path, what)) as npz:
         absent = set(required) - npz.names
         if absent:
             raise AssetError(f"{path}: no {', '.join(sorted(absent))}; the file has {_some(npz.names)}")
@@ -193,11 +175,7 @@ def read_npy(path: Path | str, what: str) -> Array | list:
     if header.dtype == np.dtype(object):
         held = unpickled(file.read(), path, what)
         return held if isinstance(held, list) else [held]
-    if header.dtype.kind not in KINDS:
-        raise AssetError(f"{path}: expected {what}, numbers or text, found {header.dtype}")
-    found = len(file.getbuffer()) - header.length
-    if header.bytes != found:
-        raise AssetError(f"{path}: {what} {header.shape} should take {header.bytes} bytes, the file has {found}")
+    header.check(len(file.getbuffer()), f"{path}: {what}")
     with _readable(f"{path}: expected {what} (.npy), found"):
         return _array(file, header)
 
@@ -234,6 +212,13 @@ class _Header(NamedTuple):
     def bytes(self) -> int:
         """What the array takes; the shape's numbers may be of any size."""
         return prod(self.shape) * self.dtype.itemsize
+
+    def check(self, size: int, place: str) -> None:
+        """Refuse objects, and an array that does not fill its member of `size` bytes; `place` begins the message."""
+        if self.dtype.kind not in KINDS:
+            raise AssetError(f"{place} should hold numbers or text, holds {self.dtype} (pickles are not read)")
+        if self.bytes != size - self.length:
+            raise AssetError(f"{place} {self.shape} should take {self.bytes} bytes, there are {size - self.length}")
 
 
 def _npy_header(file: io.BufferedIOBase) -> _Header:

@@ -11,6 +11,7 @@ way the camera leaned is not known: its up is taken for the world's. A photo has
 
 import os
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +50,7 @@ Rows = Callable[[int, int], tuple[Array, Array, Array]]
 
 def is_sam3d_body(path: Path | str) -> bool:
     """Whether an .npz holds joints and rotations of a SAM 3D Body result, going by the names of its arrays."""
-    with NpzFile(path, WHAT) as npz:
+    with closing(NpzFile(path, WHAT)) as npz:
         return any(k in npz.names for k in JOINTS_KEYS) and any(k in npz.names for k in TURNS_KEYS)
 
 
@@ -88,11 +89,11 @@ def _opened(path: Path, notes: list[str]) -> tuple[int, Rows, bool]:
     if path.is_dir():
         files = _files(path)
         notes.append(f"frames: {plural(len(files), 'file')} in the order of names, {files[0].name} to {files[-1].name}")
-        with NpzFile(files[0], WHAT) as npz:
+        with closing(NpzFile(files[0], WHAT)) as npz:
             placed = _key(npz, CAMERA_KEYS) is not None
 
         def one(file: Path) -> tuple[Array, Array, Array]:
-            with NpzFile(file, WHAT) as npz:
+            with closing(NpzFile(file, WHAT)) as npz:
                 frames, rows = _fields(npz, file.name)
                 if frames != 1:
                     raise AssetError(f"{file}: expected one frame a file in a folder, found {frames}")
