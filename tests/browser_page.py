@@ -4,10 +4,7 @@ Chromium is found and chosen as in chromium.py; it draws with its own software r
 """
 
 import base64
-import contextlib
 import json
-import os
-import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -17,7 +14,7 @@ from typing import Any
 from urllib.request import ProxyHandler, build_opener
 
 import numpy as np
-from chromium import chromium
+from chromium import running
 from websockets.sync.client import ClientConnection, connect
 
 # seconds after which a browser is no longer slow, on a machine however busy
@@ -107,28 +104,17 @@ class BrowserPage:
 @contextmanager
 def browser_page(profile: Path) -> Iterator[BrowserPage]:
     """A tab of a browser of its own; `profile` is an empty folder for its files."""
-    command = [chromium(), "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--mute-audio", "--no-first-run",
-               "--use-angle=swiftshader", "--use-gl=angle", "--enable-unsafe-swiftshader", "--disable-extensions",
-               "--disable-background-networking", "--remote-debugging-port=0", f"--user-data-dir={profile}",
-               "about:blank"]  # fmt: skip
-    with open(profile / "stderr.txt", "w+") as log:
-        # a session of its own: on Debian the program is a script, and ending that alone leaves the browser
-        browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log, start_new_session=True)
-        try:
-            address = _address(browser, profile, log.name)
-            with connect(address, max_size=None, compression=None, proxy=None) as socket:
-                yield BrowserPage(socket)
-        finally:
-            with contextlib.suppress(ProcessLookupError):  # it ended by itself
-                os.killpg(browser.pid, signal.SIGKILL)
-            browser.wait()
+    with running(profile, "--disable-background-networking", "about:blank") as (browser, log):
+        address = _address(browser, profile, log)
+        with connect(address, max_size=None, compression=None, proxy=None) as socket:
+            yield BrowserPage(socket)
 
 
-def _address(browser: subprocess.Popen, profile: Path, log: str) -> str:
+def _address(browser: subprocess.Popen, profile: Path, log: Path) -> str:
     """Where the first tab listens."""
     place, end = profile / "DevToolsActivePort", time.monotonic() + HANGS
     while not (place.exists() and place.read_text().count("\n")):
-        assert browser.poll() is None and time.monotonic() < end, f"Chromium: {Path(log).read_text()[-2000:]}"
+        assert browser.poll() is None and time.monotonic() < end, f"Chromium: {log.read_text()[-2000:]}"
         time.sleep(0.05)
     port = int(place.read_text().split()[0])
     # whatever proxy this machine uses, a tab of its own is not behind it

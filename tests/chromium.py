@@ -12,7 +12,8 @@ import shutil
 import signal
 import subprocess
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -36,6 +37,24 @@ def chromium() -> str:
     if found is None:
         pytest.skip("no Chromium: `apt install chromium-headless-shell`, or its path in SELFSCAN_CHROMIUM")
     return found
+
+
+@contextmanager
+def running(profile: Path, *words: str) -> Iterator[tuple[subprocess.Popen, Path]]:
+    """A browser of its own at what `words` name, and its log; `profile` is an empty folder for its files."""
+    command = [chromium(), "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--mute-audio", "--no-first-run",
+               "--use-angle=swiftshader", "--use-gl=angle", "--enable-unsafe-swiftshader", "--disable-extensions",
+               "--remote-debugging-port=0", f"--user-data-dir={profile}", *words]  # fmt: skip
+    path = profile / "stderr.txt"
+    with open(path, "w") as log:
+        # a session of its own: on Debian the program is a script, and ending that alone leaves the browser
+        browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log, start_new_session=True)
+        try:
+            yield browser, path
+        finally:
+            with contextlib.suppress(ProcessLookupError):  # it ended by itself
+                os.killpg(browser.pid, signal.SIGKILL)
+            browser.wait()
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -79,7 +98,6 @@ def three_frames(
 
     `modules` is a folder with node_modules/three, `profile` an empty folder for the browser's own files.
     """
-    program = chromium()
     width, height = camera.size
     setup = {
         "size": [width, height],
@@ -101,27 +119,17 @@ def three_frames(
     frames: dict[int, np.ndarray] = {}
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(_Handler, files, posted)) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        command = [program, "--headless", "--no-sandbox", "--disable-dev-shm-usage", "--mute-audio", "--no-first-run",
-                   "--use-angle=swiftshader", "--use-gl=angle", "--enable-unsafe-swiftshader", "--disable-extensions",
-                   "--remote-debugging-port=0", f"--user-data-dir={profile}",
-                   f"http://127.0.0.1:{server.server_address[1]}/page.html"]  # fmt: skip
-        with open(profile / "stderr.txt", "w+") as log:
-            # a session of its own: on Debian the program is a script, and ending that alone leaves the browser
-            browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=log, start_new_session=True)
-            try:
+        try:
+            with running(profile, f"http://127.0.0.1:{server.server_address[1]}/page.html") as (browser, log):
                 while len(frames) < len(poses):
                     try:
                         path, body = posted.get(timeout=1)
                     except queue.Empty:
-                        log.seek(0)
-                        assert browser.poll() is None, f"Chromium ended: {log.read()[-2000:]}"
+                        assert browser.poll() is None, f"Chromium ended: {log.read_text()[-2000:]}"
                         continue
                     assert path != "/failed", body.decode()
                     pixels = np.frombuffer(body, np.uint8).reshape(height, width, 4)
                     frames[int(path.rsplit("/", 1)[1])] = pixels[::-1, :, :3].copy()
-            finally:
-                with contextlib.suppress(ProcessLookupError):  # it ended by itself
-                    os.killpg(browser.pid, signal.SIGKILL)
-                browser.wait()
-                server.shutdown()
+        finally:
+            server.shutdown()
     return [frames[k] for k in range(len(poses))]

@@ -84,6 +84,14 @@ def tiny_avatar_file(made_once, tiny_run) -> Path:
 
 
 @pytest.fixture(scope="session")
+def run():
+    """A person of capsules in the place of a trained run."""
+    from capsules import make_run
+
+    return make_run()
+
+
+@pytest.fixture(scope="session")
 def filmed_four(made_once) -> Path:
     """A folder of four raw videos of a painted figure, with keypoints (filmed_figure.py)."""
     from filmed_figure import film_all

@@ -4,13 +4,12 @@ And whether what was imported of them is that capture: pictures, masks, cameras,
 """
 
 import json
-import shutil
 import struct
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from smplh_model import J0, model_fields
+from smplh_model import J0
 
 from avatar.camera import project
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle, quaternion_from_matrix
@@ -21,11 +20,6 @@ from capture.folder import Capture, PartVideo, read_capture
 
 HALF = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])  # pixel centres lie on whole numbers out there
 FIRST = {"body": 500, "head": 0, "hand_left": 480, "hand_right": 7}  # number of the first frame
-
-
-def write_model(path: Path, **options) -> Path:
-    np.savez(path, **model_fields(**options))
-    return path
 
 
 # the authors' folder
@@ -268,12 +262,6 @@ def write_landmark_pixels(capture: Capture, path: Path, vertices: dict[str, int]
                         for i, camera in enumerate(video.cameras)}  # fmt: skip
     path.write_text(json.dumps({"pixels": pixels} | ({} if named else {"vertices": vertices})))
     return path
-
-
-def copied(source: Path, target: Path) -> Path:
-    """A copy to damage."""
-    shutil.copytree(source, target)
-    return target
 
 
 # what an import made of them

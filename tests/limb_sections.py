@@ -1,11 +1,19 @@
-"""Sections of a limb across its bone, on a mesh fine enough that triangles do not thin it, and poses that strain it."""
+"""Sections of a limb across its bone, on a mesh fine enough that triangles do not thin it, and poses that strain it.
+
+And how three.js poses it.
+"""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+from node_packages import package_folder, run_node
 
 from avatar.baked_avatar import Avatar, Level
+from avatar.gltf.animation import write_animated
+from avatar.gltf.avatar_file import write_avatar
 from avatar.helper_joints import HelperJoints
+from avatar.motion.clip import Clip
 from avatar.skeleton import joint_transforms, rigid_inverse
 from avatar.skinning import SkinWeights, skin_points, skin_points_dual_quaternion
 from player.scene.mannequin import mannequin
@@ -67,6 +75,24 @@ def posed(avatar: Avatar, axis_angle: np.ndarray, kind: str) -> np.ndarray:
     bones = helpers.with_helpers(axis_angle, G) @ rigid_inverse(helpers.with_helpers(avatar.canonical_pose, canonical))
     skin = SkinWeights(level.twist.joints.astype(np.int64), level.twist.weights / np.float32(255))
     return skin_points(level.positions, skin, bones)
+
+
+def posed_by_three_js(avatar: Avatar, poses: np.ndarray, folder: Path) -> tuple[list[str], list[np.ndarray]]:
+    """Joints of the exported file, and the finest level's vertices in each pose (`posed`'s 'twist') as three.js has
+    them: bones of its animation, weights of the file, linear blending."""
+    modules = package_folder("three")
+    write_avatar(folder / "still.glb", avatar)
+    write_animated(folder / "moving.glb", folder / "still.glb", Clip(poses, np.zeros((len(poses), 3)), 30.0))
+    times = np.arange(len(poses)) / 30
+    found = run_node("interchange/three_joints.mjs", folder / "moving.glb", modules, *times)
+    count, level = len(found["joints"]), avatar.levels[0]
+    inverse = np.swapaxes(np.reshape(found["inverse"], (count, 4, 4)), -1, -2)
+    points = []
+    for frame in found["frames"]:
+        bones = np.swapaxes(np.reshape(frame["world"], (count, 4, 4)), -1, -2) @ inverse
+        blended = np.einsum("vs,vsij->vij", level.twist.weights / 255.0, bones[level.twist.joints])
+        points.append(np.einsum("vij,vj->vi", blended[:, :3, :3], level.positions) + blended[:, :3, 3])
+    return found["joints"], points
 
 
 def turned(avatar: Avatar, side: str, degrees: float) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ from avatar.camera import Camera, look_at, pinhole, pixel_rays, write_cameras
 from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import BIG_POSE, PARTS, skin_transforms
 from avatar.skinning import skin_normals, skin_points
-from capture.folder import CaptureSubject, read_subject
+from capture.folder import CaptureSubject, read_subject, write_subject
 from capture.read.template import part_of
 from capture.template.surface import surface_cloud
 from files.whole import whole_folder
@@ -29,18 +29,8 @@ def free_subject(sex: str) -> CaptureSubject:
 
 def write_capture(out: Path, *, size: int = 48, frames: int = 4) -> Path:
     """A capture folder of `frames` frames per part, `size` pixels square."""
-    body = builtin_body("male")
-    heaviest = body.skin.joints[:, 0]
-    part = np.zeros(len(body.vertices), np.uint8)
-    part[heaviest == 15] = 1
-    part[(heaviest == 20) | ((heaviest >= 22) & (heaviest < 37))] = 2
-    part[(heaviest == 21) | (heaviest >= 37)] = 3
     with whole_folder(out) as folder:
-        np.savez(
-            folder / "subject.npz", v_template=body.vertices, faces=body.faces, joints=body.joints,
-            skin_joints=body.skin.joints.astype(np.uint8), skin_weights=body.skin.weights, part=part,
-            hair=np.zeros(len(body.vertices), bool),
-        )  # fmt: skip
+        write_subject(folder / "subject.npz", free_subject("male"))
         subject = read_subject(folder / "subject.npz", "test")
         cloud = surface_cloud(subject, 0, np.ones(len(subject.faces), bool), 0.02, 0.02)
         for index, name in enumerate(PARTS):

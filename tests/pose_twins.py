@@ -4,6 +4,7 @@ import json
 import re
 
 import numpy as np
+import pytest
 
 from avatar.body import builtin_body
 from avatar.limits import axis_angle_from_joint_angles, clamped_angles, limits
@@ -137,6 +138,14 @@ def points(array, visibility=None):
         {"x": float(x), "y": float(y), "z": float(z)} | ({} if visibility is None else {"visibility": visibility})
         for x, y, z in array
     ]
+
+
+def estimated(data, name):
+    """A stored result of an estimator; the test is skipped where the sample data has none."""
+    path = data / "estimators" / name
+    if not path.is_file():
+        pytest.skip(f"no {path}")
+    return path
 
 
 def from_text(source, path):

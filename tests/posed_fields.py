@@ -4,13 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from painted_capture import free_subject
 from scipy.spatial import KDTree
 
-from avatar.body import builtin_body
-from avatar.skeleton import BIG_POSE, skin_transforms
-from avatar.skinning import skin_points
 from bench.field.posed_field import PosedField
-from capture.folder import CaptureSubject
 from train.fused import FusedField
 from train.preset import DEMO
 from train.run import Run
@@ -19,24 +16,20 @@ from train.surface import Surface
 
 def run_of(make_field):
     """The built-in body as a run's surface, over a field made for its canonical vertices."""
-    body = builtin_body("male")
-    transforms = skin_transforms(BIG_POSE, body.joints, body.joints[0], rest=np.zeros((52, 3)))
-    count = len(body.vertices)
-    canonical = skin_points(body.vertices, body.skin, transforms)
-    part, hair = np.zeros(count, np.int64), np.zeros(count, bool)
+    subject = free_subject("male")
+    count = len(subject.vertices)
     surface = Surface(
-        vertices=canonical,
-        faces=body.faces,
+        vertices=subject.vertices,
+        faces=subject.faces,
         normals=np.tile([0.0, 0, 1], (count, 1)),
-        part=part,
-        skin=body.skin,
+        part=np.zeros(count, np.int64),
+        skin=subject.skin,
         view_count=np.full(count, 40.0),
         view_mean=np.tile([0.0, 0, -0.9], (count, 1)),
         view_covariance=np.tile([0.01, 0, 0, 0.01, 0, 0], (count, 1)),
         layer=np.zeros(count, np.int64),
     )
-    subject = CaptureSubject("body", body.vertices, canonical, body.faces, body.skin, body.joints, part, hair)
-    return Run(Path("run"), make_field(canonical, body.faces), surface, subject, DEMO, {})
+    return Run(Path("run"), make_field(subject.vertices, subject.faces), surface, subject, DEMO, {})
 
 
 def view_of(make_field):

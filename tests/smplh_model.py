@@ -36,8 +36,13 @@ def model_fields(*, hands: bool = True, components: int = 45) -> dict:
     return fields
 
 
+def write_model(path: Path, change: dict | None = None, **options) -> Path:
+    """The model as a file; `change` replaces fields, and takes away those that are None."""
+    fields = model_fields(**options) | (change or {})
+    np.savez(path, **{name: value for name, value in fields.items() if value is not None})
+    return path
+
+
 def model_body(folder: Path, **options) -> Body:
     """The same, written and read back."""
-    path = folder / "model.npz"
-    np.savez(path, **model_fields(**options))
-    return read_body(path)
+    return read_body(write_model(folder / "model.npz", **options))

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from painted_capture import free_subject
 
 import bench.score.posed_geometry
 import bench.score.quality
@@ -11,8 +12,10 @@ import synth.truth
 import synth.visibility
 from avatar.body import builtin_body
 from avatar.gltf.avatar_file import Avatar, Level, write_avatar
-from avatar.skeleton import BIG_POSE, JOINTS, PARENTS, skin_transforms
-from avatar.skinning import SkinWeights, dense_weights, skin_points
+from avatar.skeleton import BIG_POSE, JOINTS, skin_transforms
+from avatar.skinning import SkinWeights, skin_points
+from capture.folder import write_subject
+from capture.read.template import part_of
 from player.draw.raster import Rasteriser
 from player.gl.context import open_context
 from synth.light import light_of
@@ -30,20 +33,10 @@ def byte_weights(skin):
     return rows.astype(np.uint8)
 
 
-def part_labels(skin):
-    dense = dense_weights(skin)
-    part = np.zeros(len(dense), np.uint8)
-    part[dense[:, 22:37].sum(1) + dense[:, 20] > 0.5] = 2
-    part[dense[:, 37:].sum(1) + dense[:, 21] > 0.5] = 3
-    part[dense[:, JOINTS.index("head")] > 0.5] = 1
-    return part
-
-
 def striped_subject():
     body = builtin_body("male")
     corner = body.faces.ravel()
     uv = body.uv[body.uv_faces.ravel()]
-    part = part_labels(body.skin)
     rows, columns = np.indices((256, 256))
     texture = np.stack([60 + 120 * (rows // 8 % 2), 90 + 100 * (columns // 8 % 2), 0 * rows + 140], -1)
     return SynthSubject(
@@ -56,28 +49,9 @@ def striped_subject():
         alpha=(None,),
         skin=SkinWeights(body.skin.joints[corner], body.skin.weights[corner]),
         joints=body.joints,
-        part=part[corner],
+        part=part_of(body.skin)[corner],
         hair=np.zeros(len(corner), bool),
         licence="CC0-1.0",
-    )
-
-
-def write_template(path):
-    """The body itself as a perfectly registered template."""
-    body = builtin_body("male")
-    part = part_labels(body.skin)
-    np.savez(
-        path,
-        v_template=body.vertices,
-        faces=body.faces,
-        skin_joints=body.skin.joints.astype(np.uint8),
-        skin_weights=body.skin.weights,
-        joints=body.joints,
-        parents=PARENTS,
-        uv=body.uv,
-        uv_faces=body.uv_faces,
-        hair=np.zeros(len(body.vertices), bool),
-        part=part,
     )
 
 
@@ -134,7 +108,8 @@ def film_oracle(folder):
     capture.mkdir(parents=True)
     facts = {"format": "selfscan-capture", "version": 1, "subject": "striped", "light": "even", "seed": 0}
     (capture / "capture.json").write_text(json.dumps(facts))
-    write_template(capture / "subject.npz")
+    # the body itself as a perfectly registered template
+    write_subject(capture / "subject.npz", free_subject("male"))
     context = open_context()
     raster = Rasteriser(context)
     studio = Studio(raster, subject, supersample=2)

@@ -109,6 +109,19 @@ def test_no_circle_leaves_its_folder():
     assert not wrong
 
 
+@pytest.mark.parametrize(("function", "places"), [("av.open", ["files.input_file"]), ("Image.open", ["files.picture"]),
+                                                  ("np.load", [])])  # fmt: skip
+def test_what_decodes_files_of_others_is_called_in_one_place_only(function, places):
+    """Where they are checked first; of films, where they are read."""
+    found = []
+    for name, path in (EVERY | modules("selfscan")).items():
+        for node in ast.walk(ast.parse(path.read_text())) if not name.startswith("experiments") else ():
+            if isinstance(node, ast.Call) and ast.unparse(node.func).removeprefix("PIL.") == function:
+                writes = len(node.args) > 1 and ast.unparse(node.args[1]) == "'w'"
+                found += [] if writes else [name]
+    assert found == places
+
+
 LOAD = """
 import importlib, json, sys
 for name in sys.argv[1:]:
@@ -117,14 +130,17 @@ print(json.dumps(sorted({name.split(".")[0] for name in sys.modules})))
 """
 
 
-@pytest.mark.parametrize("package", ["files", "command", "avatar", "geometry", "capture", "player", "synth"])
-def test_a_package_without_learning_loads_no_torch(package):
-    """Every module of it, in a fresh process: nothing that lies above it comes along either."""
+@pytest.mark.parametrize("package", ["files", "command", "avatar", "geometry", "capture", "player", "synth", "train"])
+def test_a_package_loads_neither_what_lies_above_it_nor_what_its_install_lacks(package):
+    """Every module of it, in a fresh process; without learning no torch either."""
     names = [name for name in modules(package) if not name.endswith("__main__")]
     ran = subprocess.run([sys.executable, "-c", LOAD, *names], capture_output=True, text=True, cwd=ROOT)
     assert ran.returncode == 0, ran.stderr
     loaded = set(json.loads(ran.stdout))
-    forbidden = {"torch", "experiments", *MAY} - MAY[package] - {package}
-    assert not loaded & forbidden
+    forbidden = {"experiments", *MAY} - MAY[package] - {package}
+    forbidden |= {"moderngl", "glfw"} if package == "train" else {"torch"}
     if package in ("files", "command", "avatar", "player"):
-        assert not loaded & {"scipy", "trimesh", "skimage"}
+        forbidden |= {"scipy", "trimesh", "skimage"}
+    if package == "avatar":
+        forbidden |= {"moderngl", "av"}
+    assert not loaded & forbidden

@@ -9,7 +9,6 @@ import pytest
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import JOINTS
 from bake.truth import decibels_by_region, mode_errors, read_true_views
-from player.gl.context import open_context
 from selfscan.__main__ import main
 
 pytestmark = pytest.mark.slow
@@ -27,7 +26,7 @@ def out(tmp_path_factory) -> Path:
     return out
 
 
-def test_textures_from_the_videos_are_nearer_to_the_true_pictures(out):
+def test_textures_from_the_videos_are_nearer_to_the_true_pictures(out, context):
     """The bake found the capture by what the run says of it; geometry is the same, held-out pictures judge."""
     avatars = {name: read_avatar(out / f"{name}.glb") for name in ("a", "videos")}
     facts = avatars["videos"].provenance["baked"]
@@ -36,13 +35,9 @@ def test_textures_from_the_videos_are_nearer_to_the_true_pictures(out):
     assert abs(against["paper_db"] - same["paper_db"]) < 0.1
     assert np.array_equal(avatars["a"].levels[0].positions, avatars["videos"].levels[0].positions)
     views = read_true_views(out / "capture", 3).sets["novel_view"]
-    context = open_context()
-    try:
-        field, videos = (
-            decibels_by_region(mode_errors(context, avatar, views, ["off"])["off"]) for avatar in avatars.values()
-        )
-    finally:
-        context.release()
+    field, videos = (
+        decibels_by_region(mode_errors(context, avatar, views, ["off"])["off"]) for avatar in avatars.values()
+    )
     assert videos["total"] > field["total"] + 1 and videos["hands"] > field["hands"] + 1
 
 

@@ -1,5 +1,6 @@
 """A person of the free body who turns before a camera, all of it known: what capture/fit has to find again."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from capture.fit.footage import Estimate, Footage
 from capture.fit.keypoint_term import projected
 from capture.fit.person import person_of
 from capture.fit.solve import posed_frames
+from geometry.mesh import vertex_normals
 from geometry.rasterise import rasterise
 
 Array = np.ndarray
@@ -50,18 +52,38 @@ def turning_twin(
     angles[:, MOVING] += np.radians(1.5) * np.sin(turn[:, None, None] + phase)
     heading = matrix_from_axis_angle(turn[:, None] * [0, 1.0, 0])
     root = np.stack([0.02 * np.sin(turn), 0.1 + 0 * turn, -3.0 + 0.02 * np.cos(turn)], 1)
-    names = body_names(hands=False)
-    focal = 0.75 * size * 3.0 / 1.8
-    blank = np.zeros((frames, size, size), np.uint8)
-    count = len(names)
-    footage = Footage(names, np.zeros((frames, count, 2)), np.full((frames, count), 1 / max(noise, 0.5)), blank, focal,
-                      1e-3, MOVING)  # fmt: skip
-    truth = Estimate(person, g, np.zeros((count, 3)), 0.0, mean, root, heading, angles)
-    pixels = np.stack([projected(truth, footage, frame) for frame in posed_frames(truth)])
-    pixels += noise * rng.standard_normal(pixels.shape)
-    drawn = np.stack([mask_of(truth, footage, i) for i in range(frames)]) if masks else blank
-    told = Footage(names, pixels, footage.sure, drawn, focal * (1 + focal_error), 0.1 if focal_error else 1e-3, MOVING)
+    truth = Estimate(person, g, np.zeros((1, 3)), 0.0, mean, root, heading, angles)
+    truth, footage = pictured(truth, body_names(hands=False), MOVING, size=size, focal=0.75 * size * 3.0 / 1.8)
+    noisy = footage.pixels + noise * rng.standard_normal(footage.pixels.shape)
+    told = replace(footage, pixels=noisy, sure=footage.sure / max(noise, 0.5))
+    if masks:
+        told = in_clothes(truth, told, 0.0)
+    if focal_error:
+        told = replace(told, focal=(1 + focal_error) * told.focal, focal_sigma=0.1)
     return Twin(truth, told)
+
+
+def pixels_of(truth: Estimate, footage: Footage) -> Array:
+    """Where the footage's points are in its pictures."""
+    return np.stack([projected(truth, footage, frame) for frame in posed_frames(truth)])
+
+
+def pictured(truth: Estimate, names: tuple[str, ...], moving: Array, *, size: int, focal: float) -> Twin:
+    """Footage of an estimate: all points where they are, each to a pixel, and masks that show nobody."""
+    frames, count = len(truth.root), len(names)
+    footage = Footage(names, np.zeros((frames, count, 2)), np.ones((frames, count)),
+                      np.zeros((frames, size, size), np.uint8), focal, 1e-3, moving)  # fmt: skip
+    truth = replace(truth, bias=np.zeros((count, 3)))
+    return Twin(truth, replace(footage, pixels=pixels_of(truth, footage)))
+
+
+def in_clothes(truth: Estimate, footage: Footage, thickness: Array | float) -> Footage:
+    """The footage with masks of the person in clothes so thick (metres, for all vertices or for each)."""
+    person = truth.person
+    normals = vertex_normals(person.vertices(truth.g), person.body.faces)
+    worn = np.broadcast_to(thickness, len(normals))[:, None] * normals
+    clothed = replace(truth, person=person.with_offsets(worn))
+    return replace(footage, masks=np.stack([mask_of(clothed, footage, i) for i in range(len(truth.root))]))
 
 
 def mask_of(truth: Estimate, footage: Footage, i: int) -> Array:

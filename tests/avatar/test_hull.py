@@ -1,8 +1,7 @@
 """Outer points of a body: the farthest along every direction, found in little memory."""
 
-import tracemalloc
-
 import numpy as np
+from memory_use import at_most
 
 from avatar.body import builtin_body
 from avatar.hull import CHUNK, body_hull, lowest_points, outermost, posed_hull
@@ -25,11 +24,8 @@ def test_outermost_points_are_those_of_one_product_however_many_there_are():
 
 def test_the_points_of_a_long_film_take_little_memory():
     points = np.random.default_rng(0).normal(size=(500_000, 3))
-    tracemalloc.start()
-    outermost(points)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 150e6
+    with at_most(150e6):
+        outermost(points)
 
 
 def test_heights_alone_are_those_of_the_posed_points():

@@ -5,11 +5,6 @@ from bake.bake import BakeOptions
 
 
 @pytest.fixture(scope="session")
-def run():
-    return make_run()
-
-
-@pytest.fixture(scope="session")
 def sheen_run():
     return make_run(sheen=0.5)
 

@@ -7,7 +7,6 @@ from scipy.spatial import KDTree
 from avatar.gltf.avatar_file import read_avatar
 from avatar.skeleton import PARTS
 from bake.bake import BakeOptions, bake_run, check_complete, level_plan
-from bake.command import main
 from bench.ladder.remeasure import recorded_facts, remeasured
 from command.errors import AssetError
 from geometry.mesh import TriangleMesh
@@ -138,17 +137,3 @@ def test_a_hand_that_broke_off_is_named(run):
 def test_bad_options_are_refused(options):
     with pytest.raises(ValueError, match="expected"):
         BakeOptions(**options)
-
-
-def test_command_refuses_what_is_no_run(tmp_path):
-    with pytest.raises(AssetError, match="expected a run folder, found nothing"):
-        main([str(tmp_path / "absent"), "-o", str(tmp_path / "a.glb")])
-
-
-@pytest.mark.parametrize(
-    "extra", [["--texture", "1000"], ["--faces", "3"], ["--nonsense"], ["--texture-from", "dreams"]]
-)
-def test_wrong_usage_exits_2(tmp_path, extra, capsys):
-    with pytest.raises(SystemExit) as stop:
-        main([str(tmp_path), "-o", "a.glb", *extra])
-    assert stop.value.code == 2

@@ -4,16 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from limb_sections import posed
-from node_packages import package_folder, run_node
+from limb_sections import posed, posed_by_three_js
 from tiny_avatar import same
 
 from avatar.baked_avatar import TwistSkin
 from avatar.bend import BEND_JOINTS, BENDS
-from avatar.gltf.animation import write_animated
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.helper_joints import BONES, CARRIER
-from avatar.motion.clip import Clip
 from bake.bend import PUSHES, REACH, TURNS, Piece, flesh, turns_of, with_room
 from bake.twist import with_twist
 from player.scene.mannequin import mannequin
@@ -47,11 +44,6 @@ def test_a_joint_keeps_its_volume_when_it_bends_by_90_degrees(bent, name, k):
     assert abs(kept["twist"] - 1) < 0.05
     # and without: a fifth is gone
     assert kept["lbs"] < 0.85
-
-
-def test_in_the_pose_of_the_mesh_nothing_moves(bent):
-    points = posed(bent, bent.canonical_pose, "twist")
-    np.testing.assert_allclose(points, bent.levels[0].positions, atol=1e-6)
 
 
 def test_pushes_are_found_inside_of_what_is_tried_and_alike_on_both_sides(bent):
@@ -100,19 +92,10 @@ def test_a_file_with_twist_joints_alone_is_still_read(bent, tmp_path):
 
 
 def test_three_js_keeps_a_bent_joint_as_thick_as_ours(bent, tmp_path):
-    """The exported file in three.js: bones of its animation, weights of the file, linear blending."""
-    folder = package_folder("three")
-    write_avatar(tmp_path / "bent.glb", bent)
     names = ["left_elbow", "left_knee", "right_shoulder"]
     poses = [bent_pose(name, 0) for name in names]
-    write_animated(tmp_path / "moving.glb", tmp_path / "bent.glb", Clip(np.stack(poses), np.zeros((3, 3)), 30.0))
-    found = run_node("interchange/three_joints.mjs", tmp_path / "moving.glb", folder, 0.0, 1 / 30, 2 / 30)
-    level = bent.levels[0]
-    inverse = np.swapaxes(np.reshape(found["inverse"], (BONES, 4, 4)), -1, -2)
-    for name, pose, frame in zip(names, poses, found["frames"], strict=True):
-        bones = np.swapaxes(np.reshape(frame["world"], (BONES, 4, 4)), -1, -2) @ inverse
-        blended = np.einsum("vs,vsij->vij", level.twist.weights / 255.0, bones[level.twist.joints])
-        points = np.einsum("vij,vj->vi", blended[:, :3, :3], level.positions) + blended[:, :3, 3]
+    _, found = posed_by_three_js(bent, np.stack(poses), tmp_path)
+    for name, pose, points in zip(names, poses, found, strict=True):
         np.testing.assert_allclose(points, posed(bent, pose, "twist"), atol=2e-5)
         piece, rest = surroundings(bent, name)
         assert abs(piece.volume(points) / piece.volume(rest) - 1) < 0.05

@@ -2,15 +2,7 @@ import numpy as np
 import pytest
 from capsules import ball_mesh
 
-from bake.cone import (
-    FLOOR,
-    REACH,
-    clamped_tangent,
-    matrix_from_six,
-    six_from_matrix,
-    tangent_frame,
-    view_cone,
-)
+from bake.cone import FLOOR, REACH, clamped_tangent, matrix_from_six, six_from_matrix, tangent_frame, view_cone
 
 
 @pytest.fixture(scope="module")

@@ -1,30 +1,32 @@
 """What a bake finds to be loose: what was carved far off the body, and nothing of the body itself."""
 
+from dataclasses import replace
+
 import numpy as np
 from loose_avatar import dressed
+from painted_capture import free_subject
 
 from avatar.body import builtin_body
-from avatar.skeleton import BIG_POSE, skin_transforms
-from avatar.skinning import SkinWeights, skin_points
+from avatar.skinning import SkinWeights
 from bake.loose import FAR, NEAR, bare_template, looseness
 from capture.folder import CaptureSubject
 
 
 def subject_of(carved: np.ndarray) -> CaptureSubject:
     """The built-in body with carved vertices joined behind it."""
-    body = builtin_body("female")
-    vertices = skin_points(body.vertices, body.skin, skin_transforms(BIG_POSE, body.joints, rest=np.zeros((52, 3))))
-    count, more = len(vertices), len(carved)
-    skin = SkinWeights(
-        np.concatenate([body.skin.joints, np.zeros((more, body.skin.joints.shape[1]), int)]),
-        np.concatenate([body.skin.weights, np.eye(1, body.skin.weights.shape[1], dtype=np.float32).repeat(more, 0)]),
-    )
-    faces = np.concatenate([body.faces, count + np.arange(more - more % 3).reshape(-1, 3)])
-    whole = np.concatenate([vertices, carved])
-    return CaptureSubject(
-        "x", whole, whole, faces.astype(np.int64), skin, body.joints, np.zeros(count + more, int),
-        np.zeros(count + more, bool),
-    )  # fmt: skip
+    bare = free_subject("female")
+    count, more = len(bare.vertices), len(carved)
+    faces = np.concatenate([bare.faces, count + np.arange(more - more % 3).reshape(-1, 3)])
+    whole = np.concatenate([bare.vertices, carved])
+    skin = joined(bare.skin, more)
+    part, hair = np.zeros(count + more, int), np.zeros(count + more, bool)
+    return replace(bare, rest=whole, vertices=whole, faces=faces, skin=skin, part=part, hair=hair)
+
+
+def joined(skin: SkinWeights, more: int) -> SkinWeights:
+    """With so many vertices behind it that follow the pelvis."""
+    joints = np.concatenate([skin.joints, np.zeros((more, 4), int)])
+    return SkinWeights(joints, np.concatenate([skin.weights, np.float32([[1, 0, 0, 0]] * more).reshape(more, 4)]))
 
 
 def test_skirt_and_hair_are_loose_by_their_distance_and_skin_is_not():
@@ -48,12 +50,8 @@ def test_islets_hands_and_feet_are_not_loose():
     assert looseness(positions, faces, level.skin, subject) is None
     # a buckle of two square centimetres a hand's breadth before the belly
     buckle = np.array([[0, 0, 0.3], [0.02, 0, 0.3], [0, 0.02, 0.3]])
-    skin = SkinWeights(
-        np.concatenate([level.skin.joints, np.zeros((3, 4), int)]),
-        np.concatenate([level.skin.weights, np.float32([[1, 0, 0, 0]] * 3)]),
-    )
     islet = np.concatenate([faces, [[len(positions), len(positions) + 1, len(positions) + 2]]])
-    assert looseness(np.concatenate([positions, buckle]), islet, skin, subject) is None
+    assert looseness(np.concatenate([positions, buckle]), islet, joined(level.skin, 3), subject) is None
     # shoes of ten centimetres
     feet = (level.skin.weights * np.isin(level.skin.joints, (7, 8, 10, 11))).sum(1) > 0.9
     shod = np.where(feet[:, None], positions + [0, 0, 0.15], positions)

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from limb_sections import fine_mannequin, posed, section_areas, turned
-from node_packages import package_folder, run_node
+from limb_sections import fine_mannequin, posed, posed_by_three_js, section_areas, turned
 from tiny_avatar import join_glb, same, split_glb, tiny_avatar
 
 from avatar.baked_avatar import TwistSkin
@@ -120,27 +119,13 @@ def test_an_exported_motion_turns_the_twist_joints_and_is_read_back_as_it_was(pa
     assert same(read_avatar(tmp_path / "moving.glb"), avatar)
 
 
-def test_three_js_keeps_a_forearm_as_thick_as_ours(tmp_path):
-    """The exported file in three.js: bones of its animation, weights of the file, linear blending."""
-    folder = package_folder("three")
-    avatar = with_twist(fine_mannequin())
-    write_avatar(tmp_path / "twist.glb", avatar)
-    pose, places = turned(avatar, "left", 179.9)
-    clip = Clip(np.stack([np.zeros((52, 3)), pose]), np.zeros((2, 3)), 30.0)
-    write_animated(tmp_path / "moving.glb", tmp_path / "twist.glb", clip)
-    found = run_node("interchange/three_joints.mjs", tmp_path / "moving.glb", folder, 0.0, 1 / 30)
-    assert found["joints"] == [*JOINTS, *HELPER_JOINTS]
-    count, level = len(found["joints"]), avatar.levels[0]
-    inverse = np.swapaxes(np.reshape(found["inverse"], (count, 4, 4)), -1, -2)
-    areas = []
-    for frame in found["frames"]:
-        bones = np.swapaxes(np.reshape(frame["world"], (count, 4, 4)), -1, -2) @ inverse
-        blended = np.einsum("vs,vsij->vij", level.twist.weights / 255.0, bones[level.twist.joints])
-        points = np.einsum("vij,vj->vi", blended[:, :3, :3], level.positions) + blended[:, :3, 3]
-        areas.append(section_areas(points, level.faces.astype(np.int64), places))
-    ours = posed(avatar, pose, "twist")
-    np.testing.assert_allclose(points, ours, atol=1e-5)
-    assert abs(areas[1].sum() / areas[0].sum() - 1) < 0.05
+def test_three_js_keeps_a_forearm_as_thick_as_ours(twisted, tmp_path):
+    pose, places = turned(twisted, "left", 179.9)
+    joints, points = posed_by_three_js(twisted, np.stack([np.zeros((52, 3)), pose]), tmp_path)
+    assert joints == [*JOINTS, *HELPER_JOINTS]
+    np.testing.assert_allclose(points[1], posed(twisted, pose, "twist"), atol=1e-5)
+    areas = [section_areas(one, twisted.levels[0].faces.astype(np.int64), places).sum() for one in points]
+    assert abs(areas[1] / areas[0] - 1) < 0.05
 
 
 def test_the_bake_writes_twist_joints_where_it_is_asked_to(run, small, tmp_path):

@@ -27,6 +27,7 @@ from bake.texture.pixel_reads import (
     pieces_of_faces,
     posed_frames,
 )
+from bake.texture.texels import TexelMap
 from bake.texture.texture_solve import Equations, Prior, neighbour_pairs, shown_range, solve_change, within_shown
 from bake.texture.video_texture import averaged, averaging, solve_texture
 from capture.folder import PartVideo
@@ -203,8 +204,6 @@ def test_the_light_of_a_frame_is_divided_out(rasteriser, painted, videos, still)
 
 
 def line_texels(count):
-    from bake.texture.texels import TexelMap
-
     return TexelMap(np.arange(count), np.zeros(count, int), np.ones(count, bool), count)
 
 
@@ -225,24 +224,36 @@ def test_least_squares_finds_what_pixels_wider_than_texels_tell():
     np.testing.assert_allclose(one[:, 0], np.r_[0.5, np.zeros(11)], atol=1e-6)
 
 
-def test_texels_on_chart_edges_leave_a_color_that_is_far_off():
-    """Pixels of 18 texels say little of each, and that the two sides of 40 edges look alike says much."""
-    count, width, truth = 600, 18, 0.4
+def wide_pixels(count, width):
+    """Of each pixel its shares of a line of texels: the mean of `width` of them."""
     rows = np.zeros((count - width, count), np.float32)
     for row in range(len(rows)):
         rows[row, row : row + width] = 1 / width
+    return csr_matrix(rows)
+
+
+def test_texels_on_chart_edges_leave_a_color_that_is_far_off():
+    """Pixels of 18 texels say little of each, and that the two sides of 40 edges look alike says much."""
+    count, width, truth = 600, 18, 0.4
     sides = np.random.default_rng(0).permutation(count)[:80].reshape(40, 2)
     edges = np.zeros((40, count), np.float32)
     edges[np.arange(40), sides[:, 0]], edges[np.arange(40), sides[:, 1]] = 1, -1
-    pixels, seams = csr_matrix(rows), Equations(csr_matrix(edges), np.zeros((40, 1), np.float32))
+    pixels, seams = wide_pixels(count, width), Equations(csr_matrix(edges), np.zeros((40, 1), np.float32))
     told = [Equations(pixels, pixels @ np.full((count, 1), truth, np.float32))]
     prior = Prior(np.full(count, 1e-4), np.full(count, 4e-3))
     found = solve_change(told, prior, neighbour_pairs(line_texels(count)), stiff=seams)[:, 0]
     assert np.abs(found[sides] - truth).max() < 0.1 * truth
 
 
-def flat_surface(points, shape):
-    """Grids of vertices, one piece each, that are the texels as well, facing +z."""
+def sheet(width):
+    """Points 2.5 mm apart of a sheet 10 cm high."""
+    x, y = np.meshgrid(np.linspace(0, width, round(400 * width) + 1), np.linspace(0, 0.1, 41))
+    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
+
+
+def flat_surface(points):
+    """Sheets as meshes, one piece each, whose vertices are the texels as well, facing +z."""
+    shape = (41, round(400 * np.ptp(points[:, 0])) + 1)
     index = np.arange(len(points)).reshape(-1, *shape)
     a, b, c, d = index[:, :-1, :-1], index[:, :-1, 1:], index[:, 1:, 1:], index[:, 1:, :-1]
     faces = np.concatenate([np.stack(f, -1).reshape(-1, 3) for f in ((a, b, c), (a, c, d))])
@@ -255,9 +266,8 @@ def flat_surface(points, shape):
 
 def test_unseen_skin_becomes_skin_and_cloth_stays_cloth():
     """An unseen strip across an arm of skin and a sleeve: what the field dreamt there goes."""
-    x, y = np.meshgrid(np.linspace(0, 0.2, 81), np.linspace(0, 0.1, 41))
-    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
-    surface = flat_surface(points, x.shape)
+    points = sheet(0.2)
+    surface = flat_surface(points)
     skin, cloth = np.array([0.8, 0.6, 0.5]), np.array([0.1, 0.15, 0.4])
     truth = np.where(points[:, [0]] < 0.1, skin, cloth)
     seen = np.abs(points[:, 1] - 0.05) > 0.02
@@ -272,9 +282,8 @@ def test_unseen_skin_becomes_skin_and_cloth_stays_cloth():
 
 def test_unseen_cloth_of_two_colors_is_one_of_them_and_nothing_between():
     """White stripes on black that the field saw as grey: each texel becomes white or black."""
-    x, y = np.meshgrid(np.linspace(0, 0.2, 81), np.linspace(0, 0.1, 41))
-    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
-    surface = flat_surface(points, x.shape)
+    points = sheet(0.2)
+    surface = flat_surface(points)
     white = np.floor(points[:, 0] / 0.02).astype(int) % 2 == 0
     truth = np.where(white[:, None], 0.9, 0.1) * np.ones(3)
     seen = np.abs(points[:, 1] - 0.05) > 0.02
@@ -287,10 +296,8 @@ def test_unseen_cloth_of_two_colors_is_one_of_them_and_nothing_between():
 
 def test_skin_under_hair_is_filled_from_skin():
     """An unseen strip of skin under a sheet of hair, whose texels are the nearest seen ones."""
-    x, y = np.meshgrid(np.linspace(0, 0.1, 41), np.linspace(0, 0.1, 41))
-    sheet = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
-    points = np.concatenate([sheet, sheet + [0, 0, 0.003]])
-    surface = flat_surface(points, x.shape)
+    points = np.concatenate([sheet(0.1), sheet(0.1) + [0, 0, 0.003]])
+    surface = flat_surface(points)
     piece = surface.piece
     skin, hair = np.array([0.8, 0.6, 0.5]), np.array([0.15, 0.1, 0.05])
     seen = (piece == 1) | (np.abs(points[:, 1] - 0.05) > 0.03)
@@ -330,10 +337,7 @@ def test_a_solution_stays_within_what_pixels_show_there():
     skin, cloth = 0.8, 0.2
     truth = np.where(np.arange(64) < 32, cloth, skin)[:, None].astype(np.float32)
     given = np.where(np.arange(64) < 29, cloth, skin)[:, None].astype(np.float32)
-    rows = np.zeros((64 - width, 64), np.float32)
-    for row in range(len(rows)):
-        rows[row, row : row + width] = 1 / width
-    matrix = csr_matrix(rows)
+    matrix = wide_pixels(64, width)
     prior = Prior(np.full(64, 0.02), np.full(64, 0.08))
     change = solve_change([Equations(matrix, matrix @ (truth - given))], prior, neighbour_pairs(texels))
     points = np.stack([0.001 * np.arange(64), np.zeros(64), np.zeros(64)], 1)

@@ -10,7 +10,6 @@ from PIL import Image
 from avatar.camera import Camera, look_at, write_cameras
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARTS
-from bench.field.drawer import Drawer
 from bench.score.filmed_poses import filmed_poses
 from bench.score.pose_distances import JudgedSurfaces
 from bench.score.quality import in_filmed_poses, seen_case, template_surface
@@ -86,16 +85,10 @@ def imported(oracle, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def measuring(oracle):
-    capture, avatar, _ = oracle
-    truth, template = read_true_mesh(capture), read_subject(capture / "subject.npz")
-    drawer = Drawer(avatar)
-    try:
-        what = JudgedSurfaces(seen_case(drawer, truth, drawer.surface),
-                        seen_case(drawer, truth, template_surface(template)), None, apart=True)  # fmt: skip
-        yield what, template.joints
-    finally:
-        drawer.release()
+def measuring(oracle, drawer):
+    truth, template = read_true_mesh(oracle[0]), read_subject(oracle[0] / "subject.npz")
+    found, start = (seen_case(drawer, truth, surface) for surface in (drawer.surface, template_surface(template)))
+    return JudgedSurfaces(found, start, None, apart=True), template.joints
 
 
 def test_frames_that_an_import_took_are_found_in_the_truth_and_in_its_world(imported):

@@ -10,11 +10,11 @@ import pytest
 from avatar.gltf.avatar_file import read_avatar, write_avatar
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms
-from bench.field.drawer import Drawer
 from bench.score.fitted_poses import fitted_views
 from bench.score.quality import Evaluated, evaluate, measured, template_of_run
 from bench.score.quality_table import table_rows
 from bench.score.trained_outline import TrainedOutline
+from bench.score.true_mesh import read_true_mesh
 from capture.folder import input_kind, read_subject
 from capture.held_out import read_held_out
 from command.errors import AssetError
@@ -61,21 +61,16 @@ def test_the_bodys_view_takes_the_fingers_of_the_close_ups(fits):
 @pytest.mark.parametrize(
     ("part", "joint", "left"), [("body", "left_elbow", 0.5), ("hand_left", "left_wrist", 0.7), ("head", "pelvis", 0.5)]
 )
-def test_the_outline_of_what_was_trained_takes_out_small_turns_and_keeps_depth(oracle, fits, part, joint, left):
+def test_the_outline_of_what_was_trained_takes_out_small_turns_and_keeps_depth(oracle, fits, drawer, part, joint, left):
     """From the truth, a joint turned by four degrees in the picture's plane, which moves what hangs from it there."""
-    capture, avatar, _ = oracle
-    view = next(v for v in read_held_out(capture, "novel_pose") if v.view == part)
+    view = next(v for v in read_held_out(oracle[0], "novel_pose") if v.view == part)
     R = matrix_from_axis_angle(view.axis_angle)
     joints = fits[0].joints
     k, axis = JOINTS.index(joint), view.camera.camera_from_world[2, :3]
     inwards = joint_transforms(view.axis_angle, joints, view.root)[k, :3, :3].T @ axis
     R[k] = R[k] @ matrix_from_axis_angle(np.radians(4.0 if part != "head" else 1.0) * inwards)
     turned = replace(view, axis_angle=axis_angle_from_matrix(R))
-    drawer = Drawer(avatar)
-    try:
-        found = TrainedOutline(drawer.surface, drawer.raster).refined(turned)
-    finally:
-        drawer.release()
+    found = TrainedOutline(drawer.surface, drawer.raster).refined(turned)
     seen = {"body": "left_wrist", "hand_left": "left_middle3", "head": "head"}[part]
     true, before, after = (
         joint_transforms(v.axis_angle, joints, v.root)[JOINTS.index(seen), :3, 3] for v in (view, turned, found)
@@ -84,34 +79,22 @@ def test_the_outline_of_what_was_trained_takes_out_small_turns_and_keeps_depth(o
     assert abs(axis @ (after - before)) < 0.005
 
 
-def test_a_hand_that_the_fit_put_outside_its_picture_leaves_the_pose_alone(oracle, fits):
+def test_a_hand_that_the_fit_put_outside_its_picture_leaves_the_pose_alone(oracle, fits, drawer):
     """The chest is where the hand was: the picture is full, and none of it is the hand's."""
-    capture, avatar, _ = oracle
-    view = next(v for v in read_held_out(capture, "novel_pose") if v.view == "hand_left")
+    view = next(v for v in read_held_out(oracle[0], "novel_pose") if v.view == "hand_left")
     G = joint_transforms(view.axis_angle, fits[0].joints, view.root)[:, :3, 3]
     beside = replace(view, root=view.root + G[JOINTS.index("left_middle1")] - G[JOINTS.index("spine3")])
-    drawer = Drawer(avatar)
-    try:
-        found = TrainedOutline(drawer.surface, drawer.raster).refined(beside)
-    finally:
-        drawer.release()
+    found = TrainedOutline(drawer.surface, drawer.raster).refined(beside)
     np.testing.assert_allclose(found.root, beside.root, atol=1e-9)
     turned = np.swapaxes(matrix_from_axis_angle(beside.axis_angle), 1, 2) @ matrix_from_axis_angle(found.axis_angle)
     assert np.abs(axis_angle_from_matrix(turned)).max() < 1e-6
 
 
 @pytest.fixture(scope="module")
-def scored(oracle, fits):
-    capture, avatar, _ = oracle
+def scored(oracle, fits, drawer):
     template, views, fitted = fits
-    from bench.score.true_mesh import read_true_mesh
-
-    drawer = Drawer(avatar)
-    try:
-        truth = read_true_mesh(capture)
-        return measured(Evaluated(drawer, truth, {"novel_pose": views}, {"novel_pose": fitted}, template))
-    finally:
-        drawer.release()
+    truth = read_true_mesh(oracle[0])
+    return measured(Evaluated(drawer, truth, {"novel_pose": views}, {"novel_pose": fitted}, template))
 
 
 @pytest.mark.slow
@@ -147,14 +130,9 @@ def test_the_kind_of_input_is_found_and_said(oracle, tmp_path):
         input_kind({"input": "guessed"})
 
 
-def test_the_template_of_an_avatar_is_its_runs(oracle, tmp_path):
-    capture, path, _ = oracle
-    drawer = Drawer(path)
-    try:
-        assert template_of_run(drawer, None, "given") is None
-        assert template_of_run(drawer, capture, "from pixels") is not None
-    finally:
-        drawer.release()
+def test_the_template_of_an_avatar_is_its_runs(oracle, drawer):
+    assert template_of_run(drawer, None, "given") is None
+    assert template_of_run(drawer, oracle[0], "from pixels") is not None
 
 
 def test_pictures_without_keypoints_are_refused_by_name(oracle, tmp_path):

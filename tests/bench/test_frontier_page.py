@@ -12,7 +12,6 @@ from bench.ladder.rung_scores import compared, crop_of, mark_dominated, part_box
 from bench.report.frontier import page as frontier
 from bench.report.frontier.page import PagePictures, frontier_page
 from player.budget.rung import Rung
-from player.gl.context import open_context
 from player.scene.mannequin import mannequin
 from player.web.page import MOST_BYTES
 
@@ -25,15 +24,11 @@ TIMES = [12.0, 5.0, 2.0]
 
 
 @pytest.fixture(scope="module")
-def measured():
+def measured(context):
     """A ladder of three rungs and a field that nothing here can draw."""
     avatar = dataclasses.replace(mannequin(), amplitude=0.2)
     frame = motion_frames(avatar, 1, SIZE)[0]
-    context = open_context()
-    try:
-        drawn = {rung.name: rung_pictures(context, avatar, rung, [frame])[0] for rung in RUNGS}
-    finally:
-        context.release()
+    drawn = {rung.name: rung_pictures(context, avatar, rung, [frame])[0] for rung in RUNGS}
     drawn = {"field": drawn["network, 27k"] * np.float32(0.99)} | drawn
     times = {"field": 400.0} | {rung.name: ms for rung, ms in zip(RUNGS, TIMES, strict=True)}
     crop = crop_of(drawn["field"].max(-1) > 0)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from avatar.psnr import error_between, pooled
 from bench.score.metrics import flip, psnr, rectangle, ssim
 
 RNG = np.random.default_rng(7)
@@ -11,12 +10,6 @@ RNG = np.random.default_rng(7)
 
 def noisy(image, sigma, seed=0):
     return np.clip(image + np.random.default_rng(seed).normal(0, sigma, image.shape), 0, 1)
-
-
-def test_pooled_psnr_is_of_the_mean_error_not_the_mean_of_decibels():
-    image = np.full((4, 4, 3), 0.5)
-    errors = [error_between(image, image + step) for step in (0.1, 0.001)]
-    assert pooled(errors).psnr() == pytest.approx(-10 * np.log10((0.01 + 1e-6) / 2), abs=1e-9)
 
 
 def test_scores_order_images_by_their_noise():

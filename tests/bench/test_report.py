@@ -196,13 +196,6 @@ def test_a_sheet_is_scaled_down_until_it_fits(tmp_path):
     assert (tmp_path / "noise.png").stat().st_size <= LARGEST
 
 
-@pytest.mark.parametrize("rounds", ["0", "-1"])
-def test_no_rounds_is_wrong_usage(oracle, tmp_path, rounds):
-    with pytest.raises(SystemExit) as stop:
-        bench_main([str(oracle[1]), "-o", str(tmp_path / "x"), "--rounds", rounds])
-    assert stop.value.code == 2
-
-
 def test_a_long_title_is_set_within_its_tile():
     title = "ground: the shadow alone, at rest, 1.26 x"
     for width in (190, 240):

@@ -18,7 +18,6 @@ from experiments.baking import main, rows_of
 from experiments.baking_formats import SHIPPED, format_rows, moved
 from experiments.baking_page import change
 from experiments.baking_scores import References, Seen, avatar_pictures, read_references
-from player.gl.context import open_context
 from player.scene.mannequin import mannequin
 
 SIZE = (96, 96)
@@ -112,15 +111,11 @@ def run(tmp_path):
 
 
 @pytest.fixture
-def drawn_field(monkeypatch, avatar):
+def drawn_field(monkeypatch, avatar, context):
     """The field shows the avatar as it is."""
 
     def field_pictures(run, seen):
-        context = open_context()
-        try:
-            pictures = avatar_pictures(context, avatar, [(one.pose, one.camera) for one in seen])
-        finally:
-            context.release()
+        pictures = avatar_pictures(context, avatar, [(one.pose, one.camera) for one in seen])
         return [
             experiments.baking_scores.Reference(one.region, one.pose, one.camera, picture, picture.max(-1) > 0)
             for one, picture in zip(seen, pictures, strict=True)

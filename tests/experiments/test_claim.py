@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from recorded_commands import recorded_commands
 
 import experiments.claim
 from command.errors import AssetError
@@ -28,27 +29,19 @@ def result(kind: str, p2s: float) -> dict:
 @pytest.fixture
 def made(monkeypatch, tmp_path):
     """Commands that the experiment runs; each leaves what it is asked for."""
-    calls: list[list[str]] = []
 
-    def command(*words):
-        def run() -> int:
-            words_ = list(map(str, words))
-            calls.append(words_)
-            out = Path(words_[words_.index("-o") + 1] if "-o" in words_ else words_[3])
-            if words_[1] == "eval":
-                path = Path(words_[words_.index("--json") + 1])
-                path.write_text(json.dumps(result(path.parent.name.replace("_", " "), 1.0)))
-                return 0
-            name = "run.json" if words_[1] == "train" else "truth/raw.json" if "--raw" in words_ else "capture.json"
-            (out / name).parent.mkdir(parents=True)
-            (out / name).write_text("{}")
-            return 0
+    def leave(words):
+        out = Path(words[words.index("-o") + 1] if "-o" in words else words[3])
+        if words[1] == "eval":
+            path = Path(words[words.index("--json") + 1])
+            path.write_text(json.dumps(result(path.parent.name.replace("_", " "), 1.0)))
+            return
+        name = "run.json" if words[1] == "train" else "truth/raw.json" if "--raw" in words else "capture.json"
+        (out / name).parent.mkdir(parents=True)
+        (out / name).write_text("{}")
 
-        return run
-
-    monkeypatch.setattr(experiments.claim, "command", command)
     monkeypatch.setattr(experiments.claim, "stature_of", lambda person: 1.64)
-    return calls, tmp_path / "out"
+    return recorded_commands(monkeypatch, experiments.claim, leave), tmp_path / "out"
 
 
 WORDS = ["--steps", "200", "--poses", "2", "--size", "360"]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded_commands import recorded_commands
 
 import experiments.curves
 from command.settings import settings_json
@@ -60,25 +61,17 @@ def capture(tmp_path) -> Path:
 @pytest.fixture
 def calls(monkeypatch):
     """Commands that the experiment runs, which leave runs and evaluations."""
-    calls: list[tuple[str, ...]] = []
 
-    def command(*words):
-        def run() -> int:
-            calls.append(tuple(map(str, words)))
-            if words[1] == "train":
-                write_run(Path(words[words.index("-o") + 1]), Path(words[2]))
-            else:
-                scored = point(0, 25)["scores"]["novel_pose"]
-                found = {"capture": CAPTURE, "novel_pose": scored, "novel_view": scored}
-                Path(words[words.index("--json") + 1]).write_text(
-                    json.dumps(found | {"machine": {"commit": "abc", "load_average": 1.0}})
-                )
-            return 0
+    def leave(words):
+        if words[1] == "train":
+            write_run(Path(words[words.index("-o") + 1]), Path(words[2]))
+            return
+        scored = point(0, 25)["scores"]["novel_pose"]
+        found = {"capture": CAPTURE, "novel_pose": scored, "novel_view": scored}
+        machine = {"machine": {"commit": "abc", "load_average": 1.0}}
+        Path(words[words.index("--json") + 1]).write_text(json.dumps(found | machine))
 
-        return run
-
-    monkeypatch.setattr(experiments.curves, "command", command)
-    return calls
+    return recorded_commands(monkeypatch, experiments.curves, leave)
 
 
 def write_run(run: Path, capture: Path, **changed) -> None:

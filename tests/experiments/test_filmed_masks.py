@@ -4,23 +4,15 @@ import numpy as np
 import pytest
 
 from experiments.fitting import NAMED, Filming
-from player.draw.raster import Rasteriser
-from player.gl.context import open_context
 
 
 @pytest.fixture(scope="module")
-def masks():
+def masks(rasteriser):
     """Of five frames, by what they are made with; shares of the person."""
-    context = open_context()
-    rasteriser = Rasteriser(context)
-    try:
-        filming = Filming("builtin", rasteriser)
-        names = ("exact", "wide_masks", "narrow_masks", "own_masks", "sent_on")
-        found = {name: filming.seen(NAMED[name], 0, 5, 270, outlines=True).footage.masks for name in names}
-        return {name: np.asarray(one, float) / np.max(one) for name, one in found.items()}
-    finally:
-        rasteriser.release()
-        context.release()
+    filming = Filming("builtin", rasteriser)
+    names = ("exact", "wide_masks", "narrow_masks", "own_masks", "sent_on")
+    found = {name: filming.seen(NAMED[name], 0, 5, 270, outlines=True).footage.masks for name in names}
+    return {name: np.asarray(one, float) / np.max(one) for name, one in found.items()}
 
 
 def overlap(a, b):

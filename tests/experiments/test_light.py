@@ -6,6 +6,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from recorded_commands import recorded_commands
 
 import experiments.light
 from avatar.light import CaptureLight
@@ -57,26 +58,19 @@ def test_one_gain_stands_between_albedo_and_texture():
 @pytest.fixture
 def made(monkeypatch, tmp_path):
     """Commands that the experiment runs, which leave empty captures and runs; scores by light."""
-    calls: list[tuple[str, ...]] = []
 
-    def command(*words):
-        def run() -> int:
-            calls.append(tuple(map(str, words)))
-            place = Path(words[words.index("-o") + 1]) if "-o" in words else Path(words[3])
-            place.mkdir(parents=True)
-            (place / ("run.json" if "-o" in words else "capture.json")).write_text("{}")
-            return 0
-
-        return run
+    def leave(words):
+        place = Path(words[words.index("-o") + 1]) if "-o" in words else Path(words[3])
+        place.mkdir(parents=True)
+        (place / ("run.json" if "-o" in words else "capture.json")).write_text("{}")
 
     def measured(run, person, even, light, seed, poses):
         off = {"even": 0.05, "fixed": 0.1}[light]
         each = scores([compared(region, albedo=0.0, captured=off) for region in ("total", "head", "hands")])
         return {"found": "none", "novel_pose": each, "novel_view": each}
 
-    monkeypatch.setattr(experiments.light, "command", command)
     monkeypatch.setattr(experiments.light, "measured", measured)
-    return calls, tmp_path / "out"
+    return recorded_commands(monkeypatch, experiments.light, leave), tmp_path / "out"
 
 
 def test_every_light_is_filmed_trained_and_measured_once(made, capsys):

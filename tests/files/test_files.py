@@ -6,11 +6,11 @@ import signal
 import stat
 import subprocess
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from small_disk import mounted
 
 import files.whole
 from command.errors import AssetError
@@ -206,18 +206,6 @@ def test_a_leftover_that_is_locked_is_in_work(tmp_path):
     with whole_file(tmp_path / "a"):
         pass
     assert not other.exists()
-
-
-@contextmanager
-def mounted(place: Path, size: str):
-    place.mkdir()
-    done = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={size}", "none", str(place)], capture_output=True)
-    if done.returncode:
-        pytest.skip(f"cannot mount: {done.stderr.decode().strip()}")
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", str(place)], check=True)
 
 
 @needs_root

@@ -1,6 +1,5 @@
 """Films of others: named containers, one file, and one line for everything else."""
 
-import ast
 import contextlib
 import os
 from pathlib import Path
@@ -16,9 +15,7 @@ from command.errors import AssetError
 from files.input_file import open_film
 from player.effects.background import Background, opened_source
 from player.film.encoder import join
-from selfscan.__main__ import PACKAGES
 
-ROOT = Path(__file__).parent.parent.parent
 LISTS = {
     "ffconcat": "ffconcat version 1.0\nfile whole.mp4\n",
     "endless ffconcat": "ffconcat version 1.0\n" + "file pipe\n" * 9999,
@@ -109,14 +106,3 @@ def test_a_sound_is_no_film(tmp_path):
         container.mux(stream.encode(None))
     with pytest.raises(AssetError, match=r"a\.mp4: expected a film, .*found a file without pictures"):
         open_film(tmp_path / "a.mp4")
-
-
-def test_films_are_opened_for_reading_in_one_place_only():
-    found = []
-    for package in PACKAGES:
-        for path in (ROOT / package).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-                if isinstance(node, ast.Call) and ast.unparse(node.func) == "av.open":
-                    writes = len(node.args) > 1 and ast.unparse(node.args[1]) == "'w'"
-                    found += [] if writes else [path.relative_to(ROOT).as_posix()]
-    assert found == ["files/input_file.py"]

@@ -68,7 +68,6 @@ def test_plain_data_comes_back_equal(tmp_path, protocol):
     }
     back = read_pickle(saved(tmp_path / "a.pkl", value, protocol), "data")
     value["ordered"] = dict(value["ordered"])
-    value["columns"] = value["columns"]
     same(value, back)
     assert back["nested"]["a"]["b"][0] is back["nested"]["a"]["b"][1]
 
@@ -118,11 +117,7 @@ def chumpy_module():
     for module, kind in ((ch, Ch), (reordering, Select)):
         kind.__module__, kind.__qualname__ = module.__name__, kind.__name__
         setattr(module, kind.__name__, kind)
-    return (
-        ch,
-        reordering,
-        {"chumpy": types.ModuleType("chumpy"), "chumpy.ch": ch, "chumpy.reordering": reordering},
-    )
+    return (ch, reordering, {"chumpy": types.ModuleType("chumpy"), "chumpy.ch": ch, "chumpy.reordering": reordering})
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -308,22 +303,9 @@ def test_a_body_model_in_a_pickle_is_the_one_in_an_npz(tmp_path):
     np.testing.assert_array_equal(b.hands.components[0], fields["hands_componentsl"])
 
 
-@pytest.mark.parametrize(
-    "change, message",
-    [
-        ({"weights": np.ones((5, 24))}, "weights should be"),
-        ({"v_template": "text"}, "no v_template"),
-        ({"hands_meanl": np.zeros(12)}, r"hands_meanl should be \(45\), is \(12,\)"),
-        ({"hands_componentsr": np.zeros((12, 45))}, "hands_componentsr should be"),
-        ({"hands_meanr": np.full(45, np.nan)}, "hands_meanr is not finite"),
-    ],
-)
-def test_what_a_pickled_model_lacks_is_named(tmp_path, change, message):
-    with pytest.raises(AssetError, match=rf"a\.pkl: {message}"):
-        read_body(saved(tmp_path / "a.pkl", model_fields() | change))
-
-
-def test_a_list_is_no_model(tmp_path):
+def test_what_is_no_model_in_a_pickle_is_named(tmp_path):
+    with pytest.raises(AssetError, match=r"a\.pkl: no v_template"):
+        read_body(saved(tmp_path / "a.pkl", model_fields() | {"v_template": "text"}))
     with pytest.raises(AssetError, match="a dict of arrays, found a list"):
         read_body(saved(tmp_path / "a.pkl", [1, 2]))
 

@@ -5,21 +5,14 @@ from capsules import sphere
 
 from command.errors import AssetError
 from geometry.isosurface import Detail, extract, graded_axis, project_to_zero, sample_near_surface
-from geometry.mesh import enclosed_volume
+from geometry.mesh import TriangleMesh, enclosed_volume
 from geometry.repair import find_faults
 
 
-def test_graded_axis_is_fine_inside_its_spans_only():
-    axis = graded_axis(-1.0, 1.0, [(0.2, 0.4)], 0.05, 0.01)
-    steps, middle = np.diff(axis), 0.5 * (axis[1:] + axis[:-1])
-    assert len(axis) % 8 == 0 and axis[-1] >= 1.0
-    assert (steps[(middle > 0.2) & (middle < 0.4)] < 0.011).all()
-    assert (steps[(middle < 0.1) | (middle > 0.5)] > 0.049).all()
-
-
-def test_graded_axis_takes_the_finest_step_of_its_details():
+def test_graded_axis_is_fine_inside_its_spans_only_and_takes_the_finest_step_of_its_details():
     axis = graded_axis(-1.0, 1.0, [(0.2, 0.6)], 0.05, 0.02, details=[(0.3, 0.4, 0.005), (-0.5, -0.4, 0.03)])
     steps, middle = np.diff(axis), 0.5 * (axis[1:] + axis[:-1])
+    assert len(axis) % 8 == 0 and axis[-1] >= 1.0
     assert (steps[(middle > 0.3) & (middle < 0.4)] < 0.0051).all()
     assert (steps[(middle > 0.45) & (middle < 0.6)] > 0.0199).all()
     assert (steps[(middle > -0.45) & (middle < -0.4)] < 0.031).all()
@@ -123,8 +116,6 @@ def test_person_is_one_closed_manifold_on_the_zero_set(run):
 
     surface = run.surface
     assert not find_faults(surface.faces, len(surface.vertices))
-    from geometry.mesh import TriangleMesh
-
     assert enclosed_volume(TriangleMesh(surface.vertices, surface.faces)) > 0.03
     away = np.abs(distance(surface.vertices))
     assert np.quantile(away, 0.999) < 1e-4  # metres; creases between capsules have no exact normal

@@ -2,15 +2,11 @@
 
 import numpy as np
 import trimesh
+from icosphere import icosphere
 
 from avatar.body import builtin_body
 from geometry.mesh import TriangleMesh, component_labels, enclosed_volume, face_areas, largest_component, vertex_normals
 from geometry.mesh import weld as welded_vertices
-
-
-def sphere(radius, centre=(0.0, 0.0, 0.0), subdivisions=3):
-    mesh = trimesh.creation.icosphere(subdivisions, radius)
-    return np.asarray(mesh.vertices) + centre, np.asarray(mesh.faces)
 
 
 def test_normals_areas_and_volume_of_the_body_are_those_of_trimesh():
@@ -26,7 +22,7 @@ def test_normals_areas_and_volume_of_the_body_are_those_of_trimesh():
 
 
 def test_normals_do_not_see_texture_seams():
-    vertices, faces = sphere(1.0)
+    vertices, faces = icosphere(1.0)
     # every face has its own corners
     split = vertices[faces].reshape(-1, 3)
     own = np.arange(len(split)).reshape(-1, 3)
@@ -40,14 +36,14 @@ def test_a_vertex_without_area_has_a_unit_normal():
 
 
 def test_float32_vertices_are_summed_in_double_precision():
-    vertices, faces = sphere(0.3, subdivisions=4)
+    vertices, faces = icosphere(0.3, subdivisions=4)
     single = vertices.astype(np.float32)
     np.testing.assert_array_equal(vertex_normals(single, faces), vertex_normals(single.astype(np.float64), faces))
 
 
 def test_the_largest_component_is_the_one_of_greatest_area():
-    small, many = sphere(0.1, subdivisions=4)
-    large, few = sphere(1.0, (3, 0, 0), subdivisions=2)
+    small, many = icosphere(0.1, subdivisions=4)
+    large, few = icosphere(1.0, (3, 0, 0), subdivisions=2)
     mesh = TriangleMesh(np.concatenate([small, large]), np.concatenate([many, few + len(small)]))
     kept, dropped, share = largest_component(mesh)
     assert dropped == 1 and len(kept.faces) == len(few)

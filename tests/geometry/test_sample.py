@@ -3,14 +3,10 @@
 import numpy as np
 import pytest
 import trimesh
+from icosphere import icosphere
 
 from geometry.mesh import face_areas
 from geometry.sample import lattice_samples, stratified_samples
-
-
-def sphere(radius, subdivisions=3):
-    mesh = trimesh.creation.icosphere(subdivisions, radius)
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
 
 
 def test_points_are_spread_by_area():
@@ -23,7 +19,7 @@ def test_points_are_spread_by_area():
 
 
 def test_samples_are_seeded_uniform_by_area_and_keep_to_the_faces_kept():
-    vertices, faces = sphere(1.0)
+    vertices, faces = icosphere(1.0)
     keep = vertices[faces].mean(1)[:, 1] > 0
     samples = stratified_samples(vertices, faces, 20_000, seed=1, weight=keep)
     assert keep[samples.face].all()
@@ -34,7 +30,7 @@ def test_samples_are_seeded_uniform_by_area_and_keep_to_the_faces_kept():
 
 
 def test_a_generator_goes_on_where_it_stands():
-    vertices, faces = sphere(1.0)
+    vertices, faces = icosphere(1.0)
     rng = np.random.default_rng(4)
     first = stratified_samples(vertices, faces, 50, seed=rng)
     second = stratified_samples(vertices, faces, 50, seed=rng)
@@ -53,7 +49,7 @@ def test_no_point_falls_on_a_face_without_area(area_at):
 
 
 def test_lattice_samples_are_no_farther_apart_than_asked_and_cover_by_area():
-    vertices, faces = sphere(0.5, 2)
+    vertices, faces = icosphere(0.5, subdivisions=2)
     samples = lattice_samples(vertices, faces, np.full(len(faces), 0.02))
     points = samples.on(vertices, faces)
     from scipy.spatial import KDTree

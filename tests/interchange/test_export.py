@@ -242,15 +242,10 @@ def test_a_motion_of_an_unknown_body_is_not_scaled_when_its_export_is_read_back(
         assert "root: scaled by 1.000" in (said := capsys.readouterr().out) and "ground:" not in said
 
 
-def test_wrong_usage_and_bad_input_are_one_line_each(avatar_path, tmp_path, capsys):
-    for arguments, message in (
-        (["-o", str(tmp_path / "out.fbx")], "expected a name that ends in .bvh, .glb, .npz, found"),
-        (["-o", str(tmp_path / "out.npz"), "--unit", "cm"], "--unit is for .bvh"),
-        (["-o", str(avatar_path)], "is the avatar itself"),
-    ):
-        with pytest.raises(SystemExit) as stop:
-            export(avatar_path, "--motion", "counting", *arguments)
-        assert stop.value.code == 2 and message in capsys.readouterr().err
+def test_bad_input_is_refused_and_nothing_is_written(avatar_path, tmp_path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        export(avatar_path, "--motion", "counting", "-o", avatar_path)
+    assert stop.value.code == 2 and "is the avatar itself" in capsys.readouterr().err
     with pytest.raises(AssetError, match=r"frames 10:400 asked for, it has 300"):
         export(avatar_path, "--motion", "counting", "--frames", "10:400", "-o", tmp_path / "out.npz")
     with pytest.raises(AssetError, match="an avatar comes from `selfscan bake`"):

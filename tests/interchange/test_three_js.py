@@ -12,7 +12,6 @@ from scipy import ndimage
 
 from avatar.camera import orbit_camera
 from avatar.gltf.avatar_file import write_avatar
-from player.gl.context import open_context
 from player.scene.mannequin import mannequin
 from player.scene.renderer import Renderer
 
@@ -56,7 +55,7 @@ def compared(ours, theirs):
     return decibels(ours, theirs, box), decibels(ours, theirs, ndimage.binary_erosion(both, iterations=2))
 
 
-def test_three_js_draws_the_same_frame_as_paper_mode(tmp_path):
+def test_three_js_draws_the_same_frame_as_paper_mode(context, tmp_path):
     folder = package_folder("three")
     chromium()
     avatar = painted()
@@ -65,13 +64,9 @@ def test_three_js_draws_the_same_frame_as_paper_mode(tmp_path):
     poses = [(np.zeros((52, 3)), np.zeros(3)), bent()]
     (tmp_path / "browser").mkdir()
     theirs = three_frames(tmp_path / "mannequin.glb", poses, camera, folder, tmp_path / "browser")
-    context = open_context()
-    try:
-        renderer = Renderer(context, [avatar], camera.size, view="off", background=BLACK)
-        ours = [renderer.draw([pose], camera)[..., :3] for pose in poses]
-        renderer.release()
-    finally:
-        context.release()
+    renderer = Renderer(context, [avatar], camera.size, view="off", background=BLACK)
+    ours = [renderer.draw([pose], camera)[..., :3] for pose in poses]
+    renderer.release()
     for mine, other in zip(ours, theirs, strict=True):
         box, inside = compared(mine, other)
         assert box >= 35 and inside >= 39

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from radiance_writer import radiance_bytes, sky
-from tiny_film import film
+from tiny_film import film, greys
 
 from avatar.camera import look_at, orbit_camera, pixel_rays
 from command.errors import AssetError
@@ -53,7 +53,7 @@ def test_a_camera_held_upright_is_seen_upright(tmp_path):
 
 def test_a_film_shows_the_frame_of_the_time_forwards_backwards_and_beyond(tmp_path):
     levels = list(range(20, 240, 2))
-    film(tmp_path / "film.mp4", levels)
+    film(tmp_path / "film.mp4", greys(levels))
     source = opened_source(Background("video", path=str(tmp_path / "film.mp4")))
     for frame in (0, 1, 2, 30, 31, 5, 109, 0, 60, 59, 108):
         pixels = source.pixels(frame / 25, SIZE)

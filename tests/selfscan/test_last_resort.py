@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from small_disk import mounted
 from tiny_avatar import tiny_avatar
 
 import selfscan.__main__ as command
@@ -71,10 +72,7 @@ def test_a_film_is_written_whatever_becomes_of_what_is_printed(film, tmp_path, s
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
 def test_a_full_disk_is_one_line_for_every_command_that_writes(film, tmp_path, capsys):
     disk, avatar = tmp_path / "disk", film.split()[4]
-    disk.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(disk)], capture_output=True).returncode:
-        pytest.skip("cannot mount")
-    try:
+    with mounted(disk, "64k"):
         with suppress(OSError), open(disk / "filler", "wb", buffering=0) as file:
             while file.write(bytes(1 << 12)):
                 pass
@@ -95,8 +93,6 @@ def test_a_full_disk_is_one_line_for_every_command_that_writes(film, tmp_path, c
             whole_file(disk / "a.ckpt") as file,
         ):
             torch.save({"weights": torch.zeros(1 << 20)}, file)
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
 
 
 def test_the_disk_and_the_memory_are_one_line(monkeypatch, capsys):

@@ -1,6 +1,9 @@
 """`selfscan make`: the commands it runs, what it keeps, and what it refuses."""
 
+from pathlib import Path
+
 import pytest
+from recorded_commands import recorded_commands
 
 from command.errors import AssetError
 from command.interrupt import Stopped
@@ -18,34 +21,22 @@ def films(tmp_path):
     return folder
 
 
+STOPPED = 130
+
+
 @pytest.fixture
 def ran(monkeypatch):
-    """Stands for the commands: each writes its product; what is in `stop` is stopped instead."""
-    from pathlib import Path
+    """Stands for the commands: each writes its product."""
+    return recorded_commands(monkeypatch, make, product)
 
-    ran, stop = [], set()
 
-    def command(*words):
-        words = [str(word) for word in words]
-
-        def run():
-            if words[1] in stop:
-                return 130
-            ran.append(words)
-            out = Path(words[words.index("-o") + 1])
-            if words[1] == "bake":
-                out.write_text(" ".join(words))
-            else:
-                out.mkdir()
-                (out / ("run.json" if words[1] == "train" else "capture.json")).write_text("{}")
-            return 0
-
-        return run
-
-    monkeypatch.setattr(make, "command", command)
-    ran_and_stop = type("Ran", (list,), {"stop": stop})()
-    ran = ran_and_stop
-    return ran
+def product(words):
+    out = Path(words[words.index("-o") + 1])
+    if words[1] == "bake":
+        out.write_text(" ".join(words))
+        return
+    out.mkdir()
+    (out / ("run.json" if words[1] == "train" else "capture.json")).write_text("{}")
 
 
 def test_a_first_avatar_stands_where_the_better_one_will(films, ran, tmp_path, capsys):
@@ -70,15 +61,15 @@ def test_four_minutes_end_with_the_first_avatar_and_more_go_on_from_there(films,
     assert "--iterations" not in ran[3]
 
 
-def test_what_was_stopped_goes_on_where_it_was(films, ran, tmp_path):
+def test_what_was_stopped_goes_on_where_it_was(films, monkeypatch, tmp_path):
     out = tmp_path / "me.glb"
-    ran.stop.add("bake")
+    recorded_commands(monkeypatch, make, lambda words: STOPPED if words[1] == "bake" else product(words))
     with pytest.raises(Stopped):
         make.main([str(films), "-o", str(out)])
     assert not out.exists()
-    ran.stop.clear()
+    ran = recorded_commands(monkeypatch, make, product)
     make.main([str(films), "-o", str(out)])
-    assert [words[1] for words in ran] == ["import", "train", "bake", "train", "bake"]
+    assert [words[1] for words in ran] == ["bake", "train", "bake"]
 
 
 def test_an_avatar_that_was_moved_away_is_put_there_again(films, ran, tmp_path):

@@ -31,6 +31,13 @@ def subject():
 
 
 @pytest.fixture(scope="module")
+def spheres(subject):
+    found = eye_spheres(subject)
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
 def closed(subject):
     extent = part_boxes(subject)[1].extent
     cloud = surface_cloud(subject, 1, visible_faces(subject), 0.003)
@@ -58,35 +65,27 @@ def first_crossing(eyes, points, direction, far=0.03):
     return steps[(along <= 0).argmax(1)]
 
 
-def test_what_is_seen_between_the_lids_is_the_eyeball(subject, eyes):
+def test_what_is_seen_between_the_lids_is_the_eyeball(subject, eyes, spheres):
     points = eye_openings(subject)
-    spheres = eye_spheres(subject)
-    assert spheres is not None
     # straight in front of the balls' middles
     middle = points[np.abs(points[:, None, :2] - spheres.centres[:, :2]).max(2).min(1) < 0.002]
     assert len(middle) > 4
-    forward = np.array([0, 0, 1.0])
-    off = np.abs(first_crossing(eyes, middle, forward))
+    off = np.abs(first_crossing(eyes, middle, FORWARD))
     # beside a lid's edge the lid may be met first
     assert np.quantile(off, 0.8) < 0.0003 and off.max() < 0.002
 
 
-def test_an_iris_is_seen_where_it_was_found(subject, closed):
-    spheres = eye_spheres(subject)
-    assert spheres is not None
-    forward, angle = np.array([0, 0, 1.0]), np.radians(25)
-    flat = open_eyes(subject, closed, FlatIris(forward, float(angle)))
-    middle = spheres.centres + spheres.radii[:, None] * forward
-    depth = -first_crossing(flat, middle, forward)
+def test_an_iris_is_seen_where_it_was_found(subject, closed, spheres):
+    angle = np.radians(25)
+    flat = open_eyes(subject, closed, FlatIris(FORWARD, float(angle)))
+    depth = -first_crossing(flat, spheres.centres + spheres.radii[:, None] * FORWARD, FORWARD)
     np.testing.assert_allclose(depth, spheres.radii * (1 - np.cos(angle)), atol=3e-4)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("angle", [0, 25])
-def test_irises_are_as_flat_as_the_heads_video_has_them(subject, closed, angle):
+def test_irises_are_as_flat_as_the_heads_video_has_them(subject, closed, spheres, angle):
     """Filmed in a frame of its own, turned and shifted."""
-    spheres = eye_spheres(subject)
-    assert spheres is not None
     canonical_from_head = np.eye(4)
     canonical_from_head[:3, :3] = matrix_from_axis_angle(np.array([0.1, 0.7, -0.2]))
     canonical_from_head[:3, 3] = 0.3, -0.1, 0.2
@@ -101,9 +100,7 @@ def test_irises_are_as_flat_as_the_heads_video_has_them(subject, closed, angle):
     assert ("irises" in found.in_words()) == (angle > 0)
 
 
-def test_lids_stay_where_the_template_has_them(subject, closed, eyes):
-    spheres = eye_spheres(subject)
-    assert spheres is not None
+def test_lids_stay_where_the_template_has_them(subject, closed, eyes, spheres):
     sockets = body_sockets()
     skin = np.setdiff1d(np.arange(len(subject.vertices)), np.concatenate([socket.inside for socket in sockets]))
     ball = spheres.distance(subject.vertices[skin])
@@ -115,9 +112,7 @@ def test_lids_stay_where_the_template_has_them(subject, closed, eyes):
     assert off.mean() < 0.6 * np.abs(before).mean()
 
 
-def test_nothing_is_hollow_behind_the_lids(subject, eyes):
-    spheres = eye_spheres(subject)
-    assert spheres is not None
+def test_nothing_is_hollow_behind_the_lids(subject, eyes, spheres):
     for centre, radius, hidden in zip(spheres.centres, spheres.radii, hidden_lengths(subject, spheres)):
         held = np.isfinite(hidden.length)
         shares = np.linspace(0, 1, 30)[:, None]
@@ -125,7 +120,7 @@ def test_nothing_is_hollow_behind_the_lids(subject, eyes):
         ends = ends[np.linalg.norm(ends - centre, axis=1) < radius + LIDS - 0.001]
         assert len(ends) > 500
         # from the plane through the ball's middle
-        begin = ends - ((ends - centre) @ [0, 0, 1.0])[:, None] * [0, 0, 1.0]
+        begin = ends - ((ends - centre) @ FORWARD)[:, None] * FORWARD
         near = np.linalg.norm(begin - centre, axis=1) < radius
         points = begin[near] + shares[:, None] * (ends - begin)[near]
         inside = asked(eyes, points.reshape(-1, 3))
@@ -133,14 +128,12 @@ def test_nothing_is_hollow_behind_the_lids(subject, eyes):
         assert (inside > 0.0005).mean() < 0.01
 
 
-def test_the_opening_is_as_wide_as_between_the_template_s_lids(subject, eyes):
-    spheres = eye_spheres(subject)
-    assert spheres is not None
+def test_the_opening_is_as_wide_as_between_the_template_s_lids(subject, eyes, spheres):
     centre, radius = spheres.centres[0], spheres.radii[0]
     # up and down from the ball's middle, seen from the front
     y = np.arange(-0.006, 0.006, 0.0002)
     front = centre + np.stack([0 * y, y, np.sqrt(radius**2 - y**2)], 1)
-    shown = np.abs(first_crossing(eyes, front, np.array([0, 0, 1.0]))) < 0.001
+    shown = np.abs(first_crossing(eyes, front, FORWARD)) < 0.001
     rim = subject.vertices[body_sockets()[0].rim]
     middle = rim[np.abs(rim[:, 0] - centre[0]) < 0.003]
     assert len(middle) >= 2

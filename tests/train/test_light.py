@@ -1,9 +1,12 @@
 """Light as a factor while a part learns, and the mean of it that the finished person shows."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 from painted_capture import write_capture
+from sphere_field import sphere_field, turned_head
 
 from avatar.light import CaptureLight, lamps_of
 from avatar.rotation import matrix_from_axis_angle, quaternion_from_matrix
@@ -13,12 +16,11 @@ from capture.template.parts import Box, Part
 from command.errors import AssetError
 from train.command import TrainOptions
 from train.deform import canonical_directions, posed_directions
-from train.field import TEMPLATE_SHARE, PartField
+from train.field import TEMPLATE_SHARE
 from train.fused import FusedField
 from train.light import harmonics, light_facts, seen_lights_from_json, seen_tensors, video_light, world_light
-from train.networks.triplane import TriPlaneNetworks
 from train.preset import PRESETS, HairPreset, chosen_preset
-from train.template_grid import TemplateGrid
+from train.run import lights_of
 
 LAMPS = lamps_of(np.array([[0.5, -0.6, -0.7], [-0.8, 0.0, -0.3]]), np.array([0.5, 0.3]))
 
@@ -66,22 +68,12 @@ def test_posed_directions_undo_canonical_ones():
     torch.testing.assert_close(back, directions, rtol=0, atol=1e-5)
 
 
-def ball_field() -> PartField:
-    """A field whose template is a ball of 10 cm, cells of 1 cm."""
-    axis = torch.arange(-0.2, 0.2001, 0.01)
-    grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1)
-    half = torch.full((3,), 0.2)
-    small = TriPlaneNetworks(plane_size=16, color_size=16, width=32)
-    template = TemplateGrid(grid.norm(dim=-1) - 0.1, -half, 0.01)
-    return PartField(template, -half, half, small.build(3, half, 0.03)).requires_grad_(False)
-
-
 def degrees(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     return torch.rad2deg(torch.atan2(torch.linalg.cross(a, b).norm(dim=1), (a * b).sum(1)))
 
 
 def test_light_falls_on_normals_that_do_not_jump_from_cell_to_cell():
-    template, d = ball_field().template, torch.as_tensor(unit(10, 4000)).float()
+    template, d = sphere_field(0.1).template, torch.as_tensor(unit(10, 4000)).float()
     smooth = torch.nn.functional.normalize(template.smooth_gradient(0.1 * d), dim=1)
     own = torch.nn.functional.normalize(template.sample(0.1 * d)[1], dim=1)
     assert degrees(smooth, d).max() < 1.0
@@ -90,7 +82,7 @@ def test_light_falls_on_normals_that_do_not_jump_from_cell_to_cell():
 
 @pytest.mark.parametrize("tilt", [0.0, 10.0, 40.0])
 def test_a_wrinkle_of_the_field_turns_the_normal_by_its_share(tilt):
-    field, d = ball_field(), torch.as_tensor(unit(11, 500)).float()
+    field, d = sphere_field(0.1).requires_grad_(False), torch.as_tensor(unit(11, 500)).float()
     aside = torch.nn.functional.normalize(torch.linalg.cross(d, torch.as_tensor(unit(12, 500)).float()), dim=1)
     angle = torch.deg2rad(torch.tensor(tilt))
     # of any length, as gradients are
@@ -103,12 +95,9 @@ def test_a_wrinkle_of_the_field_turns_the_normal_by_its_share(tilt):
 
 def test_the_normals_that_light_falls_on_are_canonical_also_where_the_head_was_turned():
     """Eq. 5 turns the head's field by 37 degrees; a ball's normals still point away from its middle."""
-    c, s = 0.8, 0.6
-    turned = torch.eye(4)
-    turned[:3, :3] = 1.02 * torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     wide = Box(np.full(3, -0.2), np.full(3, 0.2))
     parts = (Part("body", wide, None, 0.0), Part("head", wide, wide, 0.1))
-    fused = FusedField([ball_field(), ball_field()], parts, turned).eval().requires_grad_(False)
+    fused = FusedField([sphere_field(0.1), sphere_field(0.1)], parts, turned_head(1.02)).eval().requires_grad_(False)
     d = torch.as_tensor(unit(13, 500)).float()
     # the untrained networks add wrinkles, of which a third is left
     assert degrees(fused.light_normal(0.1 * d), d).max() < 2.0
@@ -180,3 +169,25 @@ def test_the_paper_has_no_light_factor_and_a_command_can_leave_it_out(tmp_path):
     bare = options(without=("light", "hair", "clothes"))
     assert bare.hair == HairPreset() != options().hair and not bare.clothes and bare.parts == options().parts
     assert options(preset="paper", without=("light", "hair", "clothes")) == options(preset="paper")
+
+
+LIGHT = CaptureLight(0.5, LAMPS)
+
+
+def test_a_run_gives_its_lights_back_by_video_and_older_runs_have_none():
+    assert lights_of(Path("run"), {}) == lights_of(Path("run"), {"light": None}) == {}
+    told = {"light": {part: LIGHT.json() for part in PARTS}}
+    assert lights_of(Path("run"), told) == dict.fromkeys(PARTS, LIGHT)
+
+
+@pytest.mark.parametrize(
+    ("light", "message"),
+    [
+        ({"body": LIGHT.json()}, r"run.json: light should hold body, head, hand_left, hand_right or be null, is \['bo"),
+        ("fixed", "run.json: light should hold .* is 'fixed'"),
+        ({part: {**LIGHT.json(), "gamma": 9} for part in PARTS}, "run.json: light: gamma: expected at most 4, found 9"),
+    ],
+)
+def test_lights_that_are_none_are_refused(light, message):
+    with pytest.raises(AssetError, match=message):
+        lights_of(Path("run"), {"light": light})

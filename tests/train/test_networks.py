@@ -37,7 +37,7 @@ def paper_networks():
 
 
 def test_the_geometry_network_has_eight_layers_of_256_and_the_input_again_in_the_middle(paper_networks):
-    hidden = [(39, 256), (256, 256), (256, 256), (256, 256), (256 + 39, 256), (256, 256), (256, 256), (256, 256)]
+    hidden = [(39, 256), *[(256, 256)] * 3, (256 + 39, 256), *[(256, 256)] * 3]
     assert _layers(paper_networks.geometry) == [*hidden, (256, 1 + 256)]
     x = torch.linspace(-0.1, 0.1, 5)
     trunk = paper_networks.geometry.trunk
@@ -54,16 +54,7 @@ def test_the_colour_network_has_four_layers_of_256_and_reads_point_direction_nor
 
 def test_the_displacement_network_has_eight_layers_of_256_and_reads_point_and_code(paper_networks):
     inputs = 39 + 128
-    hidden = [
-        (inputs, 256),
-        (256, 256),
-        (256, 256),
-        (256, 256),
-        (256 + inputs, 256),
-        (256, 256),
-        (256, 256),
-        (256, 256),
-    ]
+    hidden = [(inputs, 256), *[(256, 256)] * 3, (256 + inputs, 256), *[(256, 256)] * 3]
     assert _layers(paper_networks.displacement) == [*hidden, (256, 3)]
     assert paper_networks.displacement.trunk.activation is torch.nn.functional.relu
     assert paper_networks.displacement.code.weight.shape == (7, 128)

@@ -54,16 +54,20 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def until(there: Callable[[], bool], process: subprocess.Popen | None = None) -> None:
+    """Wait for it; a process that it comes from has to live meanwhile."""
+    for _ in range(20 * HANGS):
+        if there():
+            return
+        assert process is None or process.poll() is None, process.communicate()[0]
+        time.sleep(0.05)
+    pytest.fail(f"not there after {HANGS} s")
+
+
 def until_learning(process: subprocess.Popen, out: Path) -> None:
     """Both hands have logged a row."""
-    for _ in range(20 * HANGS):
-        logs = [out.with_name(out.name + ".partial") / f"logs/{name}.csv" for name in HANDS]
-        if all(log.exists() and log.read_text().count("\n") >= 2 for log in logs):
-            return
-        assert process.poll() is None, process.communicate()[0]
-        time.sleep(0.05)
-    process.kill()
-    pytest.fail(f"no row after {HANGS} s")
+    logs = [out.with_name(out.name + ".partial") / f"logs/{name}.csv" for name in HANDS]
+    until(lambda: all(log.exists() and log.read_text().count("\n") >= 2 for log in logs), process)
 
 
 @pytest.fixture(scope="module")
@@ -116,10 +120,7 @@ def test_a_training_whose_parent_was_killed_saves_itself_and_goes_on(tiny_captur
     until_learning(process, out)
     kill(process, process.kill)
     checkpoints = [tmp_path / f"run.partial/{name}.ckpt" for name in HANDS]
-    for _ in range(20 * HANGS):
-        if all(path.exists() for path in checkpoints):
-            break
-        time.sleep(0.05)
+    until(lambda: all(path.exists() for path in checkpoints))
     finish(start(tiny_capture, out, "--resume"), 0)
     assert_equal_runs(never_stopped, out)
 
@@ -131,9 +132,7 @@ def test_after_a_power_loss_a_periodic_checkpoint_goes_on(tiny_capture, never_st
     process = start(tiny_capture, out, "--save-every", "0.2")
     until_learning(process, out)
     checkpoints = [tmp_path / f"run.partial/{name}.ckpt" for name in HANDS]
-    while not all(path.exists() for path in checkpoints):
-        assert process.poll() is None
-        time.sleep(0.05)
+    until(lambda: all(path.exists() for path in checkpoints), process)
     kill(process, lambda: os.killpg(process.pid, signal.SIGKILL))
     log = tmp_path / "run.partial/logs/hand_left.csv"
     log.write_text(log.read_text() + "230,1.0")  # a row that the power loss cut short

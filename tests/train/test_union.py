@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from filmed_part import rays_of
+from sphere_field import SMALL, assert_same_bits, sphere_field, turned_head
 from tiny import TINY
 
 from capture.folder import read_capture
@@ -16,14 +17,12 @@ from capture.template.surface import surface_cloud, visible_faces
 from command.errors import AssetError
 from experiments.variants import VARIANTS, seam_steps, variant
 from train.appearance import CodeSteps, match_appearance, overlap_rays
-from train.field import PartField
 from train.fused import FusedField
-from train.networks.triplane import TriPlaneNetworks
 from train.objective import ray_tensors
 from train.preset import DEMO
 from train.rays import FilmedPart
 from train.run import build_field, read_run
-from train.template_grid import TemplateGrid, template_grid
+from train.template_grid import template_grid
 from train.trainer import Checkpoints, Watch
 from train.union import geometry_loss, in_overlap, overlap_surface, train_union, zero_level
 
@@ -33,20 +32,6 @@ SPHERES = (
     Part("body", WIDE, None, 0.0),
     Part("head", WIDE, Box(np.array([-0.05, -1, -1]), np.array([1.0, 1, 1])), 0.1),
 )
-SMALL = TriPlaneNetworks(plane_size=16, color_size=16, width=32)
-
-
-def _sphere_field(radius: float, moved: tuple[float, float, float], frames: int = 3) -> PartField:
-    """F_s = |x| - radius and T_nr = `moved` everywhere, metres."""
-    axis = torch.arange(-0.2, 0.2001, 0.01)
-    grid = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), -1)
-    template = TemplateGrid(grid.norm(dim=-1) - radius, torch.full((3,), -0.2), 0.01)
-    half = torch.full((3,), 0.2)
-    field = PartField(template, -half, half, SMALL.build(frames, half, 0.03))
-    with torch.no_grad():
-        field.displacement.out.bias.copy_(torch.atanh(torch.tensor(moved) / field.displacement.reach))
-    field.displacement.settle()
-    return field
 
 
 def _spheres() -> FusedField:
@@ -54,7 +39,7 @@ def _spheres() -> FusedField:
     torch.manual_seed(0)
     head_from_canonical = torch.eye(4)
     head_from_canonical[1, 3] = -0.002
-    fields = [_sphere_field(0.1, (0.001, 0.0, 0.0)), _sphere_field(0.105, (0.0, 0.0, 0.003))]
+    fields = [sphere_field(0.1, (0.001, 0.0, 0.0)), sphere_field(0.105, (0.0, 0.0, 0.003))]
     return FusedField(fields, SPHERES, head_from_canonical).eval().requires_grad_(False)
 
 
@@ -76,11 +61,7 @@ def test_the_zero_level_of_a_part_is_where_it_is_shown():
 
 def test_a_head_that_eq5_scales_shows_distances_in_metres_and_unit_normals():
     """A sphere of 105 mm in a head frame 2 % too large is one of 105 / 1.02 mm, its distance a distance."""
-    c, s = 0.8, 0.6
-    head_from_canonical = torch.eye(4)
-    head_from_canonical[:3, :3] = 1.02 * torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-    field = _sphere_field(0.105, (0.0, 0.0, 0.0))
-    fused = FusedField([_sphere_field(0.1, (0.0, 0.0, 0.0)), field], SPHERES, head_from_canonical).eval()
+    fused = FusedField([sphere_field(0.1), sphere_field(0.105)], SPHERES, turned_head(1.02)).eval()
     fused.requires_grad_(False)
     d = torch.nn.functional.normalize(torch.randn(500, 3, generator=torch.Generator().manual_seed(3)), dim=1)
     away = torch.linspace(-0.01, 0.01, 500)
@@ -115,8 +96,7 @@ def test_each_term_of_L_g_pulls_the_body_sphere_onto_the_head_in_their_overlap_a
     body.requires_grad_(False)
     assert fused.part_distance(0, target).abs().mean() < 4e-4
     assert fused.part_distance(0, target).mean().abs() < 2e-4
-    for name, value in fused.field(1).state_dict().items():
-        assert torch.equal(value, head[name]), name  # the other parts are fixed
+    assert_same_bits(fused.field(1).state_dict(), head)  # the other parts are fixed
 
 
 def test_L_g_is_zero_where_one_part_has_all_weight_or_the_part_never_learnt():
@@ -136,7 +116,7 @@ def test_L_g_compares_metres_with_metres_where_eq5_scales_the_head():
     torch.manual_seed(0)
     head_from_canonical = torch.eye(4)
     head_from_canonical[:3, :3] *= 1.05
-    fields = [_sphere_field(0.1, (0.0, 0.0, 0.0)), _sphere_field(0.105, (0.0, 0.0, 0.0))]
+    fields = [sphere_field(0.1), sphere_field(0.105)]
     fused = FusedField(fields, SPHERES, head_from_canonical).eval().requires_grad_(False)
     L_g = geometry_loss(fused, [torch.zeros(0, 3)], DEMO.parts, DEMO)
     d = torch.nn.functional.normalize(torch.randn(500, 3, generator=torch.Generator().manual_seed(5)), dim=1)
@@ -151,7 +131,7 @@ def test_L_g_compares_metres_with_metres_where_eq5_scales_the_head():
 def _coloured_spheres(step: float) -> FusedField:
     """The same sphere twice; the head's mean code differs from the body's, a planted change of its light."""
     torch.manual_seed(3)
-    body = _sphere_field(0.1, (0, 0, 0), frames=20)
+    body = sphere_field(0.1, frames=20)
     with torch.no_grad():
         layers = body.color_network.network
         assert isinstance(layers, torch.nn.Sequential)
@@ -259,34 +239,23 @@ def test_overlap_rays_hit_the_surface_from_outside_in_the_overlap_in_many_frames
     torch.testing.assert_close(directions.norm(dim=1), torch.ones(len(points)))
 
 
-def test_stage_2_interrupted_and_resumed_equals_stage_2_never_stopped(capture, untrained, tmp_path):
+def test_stage_2_interrupted_and_resumed_equals_stage_2_never_stopped(capture, untrained, tmp_path, one_thread):
     fused, rays = untrained
     preset = replace(TINY, union=replace(TINY.union, iterations=20))
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
 
     def stop(iteration, step):
         raise KeyboardInterrupt
 
-    try:
-        whole, halves, again = (copy.deepcopy(fused) for _ in range(3))
-        train_union(whole, capture.subject, rays, preset, seed=3)
-        path = tmp_path / "union.ckpt"
-        with pytest.raises(KeyboardInterrupt):
-            train_union(
-                halves,
-                capture.subject,
-                rays,
-                preset,
-                seed=3,
-                checkpoints=Checkpoints(path=path, every=0.0),
-                watch=Watch(report=stop),
-            )
-        train_union(again, capture.subject, rays, preset, seed=3, checkpoints=Checkpoints(path=path, resume=True))
-    finally:
-        torch.set_num_threads(threads)
-    for name, value in whole.state_dict().items():
-        assert torch.equal(value, again.state_dict()[name]), name
+    def train(field, **options):
+        train_union(field, capture.subject, rays, preset, seed=3, **options)
+
+    whole, halves, again = (copy.deepcopy(fused) for _ in range(3))
+    train(whole)
+    path = tmp_path / "union.ckpt"
+    with pytest.raises(KeyboardInterrupt):
+        train(halves, checkpoints=Checkpoints(path=path, every=0.0), watch=Watch(report=stop))
+    train(again, checkpoints=Checkpoints(path=path, resume=True))
+    assert_same_bits(whole.state_dict(), again.state_dict())
     moved = [name for name, value in whole.state_dict().items() if not torch.equal(value, fused.state_dict()[name])]
     assert moved and all(name.startswith("fields.0.") for name in moved)
 
@@ -320,8 +289,7 @@ def test_stage_2_brings_the_body_nearer_to_every_part_and_the_run_keeps_both_bod
 def test_variants_differ_from_the_run_in_what_they_name_and_leave_it_alone(capture, run):
     before = {name: value.clone() for name, value in run.field.state_dict().items()}
     got = {name: variant(run, capture, name) for name in VARIANTS}
-    for name, value in run.field.state_dict().items():
-        assert torch.equal(value, before[name]), name
+    assert_same_bits(run.field.state_dict(), before)
     assert got["ours"] is run
 
     other = got["landmarks_only"]
@@ -337,8 +305,7 @@ def test_variants_differ_from_the_run_in_what_they_name_and_leave_it_alone(captu
 
     other = got["no_L_g"]
     stage1 = torch.load(run.path / "body_stage1.pt", weights_only=True)["state"]
-    for name, value in other.field.field(0).state_dict().items():
-        assert torch.equal(value, stage1[name]), name
+    assert_same_bits(other.field.field(0).state_dict(), stage1)
     assert all(other.field.field(i) is run.field.field(i) for i in (1, 2, 3))
     points = torch.as_tensor(other.surface.vertices, dtype=torch.float32)
     assert other.field.distance(points).abs().quantile(0.95) < 0.003

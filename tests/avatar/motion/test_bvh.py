@@ -26,26 +26,12 @@ MIXAMO |= {
 }
 BANK = {"left_hip": "LeftHip", "left_knee": "LeftKnee", "left_ankle": "LeftAnkle", "left_shoulder": "LeftShoulder",
             "left_elbow": "LeftElbow", "left_wrist": "LeftWrist"}  # fmt: skip
-MAKEHUMAN = {
-    "left_hip": "UpLeg_L",
-    "left_knee": "LoLeg_L",
-    "left_ankle": "Foot_L",
-    "left_shoulder": "UpArm_L",
-    "left_elbow": "LoArm_L",
-    "left_wrist": "Hand_L",
-    "left_index1": "Index1_L",
-    "left_index2": "Index2_L",
-}
-DAZ = {
-    "left_hip": "lThighBend",
-    "left_knee": "lShin",
-    "left_ankle": "lFoot",
-    "left_shoulder": "lShldrBend",
-    "left_elbow": "lForearmBend",
-    "left_wrist": "lHand",
-    "left_middle1": "lMid1",
-    "left_middle2": "lMid2",
-}
+MAKEHUMAN = {"left_hip": "UpLeg_L", "left_knee": "LoLeg_L", "left_ankle": "Foot_L", "left_shoulder": "UpArm_L",
+             "left_elbow": "LoArm_L", "left_wrist": "Hand_L", "left_index1": "Index1_L",
+             "left_index2": "Index2_L"}  # fmt: skip
+DAZ = {"left_hip": "lThighBend", "left_knee": "lShin", "left_ankle": "lFoot", "left_shoulder": "lShldrBend",
+       "left_elbow": "lForearmBend", "left_wrist": "lHand", "left_middle1": "lMid1",
+       "left_middle2": "lMid2"}  # fmt: skip
 RIGS = {
     "fairmotion_cmu_01_01": CMU, "pybvh_cmu_12_01_walk": CMU, "pymo_AV_8Walk_Meredith": CMU, "pybvh_example": CMU,
     "geno_stance": CMU, "bvhpython_freebvh": MIXAMO, "bvhpython_mocapbank": BANK, "makehuman_walk1": MAKEHUMAN,

@@ -12,6 +12,7 @@ from pose_twins import (
     J,
     degrees_between,
     directions,
+    estimated,
     from_text,
     landmarks,
     natural_poses,
@@ -249,16 +250,9 @@ def test_a_bad_rate_is_refused(tmp_path, fps, match):
         read_motion(written(tmp_path / "a.json", frame(body[0]), fps=fps))
 
 
-def real(data, name):
-    path = data / "estimators" / f"mediapipe_{name}.pbtxt"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
-    return path
-
-
 def test_a_real_fist_is_closed_and_a_pointing_hand_points(data, tmp_path):
     for name, straight in (("fist_landmarks", ()), ("pointing_up_landmarks", ("index",))):
-        motion = read_mediapipe(from_text(real(data, name), tmp_path / "a.json"))
+        motion = read_mediapipe(from_text(estimated(data, f"mediapipe_{name}.pbtxt"), tmp_path / "a.json"))
         curl = np.degrees(joint_angles(motion.read().axis_angle[0]))[:, 0]
         assert any("T-pose" in note for note in motion.notes)
         for finger in ("index", "middle", "ring", "pinky"):
@@ -268,7 +262,7 @@ def test_a_real_fist_is_closed_and_a_pointing_hand_points(data, tmp_path):
 
 def test_a_real_photo_lies_over_its_landmarks(data, tmp_path, within):
     """In the plane of the picture the limbs point as the photo's do; both hands are there, and no joint is broken."""
-    path = real(data, "male_full_height_hands_result_cpu")
+    path = estimated(data, "mediapipe_male_full_height_hands_result_cpu.pbtxt")
     motion = read_mediapipe(from_text(path, tmp_path / "a.json"))
     clip = motion.read()
     assert "width / height 0.67" in " ".join(motion.notes)

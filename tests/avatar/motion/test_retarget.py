@@ -236,17 +236,8 @@ def test_bones_of_real_people_point_where_the_files_bones_point(person, file, pe
     joints = people[person].astype(np.float64)
     clip = read_bvh(bvh.path, RestSkeleton(joints, 0.95)).read(0, len(theirs))
     G = joint_transforms(clip.axis_angle, joints, clip.root)
-    if file == "bvhpython_mocapbank":
-        names = {
-            "hip": "Hip",
-            "knee": "Knee",
-            "ankle": "Ankle",
-            "shoulder": "Shoulder",
-            "elbow": "Elbow",
-            "wrist": "Wrist",
-        }
-    else:
-        names = {n: MIXAMO[n] for n in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")}
+    own = file == "bvhpython_mocapbank"
+    names = {n: n.capitalize() if own else MIXAMO[n] for n in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")}
     for side in ("left", "right"):
         for upper, lower in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist")):
             a, b = (bvh.names.index(side.capitalize() + names[n]) for n in (upper, lower))

@@ -2,7 +2,19 @@
 
 import numpy as np
 import pytest
-from pose_twins import FINGERS, LIMBS, SIDES, J, degrees_between, directions, natural_poses, placed, sam3d_fields, world
+from pose_twins import (
+    FINGERS,
+    LIMBS,
+    SIDES,
+    J,
+    degrees_between,
+    directions,
+    estimated,
+    natural_poses,
+    placed,
+    sam3d_fields,
+    world,
+)
 
 from avatar.body import builtin_body
 from avatar.limits import joint_angles
@@ -154,9 +166,7 @@ def test_a_folder_with_a_stranger_among_the_frames_names_it(tmp_path):
 # MHR's hinges bend about their own axis, so a right alignment leaves our hinges nothing but flexion: not circular
 @pytest.mark.parametrize("name", ["sam3d_body_subj00", "sam3d_body_subj01"])
 def test_a_real_result_bends_as_joints_do(data, name, within):
-    path = data / "estimators" / f"{name}.npz"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
+    path = estimated(data, f"{name}.npz")
     clip = read_motion(path).read()
     angles = np.degrees(joint_angles(clip.axis_angle[0]))
     within([angles[J[f"{s}_{n}"], 1] for s in SIDES for n in ("knee", "elbow")], 3, "degrees sideways")
@@ -181,9 +191,7 @@ def test_a_real_result_bends_as_joints_do(data, name, within):
 @pytest.mark.parametrize("name", ["sam3d_body_subj00", "sam3d_body_subj01"])
 def test_a_real_result_lies_over_its_picture(data, name, within):
     """Through the camera of the photo, joints lie where its keypoints do, as far as two people's lengths differ."""
-    path = data / "estimators" / f"{name}.npz"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
+    path = estimated(data, f"{name}.npz")
     stored = np.load(path)
     pixels, points = stored["pred_keypoints_2d"], stored["pred_keypoints_3d"] + stored["pred_cam_t"]
     focal, centre = np.polyfit(points[:, 0] / points[:, 2], pixels[:, 0], 1)

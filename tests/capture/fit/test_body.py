@@ -8,7 +8,6 @@ import pytest
 from avatar.rotation import axis_angle_from_matrix
 from capture.fit.body import first_guess, fit_keypoints, fit_outlines
 from capture.fit.directions import opposite
-from capture.fit.keypoint_term import projected
 from capture.fit.offsets import bilaplacian, fit_offsets
 from capture.fit.outline_term import Outlines
 from capture.fit.person import person_of
@@ -16,10 +15,9 @@ from capture.fit.points import body_points
 from capture.fit.refusals import check_fit, check_footage, check_upright
 from capture.fit.scan import STEPS
 from capture.fit.sides import sides_restored
-from capture.fit.solve import posed_frames
 from command.errors import AssetError
 from geometry.mesh import vertex_normals
-from tests.turning_twin import limb_error, mask_of, turning_twin
+from tests.turning_twin import in_clothes, limb_error, pixels_of, turning_twin
 
 QUIET = lambda note: None
 
@@ -55,8 +53,7 @@ def test_sway_noise_and_other_places_of_toes_and_ears_do_not_draw_the_person_nea
     bias = 0.02 * elsewhere[:, None] * np.stack([outward, np.full(len(outward), -0.5), np.ones(len(outward))], 1)
     bias += rng.normal(0, 0.005, bias.shape)
     truth = replace(truth, root=truth.root + rng.normal(0, 0.015, truth.root.shape), bias=bias, g=0 * truth.g)
-    pixels = np.stack([projected(truth, footage, frame) for frame in posed_frames(truth)])
-    pixels += rng.normal(0, 1.0, pixels.shape)
+    pixels = pixels_of(truth, footage) + rng.normal(0, 1.0, footage.pixels.shape)
     seen = replace(footage, pixels=pixels, sure=np.ones_like(footage.sure))
     found, _ = fit_keypoints(person_of("male", 1.8), seen, QUIET)
     # 5 and 8 cm of 3 m with twice as wide priors of toes, ears and feet and a third of the sway
@@ -93,11 +90,8 @@ def test_of_a_focal_length_told_wrong_by_a_tenth_half_or_more_is_found(error):
 def test_offsets_add_what_clothes_do():
     """A person who wears 1 cm everywhere, poses known: offsets of 1 cm where outlines look."""
     truth, footage = turning_twin(6, 200, seed=1)
-
     normals = vertex_normals(truth.person.vertices(truth.g), truth.person.body.faces)
-    dressed = replace(truth, person=truth.person.with_offsets(0.01 * normals))
-    masks = np.stack([mask_of(dressed, footage, i) for i in range(6)])
-    footage = replace(footage, masks=masks)
+    footage = in_clothes(truth, footage, 0.01)
     outlines = Outlines(footage)
     every = np.ones(len(normals), bool)
     offsets = fit_offsets(truth, footage, outlines, outlines.pairs(truth, footage, every), ~every)
@@ -111,14 +105,12 @@ def test_offsets_add_what_clothes_do():
 @pytest.mark.slow
 def test_outlines_of_somebody_with_hair_and_shoes_do_not_draw_the_person_nearer():
     truth, footage = turning_twin(10, 200, seed=1)
-    normals = vertex_normals(truth.person.vertices(truth.g), truth.person.body.faces)
     height = truth.person.vertices(truth.g)[:, 1]
     # 3 cm on the scalp, 2 under the soles, 1 elsewhere
     thick = np.select([height > height.max() - 0.06, height < height.min() + 0.03], [0.03, 0.02], 0.01)
-    dressed = replace(truth, person=truth.person.with_offsets(thick[:, None] * normals))
-    footage = replace(footage, masks=np.stack([mask_of(dressed, footage, i) for i in range(10)]))
     told: list[str] = []
-    found = fit_outlines(replace(truth, person=truth.person.with_offsets(0 * normals)), footage, told.append)
+    bare = replace(truth, person=truth.person.with_offsets(np.zeros((len(height), 3))))
+    found = fit_outlines(bare, in_clothes(truth, footage, thick), told.append)
     # after a first guess and two rounds of keypoints
     assert 3 + len(told) == STEPS["body"]
     # 1.9 cm; 7.4 of 3 m where poses and shape moved before offsets

@@ -9,30 +9,23 @@ from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle
 from avatar.skeleton import JOINTS, joint_transforms
 from capture.fit import hand, head, stored
 from capture.fit.body import CUTS, MOVING, body_names
-from capture.fit.footage import Estimate, Footage
-from capture.fit.keypoint_term import projected
+from capture.fit.footage import Estimate
 from capture.fit.person import person_of
 from capture.fit.picture import fit_pose
 from capture.fit.scan import STEPS, template_of
 from capture.fit.solve import posed_frames, solve
 from capture.fit.stored import fingerprint, read_estimate, write_estimate
 from capture.keypoints.record import Keypoints
-from geometry.mesh import vertex_normals
-from tests.turning_twin import mask_of
+from tests.turning_twin import in_clothes, pictured
 
 FRAMES, SIZE = 16, 400
 
 
-def shown(truth, names, moving, *, focal=700.0, noise=0.5):
-    """Footage of an estimate that is the truth."""
-    rng = np.random.default_rng(0)
-    count = len(names)
-    blank = np.zeros((len(truth.root), SIZE, SIZE), np.uint8)
-    sure = np.full((len(truth.root), count), 1 / noise)
-    footage = Footage(names, np.zeros((len(truth.root), count, 2)), sure, blank, focal, 1e-3, moving)
-    truth = replace(truth, bias=np.zeros((count, 3)))
-    pixels = np.stack([projected(truth, footage, frame) for frame in posed_frames(truth)])
-    return truth, replace(footage, pixels=pixels + noise * rng.standard_normal(pixels.shape))
+def shown(truth, names, moving):
+    """Footage of an estimate that is the truth, with half a pixel of noise."""
+    truth, footage = pictured(truth, names, moving, size=SIZE, focal=700.0)
+    noise = 0.5 * np.random.default_rng(0).standard_normal(footage.pixels.shape)
+    return truth, replace(footage, pixels=footage.pixels + noise, sure=2 * footage.sure)
 
 
 def degrees(a, b):
@@ -74,12 +67,8 @@ def test_hand_that_turns_is_found(side):
 @pytest.mark.slow
 def test_outlines_of_thicker_fingers_do_not_draw_the_hand_nearer():
     truth, footage = turned_hand("left")
-    person = truth.person
-    normals = vertex_normals(person.vertices(truth.g), person.body.faces)
-    thick = replace(truth, person=person.with_offsets(0.002 * normals))
-    footage = replace(footage, masks=np.stack([mask_of(thick, footage, i) for i in range(FRAMES)]))
     told: list[str] = []
-    found = hand.fit_hand(person, truth.g, footage, "left", told.append)
+    found = hand.fit_hand(truth.person, truth.g, in_clothes(truth, footage, 0.002), "left", told.append)
     assert len(told) == STEPS["hand_left"]
     # .2 cm; 5.5 of 50 cm where fingers' lengths and poses moved before offsets
     assert np.linalg.norm(joints_off(truth, found, "left"), axis=2).mean() < 0.006
@@ -112,7 +101,6 @@ def in_one_picture(thickness=0.0):
     """Somebody who poses, in clothes so thick (metres); keypoints and mask."""
     person = person_of("male")
     g = np.zeros(len(person.sigma))
-    normals = vertex_normals(person.vertices(g), person.body.faces)
     angles = np.zeros((1, 52, 3))
     for side, forwards in (("left", 50), ("right", -10)):
         angles[0, JOINTS.index(f"{side}_shoulder"), :2] = np.radians([-45, forwards])
@@ -121,9 +109,8 @@ def in_one_picture(thickness=0.0):
     heading = matrix_from_axis_angle(np.array([[0, np.radians(30), 0]]))
     truth = Estimate(person, g, np.zeros((1, 3)), 0.0, angles[0], np.array([[0.1, 0.1, -3.5]]), heading, angles)
     truth, footage = shown(truth, body_names(), MOVING)
-    clothed = replace(truth, person=person.with_offsets(thickness * normals))
     seen = Keypoints(footage.names, footage.pixels, np.ones_like(footage.sure), footage.size)
-    return truth, seen, mask_of(clothed, footage, 0), footage.focal
+    return truth, seen, in_clothes(truth, footage, thickness).masks[0], footage.focal
 
 
 def limbs_in_camera(truth, seen, mask, focal):

@@ -27,18 +27,18 @@ def test_a_silhouette_in_place_stays_and_is_not_resampled(monkeypatch):
     assert len(turned) == 4
 
 
-@pytest.mark.parametrize("x, y", [(6, 0), (-4, 8), (0, -10)])
-def test_a_shifted_silhouette_is_found(x, y):
-    template = silhouette()
-    mask = np.roll(template, (y, x), (0, 1))[64:128, 48:96]
-    turn, shift = placement(template, mask, np.array([72.0, 96.0]), 20.0)
-    assert turn == 0 and shift.tolist() == [x, y]
+PLACES = [((0, 0), -16.0), *((shift, turn) for turn in (0.0, 8.0) for shift in ((0, 0), (40, -20), (-60, 30)))]
 
 
-@pytest.mark.parametrize("degrees", [-16, 8])
-def test_a_turned_silhouette_is_found(degrees):
-    template, (c, s) = silhouette(), (np.cos(np.radians(degrees)), np.sin(np.radians(degrees)))
-    back, middle = np.array([[c, -s], [s, c]]), np.array([96.0, 72.0])
-    drawn = ndimage.affine_transform(template.astype(float), back, offset=middle - back @ middle, order=1) > 0.5
-    turn, _ = placement(template, drawn[64:128, 48:96], np.array([72.0, 96.0]), 20.0)
-    assert turn == pytest.approx(np.radians(degrees))
+@pytest.mark.parametrize(("shift", "degrees"), PLACES)
+def test_a_silhouette_is_placed_where_it_was_taken_from(shift, degrees):
+    h = w = 96
+    y, x = np.mgrid[: 3 * h, : 3 * w] + 0.5
+    limb = lambda x, y: (abs(x - 144) < 8) & (abs(y - 150) < 30) | (abs(x - 155) < 15) & (abs(y - 130) < 6)
+    centre = np.array([144.0, 150.0])
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    back_x, back_y = x - centre[0] - shift[0], y - centre[1] - shift[1]
+    moved = limb(c * back_x + s * back_y + centre[0], -s * back_x + c * back_y + centre[1])
+    turn, found = placement(limb(x, y), moved[h : 2 * h, w : 2 * w], centre, 1000.0)
+    assert abs(np.degrees(turn) - degrees) < 1e-9
+    np.testing.assert_allclose(found, shift, atol=2 if degrees else 0)

@@ -17,7 +17,7 @@ from avatar.skinning import skin_points
 from capture.fit.align import AlignSettings, align, moving_joints, outline_offset
 from capture.fit.contours import pixel_contour
 from capture.fit.masks import regrown
-from capture.fit.outline import ShapeCells, placement
+from capture.fit.outline import ShapeCells
 from capture.fit.refine import RefineJob, frames_on_the_mask, refine_capture, refine_part, refined_path, with_refined
 from capture.folder import read_capture
 from capture.template.surface import surface_cloud
@@ -123,21 +123,6 @@ def test_only_joints_that_show_are_moved(capture):
     hand = moving_joints(capture.subject, 2, capture.videos["hand_left"], least=6.0)
     assert {20, 22, 18, 16} <= set(hand)  # wrist, a finger, elbow, shoulder of the left arm
     assert not {1, 4, 15, 17, 19, 21, 37} & set(hand)  # legs, head and the right arm
-
-
-@pytest.mark.parametrize("shift", [(0, 0), (40, -20), (-60, 30)])
-@pytest.mark.parametrize("degrees", [0.0, 8.0])
-def test_a_silhouette_is_placed_where_it_was_taken_from(shift, degrees):
-    h = w = 96
-    y, x = np.mgrid[: 3 * h, : 3 * w] + 0.5
-    limb = lambda x, y: (abs(x - 144) < 8) & (abs(y - 150) < 30) | (abs(x - 155) < 15) & (abs(y - 130) < 6)
-    centre = np.array([144.0, 150.0])
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    back_x, back_y = x - centre[0] - shift[0], y - centre[1] - shift[1]
-    moved = limb(c * back_x + s * back_y + centre[0], -s * back_x + c * back_y + centre[1])
-    turn, found = placement(limb(x, y), moved[h : 2 * h, w : 2 * w], centre, 1000.0)
-    assert abs(np.degrees(turn) - degrees) < 1e-9
-    np.testing.assert_allclose(found, shift, atol=2)
 
 
 def test_outlines_with_normals_of_zero_are_matched_where_denormals_are_flushed():

@@ -10,14 +10,13 @@ from avatar.rotation import matrix_from_axis_angle
 from avatar.skeleton import JOINTS, PARTS, joint_transforms
 from capture.fit import body, hand, head
 from capture.fit.focal import Focal, focal_of_videos
-from capture.fit.footage import Estimate, Footage
-from capture.fit.keypoint_term import projected
+from capture.fit.footage import Estimate
 from capture.fit.scan import FOCAL, GUESSED, WRITTEN, fit_scan, footage_in, phone_of, tracked_in
 from capture.fit.solve import posed_frames
 from capture.keypoints.record import Keypoints
 from capture.raw.scan import RawScan, RawVideo
 from command.errors import AssetError
-from tests.turning_twin import mask_of, turning_twin
+from tests.turning_twin import in_clothes, pictured, turning_twin
 
 FRAMES, SIZE = 7, 128
 # metres from the camera, and what turns before it
@@ -39,15 +38,12 @@ def close_up(truth, part):
 def video_of(truth, names, part, focal):
     """What a detector and a mask tool make of an estimate."""
     rng = np.random.default_rng(PARTS.index(part))
-    blank = np.zeros((FRAMES, SIZE, SIZE), np.uint8)
-    seen = np.ones((FRAMES, len(names)))
-    footage = Footage(names, np.zeros((FRAMES, len(names), 2)), seen, blank, focal, 1e-3, np.zeros(0, np.int64))
-    truth = replace(truth, bias=np.zeros((len(names), 3)), log_focal=0.0)
-    pixels = np.stack([projected(truth, footage, frame) for frame in posed_frames(truth)])
+    truth, footage = pictured(truth, names, np.zeros(0, np.int64), size=SIZE, focal=focal)
+    pixels, seen = footage.pixels, footage.sure
     if part == "head":
         # no face from behind
         seen = np.where((truth.heading[:, 2, 2] < -0.3)[:, None], 0.0, seen)
-    masks = np.stack([mask_of(truth, footage, i) for i in range(FRAMES)])
+    masks = in_clothes(truth, footage, 0.0).masks
     inside = ((pixels > 0) & (pixels < SIZE)).all(2)
     keypoints = Keypoints(names, pixels + 0.2 * rng.standard_normal(pixels.shape), seen * inside, (SIZE, SIZE))
     pictures = (Path("none"),) * FRAMES

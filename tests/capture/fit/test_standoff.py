@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from turning_twin import mask_of, turning_twin
+from turning_twin import in_clothes, turning_twin
 
 from capture.fit.offsets import dressed
 from capture.fit.outline_term import Outlines
@@ -28,8 +28,7 @@ def test_a_wide_skirt_is_not_filled_by_the_legs():
     normals = vertex_normals(vertices, truth.person.body.faces)
     # 15 cm off the thighs, all round, nothing elsewhere
     thighs = (vertices[:, 1] < -0.12) & (vertices[:, 1] > -0.45) & (np.abs(vertices[:, 0]) < 0.35)
-    wide = replace(truth, person=truth.person.with_offsets(np.where(thighs, 0.15, 0.0)[:, None] * normals))
-    footage = replace(footage, masks=np.stack([mask_of(wide, footage, i) for i in range(6)]))
+    footage = in_clothes(truth, footage, np.where(thighs, 0.15, 0.0))
     bare = replace(truth, person=truth.person.with_offsets(0 * normals))
 
     def found(standoff):

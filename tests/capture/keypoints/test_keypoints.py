@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pose_twins import from_text
+from pose_twins import estimated, from_text
 
 from capture.keypoints import coco_wholebody, mediapipe, openpose
 from capture.keypoints.detect import frame_json, model_files
@@ -216,9 +216,7 @@ def test_a_folder_of_nothing_is_refused(tmp_path):
 
 
 def test_the_real_holistic_result_has_its_points_where_the_photo_has_them(data, tmp_path):
-    path = data / "estimators" / "mediapipe_male_full_height_hands_result_cpu.pbtxt"
-    if not path.is_file():
-        pytest.skip(f"no {path}")
+    path = estimated(data, "mediapipe_male_full_height_hands_result_cpu.pbtxt")
     found = read_keypoints(from_text(path, tmp_path / "real.json"), size=(600, 900))
     assert (found.confidence > 0.5).all()
     # he faces the camera: his left is on the right
@@ -230,7 +228,7 @@ def test_the_real_holistic_result_has_its_points_where_the_photo_has_them(data, 
 
 def test_a_face_of_mediapipe_gives_the_68_points(data, tmp_path):
     """A stored result of its own: a portrait seen from the front."""
-    text = (data / "estimators" / "mediapipe_portrait_expected_face_landmarks.pbtxt").read_text()
+    text = estimated(data, "mediapipe_portrait_expected_face_landmarks.pbtxt").read_text()
     points = [tuple(map(float, pair)) for pair in re.findall(r"x: (\S+)\s+y: (\S+)", text)]
     assert len(points) in (468, 478)
     path = tmp_path / "a.json"

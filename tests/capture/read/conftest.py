@@ -4,8 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from foreign_layouts import write_authors, write_colmap, write_easymocap, write_landmark_pixels, write_model
+from foreign_layouts import write_authors, write_colmap, write_easymocap, write_landmark_pixels
 from painted_capture import write_capture
+from smplh_model import write_model
 
 from avatar.body import read_body
 from avatar.rotation import axis_angle_from_matrix, matrix_from_axis_angle

@@ -1,6 +1,7 @@
 """A user's own videos in EasyMocap's and COLMAP's layouts: what comes out is the capture that went in."""
 
 import json
+import shutil
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,6 @@ from foreign_layouts import (
     J0,
     assert_same_capture,
     assert_same_head,
-    copied,
     opencv_matrix,
     write_colmap,
     write_easymocap,
@@ -33,7 +33,7 @@ def imported(own, out, body, **changes):
 @pytest.fixture
 def damaged(own, tmp_path):
     """A copy of everything to change."""
-    root = copied(own.root, tmp_path / "anna")
+    root = shutil.copytree(own.root, tmp_path / "anna")
     return SimpleNamespace(root=root, head=root / "colmap", landmarks=root / "landmarks.json", masks=root / "masks")
 
 
@@ -189,7 +189,7 @@ BAD = {
         r"body: expected EasyMocap's results in one of smpl/, .* found none",
     ),
     "results twice": (
-        lambda o: copied(o.root / "body/smpl", o.root / "body/output/smplfull"),
+        lambda o: shutil.copytree(o.root / "body/smpl", o.root / "body/output/smplfull"),
         r"body: expected EasyMocap's results in one of smpl/, .* found \['output/smplfull', 'smpl'\]",
     ),
     "millimetres for metres": (

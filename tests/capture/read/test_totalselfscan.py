@@ -1,11 +1,11 @@
 """The authors' released layout: what comes out is the capture that went in, trap by trap."""
 
 import json
-import os
+import shutil
 
 import numpy as np
 import pytest
-from foreign_layouts import J0, assert_same_capture, assert_same_head, copied, numbers, object_array, write_weight_grid
+from foreign_layouts import J0, assert_same_capture, assert_same_head, numbers, object_array, write_weight_grid
 from PIL import Image
 
 from avatar.rotation import matrix_from_axis_angle
@@ -21,7 +21,7 @@ from files.npz import read_npy
 @pytest.fixture
 def damaged(authors, tmp_path):
     """A copy of the authors' folder to change."""
-    return copied(authors, tmp_path / "male-anna")
+    return shutil.copytree(authors, tmp_path / "male-anna")
 
 
 def changed(path, change):
@@ -77,31 +77,6 @@ def test_the_wrong_unit_of_a_camera_is_refused(damaged, tmp_path, body, folder, 
     refused(damaged, tmp_path, body, rf"annots\.npy: cams\.T, in {unit}, should place the camera .* places it at")
 
 
-def test_a_body_in_millimetres_is_refused(damaged, tmp_path, body):
-    for name in ("joints", "bigpose_vertices"):
-        numbers(damaged / f"lbs/{name}.npy", 1000 * np.load(damaged / f"lbs/{name}.npy"))
-    refused(damaged, tmp_path, body, r"bigpose_vertices\.npy: the body should be .* tall .* is 1\d{3}.*: millimetres\?")
-
-
-def test_the_rotation_is_about_the_origin(authors, tmp_path, body):
-    import_totalselfscan(authors, tmp_path / "out", body=body)
-    for part, folder in (("body", "."), ("hand_right", "hand/handr")):
-        video = read_capture(tmp_path / "out").videos[part]
-        elsewhere = []  # where a rotation about the pelvis would put it
-        for k, file in enumerate(sorted((authors / folder / "params").iterdir())):
-            (params,) = read_npy(file, "params")
-            R = matrix_from_axis_angle(params["Rh"][0])
-            np.testing.assert_allclose(video.root[k], params["Th"][0] + R @ J0, atol=1e-9)
-            elsewhere.append(np.abs(video.root[k] - (params["Th"][0] + J0)).max())
-        assert max(elsewhere) > 0.02
-
-
-def test_poses_that_are_not_those_of_the_vertices_are_refused(damaged, tmp_path, body):
-    file = min((damaged / "params").iterdir())
-    changed(file, lambda held: held.update(Th=held["Th"] + [0.2, 0, 0]))
-    refused(damaged, tmp_path, body, r"vertices/000500\.npy: vertices should lie within 3 cm .* are \d")
-
-
 def test_a_root_inside_poses_turns_about_the_pelvis_first(damaged, source, tmp_path, body):
     for file in (damaged / "params").iterdir():
 
@@ -139,20 +114,6 @@ def test_frames_are_the_authors_where_the_video_is_as_long_and_the_users_where_g
     assert [len(found.videos[part].images) for part in ("body", "head", "hand_left")] == [2, 2, 3]
 
 
-def test_a_face_camera_without_its_leading_axis_is_refused(damaged, tmp_path, body):
-    path = damaged / "face/new_cameras.npy"
-    changed(path, lambda held: held[1].update(R=held[1]["R"][0]))
-    refused(
-        damaged, tmp_path, body, r"new_cameras\.npy: camera 1: R should be finite with a leading axis of 1, is \(3, 3\)"
-    )
-
-
-def test_a_face_in_another_frame_is_refused(damaged, tmp_path, body):
-    path = damaged / "face/tvertices_face.npy"
-    numbers(path, np.load(path) + [0, 0.3, 0])
-    refused(damaged, tmp_path, body, r"tvertices_face\.npy: the face should lie within 3 cm .* is \d+(\.\d+)? cm away")
-
-
 def test_masks_are_labels_or_0_and_1_and_jpeg_rings_are_no_person(tmp_path):
     person = np.zeros((40, 40), bool)
     person[8:32, 10:30] = True
@@ -181,24 +142,9 @@ def test_a_wrist_stays_where_its_own_skeleton_had_it(source):
     assert np.linalg.norm(root - video.root, axis=1).min() > 0.02
 
 
-class Bomb:
-    def __init__(self, place):
-        self.place = place
-
-    def __reduce__(self):
-        return (os.mkdir, (self.place,))
-
-
-@pytest.mark.parametrize("file", ["annots.npy", "params/000500.npy", "face/new_cameras.npy", "hand/handr/annots.npy"])
-def test_code_in_an_object_array_is_never_run(damaged, tmp_path, body, file):
-    place = str(tmp_path / "executed")
-    object_array(damaged / file, {"cams": Bomb(place), "poses": Bomb(place)})
-    refused(damaged, tmp_path, body, r"mkdir.*nothing was run")
-    assert not os.path.exists(place)
-
-
-def remove(root, name):
-    (root / name).unlink()
+def in_millimetres(root):
+    for name in ("joints", "bigpose_vertices"):
+        numbers(root / f"lbs/{name}.npy", 1000 * np.load(root / f"lbs/{name}.npy"))
 
 
 BAD = {
@@ -207,8 +153,12 @@ BAD = {
         r"expected four videos, found no hand_right \(hand/handr\)",
     ),
     "no masks": (lambda r: (r / "mask_cihp").rename(r / "masks"), r"000500\.png: no mask; expected one of .*mask_cihp"),
-    "no face mask": (lambda r: remove(r, "face/masks/0001.png"), r"face/masks/0001\.png: no such mask"),
-    "poses shorter than frames": (lambda r: remove(r, "params/000502.npy"), r"params/000502\.npy: no such file"),
+    "no face mask": (lambda r: (r / "face/masks/0001.png").unlink(), r"face/masks/0001\.png: no such mask"),
+    "poses shorter than frames": (lambda r: (r / "params/000502.npy").unlink(), r"params/000502\.npy: no such file"),
+    "poses that are not those of the vertices": (
+        lambda r: changed(r / "params/000500.npy", lambda p: p.update(Th=p["Th"] + [0.2, 0, 0])),
+        r"vertices/000500\.npy: vertices should lie within 3 cm .* are \d",
+    ),
     "a pose of 24 joints": (
         lambda r: changed(r / "params/000501.npy", lambda p: p.update(poses=np.zeros((1, 72)))),
         r"params/000501\.npy: poses should be \(156,\), is \(1, 72\)",
@@ -225,6 +175,18 @@ BAD = {
     "fewer face cameras than images": (
         lambda r: object_array(r / "face/new_cameras.npy", read_npy(r / "face/new_cameras.npy", "x")[:2]),
         r"new_cameras\.npy: expected a camera for each of 3 images, found 2",
+    ),
+    "a face camera without its leading axis": (
+        lambda r: changed(r / "face/new_cameras.npy", lambda held: held[1].update(R=held[1]["R"][0])),
+        r"new_cameras\.npy: camera 1: R should be finite with a leading axis of 1, is \(3, 3\)",
+    ),
+    "a face in another frame": (
+        lambda r: numbers(r / "face/tvertices_face.npy", np.load(r / "face/tvertices_face.npy") + [0, 0.3, 0]),
+        r"tvertices_face\.npy: the face should lie within 3 cm .* is \d+(\.\d+)? cm away",
+    ),
+    "a body in millimetres": (
+        in_millimetres,
+        r"bigpose_vertices\.npy: the body should be .* tall .* is 1\d{3}.*: millimetres\?",
     ),
     "joints of SMPL": (
         lambda r: numbers(r / "lbs/joints.npy", np.zeros((24, 3))),

@@ -4,7 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from filmed_figure import film_anew
+from filmed_figure import NAMES_OF_FILES, film_anew
+from PIL import Image
 
 from avatar.body import builtin_body
 from avatar.camera import Camera, look_at, pinhole, project
@@ -20,8 +21,7 @@ from selfscan.__main__ import main
 
 
 def given(folder, **changed):
-    names = {"body": "body", "head": "head", "hand_left": "left", "hand_right": "right"}
-    paths = {part: folder / f"{name}.mp4" for part, name in names.items()}
+    paths = {part: folder / f"{name}.mp4" for part, name in NAMES_OF_FILES.items()}
     return VideoImport(paths, folder / "keypoints", **({"frames": 8} | changed))
 
 
@@ -127,8 +127,6 @@ def test_bad_videos_stop_before_anything_is_fitted(filmed_four, tmp_path):
 
 
 def test_masks_of_another_tool_are_taken_as_they_are(filmed_four, tmp_path):
-    from PIL import Image
-
     masks = tmp_path / "masks"
     for part in PARTS:
         (masks / part).mkdir(parents=True)

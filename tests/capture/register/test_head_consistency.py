@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from painted_ball import filmed, head
 
 from avatar.rotation import matrix_from_axis_angle
 from capture.folder import CaptureSubject, PartVideo
@@ -25,12 +24,6 @@ def disturbed(scale: float, degrees: float, shift: float) -> np.ndarray:
 def anchors(subject: CaptureSubject, start: np.ndarray) -> Anchors:
     target = subject.vertices[::1200]
     return Anchors(target @ start[:3, :3].T + start[:3, 3], target, 0.003)
-
-
-@pytest.fixture(scope="module")
-def case() -> tuple[CaptureSubject, PartVideo]:
-    subject = head()
-    return subject, filmed(subject)
 
 
 def test_a_head_two_degrees_and_two_per_cent_off_comes_back(case):

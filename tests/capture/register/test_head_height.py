@@ -4,19 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from painted_ball import filmed, head
 from scipy import ndimage
 
-from capture.folder import CaptureSubject, PartVideo
+from capture.folder import CaptureSubject
 from capture.register.head_height import height_by_outline
 from geometry.icp import Anchors
-
-
-@pytest.fixture(scope="module")
-def case() -> tuple[CaptureSubject, PartVideo]:
-    # below the neck nothing counts: the ball's lowest centimetre
-    subject = head()
-    return subject, filmed(subject)
 
 
 def lifted(millimetres: float) -> np.ndarray:
