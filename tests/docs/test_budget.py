@@ -8,8 +8,8 @@ ROOT = Path(__file__).parents[2]
 CODE = (".py", ".glsl", ".vert", ".frag", ".js", ".html", ".css")
 # lines, as many as there are: they only fall, until the installed folders have 60,000 and the tests 34,000
 BUDGET = {
-    "files": 1_420,
-    "command": 1_130,
+    "files": 1_400,
+    "command": 1_110,
     "avatar": 8_650,
     "geometry": 1_770,
     "capture": 12_190,
@@ -20,7 +20,7 @@ BUDGET = {
     "synth": 2950,
     "bench": 6490,
     "selfscan": 400,
-    "tests": 38_120,
+    "tests": 37_590,
 }
 
 

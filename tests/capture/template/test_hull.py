@@ -11,10 +11,7 @@ from capture.template.hull import STANDS_OFF, MaskView, Scalp, background_share,
 RADIUS = 0.1  # metres, of the head, at the origin
 HAIR = np.array([[-0.08, -0.16, -0.16], [0.08, 0.02, -0.03]])  # a block, behind and below
 LOW, HIGH, CELL = np.array([-0.2, -0.25, -0.25]), np.array([0.2, 0.15, 0.2]), 0.006
-
 SCALP = Scalp(neck=-0.05, brow=0.05, middle=(0.0, 0.0))
-
-
 GRID = np.stack(np.meshgrid(*(np.arange(LOW[i], HIGH[i] + CELL, CELL) for i in range(3)), indexing="ij"), -1)
 
 
